@@ -1,0 +1,103 @@
+"""A pinhole camera: what a capture has, a manifest carries and a renderer takes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .errors import CorruptError, InvalidError
+
+MAX_IMAGE_PX = 16384
+"""Largest width or height accepted, in pixels: the texture limit of common GPUs."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Camera:
+    """Pinhole camera, OpenCV pose (x right, y down, z forward).
+
+    Raises InvalidError at construction when a number is not finite, a size or focal length is not
+    positive, or the pose's rotation is not orthonormal.
+    """
+
+    name: str
+    width_px: int
+    height_px: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    w2c: npt.NDArray[np.float64]  # (4, 4) world to camera, metres
+
+    def __post_init__(self) -> None:
+        if not (0 < self.width_px <= MAX_IMAGE_PX and 0 < self.height_px <= MAX_IMAGE_PX):
+            raise InvalidError(f"camera {self.name}: size {self.width_px}x{self.height_px} px")
+        if self.w2c.shape != (4, 4) or self.w2c.dtype != np.float64:
+            raise InvalidError(f"camera {self.name}: the pose is not a 4x4 float64 matrix")
+        intrinsics = (self.fx_px, self.fy_px, self.cx_px, self.cy_px)
+        if not (np.isfinite(intrinsics).all() and np.isfinite(self.w2c).all()):
+            raise InvalidError(f"camera {self.name}: a parameter is not finite")
+        if not (self.fx_px > 0 and self.fy_px > 0):
+            raise InvalidError(f"camera {self.name}: a focal length is not positive")
+        rotation = self.w2c[:3, :3]
+        if (
+            np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3
+            or np.linalg.det(rotation) < 0
+            or np.abs(self.w2c[3] - (0, 0, 0, 1)).max() > 1e-6
+        ):
+            raise InvalidError(f"camera {self.name}: the pose is not a rotation and a translation")
+
+    @property
+    def position(self) -> npt.NDArray[np.float64]:
+        """(3,) the camera's centre in the world, metres."""
+        return -self.w2c[:3, :3].T @ self.w2c[:3, 3]
+
+    @property
+    def forward(self) -> npt.NDArray[np.float64]:
+        """(3,) the unit viewing direction in the world."""
+        return self.w2c[2, :3].copy()
+
+    def resized(self, width_px: int, height_px: int) -> Camera:
+        """The same view on another pixel grid."""
+        sx, sy = width_px / self.width_px, height_px / self.height_px
+        return replace(
+            self,
+            width_px=width_px,
+            height_px=height_px,
+            fx_px=self.fx_px * sx,
+            fy_px=self.fy_px * sy,
+            cx_px=self.cx_px * sx,
+            cy_px=self.cy_px * sy,
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "name": self.name,
+            "width_px": self.width_px,
+            "height_px": self.height_px,
+            "fx_px": self.fx_px,
+            "fy_px": self.fy_px,
+            "cx_px": self.cx_px,
+            "cy_px": self.cy_px,
+            "w2c": [float(x) for x in self.w2c.ravel()],
+        }
+
+    @staticmethod
+    def from_json(value: Mapping[str, Any]) -> Camera:
+        """The camera that `to_json` described. Raises CorruptError for anything else."""
+        try:
+            return Camera(
+                name=str(value["name"])[:80],
+                width_px=int(value["width_px"]),
+                height_px=int(value["height_px"]),
+                fx_px=float(value["fx_px"]),
+                fy_px=float(value["fy_px"]),
+                cx_px=float(value["cx_px"]),
+                cy_px=float(value["cy_px"]),
+                w2c=np.array(value["w2c"], np.float64).reshape(4, 4),
+            )
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise CorruptError(f"camera: {type(error).__name__}: {error}") from error

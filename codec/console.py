@@ -1,0 +1,47 @@
+"""What all commands share: parsing, exit codes, and one clear line instead of a traceback."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Callable
+from typing import TypeVar
+
+import tyro
+
+from .errors import SwingsError
+
+Config = TypeVar("Config")
+
+
+def run_command(
+    config_type: type[Config], run: Callable[[Config], None], prog: str, description: str
+) -> None:
+    """Parses argv into `config_type` and runs it.
+
+    Exits with 0 when done, 1 with one line on stderr for a SwingsError or an OSError, 2 for bad usage.
+    A `--verbose` anywhere among the arguments shows the traceback and debug logs.
+    """
+    arguments = sys.argv[1:]
+    verbose = "--verbose" in arguments
+    arguments = [a for a in arguments if a != "--verbose"]
+    logging.basicConfig(
+        level=logging.DEBUG if verbose else logging.WARNING,
+        format=f"{prog}: %(levelname)s %(name)s: %(message)s",
+    )
+    for noisy in ("numba", "matplotlib", "PIL", "asyncio"):
+        logging.getLogger(noisy).setLevel(logging.WARNING)
+    epilogue = "--verbose shows debug logs and, on failure, the traceback."
+    config = tyro.cli(
+        config_type, prog=prog, description=f"{description}\n\n{epilogue}", args=arguments
+    )
+    try:
+        run(config)
+    except KeyboardInterrupt:
+        sys.exit(130)
+    except (SwingsError, OSError) as error:
+        if verbose:
+            raise
+        message = " ".join(str(error).split()) or type(error).__name__
+        sys.stderr.write(f"{prog}: {message}\n")
+        sys.exit(1)

@@ -1,0 +1,44 @@
+"""The Gaussians that mature together, once per frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from .errors import InvalidError
+from .splats import Splats
+
+MAX_SWIN_SIZE = 255
+"""Frames a Gaussian may live; start offsets are stored in one byte."""
+
+
+@dataclass(frozen=True, slots=True)
+class Slice:
+    """One generation of a slice lane: due at frame `birth`, gone at `birth + swin_size`.
+
+    A Gaussian shows in frames start <= frame < birth + swin_size, where start = birth + start_offset:
+    relocation in training may delay it (research code of the paper, "birth" and "start").
+    """
+
+    birth: int
+    splats: Splats
+    start_offsets: npt.NDArray[np.uint8]  # (N,) frames after birth
+
+    def __post_init__(self) -> None:
+        if self.start_offsets.shape != (len(self.splats),):
+            raise InvalidError(f"Slice.start_offsets has shape {self.start_offsets.shape}")
+        if self.start_offsets.dtype != np.uint8:
+            raise InvalidError(f"Slice.start_offsets is {self.start_offsets.dtype}, not uint8")
+
+    def lane(self, swin_size: int) -> int:
+        """The slice lane that this slice takes over."""
+        return self.birth % swin_size
+
+    def active(self, frame: int, swin_size: int) -> npt.NDArray[np.bool_]:
+        """(N,) which Gaussians show at `frame`."""
+        if not self.birth <= frame < self.birth + swin_size:
+            return np.zeros(len(self.splats), np.bool_)
+        shown: npt.NDArray[np.bool_] = self.start_offsets <= frame - self.birth
+        return shown

@@ -1,0 +1,110 @@
+"""The one vocabulary type for a set of Gaussians.
+
+Rule: a `Splats` that exists is valid; nothing downstream checks it again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from .errors import InvalidError
+
+Floats = npt.NDArray[np.float32]
+
+SH_C0 = 0.28209479177387814
+"""The constant spherical harmonic; colour = 0.5 + SH_C0 * sh[:, 0] + ..."""
+
+MAX_SH_DEGREE = 3
+
+
+def sh_count(sh_degree: int) -> int:
+    """Coefficients for each colour channel at `sh_degree`."""
+    return (sh_degree + 1) ** 2
+
+
+@dataclass(frozen=True, slots=True)
+class Splats:
+    """N Gaussians in the world frame (right-handed, metres).
+
+    Raises InvalidError at construction when shapes disagree, a dtype is not float32, a value is not
+    finite, or a quaternion is zero.
+    """
+
+    means: Floats  # (N, 3) float32, metres, world
+    log_scales: Floats  # (N, 3) float32, natural log of the standard deviations in metres
+    quats: Floats  # (N, 4) float32, wxyz, any norm but zero
+    logit_opacities: Floats  # (N,) float32
+    sh: Floats  # (N, K, 3) float32, K = (degree + 1)^2 coefficients, RGB last
+
+    def __post_init__(self) -> None:
+        n = len(self.means)
+        shapes = {
+            "means": (n, 3),
+            "log_scales": (n, 3),
+            "quats": (n, 4),
+            "logit_opacities": (n,),
+        }
+        for name, shape in shapes.items():
+            array = getattr(self, name)
+            if array.shape != shape:
+                raise InvalidError(f"Splats.{name} has shape {array.shape}, expected {shape}")
+        if self.sh.ndim != 3 or self.sh.shape[0] != n or self.sh.shape[2] != 3:
+            raise InvalidError(f"Splats.sh has shape {self.sh.shape}, expected ({n}, K, 3)")
+        if self.sh.shape[1] not in {sh_count(d) for d in range(MAX_SH_DEGREE + 1)}:
+            raise InvalidError(f"Splats.sh has {self.sh.shape[1]} coefficients, not 1, 4, 9 or 16")
+        for name in (*shapes, "sh"):
+            array = getattr(self, name)
+            if array.dtype != np.float32:
+                raise InvalidError(f"Splats.{name} is {array.dtype}, expected float32")
+            if not np.isfinite(array).all():
+                raise InvalidError(f"Splats.{name} holds a value that is not finite")
+        if n and not self.quats.any(axis=1).all():
+            raise InvalidError("Splats.quats holds a zero quaternion")
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    @property
+    def sh_degree(self) -> int:
+        return int(round(self.sh.shape[1] ** 0.5)) - 1
+
+    @property
+    def opacities(self) -> Floats:
+        """(N,) float32 in (0, 1)."""
+        # tanh saturates quietly where exp would overflow.
+        return np.float32(0.5) * (np.float32(1) + np.tanh(np.float32(0.5) * self.logit_opacities))
+
+    def take(self, rows: npt.NDArray[np.integer] | slice) -> Splats:
+        """The Gaussians at `rows`, in that order."""
+        return Splats(
+            self.means[rows],
+            self.log_scales[rows],
+            self.quats[rows],
+            self.logit_opacities[rows],
+            self.sh[rows],
+        )
+
+    @staticmethod
+    def empty(sh_degree: int = 0) -> Splats:
+        return Splats(
+            np.zeros((0, 3), np.float32),
+            np.zeros((0, 3), np.float32),
+            np.zeros((0, 4), np.float32),
+            np.zeros((0,), np.float32),
+            np.zeros((0, sh_count(sh_degree), 3), np.float32),
+        )
+
+    @staticmethod
+    def concatenate(parts: Sequence[Splats]) -> Splats:
+        """All of `parts`, which share one SH degree; at least one part."""
+        return Splats(
+            np.concatenate([p.means for p in parts]),
+            np.concatenate([p.log_scales for p in parts]),
+            np.concatenate([p.quats for p in parts]),
+            np.concatenate([p.logit_opacities for p in parts]),
+            np.concatenate([p.sh for p in parts]),
+        )
