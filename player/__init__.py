@@ -1,0 +1,1 @@
+"""Playing a stream: sources, the playout clock, the ring of slices, the renderers."""

@@ -1,0 +1,1 @@
+"""From a capture to a stream: readers, the sliding-window trainer, evaluation."""

@@ -1,0 +1,1 @@
+"""Rendering recipe v1 and its back ends: one picture everywhere."""

@@ -1,0 +1,1 @@
+"""Gradients of the CPU rasteriser; its forward kernels stand in player.render."""

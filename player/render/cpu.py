@@ -1,0 +1,45 @@
+"""The CPU renderer: the oracle of recipe v1 and the fast path where there is no GPU."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from codec.camera import Camera
+from codec.splats import Splats
+
+from .project import Projection, camera_vector, project_kernel
+from .recipe import TILE_PX
+from .tiles import blend_tiles, list_tiles, tile_grid
+
+Floats = npt.NDArray[np.float32]
+
+
+def render_splats(splats: Splats, camera: Camera, near_m: float) -> Floats:
+    """(H, W, 3) float32 picture of `splats`, black background, not clamped above 1.
+
+    near_m: Gaussians whose centre lies nearer along the viewing axis are not drawn, metres.
+    """
+    tiles_x, tiles_y = tile_grid(camera.width_px, camera.height_px)
+    projection = Projection.allocate(len(splats))
+    project_kernel(
+        splats.means,
+        splats.log_scales,
+        splats.quats,
+        splats.logit_opacities,
+        splats.sh,
+        np.arange(len(splats), dtype=np.int32),
+        camera_vector(camera, near_m),
+        tiles_x,
+        tiles_y,
+        projection.projected,
+        projection.depths,
+        projection.tile_boxes,
+    )
+    lists = list_tiles(projection, tiles_x, tiles_y)
+    picture = np.empty((3, tiles_y * TILE_PX, tiles_x * TILE_PX), np.float32)
+    blend_tiles(
+        projection.projected, lists.starts, lists.gaussians, lists.order, tiles_x, picture
+    )
+    cropped = picture[:, : camera.height_px, : camera.width_px]
+    return np.ascontiguousarray(cropped.transpose(1, 2, 0))

@@ -1,0 +1,187 @@
+"""From 3D Gaussians and a camera to 2D Gaussians on the pixel grid (EWA splatting, recipe v1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit, prange
+
+from codec.camera import Camera
+from codec.splats import SH_C0
+
+from .recipe import (
+    ALPHA_MIN,
+    JACOBIAN_CLAMP,
+    LOW_PASS_PX2,
+    MAX_EXTENT_SIGMA,
+    SH_C1,
+    TILE_PX,
+)
+
+Floats = npt.NDArray[np.float32]
+Ints = npt.NDArray[np.int32]
+
+# Columns of a projected Gaussian.
+X, Y, CONIC_A, CONIC_B, CONIC_C, OPACITY, RED, GREEN, BLUE, Q_MAX = range(10)
+PROJECTED = 10
+"""Floats per projected Gaussian: centre (px), conic, opacity, colour, largest q that still shows."""
+
+# Places in the camera vector that the kernels take.
+_R, _T, _POSITION, _FX, _FY, _CX, _CY, _LIMIT_X, _LIMIT_Y, _NEAR = 0, 9, 12, 15, 16, 17, 18, 19, 20, 21
+
+
+def camera_vector(camera: Camera, near_m: float) -> Floats:
+    """(22,) float32: rotation, translation, position, intrinsics (px), Jacobian limits, near plane."""
+    tan_x = 0.5 * camera.width_px / camera.fx_px
+    tan_y = 0.5 * camera.height_px / camera.fy_px
+    return np.concatenate(
+        [
+            camera.w2c[:3, :3].ravel(),
+            camera.w2c[:3, 3],
+            camera.position,
+            [camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px],
+            [JACOBIAN_CLAMP * tan_x, JACOBIAN_CLAMP * tan_y, near_m],
+        ]
+    ).astype(np.float32)
+
+
+@dataclass(slots=True)
+class Projection:
+    """M Gaussians on the pixel grid; buffers are reused when they are large enough."""
+
+    projected: Floats  # (M, 10) float32, columns as named above
+    depths: Floats  # (M,) float32, metres along the viewing axis; +inf where nothing shows
+    tile_boxes: Ints  # (M, 4) int32: first and end tile in x, first and end tile in y
+
+    @staticmethod
+    def allocate(count: int) -> Projection:
+        return Projection(
+            np.empty((count, PROJECTED), np.float32),
+            np.empty(count, np.float32),
+            np.empty((count, 4), np.int32),
+        )
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def rotation_of(qw, qx, qy, qz):  # type: ignore[no-untyped-def]
+    """The nine entries, row by row, of the rotation of a unit quaternion."""
+    two = np.float32(2)
+    one = np.float32(1)
+    return (
+        one - two * (qy * qy + qz * qz),
+        two * (qx * qy - qw * qz),
+        two * (qx * qz + qw * qy),
+        two * (qx * qy + qw * qz),
+        one - two * (qx * qx + qz * qz),
+        two * (qy * qz - qw * qx),
+        two * (qx * qz - qw * qy),
+        two * (qy * qz + qw * qx),
+        one - two * (qx * qx + qy * qy),
+    )
+
+
+@njit(cache=True, fastmath=True, parallel=True)
+def project_kernel(  # type: ignore[no-untyped-def]
+    means, log_scales, quats, logit_opacities, sh, rows, camera, tiles_x, tiles_y,
+    projected, depths, tile_boxes,
+):  # fmt: skip
+    """Projects the Gaussians `rows` of the parameter arrays; see `project`."""
+    zero, half, one = np.float32(0), np.float32(0.5), np.float32(1)
+    low_pass = np.float32(LOW_PASS_PX2)
+    alpha_min = np.float32(ALPHA_MIN)
+    max_extent = np.float32(MAX_EXTENT_SIGMA)
+    c0, c1 = np.float32(SH_C0), np.float32(SH_C1)
+    tile = np.float32(TILE_PX)
+    r00, r01, r02, r10, r11, r12, r20, r21, r22 = (
+        camera[0], camera[1], camera[2], camera[3], camera[4], camera[5], camera[6], camera[7], camera[8]
+    )  # fmt: skip
+    for i in prange(rows.shape[0]):
+        row = rows[i]
+        depths[i] = np.float32(np.inf)
+        tile_boxes[i, 0] = 0
+        tile_boxes[i, 1] = 0
+        tile_boxes[i, 2] = 0
+        tile_boxes[i, 3] = 0
+        mx, my, mz = means[row, 0], means[row, 1], means[row, 2]
+        z = r20 * mx + r21 * my + r22 * mz + camera[_T + 2]
+        opacity = one / (one + np.exp(-logit_opacities[row]))
+        if z <= camera[_NEAR] or opacity < alpha_min:
+            continue
+        x = r00 * mx + r01 * my + r02 * mz + camera[_T]
+        y = r10 * mx + r11 * my + r12 * mz + camera[_T + 1]
+        fx, fy = camera[_FX], camera[_FY]
+        inv_z = one / z
+        u, v = x * inv_z, y * inv_z
+        tx = min(max(u, -camera[_LIMIT_X]), camera[_LIMIT_X])
+        ty = min(max(v, -camera[_LIMIT_Y]), camera[_LIMIT_Y])
+        # (2, 3) Jacobian times the camera's rotation.
+        jx, jy = fx * inv_z, fy * inv_z
+        a0, a1, a2 = jx * (r00 - tx * r20), jx * (r01 - tx * r21), jx * (r02 - tx * r22)
+        b0, b1, b2 = jy * (r10 - ty * r20), jy * (r11 - ty * r21), jy * (r12 - ty * r22)
+        qw, qx, qy, qz = quats[row, 0], quats[row, 1], quats[row, 2], quats[row, 3]
+        norm = one / np.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
+        g00, g01, g02, g10, g11, g12, g20, g21, g22 = rotation_of(
+            qw * norm, qx * norm, qy * norm, qz * norm
+        )
+        s0, s1, s2 = (
+            np.exp(log_scales[row, 0]),
+            np.exp(log_scales[row, 1]),
+            np.exp(log_scales[row, 2]),
+        )
+        va0 = (a0 * g00 + a1 * g10 + a2 * g20) * s0
+        va1 = (a0 * g01 + a1 * g11 + a2 * g21) * s1
+        va2 = (a0 * g02 + a1 * g12 + a2 * g22) * s2
+        vb0 = (b0 * g00 + b1 * g10 + b2 * g20) * s0
+        vb1 = (b0 * g01 + b1 * g11 + b2 * g21) * s1
+        vb2 = (b0 * g02 + b1 * g12 + b2 * g22) * s2
+        cov_a = va0 * va0 + va1 * va1 + va2 * va2 + low_pass
+        cov_b = va0 * vb0 + va1 * vb1 + va2 * vb2
+        cov_c = vb0 * vb0 + vb1 * vb1 + vb2 * vb2 + low_pass
+        det = cov_a * cov_c - cov_b * cov_b
+        if not det > zero:
+            continue
+        inv_det = one / det
+        centre_x = fx * u + camera[_CX]
+        centre_y = fy * v + camera[_CY]
+        q_max = np.log(opacity / alpha_min)
+        extent = min(max_extent, np.sqrt(np.float32(2) * q_max))
+        half_x, half_y = extent * np.sqrt(cov_a), extent * np.sqrt(cov_c)
+        # Clamped as float32 first: a box far outside must not overflow an integer.
+        end_x, end_y = np.float32(tiles_x), np.float32(tiles_y)
+        x0 = min(max(np.floor((centre_x - half_x) / tile), zero), end_x)
+        x1 = min(max(np.floor((centre_x + half_x) / tile) + one, zero), end_x)
+        y0 = min(max(np.floor((centre_y - half_y) / tile), zero), end_y)
+        y1 = min(max(np.floor((centre_y + half_y) / tile) + one, zero), end_y)
+        if not (x1 > x0 and y1 > y0):
+            continue
+        red = half + c0 * sh[row, 0, 0]
+        green = half + c0 * sh[row, 0, 1]
+        blue = half + c0 * sh[row, 0, 2]
+        if sh.shape[1] >= 4:
+            dx, dy, dz = (
+                mx - camera[_POSITION],
+                my - camera[_POSITION + 1],
+                mz - camera[_POSITION + 2],
+            )
+            inv = c1 / np.sqrt(dx * dx + dy * dy + dz * dz)
+            dx, dy, dz = dx * inv, dy * inv, dz * inv
+            red += dz * sh[row, 2, 0] - dy * sh[row, 1, 0] - dx * sh[row, 3, 0]
+            green += dz * sh[row, 2, 1] - dy * sh[row, 1, 1] - dx * sh[row, 3, 1]
+            blue += dz * sh[row, 2, 2] - dy * sh[row, 1, 2] - dx * sh[row, 3, 2]
+        projected[i, X] = centre_x
+        projected[i, Y] = centre_y
+        projected[i, CONIC_A] = cov_c * inv_det
+        projected[i, CONIC_B] = -cov_b * inv_det
+        projected[i, CONIC_C] = cov_a * inv_det
+        projected[i, OPACITY] = opacity
+        projected[i, RED] = max(red, zero)
+        projected[i, GREEN] = max(green, zero)
+        projected[i, BLUE] = max(blue, zero)
+        projected[i, Q_MAX] = q_max
+        depths[i] = z
+        tile_boxes[i, 0] = np.int32(x0)
+        tile_boxes[i, 1] = np.int32(x1)
+        tile_boxes[i, 2] = np.int32(y0)
+        tile_boxes[i, 3] = np.int32(y1)

@@ -1,0 +1,97 @@
+"""Recipe v1 in plain torch, pixel by pixel over all Gaussians: slow, obvious, differentiable."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from codec.camera import Camera
+from codec.splats import SH_C0
+from player.render.recipe import (
+    ALPHA_MAX,
+    ALPHA_MIN,
+    JACOBIAN_CLAMP,
+    LOW_PASS_PX2,
+    SH_C1,
+    TRANSMITTANCE_MIN,
+)
+
+
+def rotations(quats: Tensor) -> Tensor:
+    """(N, 3, 3) from (N, 4) wxyz of any norm."""
+    w, x, y, z = torch.nn.functional.normalize(quats, dim=1).unbind(1)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return torch.stack([torch.stack(row, 1) for row in rows], 1)
+
+
+def render_reference(
+    means: Tensor,
+    log_scales: Tensor,
+    quats: Tensor,
+    logits: Tensor,
+    sh: Tensor,
+    camera: Camera,
+    near_m: float,
+) -> Tensor:
+    """(H, W, 3) in the dtype of `means`."""
+    dtype = means.dtype
+    w2c = torch.tensor(camera.w2c, dtype=dtype)
+    in_camera = means @ w2c[:3, :3].T + w2c[:3, 3]
+    order = torch.argsort(in_camera[:, 2].detach())
+    order = order[in_camera[order, 2] > near_m]
+    in_camera, means = in_camera[order], means[order]
+    log_scales, quats, logits, sh = log_scales[order], quats[order], logits[order], sh[order]
+    x, y, z = in_camera.unbind(1)
+    limit_x = JACOBIAN_CLAMP * 0.5 * camera.width_px / camera.fx_px
+    limit_y = JACOBIAN_CLAMP * 0.5 * camera.height_px / camera.fy_px
+    tx, ty = (x / z).clamp(-limit_x, limit_x), (y / z).clamp(-limit_y, limit_y)
+    zero = torch.zeros_like(z)
+    jacobian = torch.stack(
+        [
+            torch.stack([camera.fx_px / z, zero, -camera.fx_px * tx / z], 1),
+            torch.stack([zero, camera.fy_px / z, -camera.fy_px * ty / z], 1),
+        ],
+        1,
+    )
+    factor = rotations(quats) * log_scales.exp()[:, None, :]
+    half = jacobian @ w2c[:3, :3] @ factor
+    covariance = half @ half.transpose(1, 2) + LOW_PASS_PX2 * torch.eye(2, dtype=dtype)
+    conic = torch.linalg.inv(covariance)
+    centre = torch.stack(
+        [camera.fx_px * x / z + camera.cx_px, camera.fy_px * y / z + camera.cy_px], 1
+    )
+    colour = 0.5 + SH_C0 * sh[:, 0]
+    if sh.shape[1] >= 4:
+        position = torch.tensor(camera.position, dtype=dtype)
+        dx, dy, dz = torch.nn.functional.normalize(means - position, dim=1).unbind(1)
+        colour = colour + SH_C1 * (
+            dz[:, None] * sh[:, 2] - dy[:, None] * sh[:, 1] - dx[:, None] * sh[:, 3]
+        )
+    colour = colour.clamp(min=0)
+    opacity = torch.sigmoid(logits)
+    v, u = torch.meshgrid(
+        torch.arange(camera.height_px, dtype=dtype) + 0.5,
+        torch.arange(camera.width_px, dtype=dtype) + 0.5,
+        indexing="ij",
+    )
+    pixels = torch.stack([u, v], -1)
+    seen = torch.ones(camera.height_px, camera.width_px, dtype=dtype)
+    picture = torch.zeros(camera.height_px, camera.width_px, 3, dtype=dtype)
+    open_ = torch.ones_like(seen, dtype=torch.bool)
+    for i in range(len(means)):
+        d = pixels - centre[i]
+        q = 0.5 * ((d @ conic[i]) * d).sum(-1)
+        alpha = (opacity[i] * torch.exp(-q)).clamp(max=ALPHA_MAX)
+        shows = (alpha >= ALPHA_MIN) & open_
+        after = seen * (1 - alpha)
+        ends = shows & (after < TRANSMITTANCE_MIN)
+        shows = shows & ~ends
+        open_ = open_ & ~ends
+        weight = torch.where(shows, seen * alpha, torch.zeros_like(alpha))
+        picture = picture + weight[..., None] * colour[i]
+        seen = torch.where(shows, after, seen)
+    return picture

@@ -1,0 +1,218 @@
+"""The photometric loss, its gradient, and the two picture metrics that share its kernels.
+
+loss = (1 - lambda) L1 + lambda (1 - SSIM), the mean over pixels and channels, as in 3D Gaussian
+splatting; SSIM with an 11-tap Gaussian window (sigma 1.5 px), zero beyond the border.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit, prange
+
+Floats = npt.NDArray[np.float32]
+
+RADIUS_PX = 5
+SIGMA_PX = 1.5
+C1 = 0.01**2
+C2 = 0.03**2
+
+_taps = np.exp(-0.5 * (np.arange(-RADIUS_PX, RADIUS_PX + 1) / SIGMA_PX) ** 2)
+TAPS: Floats = (_taps / _taps.sum()).astype(np.float32)
+TAPS.setflags(write=False)
+
+
+@njit(cache=True, fastmath=True, parallel=True)
+def _blur_products_rows(pred, target, taps, out):  # type: ignore[no-untyped-def]
+    """out (5, C, H, W): the rows of p, t, p*p, t*t and p*t, blurred along x."""
+    channels, height, width = target.shape
+    radius = taps.shape[0] // 2
+    for item in prange(channels * height):
+        c, y = item // height, item % height
+        rows = np.zeros((5, width + 2 * radius), np.float32)
+        for x in range(width):
+            p, t = pred[c, y, x], target[c, y, x]
+            rows[0, x + radius] = p
+            rows[1, x + radius] = t
+            rows[2, x + radius] = p * p
+            rows[3, x + radius] = t * t
+            rows[4, x + radius] = p * t
+        for m in range(5):
+            for x in range(width):
+                out[m, c, y, x] = np.float32(0)
+            for k in range(taps.shape[0]):
+                w = taps[k]
+                for x in range(width):
+                    out[m, c, y, x] += w * rows[m, x + k]
+
+
+@njit(cache=True, fastmath=True, parallel=True)
+def _ssim_columns(blurred, taps, partials, row_sums):  # type: ignore[no-untyped-def]
+    """Ends the blur along y; SSIM's sum per row, and its partial derivatives (3, C, H, W)."""
+    _, channels, height, width = blurred.shape
+    radius = taps.shape[0] // 2
+    c1, c2, two = np.float32(C1), np.float32(C2), np.float32(2)
+    for item in prange(channels * height):
+        c, y = item // height, item % height
+        rows = np.zeros((5, width), np.float32)
+        for m in range(5):
+            for k in range(taps.shape[0]):
+                source = y + k - radius
+                if 0 <= source < height:
+                    w = taps[k]
+                    for x in range(width):
+                        rows[m, x] += w * blurred[m, c, source, x]
+        total = np.float32(0)
+        for x in range(width):
+            mu_p, mu_t = rows[0, x], rows[1, x]
+            var_p = rows[2, x] - mu_p * mu_p
+            var_t = rows[3, x] - mu_t * mu_t
+            cov = rows[4, x] - mu_p * mu_t
+            a1, a2 = two * mu_p * mu_t + c1, two * cov + c2
+            b1, b2 = mu_p * mu_p + mu_t * mu_t + c1, var_p + var_t + c2
+            inv = np.float32(1) / (b1 * b2)
+            value = a1 * a2 * inv
+            total += value
+            d_var = -value / b2
+            d_cov = two * a1 * inv
+            d_mu = two * mu_t * a2 * inv - two * value * mu_p / b1
+            partials[0, c, y, x] = d_mu - two * mu_p * d_var - mu_t * d_cov
+            partials[1, c, y, x] = d_var
+            partials[2, c, y, x] = d_cov
+        row_sums[item] = total
+
+
+@njit(cache=True, fastmath=True, parallel=True)
+def _blur_rows(maps, taps, out):  # type: ignore[no-untyped-def]
+    count, channels, height, width = maps.shape
+    radius = taps.shape[0] // 2
+    for item in prange(channels * height):
+        c, y = item // height, item % height
+        row = np.zeros(width + 2 * radius, np.float32)
+        for m in range(count):
+            for x in range(width):
+                row[x + radius] = maps[m, c, y, x]
+                out[m, c, y, x] = np.float32(0)
+            for k in range(taps.shape[0]):
+                w = taps[k]
+                for x in range(width):
+                    out[m, c, y, x] += w * row[x + k]
+
+
+@njit(cache=True, fastmath=True, parallel=True)
+def _gradient_columns(  # type: ignore[no-untyped-def]
+    pred, target, blurred, taps, l1_weight, ssim_weight, gradient, l1_sums
+):
+    """Ends the blur of the partials along y and adds the gradient of L1."""
+    channels, height, width = target.shape
+    radius = taps.shape[0] // 2
+    two, zero = np.float32(2), np.float32(0)
+    for item in prange(channels * height):
+        c, y = item // height, item % height
+        rows = np.zeros((3, width), np.float32)
+        for m in range(3):
+            for k in range(taps.shape[0]):
+                source = y + k - radius
+                if 0 <= source < height:
+                    w = taps[k]
+                    for x in range(width):
+                        rows[m, x] += w * blurred[m, c, source, x]
+        total = zero
+        for x in range(width):
+            p, t = pred[c, y, x], target[c, y, x]
+            difference = p - t
+            total += abs(difference)
+            slope = l1_weight if difference > zero else -l1_weight
+            slope = slope if difference != zero else zero
+            ssim_slope = rows[0, x] + two * p * rows[1, x] + t * rows[2, x]
+            gradient[c, y, x] = slope - ssim_weight * ssim_slope
+        l1_sums[item] = total
+
+
+@njit(cache=True, fastmath=True, parallel=True)
+def _correct(picture, gain, bias, out):  # type: ignore[no-untyped-def]
+    channels, height, width = out.shape
+    for item in prange(channels * height):
+        c, y = item // height, item % height
+        for x in range(width):
+            out[c, y, x] = gain[c] * picture[c, y, x] + bias[c]
+
+
+@njit(cache=True, fastmath=True, parallel=True)
+def _uncorrect(picture, gradient, gain, picture_grad, gain_sums, bias_sums):  # type: ignore[no-untyped-def]
+    channels, height, width = gradient.shape
+    for item in prange(channels * height):
+        c, y = item // height, item % height
+        by_gain, by_bias = np.float32(0), np.float32(0)
+        for x in range(width):
+            g = gradient[c, y, x]
+            by_gain += g * picture[c, y, x]
+            by_bias += g
+            picture_grad[c, y, x] = gain[c] * g
+        gain_sums[item] = by_gain
+        bias_sums[item] = by_bias
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """The loss of one picture and where it leads."""
+
+    value: float
+    picture_grad: Floats  # shape of the picture, zero in its padding
+    gain_grad: Floats  # (3,) float32
+    bias_grad: Floats  # (3,) float32
+
+
+def photometric_loss(
+    picture: Floats, target: Floats, dssim_weight: float, gain: Floats, bias: Floats
+) -> Loss:
+    """Compares gain * picture + bias with `target`.
+
+    picture: (3, >=H, >=W) float32, padded; target: (3, H, W) float32; gain, bias: (3,) float32.
+    """
+    channels, height, width = target.shape
+    count = channels * height * width
+    pred = np.empty_like(target)
+    _correct(picture, gain, bias, pred)
+    blurred = np.empty((5, channels, height, width), np.float32)
+    partials = np.empty((3, channels, height, width), np.float32)
+    ssim_sums, l1_sums, gain_sums, bias_sums = (
+        np.empty(channels * height, np.float32) for _ in range(4)
+    )
+    _blur_products_rows(pred, target, TAPS, blurred)
+    _ssim_columns(blurred, TAPS, partials, ssim_sums)
+    _blur_rows(partials, TAPS, blurred[:3])
+    gradient = np.empty_like(target)
+    _gradient_columns(
+        pred, target, blurred, TAPS,
+        np.float32((1 - dssim_weight) / count), np.float32(dssim_weight / count),
+        gradient, l1_sums,
+    )  # fmt: skip
+    picture_grad = np.zeros_like(picture)
+    _uncorrect(picture, gradient, gain, picture_grad, gain_sums, bias_sums)
+    l1 = float(l1_sums.sum(dtype=np.float64)) / count
+    dssim = 1 - float(ssim_sums.sum(dtype=np.float64)) / count
+    return Loss(
+        (1 - dssim_weight) * l1 + dssim_weight * dssim,
+        picture_grad,
+        gain_sums.reshape(channels, height).sum(axis=1),
+        bias_sums.reshape(channels, height).sum(axis=1),
+    )
+
+
+def ssim(picture: Floats, target: Floats) -> float:
+    """Mean SSIM over pixels and channels; both (H, W, 3) float32 in 0..1."""
+    pred, goal = (np.ascontiguousarray(p.transpose(2, 0, 1)) for p in (picture, target))
+    blurred = np.empty((5, *goal.shape), np.float32)
+    sums = np.empty(goal.shape[0] * goal.shape[1], np.float32)
+    _blur_products_rows(pred, goal, TAPS, blurred)
+    _ssim_columns(blurred, TAPS, np.empty((3, *goal.shape), np.float32), sums)
+    return float(sums.sum(dtype=np.float64)) / goal.size
+
+
+def psnr_db(picture: Floats, target: Floats) -> float:
+    """PSNR over all pixels and channels of pictures in 0..1, capped at 100 dB."""
+    mse = float(np.mean((picture.astype(np.float64) - target) ** 2))
+    return 100.0 if mse < 1e-10 else -10 * float(np.log10(mse))

@@ -1,0 +1,115 @@
+"""The differentiable CPU rasteriser: player.render's forward kernels and their gradients."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from codec.camera import Camera
+from codec.splats import sh_count
+from player.render.project import Projection, camera_vector, project_kernel
+from player.render.recipe import TILE_PX
+from player.render.tiles import TileLists, blend_tiles, list_tiles, tile_grid
+
+from .blend_backward import PAIR_GRADIENT, blend_tiles_backward
+from .project_backward import project_backward_kernel
+
+Floats = npt.NDArray[np.float32]
+Ints = npt.NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True)
+class Parameters:
+    """R rows of Gaussians as the optimiser sees them; also used for their gradients."""
+
+    means: Floats  # (R, 3) float32, metres, world
+    log_scales: Floats  # (R, 3) float32
+    quats: Floats  # (R, 4) float32, wxyz
+    logit_opacities: Floats  # (R,) float32
+    sh: Floats  # (R, K, 3) float32
+
+    @staticmethod
+    def zeros(rows: int, sh_degree: int) -> Parameters:
+        return Parameters(
+            np.zeros((rows, 3), np.float32),
+            np.zeros((rows, 3), np.float32),
+            np.zeros((rows, 4), np.float32),
+            np.zeros((rows,), np.float32),
+            np.zeros((rows, sh_count(sh_degree), 3), np.float32),
+        )
+
+    def arrays(self) -> tuple[Floats, ...]:
+        return (self.means, self.log_scales, self.quats, self.logit_opacities, self.sh)
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """A camera prepared for the kernels, once per training camera."""
+
+    camera: Camera
+    vector: Floats  # (22,) float32
+    tiles_x: int
+    tiles_y: int
+
+    @staticmethod
+    def prepare(camera: Camera, near_m: float) -> View:
+        tiles_x, tiles_y = tile_grid(camera.width_px, camera.height_px)
+        return View(camera, camera_vector(camera, near_m), tiles_x, tiles_y)
+
+
+@dataclass(frozen=True, slots=True)
+class Rendered:
+    """What the backward pass needs of a forward pass."""
+
+    view: View
+    rows: Ints
+    projection: Projection
+    lists: TileLists
+    picture: Floats  # (3, tiles_y * 16, tiles_x * 16) float32, planar, padded to whole tiles
+
+
+def render(parameters: Parameters, rows: Ints, view: View) -> Rendered:
+    """Renders the Gaussians `rows` (M,) int32 of `parameters` as `view` sees them."""
+    projection = Projection.allocate(len(rows))
+    project_kernel(
+        *parameters.arrays(), rows, view.vector, view.tiles_x, view.tiles_y,
+        projection.projected, projection.depths, projection.tile_boxes,
+    )  # fmt: skip
+    lists = list_tiles(projection, view.tiles_x, view.tiles_y)
+    picture = np.empty((3, view.tiles_y * TILE_PX, view.tiles_x * TILE_PX), np.float32)
+    blend_tiles(
+        projection.projected, lists.starts, lists.gaussians, lists.order, view.tiles_x, picture
+    )
+    return Rendered(view, rows, projection, lists, picture)
+
+
+def backward(
+    rendered: Rendered,
+    parameters: Parameters,
+    picture_grad: Floats,
+    trainable: int,
+    gradients: Parameters,
+    opacity_reg: float = 0.0,
+    scale_reg: float = 0.0,
+) -> None:
+    """Writes the gradients of the rendered rows below `trainable` into `gradients`.
+
+    picture_grad: d loss / d picture, (3, tiles_y * 16, tiles_x * 16) float32, zero in the padding.
+    opacity_reg, scale_reg: weights of the mean opacity and the mean scale (metres) over the rendered
+    rows in the loss (3DGS-MCMC, section 3.4).
+    """
+    lists, view = rendered.lists, rendered.view
+    pair_grads = np.empty((len(lists.pairs), PAIR_GRADIENT), np.float32)
+    blend_tiles_backward(
+        rendered.projection.projected, lists.starts, lists.gaussians, lists.pairs, lists.order,
+        view.tiles_x, rendered.picture, picture_grad, pair_grads,
+    )  # fmt: skip
+    count = max(len(rendered.rows), 1)
+    project_backward_kernel(
+        *parameters.arrays(), rendered.rows, trainable, view.vector,
+        rendered.projection.projected, lists.pair_starts, pair_grads,
+        np.float32(opacity_reg / count), np.float32(scale_reg / (3 * count)),
+        *gradients.arrays(),
+    )  # fmt: skip
