@@ -19,8 +19,8 @@ def run_command(
 ) -> None:
     """Parses argv into `config_type` and runs it.
 
-    Exits with 0 when done, 1 with one line on stderr for a SwingsError or an OSError, 2 for bad usage.
-    A `--verbose` anywhere among the arguments shows the traceback and debug logs.
+    Exits with 0 when done, 1 with one line on stderr for a SwingsError or an OSError, 2 for bad
+    usage. A `--verbose` anywhere among the arguments shows the traceback and debug logs.
     """
     arguments = sys.argv[1:]
     verbose = "--verbose" in arguments
@@ -33,7 +33,11 @@ def run_command(
         logging.getLogger(noisy).setLevel(logging.WARNING)
     epilogue = "--verbose shows debug logs and, on failure, the traceback."
     config = tyro.cli(
-        config_type, prog=prog, description=f"{description}\n\n{epilogue}", args=arguments
+        config_type,
+        prog=prog,
+        description=f"{description}\n\n{epilogue}",
+        args=arguments,
+        config=(tyro.conf.EnumChoicesFromValues,),
     )
     try:
         run(config)

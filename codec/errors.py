@@ -1,12 +1,13 @@
 """The errors of swings, split by who must act.
 
-Every error that a user can meet derives from `SwingsError`; its message is one line that says what is
-wrong, where, and what to do. Foreign exceptions are translated at the seam where they rise.
+Every error that a user can meet derives from `SwingsError`; its message is one line that says what
+is wrong, where, and what to do. Foreign exceptions are translated at the seam where they rise.
 """
 
 
 class SwingsError(Exception):
-    """Something the user can understand and mend; a command prints it in one line and exits with 1."""
+    """Something the user can understand and mend; a command prints it in one line and exits
+    with 1."""
 
 
 class CodecError(SwingsError):

@@ -18,8 +18,8 @@ MAX_SWIN_SIZE = 255
 class Slice:
     """One generation of a slice lane: due at frame `birth`, gone at `birth + swin_size`.
 
-    A Gaussian shows in frames start <= frame < birth + swin_size, where start = birth + start_offset:
-    relocation in training may delay it (research code of the paper, "birth" and "start").
+    A Gaussian shows in frames start <= frame < birth + swin_size, where start = birth +
+    start_offset: relocation in training may delay it (Algorithm 1's "birth" and "start").
     """
 
     birth: int

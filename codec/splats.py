@@ -70,13 +70,16 @@ class Splats:
 
     @property
     def sh_degree(self) -> int:
-        return int(round(self.sh.shape[1] ** 0.5)) - 1
+        coefficients: int = self.sh.shape[1]
+        return round(coefficients**0.5) - 1
 
     @property
     def opacities(self) -> Floats:
         """(N,) float32 in (0, 1)."""
         # tanh saturates quietly where exp would overflow.
-        return np.float32(0.5) * (np.float32(1) + np.tanh(np.float32(0.5) * self.logit_opacities))
+        half = np.float32(0.5)
+        opacities: Floats = half + half * np.tanh(half * self.logit_opacities)
+        return opacities
 
     def take(self, rows: npt.NDArray[np.integer] | slice) -> Splats:
         """The Gaussians at `rows`, in that order."""

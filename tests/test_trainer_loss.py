@@ -33,13 +33,15 @@ def test_value_and_gradients_are_the_references(dssim_weight: float) -> None:
     gain = np.array([1.1, 0.9, 1.0], np.float32)
     bias = np.array([0.02, -0.03, 0.0], np.float32)
 
-    leaves = [torch.tensor(a, dtype=torch.float64, requires_grad=True) for a in (picture, gain, bias)]
+    leaves = [
+        torch.tensor(a, dtype=torch.float64, requires_grad=True) for a in (picture, gain, bias)
+    ]
     pred = leaves[0][:, :25, :41] * leaves[1][:, None, None] + leaves[2][:, None, None]
     goal = torch.tensor(target, dtype=torch.float64)
     loss = (1 - dssim_weight) * (pred - goal).abs().mean() + dssim_weight * (
         1 - ssim_reference(pred, goal)
     )
-    loss.backward()
+    torch.autograd.backward(loss)
 
     got = photometric_loss(picture, target, dssim_weight, gain, bias)
     assert got.value == pytest.approx(loss.item(), rel=1e-5)

@@ -40,9 +40,14 @@ def camera(width_px: int = 45, height_px: int = 37) -> Camera:
     return Camera("test", width_px, height_px, 40.0, 43.0, 21.0, 20.0, w2c)
 
 
-def torch_parameters(splats: Splats, dtype: torch.dtype) -> list[torch.Tensor]:
+def torch_parameters(
+    splats: Splats, dtype: torch.dtype
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     arrays = (splats.means, splats.log_scales, splats.quats, splats.logit_opacities, splats.sh)
-    return [torch.tensor(a, dtype=dtype, requires_grad=True) for a in arrays]
+    means, log_scales, quats, logits, sh = (
+        torch.tensor(a, dtype=dtype, requires_grad=True) for a in arrays
+    )
+    return means, log_scales, quats, logits, sh
 
 
 def parameters(splats: Splats) -> Parameters:
@@ -78,7 +83,7 @@ def test_gradients_are_the_references(sh_degree: int) -> None:
 
     leaves = torch_parameters(splats, torch.float64)
     picture = render_reference(*leaves, cam, NEAR_M)
-    (picture * torch.tensor(weights)).sum().backward()
+    torch.autograd.backward((picture * torch.tensor(weights)).sum())
 
     values, view = parameters(splats), View.prepare(cam, NEAR_M)
     rows = np.arange(len(splats), dtype=np.int32)
@@ -138,7 +143,9 @@ def test_gradients_are_the_slopes_of_the_kernels_own_picture(name: str) -> None:
 
         slope = (loss(moved(+1)) - loss(moved(-1))) / (2 * step)
         assert slope == pytest.approx(
-            float((gradient * direction).sum()), rel=0.03, abs=0.03 * np.linalg.norm(gradient)
+            float((gradient * direction).sum()),
+            rel=0.03,
+            abs=0.03 * float(np.linalg.norm(gradient)),
         )
 
 
@@ -150,7 +157,13 @@ def test_frozen_rows_get_no_gradient_and_regularisers_reach_hidden_rows() -> Non
     gradients = Parameters.zeros(20, 0)
     gradients.means[10:] = 7
     backward(
-        rendered, values, np.ones_like(rendered.picture), 10, gradients, opacity_reg=20, scale_reg=60
+        rendered,
+        values,
+        np.ones_like(rendered.picture),
+        10,
+        gradients,
+        opacity_reg=20,
+        scale_reg=60,
     )
     assert (gradients.means[10:] == 7).all()
     assert (gradients.means[0] == 0).all()

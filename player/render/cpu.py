@@ -38,8 +38,6 @@ def render_splats(splats: Splats, camera: Camera, near_m: float) -> Floats:
     )
     lists = list_tiles(projection, tiles_x, tiles_y)
     picture = np.empty((3, tiles_y * TILE_PX, tiles_x * TILE_PX), np.float32)
-    blend_tiles(
-        projection.projected, lists.starts, lists.gaussians, lists.order, tiles_x, picture
-    )
+    blend_tiles(projection.projected, lists.starts, lists.gaussians, lists.order, tiles_x, picture)
     cropped = picture[:, : camera.height_px, : camera.width_px]
     return np.ascontiguousarray(cropped.transpose(1, 2, 0))

@@ -26,14 +26,27 @@ Ints = npt.NDArray[np.int32]
 # Columns of a projected Gaussian.
 X, Y, CONIC_A, CONIC_B, CONIC_C, OPACITY, RED, GREEN, BLUE, Q_MAX = range(10)
 PROJECTED = 10
-"""Floats per projected Gaussian: centre (px), conic, opacity, colour, largest q that still shows."""
+"""Floats per projected Gaussian: centre (px), conic, opacity, colour, largest q that still
+shows."""
 
 # Places in the camera vector that the kernels take.
-_R, _T, _POSITION, _FX, _FY, _CX, _CY, _LIMIT_X, _LIMIT_Y, _NEAR = 0, 9, 12, 15, 16, 17, 18, 19, 20, 21
+_R, _T, _POSITION, _FX, _FY, _CX, _CY, _LIMIT_X, _LIMIT_Y, _NEAR = (
+    0,
+    9,
+    12,
+    15,
+    16,
+    17,
+    18,
+    19,
+    20,
+    21,
+)
 
 
 def camera_vector(camera: Camera, near_m: float) -> Floats:
-    """(22,) float32: rotation, translation, position, intrinsics (px), Jacobian limits, near plane."""
+    """(22,) float32: rotation, translation, position, intrinsics (px), Jacobian limits, near
+    plane."""
     tan_x = 0.5 * camera.width_px / camera.fx_px
     tan_y = 0.5 * camera.height_px / camera.fy_px
     return np.concatenate(
@@ -95,7 +108,8 @@ def project_kernel(  # type: ignore[no-untyped-def]
     c0, c1 = np.float32(SH_C0), np.float32(SH_C1)
     tile = np.float32(TILE_PX)
     r00, r01, r02, r10, r11, r12, r20, r21, r22 = (
-        camera[0], camera[1], camera[2], camera[3], camera[4], camera[5], camera[6], camera[7], camera[8]
+        camera[0], camera[1], camera[2], camera[3], camera[4], camera[5], camera[6], camera[7],
+        camera[8]
     )  # fmt: skip
     for i in prange(rows.shape[0]):
         row = rows[i]

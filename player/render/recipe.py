@@ -1,8 +1,9 @@
 """Rendering recipe v1: the constants that every back end shares.
 
-Classic 3D Gaussian splatting: project with the Jacobian of the pinhole camera, blur by `LOW_PASS_PX2`,
-blend front to back with alpha = min(ALPHA_MAX, opacity * exp(-q)), q half the squared Mahalanobis
-distance in pixels. Pixel (i, j) has its centre at (i + 0.5, j + 0.5); the background is black.
+Classic 3D Gaussian splatting: project with the Jacobian of the pinhole camera, blur by
+`LOW_PASS_PX2`, blend front to back with alpha = min(ALPHA_MAX, opacity * exp(-q)), q half the
+squared Mahalanobis distance in pixels. Pixel (i, j) has its centre at (i + 0.5, j + 0.5); the
+background is black.
 """
 
 LOW_PASS_PX2 = 0.3
@@ -17,7 +18,8 @@ ALPHA_MIN = 1.0 / 255.0
 """A smaller alpha is skipped."""
 
 TRANSMITTANCE_MIN = 1e-4
-"""A Gaussian that would bring a pixel's transmittance below this ends the pixel, without contributing."""
+"""A Gaussian that would bring a pixel's transmittance below this ends the pixel, without
+contributing."""
 
 MAX_EXTENT_SIGMA = 3.33
 """Extent of a Gaussian's box: min(this, sqrt(2 ln(255 opacity))) standard deviations."""

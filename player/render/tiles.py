@@ -19,8 +19,9 @@ Ints = npt.NDArray[np.int32]
 class TileLists:
     """For every tile its Gaussians from front to back.
 
-    A pair is one Gaussian in one tile. Pairs are numbered Gaussian by Gaussian, so that whatever the
-    tiles compute for their pairs can be summed per Gaussian from one contiguous run, in a fixed order.
+    A pair is one Gaussian in one tile. Pairs are numbered Gaussian by Gaussian, so that whatever
+    the tiles compute for their pairs can be summed per Gaussian from one contiguous run, in a
+    fixed order.
     """
 
     starts: Ints  # (tiles + 1,) int32: tile t owns entries starts[t]:starts[t + 1]
@@ -47,7 +48,9 @@ def _count_pairs(boxes, tiles_x, starts, pair_starts):  # type: ignore[no-untype
 
 
 @njit(cache=True)
-def _fill_pairs(boxes, order, tiles_x, starts, pair_starts, gaussians, pairs):  # type: ignore[no-untyped-def]
+def _fill_pairs(  # type: ignore[no-untyped-def]
+    boxes, order, tiles_x, starts, pair_starts, gaussians, pairs
+):
     cursor = starts[:-1].copy()
     for i in order:
         pair = pair_starts[i]

@@ -2,7 +2,8 @@
 
 The forward pass is repeated front to back, so nothing per pixel has to be kept from it. With g the
 gradient of the loss for a pixel's colour, what lies behind a Gaussian enters through one number per
-pixel, the remaining sum of weight * (colour . g), which starts at picture . g and shrinks on the way.
+pixel, the remaining sum of weight * (colour . g), which starts at picture . g and shrinks on the
+way.
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ class Parameters:
             np.zeros((rows, sh_count(sh_degree), 3), np.float32),
         )
 
-    def arrays(self) -> tuple[Floats, ...]:
+    def arrays(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         return (self.means, self.log_scales, self.quats, self.logit_opacities, self.sh)
 
 
@@ -97,8 +97,8 @@ def backward(
     """Writes the gradients of the rendered rows below `trainable` into `gradients`.
 
     picture_grad: d loss / d picture, (3, tiles_y * 16, tiles_x * 16) float32, zero in the padding.
-    opacity_reg, scale_reg: weights of the mean opacity and the mean scale (metres) over the rendered
-    rows in the loss (3DGS-MCMC, section 3.4).
+    opacity_reg, scale_reg: weights of the mean opacity and the mean scale (metres) over the
+    rendered rows in the loss (3DGS-MCMC, section 3.4).
     """
     lists, view = rendered.lists, rendered.view
     pair_grads = np.empty((len(lists.pairs), PAIR_GRADIENT), np.float32)

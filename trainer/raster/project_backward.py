@@ -26,7 +26,8 @@ def project_backward_kernel(  # type: ignore[no-untyped-def]
     zero = np.float32(0)
     c0, c1 = np.float32(SH_C0), np.float32(SH_C1)
     r00, r01, r02, r10, r11, r12, r20, r21, r22 = (
-        camera[0], camera[1], camera[2], camera[3], camera[4], camera[5], camera[6], camera[7], camera[8]
+        camera[0], camera[1], camera[2], camera[3], camera[4], camera[5], camera[6], camera[7],
+        camera[8]
     )  # fmt: skip
     linear = sh.shape[1] >= 4
     for i in prange(rows.shape[0]):
@@ -114,15 +115,9 @@ def project_backward_kernel(  # type: ignore[no-untyped-def]
         n10, n11, n12 = dva0 * a1 + dvb0 * b1, dva1 * a1 + dvb1 * b1, dva2 * a1 + dvb2 * b1
         n20, n21, n22 = dva0 * a2 + dvb0 * b2, dva1 * a2 + dvb1 * b2, dva2 * a2 + dvb2 * b2
         dw = two * (qz * (n10 - n01) + qy * (n02 - n20) + qx * (n21 - n12))
-        dx = two * (
-            qy * (n01 + n10) + qz * (n02 + n20) + qw * (n21 - n12) - two * qx * (n11 + n22)
-        )
-        dy = two * (
-            qx * (n01 + n10) + qz * (n12 + n21) + qw * (n02 - n20) - two * qy * (n00 + n22)
-        )
-        dz = two * (
-            qx * (n02 + n20) + qy * (n12 + n21) + qw * (n10 - n01) - two * qz * (n00 + n11)
-        )
+        dx = two * (qy * (n01 + n10) + qz * (n02 + n20) + qw * (n21 - n12) - two * qx * (n11 + n22))
+        dy = two * (qx * (n01 + n10) + qz * (n12 + n21) + qw * (n02 - n20) - two * qy * (n00 + n22))
+        dz = two * (qx * (n02 + n20) + qy * (n12 + n21) + qw * (n10 - n01) - two * qz * (n00 + n11))
         radial = dw * qw + dx * qx + dy * qy + dz * qz
         g_quats[row, 0] = (dw - qw * radial) * norm
         g_quats[row, 1] = (dx - qx * radial) * norm
@@ -141,7 +136,9 @@ def project_backward_kernel(  # type: ignore[no-untyped-def]
         if ty == v:
             d_v -= jy * (db0 * r20 + db1 * r21 + db2 * r22)
         d_z = -(d_u * u + d_v * v) * inv_z
-        d_z -= ((da0 * d0 + da1 * d1 + da2 * d2) * jx + (db0 * e0 + db1 * e1 + db2 * e2) * jy) * inv_z
+        d_z -= (
+            (da0 * d0 + da1 * d1 + da2 * d2) * jx + (db0 * e0 + db1 * e1 + db2 * e2) * jy
+        ) * inv_z
         d_x, d_y = d_u * inv_z, d_v * inv_z
         dmx = r00 * d_x + r10 * d_y + r20 * d_z
         dmy = r01 * d_x + r11 * d_y + r21 * d_z

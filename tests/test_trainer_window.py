@@ -1,0 +1,86 @@
+"""The sliding window's bookkeeping: Algorithm 1 as invariants."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trainer.window import Lifespans
+
+sizes = st.tuples(st.integers(1, 6), st.integers(1, 5))  # swin_size, slice_size
+
+
+def after_genesis(swin_size: int, slice_size: int, seed: int = 0) -> Lifespans:
+    lifespans = Lifespans(swin_size * slice_size, swin_size)
+    opacities = np.random.default_rng(seed).random(lifespans.num_gs).astype(np.float32)
+    order = lifespans.stagger(opacities)
+    assert sorted(order) == list(range(lifespans.num_gs))
+    # The most opaque slice lives longest.
+    sorted_by_expiry = opacities[order][np.argsort(-lifespans.expires, kind="stable")]
+    means = sorted_by_expiry.reshape(swin_size, slice_size).mean(axis=1)
+    assert (np.diff(means) <= 0).all()
+    return lifespans
+
+
+@given(sizes)
+def test_genesis_shows_everything_and_matures_one_slice_for_each_expiry(
+    size: tuple[int, int],
+) -> None:
+    swin_size, slice_size = size
+    fresh = Lifespans(swin_size * slice_size, swin_size)
+    for frame in range(swin_size):
+        assert len(fresh.active_rows(frame)) == fresh.num_gs
+    lifespans = after_genesis(swin_size, slice_size)
+    assert lifespans.due(1) == list(range(1 - swin_size, 1))
+
+
+@given(sizes, st.integers(1, 12))
+def test_one_slice_matures_per_frame_and_every_frame_has_num_gs(
+    size: tuple[int, int], total: int
+) -> None:
+    swin_size, slice_size = size
+    lifespans = after_genesis(swin_size, slice_size)
+    written: list[int] = []
+    for first_frame in range(1, total + 1):
+        due = lifespans.due(first_frame)
+        if first_frame > 1:
+            assert len(due) == 1
+        for birth in due:
+            rows = lifespans.mature(birth)
+            assert rows.start // slice_size == birth % swin_size
+            written.append(birth)
+        # Frames of the window: all rows trainable or matured, each slot at most once.
+        for frame in range(first_frame, first_frame + swin_size):
+            rows_now = lifespans.active_rows(frame)
+            assert len(rows_now) == lifespans.num_gs
+            assert len(set(rows_now % lifespans.num_gs)) == lifespans.num_gs
+        # The window's first frame sees one slice that can still change, its last one all of them.
+        trainable = lifespans.active_rows(first_frame) < lifespans.num_gs
+        assert trainable.sum() == slice_size
+        last = lifespans.active_rows(first_frame + swin_size - 1)
+        assert (last < lifespans.num_gs).all()
+    assert written == list(range(1 - swin_size, total))
+
+
+def test_ages_count_the_windows_a_generation_was_trained_for() -> None:
+    lifespans = after_genesis(4, 1)
+    for birth in lifespans.due(1):
+        lifespans.mature(birth)
+    assert sorted(lifespans.ages(1)) == [0, 1, 2, 3]
+    assert lifespans.ages(1)[lifespans.births == 1] == 3
+    assert lifespans.ages(1)[lifespans.births == 4] == 0
+
+
+def test_a_delayed_start_hides_a_slot_between_birth_and_start() -> None:
+    lifespans = after_genesis(3, 2)
+    for birth in lifespans.due(1):
+        lifespans.mature(birth)
+    slot = int(np.flatnonzero(lifespans.births == 1)[0])
+    lifespans.starts[slot] = 3
+    for frame, shown in ((1, False), (2, False), (3, True)):
+        assert (slot in lifespans.active_rows(frame) % lifespans.num_gs) is shown
+    rows = lifespans.mature(1)
+    assert lifespans.matured_starts[slot] == 3
+    assert lifespans.starts[slot] == 4  # the next generation starts on time again
+    assert rows.start <= slot < rows.stop

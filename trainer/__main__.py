@@ -1,0 +1,74 @@
+"""swings-synth, swings-train and swings-eval: parse, build a config, run."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from codec.console import run_command
+
+# Threads that wait must not spin: beside other work on few cores that costs more than it saves.
+# It has to be said before the first parallel kernel runs.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
+from .evaluate import EvaluateConfig, Evaluation, evaluate_stream
+from .job import TrainConfig, train_stream
+from .sheet import write_sheet
+from .synth import SynthConfig, synthesise
+
+
+def _train(config: TrainConfig) -> None:
+    train_stream(config, Console(stderr=True))
+    print(config.stream)
+
+
+def _table(result: Evaluation) -> Table:
+    table = Table(
+        title=f"{result.stream}: {result.frames} frames, {result.profile}, "
+        f"held out: {', '.join(result.cameras)}"
+    )
+    for name in ("layers", "PSNR dB", "SSIM", "flicker", "kB/frame", "Mbit/s", "B/Gaussian"):
+        table.add_column(name, justify="right")
+    for row in result.layers:
+        table.add_row(
+            str(row.layers),
+            f"{row.psnr_db:.2f}",
+            f"{row.ssim:.4f}",
+            "-" if row.flicker is None else f"{row.flicker:.3f}",
+            f"{row.bytes_per_frame / 1e3:.1f}",
+            f"{row.bits_per_second / 1e6:.2f}",
+            f"{row.bytes_per_gaussian:.2f}",
+        )
+    return table
+
+
+def _evaluate(config: EvaluateConfig) -> None:
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("scoring", total=None)
+        result = evaluate_stream(
+            config, lambda done, total: bar.update(task, completed=done, total=total)
+        )
+    if config.sheet is not None:
+        write_sheet(config.stream, config.capture, config.sheet)
+    if config.json:
+        json.dump(result.to_json(), sys.stdout, indent=1)
+        print()
+    else:
+        Console().print(_table(result))
+
+
+def synth() -> None:
+    run_command(SynthConfig, synthesise, "swings-synth", "Makes a procedural capture to try with.")
+
+
+def train() -> None:
+    run_command(TrainConfig, _train, "swings-train", "Trains a capture into a stream.")
+
+
+def evaluate() -> None:
+    run_command(EvaluateConfig, _evaluate, "swings-eval", "Scores a stream against its capture.")

@@ -1,0 +1,46 @@
+"""Per-camera colour: an affine correction of every training camera, learned beside the Gaussians.
+
+Cameras of one rig differ in colour. Each training camera sees gain * picture + bias; the mean
+correction over the cameras is held at identity, so that the stream's own colours are the rig's mean
+and held-out cameras are scored uncorrected.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float32]
+
+
+class CameraColour:
+    """Gain and bias of every camera, with their own Adam."""
+
+    def __init__(self, cameras: int, lr: float) -> None:
+        self.lr = lr
+        self.values = np.zeros((cameras, 6), np.float32)  # gain (3), bias (3)
+        self.values[:, :3] = 1
+        self._first = np.zeros((cameras, 6))
+        self._second = np.zeros((cameras, 6))
+        self._steps = np.zeros(cameras)
+
+    def gain(self, camera: int) -> Floats:
+        return self.values[camera, :3]
+
+    def bias(self, camera: int) -> Floats:
+        return self.values[camera, 3:]
+
+    def step(self, camera: int, gain_grad: Floats, bias_grad: Floats) -> None:
+        if self.lr == 0:
+            return
+        gradient = np.concatenate([gain_grad, bias_grad]).astype(np.float64)
+        self._steps[camera] += 1
+        count = self._steps[camera]
+        self._first[camera] += 0.1 * (gradient - self._first[camera])
+        self._second[camera] += 0.001 * (gradient**2 - self._second[camera])
+        first = self._first[camera] / (1 - 0.9**count)
+        second = self._second[camera] / (1 - 0.999**count)
+        self.values[camera] -= (self.lr * first / (np.sqrt(second) + 1e-8)).astype(np.float32)
+        mean = self.values.mean(axis=0)
+        mean[:3] -= 1
+        self.values -= mean

@@ -1,0 +1,227 @@
+"""What a stream is worth: its decoded files, rendered for the held-out cameras, against the
+capture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import numpy.typing as npt
+import tyro
+
+from codec.camera import Camera
+from codec.errors import InvalidError
+from codec.splats import Splats
+from codec.stream import StreamReader
+from player.render.cpu import render_splats
+
+from .capture.layout import open_capture
+from .errors import CaptureError
+from .frames import FrameCache
+from .loss import psnr_db, ssim
+
+Floats = npt.NDArray[np.float32]
+
+STILL = 4 / 255
+"""Largest change of a capture's pixel, in any channel, that counts as standing still."""
+
+
+@dataclass(frozen=True)
+class EvaluateConfig:
+    """Scores a stream's decoded files on the held-out cameras of its capture."""
+
+    stream: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="STREAM")]
+    """Folder of the stream."""
+    capture: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="CAPTURE")]
+    """Folder of the capture that it was trained from."""
+    json: bool = False
+    """Print JSON instead of a table."""
+    sheet: Path | None = None
+    """Also draw a contact sheet to this PNG: capture | rendered | error."""
+    every: int = 1
+    """Score every n-th frame; flicker needs 1."""
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """One picture."""
+
+    psnr_db: float
+    ssim: float
+
+
+@dataclass(frozen=True, slots=True)
+class LayerScore:
+    """The stream at one number of layers; means over held-out cameras and frames."""
+
+    layers: int
+    psnr_db: float
+    ssim: float
+    flicker: float | None
+    """100 times the mean change between frames of pixels that the capture keeps still."""
+    bytes_per_frame: float
+    """Everything: objects of these layers, index and manifest, over the frames."""
+    bits_per_second: float
+    bytes_per_gaussian: float
+    per_frame_psnr_db: list[float]
+    """Mean over the cameras."""
+    per_camera_psnr_db: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """All numbers of layers, fewest first."""
+
+    stream: str
+    capture: str
+    profile: str
+    frames: int
+    fps: float
+    cameras: list[str]
+    num_gs: int
+    swin_size: int
+    layers: list[LayerScore]
+
+    def to_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+def displayed(picture: Floats) -> Floats:
+    """The picture as a screen shows it: in 0..1 and rounded to 8 bits."""
+    shown: Floats = np.rint(np.clip(picture, 0, 1) * np.float32(255)) / np.float32(255)
+    return shown
+
+
+def score_picture(
+    splats: Splats, camera: Camera, truth: npt.NDArray[np.uint8], near_m: float
+) -> Score:
+    """How `splats` look from `camera` against the (H, W, 3) uint8 `truth`."""
+    shown = displayed(render_splats(splats, camera, near_m))
+    goal = truth.astype(np.float32) / np.float32(255)
+    return Score(psnr_db(shown, goal), ssim(shown, goal))
+
+
+class _Flicker:
+    """Sums the change of still pixels from frame to frame, camera by camera."""
+
+    def __init__(self) -> None:
+        self._before: dict[int, tuple[Floats, Floats]] = {}
+        self._sum = 0.0
+        self._count = 0
+
+    def add(self, camera: int, shown: Floats, truth: Floats) -> None:
+        if camera in self._before:
+            shown_before, truth_before = self._before[camera]
+            still = np.abs(truth - truth_before).max(axis=2) <= STILL
+            self._sum += float(np.abs(shown - shown_before)[still].sum())
+            self._count += 3 * int(still.sum())
+        self._before[camera] = (shown, truth)
+
+    @property
+    def value(self) -> float | None:
+        return 100 * self._sum / self._count if self._count else None
+
+
+def matching_scale(stream_camera: Camera, capture_camera: Camera, name: str) -> float:
+    """The scale that the stream was trained at. Raises CaptureError when the cameras differ."""
+    scale = stream_camera.width_px / capture_camera.width_px
+    same_pose = np.allclose(stream_camera.w2c, capture_camera.w2c, atol=1e-4)
+    if not same_pose or abs(stream_camera.height_px - scale * capture_camera.height_px) > 1:
+        raise CaptureError(
+            f"{name}: camera {capture_camera.name} is not the one that the stream was trained with"
+        )
+    return scale
+
+
+def evaluate_stream(
+    config: EvaluateConfig, on_progress: Callable[[int, int], None] = lambda done, total: None
+) -> Evaluation:
+    """Renders every frame at every number of layers. on_progress(pictures done, in all)."""
+    if config.every < 1:
+        raise InvalidError(f"every {config.every}: choose 1 or more")
+    reader = StreamReader(config.stream)
+    manifest = reader.manifest
+    capture = open_capture(config.capture)
+    held_out = capture.held_out
+    if not held_out:
+        raise CaptureError(f"{capture.root}: no held-out camera to score with")
+    if reader.num_frames == 0:
+        raise InvalidError(f"{config.stream}: the stream has no finished segment yet")
+    frames = range(manifest.capture_frame, manifest.capture_frame + reader.num_frames)
+    if frames.stop > capture.num_frames:
+        raise CaptureError(
+            f"{capture.root} has {capture.num_frames} frames, the stream needs {frames.stop}"
+        )
+    names = {camera.name: camera for camera in manifest.cameras}
+    cameras = [capture.cameras[i].camera for i in held_out]
+    for camera in cameras:
+        if camera.name not in names:
+            raise CaptureError(
+                f"{config.stream} does not know camera {camera.name}: another capture?"
+            )
+    scale = matching_scale(names[cameras[0].name], cameras[0], str(config.stream))
+
+    counts = range(1, manifest.num_layers + 1)
+    chosen = range(0, reader.num_frames, config.every)
+    scores: dict[tuple[int, int, int], Score] = {}
+    flicker = {layers: _Flicker() for layers in counts}
+    done, total = 0, len(chosen) * len(counts) * len(held_out)
+    with FrameCache(capture, frames, scale) as cache:
+        for frame in chosen:
+            truths = [
+                cache.image(i, frames[frame]).astype(np.float32) / np.float32(255) for i in held_out
+            ]
+            for layers in counts:
+                splats = reader.active_splats(frame, layers)
+                for c, index in enumerate(held_out):
+                    picture = render_splats(splats, cache.camera(index), manifest.near_m)
+                    shown = displayed(picture)
+                    scores[frame, layers, c] = Score(
+                        psnr_db(shown, truths[c]), ssim(shown, truths[c])
+                    )
+                    flicker[layers].add(c, shown, truths[c])
+                    done += 1
+                    on_progress(done, total)
+    result = []
+    for layers in counts:
+        grid = np.array(
+            [[scores[f, layers, c].psnr_db for c in range(len(held_out))] for f in chosen]
+        )
+        object_bytes = sum(sum(r.object_bytes[:layers]) for r in reader.records)
+        num_bytes = (object_bytes + reader.overhead_bytes) / reader.num_frames
+        slices = reader.num_frames + manifest.swin_size - 1
+        gaussians = slices * manifest.slice_size * sum(manifest.layers[:layers])
+        result.append(
+            LayerScore(
+                layers=layers,
+                psnr_db=float(grid.mean()),
+                ssim=float(
+                    np.mean(
+                        [scores[f, layers, c].ssim for f in chosen for c in range(len(held_out))]
+                    )
+                ),
+                flicker=flicker[layers].value if config.every == 1 else None,
+                bytes_per_frame=num_bytes,
+                bits_per_second=8 * num_bytes * manifest.fps,
+                bytes_per_gaussian=object_bytes / gaussians,
+                per_frame_psnr_db=[float(x) for x in grid.mean(axis=1)],
+                per_camera_psnr_db={
+                    camera.name: float(x)
+                    for camera, x in zip(cameras, grid.mean(axis=0), strict=True)
+                },
+            )
+        )
+    return Evaluation(
+        stream=str(config.stream),
+        capture=str(config.capture),
+        profile=manifest.profile.value,
+        frames=reader.num_frames,
+        fps=manifest.fps,
+        cameras=[camera.name for camera in cameras],
+        num_gs=manifest.num_gs,
+        swin_size=manifest.swin_size,
+        layers=result,
+    )

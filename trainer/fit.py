@@ -1,0 +1,268 @@
+"""Sliding-window training (paper, Algorithm 1): pictures in, one matured slice per frame out.
+
+Nothing here opens a file or prints; the pictures come from a `Pictures`, progress leaves through a
+callback, and slices leave through an iterator.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit, prange
+
+from codec.camera import Camera
+from codec.errors import InvalidError
+from codec.slice import MAX_SWIN_SIZE, Slice
+from codec.splats import Splats
+
+from .colour import CameraColour
+from .loss import photometric_loss
+from .mcmc import McmcConfig, relocate
+from .optimiser import Adam, OptimiserConfig, add_noise
+from .raster.cpu import Parameters, View, backward, render
+from .window import Lifespans
+
+Floats = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class FitConfig:
+    """What the sliding-window training does; times are frames, sizes Gaussians."""
+
+    num_gs: int = 20_000
+    """Gaussians active in a frame. Paper: 200,000 on a GPU; 20,000 suits two CPU cores."""
+    swin_size: int = 5
+    """Frames a Gaussian lives. Paper, section 8.1."""
+    sh_degree: int = 0
+    """Degree of the colour's spherical harmonics, 0 or 1. The paper trains 1 and streams 0."""
+    genesis_iterations: int = 5_000
+    """Iterations of the first window. Paper: 30,000 on a GPU."""
+    window_iterations: int = 800
+    """Iterations of every later window. Paper: 2,000 on a GPU."""
+    newest_share: float = 0.5
+    """Share of a window's iterations spent on its newest frame, which no earlier window has
+    seen."""
+    dssim_weight: float = 0.2
+    """Weight of 1 - SSIM beside L1. 3DGS."""
+    colour_lr: float = 1e-3
+    """Learning rate of the per-camera colour correction; 0 switches it off."""
+    seed: int = 0
+    """Of every random choice."""
+    optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
+    """Learning rates."""
+    mcmc: McmcConfig = field(default_factory=McmcConfig)
+    """Relocation, noise, regularisers."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.swin_size <= MAX_SWIN_SIZE:
+            raise InvalidError(f"swin_size {self.swin_size}: choose 1 to {MAX_SWIN_SIZE}")
+        if self.num_gs < self.swin_size or self.num_gs % self.swin_size:
+            raise InvalidError(
+                f"num_gs {self.num_gs} is not a multiple of swin_size {self.swin_size}"
+            )
+        if self.sh_degree not in (0, 1):
+            raise InvalidError(f"sh_degree {self.sh_degree}: choose 0 or 1")
+        if self.genesis_iterations < 1 or self.window_iterations < 1:
+            raise InvalidError("genesis_iterations and window_iterations must be at least 1")
+        if not 0 <= self.newest_share <= 1 or not 0 <= self.dssim_weight <= 1:
+            raise InvalidError("newest_share and dssim_weight must lie in 0..1")
+
+
+class Pictures(Protocol):
+    """What training sees: frames 0..num_frames-1 of the training cameras."""
+
+    @property
+    def num_frames(self) -> int: ...
+
+    @property
+    def cameras(self) -> Sequence[Camera]: ...
+
+    def picture(self, camera: int, frame: int) -> npt.NDArray[np.uint8]:
+        """(H, W, 3) uint8, of the camera's size."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """Where training stands."""
+
+    first_frame: int  # of the window
+    iteration: int  # done in this window
+    iterations: int  # of this window
+    loss: float
+
+
+@njit(cache=True, parallel=True)
+def _planar(picture, out):  # type: ignore[no-untyped-def]
+    height, width, _ = picture.shape
+    unit = np.float32(1 / 255)
+    for y in prange(height):
+        for c in range(3):
+            for x in range(width):
+                out[c, y, x] = unit * np.float32(picture[y, x, c])
+
+
+def scene_extent_m(cameras: Sequence[Camera]) -> float:
+    """1.1 times the largest distance of a camera from the cameras' mean place (3DGS)."""
+    positions = np.stack([c.position for c in cameras])
+    extent = 1.1 * float(np.linalg.norm(positions - positions.mean(axis=0), axis=1).max())
+    return extent if extent > 0 else 1.0
+
+
+class Trainer:
+    """One training run; `slices` does the work."""
+
+    def __init__(
+        self,
+        config: FitConfig,
+        pictures: Pictures,
+        initial: Splats,
+        near_m: float,
+        on_progress: Callable[[Progress], None] = lambda progress: None,
+    ) -> None:
+        if len(initial) != config.num_gs or initial.sh_degree != config.sh_degree:
+            raise InvalidError(f"{len(initial)} initial Gaussians for num_gs {config.num_gs}")
+        self.config = config
+        self.pictures = pictures
+        self.views = [View.prepare(c, near_m) for c in pictures.cameras]
+        self.lifespans = Lifespans(config.num_gs, config.swin_size)
+        self.adam = Adam(config.num_gs, config.sh_degree, config.optimiser)
+        self.colour = CameraColour(len(self.views), config.colour_lr)
+        # The generation being optimised above, the matured generation of the same slots below.
+        self.values = Parameters.zeros(2 * config.num_gs, config.sh_degree)
+        self.values.quats[:, 0] = 1
+        for array, start in zip(
+            self.values.arrays(),
+            (initial.means, initial.log_scales, initial.quats, initial.logit_opacities, initial.sh),
+            strict=True,
+        ):
+            array[: config.num_gs] = start
+        self.gradients = Parameters.zeros(config.num_gs, config.sh_degree)
+        self.extent_m = scene_extent_m(pictures.cameras)
+        self.rng = np.random.default_rng(config.seed)
+        self.on_progress = on_progress
+        self._steps = 0
+
+    def slices(self) -> Iterator[Slice]:
+        """Trains the whole video; gives every slice as it matures, in the order of birth."""
+        config, total = self.config, self.pictures.num_frames
+        self.train_window(0, config.genesis_iterations)
+        self._stagger()
+        for first_frame in range(1, total):
+            yield from self._mature(first_frame)
+            self.train_window(first_frame, config.window_iterations)
+        yield from self._mature(total)
+
+    def _stagger(self) -> None:
+        rows = self.config.num_gs
+        order = self.lifespans.stagger(self.splats(slice(0, rows)).opacities)
+        for array in self.values.arrays():
+            array[:rows] = array[:rows][order]
+        self.adam.permute(order)
+
+    def _mature(self, first_frame: int) -> Iterator[Slice]:
+        """Freezes what no frame from `first_frame` on may change; parameters carry over."""
+        for birth in self.lifespans.due(first_frame):
+            rows = self.lifespans.mature(birth)
+            num_gs = self.config.num_gs
+            matured = slice(rows.start + num_gs, rows.stop + num_gs)
+            for array in self.values.arrays():
+                array[matured] = array[rows]
+            offsets = self.lifespans.matured_starts[rows] - birth
+            yield Slice(birth, self.splats(matured), offsets.astype(np.uint8))
+
+    def splats(self, rows: slice) -> Splats:
+        """A copy of the parameters `rows`."""
+        return Splats(*(array[rows].copy() for array in self.values.arrays()))
+
+    def train_window(self, first_frame: int, iterations: int) -> None:
+        """Optimises the current generation on the frames [first_frame, first_frame + swin_size)."""
+        config = self.config
+        last_frame = min(first_frame + config.swin_size, self.pictures.num_frames) - 1
+        genesis = first_frame == 0
+        active = {f: self.lifespans.active_rows(f) for f in range(first_frame, last_frame + 1)}
+        ages = self.lifespans.ages(first_frame)
+        if genesis:
+            ages[:] = 0
+        for iteration in range(iterations):
+            frame = int(self.rng.integers(first_frame, last_frame + 1))
+            if not genesis and self.rng.random() < config.newest_share:
+                frame = last_frame
+            camera = int(self.rng.integers(len(self.views)))
+            means_lr = self._means_lr(genesis, iteration / iterations)
+            loss = self._step(camera, frame, active[frame], means_lr, ages, genesis)
+            done = iteration + 1
+            period = config.mcmc.relocate_period
+            if done % period == 0 and done <= config.mcmc.relocate_until * iterations:
+                self._relocate(last_frame)
+                active = {f: self.lifespans.active_rows(f) for f in active}
+            if done % 20 == 0 or done == iterations:
+                self.on_progress(Progress(first_frame, done, iterations, loss))
+
+    def _means_lr(self, genesis: bool, progress: float) -> float:
+        o = self.config.optimiser
+        start, end = (
+            (o.means_lr, o.means_lr_end) if genesis else (o.window_means_lr, o.window_means_lr_end)
+        )
+        return float(self.extent_m * start * (end / start) ** progress)
+
+    def _step(
+        self,
+        camera: int,
+        frame: int,
+        rows: npt.NDArray[np.int32],
+        means_lr: float,
+        ages: Floats,
+        genesis: bool,
+    ) -> float:
+        config, mcmc = self.config, self.config.mcmc
+        picture = self.pictures.picture(camera, frame)
+        target = np.empty((3, *picture.shape[:2]), np.float32)
+        _planar(picture, target)
+        rendered = render(self.values, rows, self.views[camera])
+        loss = photometric_loss(
+            rendered.picture, target, config.dssim_weight,
+            self.colour.gain(camera), self.colour.bias(camera),
+        )  # fmt: skip
+        backward(
+            rendered, self.values, loss.picture_grad, config.num_gs, self.gradients,
+            mcmc.opacity_reg, mcmc.scale_reg,
+        )  # fmt: skip
+        trainable = rows[rows < config.num_gs]
+        self.adam.step(self.values, self.gradients, trainable, means_lr, ages)
+        self.colour.step(camera, loss.gain_grad, loss.bias_grad)
+        noise_lr = mcmc.noise_lr if genesis else mcmc.window_noise_lr
+        add_noise(
+            self.values.means, self.values.log_scales, self.values.quats,
+            self.values.logit_opacities, trainable, np.float32(noise_lr * means_lr),
+            np.float32(mcmc.dead_opacity), np.float32(100), config.seed * 1_000_003 + self._steps,
+        )  # fmt: skip
+        self._steps += 1
+        return loss.value
+
+    def _relocate(self, last_frame: int) -> None:
+        """Moves dead Gaussians of every slice in the window to living ones born no earlier.
+
+        A dead one keeps its expiry and takes over its target's start, so it may show later than its
+        slice is due (the paper's "birth" and "start").
+        """
+        lifespans, num_gs = self.lifespans, self.config.num_gs
+        min_opacity = self.config.mcmc.dead_opacity
+        births = np.unique(lifespans.births)
+        for birth in births[births <= last_frame]:
+            logits = self.values.logit_opacities[:num_gs]
+            is_dead = logits <= np.log(min_opacity / (1 - min_opacity))
+            dead = np.flatnonzero(is_dead & (lifespans.births == birth))
+            # Slices that no frame of the video shows yet must not attract any.
+            alive = np.flatnonzero(
+                ~is_dead & (lifespans.births >= birth) & (lifespans.starts <= last_frame)
+            )
+            targets = relocate(self.values, dead, alive, min_opacity, self.rng)
+            if len(targets):
+                lifespans.starts[dead] = lifespans.starts[targets]
+                self.adam.reset(dead)
+                self.adam.reset(np.unique(targets))

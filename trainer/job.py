@@ -1,0 +1,257 @@
+"""A training run from end to end: a capture folder in, a stream directory out."""
+
+from __future__ import annotations
+
+from collections import deque
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import numpy.typing as npt
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from codec.camera import Camera
+from codec.errors import InvalidError
+from codec.manifest import Manifest
+from codec.profile import Profile
+from codec.slice import Slice
+from codec.splats import Splats
+from codec.stream import StreamWriter
+
+from .capture.capture import Capture
+from .capture.layout import open_capture
+from .errors import CaptureError
+from .evaluate import score_picture
+from .fit import FitConfig, Trainer
+from .fit import Progress as FitProgress
+from .frames import DEFAULT_MAX_BYTES, FrameCache, parse_frames
+from .seed import initial_splats, sweep_seeds
+
+FALLBACK_NEAR_M = 0.2
+"""Near plane where a rig does not tell. 3DGS."""
+
+FALLBACK_FAR_M = 100.0
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Trains a capture into a stream."""
+
+    capture: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="CAPTURE")]
+    """Folder of the recording (Dynamic 3D Gaussians or DyNeRF layout)."""
+    stream: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="STREAM")]
+    """Folder to write; must not exist or be empty."""
+    frames: str = ":"
+    """Frames of the capture to train, A:B; A included, B not."""
+    scale: float = 1.0
+    """Size of the training pictures over the capture's, above 0 to 1."""
+    near_m: float | None = None
+    """Nearest depth drawn, metres; by default 0.3 of the cameras' distance to what they look at."""
+    far_m: float | None = None
+    """Depth that seeding reaches to, metres; by default from the rig."""
+    point_share: float = 0.6
+    """Share of the first Gaussians taken from the capture's points, if it has any; seeds fill the
+    rest."""
+    layers: tuple[float, ...] = (0.25, 0.25, 0.25, 0.25)
+    """Share of a slice's Gaussians in each layer, most important first; the sum is 1."""
+    rank: str = "opacity"
+    """Importance that orders Gaussians into layers. Paper, section 5.5: opacity."""
+    profile: Profile = Profile.COMPACT
+    """Precision of the stream."""
+    raw_stream: Path | None = None
+    """Also write the same Gaussians with profile raw to this folder, to see what `profile`
+    costs."""
+    segment_frames: int = 15
+    """Frames in a segment: what a writer can lose, and the unit of caching."""
+    title: str = ""
+    """Name of the stream for people; by default the capture folder's."""
+    cache_bytes: int = DEFAULT_MAX_BYTES
+    """Bytes of decoded pictures held in memory."""
+    fit: Annotated[FitConfig, tyro.conf.arg(name="")] = field(default_factory=FitConfig)
+    """The sliding-window training itself."""
+
+
+class CapturePictures:
+    """The training cameras of a cache, as the trainer wants them: frames from 0."""
+
+    def __init__(self, cache: FrameCache, indices: tuple[int, ...]) -> None:
+        self._cache, self._indices = cache, indices
+        self._cameras = [cache.camera(i) for i in indices]
+
+    @property
+    def num_frames(self) -> int:
+        return len(self._cache.frames)
+
+    @property
+    def cameras(self) -> list[Camera]:
+        return self._cameras
+
+    def picture(self, camera: int, frame: int) -> npt.NDArray[np.uint8]:
+        return self._cache.image(self._indices[camera], self._cache.frames[frame])
+
+
+def depths(capture: Capture, config: TrainConfig) -> tuple[float, float]:
+    """Near and far depth in metres: as configured, else the capture's, else the fallbacks."""
+    near_m = config.near_m or capture.near_m or FALLBACK_NEAR_M
+    far_m = config.far_m or capture.far_m or max(FALLBACK_FAR_M, 10 * near_m)
+    if not 0 < near_m < far_m:
+        raise InvalidError(f"near_m {near_m:g} and far_m {far_m:g}: choose 0 < near_m < far_m")
+    return near_m, far_m
+
+
+def first_gaussians(
+    capture: Capture, pictures: CapturePictures, config: TrainConfig, near_m: float, far_m: float
+) -> Splats:
+    """num_gs Gaussians: of the capture's points, the rest seeded where the cameras agree."""
+    fit = config.fit
+    rng = np.random.default_rng(fit.seed)
+    positions, colours = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8)
+    if capture.points is not None:
+        count = min(len(capture.points), round(config.point_share * fit.num_gs))
+        chosen = rng.choice(len(capture.points), count, replace=False)
+        positions, colours = capture.points.xyz[chosen], capture.points.rgb[chosen]
+    shapes = {(c.width_px, c.height_px) for c in pictures.cameras}
+    if len(shapes) > 1:
+        raise CaptureError(
+            f"{capture.root}: training cameras of different sizes; resize the pictures to one size"
+        )
+    missing = fit.num_gs - len(positions)
+    first = np.stack([pictures.picture(c, 0) for c in range(len(pictures.cameras))])
+    # Rays whose camera shares its view with too few others give no seed: go on until enough do.
+    for _ in range(20):
+        if missing <= 0:
+            break
+        seeds, seed_colours = sweep_seeds(
+            pictures.cameras, first, missing + missing // 4 + 16, near_m, far_m, rng
+        )
+        positions = np.concatenate([positions, seeds[:missing]])
+        colours = np.concatenate([colours, seed_colours[:missing]])
+        missing = fit.num_gs - len(positions)
+    if missing > 0:
+        raise CaptureError(
+            f"{capture.root}: no three training cameras see the same place between {near_m:g} m "
+            f"and {far_m:g} m; set --near-m and --far-m"
+        )
+    return initial_splats(positions, colours, fit.sh_degree)
+
+
+def make_manifest(
+    capture: Capture, cache: FrameCache, initial: Splats, config: TrainConfig, near_m: float
+) -> Manifest:
+    """The manifest of the stream about to be trained."""
+    cameras = tuple(cache.camera(i) for i in range(len(capture.cameras)))
+    default = (capture.held_out or capture.training)[0]
+    points = capture.points.xyz if capture.points is not None else initial.means
+    low, high = np.percentile(points, 5, axis=0), np.percentile(points, 95, axis=0)
+    return Manifest(
+        fps=capture.fps,
+        swin_size=config.fit.swin_size,
+        num_gs=config.fit.num_gs,
+        layers=config.layers,
+        segment_frames=config.segment_frames,
+        sh_degree=config.fit.sh_degree,
+        profile=config.profile,
+        antialias=False,
+        near_m=near_m,
+        bounds=(
+            (float(low[0]), float(low[1]), float(low[2])),
+            (float(high[0]), float(high[1]), float(high[2])),
+        ),
+        cameras=cameras,
+        default_camera=cameras[default].name,
+        live=True,
+        title=config.title or capture.root.resolve().name,
+        capture_frame=cache.frames.start,
+    )
+
+
+class Monitor:
+    """The progress bar, and the held-out score of every frame that is final."""
+
+    def __init__(
+        self, bar: Progress, capture: Capture, cache: FrameCache, manifest: Manifest
+    ) -> None:
+        self._bar, self._capture, self._cache = bar, capture, cache
+        self._near_m = manifest.near_m
+        self._swin_size = manifest.swin_size
+        self._window: deque[Slice] = deque(maxlen=manifest.swin_size)
+        self._task = bar.add_task("genesis", total=None, score="")
+
+    def on_progress(self, progress: FitProgress) -> None:
+        last = min(progress.first_frame + self._swin_size, len(self._cache.frames)) - 1
+        name = "genesis" if progress.first_frame == 0 else "window"
+        self._bar.update(
+            self._task,
+            description=f"{name} {progress.first_frame}..{last} of {len(self._cache.frames)}",
+            completed=progress.iteration,
+            total=progress.iterations,
+        )
+
+    def on_slice(self, part: Slice, bytes_written: int) -> None:
+        self._window.append(part)
+        if part.birth < 0:
+            return
+        score = f"{bytes_written / 1e6:.2f} MB"
+        if self._capture.held_out:
+            index = self._capture.held_out[part.birth % len(self._capture.held_out)]
+            shown = [
+                s.splats.take(np.flatnonzero(s.active(part.birth, self._swin_size)))
+                for s in self._window
+            ]
+            got = score_picture(
+                Splats.concatenate(shown),
+                self._cache.camera(index),
+                self._cache.image(index, self._cache.frames[part.birth]),
+                self._near_m,
+            )
+            score += f", held-out {got.psnr_db:.2f} dB"
+        self._bar.update(self._task, score=score)
+
+
+def train_stream(config: TrainConfig, console: Console) -> Manifest:
+    """Trains `config.capture` into `config.stream`; progress goes to `console`.
+
+    Raises SwingsError before anything is written when the capture or the settings cannot work; what
+    stops it later leaves a valid, shorter stream.
+    """
+    capture = open_capture(config.capture)
+    if len(capture.training) < 3:
+        raise CaptureError(f"{capture.root}: {len(capture.training)} training cameras, needs 3")
+    frames = parse_frames(config.frames, capture.num_frames)
+    targets = [config.stream] + ([config.raw_stream] if config.raw_stream else [])
+    for target in targets:
+        if target.exists() and (not target.is_dir() or any(target.iterdir())):
+            raise InvalidError(
+                f"{target} exists and is not empty; remove it or name another folder"
+            )
+    near_m, far_m = depths(capture, config)
+    with ExitStack() as stack:
+        cache = stack.enter_context(FrameCache(capture, frames, config.scale, config.cache_bytes))
+        pictures = CapturePictures(cache, capture.training)
+        with console.status("first Gaussians (the first run compiles for half a minute)"):
+            initial = first_gaussians(capture, pictures, config, near_m, far_m)
+        manifest = make_manifest(capture, cache, initial, config, near_m)
+        bar = stack.enter_context(
+            Progress(
+                TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed} it"),
+                TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("{task.fields[score]}"),
+                console=console,
+            )
+        )  # fmt: skip
+        monitor = Monitor(bar, capture, cache, manifest)
+        trainer = Trainer(config.fit, pictures, initial, near_m, monitor.on_progress)
+        writers = [stack.enter_context(StreamWriter.create(config.stream, manifest, config.rank))]
+        if config.raw_stream:
+            raw = manifest.with_profile(Profile.RAW)
+            writers.append(
+                stack.enter_context(StreamWriter.create(config.raw_stream, raw, config.rank))
+            )
+        for part in trainer.slices():
+            for writer in writers:
+                writer.append(part)
+            monitor.on_slice(part, writers[0].bytes_written)
+    return manifest

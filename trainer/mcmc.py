@@ -1,0 +1,99 @@
+"""Relocation: dead Gaussians move to where living ones are, without changing the picture.
+
+3D Gaussian splatting as Markov chain Monte Carlo (equations 9 to 11), with the sliding window's
+rule of who may move where.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import comb
+
+import numpy as np
+import numpy.typing as npt
+
+from .raster.cpu import Parameters
+
+Floats = npt.NDArray[np.float32]
+
+MAX_COPIES = 51
+"""Gaussians that may share one place, the one there included. 3DGS-MCMC."""
+
+
+@dataclass(frozen=True)
+class McmcConfig:
+    """Relocation, noise and the two regularisers."""
+
+    relocate_period: int = 100
+    """Iterations between relocations. 3DGS-MCMC."""
+    relocate_until: float = 0.8
+    """Share of a window's iterations after which none is relocated, so that all settle. 3DGS-MCMC:
+    25K of 30K."""
+    dead_opacity: float = 0.005
+    """A Gaussian at or below is dead. 3DGS-MCMC."""
+    noise_lr: float = 5e5
+    """Noise of genesis, times the positions' learning rate. 3DGS-MCMC."""
+    window_noise_lr: float = 5e4
+    """Noise of later windows, whose learning rate restarts higher. Paper, section 8.1."""
+    opacity_reg: float = 0.01
+    """Weight of the mean opacity in the loss. 3DGS-MCMC (paper 8.1: 0.02)."""
+    scale_reg: float = 0.01
+    """Weight of the mean standard deviation (metres) in the loss. Paper, section 8.1."""
+
+
+def _binomial_table() -> npt.NDArray[np.float64]:
+    """table[N - 1, k] = the factor of o_new^(k + 1) in the denominator D of equation 9."""
+    table = np.zeros((MAX_COPIES, MAX_COPIES))
+    for n in range(1, MAX_COPIES + 1):
+        for i in range(1, n + 1):
+            for k in range(i):
+                table[n - 1, k] += comb(i - 1, k) * (-1) ** k / np.sqrt(k + 1)
+    return table
+
+
+_TABLE = _binomial_table()
+
+
+def split_opacity_and_scale(
+    opacities: npt.NDArray[np.float64], copies: npt.NDArray[np.integer], min_opacity: float
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """(M,) the opacity of each of `copies` Gaussians that replace one, and the factor of its
+    scales.
+
+    o_new = 1 - (1 - o)^(1/N); s_new = s o / sum_{i=1..N} sum_{k<i} C(i-1, k) (-1)^k o_new^(k+1) /
+    sqrt(k+1) (3DGS-MCMC, equation 9): the picture of a flat-on Gaussian stays the same in its
+    integral.
+    """
+    count = np.clip(copies, 1, MAX_COPIES)
+    # Cut before the sum, as the scale must fit the opacity that is stored.
+    new = np.clip(1 - (1 - opacities) ** (1 / count), min_opacity, 1 - 1e-7)
+    powers = new[:, None] ** np.arange(1, MAX_COPIES + 1)
+    return new, opacities / (_TABLE[count - 1] * powers).sum(axis=1)
+
+
+def relocate(
+    values: Parameters,
+    dead: npt.NDArray[np.integer],
+    alive: npt.NDArray[np.integer],
+    min_opacity: float,
+    rng: np.random.Generator,
+) -> npt.NDArray[np.int64]:
+    """Moves the rows `dead` onto rows drawn from `alive` in proportion to opacity.
+
+    A dead row copies its target; both take the divided opacity and scales. Gives the target of
+    every dead row, in order; their histories in the optimiser are the caller's to reset.
+    """
+    if len(dead) == 0 or len(alive) == 0:
+        return np.zeros(0, np.int64)
+    opacities = 1 / (1 + np.exp(-values.logit_opacities[alive].astype(np.float64)))
+    drawn = rng.choice(len(alive), size=len(dead), p=opacities / opacities.sum())
+    times = np.bincount(drawn, minlength=len(alive))
+    hit = np.flatnonzero(times)
+    new, factor = split_opacity_and_scale(opacities[hit], times[hit] + 1, min_opacity)
+    targets = alive[hit]
+    values.logit_opacities[targets] = np.log(new / (1 - new))
+    values.log_scales[targets] += np.log(factor)[:, None].astype(np.float32)
+    chosen = alive[drawn].astype(np.int64)
+    for array in values.arrays():
+        array[dead] = array[chosen]
+    return chosen

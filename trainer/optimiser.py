@@ -1,0 +1,194 @@
+"""Adam over the rows that a picture touches, and the noise of stochastic gradient Langevin
+dynamics.
+
+Every row counts its own steps: rows of different ages are optimised together (paper, section
+4.5.1), and a row whose Gaussian was relocated starts afresh.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit, prange
+
+from player.render.project import rotation_of
+
+from .raster.cpu import Parameters
+
+Floats = npt.NDArray[np.float32]
+Ints = npt.NDArray[np.int32]
+
+BETA1 = 0.9
+BETA2 = 0.999
+
+
+@dataclass(frozen=True)
+class OptimiserConfig:
+    """Learning rates, per Adam step."""
+
+    means_lr: float = 1.6e-4
+    """Of positions at the start of genesis, times the scene's extent (metres). 3DGS."""
+    means_lr_end: float = 1.6e-6
+    """The same at the end of genesis, reached log-linearly. 3DGS."""
+    window_means_lr: float = 1.6e-4
+    """Of positions at the start of every later window, times the extent. Paper: the schedule
+    restarts."""
+    window_means_lr_end: float = 1.6e-5
+    """The same at the end of a window."""
+    log_scales_lr: float = 5e-3
+    """Of log-scales. 3DGS."""
+    quats_lr: float = 1e-3
+    """Of quaternions. 3DGS."""
+    logit_opacities_lr: float = 5e-2
+    """Of logit opacities. 3DGS."""
+    sh_lr: float = 2.5e-3
+    """Of the constant colour; the linear terms take a twentieth. 3DGS."""
+    eps: float = 1e-15
+    """Adam's epsilon. 3DGS."""
+    age_scaling: Literal["off", "gradient", "update"] = "update"
+    """What 1 / (1 + windows trained) multiplies for positions: nothing, the gradient (paper, 4.5.1;
+    nearly no effect under Adam), or Adam's update, which is what the paper means by a decaying
+    rate."""
+
+
+@njit(cache=True, fastmath=True, parallel=True)
+def _adam_kernel(  # type: ignore[no-untyped-def]
+    values, gradients, first, second, steps, rows, rates, gradient_scale, update_scale, eps
+):
+    """values, gradients, first, second (R, D); steps (R,) already counted; rates (D,)."""
+    beta1, beta2 = np.float32(BETA1), np.float32(BETA2)
+    one = np.float32(1)
+    for i in prange(rows.shape[0]):
+        row = rows[i]
+        count = np.float32(steps[row])
+        bias1 = one - np.exp(count * np.log(beta1))
+        bias2 = one - np.exp(count * np.log(beta2))
+        root = one / np.sqrt(bias2)
+        scale = update_scale[row] / bias1
+        for d in range(values.shape[1]):
+            g = gradients[row, d] * gradient_scale[row]
+            m = beta1 * first[row, d] + (one - beta1) * g
+            v = beta2 * second[row, d] + (one - beta2) * g * g
+            first[row, d] = m
+            second[row, d] = v
+            values[row, d] -= rates[d] * scale * m / (np.sqrt(v) * root + eps)
+
+
+@njit(cache=True)
+def _count_steps(steps, rows):  # type: ignore[no-untyped-def]
+    for row in rows:
+        steps[row] += 1
+
+
+class Adam:
+    """Adam state for the first `rows` rows of the parameters; see `_adam_kernel`."""
+
+    def __init__(self, rows: int, sh_degree: int, config: OptimiserConfig) -> None:
+        self.config = config
+        self.first = Parameters.zeros(rows, sh_degree)
+        self.second = Parameters.zeros(rows, sh_degree)
+        self.steps = np.zeros(rows, np.int32)
+        self._ones = np.ones(rows, np.float32)
+        sh_rates = np.full(self.first.sh[0].size, config.sh_lr / 20, np.float32)
+        sh_rates[:3] = config.sh_lr
+        self._rates = (
+            np.full(3, config.log_scales_lr, np.float32),
+            np.full(4, config.quats_lr, np.float32),
+            np.full(1, config.logit_opacities_lr, np.float32),
+            sh_rates,
+        )
+
+    def reset(self, rows: npt.NDArray[np.integer]) -> None:
+        """Forgets the history of `rows`."""
+        for state in (self.first, self.second):
+            for array in state.arrays():
+                array[rows] = 0
+        self.steps[rows] = 0
+
+    def permute(self, order: npt.NDArray[np.integer]) -> None:
+        """Row i takes over the history of row order[i]."""
+        for state in (self.first, self.second):
+            for array in state.arrays():
+                array[:] = array[order]
+        self.steps[:] = self.steps[order]
+
+    def step(
+        self, values: Parameters, gradients: Parameters, rows: Ints, means_lr: float, ages: Floats
+    ) -> None:
+        """One update of `rows`. means_lr: metres; ages (R,) float32: windows trained so far."""
+        _count_steps(self.steps, rows)
+        decay = np.float32(1) / (np.float32(1) + ages)
+        mode = self.config.age_scaling
+        rates = (np.full(3, means_lr, np.float32), *self._rates)
+        eps = np.float32(self.config.eps)
+        states = zip(self.first.arrays(), self.second.arrays(), rates, strict=True)
+        arrays = zip(values.arrays(), gradients.arrays(), states, strict=True)
+        for which, (value, gradient, (first, second, rate)) in enumerate(arrays):
+            is_means = which == 0
+            _adam_kernel(
+                value.reshape(len(value), -1),
+                gradient.reshape(len(gradient), -1),
+                first.reshape(len(first), -1),
+                second.reshape(len(second), -1),
+                self.steps,
+                rows,
+                rate,
+                decay if is_means and mode == "gradient" else self._ones,
+                decay if is_means and mode == "update" else self._ones,
+                eps,
+            )
+
+
+@njit(cache=True, inline="always")
+def _mix(x):  # type: ignore[no-untyped-def]
+    """The finaliser of SplitMix64: 64 well mixed bits from any 64."""
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return x ^ (x >> np.uint64(31))
+
+
+@njit(cache=True, parallel=True)
+def add_noise(  # type: ignore[no-untyped-def]
+    means, log_scales, quats, logit_opacities, rows, amount, opacity_gate, gate_steepness, seed
+):
+    """means += Sigma xi, xi ~ N(0, I) amount sigmoid(steepness (gate - opacity)), for `rows`.
+
+    Sigma is the Gaussian's covariance itself, not its root (3DGS-MCMC, equation 9). Numbers come
+    from a counter (seed, row), so threads do not change them.
+    """
+    one, two = np.float32(1), np.float32(2)
+    for i in prange(rows.shape[0]):
+        row = rows[i]
+        opacity = one / (one + np.exp(-logit_opacities[row]))
+        gate = one / (one + np.exp(gate_steepness * (opacity - opacity_gate)))
+        if gate < np.float32(1e-6):
+            continue
+        scale = amount * gate
+        state = _mix(np.uint64(seed) + np.uint64(row) * np.uint64(0x9E3779B97F4A7C15))
+        a = _mix(state + np.uint64(1))
+        b = _mix(state + np.uint64(2))
+        unit = np.float32(1.0 / 16777216.0)
+        u0 = (np.float32(a >> np.uint64(40)) + np.float32(0.5)) * unit
+        u1 = np.float32((a >> np.uint64(8)) & np.uint64(0xFFFFFF)) * unit
+        u2 = (np.float32(b >> np.uint64(40)) + np.float32(0.5)) * unit
+        u3 = np.float32((b >> np.uint64(8)) & np.uint64(0xFFFFFF)) * unit
+        turn = np.float32(2 * np.pi)
+        r0, r1 = np.sqrt(-two * np.log(u0)), np.sqrt(-two * np.log(u2))
+        x = scale * r0 * np.cos(turn * u1)
+        y = scale * r0 * np.sin(turn * u1)
+        z = scale * r1 * np.cos(turn * u3)
+        qw, qx, qy, qz = quats[row, 0], quats[row, 1], quats[row, 2], quats[row, 3]
+        norm = one / np.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
+        g00, g01, g02, g10, g11, g12, g20, g21, g22 = rotation_of(
+            qw * norm, qx * norm, qy * norm, qz * norm
+        )
+        # Sigma xi = R S^2 R^T xi
+        l0 = (g00 * x + g10 * y + g20 * z) * np.exp(two * log_scales[row, 0])
+        l1 = (g01 * x + g11 * y + g21 * z) * np.exp(two * log_scales[row, 1])
+        l2 = (g02 * x + g12 * y + g22 * z) * np.exp(two * log_scales[row, 2])
+        means[row, 0] += g00 * l0 + g01 * l1 + g02 * l2
+        means[row, 1] += g10 * l0 + g11 * l1 + g12 * l2
+        means[row, 2] += g20 * l0 + g21 * l1 + g22 * l2

@@ -1,0 +1,63 @@
+"""A contact sheet: capture, rendered picture and error side by side, for some frames and
+cameras."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image, ImageDraw
+
+from codec.stream import StreamReader
+from player.render.cpu import render_splats
+
+from .capture.layout import open_capture
+from .errors import CaptureError
+from .evaluate import displayed, matching_scale
+from .frames import FrameCache
+from .loss import psnr_db
+
+MAX_ROWS = 6
+ERROR_GAIN = 4
+"""The error is drawn this many times brighter."""
+
+
+def write_sheet(stream: Path, capture_path: Path, target: Path) -> None:
+    """Draws up to MAX_ROWS rows (frames spread over the stream, held-out cameras in turn) to a
+    PNG."""
+    reader = StreamReader(stream)
+    manifest = reader.manifest
+    capture = open_capture(capture_path)
+    if not capture.held_out:
+        raise CaptureError(f"{capture.root}: no held-out camera to compare with")
+    first = capture.cameras[capture.held_out[0]].camera
+    scale = matching_scale(manifest.camera(first.name), first, str(stream))
+    frames = range(manifest.capture_frame, manifest.capture_frame + reader.num_frames)
+    rows = min(MAX_ROWS, reader.num_frames)
+    lines: list[npt.NDArray[np.uint8]] = []
+    labels: list[str] = []
+    with FrameCache(capture, frames, scale) as cache:
+        for row in range(rows):
+            frame = round(row * (reader.num_frames - 1) / max(rows - 1, 1))
+            index = capture.held_out[row % len(capture.held_out)]
+            camera = cache.camera(index)
+            truth = cache.image(index, frames[frame]).astype(np.float32) / np.float32(255)
+            splats = reader.active_splats(frame, manifest.num_layers)
+            shown = displayed(render_splats(splats, camera, manifest.near_m))
+            error = np.clip(ERROR_GAIN * np.abs(shown - truth), 0, 1)
+            line = np.concatenate([truth, shown, error], axis=1)
+            lines.append(np.rint(line * 255).astype(np.uint8))
+            labels.append(f"frame {frame}, camera {camera.name}: {psnr_db(shown, truth):.2f} dB")
+    height_px, width_px = lines[0].shape[:2]
+    header_px = 16
+    sheet = Image.new("RGB", (width_px, len(lines) * (height_px + header_px)), "black")
+    draw = ImageDraw.Draw(sheet)
+    for row, (line, label) in enumerate(zip(lines, labels, strict=True)):
+        top = row * (height_px + header_px)
+        draw.text((4, top + 2), f"{label}   |   capture, rendered, error x{ERROR_GAIN}", "white")
+        sheet.paste(Image.fromarray(line), (0, top + header_px))
+    target.parent.mkdir(parents=True, exist_ok=True)
+    temporary = target.with_name(f".{target.name}.tmp")
+    sheet.save(temporary, format="PNG")
+    temporary.replace(target)
