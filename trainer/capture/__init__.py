@@ -1,0 +1,1 @@
+"""Multi-view recordings on disk, read behind one type: `Capture`."""

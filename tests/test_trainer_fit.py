@@ -1,0 +1,184 @@
+"""The sliding-window trainer on a tiny scene that the test makes itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from codec.camera import Camera
+from codec.errors import InvalidError
+from codec.slice import Slice
+from codec.splats import Splats
+from player.render.cpu import render_splats
+from trainer.fit import FitConfig, Progress, Trainer
+from trainer.loss import psnr_db
+from trainer.mcmc import McmcConfig
+from trainer.seed import initial_splats
+
+NEAR_M = 0.2
+FRAMES = 5
+SWIN = 3
+
+
+def ring_camera(angle: float, name: str) -> Camera:
+    """A camera two metres from the origin, looking at it."""
+    position = np.array([2 * np.sin(angle), -0.3, -2 * np.cos(angle)])
+    forward = -position / np.linalg.norm(position)
+    right = np.cross([0.0, 1.0, 0.0], forward)
+    right /= np.linalg.norm(right)
+    w2c = np.eye(4)
+    w2c[:3, :3] = [right, np.cross(forward, right), forward]
+    w2c[:3, 3] = -w2c[:3, :3] @ position
+    return Camera(name, 48, 32, 45.0, 45.0, 24.0, 16.0, w2c)
+
+
+def truth(frame: int) -> Splats:
+    """Forty coloured blobs, a quarter of which drift."""
+    rng = np.random.default_rng(3)
+    means = rng.uniform(-0.6, 0.6, (40, 3))
+    means[:10, 0] += 0.05 * frame
+    return Splats(
+        means.astype(np.float32),
+        np.full((40, 3), np.log(0.12), np.float32),
+        np.tile(np.array([1, 0, 0, 0], np.float32), (40, 1)),
+        np.full(40, 3.0, np.float32),
+        rng.uniform(-1.5, 1.5, (40, 1, 3)).astype(np.float32),
+    )
+
+
+class Rendered:
+    """Pictures of the true scene from six cameras."""
+
+    num_frames = FRAMES
+
+    def __init__(self) -> None:
+        self.cameras = [ring_camera(0.5 * i - 1.2, f"c{i}") for i in range(6)]
+        self.asked: list[int] = []
+
+    def picture(self, camera: int, frame: int) -> npt.NDArray[np.uint8]:
+        self.asked.append(frame)
+        shown = np.clip(render_splats(truth(frame), self.cameras[camera], NEAR_M), 0, 1)
+        return np.rint(shown * 255).astype(np.uint8)
+
+
+CONFIG = FitConfig(
+    num_gs=90,
+    swin_size=SWIN,
+    genesis_iterations=300,
+    window_iterations=100,
+    mcmc=replace(McmcConfig(), relocate_period=25, opacity_reg=1e-3, scale_reg=1e-3),
+)
+
+
+def start() -> Splats:
+    rng = np.random.default_rng(5)
+    points = rng.uniform(-0.7, 0.7, (90, 3)).astype(np.float32)
+    return initial_splats(points, rng.integers(0, 255, (90, 3), dtype=np.uint8), 0)
+
+
+def window_splats(slices: list[Slice], frame: int) -> Splats:
+    return Splats.concatenate(
+        [s.splats.take(np.flatnonzero(s.active(frame, SWIN))) for s in slices]
+    )
+
+
+def test_a_whole_run_is_algorithm_one() -> None:
+    pictures, seen = Rendered(), list[Progress]()
+    trainer = Trainer(CONFIG, pictures, start(), NEAR_M, seen.append)
+    slices: list[Slice] = []
+    asked_before: list[int] = []
+    for part in trainer.slices():
+        slices.append(part)
+        if part.birth >= 0:
+            # A slice matures when its last window is trained, not before.
+            asked_before.append(max(pictures.asked))
+            assert asked_before[-1] == min(part.birth + SWIN - 1, FRAMES - 1)
+    assert [s.birth for s in slices] == list(range(1 - SWIN, FRAMES))
+    assert all(len(s.splats) == 30 for s in slices)
+    assert {p.first_frame for p in seen} == set(range(FRAMES))
+    assert all(0 <= f < FRAMES for f in pictures.asked)
+
+    held_out = ring_camera(0.3, "between")
+    for frame in range(FRAMES):
+        shown = window_splats(slices, frame)
+        # Delayed starts may hide a few.
+        assert 0.6 * CONFIG.num_gs <= len(shown) <= CONFIG.num_gs
+        goal = np.clip(render_splats(truth(frame), held_out, NEAR_M), 0, 1)
+        got = psnr_db(np.clip(render_splats(shown, held_out, NEAR_M), 0, 1), goal)
+        before = psnr_db(np.clip(render_splats(start(), held_out, NEAR_M), 0, 1), goal)
+        assert got > before + 5
+        assert got > 20
+
+
+def test_matured_rows_never_change_and_parameters_carry_over() -> None:
+    trainer = Trainer(CONFIG, Rendered(), start(), NEAR_M)
+    trainer.train_window(0, 40)
+    trainer._stagger()
+    current = [a[:90].copy() for a in trainer.values.arrays()]
+    matured = list(trainer._mature(1))
+    assert [s.birth for s in matured] == [-2, -1, 0]
+    for array, before in zip(trainer.values.arrays(), current, strict=True):
+        assert (array[:90] == before).all()  # the next generation starts where this one ended
+        assert (array[90:] == before).all()
+    frozen = [a[90:].copy() for a in trainer.values.arrays()]
+    trainer.train_window(1, 60)
+    for array, before in zip(trainer.values.arrays(), frozen, strict=True):
+        assert (array[90:] == before).all()
+    assert (trainer.values.means[:90] != frozen[0]).any()
+
+
+def test_the_same_seed_gives_the_same_slices_and_another_does_not() -> None:
+    config = replace(CONFIG, genesis_iterations=60, window_iterations=30)
+
+    def run(seed: int) -> list[Slice]:
+        return list(Trainer(replace(config, seed=seed), Rendered(), start(), NEAR_M).slices())
+
+    first, again, other = run(1), run(1), run(2)
+    for a, b in zip(first, again, strict=True):
+        assert (a.splats.means == b.splats.means).all()
+        assert (a.start_offsets == b.start_offsets).all()
+    assert (first[0].splats.means != other[0].splats.means).any()
+
+
+def test_relocation_lets_the_dead_start_with_their_targets_and_never_early() -> None:
+    trainer = Trainer(CONFIG, Rendered(), start(), NEAR_M)
+    trainer.train_window(0, 20)
+    trainer._stagger()
+    list(trainer._mature(1))
+    lifespans = trainer.lifespans
+    dead = lifespans.births == 1
+    trainer.values.logit_opacities[:90][dead] = -9
+    trainer._relocate(last_frame=3)
+    assert (lifespans.starts >= lifespans.births).all()
+    assert (lifespans.expires == lifespans.births + SWIN).all()  # each keeps its own end
+    assert (lifespans.starts[dead] > 1).any()  # some moved to a later slice
+    assert (trainer.values.logit_opacities[:90] > -6).all()
+    assert (trainer.adam.steps[dead] == 0).all()
+
+
+def test_the_colour_of_the_cameras_stays_identity_in_the_mean() -> None:
+    trainer = Trainer(CONFIG, Rendered(), start(), NEAR_M)
+    trainer.train_window(0, 50)
+    mean = trainer.colour.values.mean(axis=0)
+    np.testing.assert_allclose(mean, [1, 1, 1, 0, 0, 0], atol=1e-5)
+    assert np.abs(trainer.colour.values - mean).max() > 0
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"num_gs": 91},
+        {"num_gs": 0},
+        {"swin_size": 0},
+        {"swin_size": 256, "num_gs": 512},
+        {"sh_degree": 2},
+        {"window_iterations": 0},
+        {"newest_share": 1.5},
+    ],
+)
+def test_settings_that_cannot_work_are_refused(change: dict[str, int]) -> None:
+    with pytest.raises(InvalidError):
+        replace(CONFIG, **change)  # type: ignore[arg-type]

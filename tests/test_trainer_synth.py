@@ -1,0 +1,197 @@
+"""The synthetic capture: complete, readable, and true to its own geometry."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import tyro
+from rich.console import Console
+
+from codec.camera import Camera
+from codec.errors import InvalidError
+from trainer.capture.capture import Capture
+from trainer.capture.layout import open_capture
+from trainer.errors import CaptureError
+from trainer.synth import Studio, SynthConfig, check_config, make_scene, synthesise
+from trainer.synth_motion import BALL_RADIUS_M, ball_place, foot_place, moving_parts
+from trainer.synth_scene import camera_rig
+
+TINY = SynthConfig(
+    Path("unset"), frames=3, cameras=4, held_out=1, width_px=64, height_px=36, points=300
+)
+
+
+def quiet() -> Console:
+    return Console(file=io.StringIO())
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Capture:
+    out = tmp_path_factory.mktemp("synth") / "made" / "capture"
+    synthesise(replace(TINY, out=out), quiet())
+    return open_capture(out)
+
+
+def project(xyz: npt.NDArray[np.floating], camera: Camera) -> npt.NDArray[np.float64]:
+    """(P, 3) column, row in pixels and depth in metres."""
+    seen = xyz @ camera.w2c[:3, :3].T + camera.w2c[:3, 3]
+    columns = camera.fx_px * seen[:, 0] / seen[:, 2] + camera.cx_px
+    rows = camera.fy_px * seen[:, 1] / seen[:, 2] + camera.cy_px
+    return np.stack([columns, rows, seen[:, 2]], axis=1)
+
+
+def test_the_capture_is_complete(made: Capture) -> None:
+    assert (made.layout, made.num_frames, made.fps) == ("dynerf", 3, 30.0)
+    assert made.held_out == (2,)
+    assert [c.camera.name for c in made.cameras] == ["cam00", "cam01", "cam02", "cam03"]
+    assert made.points is not None
+    assert len(made.points) == 300
+    assert made.near_m is not None
+    assert 0.9 < made.near_m < 1.3
+    names = sorted(path.name for path in made.root.iterdir())
+    assert names == [*(f"cam{i:02d}.mp4" for i in range(4)), "held_out.txt", "points.npz",
+                     "poses_bounds.npy"]  # fmt: skip
+    assert [path.name for path in made.root.parent.iterdir()] == ["capture"]
+
+
+def test_videos_hold_what_was_traced(made: Capture) -> None:
+    scene = make_scene(3, 30.0, 0)
+    rig = camera_rig(4, 64, 36, float(np.radians(200.0)))
+    for index in (0, 2):
+        assert np.allclose(made.cameras[index].camera.w2c, rig[index].w2c, atol=1e-12)
+        traced, _ = Studio(scene, rig[index]).film(2)
+        error = made.open_images(index).read(2).astype(float) - traced
+        assert 10 * np.log10(255**2 / (error**2).mean()) > 48
+
+
+def places_seen(distance: npt.NDArray[np.float32], camera: Camera) -> npt.NDArray[np.float64]:
+    """(h, w, 3) what the first ray of each pixel, a quarter pixel in from its corner, hits."""
+    rows, columns = np.mgrid[: camera.height_px, : camera.width_px] + 0.25
+    ways = np.stack([columns - camera.cx_px, rows - camera.cy_px], axis=-1) / camera.fx_px
+    ways = np.concatenate([ways, np.ones((*ways.shape[:2], 1))], axis=-1)
+    ways *= (distance / np.linalg.norm(ways, axis=-1))[..., None]
+    return camera.position + ways @ camera.w2c[:3, :3]
+
+
+def test_the_ball_is_where_the_cameras_see_it() -> None:
+    scene = make_scene(9, 10.0, 0)
+    checked = 0
+    for camera in camera_rig(5, 256, 144, float(np.radians(200.0))):
+        studio = Studio(scene, camera)
+        for frame in (4, 8):
+            picture, distance = studio.film(frame)
+            centre = ball_place(frame / 10, 0)
+            away = np.linalg.norm(places_seen(distance, camera) - centre, axis=-1)
+            on_ball = np.abs(away - BALL_RADIUS_M) < 1e-3
+            column, row, depth = project(centre[None], camera)[0]
+            radius_px = camera.fx_px * BALL_RADIUS_M / depth
+            if on_ball.sum() < 0.97 * np.pi * radius_px**2:  # partly hidden or cut by the border
+                continue
+            rows, columns = np.nonzero(on_ball)
+            assert np.hypot(columns.mean() + 0.5 - column, rows.mean() + 0.5 - row) < 0.7
+            red, green, blue = picture[on_ball].mean(axis=0)
+            assert red > green + 30 > blue + 60  # orange, where the pictures show it too
+            checked += 1
+    assert checked >= 4
+
+
+def test_points_lie_on_what_the_cameras_see(made: Capture) -> None:
+    assert made.points is not None
+    scene = make_scene(1, 30.0, 0)
+    camera = camera_rig(5, 128, 72, float(np.radians(200.0)))[2]
+    picture, distance = Studio(scene, camera).film(0)
+    columns, rows, depth = project(made.points.xyz, camera).T
+    inside = (depth > 0.1) & (columns >= 0) & (columns < 128) & (rows >= 0) & (rows < 72)
+    at = rows[inside].astype(int), columns[inside].astype(int)
+    away = np.linalg.norm(made.points.xyz[inside] - camera.position, axis=1)
+    seen = np.abs(distance[at] - away) < 0.03 * away  # the others are hidden here
+    assert seen.mean() > 0.5
+    error = np.abs(picture[at].astype(int) - made.points.rgb[inside])[seen].mean(axis=1)
+    assert np.median(error) < 6
+
+
+def test_the_scene_moves_and_the_room_stands_still() -> None:
+    scene = make_scene(16, 30.0, 0)
+    studio = Studio(scene, camera_rig(3, 96, 54, 1.0)[1])
+    pictures = np.stack([studio.film(frame)[0] for frame in (0, 5, 10, 15)]).astype(int)
+    change = np.abs(pictures - pictures[0]).max(axis=(0, 3))
+    assert 0.03 < (change > 30).mean() < 0.5
+    assert (change == 0).mean() > 0.3
+
+
+def test_same_seed_same_bytes_other_seed_other_picture(tmp_path: Path, made: Capture) -> None:
+    def digest(root: Path) -> dict[str, str]:
+        return {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in root.iterdir()}
+
+    synthesise(replace(TINY, out=tmp_path / "again"), quiet())
+    assert digest(tmp_path / "again") == digest(made.root)
+    synthesise(replace(TINY, out=tmp_path / "other", seed=3), quiet())
+    assert digest(tmp_path / "other")["cam01.mp4"] != digest(made.root)["cam01.mp4"]
+
+
+def test_a_standing_foot_stands() -> None:
+    for start in (0.0, 3.0, 7.0):
+        places = np.stack([foot_place(start + p, 0.0, 1.0)[0] for p in np.linspace(0, 0.47, 9)])
+        assert np.ptp(places, axis=0).max() < 1e-9
+        assert places[0, 1] == 0.0
+    for time_s in np.linspace(0, 3, 40):
+        cones = moving_parts(float(time_s), 1).parts.cones
+        lowest = np.maximum(cones[:, 1] + cones[:, 3], cones[:, 5] + cones[:, 7]).max()
+        assert lowest < 0.035  # shoes and ball may sink into the floor by no more
+
+
+def test_a_taken_folder_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine").touch()
+    with pytest.raises(CaptureError, match="not an empty folder"):
+        synthesise(replace(TINY, out=tmp_path / "full"), quiet())
+    with pytest.raises(CaptureError, match="not an empty folder"):
+        synthesise(replace(TINY, out=tmp_path / "full" / "mine"), quiet())
+    assert [p.name for p in tmp_path.rglob("*")] == ["full", "mine"]
+    (tmp_path / "free").mkdir()
+    synthesise(replace(TINY, out=tmp_path / "free", frames=1, points=0, held_out=0), quiet())
+    capture = open_capture(tmp_path / "free")
+    assert (capture.points, capture.held_out) == (None, ())
+
+
+def test_a_failure_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(self: Studio, frame: int) -> None:
+        raise OSError("disk full")
+
+    monkeypatch.setattr(Studio, "film", broken)
+    with pytest.raises(OSError, match="disk full"):
+        synthesise(replace(TINY, out=tmp_path / "c"), quiet())
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"frames": 0},
+        {"cameras": 0},
+        {"held_out": 3},
+        {"held_out": -1},
+        {"width_px": 8},
+        {"height_px": 5000},
+        {"fps": 0.0},
+        {"fps": float("nan")},
+        {"arc_deg": 360.0},
+        {"points": -1},
+        {"seed": -1},
+    ],
+)
+def test_numbers_that_make_no_capture(change: dict[str, float]) -> None:
+    (name,) = change
+    with pytest.raises(InvalidError, match=f"{name}.* must be between"):
+        check_config(replace(TINY, **change))  # type: ignore[arg-type]
+
+
+def test_the_command_line() -> None:
+    config = tyro.cli(SynthConfig, args=["out", "--frames", "5", "--held-out", "1"])
+    assert config == SynthConfig(Path("out"), frames=5, held_out=1)

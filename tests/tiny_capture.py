@@ -1,0 +1,86 @@
+"""Tiny captures on disk, in both layouts, whose pictures tell camera and frame."""
+
+from __future__ import annotations
+
+import json
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from codec.camera import Camera
+from trainer.capture.dynerf import encode_pose
+from trainer.synth_scene import camera_rig
+
+WIDTH_PX, HEIGHT_PX = 64, 36
+
+
+def picture_of(camera_index: int, frame: int) -> npt.NDArray[np.uint8]:
+    """(36, 64, 3) red grows with the camera, green with the frame, blue along the rows."""
+    picture = np.empty((HEIGHT_PX, WIDTH_PX, 3), np.uint8)
+    picture[..., 0] = 20 + 25 * camera_index
+    picture[..., 1] = 20 + 4 * frame
+    picture[..., 2] = np.arange(HEIGHT_PX)[:, None] * 5
+    return picture
+
+
+def tiny_rig(num_cameras: int, arc_deg: float = 160.0) -> list[Camera]:
+    return camera_rig(num_cameras, WIDTH_PX, HEIGHT_PX, float(np.radians(arc_deg)))
+
+
+def write_video(
+    path: Path, camera_index: int, num_frames: int, table_in_front: bool = False
+) -> None:
+    """A lossless video with B-frames and a key frame every 10 frames."""
+    settings = {"qp": "0", "preset": "ultrafast", "bf": "2"}
+    place = {"movflags": "faststart"} if table_in_front else {}
+    container = "matroska" if path.suffix == ".mkv" else "mp4"
+    with av.open(str(path), "w", format=container, options=place) as output:
+        stream = output.add_stream("libx264", rate=Fraction(30), options=settings)
+        stream.width, stream.height, stream.pix_fmt = WIDTH_PX, HEIGHT_PX, "yuv444p"
+        stream.codec_context.gop_size = 10
+        for frame in range(num_frames):
+            picture = picture_of(camera_index, frame)
+            output.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        output.mux(stream.encode())
+
+
+def write_dynerf(root: Path, num_cameras: int = 3, num_frames: int = 5) -> list[Camera]:
+    root.mkdir()
+    cameras = tiny_rig(num_cameras)
+    for index, camera in enumerate(cameras):
+        write_video(root / f"{camera.name}.mp4", index, num_frames)
+    np.save(root / "poses_bounds.npy", np.stack([encode_pose(c, 1.5, 9.0) for c in cameras]))
+    return cameras
+
+
+def meta_of(cameras: list[Camera], ids: list[int], num_frames: int) -> dict[str, Any]:
+    k = [[[c.fx_px, 0, c.cx_px], [0, c.fy_px, c.cy_px], [0, 0, 1]] for c in cameras]
+    return {
+        "w": WIDTH_PX,
+        "h": HEIGHT_PX,
+        "k": [k] * num_frames,
+        "w2c": [[c.w2c.tolist() for c in cameras]] * num_frames,
+        "fn": [[f"{i}/{frame:06d}.png" for i in ids] for frame in range(num_frames)],
+        "cam_id": [ids] * num_frames,
+    }
+
+
+def write_dynamic3dgs(root: Path, num_cameras: int = 4, num_frames: int = 3) -> list[Camera]:
+    """Camera 1 is the held-out one. Pictures are PNG, so that they can be compared exactly."""
+    root.mkdir()
+    cameras = tiny_rig(num_cameras)
+    training = [i for i in range(num_cameras) if i != 1]
+    for name, ids in (("train_meta.json", training), ("test_meta.json", [1])):
+        meta = meta_of([cameras[i] for i in ids], ids, num_frames)
+        (root / name).write_text(json.dumps(meta))
+    for index in range(num_cameras):
+        (root / "ims" / str(index)).mkdir(parents=True)
+        for frame in range(num_frames):
+            file = root / "ims" / str(index) / f"{frame:06d}.png"
+            Image.fromarray(picture_of(index, frame)).save(file)
+    return cameras

@@ -1,0 +1,119 @@
+"""What every layout of a capture becomes: cameras, a frame count, and pictures read on demand.
+
+Rule: opening a capture decodes no picture, yet proves that each camera has each frame, so that a
+training run does not die of a missing file in its third hour.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from codec.camera import Camera
+from codec.errors import InvalidError
+
+Layout = Literal["dynamic3dgs", "dynerf"]
+"""The layouts that `open_capture` knows."""
+
+Picture = npt.NDArray[np.uint8]
+"""(H, W, 3) RGB, C-contiguous."""
+
+
+class PictureSource(Protocol):
+    """The pictures of one camera, frame by frame.
+
+    Not thread-safe: one thread at a time per source. Sources of different cameras are independent.
+    """
+
+    def read(self, frame: int) -> Picture:
+        """The picture of a frame 0 <= frame < num_frames at full size, owned by the caller.
+
+        Raises CaptureError when the file cannot be decoded or has another size than declared.
+        """
+
+    def close(self) -> None:
+        """Frees the decoder, if there is one; the source stays usable. Idempotent."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InitialPoints:
+    """Coloured points on the scene's surfaces at frame 0, to start the Gaussians from."""
+
+    xyz: npt.NDArray[np.float32]  # (P, 3) metres, world
+    rgb: npt.NDArray[np.uint8]  # (P, 3)
+
+    def __post_init__(self) -> None:
+        if self.xyz.ndim != 2 or self.xyz.shape[1] != 3 or self.xyz.dtype != np.float32:
+            raise InvalidError(
+                f"points: xyz is {self.xyz.dtype} {self.xyz.shape}, not float32 (P, 3)"
+            )
+        if self.rgb.shape != self.xyz.shape or self.rgb.dtype != np.uint8:
+            raise InvalidError(
+                f"points: rgb is {self.rgb.dtype} {self.rgb.shape}, not uint8 {self.xyz.shape}"
+            )
+        if not np.isfinite(self.xyz).all():
+            raise InvalidError("points: a coordinate is not finite")
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureCamera:
+    """A camera of a capture and its part in training."""
+
+    camera: Camera
+    """Intrinsics at the full size of the pictures, pose, and a name that is unique in the
+    capture."""
+    held_out: bool
+    """Kept out of training; `swings-eval` scores against its pictures."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Capture:
+    """A synchronised multi-view recording."""
+
+    root: Path
+    layout: Layout
+    cameras: tuple[CaptureCamera, ...]
+    num_frames: int
+    """Frames of every camera."""
+    fps: float
+    """Frames per second."""
+    points: InitialPoints | None
+    """What the capture's folder offers; None when it has no points."""
+    near_m: float | None
+    """Depth before which nothing of the scene stands, metres; None if the rig does not tell."""
+    far_m: float | None
+    """Depth behind which nothing of the scene stands, metres; None if the rig does not tell."""
+    opener: Callable[[int], PictureSource]
+    """Makes the source of a camera index; `open_images` is its checked face."""
+
+    def open_images(self, camera_index: int) -> PictureSource:
+        """A new source of one camera's pictures; nothing is read before its first `read`."""
+        if not 0 <= camera_index < len(self.cameras):
+            raise InvalidError(
+                f"camera {camera_index}: {self.root} has {len(self.cameras)} cameras"
+            )
+        return self.opener(camera_index)
+
+    @property
+    def training(self) -> tuple[int, ...]:
+        """The indices of the cameras to train on."""
+        return tuple(i for i, c in enumerate(self.cameras) if not c.held_out)
+
+    @property
+    def held_out(self) -> tuple[int, ...]:
+        """The indices of the cameras to score with."""
+        return tuple(i for i, c in enumerate(self.cameras) if c.held_out)
+
+
+def check_frame(frame: int, num_frames: int, name: str) -> None:
+    """Raises InvalidError for a frame that the capture does not have."""
+    if not 0 <= frame < num_frames:
+        raise InvalidError(f"frame {frame} of camera {name}: the capture has {num_frames} frames")

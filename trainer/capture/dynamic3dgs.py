@@ -1,0 +1,269 @@
+"""The Dynamic 3D Gaussians layout (PanopticSports): JPEG files and a JSON of poses per split.
+
+    train_meta.json, test_meta.json   w, h; per frame t and camera c: k[t][c] 3x3 pixels,
+                                      w2c[t][c] 4x4 OpenCV, fn[t][c] path below ims/, cam_id[t][c]
+    ims/<camera>/<frame>.jpg
+    init_pt_cld.npz                   optional initial points, see points.py
+
+The cameras of test_meta.json are held out. The layout could describe moving cameras; this project
+cannot use them, so they are refused rather than frozen at their first pose.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image, UnidentifiedImageError
+
+from codec.camera import Camera
+from codec.errors import InvalidError
+
+from ..errors import CaptureError
+from .capture import Capture, CaptureCamera, Picture, PictureSource, check_frame
+from .points import read_points
+from .rig import rig_depths
+
+META_NAMES = ("train_meta.json", "test_meta.json")
+POINTS_NAMES = ("init_pt_cld.npz", "derived_init_points_frame0.npz")
+"""Files of initial points, the data set's own first."""
+
+FRAMES_PER_S = 30.0
+"""The layout does not store its frame rate; PanopticSports was recorded at 30 frames per second."""
+
+STILL_TOLERANCE = 1e-6
+"""Largest change of a pose or intrinsics entry that still counts as the same camera: rounding of
+printed JSON."""
+
+
+@dataclass(frozen=True, slots=True)
+class FileSource:
+    """Pictures of one camera, a file per frame. Holds nothing open: any thread may read."""
+
+    camera: Camera
+    files: tuple[Path, ...]
+
+    def read(self, frame: int) -> Picture:
+        check_frame(frame, len(self.files), self.camera.name)
+        path = self.files[frame]
+        try:
+            with Image.open(path) as image:
+                _check_size(path, image.size, self.camera.width_px, self.camera.height_px)
+                return np.array(image.convert("RGB"))
+        except (OSError, UnidentifiedImageError, ValueError, SyntaxError) as error:
+            raise CaptureError(f"{path}: not a picture that can be read: {error}") from error
+
+    def close(self) -> None:
+        """Nothing to free."""
+
+
+@dataclass(frozen=True, slots=True)
+class Meta:
+    """One of the two JSON files, checked."""
+
+    path: Path
+    num_frames: int
+    cameras: tuple[Camera, ...]
+    names: tuple[tuple[str, ...], ...]
+    """Paths below ims/, by camera and frame."""
+
+
+def open_dynamic3dgs(root: Path) -> Capture:
+    """The capture in a folder of this layout. Raises CaptureError."""
+    if not (root / META_NAMES[0]).is_file():
+        raise CaptureError(f"{root / META_NAMES[0]}: is missing; it names the cameras to train on")
+    metas = [read_meta(root / name) for name in META_NAMES if (root / name).is_file()]
+    if metas[0].num_frames != metas[-1].num_frames:
+        raise CaptureError(
+            f"{root}: {META_NAMES[0]} has {metas[0].num_frames} frames, "
+            f"{META_NAMES[1]} {metas[1].num_frames}; they must agree"
+        )
+    found: dict[str, tuple[CaptureCamera, tuple[str, ...]]] = {}
+    for held_out, meta in enumerate(metas):
+        for camera, names in zip(meta.cameras, meta.names, strict=True):
+            if camera.name in found:
+                raise CaptureError(f"{meta.path}: camera {camera.name} is listed twice")
+            found[camera.name] = CaptureCamera(camera, bool(held_out)), names
+    ordered = [found[name] for name in sorted(found, key=lambda name: (len(name), name))]
+    cameras = tuple(camera for camera, _ in ordered)
+    sources = _sources(root, [c.camera for c in cameras], [names for _, names in ordered])
+    depths = rig_depths([c.camera for c in cameras])
+    points = next((root / name for name in POINTS_NAMES if (root / name).is_file()), None)
+
+    def open_images(camera_index: int) -> PictureSource:
+        return sources[camera_index]
+
+    return Capture(
+        root=root,
+        layout="dynamic3dgs",
+        cameras=cameras,
+        num_frames=metas[0].num_frames,
+        fps=FRAMES_PER_S,
+        points=read_points(points) if points else None,
+        near_m=depths[0] if depths else None,
+        far_m=depths[1] if depths else None,
+        opener=open_images,
+    )
+
+
+def read_meta(path: Path) -> Meta:
+    """The cameras and file names of one JSON file. Raises CaptureError."""
+    try:
+        value = json.loads(path.read_bytes())
+    except (ValueError, RecursionError) as error:
+        raise CaptureError(f"{path}: not JSON: {error}") from error
+    if not isinstance(value, dict):
+        raise CaptureError(f"{path}: the top of the JSON is not an object")
+    lacking = [key for key in ("w", "h", "k", "w2c", "fn", "cam_id") if key not in value]
+    if lacking:
+        raise CaptureError(f"{path}: lacks {', '.join(lacking)}")
+    width_px, height_px = value["w"], value["h"]
+    if not (isinstance(width_px, int) and isinstance(height_px, int)):
+        raise CaptureError(f"{path}: w and h are not whole numbers of pixels")
+    intrinsics = _table(path, value, "k", (3, 3))
+    poses = _table(path, value, "w2c", (4, 4))
+    num_frames, num_cameras = poses.shape[:2]
+    ids, names = value["cam_id"], value["fn"]
+    for key, table in (("cam_id", ids), ("fn", names), ("k", value["k"])):
+        if not _is_grid(table, num_frames, num_cameras):
+            raise CaptureError(
+                f"{path}: {key} is not a {num_frames} x {num_cameras} table like w2c"
+            )
+    for frame, row in enumerate(ids):
+        if row != ids[0]:
+            raise CaptureError(f"{path}: cam_id of frame {frame} differs from that of frame 0")
+    return Meta(
+        path=path,
+        num_frames=num_frames,
+        cameras=tuple(
+            _still_camera(
+                path,
+                "cam" + str(ids[0][c]).zfill(2),
+                width_px,
+                height_px,
+                intrinsics[:, c],
+                poses[:, c],
+            )
+            for c in range(num_cameras)
+        ),
+        names=tuple(tuple(str(row[c]) for row in names) for c in range(num_cameras)),
+    )
+
+
+def _table(
+    path: Path, value: dict[str, Any], key: str, shape: tuple[int, int]
+) -> npt.NDArray[np.float64]:
+    try:
+        table = np.array(value[key], np.float64)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise CaptureError(
+            f"{path}: {key} is not a table of {shape[0]}x{shape[1]} matrices"
+        ) from error
+    if table.ndim != 4 or table.shape[2:] != shape or 0 in table.shape:
+        raise CaptureError(
+            f"{path}: {key} has shape {table.shape}, not (frames, cameras, {shape[0]}, {shape[1]})"
+        )
+    return table
+
+
+def _is_grid(table: object, rows: int, columns: int) -> bool:
+    return (
+        isinstance(table, list)
+        and len(table) == rows
+        and all(isinstance(row, list) and len(row) == columns for row in table)
+    )
+
+
+def _still_camera(
+    path: Path,
+    name: str,
+    width_px: int,
+    height_px: int,
+    intrinsics: npt.NDArray[np.float64],  # (T, 3, 3)
+    poses: npt.NDArray[np.float64],  # (T, 4, 4)
+) -> Camera:
+    for what, rows in (("moves", poses), ("changes its lens", intrinsics)):
+        changed = np.abs(rows - rows[:1]).max(axis=(1, 2)) > STILL_TOLERANCE
+        if changed.any():
+            raise CaptureError(
+                f"{path}: {name} {what} at frame {int(np.argmax(changed))}; "
+                "only still cameras can be trained"
+            )
+    k = intrinsics[0]
+    if abs(k[0, 1]) > 1e-3 * abs(k[0, 0]):
+        raise CaptureError(
+            f"{path}: {name} has skewed pixels (k[0][1] = {k[0, 1]:g}); undistort first"
+        )
+    try:
+        return Camera(
+            name=name,
+            width_px=width_px,
+            height_px=height_px,
+            fx_px=float(k[0, 0]),
+            fy_px=float(k[1, 1]),
+            cx_px=float(k[0, 2]),
+            cy_px=float(k[1, 2]),
+            w2c=poses[0].copy(),
+        )
+    except InvalidError as error:
+        raise CaptureError(f"{path}: {error}") from error
+
+
+def _sources(
+    root: Path, cameras: Sequence[Camera], names: Sequence[tuple[str, ...]]
+) -> tuple[FileSource, ...]:
+    """A source for each camera, after one listing per folder has shown that each file is there."""
+    folder = root / "ims"
+    if not folder.is_dir():
+        raise CaptureError(f"{folder}: is missing; the pictures belong there")
+    listed: dict[Path, frozenset[str]] = {}
+    sources = []
+    for camera, below in zip(cameras, names, strict=True):
+        files = []
+        for frame, name in enumerate(below):
+            parts = PurePosixPath(name)
+            if parts.is_absolute() or ".." in parts.parts or not parts.parts:
+                raise CaptureError(
+                    f"{root}: {camera.name} frame {frame}: {name!r} is not a path below ims/"
+                )
+            file = folder / parts
+            if file.parent not in listed:
+                listed[file.parent] = _list_files(file.parent)
+            if file.name not in listed[file.parent]:
+                raise CaptureError(f"{file}: is missing; {camera.name} lacks frame {frame}")
+            files.append(file)
+        source = FileSource(camera, tuple(files))
+        _check_header(source)
+        sources.append(source)
+    return tuple(sources)
+
+
+def _list_files(folder: Path) -> frozenset[str]:
+    try:
+        with os.scandir(folder) as entries:
+            return frozenset(entry.name for entry in entries)
+    except (FileNotFoundError, NotADirectoryError):
+        return frozenset()
+
+
+def _check_header(source: FileSource) -> None:
+    """Compares the declared size with the first picture's; later ones are checked when read."""
+    path = source.files[0]
+    try:
+        with Image.open(path) as image:
+            _check_size(path, image.size, source.camera.width_px, source.camera.height_px)
+    except (OSError, UnidentifiedImageError) as error:
+        raise CaptureError(f"{path}: not a picture that can be read") from error
+
+
+def _check_size(path: Path, size: tuple[int, int], width_px: int, height_px: int) -> None:
+    if size != (width_px, height_px):
+        raise CaptureError(
+            f"{path}: is {size[0]}x{size[1]} px; the meta file declares {width_px}x{height_px} px"
+        )

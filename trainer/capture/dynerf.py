@@ -1,0 +1,181 @@
+"""The DyNeRF layout (Neural 3D Video): one video per camera and the poses in an LLFF file.
+
+    camNN.mp4          a video per camera, in order of file name
+    poses_bounds.npy   (V, 17) float64, one row per video, see `decode_pose`
+    held_out.txt       optional, names of held-out cameras, one a line ("cam00"); without it the
+                       first camera is held out, as the data set's authors do
+    points.npz         optional initial points in the poses' world, see points.py
+
+Videos all have the same number of frames; the frame rate is that of their containers. The unit of
+the poses is taken as a metre. Lens distortion is not described, so the videos must be undistorted
+already.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from codec.camera import Camera
+from codec.errors import InvalidError
+
+from ..errors import CaptureError
+from .capture import Capture, CaptureCamera, PictureSource
+from .points import read_points
+from .rig import rig_depths
+from .video import VideoFacts, VideoSource, probe_video
+
+POSES_NAME = "poses_bounds.npy"
+HELD_OUT_NAME = "held_out.txt"
+POINTS_NAME = "points.npz"
+VIDEO_PATTERN = re.compile(r"cam\d+\.mp4")
+
+FPS_TOLERANCE = 1e-3
+"""Largest relative difference of two cameras' frame rates: containers round their time base."""
+
+_LLFF_FROM_OPENCV = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+"""Camera axes: (down, right, backwards) = M (right, down, forward). M is symmetric and its own
+inverse."""
+
+
+def open_dynerf(root: Path) -> Capture:
+    """The capture in a folder of this layout. Raises CaptureError."""
+    videos = sorted(path for path in root.iterdir() if VIDEO_PATTERN.fullmatch(path.name))
+    if not videos:
+        raise CaptureError(f"{root}: has {POSES_NAME} but no camNN.mp4")
+    rows = read_poses_bounds(root / POSES_NAME)
+    if len(rows) != len(videos):
+        raise CaptureError(
+            f"{root / POSES_NAME}: {len(rows)} poses for {len(videos)} videos; "
+            "there must be one row per camNN.mp4"
+        )
+    facts = [probe_video(path) for path in videos]
+    _check_equal(videos, facts)
+    cameras = []
+    for path, row, fact in zip(videos, rows, facts, strict=True):
+        camera = decode_pose(row, path.stem, root / POSES_NAME)
+        if (fact.width_px, fact.height_px) != (camera.width_px, camera.height_px):
+            raise CaptureError(
+                f"{path}: is {fact.width_px}x{fact.height_px} px; {POSES_NAME} declares "
+                f"{camera.width_px}x{camera.height_px} px"
+            )
+        cameras.append(camera)
+    held_out = _read_held_out(root, [camera.name for camera in cameras])
+    depths = rig_depths(cameras, (float(rows[:, 15].min()), float(rows[:, 16].max())))
+    num_frames = facts[0].num_frames
+
+    def open_images(camera_index: int) -> PictureSource:
+        return VideoSource(videos[camera_index], cameras[camera_index], num_frames)
+
+    return Capture(
+        root=root,
+        layout="dynerf",
+        cameras=tuple(CaptureCamera(camera, camera.name in held_out) for camera in cameras),
+        num_frames=num_frames,
+        fps=facts[0].fps,
+        points=read_points(root / POINTS_NAME) if (root / POINTS_NAME).is_file() else None,
+        near_m=depths[0] if depths else None,
+        far_m=depths[1] if depths else None,
+        opener=open_images,
+    )
+
+
+def read_poses_bounds(path: Path) -> npt.NDArray[np.float64]:
+    """(V, 17) the rows of a poses_bounds.npy. Raises CaptureError."""
+    try:
+        rows = np.load(path, allow_pickle=False)
+    except FileNotFoundError as error:
+        raise CaptureError(f"{path}: is missing; it holds the cameras' poses") from error
+    except (OSError, ValueError, EOFError, TypeError, SyntaxError) as error:
+        raise CaptureError(f"{path}: not a .npy file of numbers: {error}") from error
+    if not isinstance(rows, np.ndarray) or rows.ndim != 2 or rows.shape[1] != 17:
+        raise CaptureError(f"{path}: has shape {getattr(rows, 'shape', None)}, not (cameras, 17)")
+    if rows.dtype.kind not in "fiu" or not np.isfinite(rows).all():
+        raise CaptureError(f"{path}: holds values that are not finite numbers")
+    if not ((rows[:, 15] > 0) & (rows[:, 16] > rows[:, 15])).all():
+        raise CaptureError(f"{path}: a row has no 0 < near < far in its last two columns")
+    return rows.astype(np.float64)
+
+
+def decode_pose(row: npt.NDArray[np.float64], name: str, path: Path) -> Camera:
+    """The camera of one row of poses_bounds.npy. Raises CaptureError, naming `path`.
+
+    Columns 0..14 are a 3x5 matrix, row by row: [R | t | (H, W, f)]. [R | t] is camera to world, t
+    the centre, f the focal length in pixels. The columns of R are the camera's axes down, right,
+    backwards in the world. OpenCV's are right, down, forward, so with M the matrix above R_cv = R M
+    (swap the first two columns, negate the third), and the pose is w2c = [R_cv^T | -R_cv^T t]. The
+    principal point is the middle of the picture, W/2, H/2, where the first pixel's centre is (0.5,
+    0.5).
+    """
+    matrix = row[:15].reshape(3, 5)
+    height, width, focal = matrix[:, 4]
+    if width != int(width) or height != int(height):
+        raise CaptureError(f"{path}: {name}: size {width:g}x{height:g} px is not whole")
+    rotation = matrix[:, :3] @ _LLFF_FROM_OPENCV
+    w2c = np.eye(4)
+    w2c[:3, :3] = rotation.T
+    w2c[:3, 3] = -rotation.T @ matrix[:, 3]
+    try:
+        return Camera(
+            name, int(width), int(height), focal, focal, width / 2, height / 2, w2c
+        )  # fmt: skip
+    except InvalidError as error:
+        raise CaptureError(f"{path}: {error}") from error
+
+
+def encode_pose(camera: Camera, near_m: float, far_m: float) -> npt.NDArray[np.float64]:
+    """(17,) the row that `decode_pose` reads.
+
+    Raises InvalidError for a camera that the row cannot describe: unequal focal lengths, or a
+    principal point off the middle.
+    """
+    middle = (camera.width_px / 2, camera.height_px / 2)
+    if camera.fx_px != camera.fy_px or (camera.cx_px, camera.cy_px) != middle:
+        raise InvalidError(
+            f"camera {camera.name}: LLFF poses hold one focal length and no principal point"
+        )
+    rotation = camera.w2c[:3, :3].T @ _LLFF_FROM_OPENCV
+    size = np.array([camera.height_px, camera.width_px, camera.fx_px])
+    matrix = np.column_stack([rotation, camera.position, size])
+    return np.concatenate([matrix.ravel(), [near_m, far_m]])
+
+
+def _check_equal(videos: Sequence[Path], facts: Sequence[VideoFacts]) -> None:
+    usual, _ = Counter(fact.num_frames for fact in facts).most_common(1)[0]
+    odd = [
+        f"{path.name} has {fact.num_frames}"
+        for path, fact in zip(videos, facts, strict=True)
+        if fact.num_frames != usual
+    ]
+    if odd:
+        raise CaptureError(
+            f"{videos[0].parent}: the videos differ in length: {', '.join(odd)}, "
+            f"the others {usual} frames; cut them to the same frames"
+        )
+    for path, fact in zip(videos, facts, strict=True):
+        if abs(fact.fps - facts[0].fps) > FPS_TOLERANCE * facts[0].fps:
+            raise CaptureError(
+                f"{path}: {fact.fps:.3f} frames per second, "
+                f"{videos[0].name} {facts[0].fps:.3f}; they must agree"
+            )
+
+
+def _read_held_out(root: Path, names: Sequence[str]) -> frozenset[str]:
+    path = root / HELD_OUT_NAME
+    if not path.is_file():
+        return frozenset(names[:1])
+    try:
+        listed = path.read_text(encoding="utf-8").split()
+    except UnicodeDecodeError as error:
+        raise CaptureError(f"{path}: not text: {error}") from error
+    for name in listed:
+        if name not in names:
+            raise CaptureError(
+                f"{path}: {name!r} is no camera of this capture, such as {names[0]!r}"
+            )
+    return frozenset(listed)

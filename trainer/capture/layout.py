@@ -1,0 +1,29 @@
+"""Which layout a folder has."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..errors import CaptureError
+from .capture import Capture
+from .dynamic3dgs import META_NAMES, open_dynamic3dgs
+from .dynerf import POSES_NAME, VIDEO_PATTERN, open_dynerf
+
+
+def open_capture(path: Path) -> Capture:
+    """The capture in a folder of a known layout; no picture is decoded yet. Raises CaptureError."""
+    if not path.exists():
+        raise CaptureError(f"{path}: no such folder")
+    if not path.is_dir():
+        raise CaptureError(f"{path}: not a folder; name the folder that holds the capture")
+    names = sorted(entry.name for entry in path.iterdir())
+    if not names:
+        raise CaptureError(f"{path}: the folder is empty")
+    if any(name in META_NAMES for name in names):
+        return open_dynamic3dgs(path)
+    if POSES_NAME in names or any(VIDEO_PATTERN.fullmatch(name) for name in names):
+        return open_dynerf(path)
+    raise CaptureError(
+        f"{path}: unknown layout; expected {META_NAMES[0]} with ims/ (Dynamic 3D Gaussians) "
+        f"or camNN.mp4 files with {POSES_NAME} (DyNeRF)"
+    )

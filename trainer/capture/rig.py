@@ -1,0 +1,62 @@
+"""What the cameras' poses alone say about the scene: where it is and how deep."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from codec.camera import Camera
+
+FORWARD_FACING_RAD = np.radians(30)
+"""Axes that all lie within this angle of their mean belong to a forward-facing rig: they hardly
+cross, so their crossing says nothing about the scene."""
+
+NEAR_FRACTION = 0.35
+"""Near plane of an inward rig, in distances from its nearest camera to the centre. Cameras of a
+dome sit in its wall, so Gaussians of the wall would stand right before a held-out camera and hide
+the scene."""
+
+
+def rig_centre(cameras: Sequence[Camera]) -> npt.NDArray[np.float64] | None:
+    """(3,) the point closest to all optical axes, metres; None unless all cameras face it.
+
+    Least squares: the squared distance of x to the axis (c, d) is |(I - d d^T)(x - c)|^2, so x
+    solves sum(I - d d^T) x = sum((I - d d^T) c).
+    """
+    if not cameras:
+        return None
+    positions = np.array([camera.position for camera in cameras])  # (C, 3)
+    axes = np.array([camera.forward for camera in cameras])  # (C, 3)
+    mean = axes.mean(axis=0)
+    norm = float(np.linalg.norm(mean))
+    if norm > 0 and float((axes @ mean).min()) >= norm * np.cos(FORWARD_FACING_RAD):
+        return None
+    projectors = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # (C, 3, 3)
+    system = projectors.sum(axis=0)
+    if np.linalg.cond(system) > 1e6:
+        return None
+    centre: npt.NDArray[np.float64] = np.linalg.solve(
+        system, np.einsum("cij,cj->i", projectors, positions)
+    )
+    depths = ((centre - positions) * axes).sum(axis=1)
+    return centre if float(depths.min()) > 0 else None
+
+
+def rig_depths(
+    cameras: Sequence[Camera], bounds_m: tuple[float, float] | None = None
+) -> tuple[float, float] | None:
+    """(near, far) in metres that suit every camera of the rig.
+
+    An inward rig is measured: near is 0.35 of the least distance from a camera to the rig's centre;
+    far is 1.2 of the largest distance between two cameras, but at least 2 of the largest distance
+    to the centre. Any other rig gets `bounds_m`, what the capture itself declares, or None.
+    """
+    centre = rig_centre(cameras)
+    if centre is None:
+        return bounds_m
+    positions = np.array([camera.position for camera in cameras])
+    distances = np.linalg.norm(positions - centre, axis=1)
+    span = float(np.linalg.norm(positions[:, None] - positions[None], axis=2).max())
+    return NEAR_FRACTION * float(distances.min()), max(1.2 * span, 2 * float(distances.max()))

@@ -1,0 +1,207 @@
+"""Frames of a video by number, through PyAV.
+
+Reading forward decodes each frame once. Any other frame is reached from the key frame before it,
+found by the time stamps of the file's packets, so that a frame number means the same picture
+whichever way one comes to it.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+
+import av
+import av.container
+import av.error
+import av.video.stream
+import numpy as np
+
+from codec.camera import Camera
+
+from ..errors import CaptureError
+from .capture import Picture, check_frame
+
+MAX_SKIP_FRAMES = 12
+"""Frames decoded and dropped rather than looking for a nearer key frame: about as dear as a
+seek."""
+
+
+@dataclass(frozen=True, slots=True)
+class VideoFacts:
+    """What a container says about its video, without decoding it."""
+
+    width_px: int
+    height_px: int
+    num_frames: int
+    fps: float
+
+
+@dataclass(frozen=True, slots=True)
+class _TimeTable:
+    """The presentation times of a video, in units of its time base."""
+
+    frames: tuple[int, ...]
+    """Of each frame, ascending."""
+    keys: tuple[int, ...]
+    """Of each key frame, ascending."""
+
+
+def probe_video(path: Path) -> VideoFacts:
+    """The facts of a video file. Raises CaptureError when it is none.
+
+    The frame count comes from the sample table of an MP4 file, unless the file's duration
+    contradicts it (an edit list hides frames); then, and for other containers, the packets are
+    counted.
+    """
+    try:
+        with _open_container(path) as container:
+            stream = _video_stream(path, container)
+            if container.format.name.endswith("_pipe"):
+                raise CaptureError(f"{path}: a still picture, not a video")
+            rate = stream.average_rate or stream.guessed_rate
+            if not rate:
+                raise CaptureError(f"{path}: the video tells no frame rate")
+            fps = float(rate)
+            num_frames = stream.frames if "mp4" in container.format.name else 0
+            shown = float(container.duration or 0) / 1e6 * fps
+            if num_frames == 0 or abs(shown - num_frames) > 1.5:
+                num_frames = len(_read_times(path, container, stream).frames)
+            size = stream.codec_context.width, stream.codec_context.height
+    except av.error.FFmpegError as error:
+        raise CaptureError(f"{path}: not a video that can be read: {error.strerror}") from error
+    if num_frames == 0:
+        raise CaptureError(f"{path}: the video has no frames")
+    return VideoFacts(*size, num_frames, fps)
+
+
+class VideoSource:
+    """Pictures of one camera, a video. Keeps its decoder open between reads.
+
+    One thread at a time. The decoder runs in that thread: with dozens of cameras open,
+    frame-parallel decoders would hold a dozen pictures each.
+    """
+
+    def __init__(self, path: Path, camera: Camera, num_frames: int) -> None:
+        self._path = path
+        self._camera = camera
+        self._num_frames = num_frames
+        self._container: av.container.InputContainer | None = None
+        self._decoded: Iterator[av.VideoFrame] = iter(())
+        self._next = 0  # the number of the frame that _decoded yields next
+        self._table: _TimeTable | None = None
+        self.decoded_frames = 0
+        """Frames decoded so far, also those passed over on the way to another."""
+
+    def read(self, frame: int) -> Picture:
+        check_frame(frame, self._num_frames, self._camera.name)
+        try:
+            self._approach(frame)
+            while True:
+                picture = next(self._decoded, None)
+                if picture is None:
+                    raise self._too_short(frame)
+                self.decoded_frames += 1
+                self._next += 1
+                if self._next > frame:
+                    return self._as_rgb(picture)
+        except av.error.FFmpegError as error:
+            self.close()
+            raise CaptureError(
+                f"{self._path}: frame {frame} cannot be decoded: {error.strerror}"
+            ) from error
+
+    def close(self) -> None:
+        if self._container is not None:
+            self._container.close()
+            self._container = None
+            self._decoded = iter(())
+
+    def _approach(self, frame: int) -> None:
+        """Lets _decoded stand at the frame, or before it with no key frame in between."""
+        opened = self._container is not None
+        if opened and self._next <= frame <= self._next + MAX_SKIP_FRAMES:
+            return
+        container, stream = self._open()
+        if not opened and frame <= MAX_SKIP_FRAMES:
+            return
+        if self._table is None:
+            with _open_container(self._path) as counted:
+                self._table = _read_times(self._path, counted, _video_stream(self._path, counted))
+        times, keys = self._table.frames, self._table.keys
+        if frame >= len(times):
+            raise self._too_short(frame)
+        key = bisect_right(keys, times[frame]) - 1
+        if opened and self._next <= frame and (key < 0 or keys[key] <= times[self._next]):
+            return
+        # A seek may land behind the frame (open groups of pictures drop their first frames): go
+        # back key by key.
+        for target in keys[max(key, 0) :: -1]:
+            container.seek(target, stream=stream, backward=True)
+            self._decoded = container.decode(stream)
+            landed = next(self._decoded, None)
+            if landed is None or landed.pts is None:
+                continue
+            if landed.pts <= times[frame]:
+                self._next = bisect_right(times, landed.pts) - 1
+                self._decoded = chain([landed], self._decoded)
+                return
+            self.decoded_frames += 1
+        self.close()
+        self._open()
+
+    def _open(self) -> tuple[av.container.InputContainer, av.video.stream.VideoStream]:
+        if self._container is None:
+            container = _open_container(self._path)
+            stream = _video_stream(self._path, container)
+            stream.codec_context.thread_count = 1
+            self._container = container
+            self._decoded = container.decode(stream)
+            self._next = 0
+        return self._container, _video_stream(self._path, self._container)
+
+    def _too_short(self, frame: int) -> CaptureError:
+        return CaptureError(
+            f"{self._path}: ends before frame {frame} of the {self._num_frames} that it declares"
+        )
+
+    def _as_rgb(self, picture: av.VideoFrame) -> Picture:
+        if (picture.width, picture.height) != (self._camera.width_px, self._camera.height_px):
+            raise CaptureError(
+                f"{self._path}: a frame is {picture.width}x{picture.height} px, not "
+                f"{self._camera.width_px}x{self._camera.height_px} px"
+            )
+        return np.ascontiguousarray(picture.to_ndarray(format="rgb24"), np.uint8)
+
+
+def _open_container(path: Path) -> av.container.InputContainer:
+    # Only local files: a playlist under a video's name must not reach for the network. The prefix
+    # keeps a colon in a path from being read as a protocol.
+    return av.open(f"file:{path}", options={"protocol_whitelist": "file"})
+
+
+def _video_stream(
+    path: Path, container: av.container.InputContainer
+) -> av.video.stream.VideoStream:
+    if not container.streams.video:
+        raise CaptureError(f"{path}: holds no video")
+    return container.streams.video[0]
+
+
+def _read_times(
+    path: Path, container: av.container.InputContainer, stream: av.video.stream.VideoStream
+) -> _TimeTable:
+    """Reads every packet, decoding none."""
+    frames: list[int] = []
+    keys: list[int] = []
+    for packet in container.demux(stream):
+        if packet.size == 0 or packet.is_discard:
+            continue
+        if packet.pts is None:
+            raise CaptureError(f"{path}: a packet has no time stamp; remux the video into MP4")
+        frames.append(packet.pts)
+        if packet.is_keyframe:
+            keys.append(packet.pts)
+    return _TimeTable(tuple(sorted(frames)), tuple(sorted(keys)))

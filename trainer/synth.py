@@ -1,0 +1,331 @@
+"""`swings-synth`: a procedural capture, so that everything here can be tried without anyone's data.
+
+A figure walks and waves in a room beside a bouncing ball (synth_motion.py, synth_scene.py). The
+capture has the DyNeRF layout of capture/dynerf.py, ground truth for every camera, and coloured
+points on the surfaces of frame 0, as a structure-from-motion tool would give them.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import av.video.stream
+import numpy as np
+import numpy.typing as npt
+import tyro
+from av.video.reformatter import ColorRange, Colorspace
+from rich.console import Console
+from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
+
+from codec.camera import Camera
+from codec.errors import InvalidError
+
+from .capture.dynerf import HELD_OUT_NAME, POINTS_NAME, POSES_NAME, encode_pose
+from .errors import CaptureError
+from .synth_motion import Moving, moving_parts
+from .synth_scene import (
+    LAMP_AT,
+    ROOM,
+    Boxes,
+    Parts,
+    camera_rig,
+    fixtures,
+    furniture,
+    held_out_cameras,
+    pictures,
+)
+from .synth_trace import BUFFER_COLUMNS, RAYS_PER_PIXEL, trace_frame, trace_room
+
+Picture = npt.NDArray[np.uint8]
+Floats = npt.NDArray[np.float32]
+
+MAX_SIDE_PX = 4096
+"""Largest width or height: one camera's room buffer takes 208 bytes a pixel."""
+BT709 = 1
+"""Code of BT.709 for matrix, primaries and transfer in H.264."""
+KEY_FRAME_S = 1.0
+"""Time between key frames: what a random access may have to decode."""
+
+
+@dataclass(frozen=True)
+class SynthConfig:
+    """A procedural capture of a walking figure and a bouncing ball, in the DyNeRF layout."""
+
+    out: tyro.conf.Positional[Path]
+    """Folder to make; must be missing or empty."""
+    frames: int = 60
+    """Frames of every camera."""
+    fps: float = 30.0
+    """Frames per second."""
+    cameras: int = 16
+    """Cameras on the arc, the held-out ones among them."""
+    held_out: int = 2
+    """Cameras kept out of training, evenly between the others."""
+    width_px: int = 320
+    """Width of the pictures."""
+    height_px: int = 180
+    """Height of the pictures."""
+    arc_deg: float = 200.0
+    """Angle between the first and the last camera, seen from the middle of the room."""
+    points: int = 12_000
+    """Points on the surfaces that training cameras see at frame 0; 0 writes none."""
+    seed: int = 0
+    """Of the textures, and of where the motion starts."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """All that every camera sees: the room, and the moving parts of every frame."""
+
+    boxes: Boxes
+    fixtures: Parts
+    pictures: npt.NDArray[np.float64]
+    moving: tuple[Moving, ...]
+    seed: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """What filming one camera gave besides its video."""
+
+    near_m: float
+    """Least depth of anything seen, metres."""
+    far_m: float
+    """Largest."""
+    xyz: Floats  # (P, 3) metres, world: sampled from frame 0
+    rgb: Picture  # (P, 3)
+
+
+def synthesise(config: SynthConfig, console: Console | None = None) -> None:
+    """Writes the capture to `config.out`; nothing stands there before it is complete.
+
+    console: where the progress bar goes, standard error if None. Raises InvalidError for numbers
+    that make no capture, CaptureError when the folder is taken.
+    """
+    check_config(config)
+    out = config.out
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise CaptureError(f"{out}: exists and is not an empty folder; name a new one")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    partial = Path(tempfile.mkdtemp(prefix=f".{out.name}.", suffix=".partial", dir=out.parent))
+    try:
+        _write_capture(config, partial, console or Console(stderr=True))
+        partial.chmod(0o755)
+        if out.exists():
+            out.rmdir()
+        partial.rename(out)
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+
+
+def check_config(config: SynthConfig) -> None:
+    """Raises InvalidError for numbers that make no capture."""
+    for name, value, least, most in (
+        ("frames", config.frames, 1, 1_000_000),
+        ("fps", config.fps, 0.1, 1000),
+        ("cameras", config.cameras, 1, 256),
+        ("width_px", config.width_px, 16, MAX_SIDE_PX),
+        ("height_px", config.height_px, 16, MAX_SIDE_PX),
+        ("arc_deg", config.arc_deg, 0, 340),
+        ("points", config.points, 0, 10_000_000),
+        ("seed", config.seed, 0, 1_000_000),
+        ("held_out", config.held_out, 0, max(0, config.cameras - 2)),
+    ):
+        if not least <= value <= most:
+            raise InvalidError(f"{name} {value:g}: must be between {least:g} and {most:g}")
+
+
+def make_scene(num_frames: int, fps: float, seed: int) -> Scene:
+    """The scene over a time."""
+    moving = tuple(moving_parts(frame / fps, seed) for frame in range(num_frames))
+    return Scene(furniture(), fixtures(seed), pictures(), moving, seed)
+
+
+class Studio:
+    """One camera's view of a scene: the room is traced at construction, frames on demand."""
+
+    def __init__(self, scene: Scene, camera: Camera) -> None:
+        self._scene = scene
+        self._camera = camera
+        size = camera.height_px, camera.width_px
+        self._buffer = np.empty((*size, RAYS_PER_PIXEL, BUFFER_COLUMNS), np.float32)
+        self._room = np.empty((*size, 3), np.uint8)
+        lens = [camera.fx_px, camera.cx_px, camera.cy_px]
+        pose = np.concatenate([camera.w2c[:3, :3].ravel(), camera.position, lens])
+        boxes, parts = scene.boxes, scene.fixtures
+        trace_room(
+            pose, ROOM, LAMP_AT, boxes.places, boxes.patterns, boxes.colours,
+            parts.cones, parts.frames, parts.patterns, parts.colours,
+            scene.pictures, scene.seed, self._buffer, self._room,
+        )  # fmt: skip
+        # Directions of each pixel's first ray, a quarter pixel in from its corner.
+        rows, columns = np.mgrid[: size[0], : size[1]] + 0.25
+        x, y = (columns - camera.cx_px) / camera.fx_px, (rows - camera.cy_px) / camera.fx_px
+        directions = np.stack([x, y, np.ones_like(x)], axis=-1)
+        self._depth_per_m = (1 / np.linalg.norm(directions, axis=-1)).astype(np.float32)
+        self._directions = (directions * self._depth_per_m[..., None]) @ camera.w2c[:3, :3]
+
+    def film(self, frame: int) -> tuple[Picture, Floats]:
+        """(picture (h, w, 3), distance (h, w) in metres along each pixel's first ray)."""
+        picture = np.empty_like(self._room)
+        distance = np.empty(self._room.shape[:2], np.float32)
+        moving = self._scene.moving[frame]
+        parts = moving.parts
+        trace_frame(
+            self._camera.position, LAMP_AT, parts.cones, parts.frames, parts.patterns,
+            parts.colours, moving.groups, self._windows(moving), self._scene.seed, self._buffer,
+            self._room, picture, distance,
+        )  # fmt: skip
+        return picture, distance
+
+    def _windows(self, moving: Moving) -> npt.NDArray[np.int64]:
+        """(G, 4) first column, last column, first row, last row that can show each group."""
+        camera = self._camera
+        windows = np.empty((len(moving.groups), 4), np.int64)
+        for window, group in zip(windows, moving.groups, strict=True):
+            x, y, z = camera.w2c[:3, :3] @ group[2:5] + camera.w2c[:3, 3]
+            radius_m = group[5]
+            if z - radius_m < 0.1:
+                window[:] = 0, camera.width_px, 0, camera.height_px
+                continue
+            # A sphere off the axis spreads by at most 1 / cos^2 of its angle, seen from its near
+            # side.
+            away = (x * x + y * y + z * z) / (z * z)
+            reach_px = camera.fx_px * radius_m / (z - radius_m) * away + 1
+            column = camera.fx_px * x / z + camera.cx_px
+            row = camera.fx_px * y / z + camera.cy_px
+            window[:] = column - reach_px, column + reach_px, row - reach_px, row + reach_px
+        return windows
+
+    def depth_range(self, distance: Floats) -> tuple[float, float]:
+        """(least, largest) depth of what a frame shows, metres."""
+        depth = distance * self._depth_per_m
+        return float(depth.min()), float(depth.max())
+
+    def sample_points(
+        self, picture: Picture, distance: Floats, count: int, rng: np.random.Generator
+    ) -> tuple[Floats, Picture]:
+        """(xyz, rgb) of what randomly chosen pixels show."""
+        rows = rng.integers(0, picture.shape[0], count)
+        columns = rng.integers(0, picture.shape[1], count)
+        ways = self._directions[rows, columns] * distance[rows, columns, None]
+        return (self._camera.position + ways).astype(np.float32), picture[rows, columns]
+
+
+def _write_capture(config: SynthConfig, folder: Path, console: Console) -> None:
+    scene = make_scene(config.frames, config.fps, config.seed)
+    arc_rad = float(np.radians(config.arc_deg))
+    cameras = camera_rig(config.cameras, config.width_px, config.height_px, arc_rad)
+    held_out = held_out_cameras(cameras, config.held_out)
+    training = [camera.name for camera in cameras if camera.name not in held_out]
+    per_camera = -(-config.points // len(training))
+    with Progress(
+        *Progress.get_default_columns()[:2],
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        disable=not console.is_terminal,
+    ) as progress:
+        task = progress.add_task("frames", total=config.frames * config.cameras)
+
+        def shoot(camera: Camera) -> Shot:
+            count = per_camera if camera.name in training else 0
+            return _shoot(
+                config, folder, scene, camera, count, lambda: progress.advance(task)
+            )  # fmt: skip
+
+        shots = _in_threads(shoot, cameras)
+    rows = [encode_pose(c, s.near_m, s.far_m) for c, s in zip(cameras, shots, strict=True)]
+    np.save(folder / POSES_NAME, np.stack(rows))
+    (folder / HELD_OUT_NAME).write_text("".join(f"{name}\n" for name in held_out))
+    if config.points:
+        xyz = np.concatenate([shot.xyz for shot in shots])[: config.points]
+        rgb = np.concatenate([shot.rgb for shot in shots])[: config.points]
+        np.savez(folder / POINTS_NAME, xyz=xyz, rgb=rgb)
+
+
+def _in_threads(shoot: Callable[[Camera], Shot], cameras: Sequence[Camera]) -> list[Shot]:
+    """What `shoot` gives for each camera; a failure or an interrupt stops cameras not yet begun."""
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        futures = [pool.submit(shoot, camera) for camera in cameras]
+        try:
+            for future in as_completed(futures):
+                future.result()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return [future.result() for future in futures]
+
+
+def _shoot(
+    config: SynthConfig,
+    folder: Path,
+    scene: Scene,
+    camera: Camera,
+    num_points: int,
+    advance: Callable[[], None],
+) -> Shot:
+    """Films one camera into its video."""
+    studio = Studio(scene, camera)
+    near_m, far_m = np.inf, 0.0
+    xyz, rgb = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)
+    with VideoWriter(folder / f"{camera.name}.mp4", camera, config.fps) as video:
+        for frame in range(config.frames):
+            picture, distance = studio.film(frame)
+            video.write(picture)
+            low_m, high_m = studio.depth_range(distance)
+            near_m, far_m = min(near_m, low_m), max(far_m, high_m)
+            if frame == 0 and num_points:
+                rng = np.random.default_rng([config.seed, int(camera.name[3:])])
+                xyz, rgb = studio.sample_points(picture, distance, num_points, rng)
+            advance()
+    return Shot(near_m, far_m, xyz, rgb)
+
+
+class VideoWriter:
+    """A lossless H.264 video in full colour resolution, tagged BT.709.
+
+    What remains is the rounding of 8-bit RGB to YUV and back, 52 dB. Lossy settings cost 6 to 14 dB
+    of that, and the videos are the ground truth of every measurement made with them.
+    """
+
+    def __init__(self, path: Path, camera: Camera, fps: float) -> None:
+        self._container = av.open(f"file:{path}", "w")  # the prefix allows colons in the path
+        stream = self._container.add_stream(
+            "libx264",
+            rate=Fraction(fps).limit_denominator(1001),
+            options={"qp": "0", "preset": "veryfast"},
+        )
+        stream.width, stream.height = camera.width_px, camera.height_px
+        stream.pix_fmt = "yuv444p"
+        context = stream.codec_context
+        context.gop_size = max(1, round(fps * KEY_FRAME_S))
+        context.thread_count = 1
+        context.colorspace = context.color_primaries = context.color_trc = BT709
+        context.color_range = ColorRange.MPEG
+        self._stream: av.video.stream.VideoStream = stream
+
+    def write(self, picture: Picture) -> None:
+        """Adds a frame, (h, w, 3) RGB."""
+        frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
+        frame = frame.reformat(format="yuv444p", dst_colorspace=Colorspace.ITU709)
+        self._container.mux(self._stream.encode(frame))
+
+    def __enter__(self) -> VideoWriter:
+        return self
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        try:
+            if kind is None:
+                self._container.mux(self._stream.encode())
+        finally:
+            self._container.close()

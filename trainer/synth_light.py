@@ -1,0 +1,206 @@
+"""Light in the synthetic scene: one soft lamp, a fill without shadow, and ambient light.
+
+Ambient light comes from above and below and is darkened by what is near. All of it depends on the
+place alone, not on the viewer.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from numba import njit
+
+from .synth_paint import LAMP, Rgb
+from .synth_solid import Vector, ahead, dot, hit_box
+
+LAMP_RADIUS_M = 0.3
+"""Radius of the lamp as a light: how soft shadows are."""
+LAMP_FULL_M = 2.9
+"""Distance at which the lamp gives its nominal light."""
+LAMP_LIGHT: Rgb = (1.95, 1.76, 1.44)
+
+REACH_RADII = 7.0
+"""How far a part darkens the ambient light, in its radii."""
+
+_AMBIENT_UP: Rgb = (0.40, 0.41, 0.43)
+_AMBIENT_DOWN: Rgb = (0.23, 0.20, 0.18)
+_FILL: Rgb = (0.20, 0.25, 0.31)
+_FILL_TO: Vector = (-0.64, -0.45, -0.62)
+_EXPOSURE = 1.25
+
+
+@njit(cache=True, error_model="numpy")
+def light_of_lamp(p: Vector, n: Vector, lamp: Any) -> float:
+    """The unshadowed lamp's light on a surface, in its nominal strength."""
+    v = (lamp[0] - p[0], lamp[1] - p[1], lamp[2] - p[2])
+    d2 = dot(v, v)
+    cosine = dot(v, n) / math.sqrt(d2)
+    return max(0.0, cosine) * min(2.0, LAMP_FULL_M * LAMP_FULL_M / (d2 + 0.5))
+
+
+@njit(cache=True, error_model="numpy")
+def shadow_of_parts(
+    p: Vector, lamp: Any, parts: Any, patterns: Any, first: int, last: int, skip: int
+) -> float:
+    """How much of the lamp is seen from p past the parts first..last - 1, 0..1.
+
+    Each part hides the lamp by how far the ray to its middle passes the part's axis, over the
+    penumbra's half width at that distance; the part that hides most counts.
+    """
+    d = (lamp[0] - p[0], lamp[1] - p[1], lamp[2] - p[2])
+    reach = math.sqrt(dot(d, d))
+    d = (d[0] / reach, d[1] / reach, d[2] / reach)
+    seen = 1.0
+    for i in range(first, last):
+        if i == skip or patterns[i] == LAMP:
+            continue
+        around = (parts[i, 8] - p[0], parts[i, 9] - p[1], parts[i, 10] - p[2])
+        t = dot(around, d)
+        widest = parts[i, 11] + LAMP_RADIUS_M * max(0.0, t + parts[i, 11]) / reach + 2e-3
+        if dot(around, around) - t * t > widest * widest:
+            continue
+        m = (p[0] - parts[i, 0], p[1] - parts[i, 1], p[2] - parts[i, 2])
+        axis = (parts[i, 4] - parts[i, 0], parts[i, 5] - parts[i, 1], parts[i, 6] - parts[i, 2])
+        c, md = dot(axis, axis), dot(m, d)
+        # Closest places p + t d and a + h axis: set the derivatives by t and h to zero, then clamp.
+        b, ma = dot(d, axis), dot(m, axis)
+        h = 0.0
+        if c - b * b > 1e-9:
+            h = min(1.0, max(0.0, (ma - b * md) / (c - b * b)))
+        t = min(reach, max(0.0, h * b - md))
+        if c > 1e-9:
+            h = min(1.0, max(0.0, (ma + t * b) / c))
+        gap = (
+            m[0] + t * d[0] - h * axis[0],
+            m[1] + t * d[1] - h * axis[1],
+            m[2] + t * d[2] - h * axis[2],
+        )
+        radius = parts[i, 3] + h * (parts[i, 7] - parts[i, 3])
+        soft = max(2e-3, LAMP_RADIUS_M * t / reach)
+        x = (math.sqrt(dot(gap, gap)) - radius + soft) / (2.0 * soft)
+        if x < 1.0:
+            x = max(0.0, x)
+            seen = min(seen, x * x * (3.0 - 2.0 * x))
+    return seen
+
+
+@njit(cache=True, error_model="numpy")
+def ambient_of_parts(p: Vector, n: Vector, parts: Any, first: int, last: int, skip: int) -> float:
+    """How much ambient light the parts first..last - 1 leave at p, 0..1."""
+    left = 1.0
+    for i in range(first, last):
+        if i == skip:
+            continue
+        around = (parts[i, 8] - p[0], parts[i, 9] - p[1], parts[i, 10] - p[2])
+        reach = parts[i, 11] + (REACH_RADII - 1.0) * max(parts[i, 3], parts[i, 7])
+        if dot(around, around) > reach * reach:
+            continue
+        m = (p[0] - parts[i, 0], p[1] - parts[i, 1], p[2] - parts[i, 2])
+        axis = (parts[i, 4] - parts[i, 0], parts[i, 5] - parts[i, 1], parts[i, 6] - parts[i, 2])
+        c = dot(axis, axis)
+        h = 0.0
+        if c > 1e-9:
+            h = min(1.0, max(0.0, dot(m, axis) / c))
+        radius = parts[i, 3] + h * (parts[i, 7] - parts[i, 3])
+        v = (h * axis[0] - m[0], h * axis[1] - m[1], h * axis[2] - m[2])
+        d2 = max(dot(v, v), 1e-9)
+        facing = dot(v, n) / math.sqrt(d2)
+        if facing > 0:
+            # A sphere's share of the sky; the tail is cut, so that it ends at REACH_RADII.
+            solid = facing * min(1.0, radius * radius / d2) - 1.0 / REACH_RADII**2
+            left *= 1.0 - 0.75 * max(0.0, solid)
+    return left
+
+
+@njit(cache=True, error_model="numpy")
+def ambient_of_room(p: Vector, n: Vector, boxes: Any, half_m: float, height_m: float) -> float:
+    """How much ambient light the room's corners and boxes leave at p, 0..1."""
+    left = 1.0
+    for axis in range(3):
+        if abs(n[axis]) > 0.9:
+            continue
+        low = half_m + p[axis] if axis != 1 else height_m + p[1]
+        high = half_m - p[axis] if axis != 1 else -p[1]
+        left *= 1.0 - 0.42 * math.exp(-max(0.0, low) / 0.22)
+        left *= 1.0 - 0.42 * math.exp(-max(0.0, high) / 0.22)
+    for i in range(boxes.shape[0]):
+        cos, sin = boxes[i, 6], boxes[i, 7]
+        x, y, z = p[0] - boxes[i, 0], p[1] - boxes[i, 1], p[2] - boxes[i, 2]
+        u, w = cos * x + sin * z, cos * z - sin * x
+        gu = max(0.0, abs(u) - boxes[i, 3])
+        gy = max(0.0, abs(y) - boxes[i, 4])
+        gw = max(0.0, abs(w) - boxes[i, 5])
+        gap = math.sqrt(gu * gu + gy * gy + gw * gw)
+        if 1e-6 < gap < 1.2:
+            left *= 1.0 - 0.5 * math.exp(-gap / 0.14)
+    return left
+
+
+@njit(cache=True, error_model="numpy")
+def lamp_past_boxes(p: Vector, n: Vector, lamp: Any, boxes: Any) -> float:
+    """The part of the lamp that the boxes leave in sight, of 4 x 4 places on its disc."""
+    o = ahead(p, n, 1e-4)
+    to = (lamp[0] - o[0], lamp[1] - o[1], lamp[2] - o[2])
+    near = 0  # bits of the boxes that come near the way to the lamp
+    for k in range(boxes.shape[0]):
+        v = (boxes[k, 0] - o[0], boxes[k, 1] - o[1], boxes[k, 2] - o[2])
+        along = min(1.0, max(0.0, dot(v, to) / dot(to, to)))
+        e = ahead(v, to, -along)
+        radius = math.sqrt(boxes[k, 3] ** 2 + boxes[k, 4] ** 2 + boxes[k, 5] ** 2)
+        if dot(e, e) < (radius + LAMP_RADIUS_M) ** 2:
+            near |= 1 << k
+    if near == 0:
+        return 1.0
+    seen = 0
+    for i in range(16):
+        sx, sz = ((i % 4) - 1.5) / 2.0 * LAMP_RADIUS_M, ((i // 4) - 1.5) / 2.0 * LAMP_RADIUS_M
+        to = (lamp[0] + sx - o[0], lamp[1] - o[1], lamp[2] + sz - o[2])
+        reach = math.sqrt(dot(to, to))
+        d = (to[0] / reach, to[1] / reach, to[2] / reach)
+        free = 1
+        for k in range(boxes.shape[0]):
+            if near & (1 << k) and hit_box(o, d, boxes, k)[0] < reach:
+                free = 0
+                break
+        seen += free
+    return seen / 16.0
+
+
+@njit(cache=True, error_model="numpy")
+def light_past_groups(
+    p: Vector, n: Vector, lamp: Any, parts: Any, patterns: Any, groups: Any, skip: int
+) -> tuple[float, float]:
+    """(ambient, lamp): what the groups of moving parts leave of either light at p, 0..1."""
+    ambient, key = 1.0, 1.0
+    to = (lamp[0] - p[0], lamp[1] - p[1], lamp[2] - p[2])
+    for g in range(groups.shape[0]):
+        first, last, radius = int(groups[g, 0]), int(groups[g, 1]), groups[g, 5]
+        v = (groups[g, 2] - p[0], groups[g, 3] - p[1], groups[g, 4] - p[2])
+        if dot(v, v) < (radius + groups[g, 6]) ** 2:
+            ambient *= ambient_of_parts(p, n, parts, first, last, skip)
+        along = min(1.0, max(0.0, dot(v, to) / dot(to, to)))
+        e = ahead(v, to, -along)
+        if dot(e, e) < (radius + LAMP_RADIUS_M) ** 2 and dot(n, to) > 0:
+            key *= shadow_of_parts(p, lamp, parts, patterns, first, last, skip)
+    return ambient, key
+
+
+@njit(cache=True, error_model="numpy")
+def ambient_light(n: Vector) -> Rgb:
+    """Light from everywhere but the lamp on a free surface."""
+    up = 0.5 - 0.5 * n[1]
+    fill = max(0.0, dot(n, _FILL_TO))
+    return (
+        _AMBIENT_DOWN[0] + (_AMBIENT_UP[0] - _AMBIENT_DOWN[0]) * up + _FILL[0] * fill,
+        _AMBIENT_DOWN[1] + (_AMBIENT_UP[1] - _AMBIENT_DOWN[1]) * up + _FILL[1] * fill,
+        _AMBIENT_DOWN[2] + (_AMBIENT_UP[2] - _AMBIENT_DOWN[2]) * up + _FILL[2] * fill,
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def encode(light: float) -> int:
+    """The 8-bit sRGB value of linear light, rolled off towards white."""
+    v = 1.0 - math.exp(-_EXPOSURE * light)
+    v = 12.92 * v if v <= 0.0031308 else 1.055 * v ** (1 / 2.4) - 0.055
+    return int(255.0 * v + 0.5)
