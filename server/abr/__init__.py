@@ -1,0 +1,1 @@
+"""Adaptive bitrate, pure: nothing here does I/O or reads a clock."""

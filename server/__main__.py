@@ -1,0 +1,59 @@
+"""swings-serve: streams over HTTP."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from codec.console import run_command
+
+from .app import make_app
+from .config import ServerConfig
+from .library import Library
+from .listener import bind, run_until_stopped, url_of
+
+
+@dataclass(frozen=True, slots=True)
+class ServeCommand:
+    """Serve one stream, or a folder of streams."""
+
+    root: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="ROOT")]]
+    """Folder of a stream, or of streams."""
+    host: str = "127.0.0.1"
+    """Address to listen on; 0.0.0.0 for all of IPv4."""
+    port: int = 8080
+    """TCP port; 0 for any free one."""
+    server: tyro.conf.OmitArgPrefixes[ServerConfig] = field(default_factory=ServerConfig)
+
+
+def run(command: ServeCommand) -> None:
+    library = Library(command.root, command.server.refresh_s)
+    listener = bind(command.host, command.port)
+
+    def ready() -> None:
+        print(f"serving {url_of(listener)}", flush=True)
+        for name in sorted(library.streams):
+            print(name, flush=True)
+
+    asyncio.run(_serve(command, library, listener, ready))
+
+
+async def _serve(
+    command: ServeCommand, library: Library, listener: socket.socket, ready: Callable[[], None]
+) -> None:
+    app = make_app(library, command.server)
+    await run_until_stopped(app, listener, command.server, ready)
+
+
+def main() -> None:
+    run_command(ServeCommand, run, "swings-serve", "Serves streams over HTTP.")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,44 @@
+"""The HTTP application: which URL goes where."""
+
+from __future__ import annotations
+
+from aiohttp import web
+
+from . import objects, pages
+from .config import ServerConfig
+from .library import Library
+from .middleware import add_headers, surround
+from .play import play
+from .state import STATE, ServerState
+
+_NUMBER = "0|[1-9][0-9]{0,8}"
+
+
+def make_app(library: Library, config: ServerConfig) -> web.Application:
+    """The application that serves `library`; it must run on one event loop."""
+    app = web.Application(middlewares=[surround])
+    app[STATE] = ServerState(library, config)
+    app.on_response_prepare.append(add_headers)
+    app.on_shutdown.append(_stop_plays)
+    stream = "/v1/streams/{stream}"
+    app.add_routes(
+        [
+            web.get("/", pages.front),
+            web.get("/healthz", pages.healthz),
+            web.get("/readyz", pages.readyz),
+            web.get("/metrics", pages.metrics),
+            web.get("/v1/streams", pages.streams),
+            web.get(f"{stream}/manifest.json", objects.manifest),
+            web.get(f"{stream}/index.bin", objects.index),
+            web.get(
+                f"{stream}/segments/{{segment:{_NUMBER}}}/{{layer:{_NUMBER}}}",
+                objects.segment_object,
+            ),
+            web.get(f"{stream}/play", play, allow_head=False),
+        ]
+    )
+    return app
+
+
+async def _stop_plays(app: web.Application) -> None:
+    app[STATE].stopping.set()

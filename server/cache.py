@@ -1,0 +1,85 @@
+"""Objects in memory: read once in a thread, bounded in bytes, the least recently used goes."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import OrderedDict
+from dataclasses import dataclass
+
+from codec.errors import CorruptError
+from codec.object import ChunkEntry, read_object_table
+
+from .library import ServedStream
+from .metrics import Metrics
+
+Key = tuple[str, int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedObject:
+    """An object's bytes and where its chunks lie in them."""
+
+    data: bytes
+    entries: tuple[ChunkEntry, ...]
+    first_birth: int
+
+    def frame(self, birth: int) -> bytes:
+        """The still compressed frame of the slice born at `birth`."""
+        entry = self.entries[birth - self.first_birth]
+        return self.data[entry.offset : entry.offset + entry.size]
+
+
+class ObjectCache:
+    """At most `capacity_bytes` of objects; those in use by a play or a response count only here."""
+
+    def __init__(self, capacity_bytes: int, metrics: Metrics) -> None:
+        self._capacity_bytes = capacity_bytes
+        self._metrics = metrics
+        self._objects: OrderedDict[Key, LoadedObject] = OrderedDict()
+        self._loading: dict[Key, asyncio.Task[LoadedObject]] = {}
+        self.size_bytes = 0
+
+    async def load(self, stream: ServedStream, segment: int, layer: int) -> LoadedObject:
+        """The object of (segment, layer), which `stream` has. Raises CodecError for a bad file."""
+        key = (stream.name, segment, layer)
+        found = self._objects.get(key)
+        if found is not None:
+            self._metrics.cache_hits.add(1)
+            self._objects.move_to_end(key)
+            return found
+        task = self._loading.get(key)
+        if task is None:
+            self._metrics.cache_misses.add(1)
+            task = asyncio.create_task(self._load(key, stream))
+            # Somebody must look at a failure, even if all who waited have gone.
+            task.add_done_callback(lambda done: done.cancelled() or done.exception())
+            self._loading[key] = task
+        # A client that goes away must not break the load for the others that wait for it.
+        return await asyncio.shield(task)
+
+    async def _load(self, key: Key, stream: ServedStream) -> LoadedObject:
+        try:
+            loaded = await asyncio.to_thread(_read, stream, *key[1:])
+        finally:
+            del self._loading[key]
+        if len(loaded.data) <= self._capacity_bytes:
+            self._objects[key] = loaded
+            self.size_bytes += len(loaded.data)
+        while self.size_bytes > self._capacity_bytes:
+            _, dropped = self._objects.popitem(last=False)
+            self.size_bytes -= len(dropped.data)
+        self._metrics.cache_bytes.set(self.size_bytes)
+        return loaded
+
+
+def _read(stream: ServedStream, segment: int, layer: int) -> LoadedObject:
+    data = stream.read_object(segment, layer)
+    entries = read_object_table(data)
+    births = stream.births(segment)
+    end = entries[-1].offset + entries[-1].size
+    if [entry.birth for entry in entries] != list(births) or end != len(data):
+        raise CorruptError(
+            f"{stream.name}: segment {segment} layer {layer} does not hold births "
+            f"{births[0]}..{births[-1]}"
+        )
+    return LoadedObject(data, tuple(entries), births[0])

@@ -1,0 +1,75 @@
+"""What an operator can set; every default stands here once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from codec.errors import InvalidError
+
+
+@dataclass(frozen=True, slots=True)
+class SessionConfig:
+    """How far ahead of the client a play is kept."""
+
+    target_lead_s: float = 2.0
+    """Seconds of media sent ahead of what the client shows, at most."""
+    burst_s: float = 0.5
+    """Seconds of media sent in one go; a burst measures the link, a trickle cannot."""
+    blind_lead_s: float = 0.25
+    """Seconds of media sent ahead before anything is known of the link."""
+    start_s: float = 0.5
+    """Seconds within which the first picture should be complete, quality permitting."""
+    poll_s: float = 0.02
+    """Seconds between two looks at a send queue that drains during a pause."""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.burst_s <= self.target_lead_s:
+            raise InvalidError(
+                f"burst_s {self.burst_s} is not in 0..target_lead_s {self.target_lead_s}"
+            )
+        for name in ("blind_lead_s", "start_s", "poll_s"):
+            if not getattr(self, name) > 0:
+                raise InvalidError(f"{name} is {getattr(self, name)}; it must be positive")
+
+
+@dataclass(frozen=True, slots=True)
+class ServerConfig:
+    """Limits and times of the HTTP server."""
+
+    session: SessionConfig = SessionConfig()
+    """Pacing of plays."""
+    max_plays: int = 256
+    """Plays at the same time; one more is answered 503."""
+    write_timeout_s: float = 20.0
+    """Seconds without progress after which a client that does not read is cut."""
+    keepalive_timeout_s: float = 15.0
+    """Seconds that an idle connection, or an unfinished request head, is kept."""
+    shutdown_timeout_s: float = 10.0
+    """Seconds that requests in progress get when the server stops."""
+    send_queue_bytes: int = 64 * 1024
+    """Bytes that may wait unsent for one play: the longer the queue, the staler the choice."""
+    cache_bytes: int = 256 * 1024 * 1024
+    """Bytes of objects kept in memory."""
+    refresh_s: float = 0.5
+    """Seconds between two looks at a live stream, or at the folder for new streams."""
+    live_idle_s: float = 60.0
+    """Seconds that a play waits for new slices of a live stream before it ends."""
+    cors_origin: str = "*"
+    """Web origin that may read the streams; empty for none."""
+
+    def __post_init__(self) -> None:
+        for name in (
+            "max_plays",
+            "write_timeout_s",
+            "keepalive_timeout_s",
+            "shutdown_timeout_s",
+            "send_queue_bytes",
+            "refresh_s",
+            "live_idle_s",
+        ):
+            if not getattr(self, name) > 0:
+                raise InvalidError(f"{name} is {getattr(self, name)}; it must be positive")
+        if self.cache_bytes < 0:
+            raise InvalidError(f"cache_bytes is {self.cache_bytes}; it must not be negative")
+        if any(not 0x20 < ord(c) < 0x7F for c in self.cors_origin):
+            raise InvalidError("cors_origin is no web origin; give *, an origin or nothing")

@@ -1,0 +1,222 @@
+"""The streams that are served: a table of names, never a way from a URL to a file.
+
+Rule: a request finds a stream by its name in the table and an object by its numbers in the index.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import logging
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from codec.errors import CodecError, SwingsError
+from codec.index import pack_record, record_bytes
+from codec.manifest import Manifest
+from codec.reader import StreamReader
+from codec.writer import INDEX_NAME, MANIFEST_NAME
+
+from .errors import ServerError
+
+LOG = logging.getLogger(__name__)
+
+STREAM_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
+"""What a stream may be called: it needs no quoting in a URL, a metric or a page."""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamView:
+    """What a stream holds at one time; whoever has a view sees no half-done refresh."""
+
+    manifest: Manifest
+    manifest_json: bytes
+    manifest_sha256: str
+    num_segments: int
+    num_frames: int
+    index_bytes: int
+    index_sha256: str
+
+
+class ServedStream:
+    """One stream of the library; also the `Media` of a session."""
+
+    def __init__(self, folder: Path) -> None:
+        self.name = folder.name
+        self.refreshed_s = 0.0
+        self.lock = asyncio.Lock()
+        self.trouble = ""
+        """Why the last refresh that failed did so; told once."""
+        self._folder = folder
+        self._index_hash = hashlib.sha256()
+        self._num_hashed = 0
+        # Before the index: a manifest that says finished then goes with a whole index.
+        manifest, manifest_json = _read_manifest(folder)
+        self._reader = StreamReader(folder)
+        self.view = self._look(manifest, manifest_json)
+
+    def _look(self, manifest: Manifest, manifest_json: bytes) -> StreamView:
+        records = self._reader.records
+        for record in records[self._num_hashed :]:
+            self._index_hash.update(pack_record(record))
+        self._num_hashed = len(records)
+        return StreamView(
+            manifest=manifest,
+            manifest_json=manifest_json,
+            manifest_sha256=hashlib.sha256(manifest_json).hexdigest(),
+            num_segments=len(records),
+            num_frames=self._reader.num_frames,
+            index_bytes=len(records) * record_bytes(manifest.num_layers),
+            index_sha256=self._index_hash.hexdigest(),
+        )
+
+    def refresh(self) -> None:
+        """Takes in what was appended. Blocks; where it raises the view stays the last good one."""
+        manifest, manifest_json = _read_manifest(self._folder)
+        self._reader.refresh()
+        self.view = self._look(manifest, manifest_json)
+
+    @property
+    def fps(self) -> float:
+        return self.view.manifest.fps
+
+    @property
+    def swin_size(self) -> int:
+        return self.view.manifest.swin_size
+
+    @property
+    def segment_frames(self) -> int:
+        return self.view.manifest.segment_frames
+
+    @property
+    def num_frames(self) -> int:
+        return self.view.num_frames
+
+    @property
+    def live(self) -> bool:
+        return self.view.manifest.live
+
+    def has_object(self, segment: int, layer: int) -> bool:
+        view = self.view
+        return 0 <= segment < view.num_segments and 0 <= layer < view.manifest.num_layers
+
+    def object_bytes(self, segment: int, layer: int) -> int:
+        return self._reader.records[segment].object_bytes[layer]
+
+    def object_sha256(self, segment: int, layer: int) -> str:
+        return self._reader.records[segment].object_sha256[layer].hex()
+
+    def births(self, segment: int) -> range:
+        """The births of the slices in `segment`."""
+        return self.view.manifest.births(segment, self._reader.records[segment].num_frames)
+
+    def slice_bytes(self, birth: int) -> tuple[float, ...]:
+        """Mean bytes of a slice in the segment of `birth` with 1, 2, ... layers."""
+        segment = self.view.manifest.segment_of(birth)
+        sizes = self._reader.records[segment].object_bytes
+        count = len(self.births(segment))
+        return tuple(sum(sizes[:n]) / count for n in range(1, len(sizes) + 1))
+
+    def read_object(self, segment: int, layer: int) -> bytes:
+        """The object's bytes, checked against the index. Blocks."""
+        return self._reader.read_object(segment, layer)
+
+    def read_index(self, start: int, stop: int) -> bytes:
+        """Bytes start..stop-1 of index.bin, which the view must hold. Blocks."""
+        path = self._folder / INDEX_NAME
+        with open(path, "rb") as file:
+            file.seek(start)
+            data = file.read(stop - start)
+        if len(data) != stop - start:
+            raise ServerError(f"{path} became shorter while it was served")
+        return data
+
+
+class Library:
+    """The streams below a root that is a stream itself, or a folder of streams.
+
+    Raises ServerError or CodecError at construction, naming what is wrong.
+    """
+
+    def __init__(self, root: Path, refresh_s: float) -> None:
+        self._root = root.resolve()
+        self._refresh_s = refresh_s
+        self._scanned_s = 0.0
+        self._lock = asyncio.Lock()
+        self._refused: set[str] = set()
+        if not self._root.is_dir():
+            raise ServerError(f"{root} is no folder; name a stream or a folder of streams")
+        self._single = (self._root / MANIFEST_NAME).exists()
+        folders = [self._root] if self._single else self._folders()
+        if not folders:
+            raise ServerError(
+                f"{root} holds no stream: no {MANIFEST_NAME} in it or one level below"
+            )
+        self.streams = {folder.name: _open(folder) for folder in folders}
+
+    def _folders(self) -> list[Path]:
+        found = (path.parent for path in self._root.glob(f"*/{MANIFEST_NAME}"))
+        return sorted(path for path in found if not path.name.startswith("."))
+
+    async def find(self, name: str, now_s: float) -> ServedStream | None:
+        """The stream called `name`, as it is now; None where there is none."""
+        stream = self.streams.get(name)
+        if stream is None and not self._single:
+            await self.rescan(now_s)
+            stream = self.streams.get(name)
+        if stream is not None:
+            await self.refresh(stream, now_s)
+        return stream
+
+    async def refresh(self, stream: ServedStream, now_s: float) -> None:
+        """Follows a live stream, at most once every refresh_s however many ask."""
+        if not stream.live or now_s - stream.refreshed_s < self._refresh_s:
+            return
+        async with stream.lock:
+            if now_s - stream.refreshed_s >= self._refresh_s:
+                stream.refreshed_s = now_s
+                try:
+                    await asyncio.to_thread(stream.refresh)
+                except (SwingsError, OSError) as error:
+                    # What was there before it broke can still be served.
+                    if str(error) != stream.trouble:
+                        LOG.warning("%s grows no more: %s", stream.name, error)
+                    stream.trouble = str(error)
+
+    async def rescan(self, now_s: float) -> None:
+        """Takes in streams that are new in the folder, at most once every refresh_s."""
+        async with self._lock:
+            if not self._single and now_s - self._scanned_s >= self._refresh_s:
+                self._scanned_s = now_s
+                self.streams |= await asyncio.to_thread(self._open_new)
+
+    def _open_new(self) -> dict[str, ServedStream]:
+        opened = {}
+        for folder in self._folders():
+            if folder.name in self.streams or folder.name in self._refused:
+                continue
+            try:
+                opened[folder.name] = _open(folder)
+            except (SwingsError, OSError) as error:
+                self._refused.add(folder.name)
+                LOG.warning("not served: %s", error)
+        return opened
+
+
+def _open(folder: Path) -> ServedStream:
+    if not STREAM_NAME.fullmatch(folder.name):
+        raise ServerError(
+            f"{folder}: a stream's folder is called by letters, digits, '.', '_' and '-'; rename it"
+        )
+    return ServedStream(folder)
+
+
+def _read_manifest(folder: Path) -> tuple[Manifest, bytes]:
+    """The manifest, and its bytes as they lie on disk."""
+    path = folder / MANIFEST_NAME
+    data = path.read_bytes()
+    try:
+        return Manifest.from_json(data), data
+    except CodecError as error:
+        raise type(error)(f"{path}: {error}") from error

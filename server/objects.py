@@ -1,0 +1,129 @@
+"""A stream's files over HTTP, under the same relative paths as on disk.
+
+Rule: a strong ETag is a hash of the content, so equal tags mean equal bytes on every server.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+
+from aiohttp import web
+
+from .byterange import ByteRange, Unsatisfiable, parse_range
+from .connection import PIECE_BYTES, Connection
+from .state import STATE, RequestError, find_stream
+
+IMMUTABLE = "public, max-age=31536000, immutable"
+"""For objects: what a segment's URL gives never changes."""
+
+REVALIDATE = "no-cache"
+"""For the manifest and the index: they may change, so a cache asks each time and gets a 304."""
+
+
+@dataclass(frozen=True, slots=True)
+class Content:
+    """What a URL stands for, before it is known which bytes of it are wanted."""
+
+    size: int
+    sha256: str
+    content_type: str
+    cache_control: str
+    read: Callable[[int, int], Awaitable[bytes | memoryview]]
+    """Gives bytes start..stop-1."""
+
+
+async def manifest(request: web.Request) -> web.StreamResponse:
+    view = (await find_stream(request)).view
+
+    async def read(start: int, stop: int) -> bytes:
+        return view.manifest_json[start:stop]
+
+    size = len(view.manifest_json)
+    content = Content(size, view.manifest_sha256, "application/json", REVALIDATE, read)
+    return await _send(request, content)
+
+
+async def index(request: web.Request) -> web.StreamResponse:
+    stream = await find_stream(request)
+    view = stream.view
+
+    async def read(start: int, stop: int) -> bytes:
+        return await asyncio.to_thread(stream.read_index, start, stop)
+
+    content = Content(
+        view.index_bytes, view.index_sha256, "application/octet-stream", REVALIDATE, read
+    )
+    return await _send(request, content)
+
+
+async def segment_object(request: web.Request) -> web.StreamResponse:
+    state = request.app[STATE]
+    segment, layer = int(request.match_info["segment"]), int(request.match_info["layer"])
+    stream = state.library.streams.get(request.match_info["stream"])
+    if stream is None or not stream.has_object(segment, layer):
+        stream = await find_stream(request)
+    if not stream.has_object(segment, layer):
+        raise RequestError(404, f"{stream.name} has no segment {segment} layer {layer}")
+
+    async def read(start: int, stop: int) -> memoryview:
+        loaded = await state.cache.load(stream, segment, layer)
+        state.metrics.layer_bytes.add(stop - start, "object", str(layer))
+        return memoryview(loaded.data)[start:stop]
+
+    content = Content(
+        stream.object_bytes(segment, layer),
+        stream.object_sha256(segment, layer),
+        "application/octet-stream",
+        IMMUTABLE,
+        read,
+    )
+    return await _send(request, content)
+
+
+async def _send(request: web.Request, content: Content) -> web.StreamResponse:
+    etag = f'"{content.sha256}"'
+    headers = {
+        "ETag": etag,
+        "Cache-Control": content.cache_control,
+        "Accept-Ranges": "bytes",
+        "Content-Type": content.content_type,
+    }
+    if _names(request.headers.get("If-None-Match"), etag):
+        return web.Response(status=304, headers=headers)
+    wanted = _wanted(request, content.size, etag)
+    if isinstance(wanted, Unsatisfiable):
+        message = f"the range holds none of {content.size} bytes"
+        raise RequestError(416, message, {"Content-Range": f"bytes */{content.size}"})
+    status = 200
+    if wanted is not None:
+        status = 206
+        headers["Content-Range"] = f"bytes {wanted.start}-{wanted.stop - 1}/{content.size}"
+    chosen = wanted or ByteRange(0, content.size)
+    headers["Content-Length"] = str(chosen.stop - chosen.start)
+    if request.method == "HEAD":
+        return web.Response(status=status, headers=headers)
+    body = await content.read(chosen.start, chosen.stop)
+    if len(body) <= PIECE_BYTES:
+        return web.Response(status=status, headers=headers, body=bytes(body))
+    response = web.StreamResponse(status=status, headers=headers)
+    connection = Connection(request, request.app[STATE].config.write_timeout_s)
+    await connection.prepare(response)
+    await connection.send(response, body)
+    return response
+
+
+def _wanted(request: web.Request, size: int, etag: str) -> ByteRange | Unsatisfiable | None:
+    """The range to send. One that is bound to another version of the content is not heeded."""
+    if request.headers.get("If-Range", etag) != etag:
+        return None
+    return parse_range(request.headers.get("Range"), size)
+
+
+def _names(if_none_match: str | None, etag: str) -> bool:
+    """Whether the header lists `etag`, compared weakly as RFC 9110 asks here."""
+    if if_none_match is None:
+        return False
+    tags = {tag.strip().removeprefix("W/") for tag in if_none_match.split(",")}
+    return etag in tags or "*" in tags

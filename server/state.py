@@ -1,0 +1,51 @@
+"""What the handlers of one running server share."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass, field
+
+from aiohttp import web
+
+from .cache import ObjectCache
+from .config import ServerConfig
+from .library import Library, ServedStream
+from .metrics import Metrics
+
+
+@dataclass(slots=True)
+class ServerState:
+    """One for each application; lives on its event loop."""
+
+    library: Library
+    config: ServerConfig
+    metrics: Metrics = field(default_factory=Metrics)
+    stopping: asyncio.Event = field(default_factory=asyncio.Event)
+    """Set when the server begins to stop; plays then end at the next slice."""
+    active_plays: int = 0
+    cache: ObjectCache = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.cache = ObjectCache(self.config.cache_bytes, self.metrics)
+
+
+STATE = web.AppKey("state", ServerState)
+
+
+class RequestError(Exception):
+    """A request that gets an error status and one line that says why."""
+
+    def __init__(self, status: int, message: str, headers: dict[str, str] | None = None) -> None:
+        super().__init__(message)
+        self.status = status
+        self.headers = headers or {}
+
+
+async def find_stream(request: web.Request) -> ServedStream:
+    """The stream that the URL names, as it is now; 404 where there is none."""
+    name = request.match_info["stream"]
+    now_s = asyncio.get_running_loop().time()
+    stream = await request.app[STATE].library.find(name, now_s)
+    if stream is None:
+        raise RequestError(404, f"no stream is called {name[:80]!r}; /v1/streams lists them")
+    return stream

@@ -1,0 +1,157 @@
+"""Small streams, a server in this process, and a client for tests of the server."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable, Iterable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from aiohttp import web
+
+from codec.camera import Camera
+from codec.manifest import Manifest
+from codec.playrecord import Record, RecordParser
+from codec.profile import Profile
+from codec.slice import Slice
+from codec.splats import Splats
+from codec.stream import StreamWriter
+from server.app import make_app
+from server.config import ServerConfig, SessionConfig
+from server.connection import bound_connections
+from server.library import Library
+from server.listener import bind, make_runner
+from server.state import STATE, ServerState
+
+SWIN_SIZE = 4
+SEGMENT_FRAMES = 5
+
+
+def random_slice(birth: int, count: int) -> Slice:
+    """A slice of noise, which zstd cannot shrink."""
+    rng = np.random.default_rng(birth + 1000)
+    splats = Splats(
+        rng.normal(size=(count, 3)).astype(np.float32),
+        rng.normal(size=(count, 3)).astype(np.float32),
+        rng.normal(size=(count, 4)).astype(np.float32),
+        rng.normal(size=count).astype(np.float32),
+        rng.normal(size=(count, 1, 3)).astype(np.float32),
+    )
+    return Slice(birth, splats, np.zeros(count, np.uint8))
+
+
+def small_manifest(slice_size: int = 8, fps: float = 30.0, title: str = "") -> Manifest:
+    return Manifest(
+        fps=fps,
+        swin_size=SWIN_SIZE,
+        num_gs=SWIN_SIZE * slice_size,
+        layers=(0.25, 0.25, 0.25, 0.25),
+        segment_frames=SEGMENT_FRAMES,
+        sh_degree=0,
+        profile=Profile.RAW,
+        antialias=False,
+        near_m=0.01,
+        bounds=((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)),
+        cameras=(Camera("front", 64, 48, 50.0, 50.0, 32.0, 24.0, np.eye(4)),),
+        default_camera="front",
+        live=False,
+        title=title,
+    )
+
+
+def births_of(num_frames: int) -> range:
+    return range(1 - SWIN_SIZE, num_frames)
+
+
+def make_stream(
+    path: Path, num_frames: int, slice_size: int = 8, fps: float = 30.0, title: str = ""
+) -> Path:
+    """A finished stream at `path`."""
+    with StreamWriter.create(path, small_manifest(slice_size, fps, title)) as writer:
+        for birth in births_of(num_frames):
+            writer.append(random_slice(birth, slice_size))
+    return path
+
+
+def quick_config(
+    *,
+    target_lead_s: float = 2.0,
+    max_plays: int = 8,
+    write_timeout_s: float = 5.0,
+    keepalive_timeout_s: float = 5.0,
+    send_queue_bytes: int = 65536,
+    live_idle_s: float = 5.0,
+    cors_origin: str = "*",
+) -> ServerConfig:
+    """A config for tests: everything that waits waits little."""
+    return ServerConfig(
+        session=SessionConfig(target_lead_s=target_lead_s, burst_s=min(0.5, target_lead_s)),
+        max_plays=max_plays,
+        write_timeout_s=write_timeout_s,
+        keepalive_timeout_s=keepalive_timeout_s,
+        shutdown_timeout_s=2.0,
+        send_queue_bytes=send_queue_bytes,
+        refresh_s=0.02,
+        live_idle_s=live_idle_s,
+        cors_origin=cors_origin,
+    )
+
+
+@dataclass(frozen=True)
+class Running:
+    """A server on a real socket of this machine."""
+
+    port: int
+    state: ServerState
+    runner: web.AppRunner
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.port}"
+
+
+@asynccontextmanager
+async def running(root: Path, config: ServerConfig | None = None) -> AsyncIterator[Running]:
+    """A server of `root` until the block ends."""
+    config = config or quick_config()
+    app = make_app(Library(root, config.refresh_s), config)
+    runner = make_runner(app, config)
+    await runner.setup()
+    try:
+        listener = bind("127.0.0.1", 0)
+        bound_connections(listener, config.write_timeout_s)
+        await web.SockSite(runner, listener).start()
+        yield Running(listener.getsockname()[1], app[STATE], runner)
+    finally:
+        await runner.cleanup()
+
+
+def parse_records(pieces: Iterable[bytes]) -> list[Record]:
+    """The records of a whole /play response."""
+    parser = RecordParser()
+    records = [record for piece in pieces for record in parser.feed(piece)]
+    assert parser.pending_bytes == 0
+    return records
+
+
+async def raw_request(port: int, request: bytes, timeout_s: float = 5.0) -> bytes:
+    """Everything that the server sends for `request`, until it closes the connection."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    try:
+        writer.write(request)
+        async with asyncio.timeout(timeout_s):
+            return await reader.read()
+    finally:
+        writer.close()
+        await writer.wait_closed()
+
+
+async def eventually(condition: Callable[[], object], timeout_s: float = 5.0) -> None:
+    """Returns once `condition` holds; fails if it does not within `timeout_s`."""
+    for _ in range(int(timeout_s / 0.01)):
+        if condition():
+            return
+        await asyncio.sleep(0.01)
+    raise AssertionError(f"still not so after {timeout_s} s")
