@@ -53,11 +53,12 @@ class TrainConfig:
     """Nearest depth drawn, metres; by default 0.3 of the cameras' distance to what they look at."""
     far_m: float | None = None
     """Depth that seeding reaches to, metres; by default from the rig."""
-    point_share: float = 0.6
+    point_share: float = 0.8
     """Share of the first Gaussians taken from the capture's points, if it has any; seeds fill the
     rest."""
-    layers: tuple[float, ...] = (0.25, 0.25, 0.25, 0.25)
-    """Share of a slice's Gaussians in each layer, most important first; the sum is 1."""
+    layers: tuple[float, ...] = (0.35, 0.15, 0.2, 0.3)
+    """Share of a slice's Gaussians in each layer, most important first; the sum is 1. A smaller
+    first layer leaves holes, and the last third of the Gaussians adds little."""
     rank: str = "opacity"
     """Importance that orders Gaussians into layers. Paper, section 5.5: opacity."""
     profile: Profile = Profile.COMPACT

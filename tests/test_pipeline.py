@@ -1,0 +1,256 @@
+"""The whole path through real processes and files: film, train, verify, score, serve, play."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import socket
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from codec.stream import StreamReader
+from player.render.cpu import render_splats
+from tests.commands import run, run_ok, serving
+from tests.tiny_capture import write_dynamic3dgs, write_dynerf, write_video
+from trainer.loss import psnr_db
+
+FRAMES = 7
+SWIN = 3
+
+
+@dataclass(frozen=True)
+class Made:
+    """What the pipeline left."""
+
+    capture: Path
+    stream: Path
+    raw: Path
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    root = tmp_path_factory.mktemp("pipeline")
+    made = Made(root / "capture", root / "stream", root / "raw")
+    run_ok(
+        "swings-synth", made.capture, "--frames", FRAMES, "--cameras", 8,
+        "--width-px", 96, "--height-px", 54, "--points", 2000,
+    )  # fmt: skip
+    run_ok(
+        "swings-train", made.capture, made.stream, "--raw-stream", made.raw,
+        "--num-gs", 1500, "--swin-size", SWIN, "--genesis-iterations", 400,
+        "--window-iterations", 60, "--segment-frames", 3, "--layers", 0.4, 0.3, 0.3,
+    )  # fmt: skip
+    return made
+
+
+def evaluation(made: Made, stream: Path) -> dict[str, list[dict[str, float]]]:
+    found: dict[str, list[dict[str, float]]] = json.loads(
+        run_ok("swings-eval", stream, made.capture, "--json")
+    )
+    return found
+
+
+def test_the_trained_stream_is_whole_and_shows_the_scene(made: Made) -> None:
+    run_ok("swings-stream", "verify", made.stream)
+    assert "compact" in run_ok("swings-stream", "info", made.stream)
+    reader = StreamReader(made.stream)
+    assert reader.num_frames == FRAMES
+    assert not reader.manifest.live
+    scores = evaluation(made, made.stream)["layers"]
+    assert [s["layers"] for s in scores] == [1, 2, 3]
+    assert scores[-1]["psnr_db"] > 18
+
+
+def test_dropping_layers_degrades_and_never_breaks(made: Made) -> None:
+    scores = evaluation(made, made.stream)["layers"]
+    psnr = [s["psnr_db"] for s in scores]
+    assert psnr == sorted(psnr)
+    assert psnr[0] < psnr[-1] - 0.3
+    assert [s["bytes_per_frame"] for s in scores] == sorted(s["bytes_per_frame"] for s in scores)
+    # Layer 0 alone still shows the scene: far better than any constant picture.
+    reader = StreamReader(made.stream)
+    camera = reader.manifest.camera()
+    full, base = (
+        np.clip(render_splats(reader.active_splats(3, n), camera, reader.manifest.near_m), 0, 1)
+        for n in (3, 1)
+    )
+    flat = np.broadcast_to(full.mean(axis=(0, 1)), full.shape)
+    assert psnr_db(base, full) > psnr_db(flat, full)
+    correlation = np.corrcoef(base.ravel(), full.ravel())[0, 1]
+    assert correlation > 0.6
+
+
+def test_compact_costs_little_against_raw(made: Made) -> None:
+    compact, raw = (evaluation(made, s)["layers"][-1] for s in (made.stream, made.raw))
+    assert abs(compact["psnr_db"] - raw["psnr_db"]) < 0.15
+    assert compact["bytes_per_frame"] < raw["bytes_per_frame"] / 3
+
+
+def frames_of(folder: Path) -> list[np.ndarray]:
+    return [np.asarray(Image.open(f)) for f in sorted(folder.glob("*.png"))]
+
+
+def test_a_served_stream_shows_what_the_folder_shows(made: Made, tmp_path: Path) -> None:
+    with serving(made.stream) as url:
+        for layers in (1, 3):
+            played, direct = tmp_path / f"url{layers}", tmp_path / f"folder{layers}"
+            common = ("--renderer", "cpu", "--layers", layers, "--camera", "orbit")
+            run_ok("swings-play", url, "--capture", played, *common)
+            run_ok("swings-play", made.stream, "--capture", direct, *common)
+            ours, theirs = frames_of(played), frames_of(direct)
+            assert len(ours) == len(theirs) == FRAMES
+            for a, b in zip(ours, theirs, strict=True):
+                assert (a == b).all()
+        mp4 = tmp_path / "out.mp4"
+        report = tmp_path / "report.json"
+        run_ok(
+            "swings-play", url, "--capture", mp4, "--report", report, "--link", "2M,10ms",
+            "--size", "96x54",
+        )  # fmt: skip
+    assert mp4.stat().st_size > 1000
+    frames = json.loads(report.read_text())["frames"]
+    assert [f["frame"] for f in frames] == list(range(FRAMES))
+    assert all(1 <= f["layers"] <= 3 for f in frames)
+
+
+def test_a_part_of_the_frames_is_scored_against_the_same_part(made: Made, tmp_path: Path) -> None:
+    stream = tmp_path / "part"
+    run_ok(
+        "swings-train", made.capture, stream, "--frames", "3:6", "--num-gs", 300, "--swin-size", 2,
+        "--genesis-iterations", 20, "--window-iterations", 5,
+    )  # fmt: skip
+    assert StreamReader(stream).manifest.capture_frame == 3
+    result = json.loads(run_ok("swings-eval", stream, made.capture, "--json"))
+    assert result["frames"] == 3
+
+
+def test_the_contact_sheet_is_a_picture(made: Made, tmp_path: Path) -> None:
+    sheet = tmp_path / "sheet.png"
+    run_ok("swings-eval", made.stream, made.capture, "--sheet", sheet, "--every", 3)
+    assert Image.open(sheet).size[0] == 3 * 96
+
+
+def missing(root: Path) -> tuple[str, ...]:
+    return ("swings-train", str(root / "nowhere"), str(root / "out"))
+
+
+def empty(root: Path) -> tuple[str, ...]:
+    (root / "capture").mkdir()
+    return ("swings-train", str(root / "capture"), str(root / "out"))
+
+
+def missing_frame(root: Path) -> tuple[str, ...]:
+    write_dynamic3dgs(root / "capture")
+    next((root / "capture" / "ims" / "2").iterdir()).unlink()
+    return ("swings-train", str(root / "capture"), str(root / "out"))
+
+
+def unequal_videos(root: Path) -> tuple[str, ...]:
+    write_dynerf(root / "capture", 4, 5)
+    (root / "capture" / "cam02.mp4").unlink()
+    write_video(root / "capture" / "cam02.mp4", 2, 4)
+    return ("swings-train", str(root / "capture"), str(root / "out"))
+
+
+def no_video(root: Path) -> tuple[str, ...]:
+    write_dynerf(root / "capture", 4, 5)
+    (root / "capture" / "cam01.mp4").write_text("this is no video")
+    return ("swings-train", str(root / "capture"), str(root / "out"))
+
+
+def occupied_target(root: Path) -> tuple[str, ...]:
+    write_dynerf(root / "capture", 4, 5)
+    (root / "full").mkdir()
+    (root / "full" / "mine.txt").write_text("keep me")
+    return ("swings-train", str(root / "capture"), str(root / "full"))
+
+
+def impossible_size(root: Path) -> tuple[str, ...]:
+    write_dynerf(root / "capture", 4, 5)
+    return ("swings-train", str(root / "capture"), str(root / "out"), "--num-gs", "7")
+
+
+CAPTURE_FAULTS: list[tuple[Callable[[Path], tuple[str, ...]], str]] = [
+    (missing, "nowhere"),
+    (empty, "empty"),
+    (missing_frame, "2"),
+    (unequal_videos, "cam02"),
+    (no_video, "cam01.mp4"),
+    (occupied_target, "not empty"),
+    (impossible_size, "num_gs 7"),
+]
+
+
+def check_one_line(name: str, arguments: tuple[object, ...], word: str) -> None:
+    done = run(name, *arguments)
+    assert done.returncode in (1, 2), done.stderr[-500:]
+    lines = [line for line in done.stderr.splitlines() if line.strip()]
+    assert len(lines) == 1, done.stderr[-1000:]
+    assert lines[0].startswith(f"{name}: ")
+    assert word in lines[0]
+
+
+@pytest.mark.parametrize(("make", "word"), CAPTURE_FAULTS)
+def test_a_wrong_capture_gets_one_line_and_nothing_is_written(
+    make: Callable[[Path], tuple[str, ...]], word: str, tmp_path: Path
+) -> None:
+    name, *arguments = make(tmp_path)
+    check_one_line(name, tuple(arguments), word)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("fault", ["truncated", "altered", "gone", "manifest", "index"])
+@pytest.mark.parametrize("name", ["swings-stream", "swings-eval", "swings-play"])
+def test_a_damaged_stream_gets_one_line(fault: str, name: str, made: Made, tmp_path: Path) -> None:
+    stream = tmp_path / "stream"
+    shutil.copytree(made.stream, stream)
+    target = stream / "segments" / "1" / "0"
+    if fault == "truncated":
+        target.write_bytes(target.read_bytes()[:-9])
+    elif fault == "altered":
+        data = bytearray(target.read_bytes())
+        data[len(data) // 2] ^= 1
+        target.write_bytes(data)
+    elif fault == "gone":
+        target.unlink()
+    elif fault == "manifest":
+        target = stream / "manifest.json"
+        target.write_bytes(target.read_bytes()[:50])
+    else:
+        target = stream / "index.bin"
+        data = bytearray(target.read_bytes())
+        data[3] ^= 255
+        target.write_bytes(data)
+    out = tmp_path / "out.mp4"
+    arguments: dict[str, tuple[object, ...]] = {
+        "swings-stream": ("verify", stream),
+        "swings-eval": (stream, made.capture),
+        "swings-play": (stream, "--capture", out, "--renderer", "cpu"),
+    }
+    word = target.name if target.suffix else str(Path("segments") / "1" / "0")
+    check_one_line(name, arguments[name], word)
+    assert not list(tmp_path.glob("out*"))
+
+
+def test_a_url_that_is_no_stream_and_a_port_in_use(made: Made, tmp_path: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        check_one_line("swings-serve", (made.stream, "--port", port), str(port))
+    out = tmp_path / "out.mp4"
+    check_one_line("swings-play", (f"http://127.0.0.1:{port}", "--capture", out), str(port))
+    with serving(made.stream) as url:
+        check_one_line("swings-play", (f"{url}/v1/streams/nothing", "--capture", out), "nothing")
+    check_one_line("swings-serve", (made.capture, "--port", 0), "capture")
+    assert not out.exists()
+
+
+def test_another_capture_is_told_from_the_right_one(made: Made, tmp_path: Path) -> None:
+    write_dynerf(tmp_path / "other", 4, FRAMES)
+    check_one_line("swings-eval", (made.stream, tmp_path / "other"), "cam00")
