@@ -95,7 +95,7 @@ def rotation_of(qw, qx, qy, qz):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, fastmath=True, parallel=True)
+@njit(cache=True, fastmath=True, parallel=True, nogil=True)
 def project_kernel(  # type: ignore[no-untyped-def]
     means, log_scales, quats, logit_opacities, sh, rows, camera, tiles_x, tiles_y,
     projected, depths, tile_boxes,

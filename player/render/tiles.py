@@ -31,7 +31,7 @@ class TileLists:
     order: Ints  # (tiles,) int32: tiles dealt so that equal shares of the list cost about the same
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _count_pairs(boxes, tiles_x, starts, pair_starts):  # type: ignore[no-untyped-def]
     total = 0
     for i in range(boxes.shape[0]):
@@ -47,7 +47,7 @@ def _count_pairs(boxes, tiles_x, starts, pair_starts):  # type: ignore[no-untype
     return total
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _fill_pairs(  # type: ignore[no-untyped-def]
     boxes, order, tiles_x, starts, pair_starts, gaussians, pairs
 ):
@@ -118,7 +118,7 @@ def row_misses(a, b, c, q_max, dy, left):  # type: ignore[no-untyped-def]
     return (middle + root) < left * a or (middle - root) > (left + np.float32(15)) * a
 
 
-@njit(cache=True, fastmath=True, parallel=True)
+@njit(cache=True, fastmath=True, parallel=True, nogil=True)
 def blend_tiles(  # type: ignore[no-untyped-def]
     projected, starts, gaussians, order, tiles_x, picture
 ):

@@ -1,0 +1,20 @@
+"""swings-play: a stream in a window or into files."""
+
+from __future__ import annotations
+
+from codec.console import run_command
+
+from .playback import PlayConfig, play
+
+
+def run(config: PlayConfig) -> None:
+    for line in play(config).lines():
+        print(line)
+
+
+def main() -> None:
+    run_command(PlayConfig, run, "swings-play", "Plays a stream in a window or into files.")
+
+
+if __name__ == "__main__":
+    main()

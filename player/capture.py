@@ -1,0 +1,156 @@
+"""Pictures into files: an .mp4, or a folder of PNGs.
+
+Rule: a file under its final name is whole. What is being written has a temporary name.
+"""
+
+from __future__ import annotations
+
+import os
+from fractions import Fraction
+from pathlib import Path
+from typing import Protocol
+
+import av
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from codec.errors import InvalidError, SwingsError
+
+from .camera import Size
+
+Bytes = npt.NDArray[np.uint8]
+Floats = npt.NDArray[np.float32]
+
+VIDEO_CRF = 16
+"""Constant rate factor of libx264: visually lossless."""
+
+OTHER_SUFFIXES = {".avi", ".gif", ".jpeg", ".jpg", ".m4v", ".mkv", ".mov", ".png", ".webm"}
+"""Names that ask for something else than a folder."""
+
+_BT709 = 1
+_LIMITED_RANGE = 1
+
+
+class CaptureError(SwingsError):
+    """The pictures cannot be written."""
+
+
+class FrameSink(Protocol):
+    """Takes pictures in frame order; then `finish` or `abort`."""
+
+    def write(self, frame: int, picture: Bytes) -> None:
+        """picture: (H, W, 3) uint8 RGB, row 0 on top."""
+        ...
+
+    def finish(self) -> None:
+        """Gives the result its final name."""
+        ...
+
+    def abort(self) -> None:
+        """Leaves nothing half-written behind."""
+        ...
+
+
+def to_bytes(picture: Floats) -> Bytes:
+    """A picture of 0..1 in 8 bits; what is brighter is clipped."""
+    return np.rint(np.clip(picture, 0, 1) * 255).astype(np.uint8)
+
+
+def check_capture(path: Path) -> None:
+    """Raises InvalidError when no capture can be written to `path`."""
+    if path.suffix.lower() in OTHER_SUFFIXES:
+        raise InvalidError(f"capture {path}: name an .mp4 file, or a folder for PNGs")
+    if path.suffix.lower() == ".mp4":
+        if path.is_dir():
+            raise InvalidError(f"capture {path} is a folder")
+        if not path.parent.is_dir():
+            raise InvalidError(f"capture {path}: there is no folder {path.parent}")
+    elif path.exists() and not path.is_dir():
+        raise InvalidError(f"capture {path} is a file; name an .mp4 file, or a folder for PNGs")
+    elif path.is_dir() and any(path.glob("frame_*.png")):
+        raise InvalidError(
+            f"capture {path} holds frames already; remove them or name another folder"
+        )
+
+
+def open_sink(path: Path, fps: float, size: Size) -> FrameSink:
+    """What writes pictures of `size` to `path`, by its suffix."""
+    check_capture(path)
+    if path.suffix.lower() == ".mp4":
+        return VideoSink(path, fps, size)
+    return PngSink(path)
+
+
+class PngSink:
+    """frame_00000.png, frame_00001.png, ... by frame number."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self._folder = folder
+
+    def write(self, frame: int, picture: Bytes) -> None:
+        temporary = self._folder / ".frame.png.partial"
+        try:
+            Image.fromarray(picture).save(temporary, "PNG", compress_level=4)
+            os.replace(temporary, self._folder / f"frame_{frame:05d}.png")
+        except OSError:
+            temporary.unlink(missing_ok=True)
+            raise
+
+    def finish(self) -> None:
+        pass
+
+    def abort(self) -> None:
+        """Frames that are written are whole; they stay."""
+
+
+class VideoSink:
+    """H.264 in an .mp4, 8 bits, 4:2:0, BT.709."""
+
+    def __init__(self, path: Path, fps: float, size: Size) -> None:
+        self._path = path
+        self._temporary = path.with_name(f".{path.name}.partial")
+        # 4:2:0 wants even sizes: the last column or row is repeated.
+        self._padding = ((0, size.height_px % 2), (0, size.width_px % 2), (0, 0))
+        self._container = av.open(str(self._temporary), "w", format="mp4")
+        try:
+            stream = self._container.add_stream(
+                "libx264", rate=Fraction(fps).limit_denominator(1001)
+            )
+            stream.width = size.width_px + size.width_px % 2
+            stream.height = size.height_px + size.height_px % 2
+            stream.pix_fmt = "yuv420p"
+            stream.options = {"crf": str(VIDEO_CRF), "preset": "fast"}
+            stream.codec_context.colorspace = _BT709
+            stream.codec_context.color_primaries = _BT709
+            stream.codec_context.color_trc = _BT709
+            stream.codec_context.color_range = _LIMITED_RANGE
+        except Exception as error:  # PyAV knows no libx264: ValueError, or an FFmpeg error
+            self.abort()
+            raise CaptureError(f"capture {path}: this PyAV cannot encode H.264: {error}") from error
+        self._stream = stream
+        self._written = 0
+
+    def write(self, frame: int, picture: Bytes) -> None:
+        padded = np.ascontiguousarray(np.pad(picture, self._padding, mode="edge"))
+        image = av.VideoFrame.from_ndarray(padded, format="rgb24")
+        image = image.reformat(format="yuv420p", dst_colorspace="ITU709")
+        image.pts = self._written
+        self._written += 1
+        try:
+            self._container.mux(self._stream.encode(image))
+        except av.error.FFmpegError as error:
+            raise CaptureError(f"capture {self._path}: frame {frame}: {error}") from error
+
+    def finish(self) -> None:
+        try:
+            self._container.mux(self._stream.encode(None))
+            self._container.close()
+        except av.error.FFmpegError as error:
+            raise CaptureError(f"capture {self._path}: {error}") from error
+        os.replace(self._temporary, self._path)
+
+    def abort(self) -> None:
+        self._container.close()
+        self._temporary.unlink(missing_ok=True)

@@ -1,0 +1,193 @@
+"""HTTP for one thread that may block: an aiohttp session that runs only while somebody waits.
+
+Rule: whatever goes wrong on the network leaves here as one of the errors below. Nothing is read
+ahead of its reader, so a player that is busy holds the server back.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import threading
+from collections.abc import Coroutine
+from dataclasses import dataclass
+from typing import Any, TypeVar
+from urllib.parse import urlsplit, urlunsplit
+
+import aiohttp
+
+from codec.errors import SwingsError
+
+Result = TypeVar("Result")
+
+PIECE_BYTES = 256 << 10
+"""Most that one read of an open response gives, bytes."""
+
+
+class FetchError(SwingsError):
+    """The server's answer cannot be used; asking again would not help."""
+
+
+class BrokenError(FetchError):
+    """The connection or the server failed; asking again may help."""
+
+
+class StoppedError(SwingsError):
+    """Whoever waited was told to stop."""
+
+
+@dataclass(frozen=True, slots=True)
+class FetchConfig:
+    """Patience with a server."""
+
+    connect_timeout_s: float = 10.0
+    """To be connected, seconds."""
+    read_timeout_s: float = 75.0
+    """Without a byte, seconds: longer than a server of a live stream waits for its next segment."""
+
+
+@dataclass(frozen=True, slots=True)
+class Response:
+    """A whole answer."""
+
+    status: int
+    body: bytes
+
+
+class Fetcher:
+    """Requests one after another over connections that are kept; at most one is open at a time.
+
+    `interrupt` may come from any thread, everything else from one thread at a time.
+    """
+
+    def __init__(
+        self, via: tuple[str, int] | None = None, config: FetchConfig | None = None
+    ) -> None:
+        """via: address of a relay that every request goes through instead of to its host."""
+        self._via = via
+        self._config = config or FetchConfig()
+        self._loop = asyncio.new_event_loop()
+        self._session: aiohttp.ClientSession | None = None
+        self._lock = threading.Lock()
+        self._waiting: asyncio.Task[Any] | None = None
+        self._stopped = False
+        self.received_bytes = 0
+        """Bytes of bodies read so far."""
+
+    def get(self, url: str, limit_bytes: int) -> Response:
+        """The answer to a GET, whatever its status.
+
+        Raises FetchError when the body is longer than `limit_bytes`, BrokenError when it does not
+        come whole.
+        """
+        return self._run(self._get(url, limit_bytes), url)
+
+    def open(self, url: str) -> OpenResponse:
+        """The answer to a GET, its body yet to be read. Close it."""
+        return OpenResponse(self, url, self._run(self._request(url), url))
+
+    def interrupt(self) -> None:
+        """Makes whoever waits, now or later, raise StoppedError."""
+        with self._lock:
+            self._stopped = True
+            if self._waiting is not None:
+                self._loop.call_soon_threadsafe(self._waiting.cancel)
+
+    def pause(self, seconds: float) -> None:
+        """Waits, unless interrupted."""
+        self._run(asyncio.sleep(seconds), "")
+
+    def close(self) -> None:
+        """Closes all connections; closing twice is the same as once."""
+        if self._loop.is_closed():
+            return
+        if self._session is not None:
+            self._loop.run_until_complete(self._session.close())
+        self._loop.run_until_complete(self._loop.shutdown_asyncgens())
+        self._loop.close()
+
+    def _run(self, work: Coroutine[Any, Any, Result], url: str) -> Result:
+        with self._lock:
+            if self._stopped:
+                work.close()
+                raise StoppedError(f"{url}: stopped")
+            task: asyncio.Task[Result] = self._loop.create_task(work)
+            self._waiting = task
+        try:
+            return self._loop.run_until_complete(task)
+        except asyncio.CancelledError as error:
+            raise StoppedError(f"{url}: stopped") from error
+        except aiohttp.InvalidURL as error:
+            raise FetchError(f"{url} is no URL") from error
+        except aiohttp.ClientConnectorError as error:
+            number = error.os_error.errno
+            reason = os.strerror(number) if number and number > 0 else str(error.os_error)
+            raise BrokenError(f"{url}: cannot connect: {reason}") from error
+        except TimeoutError as error:
+            raise BrokenError(f"{url}: no answer in time") from error
+        except (aiohttp.ClientError, OSError) as error:
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise BrokenError(f"{url}: the connection broke: {reason}") from error
+        except BaseException:
+            # An interrupt from the keyboard leaves the task waiting: end it before the loop closes.
+            if not task.done():
+                task.cancel()
+                self._loop.run_until_complete(asyncio.gather(task, return_exceptions=True))
+            raise
+        finally:
+            with self._lock:
+                self._waiting = None
+
+    async def _request(self, url: str) -> aiohttp.ClientResponse:
+        config = self._config
+        if self._session is None:
+            self._session = aiohttp.ClientSession(
+                timeout=aiohttp.ClientTimeout(
+                    total=None,
+                    sock_connect=config.connect_timeout_s,
+                    sock_read=config.read_timeout_s,
+                ),
+                # Objects are compressed already, and are hashed as they lie on disk.
+                auto_decompress=False,
+                headers={"Accept-Encoding": "identity"},
+            )
+        if self._via is None:
+            return await self._session.get(url)
+        parts = urlsplit(url)
+        user, at, host = parts.netloc.rpartition("@")
+        relayed = urlunsplit(parts._replace(netloc=f"{user}{at}{self._via[0]}:{self._via[1]}"))
+        # A redirect could lead around the relay, so none is followed.
+        return await self._session.get(relayed, headers={"Host": host}, allow_redirects=False)
+
+    async def _get(self, url: str, limit_bytes: int) -> Response:
+        response = await self._request(url)
+        async with response:
+            body = bytearray()
+            async for piece in response.content.iter_any():
+                body += piece
+                self.received_bytes += len(piece)
+                if len(body) > limit_bytes:
+                    raise FetchError(f"{url} is longer than {limit_bytes} bytes")
+            return Response(response.status, bytes(body))
+
+
+class OpenResponse:
+    """An answer whose body is read piece by piece."""
+
+    def __init__(self, fetcher: Fetcher, url: str, response: aiohttp.ClientResponse) -> None:
+        self._fetcher = fetcher
+        self._url = url
+        self._response = response
+        self.status = response.status
+        self.content_type = response.headers.get("Content-Type", "")
+
+    def read(self) -> bytes:
+        """The next piece of the body, empty at its end. Raises BrokenError when it is cut off."""
+        work = self._response.content.read(PIECE_BYTES)
+        piece: bytes = self._fetcher._run(work, self._url)
+        self._fetcher.received_bytes += len(piece)
+        return piece
+
+    def close(self) -> None:
+        """Drops what was not read, and the connection with it."""
+        self._response.close()

@@ -1,0 +1,116 @@
+"""From what the user typed to a Source: a directory, a served stream, or a static URL."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from urllib.parse import quote, unquote, urlsplit, urlunsplit
+
+from codec.errors import InvalidError
+
+from .fetch import Fetcher, FetchError
+from .frames import Frames
+from .played import HttpPlaySource
+from .source import DirectorySource, Source
+from .static import StaticHttpSource, fetch_manifest
+
+MAX_LIST_BYTES = 16 << 20
+"""Longest list of streams read, bytes."""
+
+SERVED = ("/v1/streams/", "/watch/")
+"""What stands before a stream's name in the addresses of a swings server."""
+
+
+def is_url(source: str) -> bool:
+    return source.lower().startswith(("http://", "https://"))
+
+
+def open_source(
+    source: str, frames: Frames, layers: int | None, via: tuple[str, int] | None = None
+) -> Source:
+    """The stream that `source` names, from `frames.first` on.
+
+    layers: None lets a server choose, and takes all elsewhere. via: the relay of `--link`.
+    """
+    if not is_url(source):
+        if "://" in source:
+            raise InvalidError(
+                f"{source}: only http:// and https:// URLs and folders can be played"
+            )
+        return DirectorySource(Path(source), frames, layers)
+    fetcher = Fetcher(via)
+    try:
+        return _open_url(source, fetcher, frames, layers)
+    except BaseException:
+        fetcher.close()
+        raise
+
+
+def _open_url(source: str, fetcher: Fetcher, frames: Frames, layers: int | None) -> Source:
+    parts = urlsplit(source)
+    if not parts.hostname:
+        raise InvalidError(f"{source} is no URL: it names no host")
+    path = parts.path.rstrip("/")
+    for prefix in SERVED:
+        before, found, stream = path.rpartition(prefix)
+        if found and stream and "/" not in stream:
+            return _play(
+                source, _with_path(source, before), unquote(stream), fetcher, frames, layers
+            )
+    if path.endswith("/manifest.json"):
+        path = path.removesuffix("/manifest.json")
+    elif not path:
+        return _only_stream(source, fetcher, frames, layers)
+    base = _with_path(source, path) + "/"
+    manifest = fetch_manifest(fetcher, base + "manifest.json")
+    if manifest is None:
+        raise FetchError(f"{source} is not a stream: there is no {base}manifest.json")
+    return StaticHttpSource(source, base, manifest, fetcher, frames, layers)
+
+
+def _with_path(source: str, path: str) -> str:
+    parts = urlsplit(source)
+    return urlunsplit((parts.scheme, parts.netloc, path, "", ""))
+
+
+def _play(
+    source: str, server: str, stream: str, fetcher: Fetcher, frames: Frames, layers: int | None
+) -> Source:
+    url = f"{server}/v1/streams/{quote(stream, safe='')}"
+    return HttpPlaySource(source, url, fetcher, frames, layers)
+
+
+def _only_stream(source: str, fetcher: Fetcher, frames: Frames, layers: int | None) -> Source:
+    """What a bare host offers: the one stream of a server, or a stream at its root."""
+    server = _with_path(source, "")
+    response = fetcher.get(f"{server}/v1/streams", MAX_LIST_BYTES)
+    names = _stream_names(response.body) if response.status == 200 else None
+    if names is None:
+        manifest = fetch_manifest(fetcher, f"{server}/manifest.json")
+        if manifest is None:
+            raise FetchError(
+                f"{source} is not a stream: it has neither a list of streams nor a manifest.json"
+            )
+        return StaticHttpSource(source, f"{server}/", manifest, fetcher, frames, layers)
+    if not names:
+        raise FetchError(f"{source} serves no stream yet")
+    if len(names) > 1:
+        shown = ", ".join(sorted(names)[:20]) + (", ..." if len(names) > 20 else "")
+        raise FetchError(
+            f"{source} serves {len(names)} streams: {shown}; "
+            f"name one, as in {server}/watch/{names[0]}"
+        )
+    return _play(source, server, names[0], fetcher, frames, layers)
+
+
+def _stream_names(body: bytes) -> list[str] | None:
+    """The names in a server's list of streams; None when it is no such list."""
+    try:
+        value = json.loads(body)
+    except (ValueError, RecursionError):
+        return None
+    listed = value.get("streams") if isinstance(value, dict) else None
+    if not isinstance(listed, list):
+        return None
+    names = [entry.get("name") for entry in listed if isinstance(entry, dict)]
+    return [name for name in names if isinstance(name, str)]

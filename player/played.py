@@ -1,0 +1,208 @@
+"""A stream that a swings server plays: one response, slice by slice, in the layers it chooses.
+
+Rule: the slices come in birth order without a gap, whatever happens to the connections.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+
+from codec.errors import CodecError, CorruptError
+from codec.manifest import Manifest
+from codec.object import decode_frame
+from codec.playrecord import (
+    EndRecord,
+    ErrorRecord,
+    Record,
+    RecordParser,
+    SliceRecord,
+    StartRecord,
+)
+
+from .fetch import BrokenError, Fetcher, FetchError, OpenResponse
+from .frames import Frames
+from .playout import ReceivedSlice
+from .retry import Retry, RetryConfig
+from .segment import merge_chunks
+from .source import check_frames, check_layers
+
+CONTENT_TYPE = "application/x-swings-play"
+
+
+class HttpPlaySource:
+    """The /play response of a server; reconnects at the next slice when it breaks."""
+
+    def __init__(
+        self,
+        name: str,
+        url: str,
+        fetcher: Fetcher,
+        frames: Frames,
+        layers: int | None,
+        retry: RetryConfig | None = None,
+    ) -> None:
+        """Connects, and reads the manifest.
+
+        url: the stream's, to which /play is added. fetcher: is closed together with the source.
+        layers: None leaves the choice to the server.
+        """
+        self._name = name
+        self._url = url
+        self._fetcher = fetcher
+        self._retry_config = retry or RetryConfig()
+        self._layers = layers
+        self._asked = frames
+        self._response: OpenResponse | None = None
+        self._parser = RecordParser()
+        self._waiting: list[Record] = []
+        try:
+            start = self._connect(frames.first)
+            self._manifest = self._manifest_of(start)
+            check_layers(layers, self._manifest, name)
+            self._num_frames = start.num_frames
+            self._frames = check_frames(frames, self._manifest, self._num_frames, name)
+        except BaseException:
+            self._disconnect()
+            raise
+
+    @property
+    def name(self) -> str:
+        return self._name
+
+    @property
+    def manifest(self) -> Manifest:
+        return self._manifest
+
+    @property
+    def frames(self) -> Frames:
+        return self._frames
+
+    @property
+    def received_bytes(self) -> int:
+        return self._fetcher.received_bytes
+
+    def _connect(self, frame: int) -> StartRecord:
+        """Asks for the slices that show from `frame` on; gives the first record."""
+        layers = "auto" if self._layers is None else str(self._layers)
+        url = f"{self._url}/play?from={frame}&layers={layers}"
+        if self._asked.end is not None:
+            url += f"&until={self._asked.end}"
+        self._disconnect()
+        self._response = response = self._fetcher.open(url)
+        self._parser, self._waiting = RecordParser(), []
+        if response.status != 200:
+            raise self._refusal(response)
+        if response.content_type.partition(";")[0].strip() != CONTENT_TYPE:
+            raise FetchError(f"{self._name} is not a stream: it answers {response.content_type}")
+        record = self._next_record()
+        if isinstance(record, ErrorRecord):
+            raise BrokenError(f"{self._name}: the server says: {record.message}")
+        if not isinstance(record, StartRecord):
+            raise CorruptError(f"{self._name}: the response does not begin with a start record")
+        return record
+
+    def _refusal(self, response: OpenResponse) -> FetchError:
+        """The error for an answer that is not 200, with the server's own words if it has some."""
+        reason = f"HTTP {response.status}"
+        try:
+            said = json.loads(response.read())["error"]
+        except (ValueError, RecursionError, KeyError, TypeError):
+            said = None  # another server's error page: its status says enough
+        if isinstance(said, str):
+            reason += f", {said[:200]}"
+        if response.status >= 500 or response.status == 429:
+            return BrokenError(f"{self._name}: {reason}")
+        if response.status == 404:
+            return FetchError(f"{self._name} is not a stream: {reason}")
+        return FetchError(f"{self._name}: {reason}")
+
+    def _manifest_of(self, start: StartRecord) -> Manifest:
+        try:
+            return Manifest.from_json(start.manifest)
+        except CodecError as error:
+            raise type(error)(f"{self._name}: {error}") from error
+
+    def _next_record(self) -> Record:
+        """The next record. Raises BrokenError when the response ends before it."""
+        assert self._response is not None
+        while not self._waiting:
+            piece = self._response.read()
+            if not piece:
+                raise BrokenError(f"{self._name}: the response ended early")
+            try:
+                self._waiting = self._parser.feed(piece)
+            except CodecError as error:
+                raise type(error)(f"{self._name}: {error}") from error
+        return self._waiting.pop(0)
+
+    def slices(self) -> Iterator[ReceivedSlice]:
+        retry = Retry(self._retry_config)
+        birth = self._frames.first - self._manifest.swin_size + 1
+        connected = True
+        while True:
+            try:
+                if not connected:
+                    self._reconnect(birth)
+                    connected = True
+                record = self._next_record()
+                if isinstance(record, ErrorRecord):
+                    raise BrokenError(f"{self._name}: the server says: {record.message}")
+            except BrokenError as error:
+                connected = False
+                self._disconnect()
+                self._fetcher.pause(retry.delay_s(error))
+                continue
+            if isinstance(record, SliceRecord):
+                if record.birth < birth:
+                    continue  # a new connection may begin with slices that came before
+                yield self._decode(record, birth)
+                retry.progress()
+                birth += 1
+            elif isinstance(record, EndRecord):
+                end = record.num_frames
+                if self._asked.end is not None:
+                    end = min(end, self._asked.end)
+                if birth < end:
+                    raise CorruptError(f"{self._name}: the stream ended before frame {birth}")
+                return
+            else:
+                raise CorruptError(f"{self._name}: a second start record")
+            if self._asked.end is not None and birth >= self._asked.end:
+                return
+
+    def _reconnect(self, birth: int) -> None:
+        # The window of this frame begins with the missing slice; near the end there is no such
+        # frame, and the window of the last one begins with slices that came already.
+        self._num_frames = max(self._num_frames, birth)
+        last = self._num_frames if self._asked.end is None else self._asked.end
+        frame = min(birth + self._manifest.swin_size, self._num_frames, last) - 1
+        start = self._connect(max(frame, self._frames.first))
+        manifest = self._manifest_of(start)
+        if manifest.with_live(False).to_json() != self._manifest.with_live(False).to_json():
+            raise CorruptError(f"{self._name}: the stream was replaced by another one")
+        self._num_frames = max(self._num_frames, start.num_frames)
+
+    def _decode(self, record: SliceRecord, birth: int) -> ReceivedSlice:
+        try:
+            if record.birth != birth:
+                raise CorruptError(f"the slice born at {record.birth} came before {birth}")
+            chunks = [decode_frame(frame) for frame in record.frames]
+            if any(chunk.birth != birth for chunk in chunks):
+                raise CorruptError(f"a chunk in the record of birth {birth} has another birth")
+            wire_bytes = sum(len(frame) for frame in record.frames)
+            return merge_chunks(chunks, self._manifest, wire_bytes)
+        except CodecError as error:
+            raise type(error)(f"{self._name}: {error}") from error
+
+    def _disconnect(self) -> None:
+        if self._response is not None:
+            self._response.close()
+            self._response = None
+
+    def interrupt(self) -> None:
+        self._fetcher.interrupt()
+
+    def close(self) -> None:
+        self._disconnect()
+        self._fetcher.close()

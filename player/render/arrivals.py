@@ -1,0 +1,34 @@
+"""Slices on their way from the thread that brings them to the thread that draws."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from typing import Generic, TypeVar
+
+Item = TypeVar("Item")
+
+
+class Arrivals(Generic[Item]):
+    """Holds each slice until a frame at or after its birth is drawn.
+
+    Until then its lane belongs to a slice that still shows. Its length is bounded by who puts: an
+    update thread waits for the render thread when it is a few frames ahead (update.py).
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._waiting: deque[tuple[int, Item]] = deque()
+
+    def put(self, birth: int, item: Item) -> None:
+        """Adds the slice born at `birth`; births rise."""
+        with self._lock:
+            self._waiting.append((birth, item))
+
+    def take(self, frame: int) -> list[Item]:
+        """The slices born at or before `frame`, in order."""
+        taken = []
+        with self._lock:
+            while self._waiting and self._waiting[0][0] <= frame:
+                taken.append(self._waiting.popleft()[1])
+        return taken

@@ -1,0 +1,27 @@
+"""A lane: the fixed place of slice_size Gaussians that one slice after another takes."""
+
+from __future__ import annotations
+
+from codec.errors import InvalidError
+from codec.slice import Slice
+
+
+def check_slice(slice: Slice, slice_size: int, sh_degree: int) -> None:
+    """Raises InvalidError unless `slice` fits a lane of `slice_size` Gaussians of `sh_degree`."""
+    if len(slice.splats) > slice_size:
+        raise InvalidError(
+            f"the slice born at {slice.birth} has {len(slice.splats)} Gaussians; "
+            f"a lane holds {slice_size}"
+        )
+    if slice.splats.sh_degree != sh_degree:
+        raise InvalidError(
+            f"the slice born at {slice.birth} has SH degree {slice.splats.sh_degree}, "
+            f"the stream {sh_degree}"
+        )
+
+
+def slice_bytes(slice: Slice) -> int:
+    """What `slice` takes in memory."""
+    splats = slice.splats
+    arrays = (splats.means, splats.log_scales, splats.quats, splats.logit_opacities, splats.sh)
+    return sum(array.nbytes for array in arrays) + slice.start_offsets.nbytes

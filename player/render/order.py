@@ -1,0 +1,103 @@
+"""Which Gaussians show in a frame, farthest first."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from .pack import NEVER
+
+Floats = npt.NDArray[np.float32]
+Ints = npt.NDArray[np.int32]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _collect(means, starts, expires, counts, frame, view, near, slots, keys):  # type: ignore[no-untyped-def]
+    lanes, lane_slots = starts.shape
+    found = 0
+    for lane in range(lanes):
+        if expires[lane] <= frame:
+            continue
+        for i in range(counts[lane]):
+            z = (
+                view[0] * means[lane, i, 0]
+                + view[1] * means[lane, i, 1]
+                + view[2] * means[lane, i, 2]
+                + view[3]
+            )
+            if starts[lane, i] <= frame and z > near:
+                slots[found] = lane * lane_slots + i
+                keys[found] = z
+                found += 1
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _sort_far_first(keys, slots, spare_keys, spare_slots):  # type: ignore[no-untyped-def]
+    """Stable radix sort by falling key, three passes of 11 bits; the result is in `spare_slots`.
+
+    The bits of positive floats rise with their value, so no precision is lost to bins.
+    """
+    counts = np.zeros((3, 2048), np.int32)
+    for i in range(keys.shape[0]):
+        key = ~keys[i]
+        counts[0, key & 2047] += 1
+        counts[1, (key >> 11) & 2047] += 1
+        counts[2, key >> 22 & 1023] += 1
+    for digit in range(3):
+        total = 0
+        for value in range(2048):
+            count = counts[digit, value]
+            counts[digit, value] = total
+            total += count
+    for digit in range(3):
+        shift = 11 * digit
+        for i in range(keys.shape[0]):
+            place = (~keys[i] >> shift) & (2047 if digit < 2 else 1023)
+            to = counts[digit, place]
+            counts[digit, place] = to + 1
+            spare_keys[to] = keys[i]
+            spare_slots[to] = slots[i]
+        keys, spare_keys = spare_keys, keys
+        slots, spare_slots = spare_slots, slots
+
+
+class Order:
+    """The visible order of a window of Gaussians; all its buffers are made once."""
+
+    def __init__(self, swin_size: int, slice_size: int) -> None:
+        total = swin_size * slice_size
+        self.means = np.zeros((swin_size, slice_size, 3), np.float32)
+        self.starts = np.full((swin_size, slice_size), NEVER, np.int32)
+        self.expires = np.full(swin_size, np.iinfo(np.int32).min, np.int32)
+        self.counts = np.zeros(swin_size, np.int32)
+        self._slots = (np.empty(total, np.int32), np.empty(total, np.int32))
+        self._depths = (np.empty(total, np.float32), np.empty(total, np.float32))
+
+    def put(self, lane: int, expire: int, means: Floats, starts: Ints) -> None:
+        """Replaces the Gaussians of `lane`, which show in frames starts <= frame < expire."""
+        count = len(means)
+        self.means[lane, :count] = means
+        self.starts[lane, :count] = starts
+        self.counts[lane] = count
+        self.expires[lane] = expire
+
+    def far_first(self, frame: int, w2c: npt.NDArray[np.float64], near_m: float) -> Ints:
+        """(M,) int32 slots, lane * slice_size + row, to draw; valid until the next call."""
+        view = w2c[2].astype(np.float32)
+        found = _collect(
+            self.means,
+            self.starts,
+            self.expires,
+            self.counts,
+            np.int32(frame),
+            view,
+            np.float32(near_m),
+            self._slots[0],
+            self._depths[0],
+        )
+        keys = [depths[:found].view(np.uint32) for depths in self._depths]
+        slots = [slots[:found] for slots in self._slots]
+        _sort_far_first(keys[0], slots[0], keys[1], slots[1])
+        return slots[1]

@@ -1,0 +1,23 @@
+// Brings a finished picture onto a window: its row 0, the top, goes to the window's last row.
+
+#ifdef VERTEX_STAGE
+
+void main() {
+    // One triangle that covers everything.
+    vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0;
+    gl_Position = vec4(corner, 0.0, 1.0);
+}
+
+#else
+
+uniform sampler2D picture;
+
+out vec4 shown;
+
+void main() {
+    ivec2 at = ivec2(gl_FragCoord.xy);
+    at.y = textureSize(picture, 0).y - 1 - at.y;
+    shown = vec4(texelFetch(picture, at, 0).rgb, 1.0);
+}
+
+#endif

@@ -1,0 +1,127 @@
+"""What every renderer does, and the choice of one.
+
+`put` may be called from another thread than `render`; everything else belongs to the thread that
+made the renderer.
+"""
+
+from __future__ import annotations
+
+import logging
+from enum import StrEnum
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from codec.camera import Camera
+from codec.errors import UnsupportedError
+from codec.manifest import Manifest
+from codec.slice import Slice
+
+from .render.arrivals import Arrivals
+from .render.cpu import render_splats
+from .render.gl import GlError, GlRenderer
+from .render.lane import slice_bytes
+from .ring import Ring
+
+log = logging.getLogger(__name__)
+
+Floats = npt.NDArray[np.float32]
+
+MAX_SH_DEGREE_DRAWN = 1
+"""Recipe v1 draws the constant and the linear harmonics."""
+
+
+class RendererKind(StrEnum):
+    AUTO = "auto"
+    """OpenGL where it works, else the CPU."""
+    GL = "gl"
+    CPU = "cpu"
+
+
+class Renderer(Protocol):
+    """Draws frames of a stream whose slices are put into it in birth order."""
+
+    @property
+    def name(self) -> str:
+        """What draws, for people."""
+        ...
+
+    @property
+    def uploaded_bytes(self) -> int:
+        """Bytes of slices copied to where they are drawn from, so far."""
+        ...
+
+    def put(self, slice: Slice) -> None:
+        """Takes the slice over; it shows from the first `render` of a frame >= its birth on."""
+        ...
+
+    def render(self, frame: int, camera: Camera) -> Floats:
+        """(H, W, 3) float32 picture of `frame`, row 0 on top, black background, not clamped."""
+        ...
+
+    def close(self) -> None: ...
+
+
+class CpuRenderer:
+    """Draws with the numba rasteriser, the oracle of the recipe."""
+
+    def __init__(self, manifest: Manifest) -> None:
+        self._ring = Ring(manifest.swin_size, manifest.slice_size, manifest.sh_degree)
+        self._near_m = manifest.near_m
+        self._arrivals: Arrivals[Slice] = Arrivals()
+        self._uploaded_bytes = 0
+
+    @property
+    def name(self) -> str:
+        return "CPU"
+
+    @property
+    def uploaded_bytes(self) -> int:
+        return self._uploaded_bytes
+
+    def put(self, slice: Slice) -> None:
+        self._arrivals.put(slice.birth, slice)
+
+    def render(self, frame: int, camera: Camera) -> Floats:
+        for slice in self._arrivals.take(frame):
+            self._ring.put(slice)
+            self._uploaded_bytes += slice_bytes(slice)
+        return render_splats(self._ring.active(frame), camera, self._near_m)
+
+    def close(self) -> None:
+        pass
+
+
+def check_drawable(manifest: Manifest) -> None:
+    """Raises UnsupportedError for a stream that recipe v1 would draw wrongly."""
+    if manifest.antialias:
+        raise UnsupportedError(
+            "the stream was trained with opacity compensation (antialias); recipe v1 has none"
+        )
+    if manifest.sh_degree > MAX_SH_DEGREE_DRAWN:
+        log.warning(
+            "the stream has harmonics of degree %d; recipe v1 draws those up to degree %d",
+            manifest.sh_degree,
+            MAX_SH_DEGREE_DRAWN,
+        )
+
+
+def create_renderer(kind: RendererKind | str, manifest: Manifest) -> Renderer:
+    """A renderer for the stream of `manifest`, to be used by the calling thread.
+
+    kind: `auto`, `gl` or `cpu`; `auto` takes the CPU, and logs why, where OpenGL cannot start.
+    Raises UnsupportedError when the recipe cannot draw the stream, GlError when OpenGL is asked for
+    and cannot start.
+    """
+    check_drawable(manifest)
+    kind = RendererKind(kind)
+    if kind is RendererKind.CPU:
+        return CpuRenderer(manifest)
+    try:
+        return GlRenderer(manifest)
+    except GlError as error:
+        if kind is RendererKind.GL:
+            raise
+        log.warning("drawing on the CPU: %s", error)
+        return CpuRenderer(manifest)

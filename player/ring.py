@@ -1,0 +1,70 @@
+"""The Gaussians of the current window in fixed arrays: swin_size lanes, one slice in each."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from codec.errors import InvalidError
+from codec.slice import Slice
+from codec.splats import Splats, sh_count
+
+from .render.lane import check_slice
+
+
+class Ring:
+    """`swin_size` lanes of `slice_size` Gaussians; a slice replaces the one that its lane held.
+
+    Invariant: lane `birth % swin_size` holds the slice born last of those put there, so memory
+    stays the same however many slices come.
+    """
+
+    def __init__(self, swin_size: int, slice_size: int, sh_degree: int) -> None:
+        if swin_size < 1 or slice_size < 1:
+            raise InvalidError(f"ring: {swin_size} lanes of {slice_size} Gaussians")
+        self.swin_size = swin_size
+        self.slice_size = slice_size
+        self.sh_degree = sh_degree
+        lanes = (swin_size, slice_size)
+        self._means = np.zeros((*lanes, 3), np.float32)
+        self._log_scales = np.zeros((*lanes, 3), np.float32)
+        self._quats = np.zeros((*lanes, 4), np.float32)
+        self._logit_opacities = np.zeros(lanes, np.float32)
+        self._sh = np.zeros((*lanes, sh_count(sh_degree), 3), np.float32)
+        self._start_offsets = np.zeros(lanes, np.uint8)
+        self._counts = np.zeros(swin_size, np.int64)
+        self._births: list[int | None] = [None] * swin_size
+
+    def put(self, slice: Slice) -> None:
+        """Copies `slice` into its lane, in place of what was there."""
+        check_slice(slice, self.slice_size, self.sh_degree)
+        lane, count = slice.lane(self.swin_size), len(slice.splats)
+        self._means[lane, :count] = slice.splats.means
+        self._log_scales[lane, :count] = slice.splats.log_scales
+        self._quats[lane, :count] = slice.splats.quats
+        self._logit_opacities[lane, :count] = slice.splats.logit_opacities
+        self._sh[lane, :count] = slice.splats.sh
+        self._start_offsets[lane, :count] = slice.start_offsets
+        self._counts[lane] = count
+        self._births[lane] = slice.birth
+
+    def active(self, frame: int) -> Splats:
+        """The Gaussians that show at `frame`, oldest slice first."""
+        parts = []
+        for birth in range(frame - self.swin_size + 1, frame + 1):
+            lane = birth % self.swin_size
+            if self._births[lane] != birth:
+                continue
+            count = self._counts[lane]
+            shown = np.flatnonzero(self._start_offsets[lane, :count] <= frame - birth)
+            parts.append(self._take(lane, shown))
+        return Splats.concatenate(parts) if parts else Splats.empty(self.sh_degree)
+
+    def _take(self, lane: int, rows: npt.NDArray[np.intp]) -> Splats:
+        return Splats(
+            self._means[lane, rows],
+            self._log_scales[lane, rows],
+            self._quats[lane, rows],
+            self._logit_opacities[lane, rows],
+            self._sh[lane, rows],
+        )

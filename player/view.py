@@ -1,0 +1,65 @@
+"""Where the user of a window has turned, moved and zoomed the camera. Pure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from codec.camera import Camera
+from codec.manifest import Manifest
+
+from .camera import scene_centre, turned, up_of
+from .pose import Vector
+
+TURN_RAD_PER_PX = 0.005
+ZOOM_PER_STEP = 0.9
+"""Distance to the scene's centre after one step of the wheel, as a share of that before."""
+
+
+@dataclass(slots=True)
+class View:
+    """What is done to the path's camera before a frame is drawn."""
+
+    centre: Vector  # (3,) what the view turns around, metres
+    up: Vector  # (3,) unit
+    turn_rad: float = 0.0
+    tilt_rad: float = 0.0
+    zoom: float = 1.0
+    """Distance to the centre as a share of the path's."""
+    pan: tuple[float, float] = (0.0, 0.0)
+    """To the right and down, in distances to the centre per focal length."""
+
+    def applied(self, camera: Camera) -> Camera:
+        """`camera` as the user wants it."""
+        seen = turned(camera, self.centre, self.up, self.turn_rad)
+        seen = turned(seen, self.centre, seen.w2c[0, :3], self.tilt_rad)
+        away = seen.position - self.centre
+        distance_m = float(np.linalg.norm(away)) * self.zoom
+        place = self.centre + away * self.zoom
+        right, down = seen.w2c[0, :3], seen.w2c[1, :3]
+        place = place - distance_m * (self.pan[0] * right + self.pan[1] * down)
+        w2c = seen.w2c.copy()
+        w2c[:3, 3] = -w2c[:3, :3] @ place
+        return replace(seen, w2c=w2c)
+
+    def drag_turn(self, right_px: float, down_px: float) -> None:
+        """The near side of the scene follows the mouse."""
+        self.turn_rad -= right_px * TURN_RAD_PER_PX
+        tilt_rad = self.tilt_rad - down_px * TURN_RAD_PER_PX
+        self.tilt_rad = min(max(tilt_rad, -math.pi / 2), math.pi / 2)
+
+    def drag_pan(self, right_px: float, down_px: float, focal_px: float) -> None:
+        self.pan = (self.pan[0] + right_px / focal_px, self.pan[1] + down_px / focal_px)
+
+    def scroll(self, steps: float) -> None:
+        self.zoom = min(max(self.zoom * ZOOM_PER_STEP**steps, 0.02), 50.0)
+
+    def reset(self) -> None:
+        self.turn_rad = self.tilt_rad = 0.0
+        self.zoom, self.pan = 1.0, (0.0, 0.0)
+
+
+def view_of(manifest: Manifest) -> View:
+    return View(scene_centre(manifest), up_of(manifest.cameras))

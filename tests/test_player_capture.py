@@ -1,0 +1,96 @@
+"""Pictures into files: all of them, right, and never half of one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from PIL import Image
+
+from codec.errors import InvalidError
+from player.camera import Size
+from player.capture import Bytes, PngSink, VideoSink, check_capture, open_sink, to_bytes
+
+
+def picture(seed: int, width_px: int, height_px: int) -> Bytes:
+    """A smooth picture: noise would cost the codec its quality."""
+    rng = np.random.default_rng(seed)
+    coarse = Image.fromarray(rng.integers(0, 256, (3, 4, 3)).astype(np.uint8))
+    return np.asarray(coarse.resize((width_px, height_px), Image.Resampling.BICUBIC))
+
+
+def psnr_db(a: Bytes, b: Bytes) -> float:
+    return float(-10 * np.log10(((a.astype(np.float64) - b) ** 2).mean() / 255**2))
+
+
+@pytest.mark.parametrize(("width_px", "height_px"), [(64, 48), (63, 47)])
+def test_a_video_holds_every_frame_in_order(tmp_path: Path, width_px: int, height_px: int) -> None:
+    path = tmp_path / "out.mp4"
+    sink = open_sink(path, 25.0, Size(width_px, height_px))
+    pictures = [picture(n, width_px, height_px) for n in range(12)]
+    for frame, image in enumerate(pictures, 30):
+        sink.write(frame, image)
+        assert not path.exists()
+    sink.finish()
+    assert list(tmp_path.iterdir()) == [path]
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        assert (stream.width, stream.height) == (64, 48)
+        assert stream.average_rate == 25
+        decoded = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    assert len(decoded) == 12
+    for shown, expected in zip(decoded, pictures, strict=True):
+        assert psnr_db(shown[:height_px, :width_px].astype(np.uint8), expected) > 30
+
+
+def test_an_aborted_video_leaves_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "out.mp4"
+    path.write_bytes(b"what was there before")
+    sink = VideoSink(path, 30.0, Size(32, 32))
+    sink.write(0, picture(0, 32, 32))
+    sink.abort()
+    assert [p.name for p in tmp_path.iterdir()] == ["out.mp4"]
+    assert path.read_bytes() == b"what was there before"
+
+
+def test_pngs_are_exact_and_named_by_frame(tmp_path: Path) -> None:
+    folder = tmp_path / "a" / "b"
+    sink = open_sink(folder, 30.0, Size(9, 7))
+    sink.write(7, picture(1, 9, 7))
+    sink.write(123456, picture(2, 9, 7))
+    sink.abort()
+    assert sorted(p.name for p in folder.iterdir()) == ["frame_00007.png", "frame_123456.png"]
+    np.testing.assert_array_equal(
+        np.asarray(Image.open(folder / "frame_00007.png")), picture(1, 9, 7)
+    )
+
+
+def test_a_png_that_cannot_be_written_is_not_there(tmp_path: Path) -> None:
+    sink = PngSink(tmp_path / "out")
+    (tmp_path / "out" / "frame_00001.png").mkdir()
+    with pytest.raises(OSError, match="frame_00001"):
+        sink.write(1, picture(1, 8, 8))
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["frame_00001.png"]
+
+
+def test_outputs_that_cannot_be(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "frames").mkdir()
+    (tmp_path / "frames" / "frame_00000.png").write_text("")
+    (tmp_path / "dir.mp4").mkdir()
+    for name, message in (
+        ("x.mkv", "name an .mp4"),
+        ("file", "is a file"),
+        ("frames", "holds frames already"),
+        ("dir.mp4", "is a folder"),
+        ("absent/x.mp4", "there is no folder"),
+    ):
+        with pytest.raises(InvalidError, match=message):
+            check_capture(tmp_path / name)
+
+
+def test_light_is_rounded_and_clipped() -> None:
+    light = np.array([-1, 0, 0.5 / 255 + 1e-4, 0.5, 1, 7], np.float32)
+    assert to_bytes(light).tolist() == [0, 0, 1, 128, 255, 255]
