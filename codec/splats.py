@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -70,8 +71,7 @@ class Splats:
 
     @property
     def sh_degree(self) -> int:
-        coefficients: int = self.sh.shape[1]
-        return round(coefficients**0.5) - 1
+        return isqrt(self.sh.shape[1]) - 1
 
     @property
     def opacities(self) -> Floats:

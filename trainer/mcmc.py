@@ -36,8 +36,9 @@ class McmcConfig:
     window_noise_lr: float = 5e4
     """Noise of later windows, whose learning rate restarts higher. Paper, section 8.1."""
     opacity_reg: float = 1e-3
-    """Weight of the mean opacity in the loss. 3DGS-MCMC for indoor scenes; its usual 0.01 (paper, 8.1:
-    0.02) makes haze of a scene that is trained for thousands of iterations, not tens of thousands."""
+    """Weight of the mean opacity in the loss. 3DGS-MCMC for indoor scenes; its usual 0.01 (paper,
+    8.1: 0.02) makes haze of a scene that is trained for thousands of iterations, not tens of
+    thousands."""
     scale_reg: float = 1e-3
     """Weight of the mean standard deviation (metres) in the loss. Paper, section 8.1: 0.01."""
 
