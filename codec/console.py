@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Callable
-from typing import TypeVar
+from typing import NoReturn, TypeVar
 
 import tyro
 
@@ -32,20 +32,27 @@ def run_command(
     for noisy in ("numba", "matplotlib", "PIL", "asyncio"):
         logging.getLogger(noisy).setLevel(logging.WARNING)
     epilogue = "--verbose shows debug logs and, on failure, the traceback."
-    config = tyro.cli(
-        config_type,
-        prog=prog,
-        description=f"{description}\n\n{epilogue}",
-        args=arguments,
-        config=(tyro.conf.EnumChoicesFromValues,),
-    )
+
+    def fail(error: Exception, status: int) -> NoReturn:
+        if verbose:
+            raise error
+        message = " ".join(str(error).split()) or type(error).__name__
+        sys.stderr.write(f"{prog}: {message}\n")
+        sys.exit(status)
+
+    try:
+        config = tyro.cli(
+            config_type,
+            prog=prog,
+            description=f"{description}\n\n{epilogue}",
+            args=arguments,
+            config=(tyro.conf.EnumChoicesFromValues,),
+        )
+    except SwingsError as error:  # a config refused its values
+        fail(error, 2)
     try:
         run(config)
     except KeyboardInterrupt:
         sys.exit(130)
     except (SwingsError, OSError) as error:
-        if verbose:
-            raise
-        message = " ".join(str(error).split()) or type(error).__name__
-        sys.stderr.write(f"{prog}: {message}\n")
-        sys.exit(1)
+        fail(error, 1)

@@ -1,0 +1,60 @@
+"""swings-stream: look at a stream directory."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from .audit import describe, summarize, verify_stream
+from .console import run_command
+
+Folder = Annotated[Path, tyro.conf.arg(metavar="STREAM")]
+
+
+@dataclass(frozen=True, slots=True)
+class Info:
+    """Say what a stream holds, from its manifest and index alone."""
+
+    stream: tyro.conf.Positional[Folder]
+    """Folder of the stream."""
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verify:
+    """Read, check and decode every byte of a stream; fail at the first thing that is wrong."""
+
+    stream: tyro.conf.Positional[Folder]
+    """Folder of the stream."""
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """Which subcommand to run."""
+
+    action: Annotated[Info | Verify, tyro.conf.arg(name="")]
+
+
+def run(command: Command) -> None:
+    match command.action:
+        case Info(stream=path, json=as_json):
+            summary = summarize(path)
+            print(json.dumps(asdict(summary)) if as_json else describe(summary))
+        case Verify(stream=path):
+            summary = verify_stream(path)
+            print(
+                f"{path}: {summary.num_frames} frames in {summary.num_segments} segments are good"
+            )
+
+
+def main() -> None:
+    run_command(Command, run, "swings-stream", "Looks at a stream directory.")
+
+
+if __name__ == "__main__":
+    main()

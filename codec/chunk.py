@@ -1,0 +1,169 @@
+"""One (slice, layer) as bytes, decodable by itself; codec/FORMAT.md is the normative text.
+
+Rule: any bytes give a Chunk or a CodecError, and nothing is allocated before its count is checked.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+
+from . import compact, raw
+from .errors import CorruptError, InvalidError, UnsupportedError
+from .profile import Profile
+from .quantize import Steps
+from .slice import Slice
+from .splats import MAX_SH_DEGREE
+
+MAGIC = b"SWGC"
+VERSION = 1
+
+MODE_INTRA = 0
+"""Coding mode: the chunk needs nothing but itself. 1..255 are free for predicted modes."""
+
+PROFILE_CODES = {Profile.RAW: 0, Profile.COMPACT: 2}
+"""The number of a profile in the header; 1 is kept for the paper's own quantisation."""
+
+FLAG_START_OFFSETS = 1
+"""Set when start offsets are stored; clear when all are zero."""
+
+MAX_SPLATS_PER_CHUNK = 1 << 20
+"""Gaussians in a chunk; bounds what a hostile header can make a reader allocate."""
+
+# magic, version, mode, profile, flags, birth, count, layer, sh_degree, zero, body bytes
+HEADER = struct.Struct("<4sBBBBiIBBHI")
+HEADER_BYTES = HEADER.size
+assert HEADER_BYTES == 24
+
+MAX_CHUNK_BYTES = HEADER_BYTES + compact.HEAD.size + MAX_SPLATS_PER_CHUNK * (4 * (11 + 3 * 16) + 1)
+"""The largest chunk there can be: full, SH degree 3, all float32, with start offsets."""
+assert MAX_CHUNK_BYTES == 248_512_584
+
+_PROFILES = {code: profile for profile, code in PROFILE_CODES.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """A decoded chunk: one layer of the slice due at `birth`."""
+
+    birth: int
+    layer: int
+    profile: Profile
+    slice: Slice
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkHeader:
+    """The fixed first HEADER_BYTES of a chunk, checked."""
+
+    birth: int
+    layer: int
+    profile: Profile
+    count: int
+    sh_degree: int
+    has_start_offsets: bool
+    body_bytes: int
+
+
+def encode_chunk(slice: Slice, layer: int, profile: Profile, steps: Steps | None = None) -> bytes:
+    """The chunk of `slice`, not entropy-coded.
+
+    `compact` permutes the Gaussians and their axes, and quantises by `steps`, or by steps that suit
+    the slice alone; `raw` keeps everything as it is.
+    """
+    count = len(slice.splats)
+    if count > MAX_SPLATS_PER_CHUNK:
+        raise InvalidError(f"chunk: {count} Gaussians, at most {MAX_SPLATS_PER_CHUNK}")
+    if not 0 <= layer <= 255:
+        raise InvalidError(f"chunk: layer {layer} is not in 0..255")
+    if not -(1 << 31) <= slice.birth < 1 << 31:
+        raise InvalidError(f"chunk: birth {slice.birth} does not fit 32 bits")
+    offsets = slice.start_offsets
+    flags = FLAG_START_OFFSETS if offsets.any() else 0
+    if profile is Profile.RAW:
+        body = raw.encode_body(slice.splats)
+    else:
+        body, order = compact.encode_body(slice.splats, steps)
+        offsets = offsets[order]
+    if flags:
+        body += offsets.tobytes()
+    head = HEADER.pack(
+        MAGIC,
+        VERSION,
+        MODE_INTRA,
+        PROFILE_CODES[profile],
+        flags,
+        slice.birth,
+        count,
+        layer,
+        slice.splats.sh_degree,
+        0,
+        len(body),
+    )
+    return head + body
+
+
+def read_header(data: bytes | memoryview) -> ChunkHeader:
+    """The header at the start of `data`; the body may be absent."""
+    if len(data) < HEADER_BYTES:
+        raise CorruptError(f"chunk: {len(data)} bytes are no header of {HEADER_BYTES}")
+    magic, version, mode, profile, flags, birth, count, layer, sh_degree, zero, body_bytes = (
+        HEADER.unpack_from(data)
+    )
+    if magic != MAGIC:
+        raise CorruptError(f"chunk: starts with {bytes(magic)!r}, not {MAGIC!r}")
+    if version != VERSION:
+        raise UnsupportedError(f"chunk: version {version}; this program reads {VERSION}")
+    if mode != MODE_INTRA:
+        raise UnsupportedError(f"chunk: coding mode {mode}; this program reads {MODE_INTRA}")
+    if profile not in _PROFILES:
+        raise UnsupportedError(f"chunk: profile {profile}; this program reads 0 and 2")
+    if flags & ~FLAG_START_OFFSETS or zero:
+        raise UnsupportedError("chunk: a reserved bit is set")
+    if count > MAX_SPLATS_PER_CHUNK:
+        raise CorruptError(f"chunk: {count} Gaussians, at most {MAX_SPLATS_PER_CHUNK}")
+    if sh_degree > MAX_SH_DEGREE:
+        raise UnsupportedError(f"chunk: SH degree {sh_degree}, at most {MAX_SH_DEGREE}")
+    if HEADER_BYTES + body_bytes > MAX_CHUNK_BYTES:
+        raise CorruptError(f"chunk: a body of {body_bytes} bytes")
+    return ChunkHeader(birth, layer, _PROFILES[profile], count, sh_degree, bool(flags), body_bytes)
+
+
+def decode_chunk(data: bytes | memoryview) -> Chunk:
+    """The chunk in `data`, which holds it exactly.
+
+    Raises CorruptError or UnsupportedError for anything else.
+    """
+    header = read_header(data)
+    body = memoryview(data)[HEADER_BYTES:]
+    if len(body) != header.body_bytes:
+        raise CorruptError(f"chunk: {len(body)} bytes after the header, not {header.body_bytes}")
+    offset_bytes = header.count if header.has_start_offsets else 0
+    if len(body) < offset_bytes:
+        raise CorruptError("chunk: too short for its start offsets")
+    attributes, tail = body[: len(body) - offset_bytes], body[len(body) - offset_bytes :]
+    codec = raw if header.profile is Profile.RAW else compact
+    try:
+        splats = codec.decode_body(attributes, header.count, header.sh_degree)
+    except InvalidError as error:
+        raise CorruptError(f"chunk: {error}") from error
+    offsets = (
+        np.frombuffer(tail, np.uint8).copy()
+        if header.has_start_offsets
+        else np.zeros(header.count, np.uint8)
+    )
+    return Chunk(header.birth, header.layer, header.profile, Slice(header.birth, splats, offsets))
+
+
+def plane_edges(chunk: bytes) -> list[int]:
+    """Offsets in `chunk`, from 0 to its end, between its byte planes; none for float32."""
+    header = read_header(chunk)
+    if header.profile is Profile.RAW:
+        return []
+    body_end = len(chunk) - (header.count if header.has_start_offsets else 0)
+    body = memoryview(chunk)[HEADER_BYTES:body_end]
+    inner = compact.plane_edges(body, header.count, header.sh_degree)
+    # The head of the body goes with the header of the chunk.
+    return sorted({0, *(HEADER_BYTES + edge for edge in inner), len(chunk)} - {HEADER_BYTES})

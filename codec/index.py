@@ -1,0 +1,89 @@
+"""index.bin: one fixed-size record for each finished segment, only ever appended to.
+
+Rule: record n describes segment n, so any reader can fetch it by byte range.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from dataclasses import dataclass
+
+from .errors import CorruptError, InvalidError
+from .layers import MAX_LAYERS
+
+# segment, first frame, frames, zero
+HEAD = struct.Struct("<IIII")
+# object bytes, object sha256, PSNR in dB of layers 0..this (NaN: unknown)
+LAYER = struct.Struct("<Q32sf")
+CHECKSUM = struct.Struct("<I")
+assert HEAD.size == 16
+assert LAYER.size == 44
+assert CHECKSUM.size == 4
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentRecord:
+    """What the index says of one segment; the tuples have one entry for each layer."""
+
+    segment: int
+    first_frame: int
+    num_frames: int  # at least 1
+    object_bytes: tuple[int, ...]
+    object_sha256: tuple[bytes, ...]
+    psnr_db: tuple[float, ...]  # of layers 0..n together, float32; NaN where unknown
+
+
+def record_bytes(num_layers: int) -> int:
+    """The size of a record in a stream of `num_layers` layers."""
+    if not 1 <= num_layers <= MAX_LAYERS:
+        raise InvalidError(f"index: {num_layers} layers, expected 1 to {MAX_LAYERS}")
+    return HEAD.size + LAYER.size * num_layers + CHECKSUM.size
+
+
+def pack_record(record: SegmentRecord) -> bytes:
+    """The record's bytes, its CRC32 last."""
+    try:
+        layers = list(zip(record.object_bytes, record.object_sha256, record.psnr_db, strict=True))
+        if any(len(sha256) != 32 for _, sha256, _ in layers):
+            raise ValueError("a sha256 has 32 bytes")
+        body = HEAD.pack(record.segment, record.first_frame, record.num_frames, 0) + b"".join(
+            LAYER.pack(*layer) for layer in layers
+        )
+    except (struct.error, ValueError, OverflowError) as error:
+        raise InvalidError(f"index: segment {record.segment}: {error}") from error
+    return body + CHECKSUM.pack(zlib.crc32(body))
+
+
+def _unpack(data: memoryview, segment: int) -> SegmentRecord:
+    body = data[: -CHECKSUM.size]
+    if CHECKSUM.unpack_from(data, len(body))[0] != zlib.crc32(body):
+        raise CorruptError(f"index: the record of segment {segment} has a wrong checksum")
+    number, first_frame, num_frames, zero = HEAD.unpack_from(body)
+    sizes, hashes, psnrs = zip(*LAYER.iter_unpack(body[HEAD.size :]), strict=True)
+    if number != segment or num_frames < 1 or zero:
+        raise CorruptError(f"index: the record of segment {segment} describes {number}")
+    if any(math.isinf(psnr) for psnr in psnrs):
+        raise CorruptError(f"index: the record of segment {segment} has an infinite PSNR")
+    return SegmentRecord(segment, first_frame, num_frames, sizes, hashes, psnrs)
+
+
+def parse_index(data: bytes, num_layers: int, first_segment: int = 0) -> list[SegmentRecord]:
+    """The records in `data`, of which the first is that of `first_segment`.
+
+    A torn last record (cut short, or all zeros as a file system may leave it after a power cut) is
+    left out; anything else that is wrong raises CorruptError.
+    """
+    size = record_bytes(num_layers)
+    view = memoryview(data)
+    count = len(data) // size
+    if count and not any(view[(count - 1) * size : count * size]):
+        count -= 1
+    records: list[SegmentRecord] = []
+    for n in range(count):
+        record = _unpack(view[n * size : (n + 1) * size], first_segment + n)
+        if records and record.first_frame != records[-1].first_frame + records[-1].num_frames:
+            raise CorruptError(f"index: segment {record.segment} starts at {record.first_frame}")
+        records.append(record)
+    return records

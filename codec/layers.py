@@ -1,0 +1,85 @@
+"""A slice cut into layers by importance, and put together again.
+
+Rule: layers 0..n are always usable together, for any n; a layer alone is of no use.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from .chunk import Chunk
+from .errors import CorruptError, InvalidError
+from .slice import Slice
+from .splats import Floats, Splats
+
+RankFunction = Callable[[Splats], Floats]
+"""Gives (N,) importances; the higher, the earlier the layer."""
+
+MAX_LAYERS = 16
+"""Layers of a slice: what a manifest, an index record and a chunk may name."""
+
+
+def opacity_rank(splats: Splats) -> Floats:
+    """(N,) importance by opacity alone, as the paper drops the tail of a slice."""
+    return splats.logit_opacities
+
+
+def coverage_rank(splats: Splats) -> Floats:
+    """(N,) importance by what a Gaussian can paint: opacity times its widest section."""
+    widest = np.sort(splats.log_scales.astype(np.float64), axis=1)[:, 1:].sum(axis=1)
+    log_opacity = -np.logaddexp(0.0, -splats.logit_opacities.astype(np.float64))
+    importance: Floats = (widest + log_opacity).astype(np.float32)
+    return importance
+
+
+RANKS: dict[str, RankFunction] = {"opacity": opacity_rank, "coverage": coverage_rank}
+
+
+def check_fractions(fractions: Sequence[float]) -> None:
+    """Raises InvalidError unless `fractions` are 1 to MAX_LAYERS positive numbers that sum to 1."""
+    if not 1 <= len(fractions) <= MAX_LAYERS:
+        raise InvalidError(f"layers: {len(fractions)} fractions, expected 1 to {MAX_LAYERS}")
+    if not all(0 < f <= 1 for f in fractions) or abs(sum(fractions) - 1) > 1e-6:
+        raise InvalidError(f"layers: the fractions {tuple(fractions)} are not positive with sum 1")
+
+
+def split_layers(slice: Slice, fractions: tuple[float, ...], rank: RankFunction) -> list[Slice]:
+    """One Slice for each fraction, the most important Gaussians first.
+
+    Inside a layer the Gaussians keep their order; equal ranks fall to the earlier layer in order.
+    """
+    check_fractions(fractions)
+    count = len(slice.splats)
+    order = np.argsort(-rank(slice.splats), kind="stable")
+    edges = np.rint(np.cumsum((0.0, *fractions)) * count).astype(np.int64)
+    edges[-1] = count
+    layers = []
+    for first, last in pairwise(edges):
+        rows = np.sort(order[first:last])
+        layers.append(Slice(slice.birth, slice.splats.take(rows), slice.start_offsets[rows]))
+    return layers
+
+
+def merge_layers(chunks: Sequence[Chunk]) -> Slice:
+    """The slice that `chunks`, layers 0..n of one birth in order, make together."""
+    if not chunks:
+        raise CorruptError("layers: a slice needs at least layer 0")
+    birth = chunks[0].birth
+    for layer, chunk in enumerate(chunks):
+        if chunk.birth != birth or chunk.layer != layer:
+            raise CorruptError(
+                f"layers: found birth {chunk.birth} layer {chunk.layer} "
+                f"where birth {birth} layer {layer} belongs"
+            )
+        if chunk.slice.splats.sh_degree != chunks[0].slice.splats.sh_degree:
+            raise CorruptError(f"layers: birth {birth} layer {layer} has another SH degree")
+    if len(chunks) == 1:
+        return chunks[0].slice
+    return Slice(
+        birth,
+        Splats.concatenate([chunk.slice.splats for chunk in chunks]),
+        np.concatenate([chunk.slice.start_offsets for chunk in chunks]),
+    )

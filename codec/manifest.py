@@ -1,0 +1,275 @@
+"""manifest.json: what a player must know before the first slice; of constant size.
+
+Rule: a `Manifest` that exists is valid, whether it came from JSON or from a program.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from .camera import Camera
+from .chunk import MAX_SPLATS_PER_CHUNK
+from .errors import CorruptError, InvalidError, UnsupportedError
+from .layers import check_fractions
+from .profile import Profile
+from .slice import MAX_SWIN_SIZE
+from .splats import MAX_SH_DEGREE
+
+VERSION = 1
+
+MAX_MANIFEST_BYTES = 1 << 20
+"""Longest manifest.json read, in bytes; 256 cameras need about 200 KB."""
+
+MAX_CAMERAS = 256
+MAX_SEGMENT_FRAMES = 4096
+MAX_NUM_GS = 1 << 24
+"""Most active Gaussians: far above what any player can draw."""
+
+MAX_TEXT_CHARS = 2000
+
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Manifest:
+    """Everything about a stream that does not grow with its length.
+
+    Raises InvalidError at construction when a value breaks a rule.
+    """
+
+    fps: float
+    """Frames shown in a second."""
+    swin_size: int
+    """Frames a Gaussian lives, and the slices in a window."""
+    num_gs: int
+    """Gaussians active in a frame, at most: a multiple of swin_size."""
+    layers: tuple[float, ...]
+    """Share of a slice's Gaussians in each layer; their sum is 1."""
+    segment_frames: int
+    """Frames in a segment; the last one may have fewer."""
+    sh_degree: int
+    """Degree of the spherical harmonics, 0 to 3."""
+    profile: Profile
+    """Precision of every chunk."""
+    antialias: bool
+    """Whether the renderer compensates opacity for its low-pass filter."""
+    near_m: float
+    """Nearest depth drawn, in metres."""
+    bounds: tuple[Point, Point]
+    """Lower and upper corner of what is worth looking at, in metres."""
+    cameras: tuple[Camera, ...]
+    """The capture's cameras, at least one."""
+    default_camera: str
+    """Name of the camera that a player starts from."""
+    live: bool
+    """Whether more segments may still come."""
+    poster: str | None = None
+    """Relative path of a still picture, if there is one."""
+    object_url: str = "segments/{segment}/{layer}"
+    """Where an object lies, relative to the manifest."""
+    title: str = ""
+    """A name for people."""
+    capture_frame: int = 0
+    """Frame of the capture that frame 0 shows."""
+    version: int = VERSION
+
+    def __post_init__(self) -> None:
+        if self.version != VERSION:
+            raise InvalidError(f"manifest: version {self.version}, not {VERSION}")
+        if not (math.isfinite(self.fps) and 0 < self.fps <= 1000):
+            raise InvalidError(f"manifest: fps {self.fps} is not in 0..1000")
+        if not 1 <= self.swin_size <= MAX_SWIN_SIZE:
+            raise InvalidError(f"manifest: swin_size {self.swin_size} not in 1..{MAX_SWIN_SIZE}")
+        if not 0 < self.num_gs <= MAX_NUM_GS or self.num_gs % self.swin_size:
+            raise InvalidError(
+                f"manifest: num_gs {self.num_gs} is not a multiple of swin_size {self.swin_size} "
+                f"in 1..{MAX_NUM_GS}"
+            )
+        if self.slice_size > MAX_SPLATS_PER_CHUNK:
+            raise InvalidError(
+                f"manifest: {self.slice_size} Gaussians a slice, at most {MAX_SPLATS_PER_CHUNK}"
+            )
+        check_fractions(self.layers)
+        if not 1 <= self.segment_frames <= MAX_SEGMENT_FRAMES:
+            raise InvalidError(
+                f"manifest: segment_frames {self.segment_frames} not in 1..{MAX_SEGMENT_FRAMES}"
+            )
+        if not 0 <= self.sh_degree <= MAX_SH_DEGREE:
+            raise InvalidError(f"manifest: sh_degree {self.sh_degree} not in 0..{MAX_SH_DEGREE}")
+        if not (math.isfinite(self.near_m) and self.near_m > 0):
+            raise InvalidError(f"manifest: near_m {self.near_m} is not positive")
+        corners = np.array(self.bounds, np.float64)
+        if corners.shape != (2, 3) or not np.isfinite(corners).all():
+            raise InvalidError("manifest: bounds are not two corners of three numbers")
+        if (corners[0] > corners[1]).any():
+            raise InvalidError("manifest: the lower corner of the bounds is above the upper one")
+        if not 1 <= len(self.cameras) <= MAX_CAMERAS:
+            raise InvalidError(f"manifest: {len(self.cameras)} cameras, not 1..{MAX_CAMERAS}")
+        names = {camera.name for camera in self.cameras}
+        if len(names) != len(self.cameras):
+            raise InvalidError("manifest: two cameras have the same name")
+        if self.default_camera not in names:
+            raise InvalidError(f"manifest: no camera is called {self.default_camera!r}")
+        if not 0 <= self.capture_frame < 1 << 31:
+            raise InvalidError(f"manifest: capture_frame {self.capture_frame} is out of range")
+        for text in (self.poster or "", self.object_url, self.title):
+            if len(text) > MAX_TEXT_CHARS:
+                raise InvalidError(f"manifest: a text of {len(text)} characters")
+        if sorted(re.findall(r"\{.*?\}", self.object_url)) != ["{layer}", "{segment}"]:
+            raise InvalidError(
+                f"manifest: object_url {self.object_url!r} does not hold {{segment}} and {{layer}}"
+            )
+
+    @property
+    def slice_size(self) -> int:
+        """Gaussians in a slice, at most."""
+        return self.num_gs // self.swin_size
+
+    @property
+    def num_layers(self) -> int:
+        return len(self.layers)
+
+    @property
+    def first_birth(self) -> int:
+        """Birth of the oldest slice in the window of frame 0."""
+        return 1 - self.swin_size
+
+    def camera(self, name: str | None = None) -> Camera:
+        """The camera called `name`, or the default one. Raises InvalidError if there is none."""
+        wanted = self.default_camera if name is None else name
+        for camera in self.cameras:
+            if camera.name == wanted:
+                return camera
+        raise InvalidError(
+            f"no camera is called {wanted!r}; there are {', '.join(c.name for c in self.cameras)}"
+        )
+
+    def object_path(self, segment: int, layer: int) -> str:
+        """Where the object of (segment, layer) lies, relative to the manifest."""
+        path = self.object_url.replace("{segment}", str(segment))
+        return path.replace("{layer}", str(layer))
+
+    def segment_of(self, birth: int) -> int:
+        """The segment that holds the slice born at `birth`."""
+        return max(birth, 0) // self.segment_frames
+
+    def births(self, segment: int, num_frames: int) -> range:
+        """The births in `segment`, which shows `num_frames` frames."""
+        first = segment * self.segment_frames
+        return range(first if segment else self.first_birth, first + num_frames)
+
+    def with_live(self, live: bool) -> Manifest:
+        return replace(self, live=live)
+
+    def with_profile(self, profile: Profile) -> Manifest:
+        return replace(self, profile=profile)
+
+    def to_json(self) -> bytes:
+        """manifest.json, UTF-8, one key a line."""
+        value = {
+            "version": self.version,
+            "fps": self.fps,
+            "swin_size": self.swin_size,
+            "num_gs": self.num_gs,
+            "layers": list(self.layers),
+            "segment_frames": self.segment_frames,
+            "sh_degree": self.sh_degree,
+            "profile": self.profile.value,
+            "antialias": self.antialias,
+            "near_m": self.near_m,
+            "bounds": [list(corner) for corner in self.bounds],
+            "cameras": [camera.to_json() for camera in self.cameras],
+            "default_camera": self.default_camera,
+            "live": self.live,
+            "poster": self.poster,
+            "object_url": self.object_url,
+            "title": self.title,
+            "capture_frame": self.capture_frame,
+        }
+        return (json.dumps(value, ensure_ascii=False, allow_nan=False, indent=1) + "\n").encode()
+
+    @staticmethod
+    def from_json(data: bytes) -> Manifest:
+        """The manifest in `data`. Raises CorruptError, or UnsupportedError for a later version."""
+        if len(data) > MAX_MANIFEST_BYTES:
+            raise CorruptError(f"manifest: {len(data)} bytes, at most {MAX_MANIFEST_BYTES}")
+        try:
+            value = json.loads(data.decode(), parse_constant=_no_constant)
+        except (ValueError, RecursionError) as error:
+            raise CorruptError(f"manifest: no JSON: {error}") from error
+        if not isinstance(value, dict):
+            raise CorruptError("manifest: no JSON object")
+        version = value.get("version")
+        if type(version) is not int:
+            raise CorruptError("manifest: no version; this is no swings stream")
+        if version != VERSION:
+            raise UnsupportedError(f"manifest: version {version}; this program reads {VERSION}")
+        try:
+            with np.errstate(all="ignore"):
+                return _from_value(value)
+        except InvalidError as error:
+            raise CorruptError(str(error)) from error
+
+
+def _no_constant(name: str) -> Any:
+    raise ValueError(f"{name} is no number")
+
+
+def _typed(value: Mapping[str, Any], key: str, *kinds: type) -> Any:
+    found = value.get(key)
+    if type(found) not in kinds:
+        raise CorruptError(f"manifest: {key} is missing or of the wrong type")
+    return found
+
+
+def _number(value: Any, key: str) -> float:
+    if type(value) not in (int, float):
+        raise CorruptError(f"manifest: {key} holds something that is no number")
+    try:
+        return float(value)
+    except OverflowError as error:
+        raise CorruptError(f"manifest: {key} holds a number out of range") from error
+
+
+def _from_value(value: Mapping[str, Any]) -> Manifest:
+    try:
+        profile = Profile(_typed(value, "profile", str))
+    except ValueError as error:
+        raise UnsupportedError(f"manifest: profile {str(value['profile'])[:40]!r}") from error
+    corners = []
+    for corner in _typed(value, "bounds", list):
+        if type(corner) is not list or len(corner) != 3:
+            raise CorruptError("manifest: a corner of bounds is not three numbers")
+        x, y, z = (_number(number, "bounds") for number in corner)
+        corners.append((x, y, z))
+    if len(corners) != 2:
+        raise CorruptError("manifest: bounds are not two corners")
+    cameras = _typed(value, "cameras", list)
+    if len(cameras) > MAX_CAMERAS or any(type(camera) is not dict for camera in cameras):
+        raise CorruptError(f"manifest: cameras are not at most {MAX_CAMERAS} objects")
+    return Manifest(
+        fps=_number(_typed(value, "fps", int, float), "fps"),
+        swin_size=_typed(value, "swin_size", int),
+        num_gs=_typed(value, "num_gs", int),
+        layers=tuple(_number(x, "layers") for x in _typed(value, "layers", list)),
+        segment_frames=_typed(value, "segment_frames", int),
+        sh_degree=_typed(value, "sh_degree", int),
+        profile=profile,
+        antialias=_typed(value, "antialias", bool),
+        near_m=_number(_typed(value, "near_m", int, float), "near_m"),
+        bounds=(corners[0], corners[1]),
+        cameras=tuple(Camera.from_json(camera) for camera in cameras),
+        default_camera=_typed(value, "default_camera", str),
+        live=_typed(value, "live", bool),
+        poster=_typed(value, "poster", str, type(None)),
+        object_url=_typed(value, "object_url", str),
+        title=_typed(value, "title", str),
+        capture_frame=_typed(value, "capture_frame", int),
+    )

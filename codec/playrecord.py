@@ -1,0 +1,173 @@
+"""The records of a /play response: u32 little-endian length, then a msgpack map.
+
+Sans-IO: `RecordParser` takes bytes in any pieces and gives records; it holds at most one record.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+import msgpack
+
+from .errors import CorruptError, InvalidError
+from .layers import MAX_LAYERS
+
+LENGTH = struct.Struct("<I")
+
+MAX_KEYS = 8
+"""Entries of a record's map; four are in use."""
+
+MAX_RECORD_BYTES = 64 << 20
+"""Longest record accepted, in bytes: a slice of a million raw Gaussians."""
+
+
+@dataclass(frozen=True, slots=True)
+class StartRecord:
+    """The first record: what follows shows from `from_frame` on."""
+
+    from_frame: int
+    num_frames: int  # known when the response began; may grow while live
+    manifest: bytes  # manifest.json
+
+
+@dataclass(frozen=True, slots=True)
+class SliceRecord:
+    """One slice: the still compressed frames of its layers 0, 1, ... (decode_frame)."""
+
+    birth: int
+    frames: tuple[bytes, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class EndRecord:
+    """The last record of a response that was sent to its end."""
+
+    num_frames: int
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorRecord:
+    """The last record of a response that the server had to break off."""
+
+    message: str
+
+
+Record = StartRecord | SliceRecord | EndRecord | ErrorRecord
+
+
+def encode_record(record: Record) -> bytes:
+    """The record's bytes, length first."""
+    match record:
+        case StartRecord():
+            value: dict[str, Any] = {
+                "kind": "start",
+                "from": record.from_frame,
+                "num_frames": record.num_frames,
+                "manifest": record.manifest,
+            }
+        case SliceRecord():
+            value = {"kind": "slice", "birth": record.birth, "frames": list(record.frames)}
+        case EndRecord():
+            value = {"kind": "end", "num_frames": record.num_frames}
+        case ErrorRecord():
+            value = {"kind": "error", "message": record.message}
+    body: bytes = msgpack.packb(value, use_bin_type=True)
+    if len(body) > MAX_RECORD_BYTES:
+        raise InvalidError(f"play: a record of {len(body)} bytes, at most {MAX_RECORD_BYTES}")
+    return LENGTH.pack(len(body)) + body
+
+
+def _field(value: dict[str, Any], key: str, kind: type) -> Any:
+    found = value.get(key)
+    if type(found) is not kind:
+        raise CorruptError(f"play: {value.get('kind')!r} record without a valid {key!r}")
+    return found
+
+
+def _count(value: dict[str, Any], key: str) -> int:
+    number: int = _field(value, key, int)
+    if not 0 <= number < 1 << 31:
+        raise CorruptError(f"play: {key!r} is {number}")
+    return number
+
+
+def _flat_list(items: list[Any]) -> list[Any]:
+    """Refuses lists in lists as soon as one is built: a tree of them grows 64-fold in memory."""
+    if any(type(item) is not bytes for item in items):
+        raise ValueError("a list of something else than bin")
+    return items
+
+
+def _flat_map(value: dict[Any, Any]) -> dict[Any, Any]:
+    if any(type(item) is dict for item in value.values()):
+        raise ValueError("a map in a map")
+    return value
+
+
+def decode_record(body: bytes | memoryview) -> Record:
+    """The record in `body`, which comes without its length."""
+    try:
+        value = msgpack.unpackb(
+            body,
+            raw=False,
+            strict_map_key=True,
+            list_hook=_flat_list,
+            object_hook=_flat_map,
+            max_array_len=MAX_LAYERS,
+            max_map_len=MAX_KEYS,
+            max_ext_len=0,
+        )
+    except (ValueError, TypeError, RecursionError, msgpack.UnpackException) as error:
+        raise CorruptError(f"play: no msgpack record ({type(error).__name__})") from error
+    if type(value) is not dict:
+        raise CorruptError("play: a record that is no map")
+    match value.get("kind"):
+        case "start":
+            return StartRecord(
+                _count(value, "from"), _count(value, "num_frames"), _field(value, "manifest", bytes)
+            )
+        case "slice":
+            frames = _field(value, "frames", list)
+            if not 1 <= len(frames) <= MAX_LAYERS or any(type(f) is not bytes for f in frames):
+                raise CorruptError("play: a 'slice' record without frames of its layers")
+            birth: int = _field(value, "birth", int)
+            if not -(1 << 31) <= birth < 1 << 31:
+                raise CorruptError(f"play: a slice born at {birth}")
+            return SliceRecord(birth, tuple(frames))
+        case "end":
+            return EndRecord(_count(value, "num_frames"))
+        case "error":
+            return ErrorRecord(_field(value, "message", str)[:500])
+        case kind:
+            raise CorruptError(f"play: a record of kind {str(kind)[:40]!r}")
+
+
+class RecordParser:
+    """Turns the bytes of a /play response, in any pieces, into records."""
+
+    def __init__(self) -> None:
+        self._pending = bytearray()
+
+    @property
+    def pending_bytes(self) -> int:
+        """Bytes held of a record that is not whole yet; 0 at the end of a whole response."""
+        return len(self._pending)
+
+    def feed(self, data: bytes | memoryview) -> list[Record]:
+        """The records that `data` completes, in order. After a CorruptError feed nothing more."""
+        self._pending += data
+        records: list[Record] = []
+        start = 0
+        while len(self._pending) - start >= LENGTH.size:
+            (length,) = LENGTH.unpack_from(self._pending, start)
+            if length > MAX_RECORD_BYTES:
+                raise CorruptError(f"play: a record of {length} bytes, at most {MAX_RECORD_BYTES}")
+            end = start + LENGTH.size + length
+            if len(self._pending) < end:
+                break
+            records.append(decode_record(bytes(self._pending[start + LENGTH.size : end])))
+            start = end
+        del self._pending[:start]
+        return records

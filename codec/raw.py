@@ -1,0 +1,33 @@
+"""Profile `raw`: the body of a chunk is every float32 as it was given, attribute by attribute."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .errors import CorruptError
+from .splats import Floats, Splats, sh_count
+
+FLOAT32 = np.dtype("<f4")
+
+
+def encode_body(splats: Splats) -> bytes:
+    """means, log_scales, quats, logit_opacities, sh: float32 little-endian, row after row."""
+    parts = (splats.means, splats.log_scales, splats.quats, splats.logit_opacities, splats.sh)
+    return b"".join(part.astype(FLOAT32, copy=False).tobytes() for part in parts)
+
+
+def decode_body(body: memoryview, count: int, sh_degree: int) -> Splats:
+    """The Splats in `body`. Raises CorruptError (length) or InvalidError (values)."""
+    coefficients = sh_count(sh_degree)
+    floats = 11 + 3 * coefficients
+    if len(body) != count * floats * FLOAT32.itemsize:
+        raise CorruptError(f"raw: a body of {len(body)} bytes for {count} Gaussians")
+    values: Floats = np.frombuffer(body, FLOAT32).astype(np.float32)
+    means, log_scales, quats, opacities, sh = np.split(values, np.cumsum([3, 3, 4, 1]) * count)
+    return Splats(
+        means.reshape(count, 3),
+        log_scales.reshape(count, 3),
+        quats.reshape(count, 4),
+        opacities,
+        sh.reshape(count, coefficients, 3),
+    )

@@ -1,0 +1,227 @@
+"""Reads a stream directory: any slice, any window, any number of layers; memory stays bounded.
+
+Rule: every file is checked against the index before it is decoded, and an error names the file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import OrderedDict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from .chunk import Chunk
+from .errors import CodecError, CorruptError, InvalidError
+from .index import SegmentRecord, parse_index, record_bytes
+from .layers import merge_layers
+from .manifest import MAX_MANIFEST_BYTES, Manifest
+from .object import MAX_OBJECT_BYTES, ChunkEntry, decode_object_chunk, read_object_table
+from .slice import Slice
+from .splats import Splats
+from .writer import INDEX_NAME, MANIFEST_NAME
+
+
+def _read(path: Path, limit_bytes: int) -> bytes:
+    try:
+        with open(path, "rb") as file:
+            data = file.read(limit_bytes + 1)
+    except FileNotFoundError as error:
+        raise CorruptError(f"{path} is missing; this is no whole swings stream") from error
+    except OSError as error:
+        raise CorruptError(f"{path} cannot be read: {error.strerror}") from error
+    if len(data) > limit_bytes:
+        raise CorruptError(f"{path} is longer than {limit_bytes} bytes")
+    return data
+
+
+@dataclass(frozen=True, slots=True)
+class _Object:
+    """An object in the cache: still compressed, its table read and checked."""
+
+    path: Path
+    data: bytes
+    entries: list[ChunkEntry]
+
+
+class StreamReader:
+    """A stream directory, finished or still growing (`refresh`)."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.records: list[SegmentRecord] = []
+        """One record for each finished segment."""
+        self._objects: OrderedDict[tuple[int, int], _Object] = OrderedDict()
+        self._chunks: OrderedDict[tuple[int, int], Chunk] = OrderedDict()
+        self._read_manifest()
+        self.refresh()
+
+    def _read_manifest(self) -> None:
+        path = self.path / MANIFEST_NAME
+        if not self.path.is_dir():
+            raise CorruptError(f"{self.path} is no folder; name the folder of a stream")
+        data = _read(path, MAX_MANIFEST_BYTES)
+        try:
+            self.manifest = Manifest.from_json(data)
+        except CodecError as error:
+            raise type(error)(f"{path}: {error}") from error
+        self._manifest_bytes = len(data)
+
+    @property
+    def num_frames(self) -> int:
+        """Frames that can be shown now: 0..num_frames-1."""
+        return self.records[-1].first_frame + self.records[-1].num_frames if self.records else 0
+
+    @property
+    def births(self) -> range:
+        """The births of all slices there are now."""
+        first = self.manifest.first_birth
+        return range(first, self.num_frames) if self.records else range(first, first)
+
+    @property
+    def overhead_bytes(self) -> int:
+        """Size of the manifest and of the index's whole records."""
+        index_bytes = len(self.records) * record_bytes(self.manifest.num_layers)
+        return self._manifest_bytes + index_bytes
+
+    def refresh(self) -> int:
+        """Takes in what was appended since; gives how many segments are new."""
+        if self.manifest.live:
+            # Before the index: a stream that is finished now has its last record already.
+            self._read_manifest()
+        path = self.path / INDEX_NAME
+        known = len(self.records)
+        try:
+            with open(path, "rb") as file:
+                file.seek(known * record_bytes(self.manifest.num_layers))
+                data = file.read()
+        except OSError as error:
+            raise CorruptError(f"{path} cannot be read: {error.strerror}") from error
+        try:
+            fresh = parse_index(data, self.manifest.num_layers, known)
+            self._check(fresh)
+        except CodecError as error:
+            raise type(error)(f"{path}: {error}") from error
+        self.records += fresh
+        return len(fresh)
+
+    def _check(self, fresh: list[SegmentRecord]) -> None:
+        length = self.manifest.segment_frames
+        previous = self.records[-1:] + fresh[:-1]
+        for record in fresh:
+            if record.first_frame != record.segment * length or record.num_frames > length:
+                raise CorruptError(f"index: segment {record.segment} does not fit the manifest")
+            if max(record.object_bytes) > MAX_OBJECT_BYTES:
+                raise CorruptError(f"index: segment {record.segment} names too large an object")
+        if any(record.num_frames != length for record in previous):
+            raise CorruptError("index: a segment follows a short one")
+
+    def _object_path(self, segment: int, layer: int) -> Path:
+        return self.path / "segments" / str(segment) / str(layer)
+
+    def read_object(self, segment: int, layer: int) -> bytes:
+        """The object of (segment, layer) as it lies on disk, its size and hash checked."""
+        if not 0 <= segment < len(self.records) or not 0 <= layer < self.manifest.num_layers:
+            raise InvalidError(
+                f"{self.path} has no segment {segment} layer {layer}: it has "
+                f"{len(self.records)} segments of {self.manifest.num_layers} layers"
+            )
+        record = self.records[segment]
+        path = self._object_path(segment, layer)
+        data = _read(path, record.object_bytes[layer])
+        if len(data) != record.object_bytes[layer]:
+            raise CorruptError(
+                f"{path} has {len(data)} bytes, the index says {record.object_bytes[layer]}"
+            )
+        if hashlib.sha256(data).digest() != record.object_sha256[layer]:
+            raise CorruptError(f"{path} was altered: its hash differs from the index")
+        return data
+
+    def _object(self, segment: int, layer: int) -> _Object:
+        key = (segment, layer)
+        if key not in self._objects:
+            self._objects[key] = self._load(segment, layer)
+            # All that a window can touch, and the segment after it.
+            segments = 2 + self.manifest.swin_size // self.manifest.segment_frames
+            while len(self._objects) > segments * self.manifest.num_layers:
+                self._objects.popitem(last=False)
+        self._objects.move_to_end(key)
+        return self._objects[key]
+
+    def _load(self, segment: int, layer: int) -> _Object:
+        path = self._object_path(segment, layer)
+        data = self.read_object(segment, layer)
+        births = self.manifest.births(segment, self.records[segment].num_frames)
+        try:
+            entries = read_object_table(data)
+            if [entry.birth for entry in entries] != list(births):
+                raise CorruptError(f"object: its births are not {births[0]}..{births[-1]}")
+        except CodecError as error:
+            raise type(error)(f"{path}: {error}") from error
+        return _Object(path, data, entries)
+
+    def chunk(self, birth: int, layer: int) -> Chunk:
+        """The chunk of one layer of the slice born at `birth`."""
+        key = (birth, layer)
+        if key not in self._chunks:
+            self._chunks[key] = self._decode(birth, layer)
+            while len(self._chunks) > (self.manifest.swin_size + 1) * self.manifest.num_layers:
+                self._chunks.popitem(last=False)
+        self._chunks.move_to_end(key)
+        return self._chunks[key]
+
+    def _decode(self, birth: int, layer: int) -> Chunk:
+        manifest = self.manifest
+        found = self._object(manifest.segment_of(birth), layer)
+        try:
+            chunk = decode_object_chunk(found.data, found.entries[birth - found.entries[0].birth])
+            found_is = (chunk.layer, chunk.profile, chunk.slice.splats.sh_degree)
+            if found_is != (layer, manifest.profile, manifest.sh_degree):
+                raise CorruptError(f"object: birth {birth} does not fit the manifest")
+        except CodecError as error:
+            raise type(error)(f"{found.path}: {error}") from error
+        return chunk
+
+    def slice(self, birth: int, num_layers: int) -> Slice:
+        """The slice born at `birth`, of its layers 0..num_layers-1."""
+        if not 1 <= num_layers <= self.manifest.num_layers:
+            raise InvalidError(f"{num_layers} layers of {self.manifest.num_layers}")
+        if birth not in self.births:
+            raise InvalidError(
+                f"{self.path} has no slice born at {birth}; it has {len(self.births)} slices "
+                f"from {self.manifest.first_birth} on"
+            )
+        merged = merge_layers([self.chunk(birth, layer) for layer in range(num_layers)])
+        if len(merged.splats) > self.manifest.slice_size:
+            path = self._object_path(self.manifest.segment_of(birth), num_layers - 1)
+            raise CorruptError(
+                f"{path}: the slice born at {birth} has {len(merged.splats)} Gaussians, "
+                f"the manifest allows {self.manifest.slice_size}"
+            )
+        return merged
+
+    def slices(self, first_birth: int, num_layers: int) -> Iterator[Slice]:
+        """The slices from `first_birth` to the last one there is when it is reached."""
+        birth = first_birth
+        while birth in self.births:
+            yield self.slice(birth, num_layers)
+            birth += 1
+
+    def window(self, frame: int, num_layers: int) -> list[Slice]:
+        """The swin_size slices that show at `frame`, oldest first."""
+        if not 0 <= frame < self.num_frames:
+            raise InvalidError(f"{self.path} has no frame {frame}; it has {self.num_frames} frames")
+        births = range(frame - self.manifest.swin_size + 1, frame + 1)
+        return [self.slice(birth, num_layers) for birth in births]
+
+    def active_splats(self, frame: int, num_layers: int) -> Splats:
+        """All Gaussians that show at `frame`, oldest slice first."""
+        swin_size = self.manifest.swin_size
+        return Splats.concatenate(
+            [
+                part.splats.take(np.flatnonzero(part.active(frame, swin_size)))
+                for part in self.window(frame, num_layers)
+            ]
+        )

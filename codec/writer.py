@@ -1,0 +1,202 @@
+"""Writes a stream directory so that a reader always sees a valid, shorter stream.
+
+Rule: an object is whole on disk (temporary name, fsync, rename) before the index record
+that names it is appended (fsync). Killing the writer at any instant loses at most the segment being
+written.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+from pathlib import Path
+from types import TracebackType
+
+from .chunk import encode_chunk
+from .errors import CorruptError, InvalidError
+from .index import SegmentRecord, pack_record, parse_index, record_bytes
+from .layers import RANKS, split_layers
+from .manifest import Manifest
+from .object import encode_frame, join_frames
+from .quantize import layer_steps
+from .slice import Slice
+
+MANIFEST_NAME = "manifest.json"
+INDEX_NAME = "index.bin"
+
+
+def sync_folder(path: Path) -> None:
+    """Makes the names in the folder `path` last through a power cut."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def write_atomic(path: Path, data: bytes) -> None:
+    """Puts `data` at `path`: a reader sees all of it or what was there before."""
+    temporary = path.with_name(f".{path.name}.tmp")
+    with open(temporary, "wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(temporary, path)
+    sync_folder(path.parent)
+
+
+class StreamWriter:
+    """Appends slices to a stream directory; holds the compressed chunks of one segment at most.
+
+    Use it with `with`: leaving normally closes the stream, leaving by an exception aborts it, which
+    keeps the finished segments and leaves the stream live for `resume`.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        manifest: Manifest,
+        records: list[SegmentRecord],
+        rank: str,
+        coarseness: float,
+    ) -> None:
+        """Use `create` or `resume`."""
+        if rank not in RANKS:
+            raise InvalidError(f"no rank is called {rank!r}; there are {', '.join(RANKS)}")
+        self.path = path
+        self.manifest = manifest
+        self._rank = RANKS[rank]
+        self._coarseness = coarseness
+        self._num_segments = len(records)
+        self._frames: list[list[tuple[int, bytes]]] = [[] for _ in manifest.layers]
+        self._closed = False
+        self.next_birth = (
+            records[-1].first_frame + records[-1].num_frames if records else manifest.first_birth
+        )
+        """Birth of the slice that `append` wants next."""
+        self.bytes_written = sum(sum(record.object_bytes) for record in records)
+        """Bytes of the finished segments' objects."""
+
+    @classmethod
+    def create(
+        cls, path: Path, manifest: Manifest, rank: str = "opacity", coarseness: float = 1.0
+    ) -> StreamWriter:
+        """A writer of a new stream at `path`, which is absent or an empty folder.
+
+        `rank` names one of `codec.layers.RANKS`; `coarseness` multiplies the quantisation steps of
+        profile `compact`: 2 saves about a quarter of the bytes.
+        """
+        if path.exists() and (not path.is_dir() or any(path.iterdir())):
+            raise InvalidError(f"{path} is not empty; remove it or name another folder")
+        writer = cls(path, manifest.with_live(True), [], rank, coarseness)
+        path.mkdir(parents=True, exist_ok=True)
+        (path / "segments").mkdir()
+        write_atomic(path / INDEX_NAME, b"")
+        # Last, because a folder is a stream from the moment that it has a manifest.
+        write_atomic(path / MANIFEST_NAME, writer.manifest.to_json())
+        return writer
+
+    @classmethod
+    def resume(cls, path: Path, rank: str = "opacity", coarseness: float = 1.0) -> StreamWriter:
+        """A writer that goes on after `path`'s last finished segment; `next_birth` says where."""
+        try:
+            manifest = Manifest.from_json((path / MANIFEST_NAME).read_bytes())
+            index = (path / INDEX_NAME).read_bytes()
+        except FileNotFoundError as error:
+            raise CorruptError(f"{path} is no stream: {error.filename} is missing") from error
+        if not manifest.live:
+            raise InvalidError(f"{path} is finished; write to another folder")
+        records = parse_index(index, manifest.num_layers)
+        whole_bytes = len(records) * record_bytes(manifest.num_layers)
+        if whole_bytes < len(index):
+            os.truncate(path / INDEX_NAME, whole_bytes)
+        for leftover in (*path.glob(".*.tmp"), *(path / "segments").glob("*/.*.tmp")):
+            leftover.unlink()
+        return cls(path, manifest, records, rank, coarseness)
+
+    @property
+    def complete(self) -> bool:
+        """Whether a short last segment stands already, after which nothing can be appended."""
+        return self._num_segments * self.manifest.segment_frames > max(self.next_birth, 0)
+
+    def append(self, slice: Slice) -> None:
+        """Takes the slice born at `next_birth`; writes the segment that it completes."""
+        manifest = self.manifest
+        if self._closed:
+            raise InvalidError(f"{self.path}: the writer is closed")
+        if slice.birth != self.next_birth:
+            raise InvalidError(
+                f"{self.path}: slice born at {slice.birth}, expected {self.next_birth}"
+            )
+        if self.complete:
+            raise InvalidError(f"{self.path}: the last segment is short; nothing can follow it")
+        if len(slice.splats) > manifest.slice_size:
+            raise InvalidError(
+                f"{self.path}: {len(slice.splats)} Gaussians, at most {manifest.slice_size} a slice"
+            )
+        if slice.splats.sh_degree != manifest.sh_degree:
+            raise InvalidError(
+                f"{self.path}: SH degree {slice.splats.sh_degree}, not {manifest.sh_degree}"
+            )
+        parts = split_layers(slice, manifest.layers, self._rank)
+        steps = layer_steps([part.splats for part in parts], self._coarseness)
+        for layer, part in enumerate(parts):
+            frame = encode_frame(encode_chunk(part, layer, manifest.profile, steps[layer]))
+            self._frames[layer].append((slice.birth, frame))
+        self.next_birth += 1
+        if self.next_birth == (self._num_segments + 1) * manifest.segment_frames:
+            self._write_segment()
+
+    def _write_segment(self) -> None:
+        segment = self._num_segments
+        first_frame = segment * self.manifest.segment_frames
+        folder = self.path / "segments" / str(segment)
+        folder.mkdir(exist_ok=True)
+        objects = [join_frames(frames) for frames in self._frames]
+        for layer, data in enumerate(objects):
+            write_atomic(folder / str(layer), data)
+        sync_folder(folder.parent)
+        record = SegmentRecord(
+            segment,
+            first_frame,
+            self.next_birth - first_frame,
+            tuple(len(data) for data in objects),
+            tuple(hashlib.sha256(data).digest() for data in objects),
+            (math.nan,) * len(objects),
+        )
+        with open(self.path / INDEX_NAME, "ab", buffering=0) as index:
+            index.write(pack_record(record))
+            os.fsync(index.fileno())
+        self._num_segments += 1
+        self._frames = [[] for _ in self.manifest.layers]
+        self.bytes_written += sum(record.object_bytes)
+
+    def close(self) -> None:
+        """Writes the short last segment, if there is one, and marks the stream as finished."""
+        if self._closed:
+            return
+        if self._frames[0] and self.next_birth > 0:
+            self._write_segment()
+        self._closed = True
+        self.manifest = self.manifest.with_live(False)
+        write_atomic(self.path / MANIFEST_NAME, self.manifest.to_json())
+
+    def abort(self) -> None:
+        """Drops the unfinished segment and leaves the stream live."""
+        self._closed = True
+        self._frames = [[] for _ in self.manifest.layers]
+
+    def __enter__(self) -> StreamWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.abort()

@@ -1,0 +1,121 @@
+"""A second decoder of chunks, written from codec/FORMAT.md alone: slow and plain.
+
+It shares no code with the package; `f32` is what a browser calls Math.fround.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+from itertools import pairwise
+
+
+def f32(value: float) -> float:
+    """`value` rounded to the nearest float32."""
+    rounded: float = struct.unpack("<f", struct.pack("<f", value))[0]
+    return rounded
+
+
+@dataclass(frozen=True, slots=True)
+class PlainChunk:
+    birth: int
+    layer: int
+    profile: int
+    means: list[tuple[float, ...]]
+    log_scales: list[tuple[float, ...]]
+    quats: list[tuple[float, ...]]
+    logit_opacities: list[float]
+    sh: list[list[tuple[float, ...]]]
+    start_offsets: list[int]
+
+
+def rows(values: list[float], width: int) -> list[tuple[float, ...]]:
+    return [tuple(values[i : i + width]) for i in range(0, len(values), width)]
+
+
+def decode(chunk: bytes) -> PlainChunk:
+    magic, version, mode, profile, flags, birth, count, layer, degree, zero, body_bytes = (
+        struct.unpack_from("<4sBBBBiIBBHI", chunk)
+    )
+    assert (magic, version, mode, zero, flags & ~1) == (b"SWGC", 1, 0, 0, 0)
+    assert len(chunk) == 24 + body_bytes
+    body = chunk[24:]
+    offsets = [0] * count
+    if flags & 1:
+        offsets = list(body[len(body) - count :])
+        body = body[: len(body) - count]
+    k = (degree + 1) ** 2
+    parts = raw(body, count, k) if profile == 0 else compact(body, count, k)
+    return PlainChunk(birth, layer, profile, *parts, offsets)
+
+
+Parts = tuple[
+    list[tuple[float, ...]],
+    list[tuple[float, ...]],
+    list[tuple[float, ...]],
+    list[float],
+    list[list[tuple[float, ...]]],
+]
+
+
+def raw(body: bytes, count: int, k: int) -> Parts:
+    assert len(body) == 4 * count * (11 + 3 * k)
+    values = list(struct.unpack(f"<{len(body) // 4}f", body))
+    ends = [0, 3 * count, 6 * count, 10 * count, 11 * count, len(values)]
+    means, scales, quats, logits, sh = (values[a:b] for a, b in pairwise(ends))
+    coefficients = rows(sh, 3)
+    by_gaussian = [coefficients[i : i + k] for i in range(0, len(coefficients), k)]
+    return rows(means, 3), rows(scales, 3), rows(quats, 4), logits, by_gaussian
+
+
+def compact(body: bytes, count: int, k: int) -> Parts:
+    numbers = struct.unpack_from("<9fHHII", body)
+    origin, (p_step, s_base, s_step, r_step, c_base, c_step) = numbers[:3], numbers[3:9]
+    levels, half, escapes, low_bit_bytes = numbers[9:]
+    n = count - escapes
+    num_planes = 8 + 3 * k
+    planes = [body[48 + p * n : 48 + (p + 1) * n] for p in range(num_planes)]
+    at = 48 + num_planes * n
+    low_bits = int.from_bytes(body[at : at + low_bit_bytes], "little")
+    at += low_bit_bytes
+    means, scales, quats, logits, sh = [], [], [], [], []
+    code = 0
+    used = 0
+    for i in range(n):
+        length = planes[0][i]
+        if length:
+            width = length - 1
+            code += (1 << width) | (low_bits >> used) & ((1 << width) - 1)
+            used += width
+        place = [sum((code >> (3 * b + axis) & 1) << b for b in range(20)) for axis in range(3)]
+        means.append(tuple(f32(f32(q * p_step) + o) for q, o in zip(place, origin, strict=True)))
+
+        q1 = planes[1][i]
+        q2 = q1 - planes[2][i]
+        q3 = q2 - planes[3][i]
+        scales.append(tuple(f32(f32(q * s_step) + s_base) for q in (q1, q2, q3)))
+
+        x, y, z = (f32((planes[p][i] - half) * r_step) for p in (4, 5, 6))
+        square = f32(f32(f32(x * x) + f32(y * y)) + f32(z * z))
+        quats.append((f32(math.sqrt(max(f32(1 - square), 0.0))), x, y, z))
+
+        level = planes[7][i]
+        if level in (0, levels - 1):
+            logits.append(16.0 if level else -16.0)
+        else:
+            logits.append(f32(math.log(level / (levels - 1 - level))))
+
+        colour = []
+        for c in range(k):
+            luma = f32((planes[8 + c][i] - 128) * c_step)
+            if c == 0:
+                luma = f32(f32(planes[8][i] * c_step) + c_base)
+            co = f32((planes[8 + k + c][i] - 128) * c_step)
+            cg = f32((planes[8 + 2 * k + c][i] - 128) * c_step)
+            rest = f32(luma - cg)
+            colour.append((f32(rest + co), f32(luma + cg), f32(rest - co)))
+        sh.append(colour)
+    assert (used + 7) // 8 == low_bit_bytes
+    tail = raw(body[at:], escapes, k)
+    return means + tail[0], scales + tail[1], quats + tail[2], logits + tail[3], sh + tail[4]
