@@ -41,9 +41,9 @@ GEOMETRY_PLANES = 8
 TAME = 1e30
 """Magnitude from which a value escapes, so that no dequantised one overflows float32."""
 
-MAX_ESCAPE_SHARE = 0.05
-"""The position step grows until fewer Gaussians than this lie outside what the integers reach."""
-
+MAX_ESCAPE_SHARE = 0.005
+MIN_ESCAPES = 4
+"""A step grows until at most this share, or this many, lie outside what the integers reach."""
 
 Flags = npt.NDArray[np.bool_]
 
@@ -106,12 +106,37 @@ def _single(value: float) -> float:
     return float(np.float32(np.clip(value, -TAME, TAME)))
 
 
-def _low_end(values: Doubles, span: float) -> float:
-    """Where a range of `span` starts so that it holds all of `values`, or else the middle ones."""
+def _spare(count: int) -> int:
+    """How many of `count` values may escape from one range before its step grows."""
+    return min(count - 1, max(int(MAX_ESCAPE_SHARE * count), MIN_ESCAPES))
+
+
+def _fit(values: Doubles, step: float, levels: int) -> tuple[float, float]:
+    """Where a range of `levels` steps starts that holds `values`, and a step, grown if it must.
+
+    What lies outside the range escapes, which is little: see `_spare`.
+    """
     if not len(values):
-        return 0.0
-    low = float(values.min())
-    return low if values.max() - low <= span else float(np.median(values)) - span / 2
+        return 0.0, step
+    ordered = np.sort(values)
+    if ordered[-1] - ordered[0] <= levels * step:
+        return float(ordered[0]), step
+    spare = _spare(len(ordered))
+    widths = ordered[len(ordered) - 1 - spare :] - ordered[: spare + 1]
+    first = int(np.argmin(widths))
+    step = max(step, float(widths[first]) / levels)
+    middle = ordered[first] + widths[first] / 2
+    return float(middle) - levels * step / 2, step
+
+
+def _colour_step(sh: Doubles, step: float) -> float:
+    """`step`, or as much more as the coefficients that lie around zero need."""
+    if not len(sh):
+        return step
+    # All but the luma of the first one, which has a base of its own.
+    around_zero = np.concatenate([sh[:, 0, 1:], *sh[:, 1:].transpose(1, 0, 2)], axis=1)
+    farthest = np.sort(np.abs(around_zero).max(axis=1))
+    return max(step, float(farthest[-1 - _spare(len(sh))]) / (MIDDLE - 1))
 
 
 def _is_tame(splats: Splats) -> Flags:
@@ -123,28 +148,21 @@ def _is_tame(splats: Splats) -> Flags:
 
 def _choose_head(means: Doubles, scales: Doubles, sh: Doubles, steps: Steps) -> Head:
     reach = (1 << BITS_PER_AXIS) - 2
-    position_step = _single(steps.position_m)
-    while True:
-        origin = [_single(_low_end(axis, reach * position_step)) for axis in means.T]
-        places = (means - origin) / position_step
-        outside = ((places < 0) | (places > reach)).any(axis=1)
-        if outside.sum() <= MAX_ESCAPE_SHARE * len(means):
-            break
-        position_step *= 2
-    x, y, z = origin
+    step_m = _single(max(_fit(axis, steps.position_m, reach)[1] for axis in means.T))
+    x, y, z = (_single(_fit(axis, step_m, reach)[0]) for axis in means.T)
+    scale_base, scale_step = _fit(scales[:, 0], steps.log_scale, 254)
+    colour_base, colour_step = _fit(sh[:, 0, 0], _colour_step(sh, steps.colour), 254)
     half = int(np.clip(np.rint(0.5**0.5 / steps.rotation), 1, MAX_ROTATION_HALF))
-    colour_step = _single(steps.colour)
-    scale_step = _single(steps.log_scale)
     return Head(
         x,
         y,
         z,
-        position_step,
-        _single(_low_end(scales[:, 0], 254 * scale_step)),
-        scale_step,
+        step_m,
+        _single(scale_base),
+        _single(scale_step),
         _single(0.5**0.5 / half),
-        _single(_low_end(sh[:, 0, 0], 254 * colour_step)),
-        colour_step,
+        _single(colour_base),
+        _single(colour_step),
         int(np.clip(np.rint(1 / steps.opacity) + 1, 2, MAX_OPACITY_LEVELS)),
         half,
     )

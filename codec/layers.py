@@ -29,7 +29,8 @@ def opacity_rank(splats: Splats) -> Floats:
 
 def coverage_rank(splats: Splats) -> Floats:
     """(N,) importance by what a Gaussian can paint: opacity times its widest section."""
-    widest = np.sort(splats.log_scales.astype(np.float64), axis=1)[:, 1:].sum(axis=1)
+    scales = splats.log_scales.astype(np.float64)
+    widest = scales.sum(axis=1) - scales.min(axis=1)
     log_opacity = -np.logaddexp(0.0, -splats.logit_opacities.astype(np.float64))
     importance: Floats = (widest + log_opacity).astype(np.float32)
     return importance

@@ -205,6 +205,8 @@ class StreamReader:
     def slices(self, first_birth: int, num_layers: int) -> Iterator[Slice]:
         """The slices from `first_birth` to the last one there is when it is reached."""
         birth = first_birth
+        if birth < self.manifest.first_birth:
+            raise InvalidError(f"{self.path} has no slice born at {birth}")
         while birth in self.births:
             yield self.slice(birth, num_layers)
             birth += 1

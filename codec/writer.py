@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 
@@ -19,7 +20,8 @@ from .index import SegmentRecord, pack_record, parse_index, record_bytes
 from .layers import RANKS, split_layers
 from .manifest import Manifest
 from .object import encode_frame, join_frames
-from .quantize import layer_steps
+from .profile import Profile
+from .quantize import Steps, layer_steps
 from .slice import Slice
 
 MANIFEST_NAME = "manifest.json"
@@ -140,7 +142,9 @@ class StreamWriter:
                 f"{self.path}: SH degree {slice.splats.sh_degree}, not {manifest.sh_degree}"
             )
         parts = split_layers(slice, manifest.layers, self._rank)
-        steps = layer_steps([part.splats for part in parts], self._coarseness)
+        steps: Sequence[Steps | None] = [None] * len(parts)
+        if manifest.profile is Profile.COMPACT:
+            steps = layer_steps([part.splats for part in parts], self._coarseness)
         for layer, part in enumerate(parts):
             frame = encode_frame(encode_chunk(part, layer, manifest.profile, steps[layer]))
             self._frames[layer].append((slice.birth, frame))

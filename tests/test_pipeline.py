@@ -15,8 +15,10 @@ from PIL import Image
 
 from codec.stream import StreamReader
 from player.render.cpu import render_splats
+from player.render.gl import GlError, GlRenderer
 from tests.commands import run, run_ok, serving
 from tests.tiny_capture import write_dynamic3dgs, write_dynerf, write_video
+from trainer.loss import psnr_db
 
 FRAMES = 7
 SWIN = 3
@@ -135,6 +137,25 @@ def test_the_contact_sheet_is_a_picture(made: Made, tmp_path: Path) -> None:
     run_ok("swings-eval", made.stream, made.capture, "--sheet", sheet, "--every", 3)
     with Image.open(sheet) as picture:
         assert picture.size[0] == 3 * 96
+
+
+@pytest.mark.parametrize("frame", [0, 4])
+def test_the_renderers_agree_on_a_trained_frame(frame: int, made: Made) -> None:
+    reader = StreamReader(made.stream)
+    manifest = reader.manifest
+    try:
+        renderer = GlRenderer(manifest)
+    except GlError as error:
+        pytest.skip(f"OpenGL: {error}")
+    try:
+        for part in reader.window(frame, manifest.num_layers):
+            renderer.put(part)
+        for camera in manifest.cameras[::3]:
+            drawn = renderer.render(frame, camera)
+            splats = reader.active_splats(frame, manifest.num_layers)
+            assert psnr_db(drawn, render_splats(splats, camera, manifest.near_m)) > 50
+    finally:
+        renderer.close()
 
 
 def missing(root: Path) -> tuple[str, ...]:

@@ -1,0 +1,89 @@
+"""Seeds lie where the cameras agree; the first Gaussians are sized by their neighbours."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from codec.camera import Camera
+from codec.splats import SH_C0
+from tests.tiny_capture import tiny_rig
+from trainer.seed import SPACING_SCALE, initial_splats, sweep_seeds
+
+FLOOR_Y_M = 0.0
+
+
+def colour_at(x: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """A smooth pattern on the floor that repeats nowhere nearby."""
+    return np.stack(
+        [
+            0.5 + 0.5 * np.sin(2.1 * x + 0.7 * z),
+            0.5 + 0.5 * np.sin(1.3 * z - 0.9 * x + 1),
+            0.5 + 0.5 * np.sin(0.8 * x * z + 2),
+        ],
+        axis=-1,
+    )
+
+
+def picture_of_floor(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W, 3) uint8, and (H, W) bool: which pixels see the floor within five metres."""
+    v, u = np.mgrid[0 : camera.height_px, 0 : camera.width_px] + 0.5
+    local = np.stack(
+        [
+            (u - camera.cx_px) / camera.fx_px,
+            (v - camera.cy_px) / camera.fy_px,
+            np.ones_like(u),
+        ],
+        axis=-1,
+    )
+    rays = local @ camera.w2c[:3, :3]
+    with np.errstate(divide="ignore"):
+        depth = (FLOOR_Y_M - camera.position[1]) / rays[..., 1]
+    hit = camera.position + depth[..., None] * rays
+    seen = (depth > 0) & (np.hypot(hit[..., 0], hit[..., 2]) < 5)
+    picture = np.where(seen[..., None], colour_at(hit[..., 0], hit[..., 2]), 0.0)
+    return np.rint(picture * 255).astype(np.uint8), seen
+
+
+def test_seeds_of_a_painted_floor_lie_on_it() -> None:
+    cameras = [c.resized(128, 72) for c in tiny_rig(8)]
+    pictures, seen = zip(*map(picture_of_floor, cameras), strict=True)
+    assert np.mean(seen) > 0.3
+    points, colours = sweep_seeds(
+        cameras, np.stack(pictures), 3000, 0.8, 9.0, np.random.default_rng(0)
+    )
+    coloured = colours.max(axis=1) > 0  # the rest look over the floor into the dark
+    on_floor = np.abs(points[coloured, 1] - FLOOR_Y_M) < 0.2
+    assert coloured.sum() > 500
+    assert on_floor.mean() > 0.7
+    x, z = points[coloured][on_floor][:, 0], points[coloured][on_floor][:, 2]
+    assert np.median(np.abs(colour_at(x, z) * 255 - colours[coloured][on_floor])) < 12
+
+
+def test_rays_that_no_two_other_cameras_see_give_no_seed() -> None:
+    cameras = tiny_rig(3)
+    away = [
+        Camera(c.name, 64, 36, 60.0, 60.0, 32.0, 18.0, np.diag([1.0, s, s, 1.0]) @ np.eye(4))
+        for c, s in zip(cameras, (1, -1, 1), strict=True)
+    ]
+    lonely = away[:2]  # two cameras back to back
+    pictures = np.zeros((2, 36, 64, 3), np.uint8)
+    points, _ = sweep_seeds(lonely, pictures, 50, 0.5, 5.0, np.random.default_rng(0))
+    assert len(points) == 0
+
+
+def test_first_gaussians_are_round_coloured_and_as_large_as_their_spacing() -> None:
+    grid = np.stack(np.meshgrid(*[np.arange(5) * 0.1] * 3), -1).reshape(-1, 3).astype(np.float32)
+    colours = np.full((125, 3), 200, np.uint8)
+    splats = initial_splats(grid, colours, 1)
+    assert splats.sh_degree == 1
+    np.testing.assert_allclose(np.exp(splats.log_scales), 0.1 * SPACING_SCALE, rtol=1e-4)
+    np.testing.assert_allclose(0.5 + SH_C0 * splats.sh[:, 0], 200 / 255, rtol=1e-5)
+    assert (splats.sh[:, 1:] == 0).all()
+
+
+@pytest.mark.parametrize("count", [1, 2, 50])
+def test_points_that_coincide_still_make_gaussians(count: int) -> None:
+    splats = initial_splats(np.zeros((count, 3), np.float32), np.zeros((count, 3), np.uint8), 0)
+    assert len(splats) == count
+    assert np.isfinite(splats.log_scales).all()
