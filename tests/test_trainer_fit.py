@@ -90,7 +90,7 @@ def test_a_whole_run_is_algorithm_one() -> None:
     trainer = Trainer(CONFIG, pictures, start(), NEAR_M, seen.append)
     slices: list[Slice] = []
     asked_before: list[int] = []
-    for part in trainer.slices():
+    for part in (part for window in trainer.windows() for part in window):
         slices.append(part)
         if part.birth >= 0:
             # A slice matures when its last window is trained, not before.
@@ -134,7 +134,8 @@ def test_the_same_seed_gives_the_same_slices_and_another_does_not() -> None:
     config = replace(CONFIG, genesis_iterations=60, window_iterations=30)
 
     def run(seed: int) -> list[Slice]:
-        return list(Trainer(replace(config, seed=seed), Rendered(), start(), NEAR_M).slices())
+        trainer = Trainer(replace(config, seed=seed), Rendered(), start(), NEAR_M)
+        return [part for window in trainer.windows() for part in window]
 
     first, again, other = run(1), run(1), run(2)
     for a, b in zip(first, again, strict=True):

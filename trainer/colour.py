@@ -7,6 +7,8 @@ and held-out cameras are scored uncorrected.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -29,6 +31,15 @@ class CameraColour:
 
     def bias(self, camera: int) -> Floats:
         return self.values[camera, 3:]
+
+    def state(self) -> dict[str, npt.NDArray[Any]]:
+        """What changes while training."""
+        return {
+            "colour": self.values,
+            "colour_first": self._first,
+            "colour_second": self._second,
+            "colour_steps": self._steps,
+        }
 
     def step(self, camera: int, gain_grad: Floats, bias_grad: Floats) -> None:
         if self.lr == 0:

@@ -7,3 +7,11 @@ from codec.errors import SwingsError
 
 class CaptureError(SwingsError):
     """A capture on disk cannot be used, or a new one cannot be written where it was asked for."""
+
+
+class CheckpointError(SwingsError):
+    """A run cannot be resumed from what lies on disk."""
+
+
+class InterruptedRunError(SwingsError):
+    """The user stopped a run; what is on disk is valid and can be resumed."""

@@ -6,9 +6,10 @@ callback, and slices leave through an iterator.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -114,7 +115,7 @@ def scene_extent_m(cameras: Sequence[Camera]) -> float:
 
 
 class Trainer:
-    """One training run; `slices` does the work."""
+    """One training run; `windows` does the work."""
 
     def __init__(
         self,
@@ -145,17 +146,60 @@ class Trainer:
         self.extent_m = scene_extent_m(pictures.cameras)
         self.rng = np.random.default_rng(config.seed)
         self.on_progress = on_progress
+        self.next_window = 0
+        """First frame of the window to train next."""
         self._steps = 0
 
-    def slices(self) -> Iterator[Slice]:
-        """Trains the whole video; gives every slice as it matures, in the order of birth."""
-        config, total = self.config, self.pictures.num_frames
-        self.train_window(0, config.genesis_iterations)
-        self._stagger()
-        for first_frame in range(1, total):
-            yield from self._mature(first_frame)
-            self.train_window(first_frame, config.window_iterations)
-        yield from self._mature(total)
+    def windows(self) -> Iterator[list[Slice]]:
+        """Trains the rest of the video; gives the slices that mature after each window, in the
+        order of birth: the whole of frame 0 after genesis, then one at a time."""
+        while self.next_window < self.pictures.num_frames:
+            if self.next_window == 0:
+                self.train_window(0, self.config.genesis_iterations)
+                self._stagger()
+            else:
+                self.train_window(self.next_window, self.config.window_iterations)
+            self.next_window += 1
+            yield list(self._mature(self.next_window))
+
+    def state(self) -> dict[str, npt.NDArray[Any]]:
+        """Everything that changes while training; `restore` takes it back. Views, not copies."""
+        lifespans, colour = self.lifespans, self.colour
+        arrays: dict[str, npt.NDArray[Any]] = {
+            "adam_steps": self.adam.steps,
+            "births": lifespans.births,
+            "starts": lifespans.starts,
+            "expires": lifespans.expires,
+            "matured_starts": lifespans.matured_starts,
+            "matured_expires": lifespans.matured_expires,
+            **colour.state(),
+        }
+        for name, parameters in (
+            ("values", self.values),
+            ("first", self.adam.first),
+            ("second", self.adam.second),
+        ):
+            for i, array in enumerate(parameters.arrays()):
+                arrays[f"{name}{i}"] = array
+        random = json.dumps(self.rng.bit_generator.state)
+        arrays["random"] = np.frombuffer(random.encode(), np.uint8)
+        arrays["counters"] = np.array([self.next_window, self._steps], np.int64)
+        return arrays
+
+    def restore(self, state: Mapping[str, npt.NDArray[Any]]) -> None:
+        """Goes back to what `state` gave. Raises InvalidError when it is of another run."""
+        mine = self.state()
+        for name, array in mine.items():
+            if name not in state or (
+                name != "random"
+                and (state[name].shape, state[name].dtype) != (array.shape, array.dtype)
+            ):
+                raise InvalidError(f"checkpoint: {name} does not fit these settings")
+        for name, array in mine.items():
+            if name not in ("random", "counters"):
+                array[...] = state[name]
+        self.rng.bit_generator.state = json.loads(state["random"].tobytes())
+        self.next_window, self._steps = (int(n) for n in state["counters"])
 
     def _stagger(self) -> None:
         rows = self.config.num_gs

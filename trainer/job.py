@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections import deque
-from contextlib import ExitStack
-from dataclasses import dataclass, field
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
 import tyro
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from codec.camera import Camera
 from codec.errors import InvalidError
@@ -20,15 +21,16 @@ from codec.manifest import Manifest
 from codec.profile import Profile
 from codec.slice import Slice
 from codec.splats import Splats
-from codec.stream import StreamWriter
+from codec.stream import StreamReader, StreamWriter
 
+from . import checkpoint
 from .capture.capture import Capture
 from .capture.layout import open_capture
-from .errors import CaptureError
-from .evaluate import score_picture
+from .checkpoint import load_checkpoint, save_checkpoint
+from .errors import CaptureError, InterruptedRunError
 from .fit import FitConfig, Trainer
-from .fit import Progress as FitProgress
 from .frames import DEFAULT_MAX_BYTES, FrameCache, parse_frames
+from .monitor import Monitor, progress_bar
 from .seed import initial_splats, sweep_seeds
 
 FALLBACK_NEAR_M = 0.2
@@ -68,6 +70,8 @@ class TrainConfig:
     costs."""
     segment_frames: int = 15
     """Frames in a segment: what a writer can lose, and the unit of caching."""
+    resume: bool = False
+    """Go on where a run of the same settings was stopped or killed."""
     title: str = ""
     """Name of the stream for people; by default the capture folder's."""
     cache_bytes: int = DEFAULT_MAX_BYTES
@@ -170,89 +174,122 @@ def make_manifest(
     )
 
 
-class Monitor:
-    """The progress bar, and the held-out score of every frame that is final."""
-
-    def __init__(
-        self, bar: Progress, capture: Capture, cache: FrameCache, manifest: Manifest
-    ) -> None:
-        self._bar, self._capture, self._cache = bar, capture, cache
-        self._near_m = manifest.near_m
-        self._swin_size = manifest.swin_size
-        self._window: deque[Slice] = deque(maxlen=manifest.swin_size)
-        self._task = bar.add_task("genesis", total=None, score="")
-
-    def on_progress(self, progress: FitProgress) -> None:
-        last = min(progress.first_frame + self._swin_size, len(self._cache.frames)) - 1
-        name = "genesis" if progress.first_frame == 0 else "window"
-        self._bar.update(
-            self._task,
-            description=f"{name} {progress.first_frame}..{last} of {len(self._cache.frames)}",
-            completed=progress.iteration,
-            total=progress.iterations,
-        )
-
-    def on_slice(self, part: Slice, bytes_written: int) -> None:
-        self._window.append(part)
-        if part.birth < 0:
-            return
-        score = f"{bytes_written / 1e6:.2f} MB"
-        if self._capture.held_out:
-            index = self._capture.held_out[part.birth % len(self._capture.held_out)]
-            shown = [
-                s.splats.take(np.flatnonzero(s.active(part.birth, self._swin_size)))
-                for s in self._window
-            ]
-            got = score_picture(
-                Splats.concatenate(shown),
-                self._cache.camera(index),
-                self._cache.image(index, self._cache.frames[part.birth]),
-                self._near_m,
+def check_targets(config: TrainConfig) -> list[Path]:
+    """The folders to write. Raises InvalidError for one that holds something else."""
+    targets = [config.stream] + ([config.raw_stream] if config.raw_stream else [])
+    for target in targets:
+        if config.resume:
+            continue
+        if target.exists() and (not target.is_dir() or any(target.iterdir())):
+            raise InvalidError(
+                f"{target} exists and is not empty; remove it, name another folder, or --resume"
             )
-            score += f", held-out {got.psnr_db:.2f} dB"
-        self._bar.update(self._task, score=score)
+    return targets
+
+
+def open_writers(
+    targets: list[Path], manifest: Manifest, config: TrainConfig
+) -> list[StreamWriter]:
+    """A writer for each folder; a resumed run leaves out those that are finished."""
+    if not config.resume:
+        manifests = [manifest, manifest.with_profile(Profile.RAW)]
+        return [
+            StreamWriter.create(target, wanted, config.rank)
+            for target, wanted in zip(targets, manifests, strict=False)
+        ]
+    live = [target for target in targets if StreamReader(target).manifest.live]
+    if not live:
+        raise InvalidError(f"{config.stream} is finished; there is nothing to resume")
+    return [StreamWriter.resume(target, config.rank) for target in live]
+
+
+def settings(config: TrainConfig, frames: range, near_m: float, far_m: float) -> dict[str, Any]:
+    """What a resumed run must share with the run that it continues."""
+    return {
+        **asdict(config.fit),
+        "frames": [frames.start, frames.stop],
+        "near_m": near_m,
+        "far_m": far_m,
+        **{
+            name: getattr(config, name)
+            for name in ("scale", "point_share", "layers", "rank", "profile", "segment_frames")
+        },
+        "raw_stream": config.raw_stream is not None,
+    }
+
+
+@contextmanager
+def interruptible() -> Iterator[threading.Event]:
+    """Ctrl-C sets the event, so that the running window can end; a second one ends at once."""
+    asked = threading.Event()
+
+    def stop(number: int, frame: object) -> None:
+        if asked.is_set():
+            raise KeyboardInterrupt
+        asked.set()
+
+    if threading.current_thread() is not threading.main_thread():
+        yield asked
+        return
+    before = signal.signal(signal.SIGINT, stop)
+    try:
+        yield asked
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def train_stream(config: TrainConfig, console: Console) -> Manifest:
     """Trains `config.capture` into `config.stream`; progress goes to `console`.
 
     Raises SwingsError before anything is written when the capture or the settings cannot work; what
-    stops it later leaves a valid, shorter stream.
+    stops it later leaves a valid, shorter stream and a checkpoint to resume from.
     """
     capture = open_capture(config.capture)
     if len(capture.training) < 3:
         raise CaptureError(f"{capture.root}: {len(capture.training)} training cameras, needs 3")
     frames = parse_frames(config.frames, capture.num_frames)
-    targets = [config.stream] + ([config.raw_stream] if config.raw_stream else [])
-    for target in targets:
-        if target.exists() and (not target.is_dir() or any(target.iterdir())):
-            raise InvalidError(
-                f"{target} exists and is not empty; remove it or name another folder"
-            )
+    targets = check_targets(config)
     near_m, far_m = depths(capture, config)
+    shared = settings(config, frames, near_m, far_m)
+    kept = config.stream / checkpoint.NAME
+    found = load_checkpoint(kept, shared) if config.resume else None
     with ExitStack() as stack:
         cache = stack.enter_context(FrameCache(capture, frames, config.scale, config.cache_bytes))
         pictures = CapturePictures(cache, capture.training)
         with console.status("first Gaussians (the first run compiles for half a minute)"):
             initial = first_gaussians(capture, pictures, config, near_m, far_m)
         manifest = make_manifest(capture, cache, initial, config, near_m)
-        bar = stack.enter_context(
-            Progress(
-                TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed} it"),
-                TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("{task.fields[score]}"),
-                console=console,
-            )
-        )  # fmt: skip
+        bar = stack.enter_context(progress_bar(console))
         monitor = Monitor(bar, capture, cache, manifest)
         trainer = Trainer(config.fit, pictures, initial, near_m, monitor.on_progress)
-        writers = [stack.enter_context(StreamWriter.create(config.stream, manifest, config.rank))]
-        if config.raw_stream:
-            raw = manifest.with_profile(Profile.RAW)
-            writers.append(
-                stack.enter_context(StreamWriter.create(config.raw_stream, raw, config.rank))
-            )
-        for part in trainer.slices():
-            for writer in writers:
-                writer.append(part)
-            monitor.on_slice(part, writers[0].bytes_written)
+        writers = [stack.enter_context(w) for w in open_writers(targets, manifest, config)]
+        pending: list[Slice] = []
+        if found is not None:
+            trainer.restore(found.state)
+            deliver(found.pending, writers, pending)
+            for part in found.pending:
+                monitor.on_slice(part, writers[0].bytes_written)
+        else:
+            save_checkpoint(kept, trainer.state(), pending, shared)
+        asked = stack.enter_context(interruptible())
+        for parts in trainer.windows():
+            deliver(parts, writers, pending)
+            save_checkpoint(kept, trainer.state(), pending, shared)
+            for part in parts:
+                monitor.on_slice(part, writers[0].bytes_written)
+            if asked.is_set() and trainer.next_window < len(frames):
+                raise InterruptedRunError(
+                    f"stopped after frame {trainer.next_window - 1}; --resume goes on from there"
+                )
+    kept.unlink()
     return manifest
+
+
+def deliver(parts: list[Slice], writers: list[StreamWriter], pending: list[Slice]) -> None:
+    """Appends `parts` where they are still missing; `pending` keeps what no file holds yet."""
+    for part in parts:
+        for writer in writers:
+            if part.birth >= writer.next_birth:
+                writer.append(part)
+        pending.append(part)
+    pending[:] = [p for p in pending if any(p.birth >= w.durable_birth for w in writers)]
