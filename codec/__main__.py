@@ -1,4 +1,4 @@
-"""swings-stream: look at a stream directory."""
+"""swings-stream: look at a stream directory, and bring Gaussians in and out of it."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import tyro
 
 from .audit import describe, summarize, verify_stream
 from .console import run_command
+from .interop.commands import Export, Import, export_files, import_files
 
 Folder = Annotated[Path, tyro.conf.arg(metavar="STREAM")]
 
@@ -37,7 +38,7 @@ class Verify:
 class Command:
     """Which subcommand to run."""
 
-    action: Annotated[Info | Verify, tyro.conf.arg(name="")]
+    action: Annotated[Info | Verify | Import | Export, tyro.conf.arg(name="")]
 
 
 def run(command: Command) -> None:
@@ -50,10 +51,16 @@ def run(command: Command) -> None:
             print(
                 f"{path}: {summary.num_frames} frames in {summary.num_segments} segments are good"
             )
+        case Import() as config:
+            print(import_files(config))
+        case Export() as config:
+            print(export_files(config))
 
 
 def main() -> None:
-    run_command(Command, run, "swings-stream", "Looks at a stream directory.")
+    run_command(
+        Command, run, "swings-stream", "Looks at a stream directory; imports and exports Gaussians."
+    )
 
 
 if __name__ == "__main__":

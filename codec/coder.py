@@ -26,6 +26,9 @@ MIN_MATCH = 7
 MAX_JOINED_PLANES = 8
 """Planes tried in one block; bounds the work for chunks with many SH planes."""
 
+MAX_EXPANSION = 1 << 15
+"""zstd cannot inflate more: a block of 128 KiB takes 4 bytes at least."""
+
 TABLE_BYTES = 12.0
 TABLE_BYTES_PER_VALUE = 0.25
 """What a block with its Huffman table costs by reckoning: fixed, and per value up to the last."""
@@ -89,6 +92,8 @@ def content_bytes(frame: bytes | memoryview, limit_bytes: int) -> int:
     size = int(parameters.content_size)
     if parameters.content_size in (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR):
         raise CorruptError("frame: does not say its content size")
+    if size > MAX_EXPANSION * len(frame):
+        raise CorruptError(f"frame: {size} bytes of content cannot come from {len(frame)}")
     if size > limit_bytes:
         raise CorruptError(f"frame: {size} bytes of content, at most {limit_bytes}")
     if not parameters.has_checksum or parameters.dict_id:

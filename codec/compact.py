@@ -118,9 +118,10 @@ def _fit(values: Doubles, step: float, levels: int) -> tuple[float, float]:
     """
     if not len(values):
         return 0.0, step
+    low = float(values.min())
+    if values.max() - low <= levels * step:
+        return low, step
     ordered = np.sort(values)
-    if ordered[-1] - ordered[0] <= levels * step:
-        return float(ordered[0]), step
     spare = _spare(len(ordered))
     widths = ordered[len(ordered) - 1 - spare :] - ordered[: spare + 1]
     first = int(np.argmin(widths))
@@ -135,8 +136,9 @@ def _colour_step(sh: Doubles, step: float) -> float:
         return step
     # All but the luma of the first one, which has a base of its own.
     around_zero = np.concatenate([sh[:, 0, 1:], *sh[:, 1:].transpose(1, 0, 2)], axis=1)
-    farthest = np.sort(np.abs(around_zero).max(axis=1))
-    return max(step, float(farthest[-1 - _spare(len(sh))]) / (MIDDLE - 1))
+    farthest = np.abs(around_zero).max(axis=1)
+    spare = _spare(len(sh))
+    return max(step, float(np.partition(farthest, -1 - spare)[-1 - spare]) / (MIDDLE - 1))
 
 
 def _is_tame(splats: Splats) -> Flags:

@@ -122,6 +122,13 @@ class StreamWriter:
         """Whether a short last segment stands already, after which nothing can be appended."""
         return self._num_segments * self.manifest.segment_frames > max(self.next_birth, 0)
 
+    @property
+    def durable_birth(self) -> int:
+        """Births below this one lie in finished segments; the others are lost by a kill."""
+        if not self._num_segments:
+            return self.manifest.first_birth
+        return min(self.next_birth, self._num_segments * self.manifest.segment_frames)
+
     def append(self, slice: Slice) -> None:
         """Takes the slice born at `next_birth`; writes the segment that it completes."""
         manifest = self.manifest

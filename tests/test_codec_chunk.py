@@ -20,7 +20,7 @@ from codec.quantize import Steps, choose_steps, to_luma
 from codec.slice import Slice
 from codec.splats import SH_C0, Splats, sh_count
 from tests.hostile import flips, survives, truncations
-from tests.trained_like import trained_like_slice, trained_like_splats
+from tests.trained_like import covariances, trained_like_slice, trained_like_splats
 
 Doubles = npt.NDArray[np.float64]
 
@@ -46,16 +46,6 @@ def slices(draw: st.DrawFn, limit: float = 1e3) -> Slice:
     )
     late = rng.integers(0, 255, count) * draw(st.booleans())
     return Slice(draw(st.integers(-255, 2**31 - 1)), splats, late.astype(np.uint8))
-
-
-def covariances(log_scales: Doubles, quats: Doubles) -> Doubles:
-    """(N, 3, 3): the same for every way to write a Gaussian."""
-    w, x, y, z = (quats / np.linalg.norm(quats, axis=1, keepdims=True)).T
-    rows = [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]
-    rows += [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]
-    rows += [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
-    axes = np.stack(rows, axis=1).reshape(-1, 3, 3) * np.exp(log_scales)[:, None, :]
-    return np.asarray(axes @ axes.transpose(0, 2, 1))
 
 
 @given(slices(limit=1e30), st.integers(0, 255))

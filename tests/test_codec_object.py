@@ -182,8 +182,15 @@ def test_frames_that_are_refused_before_they_grow(frame: bytes) -> None:
 
 
 def test_a_frame_that_holds_less_than_it_says_is_refused() -> None:
-    with pytest.raises(CorruptError):
+    with pytest.raises(CorruptError, match="cannot come from"):
         decode_frame(claiming(1 << 20))
+    with pytest.raises(CorruptError):
+        decode_frame(claiming(1 << 18))
+
+
+def test_what_shrinks_as_far_as_zstd_can_still_comes_back() -> None:
+    content = bytes(1 << 24)
+    assert decompress(compress(content), len(content)) == content
 
 
 @given(st.lists(st.binary(max_size=300), min_size=1, max_size=6))

@@ -21,8 +21,7 @@ from codec.quantize import (
     to_luma,
 )
 from codec.splats import Splats
-from tests.test_codec_chunk import covariances
-from tests.trained_like import trained_like_splats
+from tests.trained_like import covariances, trained_like_splats
 
 numbers = st.floats(-1, 1, width=32)
 scales = st.tuples(*[st.floats(-8, 3, width=32)] * 3)

@@ -94,3 +94,13 @@ def trained_like_slice(birth: int, count: int, sh_degree: int = 0) -> Slice:
     rng = np.random.default_rng(birth + 10_000)
     offsets = np.where(rng.random(count) < 0.1, rng.integers(1, 4, count), 0).astype(np.uint8)
     return Slice(birth, trained_like_splats(count, birth + 500, sh_degree), offsets)
+
+
+def covariances(log_scales: Doubles, quats: Doubles) -> Doubles:
+    """(N, 3, 3): the same for every way to write a Gaussian."""
+    w, x, y, z = (quats / np.linalg.norm(quats, axis=1, keepdims=True)).T
+    rows = [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]
+    rows += [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]
+    rows += [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
+    axes = np.stack(rows, axis=1).reshape(-1, 3, 3) * np.exp(log_scales)[:, None, :]
+    return np.asarray(axes @ axes.transpose(0, 2, 1))

@@ -1,0 +1,122 @@
+"""What a Gaussian costs in each profile, in bytes and in time.
+
+With the folder of a `raw` stream as argument: what each attribute of its slice of frame 0 costs.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from codec.chunk import decode_chunk, encode_chunk, plane_edges
+from codec.coder import compress
+from codec.layers import opacity_rank, split_layers
+from codec.object import decode_frame, encode_frame
+from codec.profile import Profile
+from codec.quantize import layer_steps
+from codec.slice import Slice
+from codec.stream import StreamReader
+from tests.trained_like import trained_like_splats
+
+NUM_GS = 40_000
+CASES = [(1, (1.0,)), (5, (1.0,)), (5, (0.25,) * 4), (20, (0.25,) * 4)]
+"""Slices that the Gaussians are dealt to, and the layers of each."""
+REPEATS = 5
+
+
+def median_ms(work: Callable[[], object]) -> float:
+    times = []
+    for _ in range(REPEATS):
+        start = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - start)
+    return 1e3 * float(np.median(times))
+
+
+def synthetic_slices(count: int) -> list[Slice]:
+    """`count` slices of a trained-like scene of NUM_GS Gaussians, dealt at random as slots are."""
+    splats = trained_like_splats(NUM_GS)
+    deal = np.random.default_rng(0).permutation(NUM_GS)
+    parts = np.array_split(deal, count)
+    return [
+        Slice(n, splats.take(rows), np.zeros(len(rows), np.uint8)) for n, rows in enumerate(parts)
+    ]
+
+
+def encode_slice(slice: Slice, fractions: tuple[float, ...], profile: Profile) -> list[bytes]:
+    """The chunks of the layers of `slice`, as the writer makes them."""
+    parts = split_layers(slice, fractions, opacity_rank)
+    if profile is Profile.RAW:
+        return [encode_chunk(part, n, profile) for n, part in enumerate(parts)]
+    steps = layer_steps([part.splats for part in parts])
+    return [encode_chunk(part, n, profile, steps[n]) for n, part in enumerate(parts)]
+
+
+def table_of_cases() -> Table:
+    table = Table(title=f"{NUM_GS} trained-like Gaussians")
+    for name in ("profile", "slices", "layers", "bytes/Gaussian"):
+        table.add_column(name, justify="right")
+    for name in ("quantise", "entropy code", "decode", "inflate + decode"):
+        table.add_column(f"{name} ms/slice", justify="right")
+    for profile in Profile:
+        for count, fractions in CASES:
+            slices = synthetic_slices(count)
+            chunks = [c for s in slices for c in encode_slice(s, fractions, profile)]
+            frames = [encode_frame(chunk) for chunk in chunks]
+            one, inflated = chunks[: len(fractions)], frames[: len(fractions)]
+            total = sum(len(s.splats) for s in slices)
+            times = (
+                median_ms(lambda s=slices[0], f=fractions, p=profile: encode_slice(s, f, p)),
+                median_ms(lambda o=one: [encode_frame(chunk) for chunk in o]),
+                median_ms(lambda o=one: [decode_chunk(chunk) for chunk in o]),
+                median_ms(lambda o=inflated: [decode_frame(frame) for frame in o]),
+            )
+            size = sum(map(len, frames)) / total
+            row = (profile.value, str(len(slices)), str(len(fractions)), f"{size:.2f}")
+            table.add_row(*row, *(f"{ms:.2f}" for ms in times))
+    return table
+
+
+def table_of_attributes(slice: Slice) -> Table:
+    """What each attribute of profile `compact` costs, each in zstd blocks of its own."""
+    groups = {"head": 1, "position (gaps)": 1, "scales": 3, "rotation": 3, "opacity": 1}
+    coefficients = slice.splats.sh.shape[1]
+    groups |= {"luma": coefficients, "chroma": 2 * coefficients, "position (low bits)": 1}
+    sizes = dict.fromkeys([*groups, "escapes, offsets"], 0)
+    for chunk in encode_slice(slice, (0.25,) * 4, Profile.COMPACT):
+        edges, at = plane_edges(chunk), 0
+        frame_bytes = len(compress(b"\0", [0, 1]))
+        for name, planes in groups.items():
+            last = min(at + planes, len(edges) - 1)
+            start, end = edges[at], edges[last]
+            inner = [edge - start for edge in edges[at : last + 1]]
+            sizes[name] += len(compress(chunk[start:end], inner)) - frame_bytes + 4
+            at = last
+        sizes["escapes, offsets"] += edges[-1] - edges[at]
+    table = Table(title=f"compact, {len(slice.splats)} Gaussians in 4 layers: bits a Gaussian")
+    table.add_column("attribute")
+    table.add_column("bits", justify="right")
+    for name, size in sizes.items():
+        table.add_row(name, f"{8 * size / len(slice.splats):.2f}")
+    table.add_row("sum", f"{8 * sum(sizes.values()) / len(slice.splats):.2f}")
+    return table
+
+
+def main() -> None:
+    console = Console(width=150)
+    if len(sys.argv) > 1:
+        reader = StreamReader(Path(sys.argv[1]))
+        console.print(table_of_attributes(reader.slice(0, reader.manifest.num_layers)))
+        return
+    console.print(table_of_cases())
+    console.print(table_of_attributes(synthetic_slices(5)[0]))
+
+
+if __name__ == "__main__":
+    main()
