@@ -109,6 +109,10 @@ def test_a_served_stream_shows_what_the_folder_shows(made: Made, tmp_path: Path)
             assert len(ours) == len(theirs) == FRAMES
             for a, b in zip(ours, theirs, strict=True):
                 assert (a == b).all()
+        videos = [tmp_path / "url.mp4", tmp_path / "folder.mp4"]
+        for source, video in zip((url, made.stream), videos, strict=True):
+            run_ok("swings-play", source, "--capture", video, "--renderer", "cpu", "--layers", 3)
+        assert videos[0].read_bytes() == videos[1].read_bytes()
         mp4 = tmp_path / "out.mp4"
         report = tmp_path / "report.json"
         run_ok(

@@ -16,6 +16,7 @@ from codec.console import run_command
 # It has to be said before the first parallel kernel runs.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
+from .check import check_capture
 from .evaluate import EvaluateConfig, Evaluation, evaluate_stream
 from .job import TrainConfig, train_stream
 from .sheet import write_sheet
@@ -23,8 +24,11 @@ from .synth import SynthConfig, synthesise
 
 
 def _train(config: TrainConfig) -> None:
+    if config.check is not None:
+        print("\n".join(check_capture(config.capture, config.check)))
+        return
     train_stream(config, Console(stderr=True))
-    print(config.stream)
+    print(config.target)
 
 
 def _table(result: Evaluation) -> Table:

@@ -44,9 +44,12 @@ class TrainConfig:
     """Trains a capture into a stream."""
 
     capture: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="CAPTURE")]
-    """Folder of the recording (Dynamic 3D Gaussians or DyNeRF layout)."""
-    stream: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="STREAM")]
-    """Folder to write; must not exist or be empty."""
+    """Folder of the recording: Dynamic 3D Gaussians, DyNeRF, COLMAP or nerfstudio layout."""
+    stream: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="STREAM")] = None
+    """Folder to write; must not exist or be empty. Left out only with --check."""
+    check: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
+    """Train nothing: read the ends of every camera, say what was understood, and draw
+    its cameras and points to this PNG."""
     frames: str = ":"
     """Frames of the capture to train, A:B; A included, B not."""
     scale: float = 1.0
@@ -78,6 +81,17 @@ class TrainConfig:
     """Bytes of decoded pictures held in memory."""
     fit: Annotated[FitConfig, tyro.conf.arg(name="")] = field(default_factory=FitConfig)
     """The sliding-window training itself."""
+
+    def __post_init__(self) -> None:
+        if self.stream is None and self.check is None:
+            raise InvalidError("name the folder to write the stream to, or --check PNG")
+
+    @property
+    def target(self) -> Path:
+        """The folder to write."""
+        if self.stream is None:
+            raise InvalidError("no folder to write the stream to")
+        return self.stream
 
 
 class CapturePictures:
@@ -176,7 +190,7 @@ def make_manifest(
 
 def check_targets(config: TrainConfig) -> list[Path]:
     """The folders to write. Raises InvalidError for one that holds something else."""
-    targets = [config.stream] + ([config.raw_stream] if config.raw_stream else [])
+    targets = [config.target] + ([config.raw_stream] if config.raw_stream else [])
     for target in targets:
         if config.resume:
             continue
@@ -199,7 +213,7 @@ def open_writers(
         ]
     live = [target for target in targets if StreamReader(target).manifest.live]
     if not live:
-        raise InvalidError(f"{config.stream} is finished; there is nothing to resume")
+        raise InvalidError(f"{config.target} is finished; there is nothing to resume")
     return [StreamWriter.resume(target, config.rank) for target in live]
 
 
@@ -251,7 +265,7 @@ def train_stream(config: TrainConfig, console: Console) -> Manifest:
     targets = check_targets(config)
     near_m, far_m = depths(capture, config)
     shared = settings(config, frames, near_m, far_m)
-    kept = config.stream / checkpoint.NAME
+    kept = config.target / checkpoint.NAME
     found = load_checkpoint(kept, shared) if config.resume else None
     with ExitStack() as stack:
         cache = stack.enter_context(FrameCache(capture, frames, config.scale, config.cache_bytes))

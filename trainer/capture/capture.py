@@ -17,7 +17,7 @@ import numpy.typing as npt
 from codec.camera import Camera
 from codec.errors import InvalidError
 
-Layout = Literal["dynamic3dgs", "dynerf"]
+Layout = Literal["dynamic3dgs", "dynerf", "colmap", "nerfstudio"]
 """The layouts that `open_capture` knows."""
 
 Picture = npt.NDArray[np.uint8]

@@ -55,7 +55,7 @@ def open_dynerf(root: Path) -> Capture:
             "there must be one row per camNN.mp4"
         )
     facts = [probe_video(path) for path in videos]
-    _check_equal(videos, facts)
+    check_equal(videos, facts)
     cameras = []
     for path, row, fact in zip(videos, rows, facts, strict=True):
         camera = decode_pose(row, path.stem, root / POSES_NAME)
@@ -65,7 +65,7 @@ def open_dynerf(root: Path) -> Capture:
                 f"{camera.width_px}x{camera.height_px} px"
             )
         cameras.append(camera)
-    held_out = _read_held_out(root, [camera.name for camera in cameras])
+    held_out = read_held_out(root, [camera.name for camera in cameras])
     depths = rig_depths(cameras, (float(rows[:, 15].min()), float(rows[:, 16].max())))
     num_frames = facts[0].num_frames
 
@@ -145,7 +145,7 @@ def encode_pose(camera: Camera, near_m: float, far_m: float) -> npt.NDArray[np.f
     return np.concatenate([matrix.ravel(), [near_m, far_m]])
 
 
-def _check_equal(videos: Sequence[Path], facts: Sequence[VideoFacts]) -> None:
+def check_equal(videos: Sequence[Path], facts: Sequence[VideoFacts]) -> None:
     usual, _ = Counter(fact.num_frames for fact in facts).most_common(1)[0]
     odd = [
         f"{path.name} has {fact.num_frames}"
@@ -165,7 +165,7 @@ def _check_equal(videos: Sequence[Path], facts: Sequence[VideoFacts]) -> None:
             )
 
 
-def _read_held_out(root: Path, names: Sequence[str]) -> frozenset[str]:
+def read_held_out(root: Path, names: Sequence[str]) -> frozenset[str]:
     path = root / HELD_OUT_NAME
     if not path.is_file():
         return frozenset(names[:1])

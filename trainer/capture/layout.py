@@ -6,8 +6,10 @@ from pathlib import Path
 
 from ..errors import CaptureError
 from .capture import Capture
+from .colmap import MODEL_NAME, open_colmap
 from .dynamic3dgs import META_NAMES, open_dynamic3dgs
 from .dynerf import POSES_NAME, VIDEO_PATTERN, open_dynerf
+from .nerfstudio import TRANSFORMS_NAME, open_nerfstudio
 
 
 def open_capture(path: Path) -> Capture:
@@ -21,9 +23,16 @@ def open_capture(path: Path) -> Capture:
         raise CaptureError(f"{path}: the folder is empty")
     if any(name in META_NAMES for name in names):
         return open_dynamic3dgs(path)
-    if POSES_NAME in names or any(VIDEO_PATTERN.fullmatch(name) for name in names):
+    if POSES_NAME in names:
         return open_dynerf(path)
+    if TRANSFORMS_NAME in names:
+        return open_nerfstudio(path)
+    if MODEL_NAME in names:
+        return open_colmap(path)
+    if any(VIDEO_PATTERN.fullmatch(name) for name in names):
+        return open_dynerf(path)  # says that the poses are missing
     raise CaptureError(
-        f"{path}: unknown layout; expected {META_NAMES[0]} with ims/ (Dynamic 3D Gaussians) "
-        f"or camNN.mp4 files with {POSES_NAME} (DyNeRF)"
+        f"{path}: unknown layout; expected {META_NAMES[0]} with ims/ (Dynamic 3D Gaussians), "
+        f"camNN.mp4 files with {POSES_NAME} (DyNeRF), {TRANSFORMS_NAME} (Nerfstudio) "
+        f"or {MODEL_NAME}/ with frames/ or images/ (COLMAP)"
     )

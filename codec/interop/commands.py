@@ -1,0 +1,61 @@
+"""The subcommands `import` and `export` of swings-stream."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from .exporting import export_stream
+from .formats import SplatFormat
+from .importing import ImportOptions, import_stream
+
+
+@dataclass(frozen=True, slots=True)
+class Import:
+    """Make a stream of a file of Gaussians, or of a folder with one numbered file a frame."""
+
+    input: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="INPUT")]]
+    """A .ply, compressed .ply, .spz or .splat file, or a folder of them, sorted by number."""
+    stream: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="STREAM")]]
+    """Folder of the new stream."""
+    options: Annotated[ImportOptions, tyro.conf.arg(name="")] = field(default_factory=ImportOptions)
+
+
+@dataclass(frozen=True, slots=True)
+class Export:
+    """Write what a frame shows, or a range of frames, to files that other programs read."""
+
+    stream: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="STREAM")]]
+    """Folder of the stream."""
+    out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
+    """The file; with --frames the name of the sequence: `name.ply` gives name_0001.ply ..."""
+    frame: int | None = None
+    """The frame, from 0 on."""
+    frames: str | None = None
+    """Frames A to B - 1, as A:B; A: and :B go to the ends."""
+    format: SplatFormat | None = None
+    """ply is exact, spz small, splat for simple viewers; by default what OUT ends with."""
+    layers: int | None = None
+    """Most important layers to write; all by default."""
+
+
+def import_files(config: Import) -> str:
+    """Does what `config` says; gives a line about it."""
+    made = import_stream(config.input, config.stream, config.options)
+    return (
+        f"{config.stream}: {made.title}, up to {made.num_gs} Gaussians a frame, "
+        f"SH degree {made.sh_degree}, {made.profile}"
+    )
+
+
+def export_files(config: Export) -> str:
+    """Does what `config` says; gives a line about it."""
+    written = export_stream(
+        config.stream, config.out, config.frame, config.frames, config.format, config.layers
+    )
+    files = str(written[0]) if len(written) == 1 else f"{written[0]} .. {written[-1].name}"
+    total_bytes = sum(path.stat().st_size for path in written)
+    return f"{files}: {len(written)} file{'s'[: len(written) > 1]}, {total_bytes} bytes"

@@ -1,0 +1,121 @@
+"""The compressed PLY of SuperSplat, in: 16 bytes a Gaussian and bounds for each 256 of them.
+
+Layout (playcanvas/engine, `gsplat-compressed-data.js`), a PLY file with the elements
+
+    chunk    ceil(N / 256) rows: float min_x .. max_z, min_scale_x .. max_scale_z (of ln s) and, in
+             newer files, min_r .. max_b; without these colours lie in 0..1
+    vertex   N rows of four uint, highest bits first:
+             packed_position  x 11, y 10, z 11 bits between the chunk's bounds
+             packed_rotation  2 bits: which of w, x, y, z is largest and left out; the other three
+                              in order, 10 bits each, as (v / 1023 - 1/2) * sqrt(2)
+             packed_scale     x 11, y 10, z 11 bits between the chunk's bounds
+             packed_color     red, green, blue between the chunk's bounds, opacity 0..1; 8 bits each
+    sh       optional, N rows of 9, 24 or 45 uchar f_rest_i, channel-major: v * 8 / 255 - 4
+
+Frame RDF as in the PLY; colour is 0.5 + SH_C0 f_dc.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ..errors import CorruptError, UnsupportedError
+from ..splats import SH_C0, Floats, Splats
+from .levels import byte_logits, restore_largest
+from .limits import checked_splats
+from .ply import rest_names
+from .plyheader import PlyElement, read_ply_elements
+
+CHUNK_GAUSSIANS = 256
+PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+
+Doubles = npt.NDArray[np.float64]
+Words = npt.NDArray[np.uint32]
+
+
+def is_compressed(elements: dict[str, PlyElement]) -> bool:
+    """Whether a PLY with these elements is of this layout."""
+    vertex = elements.get("vertex")
+    return "chunk" in elements and vertex is not None and PACKED[0] in vertex.properties
+
+
+def _unpack(words: Words, *widths: int) -> Doubles:
+    """(N, len(widths)) numbers 0..1 of bit fields, highest bits first."""
+    fields = np.empty((len(words), len(widths)))
+    shift = sum(widths)
+    for i, width in enumerate(widths):
+        shift -= width
+        top = (1 << width) - 1
+        fields[:, i] = (words >> np.uint32(shift) & np.uint32(top)) / top
+    return fields
+
+
+def _bounds(chunks: npt.NDArray[np.void], count: int, suffixes: tuple[str, ...]) -> Doubles:
+    """(2, N, 3) the lower and upper bounds of each Gaussian's chunk."""
+    corners = np.stack(
+        [
+            np.stack([chunks[f"{end}_{suffix}"].astype(np.float64) for suffix in suffixes], 1)
+            for end in ("min", "max")
+        ]
+    )
+    repeated: Doubles = np.repeat(corners, CHUNK_GAUSSIANS, axis=1)[:, :count]
+    return repeated
+
+
+def _between(bounds: Doubles, shares: Doubles) -> Doubles:
+    between: Doubles = bounds[0] * (1 - shares) + bounds[1] * shares
+    return between
+
+
+def _rest(sh: PlyElement | None, data: bytes, count: int) -> Floats:
+    """(N, K - 1, 3) the coefficients above degree 0."""
+    if sh is None:
+        return np.zeros((count, 0, 3), np.float32)
+    names = rest_names(sh.properties)
+    if sh.count != count or any(sh.dtype[name] != np.uint8 for name in names):
+        raise CorruptError(f"PLY: element sh is not {count} rows of uchar")
+    rows = sh.rows(data)
+    rest = np.empty((count, len(names) // 3, 3), np.float32)
+    for i, name in enumerate(names):
+        channel, coefficient = divmod(i, rest.shape[1])
+        rest[:, coefficient, channel] = rows[name] * np.float32(8 / 255) - np.float32(4)
+    return rest
+
+
+def decode_compressed_ply(data: bytes) -> Splats:
+    """The Gaussians of a compressed PLY. Raises CorruptError or UnsupportedError."""
+    elements = read_ply_elements(data)
+    if not is_compressed(elements):
+        raise UnsupportedError("PLY: no compressed PLY, which has chunk and packed_position")
+    chunk, vertex = elements["chunk"], elements["vertex"]
+    count = vertex.count
+    if chunk.count != -(-count // CHUNK_GAUSSIANS):
+        raise CorruptError(f"PLY: {chunk.count} chunks for {count} Gaussians")
+    axes, scales, colours = ("x", "y", "z"), ("scale_x", "scale_y", "scale_z"), ("r", "g", "b")
+    wanted = [f"{end}_{suffix}" for end in ("min", "max") for suffix in (*axes, *scales)]
+    missing = [name for name in wanted if name not in chunk.properties]
+    missing += [name for name in PACKED if name not in vertex.properties]
+    if missing:
+        raise CorruptError(f"PLY: no property {', '.join(missing[:4])}")
+    if any(vertex.dtype[name] != np.uint32 for name in PACKED):
+        raise CorruptError("PLY: a packed property is not uint")
+    chunks, rows = chunk.rows(data), vertex.rows(data)
+    position, rotation, scale, colour = (rows[name].astype(np.uint32) for name in PACKED)
+    rgba = _unpack(colour, 8, 8, 8, 8)
+    rgb = rgba[:, :3]
+    three = (_unpack(rotation, 2, 10, 10, 10)[:, 1:] - 0.5) * np.sqrt(2.0)
+    with np.errstate(all="ignore"):  # what overflows or is no number is refused below
+        if all(f"{end}_{c}" in chunk.properties for end in ("min", "max") for c in colours):
+            rgb = _between(_bounds(chunks, count, colours), rgb)
+        means = _between(_bounds(chunks, count, axes), _unpack(position, 11, 10, 11))
+        log_scales = _between(_bounds(chunks, count, scales), _unpack(scale, 11, 10, 11))
+        dc = ((rgb - 0.5) / SH_C0).astype(np.float32)
+        return checked_splats(
+            "PLY",
+            means.astype(np.float32),
+            log_scales.astype(np.float32),
+            restore_largest(three, rotation >> np.uint32(30)).astype(np.float32),
+            byte_logits((colour & np.uint32(255)).astype(np.uint8)),
+            np.concatenate([dc[:, None], _rest(elements.get("sh"), data, count)], axis=1),
+        )

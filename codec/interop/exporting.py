@@ -1,0 +1,75 @@
+"""Frames of a stream as files that other programs read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..errors import InvalidError
+from ..reader import StreamReader
+from .formats import SplatFormat, write_splats
+
+NUMBER_DIGITS = 4
+"""Least digits of a frame number in a file name: `name_0001.ply`."""
+
+
+def parse_range(text: str, num_frames: int) -> range:
+    """The frames of `A:B`, `A:` or `:B`, B not among them. Raises InvalidError."""
+    first, colon, end = text.partition(":")
+    if not colon or not all(p == "" or (p.isascii() and p.isdigit()) for p in (first, end)):
+        raise InvalidError(f"frames {text!r} are not FIRST:END, such as 30:60, 30: or :60")
+    frames = range(int(first or 0), int(end) if end else num_frames)
+    if not frames:
+        raise InvalidError(f"frames {text!r} hold no frame of {num_frames}")
+    return frames
+
+
+def chosen_format(out: Path, format: SplatFormat | None) -> SplatFormat:
+    """`format`, or the one that the name of `out` ends with. Raises InvalidError for neither."""
+    if format is not None:
+        return format
+    try:
+        return SplatFormat(out.suffix.lower().removeprefix("."))
+    except ValueError as error:
+        names = ", ".join(SplatFormat)
+        raise InvalidError(f"{out}: say --format, one of {names}") from error
+
+
+def numbered(out: Path, frame: int, format: SplatFormat) -> Path:
+    """The file of `frame` in the sequence that `out` names, with or without its suffix."""
+    stem = out.stem if out.suffix.lower() == f".{format}" else out.name
+    return out.with_name(f"{stem}_{frame:0{NUMBER_DIGITS}}.{format}")
+
+
+def export_stream(
+    stream: Path,
+    out: Path,
+    frame: int | None,
+    frames: str | None,
+    format: SplatFormat | None,
+    layers: int | None,
+) -> list[Path]:
+    """Writes what shows at `frame` to `out`, or each of `frames` to `out`_NNNN.
+
+    `layers` counts from the most important one; all by default. A file that is there is replaced.
+    Raises a SwingsError; the files before the one at fault stay.
+    """
+    if (frame is None) == (frames is None):
+        raise InvalidError("say either --frame F or --frames A:B")
+    format = chosen_format(out, format)
+    reader = StreamReader(stream)
+    layers = reader.manifest.num_layers if layers is None else layers
+    wanted = parse_range(frames, reader.num_frames) if frames is not None else [frame or 0]
+    if wanted[-1] >= reader.num_frames:
+        raise InvalidError(
+            f"{stream} has no frame {wanted[-1]}; it has {reader.num_frames} frames from 0 on"
+        )
+    written = []
+    for number in wanted:
+        path = out if frames is None else numbered(out, number, format)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_splats(path, reader.active_splats(number, layers), format)
+        except OSError as error:
+            raise InvalidError(f"{path} cannot be written: {error.strerror}") from error
+        written.append(path)
+    return written

@@ -1,0 +1,77 @@
+"""The formats of Gaussians that are read and written, by the name and the first bytes of a file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import StrEnum
+from pathlib import Path
+
+from ..errors import CodecError, CorruptError, UnsupportedError
+from ..splats import Splats
+from ..writer import write_atomic
+from .compressed_ply import decode_compressed_ply, is_compressed
+from .limits import MAX_GAUSSIANS
+from .ply import decode_ply, encode_ply
+from .plyheader import read_ply_elements
+from .splat import decode_splat, encode_splat
+from .spz import decode_spz, encode_spz
+
+MAX_FILE_BYTES = MAX_GAUSSIANS * 248 + (1 << 20)
+"""Longest file read: the most Gaussians as a PLY of SH degree 3."""
+
+
+class SplatFormat(StrEnum):
+    """What can be written."""
+
+    PLY = "ply"
+    SPLAT = "splat"
+    SPZ = "spz"
+
+
+ENCODERS: dict[SplatFormat, Callable[[Splats], bytes]] = {
+    SplatFormat.PLY: encode_ply,
+    SplatFormat.SPLAT: encode_splat,
+    SplatFormat.SPZ: encode_spz,
+}
+
+
+def has_known_suffix(path: Path) -> bool:
+    """Whether the name of `path` ends like a file of Gaussians."""
+    return path.suffix.lower().removeprefix(".") in set(SplatFormat)
+
+
+def decode_any(data: bytes, suffix: str = "") -> Splats:
+    """The Gaussians of a file that begins as a known format, or is called .splat, which has no
+    magic. Raises CorruptError or UnsupportedError."""
+    if suffix.lower() == ".splat":
+        return decode_splat(data)
+    if data.startswith(b"ply"):
+        elements = read_ply_elements(data)
+        return decode_compressed_ply(data) if is_compressed(elements) else decode_ply(data)
+    if data.startswith((b"NGSP", b"\x1f\x8b")):
+        return decode_spz(data)
+    raise UnsupportedError(
+        f"starts with {data[:4]!r}; this program reads .ply, compressed .ply, .spz and .splat"
+    )
+
+
+def read_splats(path: Path) -> Splats:
+    """The Gaussians of the file at `path`. Raises a CodecError that names it."""
+    try:
+        with open(path, "rb") as file:
+            data = file.read(MAX_FILE_BYTES + 1)
+    except OSError as error:
+        raise CorruptError(f"{path} cannot be read: {error.strerror}") from error
+    if len(data) > MAX_FILE_BYTES:
+        raise CorruptError(f"{path} is longer than {MAX_FILE_BYTES} bytes")
+    try:
+        return decode_any(data, path.suffix)
+    except CodecError as error:
+        raise type(error)(f"{path}: {error}") from error
+
+
+def write_splats(path: Path, splats: Splats, format: SplatFormat) -> int:
+    """Puts `splats` at `path`, whole or not at all; gives the bytes written."""
+    data = ENCODERS[format](splats)
+    write_atomic(path, data)
+    return len(data)

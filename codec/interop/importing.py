@@ -1,0 +1,184 @@
+"""A stream made of files of Gaussians: one still model, or a numbered sequence.
+
+Every file becomes a slice of its own that lives for one frame (swin_size 1): independent frames,
+with nothing to know of what came before. A still model is a stream of one frame. Nothing in
+that frame ever expires: a player that holds or repeats it shows the model for as long as it likes.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from ..camera import Camera
+from ..chunk import MAX_SPLATS_PER_CHUNK
+from ..errors import InvalidError
+from ..manifest import Manifest
+from ..profile import Profile
+from ..slice import Slice
+from ..splats import Splats, sh_count
+from ..writer import StreamWriter
+from .formats import has_known_suffix, read_splats
+
+WIDTH_PX, HEIGHT_PX = 1280, 720
+VERTICAL_FOV_RAD = math.radians(50)
+CORE_SHARE = 0.98
+"""Share of the centres, along each axis, that the bounds enclose: floaters lie far outside."""
+NEAR_SHARE = 0.01
+"""Nearest depth drawn, as a share of the bounds' half diagonal: one may walk into the model."""
+LAYERS = (0.35, 0.15, 0.2, 0.3)
+SEGMENT_FRAMES = 15
+
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class ImportOptions:
+    """How files become a stream."""
+
+    fps: float = 30.0
+    """Frames shown in a second."""
+    profile: Profile = Profile.COMPACT
+    """Precision: compact is small, raw keeps every float as it is in the file."""
+    rank: str = "coverage"
+    """Importance that orders Gaussians into layers: coverage or opacity."""
+    title: str | None = None
+    """A name for people; by default the name of the file or folder."""
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """What the manifest must know of all files before the first slice is written."""
+
+    num_gs: int
+    sh_degree: int
+    lower: npt.NDArray[np.float64]  # (3,) metres
+    upper: npt.NDArray[np.float64]  # (3,) metres
+
+    @staticmethod
+    def of(splats: Splats) -> Survey:
+        if not len(splats):
+            return Survey(0, splats.sh_degree, np.full(3, np.inf), np.full(3, -np.inf))
+        cut = (1 - CORE_SHARE) / 2
+        lower, upper = np.quantile(splats.means.astype(np.float64), (cut, 1 - cut), axis=0)
+        return Survey(len(splats), splats.sh_degree, lower, upper)
+
+    def joined(self, other: Survey) -> Survey:
+        return Survey(
+            max(self.num_gs, other.num_gs),
+            max(self.sh_degree, other.sh_degree),
+            np.minimum(self.lower, other.lower),
+            np.maximum(self.upper, other.upper),
+        )
+
+
+def find_files(source: Path) -> list[Path]:
+    """The file `source`, or those of the folder `source` by the last number in their names.
+
+    Numbers need not begin at 0 or be without gaps. Raises InvalidError for a folder without files
+    of Gaussians, a name without a number, or two names with the same one.
+    """
+    if not source.is_dir():
+        return [source]
+    numbered: dict[int, Path] = {}
+    for path in sorted(source.iterdir()):
+        if path.name.startswith(".") or not has_known_suffix(path) or not path.is_file():
+            continue
+        digits = re.findall(r"[0-9]+", path.stem)
+        if not digits:
+            raise InvalidError(f"{path}: its name has no number to sort a sequence by")
+        first = numbered.setdefault(int(digits[-1]), path)
+        if first is not path:
+            raise InvalidError(f"{source}: {first.name} and {path.name} have the same number")
+    if not numbered:
+        raise InvalidError(f"{source}: no .ply, .spz or .splat file in this folder")
+    return [numbered[number] for number in sorted(numbered)]
+
+
+def facing_camera(lower: npt.NDArray[np.float64], upper: npt.NDArray[np.float64]) -> Camera:
+    """A camera in front of a box that sees all of it: it looks along +z with y down, the PLY's
+    convention."""
+    radius = float(np.linalg.norm(upper - lower)) / 2
+    centre = (lower + upper) / 2
+    focal_px = HEIGHT_PX / 2 / math.tan(VERTICAL_FOV_RAD / 2)
+    w2c = np.eye(4)
+    w2c[:3, 3] = -centre
+    w2c[2, 3] += radius / math.sin(VERTICAL_FOV_RAD / 2)
+    return Camera(
+        "front", WIDTH_PX, HEIGHT_PX, focal_px, focal_px, WIDTH_PX / 2, HEIGHT_PX / 2, w2c
+    )
+
+
+def make_manifest(survey: Survey, options: ImportOptions, title: str) -> Manifest:
+    """The manifest of a stream of independent frames of what `survey` found."""
+    # A single point, or nothing at all, still needs a box to look at.
+    middle = np.zeros(3) if not survey.num_gs else (survey.lower + survey.upper) / 2
+    half = np.zeros(3) if not survey.num_gs else (survey.upper - survey.lower) / 2
+    half = np.maximum(half, max(0.01 * float(half.max()), 1e-3))
+    lower, upper = middle - half, middle + half
+    camera = facing_camera(lower, upper)
+    return Manifest(
+        fps=options.fps,
+        swin_size=1,
+        num_gs=max(1, survey.num_gs),
+        layers=LAYERS,
+        segment_frames=SEGMENT_FRAMES,
+        sh_degree=survey.sh_degree,
+        profile=options.profile,
+        antialias=False,
+        near_m=NEAR_SHARE * float(np.linalg.norm(half)),
+        bounds=(_point(lower), _point(upper)),
+        cameras=(camera,),
+        default_camera=camera.name,
+        live=True,
+        title=title,
+    )
+
+
+def _point(values: npt.NDArray[np.float64]) -> Point:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def _with_degree(splats: Splats, sh_degree: int) -> Splats:
+    """`splats` with zeros for the harmonics that it lacks."""
+    lacking = sh_count(sh_degree) - splats.sh.shape[1]
+    return Splats(
+        splats.means,
+        splats.log_scales,
+        splats.quats,
+        splats.logit_opacities,
+        np.pad(splats.sh, ((0, 0), (0, lacking), (0, 0))),
+    )
+
+
+def import_stream(source: Path, stream: Path, options: ImportOptions) -> Manifest:
+    """Writes a finished stream at `stream` of the file or numbered folder `source`.
+
+    Each file of a sequence is read twice, for the manifest holds what is true of all of them, and
+    at most one is in memory. Raises a SwingsError that names the file at fault before anything is
+    written.
+    """
+    files = find_files(source)
+    splats = read_splats(files[0])
+    survey = Survey.of(splats)
+    for file in files[1:]:
+        survey = survey.joined(Survey.of(read_splats(file)))
+    if survey.num_gs > MAX_SPLATS_PER_CHUNK:
+        raise InvalidError(
+            f"{source}: {survey.num_gs} Gaussians in a frame, at most {MAX_SPLATS_PER_CHUNK}"
+        )
+    title = source.resolve().name if options.title is None else options.title
+    manifest = make_manifest(survey, options, title)
+    with StreamWriter.create(stream, manifest, options.rank) as writer:
+        for birth, file in enumerate(files):
+            if birth:
+                splats = read_splats(file)
+            offsets = np.zeros(len(splats), np.uint8)
+            writer.append(Slice(birth, _with_degree(splats, survey.sh_degree), offsets))
+    return writer.manifest

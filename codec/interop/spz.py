@@ -1,0 +1,281 @@
+"""SPZ (nianticlabs/spz): versions 2, 3 and 4 in, version 4 out; 16 bytes a Gaussian at degree 0.
+
+Layout, little-endian. Versions 2 and 3 are one gzip stream of a header of 16 bytes and the arrays;
+version 4 is a header of 32 bytes, extensions (left out here), a table of contents and one zstd
+frame for each array that is not empty.
+
+    header   u32 magic "NGSP", u32 version, u32 N, u8 SH degree, u8 fractional bits,
+             u8 flags (1 = trained with opacity compensation, 2 = extensions), u8 zero;
+             in version 4 that u8 is the number of arrays, then u32 offset of the table, 12 zeros
+    table    for each array: u64 compressed bytes, u64 raw bytes
+    arrays   positions  i24 x 3, fixed point with the fractional bits
+             opacities  u8, of 255
+             colours    u8 x 3: f_dc * 0.15 * 255 + 127.5
+             scales     u8 x 3: (ln s + 10) * 16
+             rotations  version 2: u8 x 3, x y z as (q + 1) * 127.5, w >= 0 follows;
+                        later: u32, 2 bits which of x, y, z, w is largest and left out, then the
+                        other three in order: sign and 9 bits of |q| * sqrt(2) * 511
+             harmonics  u8 x 3 (K - 1), coefficient after coefficient, RGB: 128 (1 + c)
+
+Convention: the file's frame is RUB (x right, y up, z back), ours is the PLY's RDF (x right, y down,
+z forward). One is the other turned by half a turn about x, so y and z change sign in positions and
+quaternions (w stays), and a harmonic changes sign when it is odd in y and z together.
+"""
+
+from __future__ import annotations
+
+import logging
+import struct
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import zstandard
+
+from ..errors import CorruptError, InvalidError, UnsupportedError
+from ..splats import MAX_SH_DEGREE, Floats, Splats, sh_count
+from .levels import byte_logits, clipped_bytes, opacity_bytes, restore_largest, unit_quats
+from .limits import check_count, check_ratio, checked_splats
+
+MAGIC = 0x5053474E
+HEADER = struct.Struct("<IIIBBBB")
+HEADER_V4 = struct.Struct("<IIIBBBBI12s")
+ENTRY = struct.Struct("<QQ")
+assert (HEADER.size, HEADER_V4.size) == (16, 32)
+
+FLAG_ANTIALIAS = 1
+MAX_FRACTIONAL_BITS = 23
+"""Position bits after the point: the sign takes one of 24."""
+DEFAULT_FRACTIONAL_BITS = 12
+"""What other writers use: steps of 0.24 mm, up to 2048 m from the origin."""
+COLOUR_SCALE = 0.15
+ZSTD_LEVEL = 12
+EXTENSION_BYTES = 1 << 20
+"""Bytes tolerated after the arrays of versions 2 and 3, for extensions."""
+
+FLIP_POSITION = np.array([1, -1, -1], np.float32)
+FLIP_QUATERNION = np.array([1, 1, -1, -1], np.float32)
+"""w, x, y, z."""
+# The real harmonics in order, as polynomials: 1 | y z x | xy yz 3zz-1 xz xx-yy |
+# y(3xx-yy) xyz y(5zz-1) z(5zz-3) x(5zz-1) z(xx-yy) x(xx-3yy); y and z each bring a -1.
+FLIP_SH = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
+
+Bytes = npt.NDArray[np.uint8]
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class SpzHeader:
+    """What all versions say first."""
+
+    version: int
+    count: int
+    sh_degree: int
+    fractional_bits: int
+    flags: int
+
+    @property
+    def array_bytes(self) -> tuple[int, ...]:
+        """Sizes of the arrays that are there, in order."""
+        rotation = 3 if self.version == 2 else 4
+        rows = [9, 1, 3, 3, rotation]
+        if self.sh_degree:
+            rows.append(3 * (sh_count(self.sh_degree) - 1))
+        return tuple(self.count * row for row in rows)
+
+
+def _header(data: bytes, versions: tuple[int, ...]) -> SpzHeader:
+    magic, version, count, sh_degree, fractional_bits, flags, _ = HEADER.unpack_from(data)
+    if magic != MAGIC:
+        raise CorruptError("SPZ: does not start with NGSP")
+    if version not in versions:
+        names = " or ".join(map(str, versions))
+        raise UnsupportedError(f"SPZ: version {version}; in this container it must be {names}")
+    if sh_degree > MAX_SH_DEGREE:
+        raise UnsupportedError(f"SPZ: SH degree {sh_degree}, at most {MAX_SH_DEGREE}")
+    if fractional_bits > MAX_FRACTIONAL_BITS:
+        raise CorruptError(f"SPZ: {fractional_bits} fractional bits of 24")
+    return SpzHeader(version, check_count("SPZ", count), sh_degree, fractional_bits, flags)
+
+
+def _gunzip(stream: zlib._Decompress, data: bytes, limit_bytes: int) -> bytes:
+    try:
+        return stream.decompress(data, limit_bytes)
+    except zlib.error as error:
+        raise CorruptError(f"SPZ: {error}") from error
+
+
+def _gzip_arrays(data: bytes) -> tuple[SpzHeader, list[bytes]]:
+    """Header and arrays of versions 2 and 3."""
+    stream = zlib.decompressobj(wbits=31)
+    head = _gunzip(stream, data, HEADER.size)
+    if len(head) < HEADER.size:
+        raise CorruptError(f"SPZ: ends inside its header of {HEADER.size} bytes")
+    header = _header(head, (2, 3))
+    wanted = sum(header.array_bytes)
+    check_ratio("SPZ", wanted, len(data))
+    body = _gunzip(stream, stream.unconsumed_tail, wanted + EXTENSION_BYTES)
+    if len(body) < wanted or not stream.eof:
+        raise CorruptError(f"SPZ: not the {wanted} bytes that {header.count} Gaussians need")
+    arrays, offset = [], 0
+    for size in header.array_bytes:
+        arrays.append(body[offset : offset + size])
+        offset += size
+    return header, arrays
+
+
+def _zstd_frame(frame: bytes, raw_bytes: int) -> bytes:
+    try:
+        # One that says its size is given that much memory, whatever the limit.
+        said = zstandard.get_frame_parameters(frame).content_size
+        if said not in (zstandard.CONTENTSIZE_UNKNOWN, raw_bytes):
+            raise CorruptError(f"SPZ: an array says {said} bytes, the table {raw_bytes}")
+        content = zstandard.ZstdDecompressor().decompress(
+            frame, max_output_size=raw_bytes, read_across_frames=False, allow_extra_data=False
+        )
+    except zstandard.ZstdError as error:
+        raise CorruptError(f"SPZ: {error}") from error
+    if len(content) != raw_bytes:
+        raise CorruptError(f"SPZ: an array of {len(content)} bytes, not {raw_bytes}")
+    return content
+
+
+def _zstd_arrays(data: bytes) -> tuple[SpzHeader, list[bytes]]:
+    """Header and arrays of version 4."""
+    if len(data) < HEADER_V4.size:
+        raise CorruptError(f"SPZ: ends inside its header of {HEADER_V4.size} bytes")
+    header = _header(data, (4,))
+    num_arrays, table_offset = HEADER_V4.unpack_from(data)[6:8]
+    wanted = header.array_bytes if header.count else ()
+    check_ratio("SPZ", sum(wanted), len(data))
+    if num_arrays != len(wanted) and header.count:
+        raise CorruptError(f"SPZ: {num_arrays} arrays, not {len(wanted)}")
+    offset = table_offset + ENTRY.size * num_arrays
+    if table_offset < HEADER_V4.size or len(data) < offset:
+        raise CorruptError("SPZ: the table of contents lies outside of the file")
+    arrays = []
+    entries = ENTRY.iter_unpack(data[table_offset:offset])
+    for (size, raw_bytes), expected in zip(entries, wanted, strict=False):
+        if raw_bytes != expected:
+            raise CorruptError(f"SPZ: an array of {raw_bytes} bytes, not {expected}")
+        if offset + size > len(data):
+            raise CorruptError(f"SPZ: ends inside an array: {len(data)} bytes of {offset + size}")
+        arrays.append(_zstd_frame(data[offset : offset + size], expected))
+        offset += size
+    return header, arrays or [b""] * len(header.array_bytes)
+
+
+def _positions(array: bytes, fractional_bits: int) -> Floats:
+    low = np.frombuffer(array, np.uint8).reshape(-1, 3, 3).astype(np.int32)
+    fixed = low[:, :, 0] | low[:, :, 1] << 8 | low[:, :, 2] << 16
+    signed = (fixed ^ 0x800000) - 0x800000
+    return np.ldexp(signed.astype(np.float32), -fractional_bits) * FLIP_POSITION
+
+
+def _rotations(array: bytes, version: int) -> Floats:
+    """(N, 4) w, x, y, z."""
+    if version == 2:
+        xyz = np.frombuffer(array, np.uint8).reshape(-1, 3) / 127.5 - 1
+        xyzw = restore_largest(xyz, np.full(len(xyz), 3))
+    else:
+        words = np.frombuffer(array, "<u4").astype(np.uint32)
+        fields = words[:, None] >> np.array([20, 10, 0], np.uint32)
+        sizes = (fields & 511) / 511 * np.sqrt(0.5)
+        xyzw = restore_largest(np.where(fields & 512, -sizes, sizes), words >> np.uint32(30))
+    return xyzw[:, [3, 0, 1, 2]].astype(np.float32) * FLIP_QUATERNION
+
+
+def decode_spz(data: bytes) -> Splats:
+    """The Gaussians of an SPZ file of version 2, 3 or 4. Raises CorruptError or UnsupportedError.
+
+    The flag for opacity compensation is only logged: a Splats has no place for it.
+    """
+    is_gzip = data.startswith(b"\x1f\x8b")
+    header, arrays = _gzip_arrays(data) if is_gzip else _zstd_arrays(data)
+    if header.flags & FLAG_ANTIALIAS:
+        _log.warning(
+            "the SPZ was trained with opacity compensation, which is left out: "
+            "small Gaussians may look too bright"
+        )
+    positions, opacities, colours, scales, rotations = arrays[:5]
+    sh = np.empty((header.count, sh_count(header.sh_degree), 3), np.float32)
+    sh[:, 0] = (np.frombuffer(colours, np.uint8).reshape(-1, 3) / 255 - 0.5) / COLOUR_SCALE
+    if header.sh_degree:
+        rest = np.frombuffer(arrays[5], np.uint8).reshape(header.count, sh.shape[1] - 1, 3)
+        flips = FLIP_SH[1 : sh.shape[1], None]
+        sh[:, 1:] = (rest.astype(np.float32) - 128) / 128 * flips
+    log_scales = np.frombuffer(scales, np.uint8).reshape(-1, 3).astype(np.float32) / 16 - 10
+    return checked_splats(
+        "SPZ",
+        _positions(positions, header.fractional_bits),
+        log_scales.astype(np.float32),
+        _rotations(rotations, header.version),
+        byte_logits(np.frombuffer(opacities, np.uint8)),
+        sh,
+    )
+
+
+def _fixed_positions(means: Floats) -> tuple[bytes, int]:
+    """The array of positions and the fractional bits, which shrink where the scene is huge."""
+    largest = float(np.abs(means).max(initial=0.0))
+    bits = DEFAULT_FRACTIONAL_BITS
+    while bits > 0 and largest * (1 << bits) > 0x7FFFFF:
+        bits -= 1
+    if largest * (1 << bits) > 0x7FFFFF:
+        raise InvalidError(f"SPZ: a position of {largest:g}, at most {0x7FFFFF}")
+    fixed = np.rint(np.ldexp((means * FLIP_POSITION).astype(np.float64), bits)).astype("<i4")
+    low: Bytes = fixed.view(np.uint8).reshape(-1, 3, 4)[:, :, :3]
+    return low.tobytes(), bits
+
+
+def _packed_rotations(quats: Floats) -> bytes:
+    xyzw = (unit_quats(quats) * FLIP_QUATERNION)[:, [1, 2, 3, 0]]
+    largest = np.abs(xyzw).argmax(axis=1)
+    rows = np.arange(len(xyzw))
+    # A quaternion and its negative are the same rotation; the one left out is taken as positive.
+    xyzw *= np.where(xyzw[rows, largest] < 0, -1.0, 1.0)[:, None]
+    words = largest.astype(np.uint32)
+    smaller = np.delete(xyzw.ravel(), rows * 4 + largest).reshape(-1, 3)
+    for column in smaller.T:
+        size = np.minimum(np.rint(np.abs(column) * np.sqrt(2) * 511), 511).astype(np.uint32)
+        words = words << np.uint32(10) | np.where(column < 0, np.uint32(512), np.uint32(0)) | size
+    packed: bytes = words.astype("<u4").tobytes()
+    return packed
+
+
+def encode_spz(splats: Splats) -> bytes:
+    """The SPZ file of `splats`, version 4, every harmonic at its full 8 bits.
+
+    Raises InvalidError for a position beyond 8388607. Clipped: ln s to -10..5.9, f_dc to -3.3..3.3,
+    harmonics to -1..1.
+    """
+    positions, fractional_bits = _fixed_positions(splats.means)
+    wide = splats.sh.astype(np.float64)
+    arrays = [
+        positions,
+        opacity_bytes(splats.opacities).tobytes(),
+        clipped_bytes(wide[:, 0] * (COLOUR_SCALE * 255) + 127.5).tobytes(),
+        clipped_bytes((splats.log_scales.astype(np.float64) + 10) * 16).tobytes(),
+        _packed_rotations(splats.quats),
+        clipped_bytes(wide[:, 1:] * FLIP_SH[1 : wide.shape[1], None] * 128 + 128).tobytes(),
+    ]
+    arrays = [array for array in arrays if array]
+    compressor = zstandard.ZstdCompressor(level=ZSTD_LEVEL, write_checksum=True)
+    frames = [compressor.compress(array) for array in arrays]
+    head = HEADER_V4.pack(
+        MAGIC,
+        4,
+        len(splats),
+        splats.sh_degree,
+        fractional_bits,
+        0,
+        len(frames),
+        HEADER_V4.size,
+        bytes(12),
+    )
+    table = b"".join(
+        ENTRY.pack(len(frame), len(array)) for frame, array in zip(frames, arrays, strict=True)
+    )
+    return head + table + b"".join(frames)

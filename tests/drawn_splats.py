@@ -1,0 +1,57 @@
+"""Gaussians for hypothesis: any valid ones, within ranges that a test can narrow."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import strategies as st
+
+from codec.splats import Splats, sh_count
+
+
+@st.composite
+def drawn_splats(
+    draw: st.DrawFn,
+    max_count: int = 20,
+    max_degree: int = 3,
+    position: float = 1000.0,
+    log_scale: tuple[float, float] = (-9.0, 5.0),
+    logit: float = 9.0,
+    harmonic: float = 1.0,
+) -> Splats:
+    """Up to `max_count` Gaussians with values uniform within the ranges."""
+    count = draw(st.integers(0, max_count))
+    degree = draw(st.integers(0, max_degree))
+    rng = np.random.default_rng(draw(st.integers(0, 1 << 32)))
+    quats = rng.normal(size=(count, 4)) * 10 ** rng.uniform(-3, 3, (count, 1))
+    # Some lie on an axis, where components vanish and the largest is no longer unique.
+    axes = rng.integers(-1, 2, (count, 4))
+    on_axis = (rng.random(count) < 0.3) & axes.any(axis=1)
+    quats[on_axis] = axes[on_axis]
+    return Splats(
+        rng.uniform(-position, position, (count, 3)).astype(np.float32),
+        rng.uniform(*log_scale, (count, 3)).astype(np.float32),
+        quats.astype(np.float32),
+        rng.uniform(-logit, logit, count).astype(np.float32),
+        rng.uniform(-harmonic, harmonic, (count, sh_count(degree), 3)).astype(np.float32),
+    )
+
+
+def same(a: Splats, b: Splats) -> bool:
+    """Whether `a` and `b` have the same bits."""
+    names = ("means", "log_scales", "quats", "logit_opacities", "sh")
+    return all(
+        getattr(a, n).shape == getattr(b, n).shape
+        and getattr(a, n).tobytes() == getattr(b, n).tobytes()
+        for n in names
+    )
+
+
+def angles_rad(a: Splats, b: Splats) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """(N,) angle of the rotation between the orientations of `a` and those of `b`."""
+    p, q = (s.quats.astype(np.float64) for s in (a, b))
+    p /= np.linalg.norm(p, axis=1, keepdims=True)
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    # By the chord, which is exact near zero where arccos is not.
+    chord = np.minimum(np.linalg.norm(p - q, axis=1), np.linalg.norm(p + q, axis=1))
+    angles: np.ndarray[tuple[int], np.dtype[np.float64]] = 4 * np.arcsin(np.minimum(chord / 2, 1))
+    return angles

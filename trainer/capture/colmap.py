@@ -1,0 +1,170 @@
+"""The COLMAP layout: a sparse model of one frame's images, and the pictures of all frames.
+
+    sparse/0/ or sparse/   cameras, images and points3D, each .bin or .txt; one image per camera
+    and the pictures, the first of these that exists:
+    frames/<frame>/<image name>   a folder per frame, the images named as in the model; a camera
+                           has the name of its image without suffix ("cam00.png": cam00)
+    images/<camera>/<frame>.jpg   a folder per camera, .jpg, .jpeg or .png; the model's image is
+                           named <camera>.png or, as COLMAP names it itself, <camera>/<frame>.png
+    held_out.txt           as in the DyNeRF layout; without it the first camera is held out
+    fps.txt                optional, the frames per second; without it 30
+
+How frames are numbered stands in pictures.py. Pictures of cameras that the model does not have are
+left out. Pinhole models are taken as they are; pictures of SIMPLE_RADIAL, RADIAL and OPENCV cameras
+are straightened as they are read; others are refused. COLMAP's unit is taken as a metre, its points
+are the initial points.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from codec.camera import Camera
+from codec.errors import InvalidError
+
+from ..errors import CaptureError
+from .capture import Capture, CaptureCamera, PictureSource
+from .colmap_model import (
+    Optics,
+    Posed,
+    find_model,
+    read_model_points,
+    read_optics,
+    read_posed,
+    rotation_of,
+)
+from .dynerf import read_held_out
+from .lens import Lens, check_optics
+from .pictures import (
+    FRAMES_NAME,
+    IMAGES_NAME,
+    natural_order,
+    picture_source,
+    pictures_by_camera,
+    pictures_by_frame,
+    safe_path,
+)
+from .points import points_depths
+from .rig import rig_depths
+
+MODEL_NAME = "sparse"
+FPS_NAME = "fps.txt"
+DEFAULT_FPS = 30.0
+"""Frames per second of a capture that does not tell: the layout has no place for it."""
+
+
+def open_colmap(root: Path) -> Capture:
+    """The capture in a folder of this layout. Raises CaptureError."""
+    model = find_model(root)
+    optics_path, optics = read_optics(model)
+    posed_path, images = read_posed(model)
+    by_frame = (root / FRAMES_NAME).is_dir()
+    if not by_frame and not (root / IMAGES_NAME).is_dir():
+        raise CaptureError(
+            f"{root / FRAMES_NAME}: is missing, and so is {IMAGES_NAME}/; the pictures belong there"
+        )
+    found: dict[str, tuple[Camera, Lens, PurePosixPath]] = {}
+    for image in images:
+        path = safe_path(image.name, posed_path)
+        name = _camera_name(path, by_frame)
+        if name in found:
+            raise CaptureError(
+                f"{posed_path}: {image.name} and {found[name][2]} are both camera {name}; "
+                "a model must hold one frame, one image per camera"
+            )
+        if image.optics_id not in optics:
+            raise CaptureError(
+                f"{posed_path}: image {image.name} names camera {image.optics_id}, "
+                f"which {optics_path.name} does not have"
+            )
+        camera, lens = _camera(name, optics[image.optics_id], image, optics_path, posed_path)
+        found[name] = camera, lens, path
+    names = sorted(found, key=natural_order)
+    cameras = [found[name][0] for name in names]
+    if by_frame:
+        files = pictures_by_frame(root / FRAMES_NAME, [found[name][2] for name in names])
+    else:
+        files = pictures_by_camera([root / IMAGES_NAME / _folder(found[name][2]) for name in names])
+    sources = [
+        picture_source(camera, found[name][1], of_camera, optics_path)
+        for name, camera, of_camera in zip(names, cameras, files, strict=True)
+    ]
+    held_out = read_held_out(root, names)
+    points = read_model_points(model)
+    depths = rig_depths(cameras, points_depths(points, cameras) if points else None)
+
+    def open_images(camera_index: int) -> PictureSource:
+        return sources[camera_index]
+
+    return Capture(
+        root=root,
+        layout="colmap",
+        cameras=tuple(CaptureCamera(camera, camera.name in held_out) for camera in cameras),
+        num_frames=len(files[0]),
+        fps=_read_fps(root / FPS_NAME),
+        points=points,
+        near_m=depths[0] if depths else None,
+        far_m=depths[1] if depths else None,
+        opener=open_images,
+    )
+
+
+def pinhole_and_lens(optics: Optics) -> tuple[tuple[float, float, float, float], Lens] | None:
+    """(fx, fy, cx, cy) in pixels and the distortion; None for a model that is not read."""
+    p = optics.parameters
+    match optics.model:
+        case "SIMPLE_PINHOLE":
+            return (p[0], p[0], p[1], p[2]), Lens()
+        case "PINHOLE":
+            return (p[0], p[1], p[2], p[3]), Lens()
+        case "SIMPLE_RADIAL":
+            return (p[0], p[0], p[1], p[2]), Lens(k1=p[3])
+        case "RADIAL":
+            return (p[0], p[0], p[1], p[2]), Lens(k1=p[3], k2=p[4])
+        case "OPENCV":
+            return (p[0], p[1], p[2], p[3]), Lens(k1=p[4], k2=p[5], p1=p[6], p2=p[7])
+    return None
+
+
+def _camera(
+    name: str, optics: Optics, image: Posed, optics_path: Path, posed_path: Path
+) -> tuple[Camera, Lens]:
+    read = pinhole_and_lens(optics)
+    if read is None:
+        raise CaptureError(
+            f"{optics_path}: camera {name} has the lens model {optics.model}; "
+            "undistort the images with COLMAP first"
+        )
+    (fx, fy, cx, cy), lens = read
+    w2c = np.eye(4)
+    w2c[:3, :3] = rotation_of(image.quaternion, posed_path, image.name)
+    w2c[:3, 3] = image.translation
+    try:
+        camera = Camera(name, optics.width_px, optics.height_px, fx, fy, cx, cy, w2c)
+    except InvalidError as error:
+        raise CaptureError(f"{optics_path}: {error}") from error
+    check_optics(camera, lens, optics_path)
+    return camera, lens
+
+
+def _camera_name(image: PurePosixPath, by_frame: bool) -> str:
+    return "_".join((image.with_suffix("") if by_frame else _folder(image)).parts)
+
+
+def _folder(image: PurePosixPath) -> PurePosixPath:
+    """The folder below images/ of a model's image."""
+    return image.parent if len(image.parts) > 1 else image.with_suffix("")
+
+
+def _read_fps(path: Path) -> float:
+    if not path.is_file():
+        return DEFAULT_FPS
+    try:
+        fps = float(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise CaptureError(f"{path}: not a number of frames per second") from error
+    if not 0 < fps <= 1000:
+        raise CaptureError(f"{path}: {fps:g} frames per second; must be above 0, at most 1000")
+    return fps

@@ -1,0 +1,126 @@
+"""Lens distortion taken out of pictures as they are read.
+
+The straight picture has the size and the intrinsics of the bent one. Where the lens saw less than
+the pinhole would (pincushion distortion), the nearest pixel of the edge stands in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numba import njit
+
+from codec.camera import Camera
+
+from ..errors import CaptureError
+from .capture import Picture, PictureSource
+from .points import MAX_COORDINATE_M
+
+
+@dataclass(frozen=True, slots=True)
+class Lens:
+    """OpenCV's radial and tangential terms; all without unit.
+
+    With x, y the straight position over the focal length and r2 = x^2 + y^2, the bent one is
+    x (1 + k1 r2 + k2 r2^2 + k3 r2^3) + 2 p1 x y + p2 (r2 + 2 x^2), and for y with x, y and p1, p2
+    exchanged.
+    """
+
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+
+    @property
+    def is_straight(self) -> bool:
+        """Whether it bends nothing."""
+        return self == Lens()
+
+
+class StraightSource:
+    """The pictures of a bent source, straightened. As thread-safe as that source.
+
+    The bent positions are computed anew for each picture: that costs less than reading them from
+    memory, where a camera's map would take four times the bytes of its picture.
+    """
+
+    def __init__(self, bent: PictureSource, camera: Camera, lens: Lens) -> None:
+        self._bent, self._camera, self._lens = bent, camera, lens
+
+    def read(self, frame: int) -> Picture:
+        return straightened(self._bent.read(frame), self._camera, self._lens)
+
+    def close(self) -> None:
+        self._bent.close()
+
+
+def straight_source(source: PictureSource, camera: Camera, lens: Lens) -> PictureSource:
+    """The source itself, or behind a StraightSource if the lens bends."""
+    return source if lens.is_straight else StraightSource(source, camera, lens)
+
+
+def straightened(picture: Picture, camera: Camera, lens: Lens) -> Picture:
+    """The picture as a pinhole with the camera's intrinsics sees it, sampled bilinearly."""
+    straight = np.empty_like(picture)
+    _straighten(
+        picture, straight,
+        camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px,
+        lens.k1, lens.k2, lens.k3, lens.p1, lens.p2,
+    )  # fmt: skip
+    return straight
+
+
+def check_optics(camera: Camera, lens: Lens, path: Path) -> None:
+    """Raises CaptureError, naming `path`, for a camera that nobody has or a lens that is none.
+
+    Where the bent radius shrinks as the straight one grows, the lens shows parts of the scene
+    twice; calibrations with too few points near the corners do that.
+    """
+    for focal_px, middle_px, side_px in (
+        (camera.fx_px, camera.cx_px, camera.width_px),
+        (camera.fy_px, camera.cy_px, camera.height_px),
+    ):
+        if not (1e-2 <= focal_px / side_px <= 1e3 and abs(middle_px) <= 10 * side_px):
+            raise CaptureError(
+                f"{path}: camera {camera.name}: focal length {focal_px:g} px with the principal "
+                f"point at {middle_px:g} px cannot be right for a side of {side_px} px"
+            )
+    if float(np.abs(camera.w2c[:3, 3]).max()) > MAX_COORDINATE_M:
+        raise CaptureError(f"{path}: camera {camera.name}: is over {MAX_COORDINATE_M:g} m away")
+    terms = (lens.k1, lens.k2, lens.k3, lens.p1, lens.p2)
+    if not (np.abs(terms) < 1e6).all():
+        raise CaptureError(f"{path}: camera {camera.name}: a distortion term is not a number < 1e6")
+    across = max(camera.cx_px, camera.width_px - camera.cx_px) / camera.fx_px
+    down = max(camera.cy_px, camera.height_px - camera.cy_px) / camera.fy_px
+    r2 = np.linspace(0, across * across + down * down, 100)
+    slope = 1 + r2 * (3 * lens.k1 + r2 * (5 * lens.k2 + r2 * 7 * lens.k3))
+    if float(slope.min()) <= 0:
+        raise CaptureError(
+            f"{path}: camera {camera.name}: the distortion folds the picture's corners over "
+            f"(k1 = {lens.k1:g}, k2 = {lens.k2:g}); calibrate again or undistort the pictures first"
+        )
+
+
+@njit(cache=True, nogil=True)
+def _straighten(bent, straight, fx, fy, cx, cy, k1, k2, k3, p1, p2):  # type: ignore[no-untyped-def]
+    height, width = bent.shape[:2]
+    for row in range(height):
+        y = (row + 0.5 - cy) / fy
+        for column in range(width):
+            x = (column + 0.5 - cx) / fx
+            r2 = x * x + y * y
+            radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+            u = (x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)) * fx + cx - 0.5
+            v = (y * radial + 2 * p2 * x * y + p1 * (r2 + 2 * y * y)) * fy + cy - 0.5
+            u = min(max(u, 0.0), width - 1.0)
+            v = min(max(v, 0.0), height - 1.0)
+            left, top = int(u), int(v)
+            right, low = min(left + 1, width - 1), min(top + 1, height - 1)
+            a, b = u - left, v - top
+            for channel in range(3):
+                upper = (1 - a) * bent[top, left, channel] + a * bent[top, right, channel]
+                lower = (1 - a) * bent[low, left, channel] + a * bent[low, right, channel]
+                straight[row, column, channel] = np.uint8((1 - b) * upper + b * lower + 0.5)

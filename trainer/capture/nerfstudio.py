@@ -1,0 +1,405 @@
+"""The Nerfstudio layout: a transforms.json with the poses and what it points to.
+
+    transforms.json        fl_x, fl_y, cx, cy, w, h in pixels and the distortion k1, k2, k3, p1, p2,
+                           for all or in each entry of `frames`; each entry has file_path and
+                           transform_matrix, 4x4 camera to world with OpenGL axes (x right, y up,
+                           z backwards)
+    held_out.txt           as in the DyNeRF layout; without it the cameras of the `test_filenames`
+                           of transforms.json are held out, and without those the first camera
+    points.npz             optional initial points, see points.py; without it those of ply_file_path
+
+An entry's file_path has one of these forms, the same for all entries:
+
+    <anything>.mp4                         a video, one entry per camera, which is named like it
+    <anything>/images/<camera>/<frame>.jpg see pictures.py; either one entry per camera, then all
+    <anything>/frames/<frame>/<camera>.jpg its frames on disk are taken, or an entry for each of
+                                           the frames to take
+    any picture, with a `time`             an entry for each camera and time; entries of equal pose
+                                           and lens are a camera, cam00 for the first in the file
+
+`fps` tells the frames per second; without it the videos do, and without those it is 30. Cameras
+whose lens bends are straightened as they are read; fisheye models are refused.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path, PurePosixPath
+from typing import Any, TypeVar
+
+import numpy as np
+
+from codec.camera import Camera
+from codec.errors import InvalidError
+
+from ..errors import CaptureError
+from .capture import Capture, CaptureCamera, InitialPoints, PictureSource
+from .dynamic3dgs import STILL_TOLERANCE
+from .dynerf import HELD_OUT_NAME, POINTS_NAME, check_equal, read_held_out
+from .lens import Lens, check_optics, straight_source
+from .pictures import (
+    FRAMES_NAME,
+    IMAGES_NAME,
+    check_without_gap,
+    frame_number,
+    natural_order,
+    picture_source,
+    pictures_by_camera,
+    pictures_by_frame,
+    require_files,
+    safe_path,
+)
+from .points import MAX_COORDINATE_M, points_depths, read_ply, read_points
+from .rig import rig_depths
+from .video import VideoSource, probe_video
+
+TRANSFORMS_NAME = "transforms.json"
+VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".mkv", ".webm", ".avi"})
+CAMERA_MODELS = frozenset({"SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"})
+DEFAULT_FPS = 30.0
+"""Frames per second of pictures whose transforms.json does not tell."""
+
+_OPENCV_FROM_OPENGL = np.array([1.0, -1.0, -1.0])
+"""Signs of the camera's axes x, y, z."""
+
+_Key = TypeVar("_Key", int, float)
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """An entry of `frames`."""
+
+    path: PurePosixPath
+    camera: Camera
+    """Named by its file_path."""
+    lens: Lens
+    time: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Posed:
+    """A camera: one of its entries and where its frames are."""
+
+    entry: Entry
+    files: tuple[Path, ...]
+    """A video, or a picture per frame."""
+    paths: frozenset[PurePosixPath]
+    """The file_path of each of its entries."""
+
+
+def open_nerfstudio(root: Path) -> Capture:
+    """The capture in a folder of this layout. Raises CaptureError."""
+    path = root / TRANSFORMS_NAME
+    value = _read_object(path)
+    entries = _read_entries(path, value)
+    are_videos = {entry.path.suffix.lower() in VIDEO_SUFFIXES for entry in entries}
+    if are_videos == {True}:
+        found = _videos(root, entries)
+    elif True in are_videos:
+        raise CaptureError(f"{path}: some file_path are videos, some are not")
+    elif all(_kind(entry.path) for entry in entries):
+        found = _numbered(root, entries)
+    elif all(entry.time is not None for entry in entries):
+        found = _timed(root, entries)
+    else:
+        odd = next(e.path for e in entries if not _kind(e.path))
+        raise CaptureError(
+            f"{path}: {odd} tells neither camera nor frame; expected "
+            f"{IMAGES_NAME}/<camera>/<frame>.jpg, {FRAMES_NAME}/<frame>/<camera>.jpg, a video per "
+            "camera, or a `time` in each entry"
+        )
+    names = sorted(found, key=natural_order)
+    posed = [found[name] for name in names]
+    cameras = [replace(p.entry.camera, name=name) for p, name in zip(posed, names, strict=True)]
+    fps = _number(path, value, "fps", 0.0)
+    if True in are_videos:
+        facts = [probe_video(p.files[0]) for p in posed]
+        check_equal([p.files[0] for p in posed], facts)
+        for p, camera, fact in zip(posed, cameras, facts, strict=True):
+            if (fact.width_px, fact.height_px) != (camera.width_px, camera.height_px):
+                raise CaptureError(
+                    f"{p.files[0]}: is {fact.width_px}x{fact.height_px} px; {path} declares "
+                    f"{camera.width_px}x{camera.height_px} px"
+                )
+        num_frames, fps = facts[0].num_frames, fps or facts[0].fps
+    else:
+        num_frames, fps = len(posed[0].files), fps or DEFAULT_FPS
+        sources = [
+            picture_source(camera, p.entry.lens, p.files, path)
+            for p, camera in zip(posed, cameras, strict=True)
+        ]
+    if not 0 < fps <= 1000:
+        raise CaptureError(f"{path}: fps is {fps:g}; must be above 0, at most 1000")
+    held_out = _held_out(root, value, names, posed)
+    points = _read_points(root, value)
+    depths = rig_depths(cameras, points_depths(points, cameras) if points else None)
+
+    def open_images(camera_index: int) -> PictureSource:
+        if True not in are_videos:
+            return sources[camera_index]
+        p, camera = posed[camera_index], cameras[camera_index]
+        return straight_source(VideoSource(p.files[0], camera, num_frames), camera, p.entry.lens)
+
+    return Capture(
+        root=root,
+        layout="nerfstudio",
+        cameras=tuple(CaptureCamera(camera, camera.name in held_out) for camera in cameras),
+        num_frames=num_frames,
+        fps=fps,
+        points=points,
+        near_m=depths[0] if depths else None,
+        far_m=depths[1] if depths else None,
+        opener=open_images,
+    )
+
+
+def _read_object(path: Path) -> dict[str, Any]:
+    try:
+        value = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError) as error:
+        raise CaptureError(f"{path}: not JSON: {error}") from error
+    if not isinstance(value, dict):
+        raise CaptureError(f"{path}: the top of the JSON is not an object")
+    return value
+
+
+def _read_entries(path: Path, value: dict[str, Any]) -> list[Entry]:
+    frames = value.get("frames")
+    if not isinstance(frames, list) or not frames:
+        raise CaptureError(f"{path}: `frames` is no list of entries")
+    entries: dict[PurePosixPath, Entry] = {}
+    for number, frame in enumerate(frames):
+        if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
+            raise CaptureError(f"{path}: entry {number} of `frames` has no file_path")
+        entry = _read_entry(path, {**value, **frame})
+        if entry.path in entries:
+            raise CaptureError(f"{path}: {entry.path} is listed twice")
+        entries[entry.path] = entry
+    return list(entries.values())
+
+
+def _read_entry(path: Path, value: Mapping[str, Any]) -> Entry:
+    """An entry, what stands for all merged into it."""
+    below = safe_path(value["file_path"], path)
+    model = value.get("camera_model", "OPENCV")
+    if model not in CAMERA_MODELS or value.get("is_fisheye"):
+        raise CaptureError(
+            f"{path}: {below}: camera_model {model}{' (fisheye)' * bool(value.get('is_fisheye'))} "
+            "is not read; undistort the pictures first"
+        )
+    if _number(path, value, "k4", 0.0) != 0:
+        raise CaptureError(f"{path}: {below}: distortion by k4 is not read; undistort first")
+    try:
+        matrix = np.array(value.get("transform_matrix"), np.float64)
+    except (ValueError, TypeError, OverflowError):
+        matrix = np.zeros(0)
+    if matrix.shape not in ((4, 4), (3, 4)):
+        raise CaptureError(f"{path}: {below}: transform_matrix is not a 4x4 matrix of numbers")
+    if not (np.abs(matrix) <= MAX_COORDINATE_M).all():
+        raise CaptureError(f"{path}: {below}: transform_matrix has a number over 1e9, or none")
+    rotation = (matrix[:3, :3] * _OPENCV_FROM_OPENGL).T
+    w2c = np.eye(4)
+    w2c[:3, :3] = rotation
+    w2c[:3, 3] = -rotation @ matrix[:3, 3]
+    width, height = _number(path, value, "w"), _number(path, value, "h")
+    if not (width.is_integer() and height.is_integer()):
+        raise CaptureError(f"{path}: {below}: size {width:g}x{height:g} px is not whole")
+    fx = _number(path, value, "fl_x")
+    try:
+        camera = Camera(
+            name=str(below),
+            width_px=int(width),
+            height_px=int(height),
+            fx_px=fx,
+            fy_px=_number(path, value, "fl_y", fx),
+            cx_px=_number(path, value, "cx"),
+            cy_px=_number(path, value, "cy"),
+            w2c=w2c,
+        )
+    except InvalidError as error:
+        raise CaptureError(f"{path}: {error}") from error
+    lens = Lens(**{key: _number(path, value, key, 0.0) for key in ("k1", "k2", "k3", "p1", "p2")})
+    check_optics(camera, lens, path)
+    time = _number(path, value, "time") if "time" in value else None
+    return Entry(below, camera, lens, time)
+
+
+def _number(path: Path, value: Mapping[str, Any], key: str, default: float | None = None) -> float:
+    number = value.get(key, default)
+    if number is None:
+        raise CaptureError(f"{path}: lacks {key}")
+    if isinstance(number, int | float) and not isinstance(number, bool):
+        with suppress(OverflowError):
+            if math.isfinite(number):
+                return float(number)
+    raise CaptureError(f"{path}: {key} is {str(number)[:40]!r}, not a number")
+
+
+def _kind(path: PurePosixPath) -> str | None:
+    """Which layout of pictures.py a path is in."""
+    name = path.parts[-3] if len(path.parts) >= 3 else ""
+    return name if name in (FRAMES_NAME, IMAGES_NAME) else None
+
+
+def _videos(root: Path, entries: Sequence[Entry]) -> dict[str, Posed]:
+    found: dict[str, Posed] = {}
+    for entry in entries:
+        file = root / entry.path
+        if entry.path.stem in found:
+            raise CaptureError(
+                f"{root / TRANSFORMS_NAME}: {entry.path} and {found[entry.path.stem].entry.path} "
+                f"are both camera {entry.path.stem}; rename one"
+            )
+        if not file.is_file():
+            raise CaptureError(f"{file}: is missing; {TRANSFORMS_NAME} names it")
+        found[entry.path.stem] = Posed(entry, (file,), frozenset({entry.path}))
+    return found
+
+
+def _numbered(root: Path, entries: Sequence[Entry]) -> dict[str, Posed]:
+    """The cameras of entries whose paths tell camera and frame."""
+    path = root / TRANSFORMS_NAME
+    places = {PurePosixPath(*entry.path.parts[:-2]) for entry in entries}
+    if len(places) > 1:
+        raise CaptureError(
+            f"{path}: pictures are in {' and '.join(sorted(map(str, places))[:2])}; use one folder"
+        )
+    (place,) = places
+    groups: dict[str, dict[int, Entry]] = {}
+    for entry in entries:
+        camera, frame = entry.path.parent.name, entry.path.stem
+        if place.name == FRAMES_NAME:
+            camera, frame = frame, camera
+        number = frame_number(frame)
+        if number is None:
+            raise CaptureError(f"{path}: {entry.path}: {frame!r} ends in no frame number")
+        group = groups.setdefault(camera, {})
+        if number in group:
+            raise CaptureError(
+                f"{path}: {group[number].path} and {entry.path} are both frame {number} of "
+                f"camera {camera}"
+            )
+        group[number] = entry
+    if all(len(group) == 1 for group in groups.values()):
+        firsts = [next(iter(group.values())) for group in groups.values()]
+        if place.name == FRAMES_NAME:
+            files = pictures_by_frame(root / place, [PurePosixPath(e.path.name) for e in firsts])
+        else:
+            files = pictures_by_camera([(root / e.path).parent for e in firsts])
+        return {
+            name: Posed(entry, of_camera, frozenset({entry.path}))
+            for name, entry, of_camera in zip(groups, firsts, files, strict=True)
+        }
+    check_without_gap(next(iter(groups.values())), path)
+    _check_times(path, groups)
+    return _listed(root, groups)
+
+
+def _timed(root: Path, entries: Sequence[Entry]) -> dict[str, Posed]:
+    """The cameras of entries that only tell their time: one for each pose."""
+    path = root / TRANSFORMS_NAME
+    by_pose: dict[object, dict[float, Entry]] = {}
+    for entry in entries:
+        c = entry.camera
+        key = (c.w2c.tobytes(), c.fx_px, c.fy_px, c.cx_px, c.cy_px, c.width_px, c.height_px)
+        group = by_pose.setdefault((key, entry.lens), {})
+        assert entry.time is not None  # the caller asked
+        if entry.time in group:
+            raise CaptureError(
+                f"{path}: {group[entry.time].path} and {entry.path} have the same pose and time"
+            )
+        group[entry.time] = entry
+    return _listed(
+        root, {f"cam{number:02d}": group for number, group in enumerate(by_pose.values())}
+    )
+
+
+def _check_times(path: Path, groups: Mapping[str, Mapping[int, Entry]]) -> None:
+    """Raises CaptureError unless the times that entries tell rise with the frame numbers."""
+    times: dict[int, float] = {}
+    for number, entry in (item for group in groups.values() for item in group.items()):
+        if entry.time is not None and times.setdefault(number, entry.time) != entry.time:
+            raise CaptureError(
+                f"{path}: {entry.path}: time {entry.time:g}, but another camera's frame {number} "
+                f"has {times[number]:g}"
+            )
+    ordered = [times[number] for number in sorted(times)]
+    if any(b <= a for a, b in pairwise(ordered)):
+        raise CaptureError(f"{path}: the times of the entries do not rise with the frame numbers")
+
+
+def _listed(root: Path, groups: Mapping[str, Mapping[_Key, Entry]]) -> dict[str, Posed]:
+    """The cameras of entries that list every frame, by frame number or time."""
+    path = root / TRANSFORMS_NAME
+    found: dict[str, Posed] = {}
+    first_name, first_group = next(iter(groups.items()))
+    for name, group in groups.items():
+        odd = sorted(group.keys() ^ first_group.keys())
+        if odd:
+            lacking, having = (name, first_name) if odd[0] in first_group else (first_name, name)
+            raise CaptureError(
+                f"{path}: camera {lacking} lacks frame {odd[0]:g}, which camera {having} has"
+            )
+        ordered = [group[key] for key in sorted(group)]
+        for entry in ordered:
+            _check_still(path, ordered[0], entry)
+        found[name] = Posed(
+            ordered[0],
+            tuple(root / entry.path for entry in ordered),
+            frozenset(entry.path for entry in ordered),
+        )
+    require_files([posed.files for posed in found.values()])
+    return found
+
+
+def _check_still(path: Path, first: Entry, entry: Entry) -> None:
+    a, b = first.camera, entry.camera
+    same = (a.width_px, a.height_px, first.lens) == (b.width_px, b.height_px, entry.lens)
+    lens = np.array([(c.fx_px, c.fy_px, c.cx_px, c.cy_px) for c in (a, b)])
+    for what, changed in (
+        ("moves", float(np.abs(a.w2c - b.w2c).max()) > STILL_TOLERANCE),
+        ("changes its lens", not same or float(np.abs(lens[0] - lens[1]).max()) > STILL_TOLERANCE),
+    ):
+        if changed:
+            raise CaptureError(
+                f"{path}: the camera of {first.path} {what} at {entry.path}; "
+                "only still cameras can be trained"
+            )
+
+
+def _held_out(
+    root: Path, value: Mapping[str, Any], names: Sequence[str], posed: Sequence[Posed]
+) -> frozenset[str]:
+    path, listed = root / TRANSFORMS_NAME, value.get("test_filenames")
+    if listed is None or (root / HELD_OUT_NAME).is_file():
+        return read_held_out(root, names)
+    if not isinstance(listed, list) or not all(isinstance(name, str) for name in listed):
+        raise CaptureError(f"{path}: test_filenames is no list of file_path")
+    tests = {safe_path(name, path) for name in listed}
+    unknown = tests - frozenset().union(*(p.paths for p in posed))
+    if unknown:
+        raise CaptureError(f"{path}: test_filenames has {min(unknown)}, which `frames` has not")
+    held_out = set()
+    for name, p in zip(names, posed, strict=True):
+        if p.paths <= tests:
+            held_out.add(name)
+        elif p.paths & tests:
+            raise CaptureError(
+                f"{path}: test_filenames has some frames of camera {name}, but not "
+                f"{min(p.paths - tests)}; cameras are held out whole (see {HELD_OUT_NAME})"
+            )
+    return frozenset(held_out)
+
+
+def _read_points(root: Path, value: Mapping[str, Any]) -> InitialPoints | None:
+    if (root / POINTS_NAME).is_file():
+        return read_points(root / POINTS_NAME)
+    name = value.get("ply_file_path")
+    if name is None:
+        return None
+    return read_ply(root / safe_path(str(name), root / TRANSFORMS_NAME))

@@ -1,0 +1,152 @@
+"""Picture files of many cameras and frames, in the two folder layouts that people use.
+
+    frames/<frame>/<picture>        a folder per frame; a camera's picture has one name in all
+    images/<camera>/<frame>.jpg     a folder per camera; also .jpeg and .png
+
+<frame> ends in a number ("000012", "frame_12"). The numbers may start anywhere but have no gap, and
+every camera has the same ones; the first is frame 0 of the capture.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Collection, Sequence
+from pathlib import Path, PurePosixPath
+
+from PIL import Image, UnidentifiedImageError
+
+from codec.camera import Camera
+
+from ..errors import CaptureError
+from .capture import PictureSource
+from .dynamic3dgs import FileSource
+from .lens import Lens, straight_source
+
+FRAMES_NAME = "frames"
+IMAGES_NAME = "images"
+PICTURE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png"})
+
+_LAST_NUMBER = re.compile(r"(?:.*\D)?(\d{1,18})")
+
+
+def frame_number(stem: str) -> int | None:
+    """The number that a name without suffix ends in."""
+    found = _LAST_NUMBER.fullmatch(stem)
+    return int(found[1]) if found else None
+
+
+def natural_order(name: str) -> tuple[tuple[int, str], ...]:
+    """A key that sorts cam2 before cam10."""
+    return tuple(
+        (int(part), "") if part.isdecimal() else (-1, part)
+        for part in re.split(r"(\d{1,18})", name)
+        if part
+    )
+
+
+def safe_path(text: str, declared_in: Path) -> PurePosixPath:
+    """The relative path in `text`. Raises CaptureError if it leads out of the capture."""
+    path = PurePosixPath(text)
+    if not path.parts or path.is_absolute() or ".." in path.parts or not text.isprintable():
+        raise CaptureError(f"{declared_in}: {text!r} is not a path inside the capture")
+    return path
+
+
+def pictures_by_frame(folder: Path, names: Sequence[PurePosixPath]) -> list[tuple[Path, ...]]:
+    """For each name, its files in the folders of `folder`, frame by frame.
+
+    Raises CaptureError if a frame or a file is missing.
+    """
+    found: dict[int, Path] = {}
+    for name, is_folder in _listing(folder).items():
+        number = frame_number(name)
+        if is_folder and number is not None:
+            _add(found, number, folder / name)
+    frames = _without_gap(found, folder)
+    pictures = [tuple(frame / name for frame in frames) for name in names]
+    require_files(pictures)
+    return pictures
+
+
+def pictures_by_camera(folders: Sequence[Path]) -> list[tuple[Path, ...]]:
+    """For each camera's folder, its files, frame by frame.
+
+    Raises CaptureError if a folder or a frame is missing.
+    """
+    pictures: list[tuple[Path, ...]] = []
+    first: dict[int, Path] = {}
+    for folder in folders:
+        if not folder.is_dir():
+            raise CaptureError(f"{folder}: is missing; a camera's numbered pictures belong there")
+        found: dict[int, Path] = {}
+        for name in _listing(folder):
+            number = frame_number(Path(name).stem)
+            if number is not None and Path(name).suffix.lower() in PICTURE_SUFFIXES:
+                _add(found, number, folder / name)
+        first = first or found
+        odd = sorted(found.keys() ^ first.keys())
+        if odd and found:
+            lacking, having = (
+                (folder, folders[0]) if odd[0] in first else (folders[0], folder)
+            )  # fmt: skip
+            raise CaptureError(f"{lacking}: lacks frame {odd[0]}, which {having} has")
+        pictures.append(tuple(_without_gap(found, folder)))
+    return pictures
+
+
+def require_files(pictures: Sequence[Sequence[Path]]) -> None:
+    """Raises CaptureError for the first file that is missing; lists each folder once."""
+    listed: dict[Path, dict[str, bool]] = {}
+    for file in (file for files in pictures for file in files):
+        if file.parent not in listed:
+            listed[file.parent] = _listing(file.parent)
+        if file.name not in listed[file.parent]:
+            raise CaptureError(f"{file}: is missing; every frame needs a picture per camera")
+
+
+def check_without_gap(numbers: Collection[int], place: Path) -> None:
+    """Raises CaptureError, naming `place`, for frame numbers of which one is left out."""
+    ordered = sorted(numbers)
+    for number, expected in zip(ordered, range(ordered[0], ordered[-1] + 1), strict=False):
+        if number != expected:
+            raise CaptureError(f"{place}: frame {expected} is missing before frame {number}")
+
+
+def picture_source(
+    camera: Camera, lens: Lens, files: tuple[Path, ...], declared_in: Path
+) -> PictureSource:
+    """The source of one camera. Raises CaptureError if the first picture has another size."""
+    try:
+        with Image.open(files[0]) as image:
+            size = image.size
+    except (OSError, UnidentifiedImageError) as error:
+        raise CaptureError(f"{files[0]}: not a picture that can be read") from error
+    if size != (camera.width_px, camera.height_px):
+        raise CaptureError(
+            f"{files[0]}: is {size[0]}x{size[1]} px; {declared_in} declares "
+            f"{camera.width_px}x{camera.height_px} px"
+        )
+    return straight_source(FileSource(camera, files), camera, lens)
+
+
+def _listing(folder: Path) -> dict[str, bool]:
+    """The names in a folder but hidden ones, and whether each is a folder; empty without one."""
+    try:
+        with os.scandir(folder) as entries:
+            return {e.name: e.is_dir() for e in entries if not e.name.startswith(".")}
+    except (FileNotFoundError, NotADirectoryError):
+        return {}
+
+
+def _add(found: dict[int, Path], number: int, path: Path) -> None:
+    if number in found:
+        raise CaptureError(f"{path}: frame {number} is also {found[number].name}; remove one")
+    found[number] = path
+
+
+def _without_gap(found: dict[int, Path], folder: Path) -> list[Path]:
+    if not found:
+        raise CaptureError(f"{folder}: holds no numbered frames")
+    check_without_gap(found, folder)
+    return [found[number] for number in sorted(found)]
