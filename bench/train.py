@@ -15,7 +15,7 @@ from rich.table import Table
 from codec.camera import Camera
 from player.render.project import Projection, project_kernel
 from player.render.tiles import blend_tiles, list_tiles
-from trainer.loss import photometric_loss
+from trainer.loss import Workspace, photometric_loss
 from trainer.optimiser import Adam, OptimiserConfig, add_noise
 from trainer.raster.blend_backward import PAIR_GRADIENT, blend_tiles_backward
 from trainer.raster.cpu import Parameters, View, backward, render
@@ -56,18 +56,19 @@ def stages(count: int, width_px: int, height_px: int) -> dict[str, float]:
     view, values = View.prepare(camera, 0.2), scene(count)
     rows = np.arange(count, dtype=np.int32)
     target = np.random.default_rng(1).random((3, height_px, width_px)).astype(np.float32)
+    work = Workspace(target.shape)
     gain, bias = np.ones(3, np.float32), np.zeros(3, np.float32)
     gradients, adam = Parameters.zeros(count, 0), Adam(count, 0, OptimiserConfig())
     ages = np.zeros(count, np.float32)
     rendered = render(values, rows, view)
-    loss = photometric_loss(rendered.picture, target, 0.2, gain, bias)
+    loss = photometric_loss(rendered.picture, target, 0.2, gain, bias, work)
     p, lists = rendered.projection, rendered.lists
     pair_grads = np.empty((len(lists.pairs), PAIR_GRADIENT), np.float32)
     spare = Projection.allocate(count)
 
     def step() -> None:
         done = render(values, rows, view)
-        found = photometric_loss(done.picture, target, 0.2, gain, bias)
+        found = photometric_loss(done.picture, target, 0.2, gain, bias, work)
         backward(done, values, found.picture_grad, count, gradients)
         adam.step(values, gradients, rows, 0.0, ages)
         noise()
@@ -99,7 +100,9 @@ def stages(count: int, width_px: int, height_px: int) -> dict[str, float]:
                 rendered.picture,
             )
         ),
-        "loss": median_ms(lambda: photometric_loss(rendered.picture, target, 0.2, gain, bias)),
+        "loss": median_ms(
+            lambda: photometric_loss(rendered.picture, target, 0.2, gain, bias, work)
+        ),
         "blend backward": median_ms(
             lambda: blend_tiles_backward(
                 p.projected,

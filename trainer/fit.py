@@ -21,7 +21,7 @@ from codec.slice import MAX_SWIN_SIZE, Slice
 from codec.splats import Splats
 
 from .colour import CameraColour
-from .loss import photometric_loss
+from .loss import Workspace, photometric_loss
 from .mcmc import McmcConfig, relocate
 from .optimiser import Adam, OptimiserConfig, add_noise
 from .raster.cpu import Parameters, View, backward, render
@@ -149,6 +149,9 @@ class Trainer:
         self.next_window = 0
         """First frame of the window to train next."""
         self._steps = 0
+        # By shape: one of each unless the cameras differ in size.
+        self._targets: dict[tuple[int, ...], Floats] = {}
+        self._workspaces: dict[tuple[int, ...], Workspace] = {}
 
     def windows(self) -> Iterator[list[Slice]]:
         """Trains the rest of the video; gives the slices that mature after each window, in the
@@ -265,12 +268,11 @@ class Trainer:
     ) -> float:
         config, mcmc = self.config, self.config.mcmc
         picture = self.pictures.picture(camera, frame)
-        target = np.empty((3, *picture.shape[:2]), np.float32)
-        _planar(picture, target)
+        target = self._target(picture)
         rendered = render(self.values, rows, self.views[camera])
         loss = photometric_loss(
             rendered.picture, target, config.dssim_weight,
-            self.colour.gain(camera), self.colour.bias(camera),
+            self.colour.gain(camera), self.colour.bias(camera), self._workspaces[target.shape],
         )  # fmt: skip
         backward(
             rendered, self.values, loss.picture_grad, config.num_gs, self.gradients,
@@ -287,6 +289,15 @@ class Trainer:
         )  # fmt: skip
         self._steps += 1
         return loss.value
+
+    def _target(self, picture: npt.NDArray[np.uint8]) -> Floats:
+        """The picture as the loss wants it: (3, H, W) float32 in 0..1; the next call reuses it."""
+        shape = (3, *picture.shape[:2])
+        if shape not in self._targets:
+            self._targets[shape] = np.empty(shape, np.float32)
+            self._workspaces[shape] = Workspace(shape)
+        _planar(picture, self._targets[shape])
+        return self._targets[shape]
 
     def _relocate(self, last_frame: int) -> None:
         """Moves dead Gaussians of every slice in the window to living ones born no earlier.

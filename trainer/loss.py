@@ -165,32 +165,58 @@ class Loss:
     bias_grad: Floats  # (3,) float32
 
 
+class Workspace:
+    """Planes that the loss of pictures of one size writes to.
+
+    A step that allocates them anew spends more time in the kernel's page faults than in the loss.
+    """
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        """shape: (3, H, W) of the targets."""
+        self.shape = shape
+        self.pred = np.empty(shape, np.float32)
+        self.blurred = np.empty((5, *shape), np.float32)
+        self.partials = np.empty((3, *shape), np.float32)
+        self.gradient = np.empty(shape, np.float32)
+        self.picture_grad = np.zeros((0, 0, 0), np.float32)
+
+    def picture_grad_of(self, picture: Floats) -> Floats:
+        """The gradient of a padded picture; only its padding is sure to be zero."""
+        if self.picture_grad.shape != picture.shape:
+            self.picture_grad = np.zeros_like(picture)
+        return self.picture_grad
+
+
 def photometric_loss(
-    picture: Floats, target: Floats, dssim_weight: float, gain: Floats, bias: Floats
+    picture: Floats,
+    target: Floats,
+    dssim_weight: float,
+    gain: Floats,
+    bias: Floats,
+    workspace: Workspace | None = None,
 ) -> Loss:
     """Compares gain * picture + bias with `target`.
 
     picture: (3, >=H, >=W) float32, padded; target: (3, H, W) float32; gain, bias: (3,) float32.
+    workspace: of the target's shape, to be reused from call to call; it holds the gradient given.
     """
     channels, height, width = target.shape
     count = channels * height * width
-    pred = np.empty_like(target)
+    work = workspace or Workspace(target.shape)
+    pred, blurred, partials, gradient = work.pred, work.blurred, work.partials, work.gradient
     _correct(picture, gain, bias, pred)
-    blurred = np.empty((5, channels, height, width), np.float32)
-    partials = np.empty((3, channels, height, width), np.float32)
     ssim_sums, l1_sums, gain_sums, bias_sums = (
         np.empty(channels * height, np.float32) for _ in range(4)
     )
     _blur_products_rows(pred, target, TAPS, blurred)
     _ssim_columns(blurred, TAPS, partials, ssim_sums)
     _blur_rows(partials, TAPS, blurred[:3])
-    gradient = np.empty_like(target)
     _gradient_columns(
         pred, target, blurred, TAPS,
         np.float32((1 - dssim_weight) / count), np.float32(dssim_weight / count),
         gradient, l1_sums,
     )  # fmt: skip
-    picture_grad = np.zeros_like(picture)
+    picture_grad = work.picture_grad_of(picture)
     _uncorrect(picture, gradient, gain, picture_grad, gain_sums, bias_sums)
     l1 = float(l1_sums.sum(dtype=np.float64)) / count
     dssim = 1 - float(ssim_sums.sum(dtype=np.float64)) / count
