@@ -6,16 +6,17 @@ Rule: any bytes give a Chunk or a CodecError, and nothing is allocated before it
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from . import compact, raw
+from . import compact, paper, raw
 from .errors import CorruptError, InvalidError, UnsupportedError
 from .profile import Profile
 from .quantize import Steps
 from .slice import Slice
-from .splats import MAX_SH_DEGREE
+from .splats import MAX_SH_DEGREE, Splats
 
 MAGIC = b"SWGC"
 VERSION = 1
@@ -23,8 +24,8 @@ VERSION = 1
 MODE_INTRA = 0
 """Coding mode: the chunk needs nothing but itself. 1..255 are free for predicted modes."""
 
-PROFILE_CODES = {Profile.RAW: 0, Profile.COMPACT: 2}
-"""The number of a profile in the header; 1 is kept for the paper's own quantisation."""
+PROFILE_CODES = {Profile.RAW: 0, Profile.PAPER: 1, Profile.COMPACT: 2}
+"""The number of a profile in the header."""
 
 FLAG_START_OFFSETS = 1
 """Set when start offsets are stored; clear when all are zero."""
@@ -42,6 +43,12 @@ MAX_CHUNK_BYTES = HEADER_BYTES + compact.HEAD.size + MAX_SPLATS_PER_CHUNK * (4 *
 assert MAX_CHUNK_BYTES == 248_512_584
 
 _PROFILES = {code: profile for profile, code in PROFILE_CODES.items()}
+
+_DECODERS: dict[Profile, Callable[[memoryview, int, int], Splats]] = {
+    Profile.RAW: raw.decode_body,
+    Profile.PAPER: paper.decode_body,
+    Profile.COMPACT: compact.decode_body,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +78,8 @@ def encode_chunk(slice: Slice, layer: int, profile: Profile, steps: Steps | None
     """The chunk of `slice`, not entropy-coded.
 
     `compact` permutes the Gaussians and their axes, and quantises by `steps`, or by steps that suit
-    the slice alone; `raw` keeps everything as it is.
+    the slice alone; `paper` keeps the order and refuses what fp16 cannot hold; `raw` keeps
+    everything as it is.
     """
     count = len(slice.splats)
     if count > MAX_SPLATS_PER_CHUNK:
@@ -84,6 +92,8 @@ def encode_chunk(slice: Slice, layer: int, profile: Profile, steps: Steps | None
     flags = FLAG_START_OFFSETS if offsets.any() else 0
     if profile is Profile.RAW:
         body = raw.encode_body(slice.splats)
+    elif profile is Profile.PAPER:
+        body = paper.encode_body(slice.splats)
     else:
         body, order = compact.encode_body(slice.splats, steps)
         offsets = offsets[order]
@@ -119,7 +129,7 @@ def read_header(data: bytes | memoryview) -> ChunkHeader:
     if mode != MODE_INTRA:
         raise UnsupportedError(f"chunk: coding mode {mode}; this program reads {MODE_INTRA}")
     if profile not in _PROFILES:
-        raise UnsupportedError(f"chunk: profile {profile}; this program reads 0 and 2")
+        raise UnsupportedError(f"chunk: profile {profile}; this program reads 0, 1 and 2")
     if flags & ~FLAG_START_OFFSETS or zero:
         raise UnsupportedError("chunk: a reserved bit is set")
     if count > MAX_SPLATS_PER_CHUNK:
@@ -144,9 +154,8 @@ def decode_chunk(data: bytes | memoryview) -> Chunk:
     if len(body) < offset_bytes:
         raise CorruptError("chunk: too short for its start offsets")
     attributes, tail = body[: len(body) - offset_bytes], body[len(body) - offset_bytes :]
-    codec = raw if header.profile is Profile.RAW else compact
     try:
-        splats = codec.decode_body(attributes, header.count, header.sh_degree)
+        splats = _DECODERS[header.profile](attributes, header.count, header.sh_degree)
     except InvalidError as error:
         raise CorruptError(f"chunk: {error}") from error
     offsets = (
@@ -158,12 +167,16 @@ def decode_chunk(data: bytes | memoryview) -> Chunk:
 
 
 def plane_edges(chunk: bytes) -> list[int]:
-    """Offsets in `chunk`, from 0 to its end, between its byte planes; none for float32."""
+    """Offsets in `chunk`, from 0 to its end, between planes or attributes; none for `raw`."""
     header = read_header(chunk)
     if header.profile is Profile.RAW:
         return []
     body_end = len(chunk) - (header.count if header.has_start_offsets else 0)
     body = memoryview(chunk)[HEADER_BYTES:body_end]
-    inner = compact.plane_edges(body, header.count, header.sh_degree)
-    # The head of the body goes with the header of the chunk.
-    return sorted({0, *(HEADER_BYTES + edge for edge in inner), len(chunk)} - {HEADER_BYTES})
+    if header.profile is Profile.PAPER:
+        inner = paper.plane_edges(header.count, header.sh_degree)
+    else:
+        inner = compact.plane_edges(body, header.count, header.sh_degree)
+    # What the body begins with goes with the header of the chunk, which may be all there is.
+    edges = {HEADER_BYTES + edge for edge in inner} - {HEADER_BYTES}
+    return sorted({0, *edges, len(chunk)})

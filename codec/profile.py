@@ -11,5 +11,8 @@ class Profile(StrEnum):
     RAW = "raw"
     """Every float32 exactly as it was given."""
 
+    PAPER = "paper"
+    """Quantised as SwinGS does (section 5.6.2): 29 bytes a Gaussian with DC colour."""
+
     COMPACT = "compact"
     """Quantised as finely as the eye asks for: at most about 9 bytes a Gaussian with DC colour."""

@@ -46,7 +46,7 @@ def decode(chunk: bytes) -> PlainChunk:
         offsets = list(body[len(body) - count :])
         body = body[: len(body) - count]
     k = (degree + 1) ** 2
-    parts = raw(body, count, k) if profile == 0 else compact(body, count, k)
+    parts = (raw, paper, compact)[profile](body, count, k)
     return PlainChunk(birth, layer, profile, *parts, offsets)
 
 
@@ -69,6 +69,23 @@ def raw(body: bytes, count: int, k: int) -> Parts:
     return rows(means, 3), rows(scales, 3), rows(quats, 4), logits, by_gaussian
 
 
+def logit(level: int, levels: int) -> float:
+    if level in (0, levels - 1):
+        return 16.0 if level else -16.0
+    return f32(math.log(level / (levels - 1 - level)))
+
+
+def paper(body: bytes, count: int, k: int) -> Parts:
+    assert len(body) == count * (17 + 12 * k)
+    halves = list(struct.unpack_from(f"<{6 * count}e", body))
+    turns = [(r - 128) / 128 for r in body[12 * count : 16 * count]]
+    logits = [logit(o, 256) for o in body[16 * count : 17 * count]]
+    colours = rows(list(struct.unpack_from(f"<{3 * k * count}f", body, 17 * count)), 3)
+    by_gaussian = [colours[i : i + k] for i in range(0, len(colours), k)]
+    means, scales = rows(halves[: 3 * count], 3), rows(halves[3 * count :], 3)
+    return means, scales, rows(turns, 4), logits, by_gaussian
+
+
 def compact(body: bytes, count: int, k: int) -> Parts:
     numbers = struct.unpack_from("<9fHHII", body)
     origin, (p_step, s_base, s_step, r_step, c_base, c_step) = numbers[:3], numbers[3:9]
@@ -79,7 +96,8 @@ def compact(body: bytes, count: int, k: int) -> Parts:
     at = 48 + num_planes * n
     low_bits = int.from_bytes(body[at : at + low_bit_bytes], "little")
     at += low_bit_bytes
-    means, scales, quats, logits, sh = [], [], [], [], []
+    parts: Parts = ([], [], [], [], [])
+    means, scales, quats, logits, sh = parts
     code = 0
     used = 0
     for i in range(n):
@@ -100,13 +118,9 @@ def compact(body: bytes, count: int, k: int) -> Parts:
         square = f32(f32(f32(x * x) + f32(y * y)) + f32(z * z))
         quats.append((f32(math.sqrt(max(f32(1 - square), 0.0))), x, y, z))
 
-        level = planes[7][i]
-        if level in (0, levels - 1):
-            logits.append(16.0 if level else -16.0)
-        else:
-            logits.append(f32(math.log(level / (levels - 1 - level))))
+        logits.append(logit(planes[7][i], levels))
 
-        colour = []
+        colour: list[tuple[float, ...]] = []
         for c in range(k):
             luma = f32((planes[8 + c][i] - 128) * c_step)
             if c == 0:

@@ -196,7 +196,7 @@ def test_noise_after_a_good_header(noise: bytes, profile: Profile) -> None:
         (0, b"X", CorruptError),
         (4, b"\2", UnsupportedError),
         (5, b"\1", UnsupportedError),
-        (6, b"\1", UnsupportedError),
+        (6, b"\3", UnsupportedError),
         (7, b"\2", UnsupportedError),
         (12, struct.pack("<I", MAX_SPLATS_PER_CHUNK + 1), CorruptError),
         (12, b"\xff\xff\xff\xff", CorruptError),

@@ -132,7 +132,12 @@ def test_spz_keeps_what_its_bits_can(splats: Splats) -> None:
     # Half a step of sqrt(1/2)/511 in three components; the fourth is at least as large as each.
     step = HALF / 511
     assert angles_rad(back, splats).max(initial=0) <= 2 * np.sqrt(3 + 9) * step / 2
-    assert encode_spz(back) == encode_spz(decode_any(encode_spz(back)))
+    # A second trip changes nothing, but for rotations whose two largest components tie after
+    # rounding: which of them is left out may change, and with it the last bit of the others.
+    again = decode_any(encode_spz(back))
+    for name in ("means", "log_scales", "logit_opacities", "sh"):
+        assert (getattr(again, name) == getattr(back, name)).all()
+    assert angles_rad(again, back).max(initial=0) <= 2 * np.sqrt(3 + 9) * step / 2
 
 
 def test_a_huge_scene_trades_precision_for_range() -> None:

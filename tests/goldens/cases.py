@@ -50,6 +50,9 @@ CASES = (
     Case("compact-late", Profile.COMPACT, 6, late=True),
     Case("compact-degree-2", Profile.COMPACT, 4, sh_degree=2),
     Case("compact-outlier", Profile.COMPACT, 40, outlier=True),
+    Case("paper-empty", Profile.PAPER, 0),
+    Case("paper-degree-0", Profile.PAPER, 24, birth=12, layer=1),
+    Case("paper-degree-1-late", Profile.PAPER, 5, sh_degree=1, birth=-2, late=True),
 )
 
 
