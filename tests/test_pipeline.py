@@ -84,6 +84,19 @@ def test_dropping_layers_degrades_and_never_breaks(made: Made) -> None:
     assert correlation > 0.6
 
 
+def test_the_index_knows_the_quality_of_every_segment(made: Made) -> None:
+    reader = StreamReader(made.stream)
+    scores = evaluation(made, made.stream)["layers"]
+    for layers in (1, 2, 3):
+        known = [record.psnr_db[layers - 1] for record in reader.records]
+        assert np.isfinite(known).all()
+        # The index scores one held-out camera a frame, swings-eval all of them.
+        frames = [record.num_frames for record in reader.records]
+        mean = np.average(known, weights=frames)
+        assert mean == pytest.approx(scores[layers - 1]["psnr_db"], abs=1.5)
+    assert all(record.psnr_db[0] < record.psnr_db[-1] for record in reader.records)
+
+
 def test_compact_costs_little_against_raw(made: Made) -> None:
     compact, raw = (evaluation(made, s)["layers"][-1] for s in (made.stream, made.raw))
     assert abs(compact["psnr_db"] - raw["psnr_db"]) < 0.15

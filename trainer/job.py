@@ -31,6 +31,7 @@ from .errors import CaptureError, InterruptedRunError
 from .fit import FitConfig, Trainer
 from .frames import DEFAULT_MAX_BYTES, FrameCache, parse_frames
 from .monitor import Monitor, progress_bar
+from .quality import QualityMeter
 from .seed import initial_splats, sweep_seeds
 
 FALLBACK_NEAR_M = 0.2
@@ -201,20 +202,38 @@ def check_targets(config: TrainConfig) -> list[Path]:
     return targets
 
 
-def open_writers(
-    targets: list[Path], manifest: Manifest, config: TrainConfig
-) -> list[StreamWriter]:
-    """A writer for each folder; a resumed run leaves out those that are finished."""
-    if not config.resume:
-        manifests = [manifest, manifest.with_profile(Profile.RAW)]
-        return [
-            StreamWriter.create(target, wanted, config.rank)
-            for target, wanted in zip(targets, manifests, strict=False)
-        ]
-    live = [target for target in targets if StreamReader(target).manifest.live]
-    if not live:
+@dataclass(frozen=True, slots=True)
+class Output:
+    """A stream being written, and its quality."""
+
+    writer: StreamWriter
+    quality: QualityMeter
+
+
+def open_outputs(
+    targets: list[Path],
+    manifest: Manifest,
+    config: TrainConfig,
+    capture: Capture,
+    cache: FrameCache,
+) -> list[Output]:
+    """An output for each folder; a resumed run leaves out those that are finished."""
+    outputs = []
+    for target, profile in zip(targets, (manifest.profile, Profile.RAW), strict=False):
+        quality = QualityMeter(capture, cache, manifest)
+        if not config.resume:
+            wanted = manifest.with_profile(profile)
+            writer = StreamWriter.create(target, wanted, config.rank, quality=quality)
+        else:
+            reader = StreamReader(target)
+            if not reader.manifest.live:
+                continue
+            writer = StreamWriter.resume(target, config.rank, quality=quality)
+            quality.recall(reader, writer.next_birth)
+        outputs.append(Output(writer, quality))
+    if not outputs:
         raise InvalidError(f"{config.target} is finished; there is nothing to resume")
-    return [StreamWriter.resume(target, config.rank) for target in live]
+    return outputs
 
 
 def settings(config: TrainConfig, frames: range, near_m: float, far_m: float) -> dict[str, Any]:
@@ -274,23 +293,21 @@ def train_stream(config: TrainConfig, console: Console) -> Manifest:
             initial = first_gaussians(capture, pictures, config, near_m, far_m)
         manifest = make_manifest(capture, cache, initial, config, near_m)
         bar = stack.enter_context(progress_bar(console))
-        monitor = Monitor(bar, capture, cache, manifest)
+        monitor = Monitor(bar, len(frames), manifest.swin_size)
         trainer = Trainer(config.fit, pictures, initial, near_m, monitor.on_progress)
-        writers = [stack.enter_context(w) for w in open_writers(targets, manifest, config)]
+        outputs = open_outputs(targets, manifest, config, capture, cache)
+        writers = [stack.enter_context(output.writer) for output in outputs]
         pending: list[Slice] = []
         if found is not None:
             trainer.restore(found.state)
             deliver(found.pending, writers, pending)
-            for part in found.pending:
-                monitor.on_slice(part, writers[0].bytes_written)
         else:
             save_checkpoint(kept, trainer.state(), pending, shared)
         asked = stack.enter_context(interruptible())
         for parts in trainer.windows():
             deliver(parts, writers, pending)
             save_checkpoint(kept, trainer.state(), pending, shared)
-            for part in parts:
-                monitor.on_slice(part, writers[0].bytes_written)
+            monitor.on_slice(writers[0].bytes_written, outputs[0].quality)
             if asked.is_set() and trainer.next_window < len(frames):
                 raise InterruptedRunError(
                     f"stopped after frame {trainer.next_window - 1}; --resume goes on from there"

@@ -1,0 +1,70 @@
+"""The quality of a stream while it is written: how its decoded chunks look, layer by layer."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+
+from codec.chunk import Chunk
+from codec.layers import merge_layers
+from codec.manifest import Manifest
+from codec.slice import Slice
+from codec.splats import Splats
+from codec.stream import StreamReader
+
+from .capture.capture import Capture
+from .evaluate import score_picture
+from .frames import FrameCache
+
+
+class QualityMeter:
+    """Scores every frame of one stream with 1, 2, ... layers, as it will be decoded.
+
+    Held-out cameras take turns, one for a frame; without any, training cameras do.
+    """
+
+    def __init__(self, capture: Capture, cache: FrameCache, manifest: Manifest) -> None:
+        self._cache = cache
+        self._manifest = manifest
+        self._cameras = capture.held_out or capture.training
+        # One window for each number of layers.
+        self._windows: list[deque[Slice]] = [
+            deque(maxlen=manifest.swin_size) for _ in manifest.layers
+        ]
+        self.last_db: list[float] = []
+        """PSNR of the newest frame with 1, 2, ... layers; empty before the first one."""
+
+    def recall(self, reader: StreamReader, next_birth: int) -> None:
+        """Takes in what lies on disk of the window before `next_birth`."""
+        manifest = self._manifest
+        first = max(manifest.first_birth, next_birth - manifest.swin_size)
+        for birth in range(first, next_birth):
+            for layers, window in enumerate(self._windows, start=1):
+                window.append(reader.slice(birth, layers))
+
+    def __call__(self, chunks: Sequence[Chunk]) -> list[float] | None:
+        """PSNR in dB of the frame in which `chunks` (all layers of one slice) are born, with 1,
+        2, ... layers; None before frame 0."""
+        for layers, window in enumerate(self._windows, start=1):
+            window.append(merge_layers(chunks[:layers]))
+        frame = chunks[0].birth
+        if frame < 0:
+            return None
+        camera = self._cameras[frame % len(self._cameras)]
+        truth = self._cache.image(camera, self._cache.frames[frame])
+        self.last_db = []
+        for window in self._windows:
+            shown = [
+                part.splats.take(np.flatnonzero(part.active(frame, self._manifest.swin_size)))
+                for part in window
+            ]
+            score = score_picture(
+                Splats.concatenate(shown),
+                self._cache.camera(camera),
+                truth,
+                self._manifest.near_m,
+            )
+            self.last_db.append(score.psnr_db)
+        return self.last_db
