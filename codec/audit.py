@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
+from .index import SegmentRecord
 from .reader import StreamReader
 
 
@@ -18,6 +20,8 @@ class LayerSummary:
     size_bytes: int
     bitrate_bps: float
     """Bits for each second of play; the genesis window counts."""
+    psnr_db: float | None
+    """Mean over the frames of the segments whose quality the index knows; None if it knows none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +63,7 @@ def summarize(path: Path) -> StreamSummary:
             sum(manifest.layers[:n]),
             sum(totals[:n]),
             sum(totals[:n]) * 8 / duration_s if duration_s else 0.0,
+            _mean_psnr_db(reader.records, n),
         )
         for n in range(1, manifest.num_layers + 1)
     )
@@ -84,6 +89,16 @@ def summarize(path: Path) -> StreamSummary:
     )
 
 
+def _mean_psnr_db(records: list[SegmentRecord], num_layers: int) -> float | None:
+    known = [
+        (record.psnr_db[num_layers - 1], record.num_frames)
+        for record in records
+        if not math.isnan(record.psnr_db[num_layers - 1])
+    ]
+    frames = sum(count for _, count in known)
+    return math.fsum(psnr_db * count for psnr_db, count in known) / frames if frames else None
+
+
 def describe(summary: StreamSummary) -> str:
     """`summary` for people, a fact a line."""
     s = summary
@@ -103,6 +118,7 @@ def describe(summary: StreamSummary) -> str:
         f"layers 0..{layer.layers - 1:<2} {layer.size_bytes:>12} bytes"
         f" {layer.bitrate_bps / 1e6:>9.2f} Mbit/s"
         f"  {100 * layer.gaussians_share:>5.1f} % of Gaussians"
+        + ("" if layer.psnr_db is None else f"  {layer.psnr_db:>6.2f} dB")
         for layer in s.layers
     ]
     return "\n".join(lines)
