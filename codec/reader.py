@@ -11,15 +11,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from .chunk import Chunk
 from .errors import CodecError, CorruptError, InvalidError
 from .index import SegmentRecord, parse_index, record_bytes
 from .layers import merge_layers
 from .manifest import MAX_MANIFEST_BYTES, Manifest
 from .object import MAX_OBJECT_BYTES, ChunkEntry, decode_object_chunk, read_object_table
-from .slice import Slice
+from .slice import Slice, active_splats
 from .splats import Splats
 from .writer import INDEX_NAME, MANIFEST_NAME
 
@@ -220,10 +218,5 @@ class StreamReader:
 
     def active_splats(self, frame: int, num_layers: int) -> Splats:
         """All Gaussians that show at `frame`, oldest slice first."""
-        swin_size = self.manifest.swin_size
-        return Splats.concatenate(
-            [
-                part.splats.take(np.flatnonzero(part.active(frame, swin_size)))
-                for part in self.window(frame, num_layers)
-            ]
-        )
+        window = self.window(frame, num_layers)
+        return active_splats(window, frame, self.manifest.swin_size)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,3 +43,10 @@ class Slice:
             return np.zeros(len(self.splats), np.bool_)
         shown: npt.NDArray[np.bool_] = self.start_offsets <= frame - self.birth
         return shown
+
+
+def active_splats(slices: Iterable[Slice], frame: int, swin_size: int) -> Splats:
+    """All Gaussians of `slices` (at least one) that show at `frame`, in the slices' order."""
+    return Splats.concatenate(
+        [part.splats.take(np.flatnonzero(part.active(frame, swin_size))) for part in slices]
+    )

@@ -10,7 +10,7 @@ import pytest
 
 from codec.camera import Camera
 from codec.errors import InvalidError
-from codec.slice import Slice
+from codec.slice import Slice, active_splats
 from codec.splats import Splats
 from player.render.cpu import render_splats
 from trainer.fit import FitConfig, Progress, Trainer
@@ -79,12 +79,6 @@ def start() -> Splats:
     return initial_splats(points, rng.integers(0, 255, (90, 3), dtype=np.uint8), 0)
 
 
-def window_splats(slices: list[Slice], frame: int) -> Splats:
-    return Splats.concatenate(
-        [s.splats.take(np.flatnonzero(s.active(frame, SWIN))) for s in slices]
-    )
-
-
 def test_a_whole_run_is_algorithm_one() -> None:
     pictures, seen = Rendered(), list[Progress]()
     trainer = Trainer(CONFIG, pictures, start(), NEAR_M, seen.append)
@@ -103,7 +97,7 @@ def test_a_whole_run_is_algorithm_one() -> None:
 
     held_out = ring_camera(0.3, "between")
     for frame in range(FRAMES):
-        shown = window_splats(slices, frame)
+        shown = active_splats(slices, frame, SWIN)
         # Delayed starts may hide a few.
         assert 0.6 * CONFIG.num_gs <= len(shown) <= CONFIG.num_gs
         goal = np.clip(render_splats(truth(frame), held_out, NEAR_M), 0, 1)

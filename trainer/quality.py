@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 
-import numpy as np
-
 from codec.chunk import Chunk
 from codec.layers import merge_layers
 from codec.manifest import Manifest
-from codec.slice import Slice
-from codec.splats import Splats
+from codec.slice import Slice, active_splats
 from codec.stream import StreamReader
 
 from .capture.capture import Capture
@@ -56,12 +53,8 @@ class QualityMeter:
         truth = self._cache.image(camera, self._cache.frames[frame])
         self.last_db = []
         for window in self._windows:
-            shown = [
-                part.splats.take(np.flatnonzero(part.active(frame, self._manifest.swin_size)))
-                for part in window
-            ]
             score = score_picture(
-                Splats.concatenate(shown),
+                active_splats(window, frame, self._manifest.swin_size),
                 self._cache.camera(camera),
                 truth,
                 self._manifest.near_m,
