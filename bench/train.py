@@ -18,7 +18,7 @@ from player.render.tiles import blend_tiles, list_tiles
 from trainer.loss import Workspace, photometric_loss
 from trainer.optimiser import Adam, OptimiserConfig, add_noise
 from trainer.raster.blend_backward import PAIR_GRADIENT, blend_tiles_backward
-from trainer.raster.cpu import Parameters, View, backward, render
+from trainer.raster.cpu import Parameters, Scratch, View, backward, render
 
 REPEATS = 15
 CASES = [(5_000, 320, 180), (20_000, 320, 180), (20_000, 640, 360), (60_000, 640, 360)]
@@ -64,10 +64,10 @@ def stages(count: int, width_px: int, height_px: int) -> dict[str, float]:
     loss = photometric_loss(rendered.picture, target, 0.2, gain, bias, work)
     p, lists = rendered.projection, rendered.lists
     pair_grads = np.empty((len(lists.pairs), PAIR_GRADIENT), np.float32)
-    spare = Projection.allocate(count)
+    spare, scratch = Projection.allocate(count), Scratch()
 
     def step() -> None:
-        done = render(values, rows, view)
+        done = render(values, rows, view, scratch)
         found = photometric_loss(done.picture, target, 0.2, gain, bias, work)
         backward(done, values, found.picture_grad, count, gradients)
         adam.step(values, gradients, rows, 0.0, ages)

@@ -36,7 +36,19 @@ def coverage_rank(splats: Splats) -> Floats:
     return importance
 
 
-RANKS: dict[str, RankFunction] = {"opacity": opacity_rank, "coverage": coverage_rank}
+def given_rank(splats: Splats) -> Floats:
+    """(N,) importance by place: whoever made the slice has put the most important first."""
+    places: Floats = -np.arange(len(splats), dtype=np.float32)
+    return places
+
+
+RANKS: dict[str, RankFunction] = {
+    "opacity": opacity_rank,
+    "coverage": coverage_rank,
+    "given": given_rank,
+}
+"""What orders a slice into layers. An importance that Gaussians alone do not tell (what they add to
+pictures, say) comes in as the order of the slice, with `given`."""
 
 
 def check_fractions(fractions: Sequence[float]) -> None:

@@ -14,9 +14,10 @@ from codec.slice import Slice, active_splats
 from codec.splats import Splats
 from player.render.cpu import render_splats
 from trainer.fit import FitConfig, Progress, Trainer
-from trainer.loss import psnr_db
+from trainer.loss import Floats, Workspace, psnr_db
 from trainer.mcmc import McmcConfig
 from trainer.seed import initial_splats
+from trainer.target import Targets, half_camera
 
 NEAR_M = 0.2
 FRAMES = 5
@@ -177,3 +178,59 @@ def test_the_colour_of_the_cameras_stays_identity_in_the_mean() -> None:
 def test_settings_that_cannot_work_are_refused(change: dict[str, int]) -> None:
     with pytest.raises(InvalidError):
         replace(CONFIG, **change)  # type: ignore[arg-type]
+
+
+def test_fresh_adam_forgets_at_every_window_and_carried_adam_does_not() -> None:
+    def steps(carry: bool) -> int:
+        config = replace(
+            CONFIG,
+            genesis_iterations=30,
+            window_iterations=10,
+            optimiser=replace(CONFIG.optimiser, carry_adam=carry),
+        )
+        trainer = Trainer(config, Rendered(), start(), NEAR_M)
+        windows = trainer.windows()
+        next(windows)
+        next(windows)
+        return int(trainer.adam.steps.max())
+
+    assert steps(False) <= 10
+    assert steps(True) > 30
+
+
+def test_genesis_begins_with_pictures_of_half_the_size() -> None:
+    class Large(Rendered):
+        def __init__(self) -> None:
+            super().__init__()
+            self.cameras = [c.resized(97, 66) for c in self.cameras]
+            self.cameras[0] = self.cameras[0].resized(128, 64)  # sizes may differ
+
+    sizes = list[tuple[int, int]]()
+    pictures = Large()
+    trainer = Trainer(replace(CONFIG, coarse_share=0.5), pictures, start(), NEAR_M)
+    take = trainer._targets.take
+
+    def watched(picture: npt.NDArray[np.uint8], camera: Camera) -> tuple[Floats, Workspace]:
+        sizes.append((camera.width_px, camera.height_px))
+        return take(picture, camera)
+
+    trainer._targets.take = watched  # type: ignore[method-assign]
+    trainer.train_window(0, 20)
+    trainer.train_window(1, 10)
+    halves = [width < 97 for width, _ in sizes]
+    assert halves == [True] * 10 + [False] * 20
+    assert set(sizes) <= {(48, 33), (64, 32), (97, 66), (128, 64)}
+
+
+def test_a_half_picture_is_the_mean_and_its_camera_sees_the_same() -> None:
+    rng = np.random.default_rng(0)
+    picture = rng.integers(0, 256, (33, 50, 3), dtype=np.uint8)
+    camera = ring_camera(0.2, "odd").resized(50, 33)
+    half = half_camera(camera)
+    target, _ = Targets().take(picture, half)
+    mean = picture[:32].reshape(16, 2, 25, 2, 3).mean(axis=(1, 3)) / 255
+    np.testing.assert_allclose(target, mean.transpose(2, 0, 1), atol=1e-6)
+    whole, _ = Targets().take(picture, camera)
+    np.testing.assert_allclose(whole, picture.transpose(2, 0, 1) / 255, atol=1e-6)
+    # A point on the whole picture's pixel (x, y) is on (x / 2, y / 2) of the half.
+    assert (half.fx_px / half.fy_px, half.cx_px * 2) == (camera.fx_px / camera.fy_px, camera.cx_px)

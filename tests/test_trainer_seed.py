@@ -8,7 +8,8 @@ import pytest
 from codec.camera import Camera
 from codec.splats import SH_C0
 from tests.tiny_capture import tiny_rig
-from trainer.seed import SPACING_SCALE, initial_splats, sweep_seeds
+from trainer.seed import SPACING_SCALE, initial_splats, stereo_seeds
+from trainer.stereo import depth_maps
 
 FLOOR_Y_M = 0.0
 
@@ -45,30 +46,58 @@ def picture_of_floor(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     return np.rint(picture * 255).astype(np.uint8), seen
 
 
-def test_seeds_of_a_painted_floor_lie_on_it() -> None:
-    cameras = [c.resized(128, 72) for c in tiny_rig(8)]
+@pytest.mark.parametrize("sizes", [[(128, 72)], [(128, 72), (96, 54), (320, 180)]])
+def test_seeds_of_a_painted_floor_lie_on_it(sizes: list[tuple[int, int]]) -> None:
+    cameras = [c.resized(*sizes[i % len(sizes)]) for i, c in enumerate(tiny_rig(8))]
     pictures, seen = zip(*map(picture_of_floor, cameras), strict=True)
-    assert np.mean(seen) > 0.3
-    points, colours = sweep_seeds(
-        cameras, np.stack(pictures), 3000, 0.8, 9.0, np.random.default_rng(0)
-    )
+    assert np.mean(seen[0]) > 0.3
+    points, colours = stereo_seeds(cameras, pictures, 3000, 0.8, 9.0, np.random.default_rng(0))
+    assert len(points) == len(colours) == 3000
     coloured = colours.max(axis=1) > 0  # the rest look over the floor into the dark
     on_floor = np.abs(points[coloured, 1] - FLOOR_Y_M) < 0.2
     assert coloured.sum() > 500
-    assert on_floor.mean() > 0.7
+    assert on_floor.mean() > 0.8
     x, z = points[coloured][on_floor][:, 0], points[coloured][on_floor][:, 2]
     assert np.median(np.abs(colour_at(x, z) * 255 - colours[coloured][on_floor])) < 12
 
 
-def test_rays_that_no_two_other_cameras_see_give_no_seed() -> None:
-    cameras = tiny_rig(3)
+def test_depths_that_cameras_agree_on_are_right_though_their_colours_differ() -> None:
+    cameras = [c.resized(128, 72) for c in tiny_rig(8)]
+    pictures, seen = zip(*map(picture_of_floor, cameras), strict=True)
+    tinted = [
+        np.clip(p * (0.9 + 0.03 * i) + 2 * i, 0, 255).astype(np.uint8)
+        for i, p in enumerate(pictures)
+    ]
+    maps = depth_maps(cameras, tinted, 0.8, 9.0)
+    kept, errors = 0, list[np.ndarray]()
+    for camera, floor, depths, agreeing in zip(
+        cameras, seen, maps.depths, maps.agreeing, strict=True
+    ):
+        v, u = np.nonzero(floor & (agreeing >= 3))
+        rays = np.stack(
+            [
+                (u + 0.5 - camera.cx_px) / camera.fx_px,
+                (v + 0.5 - camera.cy_px) / camera.fy_px,
+                np.ones(len(u)),
+            ],
+            axis=1,
+        )
+        truth = (FLOOR_Y_M - camera.position[1]) / (rays @ camera.w2c[:3, :3])[:, 1]
+        kept += len(u)
+        errors.append(np.abs(depths[v, u] - truth) / truth)
+    assert kept > 0.2 * np.sum(seen)
+    # The depths that are tried lie 5 % apart here.
+    assert np.median(np.concatenate(errors)) < 0.05
+    assert np.percentile(np.concatenate(errors), 80) < 0.1
+
+
+def test_cameras_back_to_back_give_no_seed() -> None:
     away = [
         Camera(c.name, 64, 36, 60.0, 60.0, 32.0, 18.0, np.diag([1.0, s, s, 1.0]) @ np.eye(4))
-        for c, s in zip(cameras, (1, -1, 1), strict=True)
+        for c, s in zip(tiny_rig(2), (1, -1), strict=True)
     ]
-    lonely = away[:2]  # two cameras back to back
-    pictures = np.zeros((2, 36, 64, 3), np.uint8)
-    points, _ = sweep_seeds(lonely, pictures, 50, 0.5, 5.0, np.random.default_rng(0))
+    pictures = [np.zeros((36, 64, 3), np.uint8)] * 2
+    points, _ = stereo_seeds(away, pictures, 50, 0.5, 5.0, np.random.default_rng(0))
     assert len(points) == 0
 
 

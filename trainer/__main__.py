@@ -8,7 +8,6 @@ import sys
 
 from rich.console import Console
 from rich.progress import Progress
-from rich.table import Table
 
 from codec.console import run_command
 
@@ -16,8 +15,9 @@ from codec.console import run_command
 # It has to be said before the first parallel kernel runs.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
+from .ablation import ablate_quantisation
 from .check import check_capture
-from .evaluate import EvaluateConfig, Evaluation, evaluate_stream
+from .evaluate import EvaluateConfig, evaluate_stream
 from .job import TrainConfig, train_stream
 from .sheet import write_sheet
 from .synth import SynthConfig, synthesise
@@ -31,39 +31,18 @@ def _train(config: TrainConfig) -> None:
     print(config.target)
 
 
-def _table(result: Evaluation) -> Table:
-    table = Table(
-        title=f"{result.stream}: {result.frames} frames, {result.profile}, "
-        f"held out: {', '.join(result.cameras)}"
-    )
-    for name in ("layers", "PSNR dB", "SSIM", "flicker", "kB/frame", "Mbit/s", "B/Gaussian"):
-        table.add_column(name, justify="right")
-    for row in result.layers:
-        table.add_row(
-            str(row.layers),
-            f"{row.psnr_db:.2f}",
-            f"{row.ssim:.4f}",
-            "-" if row.flicker is None else f"{row.flicker:.3f}",
-            f"{row.bytes_per_frame / 1e3:.1f}",
-            f"{row.bits_per_second / 1e6:.2f}",
-            f"{row.bytes_per_gaussian:.2f}",
-        )
-    return table
-
-
 def _evaluate(config: EvaluateConfig) -> None:
+    score = ablate_quantisation if config.ablate_quantisation else evaluate_stream
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("scoring", total=None)
-        result = evaluate_stream(
-            config, lambda done, total: bar.update(task, completed=done, total=total)
-        )
+        result = score(config, lambda done, total: bar.update(task, completed=done, total=total))
     if config.sheet is not None:
         write_sheet(config.stream, config.capture, config.sheet)
     if config.json:
         json.dump(result.to_json(), sys.stdout, indent=1)
         print()
     else:
-        Console().print(_table(result))
+        Console().print(result.table())
 
 
 def synth() -> None:

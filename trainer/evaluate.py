@@ -3,7 +3,8 @@ capture."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,6 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 import numpy.typing as npt
 import tyro
+from rich.table import Table
 
 from codec.camera import Camera
 from codec.errors import InvalidError
@@ -43,6 +45,9 @@ class EvaluateConfig:
     """Also draw a contact sheet to this PNG: capture | rendered | error."""
     every: int = 1
     """Score every n-th frame; flicker needs 1."""
+    ablate_quantisation: bool = False
+    """Score instead a raw stream with one attribute at a time quantised as in the paper's
+    Table 6."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +92,26 @@ class Evaluation:
 
     def to_json(self) -> dict[str, Any]:
         return asdict(self)
+
+    def table(self) -> Table:
+        """For people: a row for each number of layers."""
+        table = Table(
+            title=f"{self.stream}: {self.frames} frames, {self.profile}, "
+            f"held out: {', '.join(self.cameras)}"
+        )
+        for name in ("layers", "PSNR dB", "SSIM", "flicker", "kB/frame", "Mbit/s", "B/Gaussian"):
+            table.add_column(name, justify="right")
+        for row in self.layers:
+            table.add_row(
+                str(row.layers),
+                f"{row.psnr_db:.2f}",
+                f"{row.ssim:.4f}",
+                "-" if row.flicker is None else f"{row.flicker:.3f}",
+                f"{row.bytes_per_frame / 1e3:.1f}",
+                f"{row.bits_per_second / 1e6:.2f}",
+                f"{row.bytes_per_gaussian:.2f}",
+            )
+        return table
 
 
 def displayed(picture: Floats) -> Floats:
@@ -136,20 +161,38 @@ def matching_scale(stream_camera: Camera, capture_camera: Camera, name: str) -> 
     return scale
 
 
-def evaluate_stream(
-    config: EvaluateConfig, on_progress: Callable[[int, int], None] = lambda done, total: None
-) -> Evaluation:
-    """Renders every frame at every number of layers. on_progress(pictures done, in all)."""
-    if config.every < 1:
-        raise InvalidError(f"every {config.every}: choose 1 or more")
-    reader = StreamReader(config.stream)
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """A stream beside the pictures of its capture's held-out cameras."""
+
+    reader: StreamReader
+    cameras: list[Camera]  # at the stream's size
+    indices: tuple[int, ...]  # of the cameras, in the capture
+    cache: FrameCache
+
+    def every(self, step: int) -> range:
+        """The frames 0, step, 2 step, ... of the stream. Raises InvalidError below 1."""
+        if step < 1:
+            raise InvalidError(f"every {step}: choose 1 or more")
+        return range(0, self.reader.num_frames, step)
+
+    def pictures(self, frame: int) -> list[npt.NDArray[np.uint8]]:
+        """The (H, W, 3) uint8 pictures that the cameras took of the stream's `frame`."""
+        return [self.cache.image(i, self.cache.frames[frame]) for i in self.indices]
+
+
+@contextmanager
+def open_held_out(stream: Path, capture_path: Path) -> Iterator[HeldOut]:
+    """Raises CaptureError where the capture is not the stream's or holds no camera out, and
+    InvalidError for a stream without a frame."""
+    reader = StreamReader(stream)
     manifest = reader.manifest
-    capture = open_capture(config.capture)
+    capture = open_capture(capture_path)
     held_out = capture.held_out
     if not held_out:
         raise CaptureError(f"{capture.root}: no held-out camera to score with")
     if reader.num_frames == 0:
-        raise InvalidError(f"{config.stream}: the stream has no finished segment yet")
+        raise InvalidError(f"{stream}: the stream has no finished segment yet")
     frames = range(manifest.capture_frame, manifest.capture_frame + reader.num_frames)
     if frames.stop > capture.num_frames:
         raise CaptureError(
@@ -159,26 +202,31 @@ def evaluate_stream(
     cameras = [capture.cameras[i].camera for i in held_out]
     for camera in cameras:
         if camera.name not in names:
-            raise CaptureError(
-                f"{config.stream} does not know camera {camera.name}: another capture?"
-            )
-    scale = matching_scale(names[cameras[0].name], cameras[0], str(config.stream))
-
-    counts = range(1, manifest.num_layers + 1)
-    chosen = range(0, reader.num_frames, config.every)
-    scores: dict[tuple[int, int, int], Score] = {}
-    flicker = {layers: _Flicker() for layers in counts}
-    done, total = 0, len(chosen) * len(counts) * len(held_out)
+            raise CaptureError(f"{stream} does not know camera {camera.name}: another capture?")
+    scale = matching_scale(names[cameras[0].name], cameras[0], str(stream))
     with FrameCache(capture, frames, scale) as cache:
+        yield HeldOut(reader, [cache.camera(i) for i in held_out], held_out, cache)
+
+
+def evaluate_stream(
+    config: EvaluateConfig, on_progress: Callable[[int, int], None] = lambda done, total: None
+) -> Evaluation:
+    """Renders every frame at every number of layers. on_progress(pictures done, in all)."""
+    scores: dict[tuple[int, int, int], Score] = {}
+    with open_held_out(config.stream, config.capture) as held_out:
+        reader, manifest, cameras = held_out.reader, held_out.reader.manifest, held_out.cameras
+        counts = range(1, manifest.num_layers + 1)
+        chosen = held_out.every(config.every)
+        flicker = {layers: _Flicker() for layers in counts}
+        done, total = 0, len(chosen) * len(counts) * len(cameras)
         for frame in chosen:
             truths = [
-                cache.image(i, frames[frame]).astype(np.float32) / np.float32(255) for i in held_out
+                picture.astype(np.float32) / np.float32(255) for picture in held_out.pictures(frame)
             ]
             for layers in counts:
                 splats = reader.active_splats(frame, layers)
-                for c, index in enumerate(held_out):
-                    picture = render_splats(splats, cache.camera(index), manifest.near_m)
-                    shown = displayed(picture)
+                for c, camera in enumerate(cameras):
+                    shown = displayed(render_splats(splats, camera, manifest.near_m))
                     scores[frame, layers, c] = Score(
                         psnr_db(shown, truths[c]), ssim(shown, truths[c])
                     )
@@ -188,7 +236,7 @@ def evaluate_stream(
     result = []
     for layers in counts:
         grid = np.array(
-            [[scores[f, layers, c].psnr_db for c in range(len(held_out))] for f in chosen]
+            [[scores[f, layers, c].psnr_db for c in range(len(cameras))] for f in chosen]
         )
         object_bytes = sum(sum(r.object_bytes[:layers]) for r in reader.records)
         num_bytes = (object_bytes + reader.overhead_bytes) / reader.num_frames
@@ -200,7 +248,7 @@ def evaluate_stream(
                 psnr_db=float(grid.mean()),
                 ssim=float(
                     np.mean(
-                        [scores[f, layers, c].ssim for f in chosen for c in range(len(held_out))]
+                        [scores[f, layers, c].ssim for f in chosen for c in range(len(cameras))]
                     )
                 ),
                 flicker=flicker[layers].value if config.every == 1 else None,

@@ -13,7 +13,6 @@ from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
 
 from codec.camera import Camera
 from codec.errors import InvalidError
@@ -21,10 +20,11 @@ from codec.slice import MAX_SWIN_SIZE, Slice
 from codec.splats import Splats
 
 from .colour import CameraColour
-from .loss import Workspace, photometric_loss
+from .loss import photometric_loss
 from .mcmc import McmcConfig, relocate
 from .optimiser import Adam, OptimiserConfig, add_noise
-from .raster.cpu import Parameters, View, backward, render
+from .raster.cpu import Parameters, Scratch, View, backward, render
+from .target import Targets, half_camera
 from .window import Lifespans
 
 Floats = npt.NDArray[np.float32]
@@ -42,6 +42,9 @@ class FitConfig:
     """Degree of the colour's spherical harmonics, 0 or 1. The paper trains 1 and streams 0."""
     genesis_iterations: int = 5_000
     """Iterations of the first window. Paper: 30,000 on a GPU."""
+    coarse_share: float = 0.6
+    """Share of genesis, its beginning, that sees pictures of half the size: shapes settle where the
+    cameras agree before detail can be learned by heart. 0 to switch it off."""
     window_iterations: int = 800
     """Iterations of every later window. Paper: 2,000 on a GPU."""
     newest_share: float = 0.5
@@ -69,8 +72,9 @@ class FitConfig:
             raise InvalidError(f"sh_degree {self.sh_degree}: choose 0 or 1")
         if self.genesis_iterations < 1 or self.window_iterations < 1:
             raise InvalidError("genesis_iterations and window_iterations must be at least 1")
-        if not 0 <= self.newest_share <= 1 or not 0 <= self.dssim_weight <= 1:
-            raise InvalidError("newest_share and dssim_weight must lie in 0..1")
+        for name in ("coarse_share", "newest_share", "dssim_weight"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise InvalidError(f"{name} {getattr(self, name):g}: choose 0 to 1")
 
 
 class Pictures(Protocol):
@@ -97,16 +101,6 @@ class Progress:
     loss: float
 
 
-@njit(cache=True, parallel=True)
-def _planar(picture, out):  # type: ignore[no-untyped-def]
-    height, width, _ = picture.shape
-    unit = np.float32(1 / 255)
-    for y in prange(height):
-        for c in range(3):
-            for x in range(width):
-                out[c, y, x] = unit * np.float32(picture[y, x, c])
-
-
 def scene_extent_m(cameras: Sequence[Camera]) -> float:
     """1.1 times the largest distance of a camera from the cameras' mean place (3DGS)."""
     positions = np.stack([c.position for c in cameras])
@@ -130,6 +124,12 @@ class Trainer:
         self.config = config
         self.pictures = pictures
         self.views = [View.prepare(c, near_m) for c in pictures.cameras]
+        smallest_px = min(min(c.width_px, c.height_px) for c in pictures.cameras)
+        # Below this the windows of SSIM would see little but the border.
+        self.coarse_share = config.coarse_share if smallest_px >= 64 else 0.0
+        self.coarse_views = [
+            View.prepare(half_camera(c), near_m) for c in pictures.cameras if self.coarse_share
+        ]
         self.lifespans = Lifespans(config.num_gs, config.swin_size)
         self.adam = Adam(config.num_gs, config.sh_degree, config.optimiser)
         self.colour = CameraColour(len(self.views), config.colour_lr)
@@ -149,9 +149,8 @@ class Trainer:
         self.next_window = 0
         """First frame of the window to train next."""
         self._steps = 0
-        # By shape: one of each unless the cameras differ in size.
-        self._targets: dict[tuple[int, ...], Floats] = {}
-        self._workspaces: dict[tuple[int, ...], Workspace] = {}
+        self._scratch = Scratch()
+        self._targets = Targets()
 
     def windows(self) -> Iterator[list[Slice]]:
         """Trains the rest of the video; gives the slices that mature after each window, in the
@@ -161,6 +160,8 @@ class Trainer:
                 self.train_window(0, self.config.genesis_iterations)
                 self._stagger()
             else:
+                if not self.config.optimiser.carry_adam:
+                    self.adam.reset(np.arange(self.config.num_gs))
                 self.train_window(self.next_window, self.config.window_iterations)
             self.next_window += 1
             yield list(self._mature(self.next_window))
@@ -241,7 +242,9 @@ class Trainer:
                 frame = last_frame
             camera = int(self.rng.integers(len(self.views)))
             means_lr = self._means_lr(genesis, iteration / iterations)
-            loss = self._step(camera, frame, active[frame], means_lr, ages, genesis)
+            coarse = genesis and iteration < self.coarse_share * iterations
+            view = (self.coarse_views if coarse else self.views)[camera]
+            loss = self._step(camera, view, frame, active[frame], means_lr, ages, genesis)
             done = iteration + 1
             period = config.mcmc.relocate_period
             if done % period == 0 and done <= config.mcmc.relocate_until * iterations:
@@ -260,6 +263,7 @@ class Trainer:
     def _step(
         self,
         camera: int,
+        view: View,
         frame: int,
         rows: npt.NDArray[np.int32],
         means_lr: float,
@@ -268,11 +272,11 @@ class Trainer:
     ) -> float:
         config, mcmc = self.config, self.config.mcmc
         picture = self.pictures.picture(camera, frame)
-        target = self._target(picture)
-        rendered = render(self.values, rows, self.views[camera])
+        target, workspace = self._targets.take(picture, view.camera)
+        rendered = render(self.values, rows, view, self._scratch)
         loss = photometric_loss(
             rendered.picture, target, config.dssim_weight,
-            self.colour.gain(camera), self.colour.bias(camera), self._workspaces[target.shape],
+            self.colour.gain(camera), self.colour.bias(camera), workspace,
         )  # fmt: skip
         backward(
             rendered, self.values, loss.picture_grad, config.num_gs, self.gradients,
@@ -289,15 +293,6 @@ class Trainer:
         )  # fmt: skip
         self._steps += 1
         return loss.value
-
-    def _target(self, picture: npt.NDArray[np.uint8]) -> Floats:
-        """The picture as the loss wants it: (3, H, W) float32 in 0..1; the next call reuses it."""
-        shape = (3, *picture.shape[:2])
-        if shape not in self._targets:
-            self._targets[shape] = np.empty(shape, np.float32)
-            self._workspaces[shape] = Workspace(shape)
-        _planar(picture, self._targets[shape])
-        return self._targets[shape]
 
     def _relocate(self, last_frame: int) -> None:
         """Moves dead Gaussians of every slice in the window to living ones born no earlier.

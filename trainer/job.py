@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -27,12 +27,13 @@ from . import checkpoint
 from .capture.capture import Capture
 from .capture.layout import open_capture
 from .checkpoint import load_checkpoint, save_checkpoint
+from .contribution import CONTRIBUTION, matured_by_contribution, writer_rank
 from .errors import CaptureError, InterruptedRunError
 from .fit import FitConfig, Trainer
 from .frames import DEFAULT_MAX_BYTES, FrameCache, parse_frames
 from .monitor import Monitor, progress_bar
 from .quality import QualityMeter
-from .seed import initial_splats, sweep_seeds
+from .seed import initial_splats, stereo_seeds
 
 FALLBACK_NEAR_M = 0.2
 """Near plane where a rig does not tell. 3DGS."""
@@ -59,14 +60,16 @@ class TrainConfig:
     """Nearest depth drawn, metres; by default 0.3 of the cameras' distance to what they look at."""
     far_m: float | None = None
     """Depth that seeding reaches to, metres; by default from the rig."""
-    point_share: float = 0.8
+    point_share: float = 0.3
     """Share of the first Gaussians taken from the capture's points, if it has any; seeds fill the
     rest."""
     layers: tuple[float, ...] = (0.35, 0.15, 0.2, 0.3)
     """Share of a slice's Gaussians in each layer, most important first; the sum is 1. A smaller
     first layer leaves holes, and the last third of the Gaussians adds little."""
-    rank: str = "opacity"
-    """Importance that orders Gaussians into layers. Paper, section 5.5: opacity."""
+    rank: Literal["opacity", "coverage", "contribution"] = "contribution"
+    """Importance that orders Gaussians into layers: contribution (blending weight summed over the
+    training cameras; a first layer without holes), opacity (paper, section 5.5), or coverage
+    (opacity times size)."""
     profile: Profile = Profile.COMPACT
     """Precision of the stream."""
     raw_stream: Path | None = None
@@ -134,28 +137,17 @@ def first_gaussians(
         count = min(len(capture.points), round(config.point_share * fit.num_gs))
         chosen = rng.choice(len(capture.points), count, replace=False)
         positions, colours = capture.points.xyz[chosen], capture.points.rgb[chosen]
-    shapes = {(c.width_px, c.height_px) for c in pictures.cameras}
-    if len(shapes) > 1:
-        raise CaptureError(
-            f"{capture.root}: training cameras of different sizes; resize the pictures to one size"
-        )
     missing = fit.num_gs - len(positions)
-    first = np.stack([pictures.picture(c, 0) for c in range(len(pictures.cameras))])
-    # Rays whose camera shares its view with too few others give no seed: go on until enough do.
-    for _ in range(20):
-        if missing <= 0:
-            break
-        seeds, seed_colours = sweep_seeds(
-            pictures.cameras, first, missing + missing // 4 + 16, near_m, far_m, rng
-        )
-        positions = np.concatenate([positions, seeds[:missing]])
-        colours = np.concatenate([colours, seed_colours[:missing]])
-        missing = fit.num_gs - len(positions)
     if missing > 0:
-        raise CaptureError(
-            f"{capture.root}: no three training cameras see the same place between {near_m:g} m "
-            f"and {far_m:g} m; set --near-m and --far-m"
-        )
+        first = [pictures.picture(c, 0) for c in range(len(pictures.cameras))]
+        seeds, seed_colours = stereo_seeds(pictures.cameras, first, missing, near_m, far_m, rng)
+        if len(seeds) < missing:
+            raise CaptureError(
+                f"{capture.root}: no three training cameras see the same place between "
+                f"{near_m:g} m and {far_m:g} m; set --near-m and --far-m"
+            )
+        positions = np.concatenate([positions, seeds])
+        colours = np.concatenate([colours, seed_colours])
     return initial_splats(positions, colours, fit.sh_degree)
 
 
@@ -223,12 +215,12 @@ def open_outputs(
         quality = QualityMeter(capture, cache, manifest)
         if not config.resume:
             wanted = manifest.with_profile(profile)
-            writer = StreamWriter.create(target, wanted, config.rank, quality=quality)
+            writer = StreamWriter.create(target, wanted, writer_rank(config.rank), quality=quality)
         else:
             reader = StreamReader(target)
             if not reader.manifest.live:
                 continue
-            writer = StreamWriter.resume(target, config.rank, quality=quality)
+            writer = StreamWriter.resume(target, writer_rank(config.rank), quality=quality)
             quality.recall(reader, writer.next_birth)
         outputs.append(Output(writer, quality))
     if not outputs:
@@ -305,6 +297,8 @@ def train_stream(config: TrainConfig, console: Console) -> Manifest:
             save_checkpoint(kept, trainer.state(), pending, shared)
         asked = stack.enter_context(interruptible())
         for parts in trainer.windows():
+            if config.rank == CONTRIBUTION:
+                parts = matured_by_contribution(trainer, parts)
             deliver(parts, writers, pending)
             save_checkpoint(kept, trainer.state(), pending, shared)
             monitor.on_slice(writers[0].bytes_written, outputs[0].quality)

@@ -48,6 +48,8 @@ class OptimiserConfig:
     """Of the constant colour; the linear terms take a twentieth. 3DGS."""
     eps: float = 1e-15
     """Adam's epsilon. 3DGS."""
+    carry_adam: bool = True
+    """Keep Adam's history from window to window; off: every window starts it afresh."""
     age_scaling: Literal["off", "gradient", "update"] = "update"
     """What 1 / (1 + windows trained) multiplies for positions: nothing, the gradient (paper, 4.5.1;
     nearly no effect under Adam), or Adam's update, which is what the paper means by a decaying

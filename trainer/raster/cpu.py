@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy.typing as npt
 
 from codec.camera import Camera
 from codec.splats import sh_count
-from player.render.project import Projection, camera_vector, project_kernel
+from player.render.project import PROJECTED, Projection, camera_vector, project_kernel
 from player.render.recipe import TILE_PX
 from player.render.tiles import TileLists, blend_tiles, list_tiles, tile_grid
 
@@ -59,6 +60,25 @@ class View:
         return View(camera, camera_vector(camera, near_m), tiles_x, tiles_y)
 
 
+class Scratch:
+    """Memory that the steps of a training run use again and again.
+
+    Megabytes that are taken anew in every step cost more in page faults than some kernels take.
+    What a call gives lives in here until the next call with the same scratch.
+    """
+
+    def __init__(self) -> None:
+        self._held: dict[str, Floats] = {}
+
+    def take(self, name: str, *shape: int) -> Floats:
+        """float32 of this shape with any content; of the memory that `name` had before, if it
+        suffices."""
+        size = math.prod(shape)
+        if name not in self._held or len(self._held[name]) < size:
+            self._held[name] = np.empty(size + size // 4, np.float32)
+        return self._held[name][:size].reshape(shape)
+
+
 @dataclass(frozen=True, slots=True)
 class Rendered:
     """What the backward pass needs of a forward pass."""
@@ -68,21 +88,30 @@ class Rendered:
     projection: Projection
     lists: TileLists
     picture: Floats  # (3, tiles_y * 16, tiles_x * 16) float32, planar, padded to whole tiles
+    scratch: Scratch
 
 
-def render(parameters: Parameters, rows: Ints, view: View) -> Rendered:
+def render(
+    parameters: Parameters, rows: Ints, view: View, scratch: Scratch | None = None
+) -> Rendered:
     """Renders the Gaussians `rows` (M,) int32 of `parameters` as `view` sees them."""
-    projection = Projection.allocate(len(rows))
+    scratch = scratch or Scratch()
+    count = len(rows)
+    projection = Projection(
+        scratch.take("projected", count, PROJECTED),
+        scratch.take("depths", count),
+        scratch.take("boxes", count, 4).view(np.int32),
+    )
     project_kernel(
         *parameters.arrays(), rows, view.vector, view.tiles_x, view.tiles_y,
         projection.projected, projection.depths, projection.tile_boxes,
     )  # fmt: skip
     lists = list_tiles(projection, view.tiles_x, view.tiles_y)
-    picture = np.empty((3, view.tiles_y * TILE_PX, view.tiles_x * TILE_PX), np.float32)
+    picture = scratch.take("picture", 3, view.tiles_y * TILE_PX, view.tiles_x * TILE_PX)
     blend_tiles(
         projection.projected, lists.starts, lists.gaussians, lists.order, view.tiles_x, picture
     )
-    return Rendered(view, rows, projection, lists, picture)
+    return Rendered(view, rows, projection, lists, picture, scratch)
 
 
 def backward(
@@ -101,7 +130,7 @@ def backward(
     rendered rows in the loss (3DGS-MCMC, section 3.4).
     """
     lists, view = rendered.lists, rendered.view
-    pair_grads = np.empty((len(lists.pairs), PAIR_GRADIENT), np.float32)
+    pair_grads = rendered.scratch.take("pair gradients", len(lists.pairs), PAIR_GRADIENT)
     blend_tiles_backward(
         rendered.projection.projected, lists.starts, lists.gaussians, lists.pairs, lists.order,
         view.tiles_x, rendered.picture, picture_grad, pair_grads,

@@ -1,0 +1,96 @@
+"""Slices in the order of what their Gaussians contribute to the training views.
+
+A Gaussian's contribution is its blending weight (transmittance * alpha), summed over the pixels of
+the views and over the frames that it shows in: what is small, thin or hidden ranks low however
+opaque it is. A writer keeps the order with its rank `given`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from codec.errors import InvalidError
+from codec.slice import Slice, active_splats
+from codec.stream import StreamReader
+
+from .fit import Trainer
+from .raster.contribution import contribution
+from .raster.cpu import Parameters, View, render
+
+Doubles = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int32]
+
+
+CONTRIBUTION = "contribution"
+"""The name of this rank in options."""
+
+
+def writer_rank(rank: str) -> str:
+    """What a StreamWriter of slices ordered by `rank` must be told."""
+    return "given" if rank == CONTRIBUTION else rank
+
+
+def _most_first(part: Slice, importance: Doubles) -> Slice:
+    """`part` with its Gaussians by falling importance; equal ones keep their order."""
+    order = np.argsort(-importance, kind="stable")
+    return Slice(part.birth, part.splats.take(order), part.start_offsets[order])
+
+
+def _summed(values: Parameters, rows: Ints, views: Sequence[View]) -> Doubles:
+    """(M,) contribution of the Gaussians `rows`, alone in the scene, over all `views`."""
+    sums = np.zeros(len(rows), np.float64)
+    for view in views:
+        sums += contribution(render(values, rows, view))
+    return sums
+
+
+def slices_by_contribution(reader: StreamReader, views: Sequence[View]) -> Iterator[Slice]:
+    """All slices of a stream in order of birth, the Gaussians that contribute most first.
+
+    Every frame is rendered once for each of `views`. Raises InvalidError without a frame.
+    """
+    manifest = reader.manifest
+    if reader.num_frames == 0:
+        raise InvalidError(f"{reader.path}: the stream has no finished segment yet")
+    sums: dict[int, Doubles] = {}
+    window: list[Slice] = []
+    for frame in range(reader.num_frames):
+        window = reader.window(frame, manifest.num_layers)
+        splats = active_splats(window, frame, manifest.swin_size)
+        values = Parameters(
+            splats.means, splats.log_scales, splats.quats, splats.logit_opacities, splats.sh
+        )
+        weights = _summed(values, np.arange(len(splats), dtype=np.int32), views)
+        first = 0
+        for part in window:
+            shown = np.flatnonzero(part.active(frame, manifest.swin_size))
+            total = sums.setdefault(part.birth, np.zeros(len(part.splats)))
+            total[shown] += weights[first : first + len(shown)]
+            first += len(shown)
+        # No later frame shows the oldest slice.
+        yield _most_first(window[0], sums.pop(window[0].birth))
+    for part in window[1:]:
+        yield _most_first(part, sums[part.birth])
+
+
+def matured_by_contribution(trainer: Trainer, parts: Sequence[Slice]) -> list[Slice]:
+    """`parts`, which `trainer.windows` has just given, the Gaussians that contribute most first.
+
+    Counted over the window that was just trained and all training views. Gaussians that mature
+    later stand in the way as they are trained so far.
+    """
+    config, lifespans = trainer.config, trainer.lifespans
+    first = trainer.next_window - 1
+    sums = np.zeros(2 * config.num_gs, np.float64)
+    for frame in range(first, min(first + config.swin_size, trainer.pictures.num_frames)):
+        rows = lifespans.active_rows(frame)
+        sums[rows] += _summed(trainer.values, rows, trainer.views)
+    # The matured generation of a slot lies num_gs rows behind the one being optimised.
+    matured = sums[config.num_gs :]
+    return [
+        _most_first(part, matured[lifespans.lane_rows(part.birth % config.swin_size)])
+        for part in parts
+    ]
