@@ -19,6 +19,7 @@ from .ablation import ablate_quantisation
 from .check import check_capture
 from .evaluate import EvaluateConfig, evaluate_stream
 from .job import TrainConfig, train_stream
+from .preset import config_type
 from .sheet import write_sheet
 from .synth import SynthConfig, synthesise
 
@@ -50,7 +51,9 @@ def synth() -> None:
 
 
 def train() -> None:
-    run_command(TrainConfig, _train, "swings-train", "Trains a capture into a stream.")
+    run_command(
+        config_type(sys.argv[1:]), _train, "swings-train", "Trains a capture into a stream."
+    )
 
 
 def evaluate() -> None:

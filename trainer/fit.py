@@ -28,6 +28,7 @@ from .target import Targets, half_camera
 from .window import Lifespans
 
 Floats = npt.NDArray[np.float32]
+Ints = npt.NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -115,11 +116,15 @@ class Trainer:
         self,
         config: FitConfig,
         pictures: Pictures,
-        initial: Splats,
+        initial: Splats | None,
         near_m: float,
         on_progress: Callable[[Progress], None] = lambda progress: None,
     ) -> None:
-        if len(initial) != config.num_gs or initial.sh_degree != config.sh_degree:
+        """initial: num_gs Gaussians to begin with; None when `restore` follows."""
+        if initial is not None and (len(initial), initial.sh_degree) != (
+            config.num_gs,
+            config.sh_degree,
+        ):
             raise InvalidError(f"{len(initial)} initial Gaussians for num_gs {config.num_gs}")
         self.config = config
         self.pictures = pictures
@@ -136,12 +141,9 @@ class Trainer:
         # The generation being optimised above, the matured generation of the same slots below.
         self.values = Parameters.zeros(2 * config.num_gs, config.sh_degree)
         self.values.quats[:, 0] = 1
-        for array, start in zip(
-            self.values.arrays(),
-            (initial.means, initial.log_scales, initial.quats, initial.logit_opacities, initial.sh),
-            strict=True,
-        ):
-            array[: config.num_gs] = start
+        if initial is not None:
+            for name in Parameters.__slots__:
+                getattr(self.values, name)[: config.num_gs] = getattr(initial, name)
         self.gradients = Parameters.zeros(config.num_gs, config.sh_degree)
         self.extent_m = scene_extent_m(pictures.cameras)
         self.rng = np.random.default_rng(config.seed)
@@ -223,9 +225,13 @@ class Trainer:
             offsets = self.lifespans.matured_starts[rows] - birth
             yield Slice(birth, self.splats(matured), offsets.astype(np.uint8))
 
-    def splats(self, rows: slice) -> Splats:
+    def splats(self, rows: slice | Ints) -> Splats:
         """A copy of the parameters `rows`."""
         return Splats(*(array[rows].copy() for array in self.values.arrays()))
+
+    def shown(self, frame: int) -> Splats:
+        """What shows at `frame`, as trained so far; of the window just trained or to be trained."""
+        return self.splats(self.lifespans.active_rows(frame))
 
     def train_window(self, first_frame: int, iterations: int) -> None:
         """Optimises the current generation on the frames [first_frame, first_frame + swin_size)."""
@@ -265,7 +271,7 @@ class Trainer:
         camera: int,
         view: View,
         frame: int,
-        rows: npt.NDArray[np.int32],
+        rows: Ints,
         means_lr: float,
         ages: Floats,
         genesis: bool,

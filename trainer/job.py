@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import numpy.typing as npt
 import tyro
+from PIL import Image
 from rich.console import Console
 
 from codec.camera import Camera
@@ -22,23 +23,30 @@ from codec.profile import Profile
 from codec.slice import Slice
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
+from player.render.cpu import render_splats
 
-from . import checkpoint
+from . import checkpoint, runlog
 from .capture.capture import Capture
 from .capture.layout import open_capture
 from .checkpoint import load_checkpoint, save_checkpoint
 from .contribution import CONTRIBUTION, matured_by_contribution, writer_rank
 from .errors import CaptureError, InterruptedRunError
+from .evaluate import displayed
 from .fit import FitConfig, Trainer
 from .frames import DEFAULT_MAX_BYTES, FrameCache, parse_frames
 from .monitor import Monitor, progress_bar
 from .quality import QualityMeter
+from .runlog import RunLog
 from .seed import initial_splats, stereo_seeds
+from .sheet import comparison, save_png
 
 FALLBACK_NEAR_M = 0.2
 """Near plane where a rig does not tell. 3DGS."""
 
 FALLBACK_FAR_M = 100.0
+
+
+Preset = Literal["cpu", "fast", "paper"]
 
 
 @dataclass(frozen=True)
@@ -52,12 +60,16 @@ class TrainConfig:
     check: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
     """Train nothing: read the ends of every camera, say what was understood, and draw
     its cameras and points to this PNG."""
+    preset: Preset = "cpu"
+    """Defaults to start from: cpu (minutes on two cores), fast (a first look), or paper (its
+    settings, made for a GPU); other options override them."""
     frames: str = ":"
     """Frames of the capture to train, A:B; A included, B not."""
     scale: float = 1.0
     """Size of the training pictures over the capture's, above 0 to 1."""
     near_m: float | None = None
-    """Nearest depth drawn, metres; by default 0.3 of the cameras' distance to what they look at."""
+    """Nearest depth drawn, metres; by default 0.35 of the cameras' distance to what they look
+    at."""
     far_m: float | None = None
     """Depth that seeding reaches to, metres; by default from the rig."""
     point_share: float = 0.3
@@ -79,6 +91,13 @@ class TrainConfig:
     """Frames in a segment: what a writer can lose, and the unit of caching."""
     resume: bool = False
     """Go on where a run of the same settings was stopped or killed."""
+    log: Path | None = None
+    """File that gets one JSON object per frame; by default training.jsonl in the stream folder."""
+    tensorboard: Path | None = None
+    """Also write the log's numbers as TensorBoard scalars to this folder."""
+    snapshot_every: int = 30
+    """Frames between pictures of a held-out view (capture, rendered, error), in snapshots/ in the
+    stream's folder; 0 for none."""
     title: str = ""
     """Name of the stream for people; by default the capture folder's."""
     cache_bytes: int = DEFAULT_MAX_BYTES
@@ -89,6 +108,8 @@ class TrainConfig:
     def __post_init__(self) -> None:
         if self.stream is None and self.check is None:
             raise InvalidError("name the folder to write the stream to, or --check PNG")
+        if self.snapshot_every < 0:
+            raise InvalidError(f"snapshot_every {self.snapshot_every}: choose 0 or more")
 
     @property
     def target(self) -> Path:
@@ -281,33 +302,57 @@ def train_stream(config: TrainConfig, console: Console) -> Manifest:
     with ExitStack() as stack:
         cache = stack.enter_context(FrameCache(capture, frames, config.scale, config.cache_bytes))
         pictures = CapturePictures(cache, capture.training)
-        with console.status("first Gaussians (the first run compiles for half a minute)"):
-            initial = first_gaussians(capture, pictures, config, near_m, far_m)
-        manifest = make_manifest(capture, cache, initial, config, near_m)
-        bar = stack.enter_context(progress_bar(console))
-        monitor = Monitor(bar, len(frames), manifest.swin_size)
-        trainer = Trainer(config.fit, pictures, initial, near_m, monitor.on_progress)
+        log = stack.enter_context(
+            RunLog(config.log or config.target / runlog.NAME, config.tensorboard)
+        )
+        if found is None:
+            with console.status("first Gaussians (the first run compiles for half a minute)"):
+                initial = first_gaussians(capture, pictures, config, near_m, far_m)
+            manifest = make_manifest(capture, cache, initial, config, near_m)
+            trainer = Trainer(config.fit, pictures, initial, near_m)
+        else:
+            manifest = StreamReader(config.target).manifest
+            trainer = Trainer(config.fit, pictures, None, near_m)
+            trainer.restore(found.state)
         outputs = open_outputs(targets, manifest, config, capture, cache)
         writers = [stack.enter_context(output.writer) for output in outputs]
         pending: list[Slice] = []
         if found is not None:
-            trainer.restore(found.state)
             deliver(found.pending, writers, pending)
         else:
             save_checkpoint(kept, trainer.state(), pending, shared)
+        bar = stack.enter_context(progress_bar(console))
+        monitor = Monitor(bar, log, config.fit, len(frames), trainer.next_window)
+        trainer.on_progress = monitor.on_progress
         asked = stack.enter_context(interruptible())
         for parts in trainer.windows():
             if config.rank == CONTRIBUTION:
                 parts = matured_by_contribution(trainer, parts)
             deliver(parts, writers, pending)
             save_checkpoint(kept, trainer.state(), pending, shared)
-            monitor.on_slice(writers[0].bytes_written, outputs[0].quality)
+            frame = trainer.next_window - 1
+            shown = len(trainer.lifespans.active_rows(frame))
+            monitor.on_frame(frame, shown, writers[0].bytes_written, outputs[0].quality)
+            if config.snapshot_every and frame % config.snapshot_every == 0:
+                write_snapshot(trainer, capture, cache, near_m, config.target / "snapshots")
             if asked.is_set() and trainer.next_window < len(frames):
                 raise InterruptedRunError(
-                    f"stopped after frame {trainer.next_window - 1}; --resume goes on from there"
+                    f"stopped after frame {frame}; --resume goes on from there"
                 )
     kept.unlink()
     return manifest
+
+
+def write_snapshot(
+    trainer: Trainer, capture: Capture, cache: FrameCache, near_m: float, folder: Path
+) -> None:
+    """Draws the newest finished frame as the first held-out camera sees it to a PNG in `folder`."""
+    frame = trainer.next_window - 1
+    index = (capture.held_out or capture.training)[0]
+    splats = trainer.shown(frame)
+    truth = cache.image(index, cache.frames[frame]).astype(np.float32) / np.float32(255)
+    seen = displayed(render_splats(splats, cache.camera(index), near_m))
+    save_png(Image.fromarray(comparison(seen, truth)), folder / f"{frame:06d}.png")
 
 
 def deliver(parts: list[Slice], writers: list[StreamWriter], pending: list[Slice]) -> None:

@@ -1,47 +1,105 @@
-"""What a person sees while a stream is trained."""
+"""What a person sees while a stream is trained, and what the log keeps of it."""
 
 from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from .fit import FitConfig
 from .fit import Progress as FitProgress
 from .quality import QualityMeter
+from .runlog import RunLog
 
 
 def progress_bar(console: Console) -> Progress:
     return Progress(
         TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.completed} it"),
+        BarColumn(bar_width=20),
+        TextColumn("{task.percentage:.0f} %"),
         TimeElapsedColumn(),
-        TimeRemainingColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(elapsed_when_finished=True),
         TextColumn("{task.fields[score]}"),
         console=console,
     )
 
 
-class Monitor:
-    """The progress bar, with the size of the stream and the quality of its newest frame."""
+@dataclass(frozen=True, slots=True)
+class _Mark:
+    """A moment, to take rates from."""
 
-    def __init__(self, bar: Progress, num_frames: int, swin_size: int) -> None:
-        self._bar = bar
+    time_s: float
+    iterations: int
+
+
+class Monitor:
+    """The progress bar over all iterations of the run, and one record per finished frame."""
+
+    def __init__(
+        self,
+        bar: Progress,
+        log: RunLog,
+        config: FitConfig,
+        num_frames: int,
+        first_window: int,
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """first_window: the frame that training begins with, above 0 when resumed."""
+        self._bar, self._log, self._config, self._now_s = bar, log, config, now_s
         self._num_frames = num_frames
-        self._swin_size = swin_size
-        self._task = bar.add_task("genesis", total=None, score="")
+        total = config.genesis_iterations + (num_frames - 1) * config.window_iterations
+        done = self._before(first_window)
+        self._begin = self._last = _Mark(now_s(), done)
+        self._total = total
+        self._loss = 0.0
+        self._task = bar.add_task("genesis", total=total, completed=done, score="")
+
+    def _before(self, window: int) -> int:
+        """Iterations of the windows before `window`."""
+        if window == 0:
+            return 0
+        return self._config.genesis_iterations + (window - 1) * self._config.window_iterations
 
     def on_progress(self, progress: FitProgress) -> None:
-        last = min(progress.first_frame + self._swin_size, self._num_frames) - 1
-        name = "genesis" if progress.first_frame == 0 else "window"
+        last = min(progress.first_frame + self._config.swin_size, self._num_frames) - 1
+        name = "genesis" if progress.first_frame == 0 else "frames"
+        self._loss = progress.loss
         self._bar.update(
             self._task,
             description=f"{name} {progress.first_frame}..{last} of {self._num_frames}",
-            completed=progress.iteration,
-            total=progress.iterations,
+            completed=self._before(progress.first_frame) + progress.iteration,
         )
 
-    def on_slice(self, bytes_written: int, quality: QualityMeter) -> None:
-        score = f"{bytes_written / 1e6:.2f} MB"
-        if quality.last_db:
-            score += f", {quality.last_db[-1]:.2f} dB"
+    def on_frame(self, frame: int, gaussians: int, bytes_written: int, meter: QualityMeter) -> None:
+        """Frame `frame` is done: `gaussians` show in it, the stream takes `bytes_written` so far.
+
+        bytes_written is 0 until the first segment is on disk.
+        """
+        now = _Mark(self._now_s(), self._before(frame + 1))
+        rate = (now.iterations - self._last.iterations) / max(now.time_s - self._last.time_s, 1e-9)
+        pace_s = (now.time_s - self._begin.time_s) / (now.iterations - self._begin.iterations)
+        self._last = now
+        psnr_db = meter.last_db[-1] if meter.last_db else None
+        bytes_per_frame = bytes_written / (frame + 1)
+        self._log.add(
+            {
+                "frame": frame,
+                "time_s": round(now.time_s - self._begin.time_s, 3),
+                "left_s": round(pace_s * (self._total - now.iterations), 1),
+                "iterations_per_s": round(rate, 2),
+                "loss": round(self._loss, 6),
+                "gaussians": gaussians,
+                "psnr_db": None if psnr_db is None else round(psnr_db, 3),
+                "bytes_per_frame": round(bytes_per_frame),
+            }
+        )
+        score = f"{rate:.1f} it/s, {gaussians:,} Gaussians"
+        if psnr_db is not None:
+            score += f", {psnr_db:.2f} dB"
+        if bytes_written:
+            score += f", {bytes_per_frame / 1e3:.1f} kB/frame"
         self._bar.update(self._task, score=score)

@@ -18,9 +18,28 @@ from .evaluate import displayed, matching_scale
 from .frames import FrameCache
 from .loss import psnr_db
 
+Floats = npt.NDArray[np.float32]
+
 MAX_ROWS = 6
 ERROR_GAIN = 4
 """The error is drawn this many times brighter."""
+
+
+def comparison(shown: Floats, truth: Floats) -> npt.NDArray[np.uint8]:
+    """(H, 3 W, 3): capture, rendered and error beside each other; both (H, W, 3) in 0..1."""
+    error = np.clip(ERROR_GAIN * np.abs(shown - truth), 0, 1)
+    line: npt.NDArray[np.uint8] = np.rint(
+        np.concatenate([truth, shown, error], axis=1) * 255
+    ).astype(np.uint8)
+    return line
+
+
+def save_png(picture: Image.Image, target: Path) -> None:
+    """Puts the picture at `target`, folders included: all of it or nothing."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    temporary = target.with_name(f".{target.name}.tmp")
+    picture.save(temporary, format="PNG")
+    temporary.replace(target)
 
 
 def write_sheet(stream: Path, capture_path: Path, target: Path) -> None:
@@ -45,9 +64,7 @@ def write_sheet(stream: Path, capture_path: Path, target: Path) -> None:
             truth = cache.image(index, frames[frame]).astype(np.float32) / np.float32(255)
             splats = reader.active_splats(frame, manifest.num_layers)
             shown = displayed(render_splats(splats, camera, manifest.near_m))
-            error = np.clip(ERROR_GAIN * np.abs(shown - truth), 0, 1)
-            line = np.concatenate([truth, shown, error], axis=1)
-            lines.append(np.rint(line * 255).astype(np.uint8))
+            lines.append(comparison(shown, truth))
             labels.append(f"frame {frame}, camera {camera.name}: {psnr_db(shown, truth):.2f} dB")
     height_px, width_px = lines[0].shape[:2]
     header_px = 16
@@ -57,7 +74,4 @@ def write_sheet(stream: Path, capture_path: Path, target: Path) -> None:
         top = row * (height_px + header_px)
         draw.text((4, top + 2), f"{label}   |   capture, rendered, error x{ERROR_GAIN}", "white")
         sheet.paste(Image.fromarray(line), (0, top + header_px))
-    target.parent.mkdir(parents=True, exist_ok=True)
-    temporary = target.with_name(f".{target.name}.tmp")
-    sheet.save(temporary, format="PNG")
-    temporary.replace(target)
+    save_png(sheet, target)
