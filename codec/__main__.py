@@ -24,11 +24,13 @@ class Info:
     """Folder of the stream."""
     json: bool = False
     """Print one JSON object instead of text."""
+    plot: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
+    """Also draw bitrate per layer and quality over time, as a picture at this place."""
 
 
 @dataclass(frozen=True, slots=True)
 class Verify:
-    """Read, check and decode every byte of a stream; fail at the first thing that is wrong."""
+    """Read, check and decode every byte of a stream; name the first file and byte that is wrong."""
 
     stream: tyro.conf.Positional[Folder]
     """Folder of the stream."""
@@ -43,9 +45,15 @@ class Command:
 
 def run(command: Command) -> None:
     match command.action:
-        case Info(stream=path, json=as_json):
+        case Info(stream=path, json=as_json, plot=picture):
             summary = summarize(path)
+            if picture is not None:
+                from .plot import draw_stream  # matplotlib loads slowly
+
+                draw_stream(path, picture)
             print(json.dumps(asdict(summary)) if as_json else describe(summary))
+            if picture is not None and not as_json:
+                print(f"picture      {picture}")
         case Verify(stream=path):
             summary = verify_stream(path)
             print(

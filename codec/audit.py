@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from dataclasses import dataclass
 from pathlib import Path
 
+from .errors import CodecError, CorruptError
 from .index import SegmentRecord
-from .reader import StreamReader
+from .object import MAX_OBJECT_BYTES, entry_offset, read_object_table
+from .reader import StreamReader, check_births, decode_fitting_chunk, read_file
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +53,10 @@ class StreamSummary:
 
 def summarize(path: Path) -> StreamSummary:
     """The summary of the stream at `path`, from its manifest and index alone."""
-    reader = StreamReader(path)
+    return _summary(StreamReader(path))
+
+
+def _summary(reader: StreamReader) -> StreamSummary:
     manifest = reader.manifest
     duration_s = reader.num_frames / manifest.fps
     totals = [
@@ -127,9 +133,58 @@ def describe(summary: StreamSummary) -> str:
 def verify_stream(path: Path) -> StreamSummary:
     """The summary of the stream at `path`, after every byte of it was read, checked and decoded.
 
-    Raises a CodecError that names the file for the first thing that is wrong.
+    Raises a CodecError for the first thing that is wrong, in the order manifest, index, objects.
+    Its message and `at` name the file and the first byte in it that may be wrong, as exactly as
+    the format tells: where the manifest stops being JSON, a field of the index or of an object's
+    table, the record or the compressed chunk whose checksum or content is wrong, or where a file
+    ends too early. Of two fields that contradict each other it is the first.
     """
     reader = StreamReader(path)
-    for _ in reader.slices(reader.manifest.first_birth, reader.manifest.num_layers):
-        pass
-    return summarize(path)
+    manifest = reader.manifest
+    for record in reader.records:
+        births = manifest.births(record.segment, record.num_frames)
+        totals = [0] * len(births)
+        for layer in range(manifest.num_layers):
+            counts = _verify_object(reader, record, layer)
+            totals = [total + count for total, count in zip(totals, counts, strict=True)]
+            if max(totals) > manifest.slice_size:
+                raise CorruptError(
+                    f"{reader.object_path(record.segment, layer)}: the slice born at "
+                    f"{births[totals.index(max(totals))]} has {max(totals)} Gaussians, "
+                    f"the manifest allows {manifest.slice_size}"
+                )
+    return _summary(reader)
+
+
+def _verify_object(reader: StreamReader, record: SegmentRecord, layer: int) -> list[int]:
+    """How many Gaussians each chunk of an object has. Raises a CodecError that says the place."""
+    path = reader.object_path(record.segment, layer)
+    size_bytes = record.object_bytes[layer]
+    data = read_file(path, MAX_OBJECT_BYTES)
+    as_written = hashlib.sha256(data).digest() == record.object_sha256[layer]
+    try:
+        counts = _decode_all(reader, record, layer, data)
+        if len(data) != size_bytes:
+            where = min(len(data), size_bytes)
+            raise CorruptError(f"{len(data)} bytes, the index says {size_bytes}", where)
+        if not as_written:
+            raise CorruptError("its hash differs from the index, though every chunk can be decoded")
+    except CodecError as error:
+        told = error if as_written else type(error)(f"was altered: {error}", error.at)
+        raise told.within(path) from error
+    return counts
+
+
+def _decode_all(reader: StreamReader, record: SegmentRecord, layer: int, data: bytes) -> list[int]:
+    manifest = reader.manifest
+    entries = read_object_table(data)
+    check_births(entries, manifest.births(record.segment, record.num_frames))
+    end = entries[-1].offset + entries[-1].size
+    if end != record.object_bytes[layer]:
+        raise CorruptError(
+            f"object: its table says {end} bytes, the index {record.object_bytes[layer]}",
+            entry_offset(len(entries)) - 4,  # the last size
+        )
+    return [
+        len(decode_fitting_chunk(data, entry, manifest, layer).slice.splats) for entry in entries
+    ]

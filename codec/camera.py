@@ -88,16 +88,27 @@ class Camera:
     @staticmethod
     def from_json(value: Mapping[str, Any]) -> Camera:
         """The camera that `to_json` described. Raises CorruptError for anything else."""
+
+        def found(key: str, *kinds: type) -> Any:
+            if type(value.get(key)) not in kinds:
+                raise CorruptError(f"camera: {key} is missing or of the wrong type")
+            return value[key]
+
+        pose = found("w2c", list)
+        if len(pose) != 16 or any(type(number) not in (int, float) for number in pose):
+            raise CorruptError("camera: w2c is not 16 numbers")
         try:
             return Camera(
-                name=str(value["name"])[:80],
-                width_px=int(value["width_px"]),
-                height_px=int(value["height_px"]),
-                fx_px=float(value["fx_px"]),
-                fy_px=float(value["fy_px"]),
-                cx_px=float(value["cx_px"]),
-                cy_px=float(value["cy_px"]),
-                w2c=np.array(value["w2c"], np.float64).reshape(4, 4),
+                name=found("name", str)[:80],
+                width_px=found("width_px", int),
+                height_px=found("height_px", int),
+                fx_px=float(found("fx_px", int, float)),
+                fy_px=float(found("fy_px", int, float)),
+                cx_px=float(found("cx_px", int, float)),
+                cy_px=float(found("cy_px", int, float)),
+                w2c=np.array(pose, np.float64).reshape(4, 4),
             )
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
-            raise CorruptError(f"camera: {type(error).__name__}: {error}") from error
+        except OverflowError as error:
+            raise CorruptError("camera: a number is out of range") from error
+        except InvalidError as error:
+            raise CorruptError(str(error)) from error

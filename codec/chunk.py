@@ -16,7 +16,7 @@ from .errors import CorruptError, InvalidError, UnsupportedError
 from .profile import Profile
 from .quantize import Steps
 from .slice import Slice
-from .splats import MAX_SH_DEGREE, Splats
+from .splats import MAX_SH_DEGREE, Splats, sh_count
 
 MAGIC = b"SWGC"
 VERSION = 1
@@ -38,8 +38,24 @@ HEADER = struct.Struct("<4sBBBBiIBBHI")
 HEADER_BYTES = HEADER.size
 assert HEADER_BYTES == 24
 
-MAX_CHUNK_BYTES = HEADER_BYTES + compact.HEAD.size + MAX_SPLATS_PER_CHUNK * (4 * (11 + 3 * 16) + 1)
-"""The largest chunk there can be: full, SH degree 3, all float32, with start offsets."""
+
+@dataclass(frozen=True, slots=True)
+class ChunkBounds:
+    """What a chunk may hold; a reader that has a manifest takes `Manifest.chunk_bounds`."""
+
+    max_splats: int = MAX_SPLATS_PER_CHUNK
+    max_sh_degree: int = MAX_SH_DEGREE
+
+    @property
+    def max_bytes(self) -> int:
+        """Bytes of the largest such chunk: full, all float32, with start offsets."""
+        splat_bytes = 4 * (11 + 3 * sh_count(self.max_sh_degree)) + 1
+        return HEADER_BYTES + compact.HEAD.size + self.max_splats * splat_bytes
+
+
+ANY_CHUNK = ChunkBounds()
+MAX_CHUNK_BYTES = ANY_CHUNK.max_bytes
+"""The largest chunk there can be."""
 assert MAX_CHUNK_BYTES == 248_512_584
 
 _PROFILES = {code: profile for profile, code in PROFILE_CODES.items()}
@@ -116,37 +132,49 @@ def encode_chunk(slice: Slice, layer: int, profile: Profile, steps: Steps | None
 
 
 def read_header(data: bytes | memoryview) -> ChunkHeader:
-    """The header at the start of `data`; the body may be absent."""
+    """The header at the start of `data`; the body may be absent.
+
+    A CodecError says the place of the field that is wrong.
+    """
     if len(data) < HEADER_BYTES:
         raise CorruptError(f"chunk: {len(data)} bytes are no header of {HEADER_BYTES}")
     magic, version, mode, profile, flags, birth, count, layer, sh_degree, zero, body_bytes = (
         HEADER.unpack_from(data)
     )
     if magic != MAGIC:
-        raise CorruptError(f"chunk: starts with {bytes(magic)!r}, not {MAGIC!r}")
+        raise CorruptError(f"chunk: starts with {bytes(magic)!r}, not {MAGIC!r}", 0)
     if version != VERSION:
-        raise UnsupportedError(f"chunk: version {version}; this program reads {VERSION}")
+        raise UnsupportedError(f"chunk: version {version}; this program reads {VERSION}", 4)
     if mode != MODE_INTRA:
-        raise UnsupportedError(f"chunk: coding mode {mode}; this program reads {MODE_INTRA}")
+        raise UnsupportedError(f"chunk: coding mode {mode}; this program reads {MODE_INTRA}", 5)
     if profile not in _PROFILES:
-        raise UnsupportedError(f"chunk: profile {profile}; this program reads 0, 1 and 2")
+        raise UnsupportedError(f"chunk: profile {profile}; this program reads 0, 1 and 2", 6)
     if flags & ~FLAG_START_OFFSETS or zero:
-        raise UnsupportedError("chunk: a reserved bit is set")
+        raise UnsupportedError("chunk: a reserved bit is set", 18 if zero else 7)
     if count > MAX_SPLATS_PER_CHUNK:
-        raise CorruptError(f"chunk: {count} Gaussians, at most {MAX_SPLATS_PER_CHUNK}")
+        raise CorruptError(f"chunk: {count} Gaussians, at most {MAX_SPLATS_PER_CHUNK}", 12)
     if sh_degree > MAX_SH_DEGREE:
-        raise UnsupportedError(f"chunk: SH degree {sh_degree}, at most {MAX_SH_DEGREE}")
+        raise UnsupportedError(f"chunk: SH degree {sh_degree}, at most {MAX_SH_DEGREE}", 17)
     if HEADER_BYTES + body_bytes > MAX_CHUNK_BYTES:
-        raise CorruptError(f"chunk: a body of {body_bytes} bytes")
+        raise CorruptError(f"chunk: a body of {body_bytes} bytes", 20)
     return ChunkHeader(birth, layer, _PROFILES[profile], count, sh_degree, bool(flags), body_bytes)
 
 
-def decode_chunk(data: bytes | memoryview) -> Chunk:
+def decode_chunk(data: bytes | memoryview, bounds: ChunkBounds = ANY_CHUNK) -> Chunk:
     """The chunk in `data`, which holds it exactly.
 
-    Raises CorruptError or UnsupportedError for anything else.
+    Raises CorruptError or UnsupportedError for anything else. Memory beyond `data` is what the
+    Gaussians take as float32, whose number `bounds` limits, and a few MB.
     """
     header = read_header(data)
+    if header.count > bounds.max_splats:
+        raise CorruptError(
+            f"chunk: {header.count} Gaussians, where at most {bounds.max_splats} may be", 12
+        )
+    if header.sh_degree > bounds.max_sh_degree:
+        raise CorruptError(
+            f"chunk: SH degree {header.sh_degree}, where at most {bounds.max_sh_degree} may be", 17
+        )
     body = memoryview(data)[HEADER_BYTES:]
     if len(body) != header.body_bytes:
         raise CorruptError(f"chunk: {len(body)} bytes after the header, not {header.body_bytes}")

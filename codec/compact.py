@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from . import raw
 from .errors import CorruptError
-from .morton import BITS_PER_AXIS, decode_gaps, deinterleave, encode_gaps, interleave
+from .morton import BITS_PER_AXIS, Codes, decode_gaps, deinterleave, encode_gaps, interleave
 from .orientation import canonical
 from .quantize import (
     MAX_OPACITY_LEVELS,
@@ -28,7 +28,7 @@ from .quantize import (
     opacity_logits,
     to_luma,
 )
-from .splats import SH_C0, Splats, sh_count
+from .splats import SH_C0, Floats, Splats, sh_count
 
 # origin x y z, position step, log-scale base and step, rotation step, colour base and step;
 # opacity levels, rotation half, escapes, bytes of low bits
@@ -40,6 +40,9 @@ GEOMETRY_PLANES = 8
 
 TAME = 1e30
 """Magnitude from which a value escapes, so that no dequantised one overflows float32."""
+
+BLOCK = 1 << 14
+"""Gaussians dequantised at a time: what lies between bytes and value then fits a cache."""
 
 MAX_ESCAPE_SHARE = 0.005
 MIN_ESCAPES = 4
@@ -233,19 +236,30 @@ def decode_body(body: memoryview, count: int, sh_degree: int) -> Splats:
     if len(body) < low_bits_end:
         raise CorruptError(f"compact: a body of {len(body)} bytes for {count} Gaussians")
     planes = np.frombuffer(body[HEAD.size : planes_end], np.uint8)
-    codes_of = body[planes_end:low_bits_end]
+    planes = planes.reshape(num_planes(sh_degree), inside)
+    if inside and planes[7].max() >= head.opacity_levels:
+        raise CorruptError(f"compact: opacity {planes[7].max()} of {head.opacity_levels} levels")
+    escaped = raw.read_arrays(body[low_bits_end:], head.escapes, sh_degree)
+    codes = decode_gaps(planes[0], body[planes_end:low_bits_end])
+    # Filled piece by piece: whatever a chunk claims, it costs its bytes and its value, no more.
+    arrays = tuple(np.empty((count, *array.shape[1:]), np.float32) for array in escaped)
     with np.errstate(all="ignore"):
-        splats = _dequantise(head, planes.reshape(num_planes(sh_degree), inside), codes_of)
-    escaped = raw.decode_body(body[low_bits_end:], head.escapes, sh_degree)
-    return Splats.concatenate([splats, escaped]) if head.escapes else splats
+        for start in range(0, inside, BLOCK):
+            rows = slice(start, min(start + BLOCK, inside))
+            for array, part in zip(
+                arrays, _dequantise(head, codes[rows], planes[:, rows]), strict=True
+            ):
+                array[rows] = part
+    for array, part in zip(arrays, escaped, strict=True):
+        array[inside:] = part
+    means, log_scales, quats, opacities, sh = arrays
+    return Splats(means, log_scales, quats, opacities, sh)
 
 
-def _dequantise(head: Head, planes: Bytes, low_bits: memoryview) -> Splats:
-    lengths, levels = planes[0], planes[7]
-    if len(levels) and levels.max() >= head.opacity_levels:
-        raise CorruptError(f"compact: opacity {levels.max()} of {head.opacity_levels} levels")
+def _dequantise(head: Head, codes: Codes, planes: Bytes) -> tuple[Floats, ...]:
+    """means, log_scales, quats, logit_opacities and sh of some of the Gaussians."""
     f32 = np.float32
-    places = deinterleave(decode_gaps(lengths, low_bits)).astype(f32)
+    places = deinterleave(codes).astype(f32)
     means = places * f32(head.position_step_m) + np.array(head.origin_m, f32)
 
     largest = planes[1].astype(np.int32)
@@ -261,12 +275,12 @@ def _dequantise(head: Head, planes: Bytes, low_bits: memoryview) -> Splats:
     sh = (colours.astype(np.int32) - MIDDLE).astype(f32) * f32(head.colour_step)
     sh[0, 0] = colours[0, 0].astype(f32) * f32(head.colour_step) + f32(head.colour_base)
     rgb = from_luma(sh[0], sh[1], sh[2])
-    return Splats(
+    return (
         means,
         log_scales,
         np.stack([w, x, y, z], axis=1),
-        opacity_logits(head.opacity_levels)[levels],
-        np.ascontiguousarray(rgb.transpose(1, 0, 2)),
+        opacity_logits(head.opacity_levels)[planes[7]],
+        rgb.transpose(1, 0, 2),
     )
 
 

@@ -4,6 +4,10 @@ Every error that a user can meet derives from `SwingsError`; its message is one 
 is wrong, where, and what to do. Foreign exceptions are translated at the seam where they rise.
 """
 
+from __future__ import annotations
+
+from typing import Self
+
 
 class SwingsError(Exception):
     """Something the user can understand and mend; a command prints it in one line and exits
@@ -11,7 +15,21 @@ class SwingsError(Exception):
 
 
 class CodecError(SwingsError):
-    """Bytes or files of a stream cannot be used."""
+    """Bytes or files of a stream cannot be used.
+
+    `at` is the offset of the first byte that may be wrong, in the bytes that were parsed; None
+    where the format does not tell.
+    """
+
+    def __init__(self, message: str, at: int | None = None) -> None:
+        super().__init__(message)
+        self.at = at
+
+    def within(self, name: object, begin: int = 0) -> Self:
+        """This error as one of the file `name`, in which the parsed bytes begin at `begin`."""
+        if self.at is None:
+            return type(self)(f"{name}: {self}")
+        return type(self)(f"{name}: byte {begin + self.at}: {self}", begin + self.at)
 
 
 class CorruptError(CodecError):

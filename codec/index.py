@@ -42,6 +42,16 @@ def record_bytes(num_layers: int) -> int:
     return HEAD.size + LAYER.size * num_layers + CHECKSUM.size
 
 
+def size_offset(layer: int) -> int:
+    """Where in a record the object size of `layer` lies."""
+    return HEAD.size + LAYER.size * layer
+
+
+def psnr_offset(layer: int) -> int:
+    """Where in a record the PSNR of `layer` lies."""
+    return size_offset(layer) + LAYER.size - 4
+
+
 def pack_record(record: SegmentRecord) -> bytes:
     """The record's bytes, its CRC32 last."""
     try:
@@ -58,14 +68,20 @@ def pack_record(record: SegmentRecord) -> bytes:
 
 def _unpack(data: memoryview, segment: int) -> SegmentRecord:
     body = data[: -CHECKSUM.size]
+    what = f"index: the record of segment {segment}"
     if CHECKSUM.unpack_from(data, len(body))[0] != zlib.crc32(body):
-        raise CorruptError(f"index: the record of segment {segment} has a wrong checksum")
+        raise CorruptError(f"{what}, {len(data)} bytes, has a wrong checksum", at=0)
     number, first_frame, num_frames, zero = HEAD.unpack_from(body)
     sizes, hashes, psnrs = zip(*LAYER.iter_unpack(body[HEAD.size :]), strict=True)
-    if number != segment or num_frames < 1 or zero:
-        raise CorruptError(f"index: the record of segment {segment} describes {number}")
-    if any(math.isinf(psnr) for psnr in psnrs):
-        raise CorruptError(f"index: the record of segment {segment} has an infinite PSNR")
+    if number != segment:
+        raise CorruptError(f"{what} describes {number}", at=0)
+    if num_frames < 1:
+        raise CorruptError(f"{what} has no frames", at=8)
+    if zero:
+        raise CorruptError(f"{what} has {zero} where 0 belongs", at=12)
+    for layer, psnr in enumerate(psnrs):
+        if math.isinf(psnr):
+            raise CorruptError(f"{what} has an infinite PSNR", at=psnr_offset(layer))
     return SegmentRecord(segment, first_frame, num_frames, sizes, hashes, psnrs)
 
 
@@ -73,7 +89,7 @@ def parse_index(data: bytes, num_layers: int, first_segment: int = 0) -> list[Se
     """The records in `data`, of which the first is that of `first_segment`.
 
     A torn last record (cut short, or all zeros as a file system may leave it after a power cut) is
-    left out; anything else that is wrong raises CorruptError.
+    left out; anything else that is wrong raises CorruptError with its place in `data`.
     """
     size = record_bytes(num_layers)
     view = memoryview(data)
@@ -82,8 +98,13 @@ def parse_index(data: bytes, num_layers: int, first_segment: int = 0) -> list[Se
         count -= 1
     records: list[SegmentRecord] = []
     for n in range(count):
-        record = _unpack(view[n * size : (n + 1) * size], first_segment + n)
+        try:
+            record = _unpack(view[n * size : (n + 1) * size], first_segment + n)
+        except CorruptError as error:
+            raise CorruptError(str(error), n * size + (error.at or 0)) from error
         if records and record.first_frame != records[-1].first_frame + records[-1].num_frames:
-            raise CorruptError(f"index: segment {record.segment} starts at {record.first_frame}")
+            raise CorruptError(
+                f"index: segment {record.segment} starts at {record.first_frame}", n * size + 4
+            )
         records.append(record)
     return records

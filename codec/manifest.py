@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from .camera import Camera
-from .chunk import MAX_SPLATS_PER_CHUNK
+from .chunk import MAX_SPLATS_PER_CHUNK, ChunkBounds
 from .errors import CorruptError, InvalidError, UnsupportedError
 from .layers import check_fractions
 from .profile import Profile
@@ -116,12 +116,14 @@ class Manifest:
         if len(names) != len(self.cameras):
             raise InvalidError("manifest: two cameras have the same name")
         if self.default_camera not in names:
-            raise InvalidError(f"manifest: no camera is called {self.default_camera!r}")
+            raise InvalidError(f"manifest: no camera is called {self.default_camera[:80]!r}")
         if not 0 <= self.capture_frame < 1 << 31:
             raise InvalidError(f"manifest: capture_frame {self.capture_frame} is out of range")
-        for text in (self.poster or "", self.object_url, self.title):
+        for text in (self.poster or "", self.object_url, self.title, *names):
             if len(text) > MAX_TEXT_CHARS:
                 raise InvalidError(f"manifest: a text of {len(text)} characters")
+            if not _is_unicode(text):
+                raise InvalidError(f"manifest: {text[:40]!a} holds half a surrogate pair")
         if sorted(re.findall(r"\{.*?\}", self.object_url)) != ["{layer}", "{segment}"]:
             raise InvalidError(
                 f"manifest: object_url {self.object_url!r} does not hold {{segment}} and {{layer}}"
@@ -131,6 +133,11 @@ class Manifest:
     def slice_size(self) -> int:
         """Gaussians in a slice, at most."""
         return self.num_gs // self.swin_size
+
+    @property
+    def chunk_bounds(self) -> ChunkBounds:
+        """What a chunk of this stream may hold."""
+        return ChunkBounds(self.slice_size, self.sh_degree)
 
     @property
     def num_layers(self) -> int:
@@ -202,6 +209,11 @@ class Manifest:
             raise CorruptError(f"manifest: {len(data)} bytes, at most {MAX_MANIFEST_BYTES}")
         try:
             value = json.loads(data.decode(), parse_constant=_no_constant)
+        except UnicodeDecodeError as error:
+            raise CorruptError("manifest: no UTF-8", error.start) from error
+        except json.JSONDecodeError as error:
+            at = len(error.doc[: error.pos].encode())
+            raise CorruptError(f"manifest: no JSON: {error}", at) from error
         except (ValueError, RecursionError) as error:
             raise CorruptError(f"manifest: no JSON: {error}") from error
         if not isinstance(value, dict):
@@ -216,6 +228,15 @@ class Manifest:
                 return _from_value(value)
         except InvalidError as error:
             raise CorruptError(str(error)) from error
+
+
+def _is_unicode(text: str) -> bool:
+    """Whether `text` can be written as UTF-8: JSON can spell half of a surrogate pair."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _no_constant(name: str) -> Any:

@@ -1,7 +1,8 @@
-"""An object: the chunks of one (segment, layer) as one valid zstd stream.
+"""An object: the chunks of one (segment, layer), each in a frame of its own.
 
-Layout: a skippable frame with the table of chunks, then one zstd frame for each chunk. Nothing is
-decompressed before the frame's own header has said how much it holds.
+Layout: a table of chunks, which is a skippable zstd frame, then one frame for each chunk. With zstd
+the whole is one valid zstd stream. Nothing is decompressed before the frame itself has said how
+much it holds.
 """
 
 from __future__ import annotations
@@ -11,15 +12,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from .chunk import MAX_CHUNK_BYTES, Chunk, decode_chunk, plane_edges, read_header
-from .coder import compress, decompress
-from .errors import CorruptError, InvalidError, UnsupportedError
+from .chunk import ANY_CHUNK, Chunk, ChunkBounds, decode_chunk, plane_edges, read_header
+from .coder import Coder, coder_of, compress, decompress
+from .errors import CodecError, CorruptError, InvalidError, UnsupportedError
 
 SKIPPABLE_MAGIC = 0x184D2A50
 TABLE_MAGIC = b"SWGO"
 VERSION = 1
-CODER_ZSTD = 1
-"""The entropy coder of the frames; others are free for exports to static hosts."""
 
 # skippable magic, bytes that follow, table magic, version, coder, zero, number of chunks
 HEAD = struct.Struct("<II4sBBHI")
@@ -28,14 +27,20 @@ ENTRY = struct.Struct("<iII")
 assert HEAD.size == 20
 assert ENTRY.size == 12
 
+CODER_OFFSET = 13
+"""Where in an object the number of its coder lies."""
+
+COUNT_OFFSET = 16
+"""Where in an object the number of its chunks lies."""
+
 MAX_CHUNKS_PER_OBJECT = 1 << 14
 """Chunks in an object; a segment has at most 4096 frames and the genesis window in front."""
 
 MAX_OBJECT_BYTES = 1 << 30
 """Size of an object as it lies on disk."""
 
-MAX_SPLATS_PER_OBJECT = 1 << 24
-"""Gaussians that `decode_object` gives at most: about 1 GB."""
+MAX_DECODED_BYTES = 1 << 30
+"""float32 that `decode_object` gives at most: about 18 million Gaussians of SH degree 0."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,18 +52,21 @@ class ChunkEntry:
     size: int  # bytes
 
 
-def encode_frame(chunk: bytes) -> bytes:
-    """`chunk` as one zstd frame with content size and checksum."""
-    return compress(chunk, plane_edges(chunk))
+def encode_frame(chunk: bytes, coder: Coder = Coder.ZSTD) -> bytes:
+    """`chunk` as one frame with content size and checksum."""
+    return compress(chunk, plane_edges(chunk), coder)
 
 
-def decode_frame(data: bytes | memoryview) -> Chunk:
-    """The chunk in one zstd frame, which `data` holds exactly. Memory is bounded."""
-    return decode_chunk(decompress(data, MAX_CHUNK_BYTES))
+def decode_frame(data: bytes | memoryview, bounds: ChunkBounds = ANY_CHUNK) -> Chunk:
+    """The chunk in one frame of either coder, which `data` holds exactly; memory goes by `bounds`.
+
+    The place that a CodecError says is one in the decompressed chunk.
+    """
+    return decode_chunk(decompress(data, bounds.max_bytes), bounds)
 
 
-def join_frames(frames: Sequence[tuple[int, bytes]]) -> bytes:
-    """The object of (birth, zstd frame) pairs in order of birth."""
+def join_frames(frames: Sequence[tuple[int, bytes]], coder: Coder = Coder.ZSTD) -> bytes:
+    """The object of (birth, frame) pairs in order of birth; `coder` is that of all the frames."""
     if not 1 <= len(frames) <= MAX_CHUNKS_PER_OBJECT:
         raise InvalidError(f"object: {len(frames)} chunks, expected 1 to {MAX_CHUNKS_PER_OBJECT}")
     births = [birth for birth, _ in frames]
@@ -67,7 +75,7 @@ def join_frames(frames: Sequence[tuple[int, bytes]]) -> bytes:
     offset = HEAD.size + ENTRY.size * len(frames)
     if offset + sum(len(frame) for _, frame in frames) > MAX_OBJECT_BYTES:
         raise InvalidError(f"object: over {MAX_OBJECT_BYTES} bytes; use shorter segments")
-    head = HEAD.pack(SKIPPABLE_MAGIC, offset - 8, TABLE_MAGIC, VERSION, CODER_ZSTD, 0, len(frames))
+    head = HEAD.pack(SKIPPABLE_MAGIC, offset - 8, TABLE_MAGIC, VERSION, coder, 0, len(frames))
     parts = [head]
     for birth, frame in frames:
         parts.append(ENTRY.pack(birth, offset, len(frame)))
@@ -75,40 +83,57 @@ def join_frames(frames: Sequence[tuple[int, bytes]]) -> bytes:
     return b"".join((*parts, *(frame for _, frame in frames)))
 
 
-def encode_object(chunks: Sequence[bytes]) -> bytes:
+def encode_object(chunks: Sequence[bytes], coder: Coder = Coder.ZSTD) -> bytes:
     """The object of `chunks`, which come in order of birth."""
-    return join_frames([(read_header(chunk).birth, encode_frame(chunk)) for chunk in chunks])
+    frames = [(read_header(chunk).birth, encode_frame(chunk, coder)) for chunk in chunks]
+    return join_frames(frames, coder)
+
+
+def entry_offset(number: int) -> int:
+    """Where in an object the entry of its chunk `number` lies."""
+    return HEAD.size + ENTRY.size * number
 
 
 def read_object_table(data: bytes | memoryview) -> list[ChunkEntry]:
     """The entries of an object of which `data` holds at least the table.
 
-    Births rise and the frames lie one after another, from the end of the table on.
+    Births rise and the frames lie one after another, from the end of the table on. A CodecError
+    says the place of the field that is wrong, or of the first of two that contradict each other.
     """
     if len(data) < HEAD.size:
-        raise CorruptError(f"object: {len(data)} bytes are no head of {HEAD.size}")
+        raise CorruptError(f"object: {len(data)} bytes are no head of {HEAD.size}", len(data))
     skippable, following, magic, version, coder, zero, count = HEAD.unpack_from(data)
     if skippable != SKIPPABLE_MAGIC or magic != TABLE_MAGIC:
-        raise CorruptError("object: does not start with a table of chunks")
+        at = 0 if skippable != SKIPPABLE_MAGIC else 8
+        raise CorruptError("object: does not start with a table of chunks", at)
     if version != VERSION:
-        raise UnsupportedError(f"object: version {version}; this program reads {VERSION}")
-    if coder != CODER_ZSTD:
-        raise UnsupportedError(f"object: coder {coder}; this program reads {CODER_ZSTD} (zstd)")
+        raise UnsupportedError(f"object: version {version}; this program reads {VERSION}", 12)
+    if coder not in set(Coder):
+        known = " and ".join(f"{known.value} ({known.name.lower()})" for known in Coder)
+        raise UnsupportedError(f"object: coder {coder}; this program reads {known}", CODER_OFFSET)
+    if zero:
+        raise CorruptError(f"object: {zero} where 0 belongs", 14)
+    if not 1 <= count <= MAX_CHUNKS_PER_OBJECT:
+        raise CorruptError(f"object: a table of {count} chunks", COUNT_OFFSET)
     end = HEAD.size + ENTRY.size * count
-    if not 1 <= count <= MAX_CHUNKS_PER_OBJECT or following + 8 != end or zero:
-        raise CorruptError(f"object: a table of {count} chunks in {following} bytes")
+    if following + 8 != end:
+        raise CorruptError(f"object: a table of {count} chunks in {following} bytes", 4)
     if len(data) < end:
-        raise CorruptError(f"object: ends inside its table of {count} chunks")
+        raise CorruptError(f"object: ends inside its table of {count} chunks", len(data))
     entries: list[ChunkEntry] = []
     for birth, offset, size in ENTRY.iter_unpack(data[HEAD.size : end]):
+        at = entry_offset(len(entries))
         if entries and birth <= entries[-1].birth:
-            raise CorruptError(f"object: birth {birth} after {entries[-1].birth}")
+            message = f"object: birth {birth} after {entries[-1].birth}"
+            raise CorruptError(message, at - ENTRY.size)
         if offset != end:
-            raise CorruptError(f"object: birth {birth} lies at {offset}, not {end}")
+            # Either this offset, or the size in the entry before, which are 8 bytes apart.
+            message = f"object: birth {birth} lies at {offset}, not {end}"
+            raise CorruptError(message, at - 4 if entries else at + 4)
         end += size
+        if end > MAX_OBJECT_BYTES:
+            raise CorruptError(f"object: {end} bytes, at most {MAX_OBJECT_BYTES}", at + 8)
         entries.append(ChunkEntry(birth, offset, size))
-    if end > MAX_OBJECT_BYTES:
-        raise CorruptError(f"object: {end} bytes, at most {MAX_OBJECT_BYTES}")
     return entries
 
 
@@ -116,16 +141,30 @@ def _whole_table(data: bytes | memoryview) -> list[ChunkEntry]:
     entries = read_object_table(data)
     end = entries[-1].offset + entries[-1].size
     if len(data) != end:
-        raise CorruptError(f"object: {len(data)} bytes, its table says {end}")
+        raise CorruptError(f"object: {len(data)} bytes, its table says {end}", min(len(data), end))
     return entries
 
 
-def decode_object_chunk(data: bytes | memoryview, entry: ChunkEntry) -> Chunk:
-    """The chunk of one entry of the object `data`."""
+def decode_object_chunk(
+    data: bytes | memoryview, entry: ChunkEntry, bounds: ChunkBounds = ANY_CHUNK
+) -> Chunk:
+    """The chunk of one entry of the object `data`. A CodecError says where its frame begins."""
     frame = memoryview(data)[entry.offset : entry.offset + entry.size]
-    chunk = decode_frame(frame)
+    if len(frame) < entry.size:
+        raise CorruptError(f"object: ends inside the chunk of birth {entry.birth}", len(data))
+    try:
+        if coder_of(frame) != data[CODER_OFFSET]:
+            raise CorruptError(f"frame: not of the object's coder, {data[CODER_OFFSET]}")
+        chunk = decode_frame(frame, bounds)
+    except CodecError as error:
+        place = "" if error.at is None else f", byte {error.at} in it"
+        raise type(error)(
+            f"{error} (chunk of birth {entry.birth}, {entry.size} bytes{place})", entry.offset
+        ) from error
     if chunk.birth != entry.birth:
-        raise CorruptError(f"object: birth {chunk.birth} where the table says {entry.birth}")
+        raise CorruptError(
+            f"object: birth {chunk.birth} where the table says {entry.birth}", entry.offset
+        )
     return chunk
 
 
@@ -135,13 +174,14 @@ def decode_object(data: bytes | memoryview) -> list[Chunk]:
     total = 0
     for entry in _whole_table(data):
         chunks.append(decode_object_chunk(data, entry))
-        total += len(chunks[-1].slice.splats)
-        if total > MAX_SPLATS_PER_OBJECT:
-            raise CorruptError(f"object: over {MAX_SPLATS_PER_OBJECT} Gaussians")
+        splats = chunks[-1].slice.splats
+        total += 4 * len(splats) * (11 + 3 * splats.sh.shape[1])
+        if total > MAX_DECODED_BYTES:
+            raise CorruptError(f"object: over {MAX_DECODED_BYTES} bytes of Gaussians", entry.offset)
     return chunks
 
 
 def object_frames(data: bytes | memoryview) -> list[tuple[int, bytes]]:
-    """(birth, the still compressed zstd frame) of every chunk of the object `data`, in order."""
+    """(birth, the still compressed frame) of every chunk of the object `data`, in order."""
     view = memoryview(data)
     return [(e.birth, bytes(view[e.offset : e.offset + e.size])) for e in _whole_table(data)]

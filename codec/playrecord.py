@@ -16,8 +16,14 @@ from .layers import MAX_LAYERS
 
 LENGTH = struct.Struct("<I")
 
+MAX_MESSAGE_CHARS = 500
+"""Characters of an error's message that are sent and taken."""
+
 MAX_KEYS = 8
 """Entries of a record's map; four are in use."""
+
+MAX_TEXT_BYTES = 1 << 16
+"""Longest text in a record, in bytes: one odd character makes Python hold it fourfold."""
 
 MAX_RECORD_BYTES = 64 << 20
 """Longest record accepted, in bytes: a slice of a million raw Gaussians."""
@@ -72,7 +78,9 @@ def encode_record(record: Record) -> bytes:
         case EndRecord():
             value = {"kind": "end", "num_frames": record.num_frames}
         case ErrorRecord():
-            value = {"kind": "error", "message": record.message}
+            # A path in a message may hold bytes that are no UTF-8.
+            message = record.message[:MAX_MESSAGE_CHARS].encode(errors="replace").decode()
+            value = {"kind": "error", "message": message}
     body: bytes = msgpack.packb(value, use_bin_type=True)
     if len(body) > MAX_RECORD_BYTES:
         raise InvalidError(f"play: a record of {len(body)} bytes, at most {MAX_RECORD_BYTES}")
@@ -115,6 +123,7 @@ def decode_record(body: bytes | memoryview) -> Record:
             strict_map_key=True,
             list_hook=_flat_list,
             object_hook=_flat_map,
+            max_str_len=MAX_TEXT_BYTES,
             max_array_len=MAX_LAYERS,
             max_map_len=MAX_KEYS,
             max_ext_len=0,
@@ -139,9 +148,10 @@ def decode_record(body: bytes | memoryview) -> Record:
         case "end":
             return EndRecord(_count(value, "num_frames"))
         case "error":
-            return ErrorRecord(_field(value, "message", str)[:500])
+            return ErrorRecord(_field(value, "message", str)[:MAX_MESSAGE_CHARS])
         case kind:
-            raise CorruptError(f"play: a record of kind {str(kind)[:40]!r}")
+            shown = f"{kind[:40]!r}" if type(kind) is str else type(kind).__name__
+            raise CorruptError(f"play: a record of kind {shown}")
 
 
 class RecordParser:
@@ -167,7 +177,9 @@ class RecordParser:
             end = start + LENGTH.size + length
             if len(self._pending) < end:
                 break
-            records.append(decode_record(bytes(self._pending[start + LENGTH.size : end])))
+            # A view: a copy of a large record would double what it costs.
+            with memoryview(self._pending) as view, view[start + LENGTH.size : end] as body:
+                records.append(decode_record(body))
             start = end
         del self._pending[:start]
         return records

@@ -16,18 +16,29 @@ def encode_body(splats: Splats) -> bytes:
     return b"".join(part.astype(FLOAT32, copy=False).tobytes() for part in parts)
 
 
-def decode_body(body: memoryview, count: int, sh_degree: int) -> Splats:
-    """The Splats in `body`. Raises CorruptError (length) or InvalidError (values)."""
+def read_arrays(body: memoryview, count: int, sh_degree: int) -> tuple[Floats, ...]:
+    """Views of means, log_scales, quats, logit_opacities and sh in `body`, shaped as in Splats.
+
+    Raises CorruptError for a body of another length.
+    """
     coefficients = sh_count(sh_degree)
     floats = 11 + 3 * coefficients
     if len(body) != count * floats * FLOAT32.itemsize:
         raise CorruptError(f"raw: a body of {len(body)} bytes for {count} Gaussians")
-    values: Floats = np.frombuffer(body, FLOAT32).astype(np.float32)
+    values = np.frombuffer(body, FLOAT32)
     means, log_scales, quats, opacities, sh = np.split(values, np.cumsum([3, 3, 4, 1]) * count)
-    return Splats(
+    return (
         means.reshape(count, 3),
         log_scales.reshape(count, 3),
         quats.reshape(count, 4),
         opacities,
         sh.reshape(count, coefficients, 3),
     )
+
+
+def decode_body(body: memoryview, count: int, sh_degree: int) -> Splats:
+    """The Splats in `body`. Raises CorruptError (length) or InvalidError (values)."""
+    means, log_scales, quats, opacities, sh = (
+        array.astype(np.float32) for array in read_arrays(body, count, sh_degree)
+    )
+    return Splats(means, log_scales, quats, opacities, sh)

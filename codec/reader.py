@@ -6,6 +6,7 @@ Rule: every file is checked against the index before it is decoded, and an error
 from __future__ import annotations
 
 import hashlib
+import os
 from collections import OrderedDict
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,26 +14,67 @@ from pathlib import Path
 
 from .chunk import Chunk
 from .errors import CodecError, CorruptError, InvalidError
-from .index import SegmentRecord, parse_index, record_bytes
+from .index import SegmentRecord, parse_index, record_bytes, size_offset
 from .layers import merge_layers
 from .manifest import MAX_MANIFEST_BYTES, Manifest
-from .object import MAX_OBJECT_BYTES, ChunkEntry, decode_object_chunk, read_object_table
+from .object import (
+    COUNT_OFFSET,
+    MAX_OBJECT_BYTES,
+    ChunkEntry,
+    decode_object_chunk,
+    entry_offset,
+    read_object_table,
+)
 from .slice import Slice, active_splats
 from .splats import Splats
 from .writer import INDEX_NAME, MANIFEST_NAME
 
+MAX_INDEX_BYTES = 1 << 28
+"""Longest index read at once; 100 hours of four layers in segments of a second take 71 MB."""
 
-def _read(path: Path, limit_bytes: int) -> bytes:
+
+def read_file(path: Path, limit_bytes: int, offset: int = 0) -> bytes:
+    """The file at `path` from `offset` on. Raises CorruptError if that is over `limit_bytes`."""
     try:
         with open(path, "rb") as file:
-            data = file.read(limit_bytes + 1)
+            # A claim of the index must not cost memory that the file does not fill.
+            size = max(os.fstat(file.fileno()).st_size - offset, 0)
+            file.seek(offset)
+            data = file.read(size + 1) if size <= limit_bytes else None
     except FileNotFoundError as error:
         raise CorruptError(f"{path} is missing; this is no whole swings stream") from error
     except OSError as error:
         raise CorruptError(f"{path} cannot be read: {error.strerror}") from error
-    if len(data) > limit_bytes:
+    if data is None or len(data) > limit_bytes:
         raise CorruptError(f"{path} is longer than {limit_bytes} bytes")
     return data
+
+
+def check_births(entries: list[ChunkEntry], births: range) -> None:
+    """Raises CorruptError, with its place in the object, unless `entries` are of `births`."""
+    for n, (entry, birth) in enumerate(zip(entries, births, strict=False)):
+        if entry.birth != birth:
+            raise CorruptError(
+                f"object: its births are not {births[0]}..{births[-1]}", entry_offset(n)
+            )
+    if len(entries) != len(births):
+        raise CorruptError(f"object: its births are not {births[0]}..{births[-1]}", COUNT_OFFSET)
+
+
+def decode_fitting_chunk(data: bytes, entry: ChunkEntry, manifest: Manifest, layer: int) -> Chunk:
+    """The chunk of an entry of the object `data`, of layer `layer` of a stream with `manifest`.
+
+    Raises a CodecError that says where the chunk's frame begins.
+    """
+    chunk = decode_object_chunk(data, entry, manifest.chunk_bounds)
+    found = (chunk.layer, chunk.profile, chunk.slice.splats.sh_degree)
+    if found != (layer, manifest.profile, manifest.sh_degree):
+        raise CorruptError(
+            f"object: birth {entry.birth} does not fit the manifest: layer {chunk.layer}, "
+            f"profile {chunk.profile}, SH degree {found[2]}",
+            entry.offset,
+        )
+    return chunk
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,11 +102,11 @@ class StreamReader:
         path = self.path / MANIFEST_NAME
         if not self.path.is_dir():
             raise CorruptError(f"{self.path} is no folder; name the folder of a stream")
-        data = _read(path, MAX_MANIFEST_BYTES)
+        data = read_file(path, MAX_MANIFEST_BYTES)
         try:
             self.manifest = Manifest.from_json(data)
         except CodecError as error:
-            raise type(error)(f"{path}: {error}") from error
+            raise error.within(path) from error
         self._manifest_bytes = len(data)
 
     @property
@@ -91,32 +133,37 @@ class StreamReader:
             self._read_manifest()
         path = self.path / INDEX_NAME
         known = len(self.records)
-        try:
-            with open(path, "rb") as file:
-                file.seek(known * record_bytes(self.manifest.num_layers))
-                data = file.read()
-        except OSError as error:
-            raise CorruptError(f"{path} cannot be read: {error.strerror}") from error
+        begin = known * record_bytes(self.manifest.num_layers)
+        data = read_file(path, MAX_INDEX_BYTES, begin)
         try:
             fresh = parse_index(data, self.manifest.num_layers, known)
             self._check(fresh)
         except CodecError as error:
-            raise type(error)(f"{path}: {error}") from error
+            raise error.within(path, begin) from error
         self.records += fresh
         return len(fresh)
 
     def _check(self, fresh: list[SegmentRecord]) -> None:
+        """Raises CorruptError, with the place among the records in `fresh`."""
         length = self.manifest.segment_frames
-        previous = self.records[-1:] + fresh[:-1]
-        for record in fresh:
+        previous = self.records[-1:]
+        for n, record in enumerate(fresh):
+            at = n * record_bytes(self.manifest.num_layers)
+            if any(before.num_frames != length for before in previous):
+                raise CorruptError("index: a segment follows a short one", at)
             if record.first_frame != record.segment * length or record.num_frames > length:
-                raise CorruptError(f"index: segment {record.segment} does not fit the manifest")
-            if max(record.object_bytes) > MAX_OBJECT_BYTES:
-                raise CorruptError(f"index: segment {record.segment} names too large an object")
-        if any(record.num_frames != length for record in previous):
-            raise CorruptError("index: a segment follows a short one")
+                at += 8 if record.num_frames > length else 4
+                raise CorruptError(f"index: segment {record.segment} does not fit the manifest", at)
+            for layer, size in enumerate(record.object_bytes):
+                if size > MAX_OBJECT_BYTES:
+                    raise CorruptError(
+                        f"index: segment {record.segment} names too large an object",
+                        at + size_offset(layer),
+                    )
+            previous = [record]
 
-    def _object_path(self, segment: int, layer: int) -> Path:
+    def object_path(self, segment: int, layer: int) -> Path:
+        """Where the object lies; what the manifest says of that is for those who fetch by URL."""
         return self.path / "segments" / str(segment) / str(layer)
 
     def read_object(self, segment: int, layer: int) -> bytes:
@@ -127,8 +174,8 @@ class StreamReader:
                 f"{len(self.records)} segments of {self.manifest.num_layers} layers"
             )
         record = self.records[segment]
-        path = self._object_path(segment, layer)
-        data = _read(path, record.object_bytes[layer])
+        path = self.object_path(segment, layer)
+        data = read_file(path, record.object_bytes[layer])
         if len(data) != record.object_bytes[layer]:
             raise CorruptError(
                 f"{path} has {len(data)} bytes, the index says {record.object_bytes[layer]}"
@@ -149,15 +196,14 @@ class StreamReader:
         return self._objects[key]
 
     def _load(self, segment: int, layer: int) -> _Object:
-        path = self._object_path(segment, layer)
+        path = self.object_path(segment, layer)
         data = self.read_object(segment, layer)
         births = self.manifest.births(segment, self.records[segment].num_frames)
         try:
             entries = read_object_table(data)
-            if [entry.birth for entry in entries] != list(births):
-                raise CorruptError(f"object: its births are not {births[0]}..{births[-1]}")
+            check_births(entries, births)
         except CodecError as error:
-            raise type(error)(f"{path}: {error}") from error
+            raise error.within(path) from error
         return _Object(path, data, entries)
 
     def chunk(self, birth: int, layer: int) -> Chunk:
@@ -174,13 +220,10 @@ class StreamReader:
         manifest = self.manifest
         found = self._object(manifest.segment_of(birth), layer)
         try:
-            chunk = decode_object_chunk(found.data, found.entries[birth - found.entries[0].birth])
-            found_is = (chunk.layer, chunk.profile, chunk.slice.splats.sh_degree)
-            if found_is != (layer, manifest.profile, manifest.sh_degree):
-                raise CorruptError(f"object: birth {birth} does not fit the manifest")
+            entry = found.entries[birth - found.entries[0].birth]
+            return decode_fitting_chunk(found.data, entry, manifest, layer)
         except CodecError as error:
-            raise type(error)(f"{found.path}: {error}") from error
-        return chunk
+            raise error.within(found.path) from error
 
     def slice(self, birth: int, num_layers: int) -> Slice:
         """The slice born at `birth`, of its layers 0..num_layers-1."""
@@ -191,14 +234,18 @@ class StreamReader:
                 f"{self.path} has no slice born at {birth}; it has {len(self.births)} slices "
                 f"from {self.manifest.first_birth} on"
             )
-        merged = merge_layers([self.chunk(birth, layer) for layer in range(num_layers)])
-        if len(merged.splats) > self.manifest.slice_size:
-            path = self._object_path(self.manifest.segment_of(birth), num_layers - 1)
-            raise CorruptError(
-                f"{path}: the slice born at {birth} has {len(merged.splats)} Gaussians, "
-                f"the manifest allows {self.manifest.slice_size}"
-            )
-        return merged
+        chunks: list[Chunk] = []
+        count = 0
+        for layer in range(num_layers):
+            chunks.append(self.chunk(birth, layer))
+            count += len(chunks[-1].slice.splats)
+            if count > self.manifest.slice_size:
+                path = self.object_path(self.manifest.segment_of(birth), layer)
+                raise CorruptError(
+                    f"{path}: the slice born at {birth} has {count} Gaussians, "
+                    f"the manifest allows {self.manifest.slice_size}"
+                )
+        return merge_layers(chunks)
 
     def slices(self, first_birth: int, num_layers: int) -> Iterator[Slice]:
         """The slices from `first_birth` to the last one there is when it is reached."""

@@ -52,6 +52,16 @@ def write_atomic(path: Path, data: bytes) -> None:
     sync_folder(path.parent)
 
 
+def _is_unused(path: Path) -> bool:
+    """Whether the folder `path` holds nothing but what a killed `create` may have left."""
+    return all(
+        (entry.name == INDEX_NAME and not entry.stat().st_size)
+        or (entry.name == "segments" and entry.is_dir() and not any(entry.iterdir()))
+        or entry.name in (f".{INDEX_NAME}.tmp", f".{MANIFEST_NAME}.tmp")
+        for entry in path.iterdir()
+    )
+
+
 class StreamWriter:
     """Appends slices to a stream directory; holds the compressed chunks of one segment at most.
 
@@ -96,17 +106,18 @@ class StreamWriter:
         coarseness: float = 1.0,
         quality: Quality | None = None,
     ) -> StreamWriter:
-        """A writer of a new stream at `path`, which is absent or an empty folder.
+        """A writer of a new stream at `path`, which is absent, an empty folder, or one where a
+        writer was killed before it was a stream.
 
         `rank` names one of `codec.layers.RANKS`; `coarseness` multiplies the quantisation steps of
         profile `compact`: 2 saves about a quarter of the bytes. `quality` scores every frame; the
         index holds its mean over each segment, or NaN without it.
         """
-        if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        if path.exists() and not (path.is_dir() and _is_unused(path)):
             raise InvalidError(f"{path} is not empty; remove it or name another folder")
         writer = cls(path, manifest.with_live(True), [], rank, coarseness, quality)
         path.mkdir(parents=True, exist_ok=True)
-        (path / "segments").mkdir()
+        (path / "segments").mkdir(exist_ok=True)
         write_atomic(path / INDEX_NAME, b"")
         # Last, because a folder is a stream from the moment that it has a manifest.
         write_atomic(path / MANIFEST_NAME, writer.manifest.to_json())

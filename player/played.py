@@ -187,7 +187,7 @@ class HttpPlaySource:
         try:
             if record.birth != birth:
                 raise CorruptError(f"the slice born at {record.birth} came before {birth}")
-            chunks = [decode_frame(frame) for frame in record.frames]
+            chunks = [decode_frame(frame, self._manifest.chunk_bounds) for frame in record.frames]
             if any(chunk.birth != birth for chunk in chunks):
                 raise CorruptError(f"a chunk in the record of birth {birth} has another birth")
             wire_bytes = sum(len(frame) for frame in record.frames)

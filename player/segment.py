@@ -55,7 +55,7 @@ def decode_segment(
         for data, name, table in zip(objects, names, tables, strict=True):
             entry = table[birth - births[0]]
             try:
-                chunks.append(decode_object_chunk(data, entry))
+                chunks.append(decode_object_chunk(data, entry, manifest.chunk_bounds))
             except CodecError as error:
                 raise type(error)(f"{name}: {error}") from error
             wire_bytes += entry.size

@@ -1,4 +1,4 @@
-"""A second decoder of chunks, written from codec/FORMAT.md alone: slow and plain.
+"""A second decoder of objects and chunks, written from codec/FORMAT.md alone: slow and plain.
 
 It shares no code with the package; `f32` is what a browser calls Math.fround.
 """
@@ -7,8 +7,13 @@ from __future__ import annotations
 
 import math
 import struct
+import zlib
 from dataclasses import dataclass
 from itertools import pairwise
+
+import zstandard
+
+LARGEST_CHUNK = 248512584
 
 
 def f32(value: float) -> float:
@@ -32,6 +37,40 @@ class PlainChunk:
 
 def rows(values: list[float], width: int) -> list[tuple[float, ...]]:
     return [tuple(values[i : i + width]) for i in range(0, len(values), width)]
+
+
+def inflate(frame: bytes) -> bytes:
+    """The chunk in a frame of section 7, of either coder."""
+    if frame[:4] == b"\x28\xb5\x2f\xfd":
+        return zstandard.ZstdDecompressor().decompress(frame, allow_extra_data=False)
+    assert frame[:4] == b"\x1f\x8b\x08\x00"
+    checksum, size = struct.unpack("<II", frame[-8:])
+    assert size <= min(1032 * len(frame), LARGEST_CHUNK)
+    deflated = zlib.decompressobj(-15)
+    content = deflated.decompress(frame[10:-8])
+    assert deflated.eof
+    assert not deflated.unused_data
+    assert (zlib.crc32(content), len(content)) == (checksum, size)
+    return content
+
+
+def decode_object(data: bytes) -> list[bytes]:
+    """The chunks of an object, inflated, in order."""
+    skippable, following, magic, version, coder, zero, count = struct.unpack_from("<II4sBBHI", data)
+    assert (skippable, following) == (0x184D2A50, 12 + 12 * count)
+    assert (magic, version, zero) == (b"SWGO", 1, 0)
+    assert coder in (1, 2)
+    chunks, end = [], 20 + 12 * count
+    for entry in range(count):
+        birth, offset, size = struct.unpack_from("<iII", data, 20 + 12 * entry)
+        assert offset == end
+        end += size
+        frame = data[offset:end]
+        assert (frame[:4] == b"\x1f\x8b\x08\x00") == (coder == 2)
+        chunks.append(inflate(frame))
+        assert struct.unpack_from("<i", chunks[-1], 8)[0] == birth
+    assert end == len(data)
+    return chunks
 
 
 def decode(chunk: bytes) -> PlainChunk:

@@ -1,4 +1,4 @@
-"""The bytes of chunks, pinned; and FORMAT.md, by a decoder written from it alone."""
+"""The bytes of chunks and objects, pinned; and FORMAT.md, by a decoder written from it alone."""
 
 from __future__ import annotations
 
@@ -10,12 +10,25 @@ import numpy.typing as npt
 import pytest
 
 from codec.chunk import Chunk, decode_chunk, encode_chunk
+from codec.coder import Coder
+from codec.object import HEAD, decode_object, encode_object
 from codec.profile import Profile
 from tests.format_decoder import PlainChunk, decode
-from tests.goldens.cases import CASES, FILE, Case, decoded_sha256, encode
+from tests.format_decoder import decode_object as decode_plain_object
+from tests.goldens.cases import (
+    CASES,
+    CODERS,
+    FILE,
+    OBJECT_CASES,
+    OBJECTS_FILE,
+    Case,
+    decoded_sha256,
+    encode,
+)
 from tests.trained_like import trained_like_slice
 
 GOLDENS: list[dict[str, Any]] = json.loads(FILE.read_text(encoding="utf-8"))
+OBJECTS: list[dict[str, Any]] = json.loads(OBJECTS_FILE.read_text(encoding="utf-8"))
 
 
 def same_bits(found: npt.NDArray[np.float32], expected: object) -> bool:
@@ -56,3 +69,27 @@ def test_a_decoder_written_from_the_format_agrees_bit_for_bit(
 ) -> None:
     data = encode_chunk(trained_like_slice(3, 300, sh_degree), 2, profile)
     assert_same(decode_chunk(data), decode(data))
+
+
+def test_every_coder_is_pinned() -> None:
+    assert [golden["coder"] for golden in OBJECTS] == [coder.value for coder in CODERS]
+
+
+@pytest.mark.parametrize("golden", OBJECTS, ids=[Coder(g["coder"]).name for g in OBJECTS])
+def test_objects_of_every_coder_are_read_for_ever(golden: dict[str, Any]) -> None:
+    by_name = {g["name"]: g for g in GOLDENS}
+    wanted = [by_name[name] for name in OBJECT_CASES]
+    data = bytes.fromhex(golden["object_hex"])
+    assert HEAD.unpack_from(data)[4] == golden["coder"]
+    found = [decoded_sha256(chunk) for chunk in decode_object(data)]
+    assert found == [g["decoded_sha256"] for g in wanted]
+    assert [chunk.hex() for chunk in decode_plain_object(data)] == [g["chunk_hex"] for g in wanted]
+
+
+@pytest.mark.parametrize("coder", list(Coder))
+@pytest.mark.parametrize("profile", list(Profile))
+def test_a_decoder_written_from_the_format_reads_what_is_written_now(
+    profile: Profile, coder: Coder
+) -> None:
+    chunks = [encode_chunk(trained_like_slice(birth, 300, 1), 0, profile) for birth in (-1, 0, 4)]
+    assert decode_plain_object(encode_object(chunks, coder)) == chunks

@@ -123,6 +123,17 @@ def test_a_bad_ply_is_refused_with_the_reason(
         decode_ply(data)
 
 
+def test_infinite_logits_are_nearly_transparent_and_opaque() -> None:
+    splats = trained_like_splats(3)
+    data = bytearray(encode_ply(splats))
+    row_bytes = 17 * 4
+    at = 9 * 4  # opacity: after position, normal and colour
+    for row, logit in ((1, np.inf), (2, -np.inf)):
+        struct.pack_into("<f", data, len(data) - (3 - row) * row_bytes + at, logit)
+    logits = decode_ply(bytes(data)).logit_opacities
+    assert logits.tolist() == [splats.logit_opacities[0], 16.0, -16.0]
+
+
 def test_a_value_that_is_not_finite_is_named() -> None:
     splats = trained_like_splats(5)
     data = bytearray(encode_ply(splats))

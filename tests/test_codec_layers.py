@@ -45,10 +45,19 @@ def test_merge_of_split_is_a_permutation(count: int, weights: list[int]) -> None
 
 @pytest.mark.parametrize("name", sorted(RANKS))
 def test_an_earlier_layer_ranks_higher(name: str) -> None:
-    layers = split_layers(trained_like_slice(0, 1000), QUARTERS, RANKS[name])
-    ranks = [RANKS[name](layer.splats) for layer in layers]
+    slice = trained_like_slice(0, 1000)
+    layers = split_layers(slice, QUARTERS, RANKS[name])
+    rank_of = dict(zip(rows(slice), RANKS[name](slice.splats).tolist(), strict=True))
+    ranks = [[rank_of[row] for row in rows(layer)] for layer in layers]
     for high, low in pairwise(ranks):
-        assert high.min() >= low.max()
+        assert min(high) >= max(low)
+
+
+def test_rank_given_cuts_the_slice_as_it_stands() -> None:
+    slice = trained_like_slice(0, 1000)
+    layers = split_layers(slice, QUARTERS, RANKS["given"])
+    assert [row for layer in layers for row in rows(layer)] == rows(slice)
+    assert [len(layer.splats) for layer in layers] == [250] * 4
 
 
 def test_equal_ranks_keep_their_order() -> None:

@@ -112,7 +112,8 @@ def test_noise(noise: bytes) -> None:
         (4, b"\0", CorruptError),
         (8, b"X", CorruptError),
         (12, b"\2", UnsupportedError),
-        (13, b"\2", UnsupportedError),
+        (13, b"\2", CorruptError),  # a coder, but not that of the frames
+        (13, b"\3", UnsupportedError),
         (14, b"\1", CorruptError),
         (16, struct.pack("<I", 0), CorruptError),
         (16, struct.pack("<I", MAX_CHUNKS_PER_OBJECT + 1), CorruptError),

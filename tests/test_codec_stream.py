@@ -361,7 +361,9 @@ def test_an_object_with_the_right_hash_and_the_wrong_births(stream: Path) -> Non
         object_sha256=(hashlib.sha256(data).digest(), records[1].object_sha256[1]),
     )
     (stream / "index.bin").write_bytes(b"".join(map(pack_record, records)))
-    with pytest.raises(CorruptError, match=r"segments/1/0: object: its births are not 4..7"):
+    with pytest.raises(
+        CorruptError, match=r"segments/1/0: byte 32: object: its births are not 4..7"
+    ):
         verify_stream(stream)
 
 

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import tyro
 
+from ..errors import InvalidError
+from ..static import export_static
 from .exporting import export_stream
 from .formats import SplatFormat
 from .importing import ImportOptions, import_stream
@@ -26,12 +28,14 @@ class Import:
 
 @dataclass(frozen=True, slots=True)
 class Export:
-    """Write what a frame shows, or a range of frames, to files that other programs read."""
+    """Write what a frame shows, or a range of frames, to files that other programs read; or, with
+    --static, the whole stream to a folder for plain web servers."""
 
     stream: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="STREAM")]]
     """Folder of the stream."""
     out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
-    """The file; with --frames the name of the sequence: `name.ply` gives name_0001.ply ..."""
+    """The file; with --frames the name of the sequence: `name.ply` gives name_0001.ply ...; with
+    --static the folder."""
     frame: int | None = None
     """The frame, from 0 on."""
     frames: str | None = None
@@ -40,6 +44,8 @@ class Export:
     """ply is exact, spz small, splat for simple viewers; by default what OUT ends with."""
     layers: int | None = None
     """Most important layers to write; all by default."""
+    static: bool = False
+    """Write all of the stream, coded so that browsers inflate it by themselves (gzip)."""
 
 
 def import_files(config: Import) -> str:
@@ -53,9 +59,24 @@ def import_files(config: Import) -> str:
 
 def export_files(config: Export) -> str:
     """Does what `config` says; gives a line about it."""
+    if config.static:
+        return _export_static(config)
     written = export_stream(
         config.stream, config.out, config.frame, config.frames, config.format, config.layers
     )
     files = str(written[0]) if len(written) == 1 else f"{written[0]} .. {written[-1].name}"
     total_bytes = sum(path.stat().st_size for path in written)
     return f"{files}: {len(written)} file{'s'[: len(written) > 1]}, {total_bytes} bytes"
+
+
+def _export_static(config: Export) -> str:
+    if (config.frame, config.frames, config.format, config.layers) != (None,) * 4:
+        raise InvalidError(
+            "--static writes the whole stream; leave out --frame, --frames, --format and --layers"
+        )
+    made = export_static(config.stream, config.out)
+    share = 100 * made.size_bytes / made.source_bytes
+    return (
+        f"{config.out}: {made.num_frames} frames in {made.num_segments} segments for any web "
+        f"server, {made.size_bytes} bytes, {share:.1f} % of {config.stream}"
+    )

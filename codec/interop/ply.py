@@ -20,6 +20,9 @@ from ..splats import MAX_SH_DEGREE, Floats, Splats, sh_count
 from .limits import checked_splats
 from .plyheader import PlyElement, read_ply_elements
 
+SURE_LOGIT = 16.0
+"""Stands for infinite logits, which programs write that make them of opacity bytes 0 and 255."""
+
 REST_COUNTS = {3 * (sh_count(degree) - 1) for degree in range(MAX_SH_DEGREE + 1)}
 """How many f_rest there may be: 0, 9, 24, 45."""
 
@@ -74,9 +77,10 @@ def decode_ply(data: bytes) -> Splats:
     sh = np.empty((vertex.count, 1 + len(groups["rest"]) // 3, 3), np.float32)
     sh[:, 0] = found["dc"]
     sh[:, 1:] = found["rest"].reshape(vertex.count, 3, sh.shape[1] - 1).swapaxes(1, 2)
-    return checked_splats(
-        "PLY", found["means"], found["scale"], found["rot"], found["opacity"][:, 0].copy(), sh
-    )
+    logits = found["opacity"][:, 0].copy()
+    endless = np.isinf(logits)
+    logits[endless] = np.copysign(np.float32(SURE_LOGIT), logits[endless])
+    return checked_splats("PLY", found["means"], found["scale"], found["rot"], logits, sh)
 
 
 def encode_ply(splats: Splats) -> bytes:

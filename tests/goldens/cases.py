@@ -1,4 +1,5 @@
-"""The golden chunks: one table of cases, for the test and for the script that writes them anew.
+"""The golden chunks and objects: one table of cases, for the test and for the script that writes
+them anew.
 
 Values are chosen away from rounding boundaries, so that every platform quantises them alike.
 """
@@ -12,12 +13,15 @@ from pathlib import Path
 import numpy as np
 
 from codec.chunk import Chunk, decode_chunk, encode_chunk
+from codec.coder import Coder
+from codec.object import encode_object
 from codec.profile import Profile
 from codec.quantize import Steps
 from codec.slice import Slice
 from codec.splats import Splats, sh_count
 
 FILE = Path(__file__).parent / "chunks.json"
+OBJECTS_FILE = Path(__file__).parent / "objects.json"
 
 STEPS = Steps(
     position_m=1 / 1024, log_scale=0.125, rotation=1 / 100, opacity=1 / 200, colour=1 / 32
@@ -54,6 +58,18 @@ CASES = (
     Case("paper-degree-0", Profile.PAPER, 24, birth=12, layer=1),
     Case("paper-degree-1-late", Profile.PAPER, 5, sh_degree=1, birth=-2, late=True),
 )
+
+OBJECT_CASES = (
+    "raw-degree-0",
+    "compact-one",
+    "compact-late",
+    "compact-degree-0",
+    "raw-degree-1-late",
+)
+"""The chunks in each object, in order of birth."""
+
+CODERS = tuple(Coder)
+"""One object of each."""
 
 
 def make_slice(case: Case) -> Slice:
@@ -113,3 +129,10 @@ def record(case: Case) -> dict[str, object]:
         "first_mean": chunk.slice.splats.means[:1].ravel().tolist(),
         "decoded_sha256": decoded_sha256(chunk),
     }
+
+
+def object_record(coder: Coder) -> dict[str, object]:
+    """What is pinned of an object: its bytes, to be read for ever; an encoder may find better."""
+    by_name = {case.name: case for case in CASES}
+    chunks = [encode(by_name[name]) for name in OBJECT_CASES]
+    return {"coder": coder.value, "object_hex": encode_object(chunks, coder).hex()}

@@ -1,4 +1,4 @@
-"""Writes the golden chunks anew: `python -m tests.goldens.regenerate` in the root of the project.
+"""Writes the goldens anew: `python -m tests.goldens.regenerate` in the root of the project.
 
 Only for a change of the format that is meant and told in FORMAT.md; the version then changes too.
 """
@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import json
 
-from tests.goldens.cases import CASES, FILE, record
+from tests.goldens.cases import CASES, CODERS, FILE, OBJECTS_FILE, object_record, record
 
 
 def main() -> None:
-    FILE.write_text(json.dumps([record(case) for case in CASES], indent=1) + "\n", encoding="utf-8")
+    tables = {FILE: [record(c) for c in CASES], OBJECTS_FILE: [object_record(c) for c in CODERS]}
+    for file, rows in tables.items():
+        file.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,46 @@
+"""Where the blocks of a frame end, each of which has a Huffman table of its own.
+
+A chunk is a row of planes with different statistics, so an encoder ends a block where a new table
+pays; a decoder need not know.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+MAX_JOINED_PLANES = 8
+"""Planes tried in one block; bounds the work for chunks with many SH planes."""
+
+TABLE_BYTES = 12.0
+TABLE_BYTES_PER_VALUE = 0.25
+"""What a block with its Huffman table costs by reckoning: fixed, and per value up to the last."""
+
+
+def join_planes(content: memoryview, edges: Sequence[int]) -> list[int]:
+    """Those of `edges` between which blocks cost least, by their entropy and their tables."""
+    planes = [
+        np.bincount(np.frombuffer(content[a:b], np.uint8), minlength=256)
+        for a, b in pairwise(edges)
+    ]
+    totals = np.concatenate([np.zeros((1, 256), np.int64), np.cumsum(planes, axis=0)])
+    cost = [0.0]
+    origin = [0]
+    for end in range(1, len(edges)):
+        starts = np.arange(max(0, end - MAX_JOINED_PLANES), end)
+        counts = (totals[end] - totals[starts]).astype(np.float64)
+        sizes = counts.sum(axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            bits = np.where(counts > 0, -counts * np.log2(counts / sizes[:, None]), 0).sum(axis=1)
+        last_value = 256 - np.argmax(counts[:, ::-1] > 0, axis=1)
+        coded = bits / 8 + TABLE_BYTES + TABLE_BYTES_PER_VALUE * last_value
+        total = np.minimum(coded, sizes + 3) + [cost[start] for start in starts]
+        best = int(np.argmin(total))
+        cost.append(float(total[best]))
+        origin.append(int(starts[best]))
+    chosen = [len(edges) - 1]
+    while chosen[-1]:
+        chosen.append(origin[chosen[-1]])
+    return [edges[i] for i in reversed(chosen)]

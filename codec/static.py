@@ -1,0 +1,109 @@
+"""A stream for plain web servers: the same chunks in frames that browsers inflate by themselves.
+
+Everything lies at a fixed relative path, and each file is fetched whole: no ranges, no logic.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from .coder import Coder, decompress
+from .errors import InvalidError
+from .index import SegmentRecord, pack_record
+from .object import encode_frame, join_frames, object_frames
+from .reader import StreamReader
+from .writer import INDEX_NAME, MANIFEST_NAME, write_atomic
+
+OBJECT_URL = "segments/{segment}/{layer}"
+"""Where the objects lie, whatever other place the manifest of the source names."""
+
+
+@dataclass(frozen=True, slots=True)
+class StaticExport:
+    """What `export_static` wrote."""
+
+    num_frames: int
+    num_segments: int
+    source_bytes: int
+    """Manifest, index and objects of the stream that was exported."""
+    size_bytes: int
+    """The same of the exported one."""
+
+
+def export_static(stream: Path, out: Path) -> StaticExport:
+    """Writes the stream at `stream` to the folder `out`, absent or empty, coded with gzip.
+
+    Every chunk is decoded and checked on the way, and its values stay as they are. A live stream is
+    exported as far as it has come, and finished. `out` appears whole or not at all. Raises a
+    SwingsError that names the file at fault.
+    """
+    if out.exists() and not (out.is_dir() and not any(out.iterdir())):
+        raise InvalidError(f"{out} is not empty; remove it or name another folder")
+    reader = StreamReader(stream)
+    if not reader.records:
+        raise InvalidError(f"{stream} has no frames yet; there is nothing to export")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    temporary = out.with_name(f".{out.name}.tmp")
+    if temporary.exists():
+        shutil.rmtree(temporary)  # of an export that was killed
+    try:
+        size_bytes = _write(reader, temporary)
+        temporary.rename(out)
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise
+    objects_bytes = sum(sum(record.object_bytes) for record in reader.records)
+    return StaticExport(
+        reader.num_frames,
+        len(reader.records),
+        reader.overhead_bytes + objects_bytes,
+        size_bytes,
+    )
+
+
+def _write(reader: StreamReader, folder: Path) -> int:
+    """Writes all files; gives their bytes, less those of a poster."""
+    (folder / "segments").mkdir(parents=True)
+    manifest = replace(reader.manifest, live=False, object_url=OBJECT_URL)
+    records = [_write_segment(reader, record, folder) for record in reader.records]
+    index = b"".join(map(pack_record, records))
+    write_atomic(folder / INDEX_NAME, index)
+    described = manifest.to_json()
+    write_atomic(folder / MANIFEST_NAME, described)
+    _copy_poster(reader, folder)
+    return len(described) + len(index) + sum(sum(record.object_bytes) for record in records)
+
+
+def _write_segment(reader: StreamReader, record: SegmentRecord, folder: Path) -> SegmentRecord:
+    """Writes the objects of a segment; gives its record in the new index."""
+    manifest, segment = reader.manifest, record.segment
+    for birth in manifest.births(segment, record.num_frames):
+        reader.slice(birth, manifest.num_layers)  # only to refuse what is wrong
+    (folder / "segments" / str(segment)).mkdir()
+    limit_bytes = manifest.chunk_bounds.max_bytes
+    sizes, hashes = [], []
+    for layer in range(manifest.num_layers):
+        frames = [
+            (birth, encode_frame(decompress(frame, limit_bytes), Coder.GZIP))
+            for birth, frame in object_frames(reader.read_object(segment, layer))
+        ]
+        data = join_frames(frames, Coder.GZIP)
+        write_atomic(folder / "segments" / str(segment) / str(layer), data)
+        sizes.append(len(data))
+        hashes.append(hashlib.sha256(data).digest())
+    return replace(record, object_bytes=tuple(sizes), object_sha256=tuple(hashes))
+
+
+def _copy_poster(reader: StreamReader, folder: Path) -> None:
+    """Takes the picture along if it lies in the stream's folder; it may also be elsewhere."""
+    root = reader.path.resolve()
+    poster = (root / (reader.manifest.poster or "")).resolve()
+    if not poster.is_relative_to(root) or not poster.is_file():
+        return
+    copy = folder / poster.relative_to(root)
+    if not copy.exists():  # else it is no picture but a part of the stream
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(poster, copy)

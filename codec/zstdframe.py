@@ -1,0 +1,79 @@
+"""zstd frames that say how much they hold, with a checksum."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import zstandard
+
+from .blocks import join_planes
+from .errors import CorruptError
+
+MAGIC = b"\x28\xb5\x2f\xfd"
+
+PLANES_LEVEL = 19
+"""zstd level for quantised planes: a chunk is encoded once and fetched often."""
+
+FLOATS_LEVEL = 3
+"""zstd level for float32, which hardly shrinks however long one tries."""
+
+MIN_MATCH = 7
+"""Shortest repeat looked for, in bytes: shorter ones in quantised planes are mere chance."""
+
+MAX_EXPANSION = 1 << 15
+"""zstd cannot inflate more: a block of 128 KiB takes 4 bytes at least."""
+
+
+def compress(content: bytes, edges: Sequence[int] = ()) -> bytes:
+    """`content` as one zstd frame.
+
+    `edges` are the offsets, from 0 to the end, between its byte planes; without any it is float32.
+    """
+    if not edges or not content:
+        return zstandard.ZstdCompressor(level=FLOATS_LEVEL, write_checksum=True).compress(content)
+    parameters = zstandard.ZstdCompressionParameters.from_level(
+        PLANES_LEVEL, source_size=len(content), min_match=MIN_MATCH, write_checksum=True
+    )
+    compressor = zstandard.ZstdCompressor(compression_params=parameters).compressobj(len(content))
+    view = memoryview(content)
+    cuts = join_planes(view, sorted(set(edges)))
+    parts = []
+    for start, end in pairwise(cuts):
+        parts.append(compressor.compress(view[start:end]))
+        if end < len(content):
+            parts.append(compressor.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK))
+    parts.append(compressor.flush(zstandard.COMPRESSOBJ_FLUSH_FINISH))
+    return b"".join(parts)
+
+
+def content_bytes(frame: bytes | memoryview, limit_bytes: int) -> int:
+    """What `frame` says it decompresses to. Raises CorruptError if unsaid or over the limit."""
+    try:
+        parameters = zstandard.get_frame_parameters(frame)
+    except zstandard.ZstdError as error:
+        raise CorruptError("frame: no zstd frame") from error
+    size = int(parameters.content_size)
+    if parameters.content_size in (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR):
+        raise CorruptError("frame: does not say its content size")
+    if size > MAX_EXPANSION * len(frame):
+        raise CorruptError(f"frame: {size} bytes of content cannot come from {len(frame)}")
+    if size > limit_bytes:
+        raise CorruptError(f"frame: {size} bytes of content, at most {limit_bytes}")
+    if not parameters.has_checksum or parameters.dict_id:
+        raise CorruptError("frame: no checksum, or a dictionary")
+    return size
+
+
+def decompress(frame: bytes | memoryview, limit_bytes: int) -> bytes:
+    """The content of `frame`, which holds one frame exactly. Memory stays within the limit."""
+    size = content_bytes(frame, limit_bytes)
+    try:
+        content = zstandard.ZstdDecompressor().decompress(
+            frame, read_across_frames=False, allow_extra_data=False
+        )
+    except zstandard.ZstdError as error:
+        raise CorruptError(f"frame: {error}") from error
+    if len(content) != size:
+        raise CorruptError(f"frame: {len(content)} bytes of content, not {size}")
+    return content

@@ -1,0 +1,178 @@
+"""Fuzzing of everything that parses bytes of strangers, with atheris (libFuzzer for Python).
+
+The law under test: any bytes give a value or a CodecError; no other exception, no warning of
+numpy, and a value survives being written and read again. The first byte of an input chooses the
+parser (`TARGETS`), the rest is its food.
+
+How to run it, from the root of the repository, in an environment of its own:
+
+    python3 -m venv /tmp/fuzz && /tmp/fuzz/bin/pip install atheris numpy zstandard msgpack
+    mkdir -p /tmp/found
+    /tmp/fuzz/bin/python -m fuzz /tmp/found fuzz/corpus -max_total_time=600 -max_len=8192
+
+New inputs go to the first folder, what breaks the law to ./crash-*. `python -m fuzz FILE...` runs
+single files again; `tests/test_codec_fuzz.py` does so with the whole corpus, without atheris. What
+was found and mended is kept in fuzz/corpus as `found-*`; `python -m fuzz.seed` writes the corpus
+anew. A new parser gets a function and a place at the end of TARGETS here, and a seed there.
+"""
+
+from __future__ import annotations
+
+import gzip
+import struct
+import zlib
+from collections.abc import Callable
+from contextlib import suppress
+
+import zstandard
+
+from codec.chunk import decode_chunk, encode_chunk
+from codec.errors import CodecError
+from codec.index import CHECKSUM, pack_record, parse_index, record_bytes
+from codec.interop.formats import decode_any
+from codec.interop.spz import ENTRY, HEADER_V4, decode_spz
+from codec.layers import MAX_LAYERS
+from codec.manifest import Manifest
+from codec.object import decode_frame, decode_object, object_frames, read_object_table
+from codec.playrecord import RecordParser, encode_record
+from codec.profile import Profile
+from codec.splats import Splats
+
+
+def same(a: Splats, b: Splats) -> bool:
+    """Whether two sets of Gaussians have the same bits."""
+    names = ("means", "log_scales", "quats", "logit_opacities", "sh")
+    return all(getattr(a, name).tobytes() == getattr(b, name).tobytes() for name in names)
+
+
+def fuzz_chunk(data: bytes) -> None:
+    """A chunk as it is before the entropy coder; what it holds goes through `raw` unchanged."""
+    chunk = decode_chunk(data)
+    again = decode_chunk(encode_chunk(chunk.slice, chunk.layer, Profile.RAW))
+    assert same(again.slice.splats, chunk.slice.splats)
+    assert (again.slice.start_offsets == chunk.slice.start_offsets).all()
+
+
+def fuzz_frame(data: bytes) -> None:
+    """One frame of a chunk, of either coder."""
+    decode_frame(data)
+
+
+def fuzz_object(data: bytes) -> None:
+    """An object: its table, its frames, its chunks."""
+    entries = read_object_table(data)
+    assert [birth for birth, _ in object_frames(data)] == [entry.birth for entry in entries]
+    assert [chunk.birth for chunk in decode_object(data)] == [entry.birth for entry in entries]
+
+
+def fuzz_index(data: bytes) -> None:
+    """Records of the index; the first byte says of how many layers."""
+    layers, data = data[0] % MAX_LAYERS + 1, data[1:]
+    records = parse_index(data, layers)
+    packed = b"".join(map(pack_record, records))
+    assert len(packed) == len(records) * record_bytes(layers) <= len(data)
+    # By their bytes, for a NaN does not equal itself.
+    assert b"".join(map(pack_record, parse_index(packed, layers))) == packed
+
+
+def fuzz_sealed_index(data: bytes) -> None:
+    """Records of the index whose checksums are right, so that what is behind them is reached."""
+    size = record_bytes(data[0] % MAX_LAYERS + 1)
+    sealed = data[:1]
+    for start in range(1, len(data) - size + 1, size):
+        body = data[start : start + size - CHECKSUM.size]
+        sealed += body + CHECKSUM.pack(zlib.crc32(body))
+    fuzz_index(sealed)
+
+
+def fuzz_manifest(data: bytes) -> None:
+    """manifest.json."""
+    manifest = Manifest.from_json(data)
+    assert Manifest.from_json(manifest.to_json()).to_json() == manifest.to_json()
+    assert manifest.object_path(3, 1)
+    assert manifest.camera().name == manifest.default_camera
+    assert len(manifest.births(0, 1)) == manifest.swin_size
+
+
+def fuzz_record(data: bytes) -> None:
+    """The body of a /play response, in two pieces."""
+    parser = RecordParser()
+    half = len(data) // 2
+    for record in [*parser.feed(data[:half]), *parser.feed(data[half:])]:
+        assert RecordParser().feed(encode_record(record)) == [record]
+
+
+def fuzz_sealed_record(data: bytes) -> None:
+    """One play record whose length is right."""
+    fuzz_record(struct.pack("<I", len(data)) + data)
+
+
+def fuzz_import(data: bytes) -> None:
+    """A file of Gaussians that its first bytes name: PLY, compressed PLY, SPZ."""
+    decode_any(data)
+
+
+def fuzz_splat(data: bytes) -> None:
+    """A .splat file, which has no magic."""
+    decode_any(data, ".splat")
+
+
+def fuzz_inflated_spz(data: bytes) -> None:
+    """The content of an SPZ of version 2 or 3, compressed here."""
+    decode_spz(gzip.compress(data, compresslevel=1, mtime=0))
+
+
+def fuzz_inflated_spz_4(data: bytes) -> None:
+    """Header and arrays of an SPZ of version 4, cut by the table and compressed here."""
+    head, rest = data[: HEADER_V4.size], data[HEADER_V4.size :]
+    if len(head) < HEADER_V4.size:
+        decode_spz(head)
+        return
+    table_bytes = ENTRY.size * head[15]
+    compressor = zstandard.ZstdCompressor(level=1)
+    table, frames, start = b"", b"", table_bytes
+    whole_bytes = min(table_bytes, len(rest) // ENTRY.size * ENTRY.size)
+    for _, raw_bytes in ENTRY.iter_unpack(rest[:whole_bytes]):
+        frame = compressor.compress(rest[start : start + raw_bytes])
+        start = min(start + raw_bytes, len(rest))
+        table += ENTRY.pack(len(frame), raw_bytes)
+        frames += frame
+    decode_spz(head + table + frames)
+
+
+def fuzz_sealed_gzip(data: bytes) -> None:
+    """A chunk in a gzip member made here; its trailer says four bytes of the input's own."""
+    stream = zlib.compressobj(1, zlib.DEFLATED, -zlib.MAX_WBITS)
+    body = stream.compress(data[4:]) + stream.flush()
+    trailer = struct.pack("<I", zlib.crc32(data[4:])) + data[:4]
+    decode_frame(gzip.compress(b"")[:4] + bytes(4) + b"\x02\xff" + body + trailer)
+
+
+TARGETS: dict[str, Callable[[bytes], None]] = {
+    "chunk": fuzz_chunk,
+    "frame": fuzz_frame,
+    "object": fuzz_object,
+    "index": fuzz_index,
+    "sealed_index": fuzz_sealed_index,
+    "manifest": fuzz_manifest,
+    "record": fuzz_record,
+    "sealed_record": fuzz_sealed_record,
+    "import": fuzz_import,
+    "splat": fuzz_splat,
+    "inflated_spz": fuzz_inflated_spz,
+    "inflated_spz_4": fuzz_inflated_spz_4,
+    "sealed_gzip": fuzz_sealed_gzip,
+}
+"""The parsers by name. Only ever append: the first byte of an input counts in this order."""
+
+_BY_NUMBER = tuple(TARGETS.values())
+
+
+def accepts(data: bytes) -> bool:
+    """Whether the parser that `data` chooses gave a value; raises what no parser may raise."""
+    if len(data) < 2:
+        return False
+    with suppress(CodecError):
+        _BY_NUMBER[data[0] % len(_BY_NUMBER)](data[1:])
+        return True
+    return False

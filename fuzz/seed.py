@@ -1,0 +1,194 @@
+"""Writes the small files of fuzz/corpus from the project's own encoders: `python -m fuzz.seed`."""
+
+from __future__ import annotations
+
+import gzip
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import zstandard
+
+from codec.camera import Camera
+from codec.chunk import encode_chunk
+from codec.coder import Coder
+from codec.index import SegmentRecord, pack_record
+from codec.interop.ply import encode_ply
+from codec.interop.splat import encode_splat
+from codec.interop.spz import ENTRY, HEADER_V4, encode_spz
+from codec.manifest import Manifest
+from codec.object import encode_frame, encode_object
+from codec.playrecord import (
+    EndRecord,
+    ErrorRecord,
+    Record,
+    SliceRecord,
+    StartRecord,
+    encode_record,
+)
+from codec.profile import Profile
+from codec.slice import Slice
+from codec.splats import Splats, sh_count
+
+from .codec import TARGETS
+
+CORPUS = Path(__file__).parent / "corpus"
+
+
+def made_splats(count: int, sh_degree: int) -> Splats:
+    """`count` Gaussians without a pattern; one lies far away, so that it escapes."""
+    rng = np.random.default_rng(count)
+    means = rng.normal(size=(count, 3))
+    means[-1:] *= 1e4
+
+    def floats(*shape: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+        return rng.normal(size=shape).astype(np.float32)
+
+    return Splats(
+        means.astype(np.float32),
+        floats(count, 3) - 4,
+        floats(count, 4),
+        floats(count),
+        floats(count, sh_count(sh_degree), 3),
+    )
+
+
+def made_slice(birth: int, count: int, sh_degree: int, late: bool = False) -> Slice:
+    offsets = np.arange(count) % 3 if late else np.zeros(count)
+    return Slice(birth, made_splats(count, sh_degree), offsets.astype(np.uint8))
+
+
+def made_manifest() -> Manifest:
+    return Manifest(
+        fps=30.0,
+        swin_size=3,
+        num_gs=30,
+        layers=(0.5, 0.5),
+        segment_frames=4,
+        sh_degree=0,
+        profile=Profile.COMPACT,
+        antialias=False,
+        near_m=0.1,
+        bounds=((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)),
+        cameras=(Camera("front", 64, 48, 50.0, 50.0, 32.0, 24.0, np.eye(4)),),
+        default_camera="front",
+        live=True,
+    )
+
+
+def made_index() -> bytes:
+    """Two records of two layers, after the byte that says how many layers."""
+    records = [
+        SegmentRecord(n, 4 * n, 4 - n, (9, 7), (bytes(32), b"\1" * 32), (30.5, math.nan))
+        for n in range(2)
+    ]
+    return b"\1" + b"".join(map(pack_record, records))
+
+
+def compressed_ply(count: int, rest: int) -> bytes:
+    """A compressed PLY of patternless words within unit bounds."""
+    rng = np.random.default_rng(rest)
+    chunks = -(-count // 256)
+    ends = [f"{end}_{axis}" for end in ("min", "max") for axis in ("x", "y", "z")]
+    ends += [f"{end}_scale_{axis}" for end in ("min", "max") for axis in ("x", "y", "z")]
+    packed = [f"packed_{name}" for name in ("position", "rotation", "scale", "color")]
+    lines = ["ply", "format binary_little_endian 1.0", f"element chunk {chunks}"]
+    lines += [f"property float {end}" for end in ends]
+    lines += [f"element vertex {count}", *(f"property uint {name}" for name in packed)]
+    if rest:
+        lines += [f"element sh {count}", *(f"property uchar f_rest_{i}" for i in range(rest))]
+    bounds = np.tile(np.repeat((-1.0, 1.0), 3), 2).astype("<f4")
+    words = rng.integers(0, 1 << 32, (count, 4)).astype("<u4")
+    harmonics = rng.integers(0, 256, (count, rest)).astype(np.uint8)
+    head = "\n".join([*lines, "end_header\n"]).encode()
+    return head + np.tile(bounds, chunks).tobytes() + words.tobytes() + harmonics.tobytes()
+
+
+def inflated_spz(version: int, count: int, sh_degree: int) -> bytes:
+    """Header and arrays of an SPZ of version 2 or 3, not compressed."""
+    row = 9 + 1 + 3 + 3 + (3 if version == 2 else 4) + 3 * (sh_count(sh_degree) - 1)
+    body = np.random.default_rng(version).integers(0, 256, count * row).astype(np.uint8).tobytes()
+    head = HEADER_V4.pack(0x5053474E, version, count, sh_degree, 12, 0, 0, 0, bytes(12))
+    return head[:16] + body
+
+
+def inflated_spz_4(count: int, sh_degree: int) -> bytes:
+    """Header, table and arrays of an SPZ of version 4, the arrays not compressed."""
+    data = encode_spz(made_splats(count, sh_degree))
+    num_arrays, start = data[15], HEADER_V4.size + ENTRY.size * data[15]
+    table, arrays = data[HEADER_V4.size : start], b""
+    for size, _ in ENTRY.iter_unpack(table):
+        arrays += zstandard.ZstdDecompressor().decompress(data[start : start + size])
+        start += size
+    assert num_arrays * ENTRY.size == len(table)
+    return data[: HEADER_V4.size] + table + arrays
+
+
+def records() -> bytes:
+    frame = encode_frame(encode_chunk(made_slice(-2, 3, 0), 0, Profile.COMPACT))
+    sent: list[Record] = [
+        StartRecord(0, 8, made_manifest().to_json()),
+        SliceRecord(-2, (frame, b"")),
+        ErrorRecord("the disk is gone"),
+        EndRecord(8),
+    ]
+    return b"".join(map(encode_record, sent))
+
+
+def seeds() -> Iterator[tuple[str, str, bytes]]:
+    """(target, what it is, food) of every file; each gives a value."""
+    for profile in Profile:
+        for degree in (0, 1, 3):
+            made = made_slice(degree - 2, 9, degree, late=degree == 1)
+            yield "chunk", f"{profile}-{degree}", encode_chunk(made, 1, profile)
+        yield "chunk", f"{profile}-empty", encode_chunk(made_slice(0, 0, 0), 0, profile)
+        chunks = [encode_chunk(made_slice(birth, 5, 0), 0, profile) for birth in (-1, 0, 4)]
+        for coder in Coder:
+            name = f"{profile}-{coder.name.lower()}"
+            yield "frame", name, encode_frame(chunks[0], coder)
+            yield "object", name, encode_object(chunks, coder)
+    yield "index", "two", made_index()
+    yield "sealed_index", "two", made_index()
+    yield "manifest", "plain", made_manifest().to_json()
+    yield "record", "all", records()
+    yield "sealed_record", "slice", encode_record(SliceRecord(7, (b"ab", b"c")))[4:]
+    yield "sealed_record", "end", encode_record(EndRecord(3))[4:]
+    yield "sealed_record", "start", encode_record(StartRecord(2, 5, b"{}"))[4:]
+    yield "sealed_record", "error", encode_record(ErrorRecord("no"))[4:]
+    for degree in (0, 2):
+        yield "import", f"ply-{degree}", encode_ply(made_splats(4, degree))
+        yield "import", f"spz-{degree}", encode_spz(made_splats(4, degree))
+        yield "inflated_spz_4", str(degree), inflated_spz_4(3, degree)
+    yield "import", "compressed", compressed_ply(5, 0)
+    yield "import", "compressed-sh", compressed_ply(3, 9)
+    for version in (2, 3):
+        content = inflated_spz(version, 3, version - 2)
+        yield "import", f"spz-v{version}", gzip.compress(content, mtime=0)
+        yield "inflated_spz", str(version), content
+    chunk = encode_chunk(made_slice(3, 5, 0), 0, Profile.COMPACT)
+    yield "sealed_gzip", "compact", len(chunk).to_bytes(4, "little") + chunk
+    yield "splat", "six", encode_splat(made_splats(6, 0))
+
+
+def found() -> Iterator[tuple[str, str, bytes]]:
+    """(target, what it is, food) of what once broke the law; each is refused today."""
+    manifest = made_manifest().to_json()
+    halved = manifest.replace(b'"title": ""', b'"title": "\\ud800"')
+    yield "manifest", "half-a-surrogate-pair", halved
+    yield "manifest", "text-for-a-number", manifest.replace(b'"width_px": 64', b'"width_px": "64"')
+    yield "manifest", "list-for-a-name", manifest.replace(b'"name": "front"', b'"name": ["front"]')
+    yield "sealed_record", "bytes-for-a-kind", b"\x81\xa4kind\xc4\x02no"
+
+
+def main() -> None:
+    CORPUS.mkdir(exist_ok=True)
+    numbers = {name: number for number, name in enumerate(TARGETS)}
+    for target, what, food in seeds():
+        (CORPUS / f"{target}-{what}").write_bytes(bytes([numbers[target]]) + food)
+    for target, what, food in found():
+        (CORPUS / f"found-{target}-{what}").write_bytes(bytes([numbers[target]]) + food)
+
+
+if __name__ == "__main__":
+    main()
