@@ -16,6 +16,7 @@ from player.render.cpu import render_splats
 from trainer.fit import FitConfig, Progress, Trainer
 from trainer.loss import Floats, Workspace, psnr_db
 from trainer.mcmc import McmcConfig
+from trainer.raster.backend import CpuBackend
 from trainer.seed import initial_splats
 from trainer.target import Targets, half_camera
 
@@ -207,14 +208,16 @@ def test_genesis_begins_with_pictures_of_half_the_size() -> None:
 
     sizes = list[tuple[int, int]]()
     pictures = Large()
-    trainer = Trainer(replace(CONFIG, coarse_share=0.5), pictures, start(), NEAR_M)
-    take = trainer._targets.take
+    config = replace(CONFIG, coarse_share=0.5)
+    backend = CpuBackend(config.dssim_weight, 0, 0)
+    trainer = Trainer(config, pictures, start(), NEAR_M, backend=backend)
+    take = backend._targets.take
 
     def watched(picture: npt.NDArray[np.uint8], camera: Camera) -> tuple[Floats, Workspace]:
         sizes.append((camera.width_px, camera.height_px))
         return take(picture, camera)
 
-    trainer._targets.take = watched  # type: ignore[method-assign]
+    backend._targets.take = watched  # type: ignore[method-assign]
     trainer.train_window(0, 20)
     trainer.train_window(1, 10)
     halves = [width < 97 for width, _ in sizes]

@@ -20,11 +20,11 @@ from codec.slice import MAX_SWIN_SIZE, Slice
 from codec.splats import Splats
 
 from .colour import CameraColour
-from .loss import photometric_loss
 from .mcmc import McmcConfig, relocate
 from .optimiser import Adam, OptimiserConfig, add_noise
-from .raster.cpu import Parameters, Scratch, View, backward, render
-from .target import Targets, half_camera
+from .raster.backend import Backend, BackendName, make_backend
+from .raster.cpu import Parameters, View
+from .target import half_camera
 from .window import Lifespans
 
 Floats = npt.NDArray[np.float32]
@@ -77,6 +77,10 @@ class FitConfig:
             if not 0 <= getattr(self, name) <= 1:
                 raise InvalidError(f"{name} {getattr(self, name):g}: choose 0 to 1")
 
+    def backend(self, name: BackendName) -> Backend:
+        """The backend `name` for this loss. Raises InvalidError where it cannot run."""
+        return make_backend(name, self.dssim_weight, self.mcmc.opacity_reg, self.mcmc.scale_reg)
+
 
 class Pictures(Protocol):
     """What training sees: frames 0..num_frames-1 of the training cameras."""
@@ -119,8 +123,10 @@ class Trainer:
         initial: Splats | None,
         near_m: float,
         on_progress: Callable[[Progress], None] = lambda progress: None,
+        backend: Backend | None = None,
     ) -> None:
-        """initial: num_gs Gaussians to begin with; None when `restore` follows."""
+        """initial: num_gs Gaussians to begin with; None when `restore` follows. backend: by default
+        the CPU's."""
         if initial is not None and (len(initial), initial.sh_degree) != (
             config.num_gs,
             config.sh_degree,
@@ -145,14 +151,13 @@ class Trainer:
             for name in Parameters.__slots__:
                 getattr(self.values, name)[: config.num_gs] = getattr(initial, name)
         self.gradients = Parameters.zeros(config.num_gs, config.sh_degree)
+        self.backend = backend or config.backend("cpu")
         self.extent_m = scene_extent_m(pictures.cameras)
         self.rng = np.random.default_rng(config.seed)
         self.on_progress = on_progress
         self.next_window = 0
         """First frame of the window to train next."""
         self._steps = 0
-        self._scratch = Scratch()
-        self._targets = Targets()
 
     def windows(self) -> Iterator[list[Slice]]:
         """Trains the rest of the video; gives the slices that mature after each window, in the
@@ -277,16 +282,9 @@ class Trainer:
         genesis: bool,
     ) -> float:
         config, mcmc = self.config, self.config.mcmc
-        picture = self.pictures.picture(camera, frame)
-        target, workspace = self._targets.take(picture, view.camera)
-        rendered = render(self.values, rows, view, self._scratch)
-        loss = photometric_loss(
-            rendered.picture, target, config.dssim_weight,
-            self.colour.gain(camera), self.colour.bias(camera), workspace,
-        )  # fmt: skip
-        backward(
-            rendered, self.values, loss.picture_grad, config.num_gs, self.gradients,
-            mcmc.opacity_reg, mcmc.scale_reg,
+        loss = self.backend.step(
+            self.values, rows, view, self.pictures.picture(camera, frame),
+            self.colour.gain(camera), self.colour.bias(camera), config.num_gs, self.gradients,
         )  # fmt: skip
         trainable = rows[rows < config.num_gs]
         self.adam.step(self.values, self.gradients, trainable, means_lr, ages)

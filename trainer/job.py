@@ -36,6 +36,7 @@ from .fit import FitConfig, Trainer
 from .frames import DEFAULT_MAX_BYTES, FrameCache, parse_frames
 from .monitor import Monitor, progress_bar
 from .quality import QualityMeter
+from .raster.backend import BackendName
 from .runlog import RunLog
 from .seed import initial_splats, stereo_seeds
 from .sheet import comparison, save_png
@@ -89,6 +90,9 @@ class TrainConfig:
     costs."""
     segment_frames: int = 15
     """Frames in a segment: what a writer can lose, and the unit of caching."""
+    backend: BackendName = "cpu"
+    """Where pictures are rendered in training: cpu, cuda (gsplat on an NVIDIA GPU), or auto, which
+    is cuda if it can."""
     resume: bool = False
     """Go on where a run of the same settings was stopped or killed."""
     log: Path | None = None
@@ -297,6 +301,7 @@ def train_stream(config: TrainConfig, console: Console) -> Manifest:
     targets = check_targets(config)
     near_m, far_m = depths(capture, config)
     shared = settings(config, frames, near_m, far_m)
+    backend = config.fit.backend(config.backend)
     kept = config.target / checkpoint.NAME
     found = load_checkpoint(kept, shared) if config.resume else None
     with ExitStack() as stack:
@@ -309,10 +314,10 @@ def train_stream(config: TrainConfig, console: Console) -> Manifest:
             with console.status("first Gaussians (the first run compiles for half a minute)"):
                 initial = first_gaussians(capture, pictures, config, near_m, far_m)
             manifest = make_manifest(capture, cache, initial, config, near_m)
-            trainer = Trainer(config.fit, pictures, initial, near_m)
+            trainer = Trainer(config.fit, pictures, initial, near_m, backend=backend)
         else:
             manifest = StreamReader(config.target).manifest
-            trainer = Trainer(config.fit, pictures, None, near_m)
+            trainer = Trainer(config.fit, pictures, None, near_m, backend=backend)
             trainer.restore(found.state)
         outputs = open_outputs(targets, manifest, config, capture, cache)
         writers = [stack.enter_context(output.writer) for output in outputs]

@@ -46,7 +46,8 @@ class ImportOptions:
     profile: Profile = Profile.COMPACT
     """Precision: compact is small, raw keeps every float as it is in the file."""
     rank: str = "coverage"
-    """Importance that orders Gaussians into layers: coverage, opacity, or given (as in the file)."""
+    """Importance that orders Gaussians into layers: coverage, opacity, or given (as in the
+    file)."""
     title: str | None = None
     """A name for people; by default the name of the file or folder."""
 

@@ -51,13 +51,14 @@ class View:
 
     camera: Camera
     vector: Floats  # (22,) float32
+    near_m: float
     tiles_x: int
     tiles_y: int
 
     @staticmethod
     def prepare(camera: Camera, near_m: float) -> View:
         tiles_x, tiles_y = tile_grid(camera.width_px, camera.height_px)
-        return View(camera, camera_vector(camera, near_m), tiles_x, tiles_y)
+        return View(camera, camera_vector(camera, near_m), near_m, tiles_x, tiles_y)
 
 
 class Scratch:

@@ -1,0 +1,105 @@
+"""Where the pictures of a training step are rendered and differentiated: on the CPU or on a GPU.
+
+A backend is given parameters in host memory and writes gradients to host memory; the optimiser,
+noise and relocation are the same for both.
+"""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from typing import Literal, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from codec.errors import InvalidError
+
+from ..loss import Loss, photometric_loss
+from ..target import Targets
+from .cpu import Ints, Parameters, Scratch, View, backward, render
+
+Floats = npt.NDArray[np.float32]
+
+BackendName = Literal["auto", "cpu", "cuda"]
+
+
+class Backend(Protocol):
+    """Renders, compares, differentiates."""
+
+    def step(
+        self,
+        values: Parameters,
+        rows: Ints,
+        view: View,
+        picture: npt.NDArray[np.uint8],
+        gain: Floats,
+        bias: Floats,
+        trainable: int,
+        gradients: Parameters,
+    ) -> Loss:
+        """The loss of the Gaussians `rows` seen by `view` against `picture`.
+
+        picture: (H, W, 3) uint8, of the view's size or twice that; gain, bias: (3,) of its camera.
+        Writes the gradients of those rows that are below `trainable` into `gradients`.
+        """
+        ...
+
+
+class CpuBackend:
+    """The numba rasteriser."""
+
+    def __init__(self, dssim_weight: float, opacity_reg: float, scale_reg: float) -> None:
+        self._dssim_weight = dssim_weight
+        self._opacity_reg, self._scale_reg = opacity_reg, scale_reg
+        self._scratch = Scratch()
+        self._targets = Targets()
+
+    def step(
+        self,
+        values: Parameters,
+        rows: Ints,
+        view: View,
+        picture: npt.NDArray[np.uint8],
+        gain: Floats,
+        bias: Floats,
+        trainable: int,
+        gradients: Parameters,
+    ) -> Loss:
+        """See `Backend.step`."""
+        target, workspace = self._targets.take(picture, view.camera)
+        rendered = render(values, rows, view, self._scratch)
+        loss = photometric_loss(rendered.picture, target, self._dssim_weight, gain, bias, workspace)
+        backward(
+            rendered, values, loss.picture_grad, trainable, gradients, self._opacity_reg,
+            self._scale_reg,
+        )  # fmt: skip
+        return loss
+
+
+def _cuda_is_there() -> bool:
+    if find_spec("torch") is None or find_spec("gsplat") is None:
+        return False
+    import torch
+
+    return bool(torch.cuda.is_available())
+
+
+def make_backend(
+    name: BackendName, dssim_weight: float, opacity_reg: float, scale_reg: float
+) -> Backend:
+    """The backend `name`; auto is cuda where torch sees a GPU and gsplat is installed, else cpu.
+
+    Raises InvalidError when cuda is asked for and missing.
+    """
+    if name == "cpu" or (name == "auto" and not _cuda_is_there()):
+        return CpuBackend(dssim_weight, opacity_reg, scale_reg)
+    if not _cuda_is_there():
+        raise InvalidError(
+            "--backend cuda needs an NVIDIA GPU, torch with CUDA and gsplat: "
+            "pip install 'swings[cuda]'"
+        )
+    from gsplat import rasterization
+
+    from .cuda import CudaBackend
+
+    return CudaBackend(dssim_weight, opacity_reg, scale_reg, rasterization, "cuda")

@@ -1,0 +1,151 @@
+"""A training step on a GPU: gsplat's rasteriser in the place of ours, torch for the loss.
+
+gsplat cuts alpha at 0.999 where recipe v1 cuts at 0.99; everything else of the recipe is the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from codec.camera import Camera
+from codec.splats import SH_C0
+from player.render.recipe import LOW_PASS_PX2, SH_C1, TILE_PX
+
+from ..loss import C1, C2, RADIUS_PX, TAPS, Loss
+from .cpu import Ints, Parameters, View
+
+Floats = npt.NDArray[np.float32]
+
+Rasterise = Callable[..., tuple[Tensor, Tensor, dict[str, Any]]]
+"""gsplat.rasterization, or what takes and gives the same."""
+
+
+def _blurred(planes: Tensor, taps: Tensor) -> Tensor:
+    """(M, 3, H, W), blurred by the window of SSIM, zero beyond the border."""
+    rows = taps.reshape(1, 1, 1, -1).expand(3, 1, 1, -1)
+    columns = taps.reshape(1, 1, -1, 1).expand(3, 1, -1, 1)
+    planes = torch.nn.functional.conv2d(planes, rows, padding=(0, RADIUS_PX), groups=3)
+    blurred: Tensor = torch.nn.functional.conv2d(planes, columns, padding=(RADIUS_PX, 0), groups=3)
+    return blurred
+
+
+def _dissimilarity(pred: Tensor, target: Tensor, taps: Tensor) -> Tensor:
+    """1 - mean SSIM of two (3, H, W) pictures."""
+    products = [pred, target, pred * pred, target * target, pred * target]
+    mu_p, mu_t, pp, tt, pt = _blurred(torch.stack(products), taps)
+    var_p, var_t, cov = pp - mu_p**2, tt - mu_t**2, pt - mu_p * mu_t
+    ssim = ((2 * mu_p * mu_t + C1) * (2 * cov + C2)) / (
+        (mu_p**2 + mu_t**2 + C1) * (var_p + var_t + C2)
+    )
+    dissimilarity: Tensor = 1 - ssim.mean()
+    return dissimilarity
+
+
+def _colours(means: Tensor, sh: Tensor, position: Tensor) -> Tensor:
+    """(N, 3) of recipe v1, of SH degree 0 or 1."""
+    colours = 0.5 + SH_C0 * sh[:, 0]
+    if sh.shape[1] >= 4:
+        x, y, z = torch.nn.functional.normalize(means - position, dim=1).unsqueeze(-1).unbind(1)
+        colours = colours + SH_C1 * (z * sh[:, 2] - y * sh[:, 1] - x * sh[:, 3])
+    return colours.clamp(min=0)
+
+
+class CudaBackend:
+    """Uploads the rows of a step, downloads their gradients; the optimiser stays on the host."""
+
+    def __init__(
+        self,
+        dssim_weight: float,
+        opacity_reg: float,
+        scale_reg: float,
+        rasterise: Rasterise,
+        device: str,
+    ) -> None:
+        """rasterise: gsplat.rasterization; device: of torch."""
+        self._dssim_weight = dssim_weight
+        self._opacity_reg, self._scale_reg = opacity_reg, scale_reg
+        self._rasterise, self._device = rasterise, torch.device(device)
+        self._taps = torch.from_numpy(TAPS.copy()).to(self._device)
+
+    def _sent(self, array: npt.NDArray[Any]) -> Tensor:
+        return torch.from_numpy(np.ascontiguousarray(array, np.float32)).to(self._device)
+
+    def step(
+        self,
+        values: Parameters,
+        rows: Ints,
+        view: View,
+        picture: npt.NDArray[np.uint8],
+        gain: Floats,
+        bias: Floats,
+        trainable: int,
+        gradients: Parameters,
+    ) -> Loss:
+        """See `Backend.step`."""
+        leaves = [self._sent(array[rows]).requires_grad_() for array in values.arrays()]
+        correction = [self._sent(c).requires_grad_() for c in (gain, bias)]
+        rendered = self.render(leaves, view)
+        rendered.retain_grad()
+        pred = correction[0][:, None, None] * rendered + correction[1][:, None, None]
+        target = self._target(picture, view.camera)
+        l1 = (pred - target).abs().mean()
+        dssim = _dissimilarity(pred, target, self._taps)
+        photometric = (1 - self._dssim_weight) * l1 + self._dssim_weight * dssim
+        _, log_scales, _, logits, _ = leaves
+        regularisers = (
+            self._opacity_reg * torch.sigmoid(logits).mean()
+            + self._scale_reg * log_scales.exp().mean()
+        )
+        (photometric + regularisers).backward()  # type: ignore[no-untyped-call]
+        mine = rows < trainable
+        for gradient, leaf in zip(gradients.arrays(), leaves, strict=True):
+            gradient[rows[mine]] = _received(leaf)[mine]
+        picture_grad = _received(rendered)
+        gain_grad, bias_grad = (_received(c) for c in correction)
+        return Loss(float(photometric.detach()), picture_grad, gain_grad, bias_grad)
+
+    def render(self, leaves: list[Tensor], view: View) -> Tensor:
+        """(3, H, W) of means, log_scales, quats, logit_opacities, sh as `view` sees them."""
+        camera = view.camera
+        means, log_scales, quats, logits, sh = leaves
+        intrinsics = np.array(
+            [[camera.fx_px, 0, camera.cx_px], [0, camera.fy_px, camera.cy_px], [0, 0, 1]]
+        )
+        pictures, _, _ = self._rasterise(
+            means=means,
+            quats=torch.nn.functional.normalize(quats, dim=1),
+            scales=log_scales.exp(),
+            opacities=torch.sigmoid(logits),
+            colors=_colours(means, sh, self._sent(camera.position)),
+            viewmats=self._sent(camera.w2c)[None],
+            Ks=self._sent(intrinsics)[None],
+            width=camera.width_px,
+            height=camera.height_px,
+            near_plane=view.near_m,
+            eps2d=LOW_PASS_PX2,
+            tile_size=TILE_PX,
+            packed=False,
+            rasterize_mode="classic",
+        )
+        return pictures[0].permute(2, 0, 1)
+
+    def _target(self, picture: npt.NDArray[np.uint8], camera: Camera) -> Tensor:
+        """(3, h, w) in 0..1, of the camera's size: the picture or its 2x2 means."""
+        planes = torch.from_numpy(picture.copy()).to(self._device).permute(2, 0, 1).float() / 255
+        if planes.shape[1:] != (camera.height_px, camera.width_px):
+            planes = torch.nn.functional.avg_pool2d(planes, 2)
+        return planes
+
+
+def _received(leaf: Tensor) -> Floats:
+    """The gradient of `leaf` in host memory; zeros where it had no part."""
+    if leaf.grad is None:
+        return np.zeros(tuple(leaf.shape), np.float32)
+    received: Floats = leaf.grad.cpu().numpy()
+    return received
