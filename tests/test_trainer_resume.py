@@ -135,3 +135,19 @@ def test_a_damaged_checkpoint_is_told(tmp_path: Path) -> None:
         path.write_bytes(data[:size])
         with pytest.raises(CheckpointError):
             load_checkpoint(path, {"seed": 1})
+
+
+def test_the_run_that_compiles_the_kernels_writes_the_same_bytes(
+    capture: Path, uninterrupted: dict[str, bytes], tmp_path: Path
+) -> None:
+    stream = tmp_path / "stream"
+    done = subprocess.run(
+        command("swings-train", capture, stream, *SETTINGS),
+        env={**environment(), "NUMBA_CACHE_DIR": str(tmp_path / "cache")},
+        capture_output=True,
+        text=True,
+        timeout=280,
+    )
+    assert done.returncode == 0, done.stderr
+    assert any((tmp_path / "cache").rglob("*.nbc"))
+    assert contents(stream) == uninterrupted

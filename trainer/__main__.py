@@ -22,13 +22,16 @@ from .job import TrainConfig, train_stream
 from .preset import config_type
 from .sheet import write_sheet
 from .synth import SynthConfig, synthesise
+from .warm import start_over_if_compiled
 
 
 def _train(config: TrainConfig) -> None:
     if config.check is not None:
         print("\n".join(check_capture(config.capture, config.check)))
         return
-    train_stream(config, Console(stderr=True))
+    console = Console(stderr=True)
+    # Bytes must not depend on whether this run compiles the kernels.
+    train_stream(config, console, lambda: start_over_if_compiled(config.fit.sh_degree, console))
     print(config.target)
 
 

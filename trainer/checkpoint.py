@@ -1,9 +1,7 @@
 """Everything that a training run needs to go on where it was killed.
 
 Rule: a checkpoint is written whole (temporary name, rename) after each window, so the newest one is
-always usable; a run that resumes from it makes the same bytes as one that was never stopped. One
-exception: the run that compiles the kernels (the first after an install) rounds differently from
-those that load them from numba's cache; resuming that one gives other, equally good bytes.
+always usable; a run that resumes from it makes the same bytes as one that was never stopped.
 """
 
 from __future__ import annotations

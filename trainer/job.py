@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -288,8 +288,12 @@ def interruptible() -> Iterator[threading.Event]:
         signal.signal(signal.SIGINT, before)
 
 
-def train_stream(config: TrainConfig, console: Console) -> Manifest:
+def train_stream(
+    config: TrainConfig, console: Console, on_checked: Callable[[], None] = lambda: None
+) -> Manifest:
     """Trains `config.capture` into `config.stream`; progress goes to `console`.
+
+    on_checked: called when capture and settings were found good, before anything is computed.
 
     Raises SwingsError before anything is written when the capture or the settings cannot work; what
     stops it later leaves a valid, shorter stream and a checkpoint to resume from.
@@ -304,6 +308,7 @@ def train_stream(config: TrainConfig, console: Console) -> Manifest:
     backend = config.fit.backend(config.backend)
     kept = config.target / checkpoint.NAME
     found = load_checkpoint(kept, shared) if config.resume else None
+    on_checked()
     with ExitStack() as stack:
         cache = stack.enter_context(FrameCache(capture, frames, config.scale, config.cache_bytes))
         pictures = CapturePictures(cache, capture.training)
@@ -311,7 +316,7 @@ def train_stream(config: TrainConfig, console: Console) -> Manifest:
             RunLog(config.log or config.target / runlog.NAME, config.tensorboard)
         )
         if found is None:
-            with console.status("first Gaussians (the first run compiles for half a minute)"):
+            with console.status("first Gaussians"):
                 initial = first_gaussians(capture, pictures, config, near_m, far_m)
             manifest = make_manifest(capture, cache, initial, config, near_m)
             trainer = Trainer(config.fit, pictures, initial, near_m, backend=backend)

@@ -1,0 +1,89 @@
+"""Compiles every kernel of training before training begins.
+
+Numba keeps compiled kernels on disk. The process that compiles them may round differently from
+those that load them, and a run must give the same bytes whether it is the first after an install or
+not; so whoever finds that it has compiled something starts over.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import numpy as np
+import numpy.typing as npt
+from numba.core.dispatcher import Dispatcher
+from rich.console import Console
+
+from codec.camera import Camera
+from player.render.cpu import render_splats
+
+from .contribution import matured_by_contribution
+from .fit import FitConfig, Trainer
+from .mcmc import McmcConfig
+from .seed import initial_splats, stereo_seeds
+
+_STARTED_OVER = "SWINGS_STARTED_OVER"
+"""Environment variable that ends the second try where numba cannot keep what it compiles."""
+
+
+class _Noise:
+    """Three cameras of which two look alike; the smallest that genesis halves."""
+
+    num_frames = 2
+
+    def __init__(self) -> None:
+        self.cameras = []
+        for i in range(3):
+            w2c = np.eye(4)
+            w2c[0, 3] = 0.2 * i
+            self.cameras.append(Camera(f"{i}", 64, 64, 60.0, 60.0, 32.0, 32.0, w2c))
+        self._picture = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
+
+    def picture(self, camera: int, frame: int) -> npt.NDArray[np.uint8]:
+        return self._picture
+
+
+def _misses() -> int:
+    """Kernels of ours that this process has compiled."""
+    return sum(
+        sum(value.stats.cache_misses.values())
+        for name, module in list(sys.modules.items())
+        if name.split(".")[0] in ("trainer", "player")
+        for value in vars(module).values()
+        if isinstance(value, Dispatcher)
+    )
+
+
+def compile_kernels(sh_degree: int) -> bool:
+    """Runs every kernel that training with `sh_degree` runs; whether any had to be compiled."""
+    pictures = _Noise()
+    rng = np.random.default_rng(0)
+    stereo_seeds(pictures.cameras, [pictures.picture(0, 0)] * 3, 8, 1.0, 10.0, rng)
+    points = rng.uniform((-1, -1, 2), (1, 1, 4), (8, 3)).astype(np.float32)
+    initial = initial_splats(points, np.full((8, 3), 128, np.uint8), sh_degree)
+    config = FitConfig(
+        num_gs=8,
+        swin_size=2,
+        sh_degree=sh_degree,
+        genesis_iterations=4,
+        window_iterations=2,
+        coarse_share=0.5,
+        mcmc=McmcConfig(relocate_period=1),
+    )
+    trainer = Trainer(config, pictures, initial, 0.2)
+    for parts in trainer.windows():
+        matured_by_contribution(trainer, parts)
+    render_splats(trainer.shown(1), pictures.cameras[0], 0.2)
+    return _misses() > 0
+
+
+def start_over_if_compiled(sh_degree: int, console: Console) -> None:
+    """Does not return where a kernel had to be compiled: this program is started once more."""
+    with console.status("kernels (half a minute once after an install)"):
+        compiled = compile_kernels(sh_degree)
+    if compiled and _STARTED_OVER not in os.environ:
+        os.environ[_STARTED_OVER] = "1"
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os.execv(sys.executable, sys.orig_argv)
