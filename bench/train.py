@@ -1,14 +1,19 @@
-"""Where a training step's time goes on the CPU, stage by stage, over Gaussians and resolutions."""
+"""Where a training step's time goes on the CPU, stage by stage, over Gaussians and resolutions; and
+the whole step beside one in plain torch on the same inputs and cores, in turns."""
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
+import numba
 import numpy as np
+import numpy.typing as npt
 from rich.console import Console
 from rich.table import Table
 
@@ -22,12 +27,20 @@ from trainer.raster.cpu import Parameters, Scratch, View, backward, render
 
 REPEATS = 15
 CASES = [(5_000, 320, 180), (20_000, 320, 180), (20_000, 640, 360), (60_000, 640, 360)]
+"""Gaussians, width and height in pixels."""
+TORCH_CASES = CASES[:3]
+"""Those at which torch takes its turns, in seconds and 4 GB; the last one would take 7 GB."""
+TORCH_REPEATS = 5
+NEAR_M = 0.2
+DSSIM_WEIGHT = 0.2
+MEANS_LR_M = 1e-4
+NO_TORCH = "no torch here, so no comparison with it: it is in the dev extra"
 
 
-def median_ms(work: Callable[[], object]) -> float:
+def median_ms(work: Callable[[], object], repeats: int = REPEATS) -> float:
     work()
     times = []
-    for _ in range(REPEATS):
+    for _ in range(repeats):
         start = time.perf_counter()
         work()
         times.append(time.perf_counter() - start)
@@ -46,107 +59,181 @@ def scene(count: int) -> Parameters:
     return values
 
 
-def stages(count: int, width_px: int, height_px: int) -> dict[str, float]:
-    """Milliseconds of each stage, and of the whole step."""
+def bench_camera(width_px: int, height_px: int) -> Camera:
     w2c = np.eye(4)
     w2c[2, 3] = 3.0
-    camera = Camera(
+    return Camera(
         "bench", width_px, height_px, width_px / 2, width_px / 2, width_px / 2, height_px / 2, w2c
     )
-    view, values = View.prepare(camera, 0.2), scene(count)
-    rows = np.arange(count, dtype=np.int32)
-    target = np.random.default_rng(1).random((3, height_px, width_px)).astype(np.float32)
-    work = Workspace(target.shape)
-    gain, bias = np.ones(3, np.float32), np.zeros(3, np.float32)
-    gradients, adam = Parameters.zeros(count, 0), Adam(count, 0, OptimiserConfig())
-    ages = np.zeros(count, np.float32)
+
+
+def bench_target(width_px: int, height_px: int) -> npt.NDArray[np.float32]:
+    """(3, H, W) in 0..1."""
+    return np.random.default_rng(1).random((3, height_px, width_px)).astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True)
+class StepTimes:
+    """Seconds of one step."""
+
+    whole: float
+    rasteriser: float
+    """Forward (project, tile lists, blend) and backward (blend, project)."""
+
+
+class Step:
+    """A training step of ours on the scene of `count` Gaussians."""
+
+    def __init__(self, count: int, width_px: int, height_px: int) -> None:
+        self.count, self.values = count, scene(count)
+        self.view = View.prepare(bench_camera(width_px, height_px), NEAR_M)
+        self.rows = np.arange(count, dtype=np.int32)
+        self.target = bench_target(width_px, height_px)
+        self.work, self.scratch = Workspace(self.target.shape), Scratch()
+        self.gain, self.bias = np.ones(3, np.float32), np.zeros(3, np.float32)
+        self.gradients, self.ages = Parameters.zeros(count, 0), np.zeros(count, np.float32)
+        self.optimiser = Adam(count, 0, OptimiserConfig())
+
+    def step(self) -> StepTimes:
+        begin = time.perf_counter()
+        rendered = render(self.values, self.rows, self.view, self.scratch)
+        forward = time.perf_counter()
+        loss = photometric_loss(
+            rendered.picture, self.target, DSSIM_WEIGHT, self.gain, self.bias, self.work
+        )
+        before = time.perf_counter()
+        backward(rendered, self.values, loss.picture_grad, self.count, self.gradients)
+        after = time.perf_counter()
+        self.adam()
+        self.noise()
+        return StepTimes(time.perf_counter() - begin, forward - begin + after - before)
+
+    def adam(self) -> None:
+        self.optimiser.step(self.values, self.gradients, self.rows, MEANS_LR_M, self.ages)
+
+    def noise(self) -> None:
+        add_noise(
+            *self.values.arrays()[:4], self.rows,
+            np.float32(0), np.float32(0.005), np.float32(100), 1,
+        )  # fmt: skip
+
+
+def stages(count: int, width_px: int, height_px: int, repeats: int = REPEATS) -> dict[str, float]:
+    """Milliseconds of each stage and of the whole step; per cent of the whole step that is spent
+    outside the rasteriser (measured within each step) and outside blending alone."""
+    ours = Step(count, width_px, height_px)
+    values, view, rows = ours.values, ours.view, ours.rows
     rendered = render(values, rows, view)
-    loss = photometric_loss(rendered.picture, target, 0.2, gain, bias, work)
+    loss = photometric_loss(rendered.picture, ours.target, DSSIM_WEIGHT, ours.gain, ours.bias)
     p, lists = rendered.projection, rendered.lists
     pair_grads = np.empty((len(lists.pairs), PAIR_GRADIENT), np.float32)
-    spare, scratch = Projection.allocate(count), Scratch()
-
-    def step() -> None:
-        done = render(values, rows, view, scratch)
-        found = photometric_loss(done.picture, target, 0.2, gain, bias, work)
-        backward(done, values, found.picture_grad, count, gradients)
-        adam.step(values, gradients, rows, 0.0, ages)
-        noise()
-
-    def noise() -> None:
-        add_noise(*values.arrays()[:4], rows, np.float32(0), np.float32(0.005), np.float32(100), 1)
-
-    result = {
-        "project": median_ms(
-            lambda: project_kernel(
-                *values.arrays(),
-                rows,
-                view.vector,
-                view.tiles_x,
-                view.tiles_y,
-                spare.projected,
-                spare.depths,
-                spare.tile_boxes,
-            )
+    spare = Projection.allocate(count)
+    work: dict[str, Callable[[], object]] = {
+        "project": lambda: project_kernel(
+            *values.arrays(), rows, view.vector, view.tiles_x, view.tiles_y,
+            spare.projected, spare.depths, spare.tile_boxes,
         ),
-        "tile lists": median_ms(lambda: list_tiles(p, view.tiles_x, view.tiles_y)),
-        "blend": median_ms(
-            lambda: blend_tiles(
-                p.projected,
-                lists.starts,
-                lists.gaussians,
-                lists.order,
-                view.tiles_x,
-                rendered.picture,
-            )
+        "tile lists": lambda: list_tiles(p, view.tiles_x, view.tiles_y),
+        "blend": lambda: blend_tiles(
+            p.projected, lists.starts, lists.gaussians, lists.order, view.tiles_x, rendered.picture
         ),
-        "loss": median_ms(
-            lambda: photometric_loss(rendered.picture, target, 0.2, gain, bias, work)
+        "loss": lambda: photometric_loss(
+            rendered.picture, ours.target, DSSIM_WEIGHT, ours.gain, ours.bias, ours.work
         ),
-        "blend backward": median_ms(
-            lambda: blend_tiles_backward(
-                p.projected,
-                lists.starts,
-                lists.gaussians,
-                lists.pairs,
-                lists.order,
-                view.tiles_x,
-                rendered.picture,
-                loss.picture_grad,
-                pair_grads,
-            )
+        "blend backward": lambda: blend_tiles_backward(
+            p.projected, lists.starts, lists.gaussians, lists.pairs, lists.order, view.tiles_x,
+            rendered.picture, loss.picture_grad, pair_grads,
         ),
-        "whole backward": median_ms(
-            lambda: backward(rendered, values, loss.picture_grad, count, gradients)
+        "whole backward": lambda: backward(
+            rendered, values, loss.picture_grad, count, ours.gradients
         ),
-        "Adam": median_ms(lambda: adam.step(values, gradients, rows, 0.0, ages)),
-        "noise": median_ms(noise),
-        "whole step": median_ms(step),
-    }
+        "Adam": ours.adam,
+        "noise": ours.noise,
+    }  # fmt: skip
+    result = {name: median_ms(run, repeats) for name, run in work.items()}
+    ours.step()
+    times = [ours.step() for _ in range(repeats)]
+    result["whole step"] = 1e3 * float(np.median([t.whole for t in times]))
     result["pairs"] = float(len(lists.pairs))
+    outside = float(np.median([1 - t.rasteriser / t.whole for t in times]))
+    blending = result["blend"] + result["blend backward"]
+    result["outside rasteriser"] = 100 * outside
+    result["outside blending"] = 100 * (1 - blending / result["whole step"])
     return result
 
 
-def main() -> None:
-    table = Table(title="training step, ms (medians)")
+def against_torch(
+    count: int, width_px: int, height_px: int, repeats: int = TORCH_REPEATS
+) -> tuple[float, float]:
+    """Milliseconds of a whole step, ours and plain torch's; medians of steps made in turns.
+
+    Torch makes forward pass, loss, backward pass and Adam, ours the noise as well.
+    """
+    import torch
+
+    from tests.torch_step import TorchStep
+
+    torch.set_num_threads(numba.get_num_threads())
+    ours = Step(count, width_px, height_px)
+    theirs = TorchStep(
+        scene(count), bench_camera(width_px, height_px), NEAR_M,
+        bench_target(width_px, height_px), DSSIM_WEIGHT, OptimiserConfig(), MEANS_LR_M,
+    )  # fmt: skip
+    ours.step()
+    theirs.step()
+    times = []
+    for _ in range(repeats):
+        # A step of ours is short, so a single one would measure the change-over.
+        mine = [ours.step().whole for _ in range(3)]
+        start = time.perf_counter()
+        theirs.step()
+        times.append((np.median(mine), time.perf_counter() - start))
+    median_s = np.median(np.array(times), axis=0)
+    return 1e3 * float(median_s[0]), 1e3 * float(median_s[1])
+
+
+def stage_table() -> Table:
+    table = Table(title=f"training step, ms (medians of {REPEATS})")
     columns = None
-    for count, width_px, height_px in CASES:
-        found = stages(count, width_px, height_px)
+    for case in CASES:
+        found = stages(*case)
         if columns is None:
             columns = list(found)
-            for name in ("Gaussians", "size", *columns, "outside blending"):
+            for name in ("Gaussians", "size", *columns):
                 table.add_column(name, justify="right")
-        blending = found["blend"] + found["blend backward"]
+        texts = [
+            f"{value:.0f} %"
+            if name.startswith("outside")
+            else f"{value:.{0 if name == 'pairs' else 1}f}"
+            for name, value in found.items()
+        ]
+        table.add_row(str(case[0]), f"{case[1]}x{case[2]}", *texts)
+    return table
+
+
+def torch_table() -> Table:
+    table = Table(
+        title=f"whole step beside plain torch, {numba.get_num_threads()} threads each, in turns, "
+        f"ms (medians of {TORCH_REPEATS})"
+    )
+    for name in ("Gaussians", "size", "ours", "plain torch", "ratio"):
+        table.add_column(name, justify="right")
+    for case in TORCH_CASES:
+        mine_ms, torch_ms = against_torch(*case)
         table.add_row(
-            str(count),
-            f"{width_px}x{height_px}",
-            *(
-                f"{found[name]:.1f}" if name != "pairs" else f"{found[name]:.0f}"
-                for name in columns
-            ),
-            f"{100 * (1 - blending / found['whole step']):.0f} %",
-        )
-    Console(width=160).print(table)
+            str(case[0]), f"{case[1]}x{case[2]}",
+            f"{mine_ms:.1f}", f"{torch_ms:.0f}", f"{torch_ms / mine_ms:.0f}x",
+        )  # fmt: skip
+    return table
+
+
+def main() -> None:
+    console = Console(width=180)
+    console.print(stage_table())
+    if importlib.util.find_spec("torch") is None:
+        console.print(NO_TORCH)
+        return
+    console.print(torch_table())
 
 
 if __name__ == "__main__":

@@ -1,0 +1,326 @@
+"""What the choices of the paper are worth: age scaling (its Table 5) with Adam's history carried or
+fresh, and swin_size against num_gs at equal bandwidth (its Figure 7 and Equation 4).
+
+Usage: scripts/bench ablate CAPTURE --out docs/ablate.png --scale 0.5
+
+Every setting is trained once per seed and scored from its decoded files on the held-out cameras.
+Finished runs are kept as JSON in --work, so that an interrupted measurement goes on; empty that
+folder after a change of the trainer.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
+
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
+import matplotlib.axes
+import matplotlib.backends.backend_agg
+import matplotlib.figure
+import numpy as np
+import tyro
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from codec.console import run_command
+from codec.errors import InvalidError
+from trainer.capture.layout import open_capture
+from trainer.evaluate import EvaluateConfig, evaluate_stream
+from trainer.fit import FitConfig
+from trainer.frames import parse_frames
+from trainer.job import TrainConfig, train_stream
+from trainer.optimiser import OptimiserConfig
+
+AgeScaling = Literal["off", "gradient", "update"]
+AGE_SCALINGS: tuple[AgeScaling, ...] = get_args(AgeScaling)
+CARRIED = {True: "carried", False: "fresh"}
+COLOURS = {True: "#1f5fbf", False: "#d9480f"}
+"""Of Adam's history carried or fresh."""
+
+
+@dataclass(frozen=True)
+class AblateConfig:
+    """Trains a capture with one choice changed at a time; tabulates and draws what it gives."""
+
+    capture: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="CAPTURE")]
+    """Folder of the capture."""
+    out: Path = Path("docs/ablate.png")
+    """The plot to write."""
+    work: Path = field(default_factory=lambda: Path(tempfile.gettempdir()) / "swings-ablate")
+    """Folder that keeps what finished runs gave."""
+    frames: str = "0:12"
+    """Frames of the capture to train, A:B; A included, B not."""
+    scale: float = 0.5
+    """Size of the training pictures over the capture's."""
+    genesis_iterations: int = 1500
+    """Iterations of the first window."""
+    window_iterations: int = 250
+    """Iterations of every later window."""
+    age_num_gs: int = 10_000
+    """Gaussians active in a frame while age scaling is compared."""
+    age_swin_size: int = 5
+    """Frames a Gaussian lives while age scaling is compared."""
+    swin_sizes: tuple[int, ...] = (1, 2, 3, 5)
+    """Frames a Gaussian lives, to compare at equal bandwidth."""
+    slice_size: int = 5_000
+    """Gaussians sent per frame while swin_size is compared; num_gs is swin_size times this."""
+    seeds: int = 2
+    """Runs of each setting, by seed; their spread tells which differences mean something."""
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """A row of the table."""
+
+    fit: FitConfig
+    compares_age: bool
+    """Whether it belongs to the first panel, else to the second."""
+
+    @property
+    def carried(self) -> bool:
+        """Whether Adam's history goes from window to window."""
+        return bool(getattr(self.fit.optimiser, "carry_adam", True))
+
+    @property
+    def name(self) -> str:
+        if self.compares_age:
+            return f"age scaling {self.fit.optimiser.age_scaling}, Adam {CARRIED[self.carried]}"
+        return f"swin_size {self.fit.swin_size}, {self.fit.num_gs:,} Gaussians"
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What one run gave, with all layers; means over held-out cameras and frames."""
+
+    psnr_db: float
+    ssim: float
+    flicker: float | None
+    bytes_per_frame: float
+    """Of one slice: in a short run the slices that frame 0 begins with would weigh too much."""
+    seconds: float
+    """Of training."""
+
+
+Outcomes = Mapping[Setting, Sequence[Outcome]]
+"""Of each setting, one for each seed."""
+
+
+def can_start_afresh() -> bool:
+    """Whether this trainer can forget Adam's history between windows."""
+    return "carry_adam" in {f.name for f in fields(OptimiserConfig)}
+
+
+def settings(config: AblateConfig) -> list[Setting]:
+    base = FitConfig(
+        num_gs=config.age_num_gs,
+        swin_size=config.age_swin_size,
+        genesis_iterations=config.genesis_iterations,
+        window_iterations=config.window_iterations,
+    )
+    found = []
+    for carried in (True, False) if can_start_afresh() else (True,):
+        # By name, because a trainer without the switch knows no such argument.
+        changes: dict[str, Any] = {} if carried else {"carry_adam": False}
+        for age_scaling in AGE_SCALINGS:
+            optimiser = replace(base.optimiser, age_scaling=age_scaling, **changes)
+            found.append(Setting(replace(base, optimiser=optimiser), compares_age=True))
+    for swin_size in config.swin_sizes:
+        fit = replace(base, swin_size=swin_size, num_gs=swin_size * config.slice_size)
+        found.append(Setting(fit, compares_age=False))
+    return found
+
+
+def training(config: AblateConfig, fit: FitConfig, stream: Path) -> TrainConfig:
+    return TrainConfig(
+        config.capture.resolve(), stream, frames=config.frames, scale=config.scale, fit=fit
+    )
+
+
+def measure_once(config: AblateConfig, fit: FitConfig) -> Outcome:
+    """Trains into a temporary folder and scores its files."""
+    with tempfile.TemporaryDirectory() as folder:
+        stream = Path(folder) / "stream"
+        start = time.perf_counter()
+        train_stream(training(config, fit, stream), Console(quiet=True))
+        seconds = time.perf_counter() - start
+        score = evaluate_stream(EvaluateConfig(stream, config.capture)).layers[-1]
+    slice_bytes = score.bytes_per_gaussian * fit.num_gs / fit.swin_size
+    return Outcome(score.psnr_db, score.ssim, score.flicker, slice_bytes, seconds)
+
+
+def kept_path(config: AblateConfig, fit: FitConfig) -> Path:
+    """Where the outcome of this run is kept: another capture or setting has another name."""
+    told = json.dumps(asdict(training(config, fit, Path("stream"))), sort_keys=True, default=str)
+    return config.work / f"{hashlib.sha256(told.encode()).hexdigest()[:16]}.json"
+
+
+def keep(path: Path, outcome: Outcome) -> None:
+    temporary = path.with_suffix(".tmp")
+    temporary.write_text(json.dumps(asdict(outcome), indent=1))
+    temporary.replace(path)
+
+
+def relative_cost(fit: FitConfig, num_frames: int) -> float:
+    """What a run takes beside others: a step has a fixed part and one that grows with num_gs."""
+    steps = fit.genesis_iterations + (num_frames - 1) * fit.window_iterations
+    return steps * (1 + fit.num_gs / 8_000)
+
+
+def runs(config: AblateConfig, chosen: Sequence[Setting]) -> Iterator[tuple[Setting, FitConfig]]:
+    """Seed by seed, so that an early stop leaves all settings with as many runs."""
+    for seed in range(config.seeds):
+        for setting in chosen:
+            yield setting, replace(setting.fit, seed=seed)
+
+
+def measure(config: AblateConfig) -> Outcomes:
+    """Every setting at every seed; a line on standard error for each run."""
+    log = Console(stderr=True)
+    config.work.mkdir(parents=True, exist_ok=True)
+    chosen = settings(config)
+    num_frames = len(parse_frames(config.frames, open_capture(config.capture).num_frames))
+    all_runs = list(runs(config, chosen))
+    outcomes: dict[Setting, list[Outcome]] = {setting: [] for setting in chosen}
+    left = sum(
+        relative_cost(fit, num_frames)
+        for _, fit in all_runs
+        if not kept_path(config, fit).is_file()
+    )
+    done = spent_s = 0.0
+    for number, (setting, fit) in enumerate(all_runs, start=1):
+        path = kept_path(config, fit)
+        was_kept = path.is_file()
+        if was_kept:
+            outcome = Outcome(**json.loads(path.read_text()))
+        else:
+            start = time.perf_counter()
+            outcome = measure_once(config, fit)
+            keep(path, outcome)
+            spent_s += time.perf_counter() - start
+            done += relative_cost(fit, num_frames)
+            left -= relative_cost(fit, num_frames)
+        outcomes[setting].append(outcome)
+        text = "kept from before" if was_kept else f"{outcome.seconds:.0f} s"
+        if done:
+            text += f"; about {spent_s / done * left / 60:.0f} min left"
+        log.print(
+            f"{number}/{len(all_runs)} {setting.name}, seed {fit.seed}: "
+            f"{outcome.psnr_db:.2f} dB, {text}",
+            highlight=False,
+        )
+    return outcomes
+
+
+def mean(values: Sequence[float]) -> float:
+    return float(np.mean(values))
+
+
+def spread(values: Sequence[float], form: str) -> str:
+    """The mean, and half the difference between the largest and the smallest."""
+    text = format(mean(values), form)
+    return f"{text} ±{(max(values) - min(values)) / 2:.2f}" if len(values) > 1 else text
+
+
+def table_of(outcomes: Outcomes) -> Table:
+    """Means over the seeds. Differences are taken seed by seed, because a seed moves all settings
+    alike, and to the first setting of the same comparison."""
+    table = Table(box=box.MARKDOWN)
+    table.add_column("setting")
+    for name in ("PSNR dB", "dB to the first", "SSIM", "flicker", "kB/frame", "seconds"):
+        table.add_column(name, justify="right")
+    firsts: dict[bool, Sequence[Outcome]] = {}
+    for setting, found in outcomes.items():
+        first = firsts.setdefault(setting.compares_age, found)
+        psnr_db = [o.psnr_db for o in found]
+        gains_db = [o.psnr_db - f.psnr_db for o, f in zip(found, first, strict=True)]
+        flicker = [o.flicker for o in found if o.flicker is not None]
+        table.add_row(
+            setting.name,
+            spread(psnr_db, ".2f"),
+            "-" if found is first else spread(gains_db, "+.2f"),
+            f"{mean([o.ssim for o in found]):.4f}",
+            f"{mean(flicker):.3f}" if flicker else "-",
+            f"{mean([o.bytes_per_frame for o in found]) / 1e3:.1f}",
+            f"{mean([o.seconds for o in found]):.0f}",
+        )
+    return table
+
+
+def draw_points(
+    axes: matplotlib.axes.Axes, x: Sequence[float], found: Sequence[Sequence[Outcome]], colour: str,
+    label: str | None,
+) -> None:  # fmt: skip
+    """The means at `x`, joined, and a small dot for each seed."""
+    axes.plot(
+        x, [mean([o.psnr_db for o in f]) for f in found], "-o", color=colour, markersize=6,
+        label=label,
+    )  # fmt: skip
+    for at, of_seeds in zip(x, found, strict=True):
+        axes.plot(
+            [at] * len(of_seeds), [o.psnr_db for o in of_seeds], "_", color=colour, markersize=12
+        )
+
+
+def draw(outcomes: Outcomes, config: AblateConfig) -> None:
+    figure = matplotlib.figure.Figure(figsize=(10, 4.8), layout="constrained")
+    matplotlib.backends.backend_agg.FigureCanvasAgg(figure)
+    ages, sizes = figure.subplots(1, 2)
+    for shift, carried in enumerate(CARRIED):
+        found = [o for s, o in outcomes.items() if s.compares_age and s.carried == carried]
+        if found:
+            x = [i + 0.08 * (2 * shift - 1) for i in range(len(found))]
+            label = f"Adam's history {CARRIED[carried]}"
+            draw_points(ages, x, found, COLOURS[carried], label)
+    ages.set_xticks(range(len(AGE_SCALINGS)), AGE_SCALINGS)
+    ages.set_xlim(-0.5, len(AGE_SCALINGS) - 0.5)
+    ages.set_xlabel("age scaling of positions: what 1 / (1 + age) multiplies")
+    ages.set_title(
+        f"{config.age_num_gs:,} Gaussians, swin_size {config.age_swin_size}", fontsize=10
+    )
+    ages.legend(fontsize=9)
+    by_size = {s: o for s, o in outcomes.items() if not s.compares_age}
+    places = list(range(len(by_size)))
+    draw_points(sizes, places, list(by_size.values()), "#2b8a3e", None)
+    for at, of_seeds in zip(places, by_size.values(), strict=True):
+        sizes.annotate(
+            f"{mean([o.bytes_per_frame for o in of_seeds]) / 1e3:.0f} kB/frame",
+            (at, min(o.psnr_db for o in of_seeds)), xytext=(0, -16),
+            textcoords="offset points", ha="center", fontsize=8,
+        )  # fmt: skip
+    sizes.set_xticks(places, [f"{s.fit.num_gs:,}:{s.fit.swin_size}" for s in by_size])
+    sizes.set_xlim(-0.5, len(by_size) - 0.5)
+    sizes.set_xlabel("num_gs:swin_size")
+    sizes.set_title(f"equal bandwidth: {config.slice_size:,} Gaussians sent per frame", fontsize=10)
+    for axes in (ages, sizes):
+        axes.set_ylabel("PSNR, dB, held-out cameras")
+        axes.margins(y=0.2)
+        axes.grid(alpha=0.3)
+    seeds = f", bars: {config.seeds} seeds" if config.seeds > 1 else ""
+    figure.suptitle(
+        f"{config.capture.resolve().name} at {config.scale:g}, frames {config.frames}, "
+        f"{config.genesis_iterations:,} + {config.window_iterations:,} iterations{seeds}",
+        fontsize=11,
+    )
+    config.out.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(config.out, dpi=120, metadata={"Software": None})
+
+
+def run(config: AblateConfig) -> None:
+    if config.seeds < 1 or not config.swin_sizes:
+        raise InvalidError("name at least one seed and one of swin_sizes")
+    outcomes = measure(config)
+    Console(width=130).print(table_of(outcomes))
+    draw(outcomes, config)
+
+
+if __name__ == "__main__":
+    run_command(AblateConfig, run, "scripts/bench ablate", "Compares the choices of the paper.")
