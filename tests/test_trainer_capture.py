@@ -16,6 +16,7 @@ from codec.errors import InvalidError
 from tests.tiny_capture import picture_of, tiny_rig, write_dynamic3dgs
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
+from trainer.capture.points import read_points_file
 from trainer.capture.rig import rig_centre, rig_depths
 from trainer.errors import CaptureError
 from trainer.synth_scene import CAMERA_RADIUS_M, CAMERA_TARGET
@@ -236,6 +237,23 @@ def test_rig_depths_of_a_forward_facing_rig() -> None:
     assert rig_depths(cameras) is None
     assert rig_depths([]) is None
     assert rig_depths(cameras[:1]) is None
+
+
+def test_points_come_from_a_ply_as_from_an_npz(tmp_path: Path) -> None:
+    xyz = np.array([[0.5, -1, 2], [3, 0.25, -4]], np.float32)
+    rgb = np.array([[255, 0, 7], [1, 2, 3]], np.uint8)
+    np.savez(tmp_path / "points.npz", xyz=xyz, rgb=rgb)
+    names = [f"property float {n}" for n in "xyz"]
+    names += [f"property uchar {n}" for n in ("red", "green", "blue")]
+    head = ["ply", "format ascii 1.0", "element vertex 2", *names, "end_header"]
+    rows = [" ".join(map(str, [*p.tolist(), *c.tolist()])) for p, c in zip(xyz, rgb, strict=True)]
+    (tmp_path / "points.PLY").write_text("\n".join([*head, *rows, ""]))
+    for name in ("points.npz", "points.PLY"):
+        points = read_points_file(tmp_path / name)
+        np.testing.assert_array_equal(points.xyz, xyz)
+        np.testing.assert_array_equal(points.rgb, rgb)
+    with pytest.raises(CaptureError, match=r"points.txt: .*\.ply or an \.npz"):
+        read_points_file(tmp_path / "points.txt")
 
 
 @pytest.fixture(scope="module")

@@ -62,10 +62,12 @@ def test_an_unknown_preset_is_refused(tmp_path: Path) -> None:
 def test_a_run_logs_every_frame_and_draws_snapshots(tmp_path: Path) -> None:
     write_dynerf(tmp_path / "capture", 4, FRAMES)
     stream = tmp_path / "stream"
+    xyz = np.random.default_rng(0).uniform(-0.5, 0.5, (50, 3))
+    np.savez(tmp_path / "points.npz", xyz=xyz, rgb=np.full((50, 3), 99, np.uint8))
     run_ok(
         "swings-train", tmp_path / "capture", stream, "--num-gs", 200, "--swin-size", 2,
         "--genesis-iterations", 30, "--window-iterations", 20, "--segment-frames", 2,
-        "--snapshot-every", 2,
+        "--snapshot-every", 2, "--points", tmp_path / "points.npz",
     )  # fmt: skip
     records = [json.loads(line) for line in (stream / runlog.NAME).read_text().splitlines()]
     assert [r["frame"] for r in records] == list(range(FRAMES))

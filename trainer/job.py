@@ -6,7 +6,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -28,6 +28,7 @@ from player.render.cpu import render_splats
 from . import checkpoint, runlog
 from .capture.capture import Capture
 from .capture.layout import open_capture
+from .capture.points import read_points_file
 from .checkpoint import load_checkpoint, save_checkpoint
 from .contribution import CONTRIBUTION, matured_by_contribution, writer_rank
 from .errors import CaptureError, InterruptedRunError
@@ -73,6 +74,8 @@ class TrainConfig:
     at."""
     far_m: float | None = None
     """Depth that seeding reaches to, metres; by default from the rig."""
+    points: Path | None = None
+    """File of initial points, .ply or .npz, in the place of the capture's own."""
     point_share: float = 0.3
     """Share of the first Gaussians taken from the capture's points, if it has any; seeds fill the
     rest."""
@@ -299,6 +302,8 @@ def train_stream(
     stops it later leaves a valid, shorter stream and a checkpoint to resume from.
     """
     capture = open_capture(config.capture)
+    if config.points is not None:
+        capture = replace(capture, points=read_points_file(config.points))
     if len(capture.training) < 3:
         raise CaptureError(f"{capture.root}: {len(capture.training)} training cameras, needs 3")
     frames = parse_frames(config.frames, capture.num_frames)

@@ -117,6 +117,15 @@ def read_ply(path: Path) -> InitialPoints:
     return checked_points(path, np.stack(columns[:3], axis=1), rgb)
 
 
+def read_points_file(path: Path) -> InitialPoints:
+    """The points of an .npz or a .ply file. Raises CaptureError for anything else."""
+    if path.suffix.lower() == ".ply":
+        return read_ply(path)
+    if path.suffix.lower() == ".npz":
+        return read_points(path)
+    raise CaptureError(f"{path}: initial points come from a .ply or an .npz file")
+
+
 def points_depths(points: InitialPoints, cameras: Sequence[Camera]) -> tuple[float, float] | None:
     """(near, far) in metres around what the cameras see of the points; None if they see nothing.
 
