@@ -256,6 +256,9 @@ class Grey:
     num_frames = FRAMES
     cameras = CAMERAS
 
+    def mask(self, camera: int, frame: int) -> None:
+        return None
+
     def picture(self, camera: int, frame: int) -> npt.NDArray[np.uint8]:
         return np.full((37, 45, 3), 60 + 30 * frame + 9 * camera, np.uint8)
 

@@ -57,7 +57,9 @@ def scene(sh_degree: int) -> Parameters:
     return values
 
 
-def stepped(backend: Backend, values: Parameters, picture: np.ndarray) -> tuple[Loss, Parameters]:
+def stepped(
+    backend: Backend, values: Parameters, picture: np.ndarray, mask: np.ndarray | None
+) -> tuple[Loss, Parameters]:
     half = picture.shape[0] == 2 * CAMERA.height_px
     gradients = Parameters.zeros(COUNT, 1 if values.sh.shape[1] > 1 else 0)
     rows = np.random.default_rng(4).permutation(COUNT)[: COUNT - 5].astype(np.int32)
@@ -65,16 +67,22 @@ def stepped(backend: Backend, values: Parameters, picture: np.ndarray) -> tuple[
     bias = np.array([0.02, -0.01, 0.0], np.float32)
     view = View.prepare(CAMERA, 0.2)
     assert half or picture.shape == (CAMERA.height_px, CAMERA.width_px, 3)
-    return backend.step(values, rows, view, picture, gain, bias, TRAINABLE, gradients), gradients
+    loss = backend.step(values, rows, view, picture, gain, bias, TRAINABLE, gradients, mask)
+    return loss, gradients
 
 
-def check(rasterise: Rasterise, device: str, sh_degree: int, factor: int) -> None:
+def check(
+    rasterise: Rasterise, device: str, sh_degree: int, factor: int, masked: bool = False
+) -> None:
     picture = np.random.default_rng(3).integers(
         0, 256, (factor * CAMERA.height_px, factor * CAMERA.width_px, 3), dtype=np.uint8
     )
     values = scene(sh_degree)
-    wanted, expected = stepped(make_backend("cpu", *WEIGHTS), values, picture)
-    found, got = stepped(CudaBackend(*WEIGHTS, rasterise, device), values, picture)
+    mask = None
+    if masked:
+        mask = (np.random.default_rng(8).random((40, 48)) > 0.3).astype(np.uint8)
+    wanted, expected = stepped(make_backend("cpu", *WEIGHTS), values, picture, mask)
+    found, got = stepped(CudaBackend(*WEIGHTS, rasterise, device), values, picture, mask)
     assert found.value == pytest.approx(wanted.value, rel=1e-4)
     np.testing.assert_allclose(found.gain_grad, wanted.gain_grad, rtol=1e-3, atol=1e-6)
     np.testing.assert_allclose(found.bias_grad, wanted.bias_grad, rtol=1e-3, atol=1e-6)
@@ -90,6 +98,10 @@ def test_what_surrounds_the_rasteriser_gives_the_cpu_s_gradients(
     sh_degree: int, factor: int
 ) -> None:
     check(stand_in, "cpu", sh_degree, factor)
+
+
+def test_a_mask_ignores_the_same_on_both() -> None:
+    check(stand_in, "cpu", 0, 1, masked=True)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs an NVIDIA GPU and gsplat")

@@ -65,6 +65,29 @@ class Rendered:
         shown = np.clip(render_splats(truth(frame), self.cameras[camera], NEAR_M), 0, 1)
         return np.rint(shown * 255).astype(np.uint8)
 
+    def mask(self, camera: int, frame: int) -> npt.NDArray[np.uint8] | None:
+        return None
+
+
+class Masked(Rendered):
+    """The right third of every other camera is ignored; there the pictures show `garbage`."""
+
+    def __init__(self, garbage: int) -> None:
+        super().__init__()
+        self.cameras = [c.resized(96, 64) for c in self.cameras]  # genesis takes half of it
+        self.garbage = garbage
+
+    def picture(self, camera: int, frame: int) -> npt.NDArray[np.uint8]:
+        shown, mask = super().picture(camera, frame), self.mask(camera, frame)
+        if mask is not None:
+            shown[mask == 0] = self.garbage
+        return shown
+
+    def mask(self, camera: int, frame: int) -> npt.NDArray[np.uint8] | None:
+        mask = np.ones((64, 96), np.uint8)
+        mask[:, 61:] = 0
+        return None if camera % 2 else mask
+
 
 CONFIG = FitConfig(
     num_gs=90,
@@ -138,6 +161,21 @@ def test_the_same_seed_gives_the_same_slices_and_another_does_not() -> None:
         assert (a.splats.means == b.splats.means).all()
         assert (a.start_offsets == b.start_offsets).all()
     assert (first[0].splats.means != other[0].splats.means).any()
+
+
+def test_ignored_pixels_do_not_change_the_slices() -> None:
+    config = replace(CONFIG, genesis_iterations=60, window_iterations=30)
+
+    def run(pictures: Rendered) -> list[Slice]:
+        trainer = Trainer(config, pictures, start(), NEAR_M)
+        return [part for window in trainer.windows() for part in window]
+
+    black, white, grey = run(Masked(0)), run(Masked(255)), Masked(128)
+    for a, b in zip(black, white, strict=True):
+        assert (a.splats.means == b.splats.means).all()
+        assert (a.splats.sh == b.splats.sh).all()
+    grey.mask = lambda camera, frame: None  # type: ignore[method-assign]
+    assert (black[0].splats.means != run(grey)[0].splats.means).any()
 
 
 def test_relocation_lets_the_dead_start_with_their_targets_and_never_early() -> None:

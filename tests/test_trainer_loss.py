@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 import torch
 
-from trainer.loss import C1, C2, TAPS, photometric_loss, psnr_db, ssim
+from trainer.loss import C1, C2, TAPS, Floats, Workspace, photometric_loss, psnr_db, ssim
 
 
 def ssim_reference(pred: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+    return ssim_map_reference(pred, target).mean()
+
+
+def ssim_map_reference(pred: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
     taps = torch.tensor(TAPS, dtype=pred.dtype)
     kernel = torch.outer(taps, taps)[None, None].expand(3, 1, 11, 11)
 
@@ -19,10 +24,9 @@ def ssim_reference(pred: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
     mu_p, mu_t = blur(pred), blur(target)
     var_p, var_t = blur(pred * pred) - mu_p**2, blur(target * target) - mu_t**2
     cov = blur(pred * target) - mu_p * mu_t
-    return (
-        ((2 * mu_p * mu_t + C1) * (2 * cov + C2))
-        / ((mu_p**2 + mu_t**2 + C1) * (var_p + var_t + C2))
-    ).mean()
+    return ((2 * mu_p * mu_t + C1) * (2 * cov + C2)) / (
+        (mu_p**2 + mu_t**2 + C1) * (var_p + var_t + C2)
+    )
 
 
 @pytest.mark.parametrize("dssim_weight", [0.0, 0.2, 1.0])
@@ -63,3 +67,114 @@ def test_metrics_of_a_picture_and_itself() -> None:
         torch.tensor(picture.transpose(2, 0, 1)), torch.tensor(other.transpose(2, 0, 1))
     )
     assert ssim(picture, other) == pytest.approx(float(expected), abs=1e-5)
+
+
+def some_mask(height: int, width: int) -> npt.NDArray[np.uint8]:
+    """A hole, a border and single pixels are ignored."""
+    mask = (np.random.default_rng(9).random((height, width)) > 0.1).astype(np.uint8)
+    mask[5:12, 8:20] = 0
+    mask[:, -3:] = 0
+    return mask
+
+
+@pytest.mark.parametrize("dssim_weight", [0.0, 0.2, 1.0])
+def test_ignored_pixels_are_grey_on_both_sides(dssim_weight: float) -> None:
+    rng = np.random.default_rng(2)
+    picture = rng.random((3, 32, 48)).astype(np.float32)
+    target = rng.random((3, 25, 41)).astype(np.float32)
+    gain = np.array([1.1, 0.9, 1.0], np.float32)
+    bias = np.array([0.02, -0.03, 0.0], np.float32)
+    mask = some_mask(25, 41)
+    leaves = [
+        torch.tensor(a, dtype=torch.float64, requires_grad=True) for a in (picture, gain, bias)
+    ]
+    counts, grey = torch.tensor(mask > 0), torch.tensor(0.5, dtype=torch.float64)
+    corrected = leaves[0][:, :25, :41] * leaves[1][:, None, None] + leaves[2][:, None, None]
+    pred = torch.where(counts, corrected, grey)
+    goal = torch.where(counts, torch.tensor(target, dtype=torch.float64), grey)
+    loss = (1 - dssim_weight) * (pred - goal).abs().mean() + dssim_weight * (
+        1 - ssim_reference(pred, goal)
+    )
+    torch.autograd.backward(loss)
+    for given in (mask, mask > 0, 0.7 * mask.astype(np.float32)):
+        got = photometric_loss(picture, target, dssim_weight, gain, bias, None, given)
+        assert got.value == pytest.approx(loss.item(), rel=1e-5)
+        for ours, leaf in zip(
+            (got.picture_grad, got.gain_grad, got.bias_grad), leaves, strict=True
+        ):
+            assert leaf.grad is not None
+            np.testing.assert_allclose(ours, leaf.grad.numpy(), rtol=2e-3, atol=2e-7)
+        assert (got.picture_grad[:, :25, :41][:, mask == 0] == 0).all()
+
+
+def test_gradient_with_a_mask_against_finite_differences() -> None:
+    rng = np.random.default_rng(3)
+    target = rng.random((3, 25, 41)).astype(np.float32)
+    # Never nearer than the step to the target: L1 has a kink there.
+    away = np.where(rng.random(target.shape) < 0.5, -1, 1) * rng.uniform(0.1, 0.3, target.shape)
+    picture = (target + away).astype(np.float32)
+    gain, bias, mask = np.ones(3, np.float32), np.zeros(3, np.float32), some_mask(25, 41)
+
+    def value(step: npt.NDArray[np.float64]) -> float:
+        moved = (picture + step).astype(np.float32)
+        return photometric_loss(moved, target, 0.5, gain, bias, None, mask).value
+
+    gradient = photometric_loss(picture, target, 0.5, gain, bias, None, mask).picture_grad
+    for _ in range(4):
+        direction = np.sign(gradient) * rng.uniform(0.2, 1, target.shape)
+        direction[:, mask == 0] = rng.uniform(-1, 1, (3, int((mask == 0).sum())))
+        slope = (value(0.01 * direction) - value(-0.01 * direction)) / 0.02
+        assert slope == pytest.approx(float((gradient * direction).sum()), rel=2e-3)
+
+
+def test_what_a_mask_ignores_may_be_anything() -> None:
+    rng = np.random.default_rng(4)
+    picture = rng.random((3, 40, 60)).astype(np.float32)
+    target = rng.random((3, 33, 52)).astype(np.float32)
+    gain, bias = np.full(3, 1.2, np.float32), np.full(3, -0.1, np.float32)
+    mask = some_mask(33, 52)
+    work = Workspace(target.shape)
+
+    def loss(picture: Floats, target: Floats, mask: npt.NDArray[np.uint8] | None) -> list[bytes]:
+        got = photometric_loss(picture, target, 0.2, gain, bias, work, mask)
+        arrays = got.picture_grad, got.gain_grad, got.bias_grad
+        return [np.float64(got.value).tobytes(), *(a.tobytes() for a in arrays)]
+
+    other_picture, other_target = picture.copy(), target.copy()
+    other_picture[:, :33, :52][:, mask == 0] = 7
+    other_target[:, mask == 0] = np.nan
+    first = loss(picture, target, mask)
+    assert loss(other_picture, other_target, mask) == first
+    assert np.isnan(other_target).any()  # the caller's target is left alone
+    unmasked = loss(picture, target, None)
+    assert unmasked != first
+    assert loss(picture, target, np.ones_like(mask)) == unmasked
+
+
+def test_metrics_of_the_pixels_that_count() -> None:
+    rng = np.random.default_rng(5)
+    picture, target = (rng.random((25, 41, 3)).astype(np.float32) for _ in range(2))
+    mask = some_mask(25, 41)
+    kept = picture.copy(), target.copy()
+    counts = mask > 0
+    error = (picture.astype(np.float64) - target)[counts]
+    assert psnr_db(picture, target, mask) == pytest.approx(-10 * np.log10((error**2).mean()))
+    other = picture.copy()
+    other[~counts] = 9
+    assert psnr_db(other, target, mask) == psnr_db(picture, target, mask)
+    assert ssim(other, target, mask) == ssim(picture, target, mask)
+    every = np.ones_like(mask)
+    assert psnr_db(picture, target, every) == psnr_db(picture, target)
+    assert ssim(picture, target, every) == pytest.approx(ssim(picture, target), abs=1e-6)
+    grey = [np.where(counts[..., None], p, 0.5).transpose(2, 0, 1) for p in (picture, target)]
+    reference = ssim_map_reference(*(torch.tensor(p, dtype=torch.float64) for p in grey)).numpy()
+    assert ssim(picture, target, mask) == pytest.approx(reference[:, counts].mean(), abs=1e-5)
+    assert ssim(picture, target, mask) != pytest.approx(reference.mean(), abs=1e-3)
+    assert ssim(picture, picture, mask) == pytest.approx(1, abs=1e-5)
+    for nothing in (psnr_db, ssim):
+        assert np.isnan(nothing(picture, target, np.zeros_like(mask)))
+    # Planar pictures seen as (H, W, 3): their memory must not be written to.
+    planar = [np.ascontiguousarray(p.transpose(2, 0, 1)).transpose(1, 2, 0) for p in kept]
+    assert ssim(planar[0], planar[1], mask) == ssim(picture, target, mask)
+    for array, before in zip((picture, target, *planar), kept * 2, strict=True):
+        assert np.array_equal(array, before)

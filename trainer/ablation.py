@@ -133,12 +133,12 @@ def ablate_quantisation(
         chosen = held_out.every(config.every)
         done, total = 0, len(chosen) * len(CASES) * len(held_out.cameras)
         for frame in chosen:
-            pictures = held_out.pictures(frame)
+            pictures, masks = held_out.pictures(frame), held_out.masks(frame)
             exact = reader.active_splats(frame, manifest.num_layers)
             for case, found in scores.items():
                 splats = quantise_case(exact, case)
-                for camera, truth in zip(held_out.cameras, pictures, strict=True):
-                    found.append(score_picture(splats, camera, truth, manifest.near_m))
+                for camera, truth, mask in zip(held_out.cameras, pictures, masks, strict=True):
+                    found.append(score_picture(splats, camera, truth, manifest.near_m, mask))
                     done += 1
                     on_progress(done, total)
     psnr = {case: float(np.mean([s.psnr_db for s in found])) for case, found in scores.items()}

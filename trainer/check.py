@@ -42,7 +42,8 @@ Floats = npt.NDArray[np.float64]
 
 
 def check_capture(path: Path, picture: Path | None = None) -> list[str]:
-    """Opens a capture, reads the first and the last frame of each camera, and describes it.
+    """Opens a capture, reads the first and the last frame of each camera with its mask, and
+    describes it.
 
     picture: where to draw it as a PNG, if anywhere. Raises CaptureError for what would stop a
     training.
@@ -53,6 +54,9 @@ def check_capture(path: Path, picture: Path | None = None) -> list[str]:
         try:
             for frame in sorted({0, capture.num_frames - 1}):
                 source.read(frame)
+                masks = capture.cameras[index].masks
+                if masks is not None:
+                    masks.read(frame)
         finally:
             source.close()
     lines = describe_capture(capture)
@@ -63,7 +67,7 @@ def check_capture(path: Path, picture: Path | None = None) -> list[str]:
 
 
 def describe_capture(capture: Capture) -> list[str]:
-    """Lines for people: layout, cameras, sizes, frames, depths, points, held-out cameras."""
+    """Lines for people: layout, cameras, held-out cameras, sizes, masks, frames, depths, points."""
     cameras = [c.camera for c in capture.cameras]
     sizes = Counter(f"{c.width_px}x{c.height_px}" for c in cameras)
     seconds = capture.num_frames / capture.fps
@@ -84,6 +88,7 @@ def describe_capture(capture: Capture) -> list[str]:
         f"cameras     {len(cameras)}, of which {len(capture.training)} to train on",
         f"held out    {', '.join(held_out) or 'none: nothing to score with'}",
         f"size        {size}",
+        f"masks       {_describe_masks(capture)}",
         f"frames      {capture.num_frames} at {capture.fps:g} per second: {seconds:.1f} s",
         "rig         "
         + (
@@ -94,6 +99,17 @@ def describe_capture(capture: Capture) -> list[str]:
         f"depth       {depths}",
         f"points      {len(capture.points) if capture.points is not None else 'none'}",
     ]
+
+
+def _describe_masks(capture: Capture) -> str:
+    masks = [c.masks for c in capture.cameras if c.masks is not None]
+    if not masks:
+        return "none: every pixel counts"
+    still = sum(m.is_still for m in masks)
+    return (
+        f"{len(masks)} of {len(capture.cameras)} cameras have them, {still} one for all frames; "
+        "black is ignored"
+    )
 
 
 def draw_capture(capture: Capture, path: Path) -> None:

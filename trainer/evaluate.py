@@ -20,6 +20,7 @@ from codec.splats import Splats
 from codec.stream import StreamReader
 from player.render.cpu import render_splats
 
+from .capture.capture import Mask
 from .capture.layout import open_capture
 from .errors import CaptureError
 from .frames import FrameCache
@@ -60,7 +61,8 @@ class Score:
 
 @dataclass(frozen=True, slots=True)
 class LayerScore:
-    """The stream at one number of layers; means over held-out cameras and frames."""
+    """The stream at one number of layers; means over held-out cameras and frames, of the pixels
+    that count."""
 
     layers: int
     psnr_db: float
@@ -121,29 +123,37 @@ def displayed(picture: Floats) -> Floats:
 
 
 def score_picture(
-    splats: Splats, camera: Camera, truth: npt.NDArray[np.uint8], near_m: float
+    splats: Splats,
+    camera: Camera,
+    truth: npt.NDArray[np.uint8],
+    near_m: float,
+    mask: Mask | None = None,
 ) -> Score:
-    """How `splats` look from `camera` against the (H, W, 3) uint8 `truth`."""
+    """How `splats` look from `camera` against the (H, W, 3) uint8 `truth`, where the mask counts.
+    NaN where nothing does."""
     shown = displayed(render_splats(splats, camera, near_m))
     goal = truth.astype(np.float32) / np.float32(255)
-    return Score(psnr_db(shown, goal), ssim(shown, goal))
+    return Score(psnr_db(shown, goal, mask), ssim(shown, goal, mask))
 
 
 class _Flicker:
-    """Sums the change of still pixels from frame to frame, camera by camera."""
+    """Sums the change of still pixels that count from frame to frame, camera by camera."""
 
     def __init__(self) -> None:
-        self._before: dict[int, tuple[Floats, Floats]] = {}
+        self._before: dict[int, tuple[Floats, Floats, Mask | None]] = {}
         self._sum = 0.0
         self._count = 0
 
-    def add(self, camera: int, shown: Floats, truth: Floats) -> None:
+    def add(self, camera: int, shown: Floats, truth: Floats, mask: Mask | None) -> None:
         if camera in self._before:
-            shown_before, truth_before = self._before[camera]
+            shown_before, truth_before, mask_before = self._before[camera]
             still = np.abs(truth - truth_before).max(axis=2) <= STILL
+            for counts in (mask, mask_before):
+                if counts is not None:
+                    still &= counts > 0
             self._sum += float(np.abs(shown - shown_before)[still].sum())
             self._count += 3 * int(still.sum())
-        self._before[camera] = (shown, truth)
+        self._before[camera] = (shown, truth, mask)
 
     @property
     def value(self) -> float | None:
@@ -179,6 +189,18 @@ class HeldOut:
     def pictures(self, frame: int) -> list[npt.NDArray[np.uint8]]:
         """The (H, W, 3) uint8 pictures that the cameras took of the stream's `frame`."""
         return [self.cache.image(i, self.cache.frames[frame]) for i in self.indices]
+
+    def masks(self, frame: int) -> list[Mask | None]:
+        """Where those pictures count; None where they do everywhere. Raises CaptureError if one
+        counts nowhere."""
+        masks = [self.cache.mask(i, self.cache.frames[frame]) for i in self.indices]
+        for camera, mask in zip(self.cameras, masks, strict=True):
+            if mask is not None and not mask.any():
+                raise CaptureError(
+                    f"{self.cache.capture.root}: the mask of camera {camera.name} ignores all of "
+                    f"frame {self.cache.frames[frame]}; hold out a camera that sees something"
+                )
+        return masks
 
 
 @contextmanager
@@ -223,14 +245,15 @@ def evaluate_stream(
             truths = [
                 picture.astype(np.float32) / np.float32(255) for picture in held_out.pictures(frame)
             ]
+            masks = held_out.masks(frame)
             for layers in counts:
                 splats = reader.active_splats(frame, layers)
                 for c, camera in enumerate(cameras):
                     shown = displayed(render_splats(splats, camera, manifest.near_m))
                     scores[frame, layers, c] = Score(
-                        psnr_db(shown, truths[c]), ssim(shown, truths[c])
+                        psnr_db(shown, truths[c], masks[c]), ssim(shown, truths[c], masks[c])
                     )
-                    flicker[layers].add(c, shown, truths[c])
+                    flicker[layers].add(c, shown, truths[c], masks[c])
                     done += 1
                     on_progress(done, total)
     result = []

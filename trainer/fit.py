@@ -20,6 +20,7 @@ from codec.slice import MAX_SWIN_SIZE, Slice
 from codec.splats import Splats
 
 from .colour import CameraColour
+from .mask import half_mask
 from .mcmc import McmcConfig, relocate
 from .optimiser import Adam, OptimiserConfig, add_noise
 from .raster.backend import Backend, BackendName, make_backend
@@ -93,6 +94,10 @@ class Pictures(Protocol):
 
     def picture(self, camera: int, frame: int) -> npt.NDArray[np.uint8]:
         """(H, W, 3) uint8, of the camera's size."""
+        ...
+
+    def mask(self, camera: int, frame: int) -> npt.NDArray[np.uint8] | None:
+        """(H, W): 1 where a pixel of the picture counts, 0 where not; None if all do."""
         ...
 
 
@@ -282,9 +287,12 @@ class Trainer:
         genesis: bool,
     ) -> float:
         config, mcmc = self.config, self.config.mcmc
+        mask = self.pictures.mask(camera, frame)
+        if mask is not None and mask.shape != (view.camera.height_px, view.camera.width_px):
+            mask = half_mask(mask)
         loss = self.backend.step(
             self.values, rows, view, self.pictures.picture(camera, frame),
-            self.colour.gain(camera), self.colour.bias(camera), config.num_gs, self.gradients,
+            self.colour.gain(camera), self.colour.bias(camera), config.num_gs, self.gradients, mask,
         )  # fmt: skip
         trainable = rows[rows < config.num_gs]
         self.adam.step(self.values, self.gradients, trainable, means_lr, ages)

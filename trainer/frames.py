@@ -1,26 +1,35 @@
-"""The pictures that training asks for, at its scale: read when first needed, kept within a bound.
+"""The pictures that training asks for, at its scale: read when first needed or ahead of it, kept
+within a bound; and their masks.
 
-State: the kept pictures in order of use, and one source per camera. When full, the least recently
-used picture goes; to ask for it again reads it again.
+State: the kept pictures and masks in order of use, one source per camera, and the thread that reads
+ahead. When full, the least recently used goes; to ask for it again reads it again.
 """
 
 from __future__ import annotations
 
 import threading
 from collections import OrderedDict
+from collections.abc import Iterable
 from dataclasses import dataclass
 from types import TracebackType
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from PIL import Image
 
 from codec.camera import Camera
 from codec.errors import InvalidError
 
-from .capture.capture import Capture, Picture
+from .capture.capture import Capture, Mask, Picture
+from .mask import scaled_mask
+from .prefetch import Prefetcher
 
 DEFAULT_MAX_BYTES = 1 << 30
 """Bytes of pictures kept: 30 cameras x 200 frames at 320x180, or 30 x 8 at 1352x1014."""
+
+DEFAULT_MAX_REQUESTS = 256
+"""Pictures that may wait to be read ahead: two frames of over a hundred cameras."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,20 +37,40 @@ class CacheStatistics:
     """What a cache did so far."""
 
     hits: int
-    """Pictures answered from memory."""
+    """Pictures and masks answered from memory."""
     misses: int
-    """Pictures read from the capture."""
+    """Pictures and masks read because they were asked for."""
     evictions: int
-    """Pictures dropped for room."""
+    """Pictures and masks dropped for room."""
     held_bytes: int
-    """Bytes of the pictures held now."""
+    """Bytes of the pictures and masks held now."""
+    prefetched: int
+    """Pictures and masks read ahead."""
+    prefetch_dropped: int
+    """Requests to read ahead that found too many waiting."""
+    prefetch_skipped: int
+    """Pictures and masks not read ahead because one still needed would have had to go."""
+    prefetch_failed: int
+    """Pictures and masks that could not be read ahead; whoever asks for one gets the error."""
+
+
+class _Key(NamedTuple):
+    camera: int
+    frame: int
+    is_mask: bool = False
+
+
+class _Request(NamedTuple):
+    camera: int
+    frame: int
+    needed_from: int
 
 
 class FrameCache:
     """Pictures of a range of frames of a capture, scaled, held in at most `max_bytes`.
 
-    Any thread may ask. Reads of one camera wait for each other, so a prefetching thread and the
-    trainer share one decoder; pictures are handed out read-only because they are shared.
+    Any thread may ask. Reads of one camera wait for each other, so the thread that reads ahead and
+    the trainer share one decoder; pictures are handed out read-only because they are shared.
     """
 
     def __init__(
@@ -50,13 +79,14 @@ class FrameCache:
         frames: range,
         scale: float = 1.0,
         max_bytes: int = DEFAULT_MAX_BYTES,
+        max_requests: int = DEFAULT_MAX_REQUESTS,
     ) -> None:
         """Opens nothing yet.
 
         frames: the frames that may be asked for, by their number in the capture, step 1. scale:
-        size of the pictures handed out over the size of the capture's, in (0, 1]. Raises
-        InvalidError for frames outside the capture, a scale outside (0, 1], or a bound that cannot
-        hold one picture.
+        size of the pictures handed out over the size of the capture's, in (0, 1]. max_requests:
+        pictures that may wait to be read ahead. Raises InvalidError for frames outside the
+        capture, a scale outside (0, 1], or a bound that cannot hold one picture.
         """
         if not 0 < scale <= 1:
             raise InvalidError(f"scale {scale}: must be above 0 and at most 1")
@@ -74,10 +104,12 @@ class FrameCache:
         self._max_bytes = max_bytes
         self._sources = tuple(capture.open_images(i) for i in range(len(capture.cameras)))
         self._source_locks = tuple(threading.Lock() for _ in capture.cameras)
+        self._prefetcher = Prefetcher(self._read_ahead, max_requests)
         self._lock = threading.Lock()  # guards all below
-        self._held: OrderedDict[tuple[int, int], Picture] = OrderedDict()
+        self._held: OrderedDict[_Key, npt.NDArray[np.uint8]] = OrderedDict()
         self._held_bytes = 0
         self._hits = self._misses = self._evictions = 0
+        self._prefetched = self._dropped = self._skipped = self._failed = 0
 
     def camera(self, camera_index: int) -> Camera:
         """The camera at the size of the pictures handed out."""
@@ -85,30 +117,47 @@ class FrameCache:
 
     def image(self, camera_index: int, frame: int) -> Picture:
         """(h, w, 3) uint8 RGB, read-only. Raises CaptureError when the capture cannot be read."""
-        if frame not in self.frames:
-            raise InvalidError(f"frame {frame}: outside {self.frames.start}:{self.frames.stop}")
-        key = camera_index, frame
-        picture = self._look_up(key)
-        if picture is not None:
-            return picture
-        with self._source_locks[camera_index]:
-            picture = self._look_up(key)  # another thread may have read it meanwhile
-            if picture is not None:
-                return picture
-            picture = scaled_picture(
-                self._sources[camera_index].read(frame), self._cameras[camera_index]
-            )
-            picture.setflags(write=False)
-            self._keep(key, picture)
-        return picture
+        self._check_frame(frame)
+        return self._get(_Key(camera_index, frame))
+
+    def mask(self, camera_index: int, frame: int) -> Mask | None:
+        """(h, w) uint8, read-only: 1 where a pixel of `image` counts, 0 where it does not; None if
+        all do. Raises CaptureError when the capture cannot be read."""
+        self._check_frame(frame)
+        key = self._mask_key(camera_index, frame)
+        return None if key is None else self._get(key)
+
+    def prefetch(self, camera_indices: Iterable[int], frame: int, needed_from: int) -> None:
+        """Asks for the pictures and masks of `frame` to be read ahead, and does not wait.
+
+        needed_from: the first frame that will be asked for again; what is held of frames before it
+        may go to make room, nothing else. What finds no room, or too many waiting, is left out,
+        and so is what cannot be read: `image` will read it and raise.
+        """
+        self._check_frame(frame)
+        for camera_index in camera_indices:
+            if not self._prefetcher.ask(_Request(camera_index, frame, needed_from)):
+                with self._lock:
+                    self._dropped += 1
 
     @property
     def statistics(self) -> CacheStatistics:
         with self._lock:
-            return CacheStatistics(self._hits, self._misses, self._evictions, self._held_bytes)
+            return CacheStatistics(
+                self._hits,
+                self._misses,
+                self._evictions,
+                self._held_bytes,
+                self._prefetched,
+                self._dropped,
+                self._skipped,
+                self._failed,
+            )
 
     def close(self) -> None:
-        """Frees the decoders and the pictures. Idempotent; a later request reads anew."""
+        """Ends the thread that reads ahead, frees the decoders and the pictures. Idempotent; a
+        later request reads anew."""
+        self._prefetcher.close()
         for lock, source in zip(self._source_locks, self._sources, strict=True):
             with lock:
                 source.close()
@@ -127,23 +176,101 @@ class FrameCache:
     ) -> None:
         self.close()
 
-    def _look_up(self, key: tuple[int, int]) -> Picture | None:
+    def _check_frame(self, frame: int) -> None:
+        if frame not in self.frames:
+            raise InvalidError(f"frame {frame}: outside {self.frames.start}:{self.frames.stop}")
+
+    def _mask_key(self, camera_index: int, frame: int) -> _Key | None:
+        masks = self.capture.cameras[camera_index].masks
+        if masks is None:
+            return None
+        # A mask for all frames is held once, as of the last frame: it is never out of date.
+        return _Key(camera_index, self.frames[-1] if masks.is_still else frame, True)
+
+    def _get(self, key: _Key) -> npt.NDArray[np.uint8]:
+        held = self._look_up(key)
+        if held is not None:
+            return held
+        with self._source_locks[key.camera]:
+            held = self._look_up(key)  # another thread may have read it meanwhile
+            if held is not None:
+                return held
+            read = self._read(key)
+            with self._lock:
+                self._misses += 1
+                self._make_room(read.nbytes)
+                self._keep(key, read)
+            return read
+
+    def _read(self, key: _Key) -> npt.NDArray[np.uint8]:
+        """Needs the camera's lock."""
+        camera = self._cameras[key.camera]
+        masks = self.capture.cameras[key.camera].masks
+        if key.is_mask and masks is not None:
+            read = scaled_mask(masks.read(key.frame), camera.width_px, camera.height_px)
+        else:
+            read = scaled_picture(self._sources[key.camera].read(key.frame), camera)
+        read.setflags(write=False)
+        return read
+
+    def _read_ahead(self, request: _Request) -> None:
+        mask_key = self._mask_key(request.camera, request.frame)
+        for key in (_Key(request.camera, request.frame), mask_key):
+            if key is not None:
+                self._read_key_ahead(key, request.needed_from)
+
+    def _read_key_ahead(self, key: _Key, needed_from: int) -> None:
+        camera = self._cameras[key.camera]
+        num_bytes = (1 if key.is_mask else 3) * camera.width_px * camera.height_px
+        with self._source_locks[key.camera]:
+            with self._lock:
+                if key in self._held:
+                    return
+                # Before reading: a video that reads a frame nobody can hold has to go back for it.
+                if not self._has_room(num_bytes, needed_from):
+                    self._skipped += 1
+                    return
+            try:
+                read = self._read(key)
+            except Exception:  # whatever it is, it must reach the one who asks for the picture
+                with self._lock:
+                    self._failed += 1
+                return
+            with self._lock:
+                if not self._has_room(num_bytes, needed_from):
+                    self._skipped += 1
+                    return
+                self._prefetched += 1
+                self._make_room(num_bytes, needed_from)
+                self._keep(key, read)
+
+    def _look_up(self, key: _Key) -> npt.NDArray[np.uint8] | None:
         with self._lock:
-            picture = self._held.get(key)
-            if picture is not None:
+            held = self._held.get(key)
+            if held is not None:
                 self._held.move_to_end(key)
                 self._hits += 1
-            return picture
+            return held
 
-    def _keep(self, key: tuple[int, int], picture: Picture) -> None:
-        with self._lock:
-            self._misses += 1
-            while self._held and self._held_bytes + picture.nbytes > self._max_bytes:
-                _, dropped = self._held.popitem(last=False)
-                self._held_bytes -= dropped.nbytes
+    def _has_room(self, num_bytes: int, needed_from: int) -> bool:
+        """Whether it fits beside what is needed. Needs the lock."""
+        needed = sum(a.nbytes for key, a in self._held.items() if key.frame >= needed_from)
+        return needed + num_bytes <= self._max_bytes
+
+    def _make_room(self, num_bytes: int, needed_from: int | None = None) -> None:
+        """Drops the least recently used, only of frames before `needed_from` if that is given.
+        Needs the lock."""
+        for key in tuple(self._held):
+            if self._held_bytes + num_bytes <= self._max_bytes:
+                return
+            if needed_from is None or key.frame < needed_from:
+                self._held_bytes -= self._held.pop(key).nbytes
                 self._evictions += 1
-            self._held[key] = picture
-            self._held_bytes += picture.nbytes
+
+    def _keep(self, key: _Key, read: npt.NDArray[np.uint8]) -> None:
+        """Needs the lock."""
+        self._held[key] = read
+        self._held_bytes += read.nbytes
 
 
 def scaled_camera(camera: Camera, scale: float) -> Camera:

@@ -144,6 +144,15 @@ class CapturePictures:
     def picture(self, camera: int, frame: int) -> npt.NDArray[np.uint8]:
         return self._cache.image(self._indices[camera], self._cache.frames[frame])
 
+    def mask(self, camera: int, frame: int) -> npt.NDArray[np.uint8] | None:
+        return self._cache.mask(self._indices[camera], self._cache.frames[frame])
+
+    def prefetch(self, frame: int, needed_from: int) -> None:
+        """Has a frame read ahead, if there is one; frames before `needed_from` may go for it."""
+        if frame < self.num_frames:
+            frames = self._cache.frames
+            self._cache.prefetch(self._indices, frames[frame], frames[needed_from])
+
 
 def depths(capture: Capture, config: TrainConfig) -> tuple[float, float]:
     """Near and far depth in metres: as configured, else the capture's, else the fallbacks."""
@@ -339,8 +348,14 @@ def train_stream(
         bar = stack.enter_context(progress_bar(console))
         monitor = Monitor(bar, log, config.fit, len(frames), trainer.next_window)
         trainer.on_progress = monitor.on_progress
+        first, swin_size = trainer.next_window, config.fit.swin_size
+        for frame in range(first, first + swin_size + 1):
+            pictures.prefetch(frame, first)
         asked = stack.enter_context(interruptible())
         for parts in trainer.windows():
+            # While the next window is trained, what the one after it brings is read. The frame that
+            # was just finished is still scored.
+            pictures.prefetch(trainer.next_window + swin_size, trainer.next_window - 1)
             if config.rank == CONTRIBUTION:
                 parts = matured_by_contribution(trainer, parts)
             deliver(parts, writers, pending)

@@ -1,7 +1,9 @@
 """The photometric loss, its gradient, and the two picture metrics that share its kernels.
 
 loss = (1 - lambda) L1 + lambda (1 - SSIM), the mean over pixels and channels, as in 3D Gaussian
-splatting; SSIM with an 11-tap Gaussian window (sigma 1.5 px), zero beyond the border.
+splatting; SSIM with an 11-tap Gaussian window (sigma 1.5 px), zero beyond the border. Pixels that a
+mask ignores are the same grey on both sides, so that nothing there pulls and whatever the capture
+shows there is of no effect.
 """
 
 from __future__ import annotations
@@ -13,6 +15,11 @@ import numpy.typing as npt
 from numba import njit, prange
 
 Floats = npt.NDArray[np.float32]
+MaskLike = npt.NDArray[np.uint8] | npt.NDArray[np.bool_] | npt.NDArray[np.float32]
+"""(H, W): pixels above 0 count."""
+
+IGNORED = 0.5
+"""What both sides show where a mask ignores: the middle, so that its edges are the faintest."""
 
 RADIUS_PX = 5
 SIGMA_PX = 1.5
@@ -155,6 +162,28 @@ def _uncorrect(picture, gradient, gain, picture_grad, gain_sums, bias_sums):  # 
         bias_sums[item] = by_bias
 
 
+@njit(cache=True, parallel=True)
+def _ignore(mask, pred, target, out_pred, out_target):  # type: ignore[no-untyped-def]
+    """Both with IGNORED where the mask ignores; out_pred may be pred."""
+    channels, height, width = target.shape
+    ignored = np.float32(IGNORED)
+    for item in prange(channels * height):
+        c, y = item // height, item % height
+        for x in range(width):
+            counts = mask[y, x] > 0
+            out_pred[c, y, x] = pred[c, y, x] if counts else ignored
+            out_target[c, y, x] = target[c, y, x] if counts else ignored
+
+
+@njit(cache=True, parallel=True)
+def _silence(mask, gradient):  # type: ignore[no-untyped-def]
+    channels, height, width = gradient.shape
+    for item in prange(channels * height):
+        c, y = item // height, item % height
+        for x in range(width):
+            gradient[c, y, x] = gradient[c, y, x] if mask[y, x] > 0 else np.float32(0)
+
+
 @dataclass(frozen=True, slots=True)
 class Loss:
     """The loss of one picture and where it leads."""
@@ -179,6 +208,13 @@ class Workspace:
         self.partials = np.empty((3, *shape), np.float32)
         self.gradient = np.empty(shape, np.float32)
         self.picture_grad = np.zeros((0, 0, 0), np.float32)
+        self.masked_target = np.zeros((0, 0, 0), np.float32)
+
+    def masked_target_of(self, target: Floats) -> Floats:
+        """A plane like the target, made when the first mask comes."""
+        if self.masked_target.shape != target.shape:
+            self.masked_target = np.empty_like(target)
+        return self.masked_target
 
     def picture_grad_of(self, picture: Floats) -> Floats:
         """The gradient of a padded picture; only its padding is sure to be zero."""
@@ -194,17 +230,23 @@ def photometric_loss(
     gain: Floats,
     bias: Floats,
     workspace: Workspace | None = None,
+    mask: MaskLike | None = None,
 ) -> Loss:
     """Compares gain * picture + bias with `target`.
 
     picture: (3, >=H, >=W) float32, padded; target: (3, H, W) float32; gain, bias: (3,) float32.
     workspace: of the target's shape, to be reused from call to call; it holds the gradient given.
+    mask: (H, W), above 0 where a pixel counts; the others add nothing to the sums and get no
+    gradient, and the mean stays over all pixels. None: all count.
     """
     channels, height, width = target.shape
     count = channels * height * width
     work = workspace or Workspace(target.shape)
     pred, blurred, partials, gradient = work.pred, work.blurred, work.partials, work.gradient
     _correct(picture, gain, bias, pred)
+    if mask is not None:
+        given, target = target, work.masked_target_of(target)
+        _ignore(mask, pred, given, pred, target)
     ssim_sums, l1_sums, gain_sums, bias_sums = (
         np.empty(channels * height, np.float32) for _ in range(4)
     )
@@ -216,6 +258,8 @@ def photometric_loss(
         np.float32((1 - dssim_weight) / count), np.float32(dssim_weight / count),
         gradient, l1_sums,
     )  # fmt: skip
+    if mask is not None:
+        _silence(mask, gradient)
     picture_grad = work.picture_grad_of(picture)
     _uncorrect(picture, gradient, gain, picture_grad, gain_sums, bias_sums)
     l1 = float(l1_sums.sum(dtype=np.float64)) / count
@@ -228,17 +272,51 @@ def photometric_loss(
     )
 
 
-def ssim(picture: Floats, target: Floats) -> float:
-    """Mean SSIM over pixels and channels; both (H, W, 3) float32 in 0..1."""
+def ssim(picture: Floats, target: Floats, mask: MaskLike | None = None) -> float:
+    """Mean SSIM over pixels and channels; both (H, W, 3) float32 in 0..1.
+
+    mask: (H, W), above 0 where a pixel counts: the mean is over those, and the others look alike
+    in both pictures. NaN if none counts.
+    """
     pred, goal = (np.ascontiguousarray(p.transpose(2, 0, 1)) for p in (picture, target))
+    if mask is not None:
+        given = pred, goal
+        pred, goal = np.empty_like(pred), np.empty_like(goal)
+        _ignore(mask, *given, pred, goal)
     blurred = np.empty((5, *goal.shape), np.float32)
     sums = np.empty(goal.shape[0] * goal.shape[1], np.float32)
     _blur_products_rows(pred, goal, TAPS, blurred)
+    if mask is not None:
+        counts = mask > 0
+        return float(_ssim_map(blurred)[:, counts].mean()) if counts.any() else float("nan")
     _ssim_columns(blurred, TAPS, np.empty((3, *goal.shape), np.float32), sums)
     return float(sums.sum(dtype=np.float64)) / goal.size
 
 
-def psnr_db(picture: Floats, target: Floats) -> float:
-    """PSNR over all pixels and channels of pictures in 0..1, capped at 100 dB."""
+def _ssim_map(blurred: Floats) -> npt.NDArray[np.float64]:
+    """(C, H, W) SSIM of each pixel, as _ssim_columns has it; blurred: (5, C, H, W) along x."""
+    height = blurred.shape[2]
+    beyond = ((0, 0), (0, 0), (RADIUS_PX, RADIUS_PX), (0, 0))
+    padded = np.pad(blurred.astype(np.float64), beyond)
+    mu_p, mu_t, pp, tt, pt = sum(
+        (float(tap) * padded[:, :, k : k + height] for k, tap in enumerate(TAPS)),
+        start=np.zeros(blurred.shape),
+    )
+    similar = (2 * mu_p * mu_t + C1) * (2 * (pt - mu_p * mu_t) + C2)
+    squares = mu_p**2 + mu_t**2
+    result: npt.NDArray[np.float64] = similar / ((squares + C1) * (pp + tt - squares + C2))
+    return result
+
+
+def psnr_db(picture: Floats, target: Floats, mask: MaskLike | None = None) -> float:
+    """PSNR over all channels and pixels of pictures in 0..1, capped at 100 dB.
+
+    mask: (H, W), above 0 where a pixel counts; None: all do. NaN if none counts.
+    """
+    if mask is not None:
+        counts = mask > 0
+        if not counts.any():
+            return float("nan")
+        picture, target = picture[counts], target[counts]
     mse = float(np.mean((picture.astype(np.float64) - target) ** 2))
     return 100.0 if mse < 1e-10 else -10 * float(np.log10(mse))

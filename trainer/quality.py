@@ -43,7 +43,7 @@ class QualityMeter:
 
     def __call__(self, chunks: Sequence[Chunk]) -> list[float] | None:
         """PSNR in dB of the frame in which `chunks` (all layers of one slice) are born, with 1,
-        2, ... layers; None before frame 0."""
+        2, ... layers; None before frame 0, and where no pixel of the camera counts."""
         for layers, window in enumerate(self._windows, start=1):
             window.append(merge_layers(chunks[:layers]))
         frame = chunks[0].birth
@@ -51,6 +51,9 @@ class QualityMeter:
             return None
         camera = self._cameras[frame % len(self._cameras)]
         truth = self._cache.image(camera, self._cache.frames[frame])
+        mask = self._cache.mask(camera, self._cache.frames[frame])
+        if mask is not None and not mask.any():
+            return None
         self.last_db = []
         for window in self._windows:
             score = score_picture(
@@ -58,6 +61,7 @@ class QualityMeter:
                 self._cache.camera(camera),
                 truth,
                 self._manifest.near_m,
+                mask,
             )
             self.last_db.append(score.psnr_db)
         return self.last_db

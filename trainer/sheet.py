@@ -65,7 +65,8 @@ def write_sheet(stream: Path, capture_path: Path, target: Path) -> None:
             splats = reader.active_splats(frame, manifest.num_layers)
             shown = displayed(render_splats(splats, camera, manifest.near_m))
             lines.append(comparison(shown, truth))
-            labels.append(f"frame {frame}, camera {camera.name}: {psnr_db(shown, truth):.2f} dB")
+            score_db = psnr_db(shown, truth, cache.mask(index, frames[frame]))
+            labels.append(f"frame {frame}, camera {camera.name}: {score_db:.2f} dB")
     height_px, width_px = lines[0].shape[:2]
     header_px = 16
     sheet = Image.new("RGB", (width_px, len(lines) * (height_px + header_px)), "black")

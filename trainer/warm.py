@@ -39,9 +39,16 @@ class _Noise:
             w2c[0, 3] = 0.2 * i
             self.cameras.append(Camera(f"{i}", 64, 64, 60.0, 60.0, 32.0, 32.0, w2c))
         self._picture = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
+        self._mask = np.ones((64, 64), np.uint8)
+        # Like those of a FrameCache: numba compiles anew for arrays that may be written to.
+        self._picture.setflags(write=False)
+        self._mask.setflags(write=False)
 
     def picture(self, camera: int, frame: int) -> npt.NDArray[np.uint8]:
         return self._picture
+
+    def mask(self, camera: int, frame: int) -> npt.NDArray[np.uint8]:
+        return self._mask
 
 
 def _misses() -> int:

@@ -23,6 +23,9 @@ Layout = Literal["dynamic3dgs", "dynerf", "colmap", "nerfstudio"]
 Picture = npt.NDArray[np.uint8]
 """(H, W, 3) RGB, C-contiguous."""
 
+Mask = npt.NDArray[np.uint8]
+"""(H, W): 1 where a picture's pixel counts, 0 where it is ignored."""
+
 
 class PictureSource(Protocol):
     """The pictures of one camera, frame by frame.
@@ -38,6 +41,18 @@ class PictureSource(Protocol):
 
     def close(self) -> None:
         """Frees the decoder, if there is one; the source stays usable. Idempotent."""
+
+
+class MaskSource(Protocol):
+    """Which pixels of one camera's pictures count. Any thread may read."""
+
+    @property
+    def is_still(self) -> bool:
+        """Whether one mask holds for all frames."""
+
+    def read(self, frame: int) -> Mask:
+        """The mask of a frame at full size, owned by the caller. Raises CaptureError when the file
+        cannot be read or does not fit the picture."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,6 +87,8 @@ class CaptureCamera:
     capture."""
     held_out: bool
     """Kept out of training; `swings-eval` scores against its pictures."""
+    masks: MaskSource | None = None
+    """Which pixels count; None where all of them do."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

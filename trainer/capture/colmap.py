@@ -6,6 +6,9 @@
                            has the name of its image without suffix ("cam00.png": cam00)
     images/<camera>/<frame>.jpg   a folder per camera, .jpg, .jpeg or .png; the model's image is
                            named <camera>.png or, as COLMAP names it itself, <camera>/<frame>.png
+    masks/                 optional, see masks.py; mirrors frames/ or images/ as COLMAP has it: the
+                           mask of <frame>/<image name> is masks/<frame>/<image name>.png, or has
+                           .png in place of the picture's suffix. Cameras without masks count whole
     held_out.txt           as in the DyNeRF layout; without it the first camera is held out
     fps.txt                optional, the frames per second; without it 30
 
@@ -37,6 +40,7 @@ from .colmap_model import (
 )
 from .dynerf import read_held_out
 from .lens import Lens, check_optics
+from .masks import MASKS_NAME, mask_source, mirrored_masks
 from .pictures import (
     FRAMES_NAME,
     IMAGES_NAME,
@@ -83,13 +87,20 @@ def open_colmap(root: Path) -> Capture:
         found[name] = camera, lens, path
     names = sorted(found, key=natural_order)
     cameras = [found[name][0] for name in names]
+    pictures = root / (FRAMES_NAME if by_frame else IMAGES_NAME)
     if by_frame:
-        files = pictures_by_frame(root / FRAMES_NAME, [found[name][2] for name in names])
+        files = pictures_by_frame(pictures, [found[name][2] for name in names])
     else:
-        files = pictures_by_camera([root / IMAGES_NAME / _folder(found[name][2]) for name in names])
+        files = pictures_by_camera([pictures / _folder(found[name][2]) for name in names])
     sources = [
         picture_source(camera, found[name][1], of_camera, optics_path)
         for name, camera, of_camera in zip(names, cameras, files, strict=True)
+    ]
+    masks = [
+        mask_source(camera, found[name][1], of_camera)
+        for name, camera, of_camera in zip(
+            names, cameras, mirrored_masks(root / MASKS_NAME, pictures, files), strict=True
+        )
     ]
     held_out = read_held_out(root, names)
     points = read_model_points(model)
@@ -101,7 +112,10 @@ def open_colmap(root: Path) -> Capture:
     return Capture(
         root=root,
         layout="colmap",
-        cameras=tuple(CaptureCamera(camera, camera.name in held_out) for camera in cameras),
+        cameras=tuple(
+            CaptureCamera(camera, camera.name in held_out, of_camera)
+            for camera, of_camera in zip(cameras, masks, strict=True)
+        ),
         num_frames=len(files[0]),
         fps=_read_fps(root / FPS_NAME),
         points=points,

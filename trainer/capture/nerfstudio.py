@@ -17,6 +17,9 @@ An entry's file_path has one of these forms, the same for all entries:
     any picture, with a `time`             an entry for each camera and time; entries of equal pose
                                            and lens are a camera, cam00 for the first in the file
 
+An entry's mask_path, optional, is the mask of its picture (see masks.py), or of all frames of the
+camera that the entry stands for. A camera has one in each of its entries or in none.
+
 `fps` tells the frames per second; without it the videos do, and without those it is 30. Cameras
 whose lens bends are straightened as they are read; fisheye models are refused.
 """
@@ -42,6 +45,7 @@ from .capture import Capture, CaptureCamera, InitialPoints, PictureSource
 from .dynamic3dgs import STILL_TOLERANCE
 from .dynerf import HELD_OUT_NAME, POINTS_NAME, check_equal, read_held_out
 from .lens import Lens, check_optics, straight_source
+from .masks import mask_source
 from .pictures import (
     FRAMES_NAME,
     IMAGES_NAME,
@@ -79,6 +83,7 @@ class Entry:
     """Named by its file_path."""
     lens: Lens
     time: float | None
+    mask: PurePosixPath | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +93,8 @@ class Posed:
     entry: Entry
     files: tuple[Path, ...]
     """A video, or a picture per frame."""
+    masks: tuple[Path, ...]
+    """A mask per frame, one for all frames, or none."""
     paths: frozenset[PurePosixPath]
     """The file_path of each of its entries."""
 
@@ -135,6 +142,10 @@ def open_nerfstudio(root: Path) -> Capture:
         ]
     if not 0 < fps <= 1000:
         raise CaptureError(f"{path}: fps is {fps:g}; must be above 0, at most 1000")
+    require_files([p.masks for p in posed], f"a mask_path of {TRANSFORMS_NAME} names it")
+    masks = [
+        mask_source(camera, p.entry.lens, p.masks) for p, camera in zip(posed, cameras, strict=True)
+    ]
     held_out = _held_out(root, value, names, posed)
     points = _read_points(root, value)
     depths = rig_depths(cameras, points_depths(points, cameras) if points else None)
@@ -148,7 +159,10 @@ def open_nerfstudio(root: Path) -> Capture:
     return Capture(
         root=root,
         layout="nerfstudio",
-        cameras=tuple(CaptureCamera(camera, camera.name in held_out) for camera in cameras),
+        cameras=tuple(
+            CaptureCamera(camera, camera.name in held_out, of_camera)
+            for camera, of_camera in zip(cameras, masks, strict=True)
+        ),
         num_frames=num_frames,
         fps=fps,
         points=points,
@@ -226,7 +240,10 @@ def _read_entry(path: Path, value: Mapping[str, Any]) -> Entry:
     lens = Lens(**{key: _number(path, value, key, 0.0) for key in ("k1", "k2", "k3", "p1", "p2")})
     check_optics(camera, lens, path)
     time = _number(path, value, "time") if "time" in value else None
-    return Entry(below, camera, lens, time)
+    mask = value.get("mask_path")
+    if not isinstance(mask, str | None):
+        raise CaptureError(f"{path}: {below}: mask_path is {str(mask)[:40]!r}, not a path")
+    return Entry(below, camera, lens, time, None if mask is None else safe_path(mask, path))
 
 
 def _number(path: Path, value: Mapping[str, Any], key: str, default: float | None = None) -> float:
@@ -257,7 +274,9 @@ def _videos(root: Path, entries: Sequence[Entry]) -> dict[str, Posed]:
             )
         if not file.is_file():
             raise CaptureError(f"{file}: is missing; {TRANSFORMS_NAME} names it")
-        found[entry.path.stem] = Posed(entry, (file,), frozenset({entry.path}))
+        found[entry.path.stem] = Posed(
+            entry, (file,), _masks(root, [entry]), frozenset({entry.path})
+        )
     return found
 
 
@@ -292,7 +311,7 @@ def _numbered(root: Path, entries: Sequence[Entry]) -> dict[str, Posed]:
         else:
             files = pictures_by_camera([(root / e.path).parent for e in firsts])
         return {
-            name: Posed(entry, of_camera, frozenset({entry.path}))
+            name: Posed(entry, of_camera, _masks(root, [entry]), frozenset({entry.path}))
             for name, entry, of_camera in zip(groups, firsts, files, strict=True)
         }
     check_without_gap(next(iter(groups.values())), path)
@@ -351,10 +370,22 @@ def _listed(root: Path, groups: Mapping[str, Mapping[_Key, Entry]]) -> dict[str,
         found[name] = Posed(
             ordered[0],
             tuple(root / entry.path for entry in ordered),
+            _masks(root, ordered),
             frozenset(entry.path for entry in ordered),
         )
     require_files([posed.files for posed in found.values()])
     return found
+
+
+def _masks(root: Path, entries: Sequence[Entry]) -> tuple[Path, ...]:
+    """The mask files of a camera's entries; all have one or none."""
+    masks = tuple(root / entry.mask for entry in entries if entry.mask is not None)
+    if 0 < len(masks) < len(entries):
+        lacking = next(entry.path for entry in entries if entry.mask is None)
+        raise CaptureError(
+            f"{root / TRANSFORMS_NAME}: {lacking} has no mask_path, other frames of its camera have"
+        )
+    return masks
 
 
 def _check_still(path: Path, first: Entry, entry: Entry) -> None:

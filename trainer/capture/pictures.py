@@ -95,14 +95,17 @@ def pictures_by_camera(folders: Sequence[Path]) -> list[tuple[Path, ...]]:
     return pictures
 
 
-def require_files(pictures: Sequence[Sequence[Path]]) -> None:
-    """Raises CaptureError for the first file that is missing; lists each folder once."""
+def require_files(
+    pictures: Sequence[Sequence[Path]], reason: str = "every frame needs a picture per camera"
+) -> None:
+    """Raises CaptureError with the reason for the first file that is missing; lists each folder
+    once."""
     listed: dict[Path, dict[str, bool]] = {}
     for file in (file for files in pictures for file in files):
         if file.parent not in listed:
             listed[file.parent] = _listing(file.parent)
         if file.name not in listed[file.parent]:
-            raise CaptureError(f"{file}: is missing; every frame needs a picture per camera")
+            raise CaptureError(f"{file}: is missing; {reason}")
 
 
 def check_without_gap(numbers: Collection[int], place: Path) -> None:
@@ -128,6 +131,11 @@ def picture_source(
             f"{camera.width_px}x{camera.height_px} px"
         )
     return straight_source(FileSource(camera, files), camera, lens)
+
+
+def folder_names(folder: Path) -> frozenset[str]:
+    """The names in a folder but hidden ones; empty without a folder."""
+    return frozenset(_listing(folder))
 
 
 def _listing(folder: Path) -> dict[str, bool]:

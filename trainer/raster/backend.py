@@ -36,10 +36,12 @@ class Backend(Protocol):
         bias: Floats,
         trainable: int,
         gradients: Parameters,
+        mask: npt.NDArray[np.uint8] | None = None,
     ) -> Loss:
         """The loss of the Gaussians `rows` seen by `view` against `picture`.
 
         picture: (H, W, 3) uint8, of the view's size or twice that; gain, bias: (3,) of its camera.
+        mask: (h, w) of the view's size, above 0 where a pixel counts; None: all count.
         Writes the gradients of those rows that are below `trainable` into `gradients`.
         """
         ...
@@ -64,11 +66,14 @@ class CpuBackend:
         bias: Floats,
         trainable: int,
         gradients: Parameters,
+        mask: npt.NDArray[np.uint8] | None = None,
     ) -> Loss:
         """See `Backend.step`."""
         target, workspace = self._targets.take(picture, view.camera)
         rendered = render(values, rows, view, self._scratch)
-        loss = photometric_loss(rendered.picture, target, self._dssim_weight, gain, bias, workspace)
+        loss = photometric_loss(
+            rendered.picture, target, self._dssim_weight, gain, bias, workspace, mask
+        )
         backward(
             rendered, values, loss.picture_grad, trainable, gradients, self._opacity_reg,
             self._scale_reg,

@@ -17,7 +17,7 @@ from codec.camera import Camera
 from codec.splats import SH_C0
 from player.render.recipe import LOW_PASS_PX2, SH_C1, TILE_PX
 
-from ..loss import C1, C2, RADIUS_PX, TAPS, Loss
+from ..loss import C1, C2, IGNORED, RADIUS_PX, TAPS, Loss
 from .cpu import Ints, Parameters, View
 
 Floats = npt.NDArray[np.float32]
@@ -86,6 +86,7 @@ class CudaBackend:
         bias: Floats,
         trainable: int,
         gradients: Parameters,
+        mask: npt.NDArray[np.uint8] | None = None,
     ) -> Loss:
         """See `Backend.step`."""
         leaves = [self._sent(array[rows]).requires_grad_() for array in values.arrays()]
@@ -94,6 +95,9 @@ class CudaBackend:
         rendered.retain_grad()
         pred = correction[0][:, None, None] * rendered + correction[1][:, None, None]
         target = self._target(picture, view.camera)
+        if mask is not None:
+            counts, grey = self._sent(mask) > 0, pred.new_tensor(IGNORED)
+            pred, target = torch.where(counts, pred, grey), torch.where(counts, target, grey)
         l1 = (pred - target).abs().mean()
         dssim = _dissimilarity(pred, target, self._taps)
         photometric = (1 - self._dssim_weight) * l1 + self._dssim_weight * dssim

@@ -1,0 +1,122 @@
+"""Mask files: which pixels of a camera's pictures count, white, and which are ignored, black.
+
+A mask has the size of its picture, before any straightening. A grey of 128 or more is white.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, UnidentifiedImageError
+
+from codec.camera import Camera
+
+from ..errors import CaptureError
+from .capture import Mask, check_frame
+from .lens import Lens, straightened
+from .pictures import folder_names
+
+MASKS_NAME = "masks"
+WHITE = 128
+"""Least grey of a pixel that counts."""
+
+
+@dataclass(frozen=True, slots=True)
+class MaskFiles:
+    """The masks of one camera. Holds nothing open: any thread may read."""
+
+    camera: Camera
+    lens: Lens
+    files: tuple[Path, ...]
+    """One for each frame, or one for all."""
+
+    @property
+    def is_still(self) -> bool:
+        return len(self.files) == 1
+
+    def read(self, frame: int) -> Mask:
+        if self.is_still:
+            frame = 0
+        check_frame(frame, len(self.files), self.camera.name)
+        path = self.files[frame]
+        try:
+            with Image.open(path) as image:
+                self._check_size(path, image.size)
+                grey = np.array(image.convert("L"))
+        except (OSError, UnidentifiedImageError, ValueError, SyntaxError) as error:
+            raise CaptureError(f"{path}: not a mask that can be read: {error}") from error
+        brightest = int(grey.max())
+        if 0 < brightest < WHITE:
+            raise CaptureError(
+                f"{path}: its brightest pixel is {brightest} of 255; pixels count from {WHITE} on"
+            )
+        white = np.where(grey >= WHITE, np.uint8(255), np.uint8(0))
+        if not self.lens.is_straight:
+            white = straightened(np.stack([white] * 3, axis=2), self.camera, self.lens)[..., 0]
+        # A straight pixel mixes up to four bent ones: below 255 an ignored one is among them.
+        counts: Mask = (white == 255).astype(np.uint8)
+        return counts
+
+    def check_header(self) -> None:
+        """Raises CaptureError if the first mask has another size than the pictures."""
+        path = self.files[0]
+        try:
+            with Image.open(path) as image:
+                self._check_size(path, image.size)
+        except (OSError, UnidentifiedImageError) as error:
+            raise CaptureError(f"{path}: not a mask that can be read") from error
+
+    def _check_size(self, path: Path, size: tuple[int, int]) -> None:
+        if size != (self.camera.width_px, self.camera.height_px):
+            raise CaptureError(
+                f"{path}: is {size[0]}x{size[1]} px; its picture has "
+                f"{self.camera.width_px}x{self.camera.height_px} px"
+            )
+
+
+def mask_source(camera: Camera, lens: Lens, files: tuple[Path, ...]) -> MaskFiles | None:
+    """The masks of one camera from a file per frame, or one for all; None without files. Raises
+    CaptureError if the first is none or has another size than the pictures."""
+    if not files:
+        return None
+    masks = MaskFiles(camera, lens, files if len(set(files)) > 1 else files[:1])
+    masks.check_header()
+    return masks
+
+
+def mirrored_masks(
+    masks: Path, pictures: Path, files: Sequence[Sequence[Path]]
+) -> list[tuple[Path, ...]]:
+    """For each camera's picture files, below `pictures`, the mask files below `masks`.
+
+    The mask of a/b.jpg is a/b.jpg.png or a/b.png. A camera of which no picture has a mask gets ();
+    if only some have one, CaptureError is raised, and if a folder `masks` has none at all.
+    """
+    if not masks.is_dir():
+        return [() for _ in files]
+    listed: dict[Path, frozenset[str]] = {}
+    result: list[tuple[Path, ...]] = []
+    for of_camera in files:
+        found: list[Path] = []
+        missing: list[Path] = []
+        for file in of_camera:
+            folder = masks / file.parent.relative_to(pictures)
+            if folder not in listed:
+                listed[folder] = folder_names(folder)
+            names = (f"{file.name}.png", f"{file.stem}.png")
+            name = next((name for name in names if name in listed[folder]), None)
+            (missing if name is None else found).append(folder / (name or names[0]))
+        if found and missing:
+            raise CaptureError(
+                f"{missing[0]}: is missing; a camera with masks needs one for every frame"
+            )
+        result.append(tuple(found))
+    if not any(result):
+        raise CaptureError(
+            f"{masks}: has no mask of a picture in {pictures.name}/; name each as its picture "
+            "with .png, or rename the folder"
+        )
+    return result
