@@ -59,6 +59,15 @@ def test_an_unknown_preset_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+def test_a_log_without_a_place_is_refused_before_training(tmp_path: Path) -> None:
+    write_dynerf(tmp_path / "capture", 4, 2)
+    log = tmp_path / "nowhere" / "log.jsonl"
+    done = run("swings-train", tmp_path / "capture", tmp_path / "out", "--log", log)
+    assert done.returncode == 1
+    assert "nowhere is no folder" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_run_logs_every_frame_and_draws_snapshots(tmp_path: Path) -> None:
     write_dynerf(tmp_path / "capture", 4, FRAMES)
     stream = tmp_path / "stream"

@@ -219,7 +219,10 @@ def make_manifest(
 
 
 def check_targets(config: TrainConfig) -> list[Path]:
-    """The folders to write. Raises InvalidError for one that holds something else."""
+    """The folders to write. Raises InvalidError for one that holds something else, and for a log
+    that has no place."""
+    if config.log is not None and not config.log.parent.is_dir():
+        raise InvalidError(f"{config.log.parent} is no folder; the log cannot be written there")
     targets = [config.target] + ([config.raw_stream] if config.raw_stream else [])
     for target in targets:
         if config.resume:
