@@ -49,12 +49,13 @@ class Steps:
         )
 
 
-# Found on a trained model by rendering: each bit then buys about the same in every attribute.
-POSITION_PER_SIZE = 1 / 16
-BASE_LOG_SCALE = 0.09
-BASE_ROTATION = 1 / 84
-BASE_OPACITY = 1 / 224
-BASE_COLOUR = 0.04
+# Found on trained models by rendering: each bit then buys about the same in every attribute, and the
+# picture loses about 0.05 dB, measured in docs/RESULTS.md.
+POSITION_PER_SIZE = 1 / 11
+BASE_LOG_SCALE = 0.125
+BASE_ROTATION = 1 / 60
+BASE_OPACITY = 1 / 160
+BASE_COLOUR = 0.056
 
 MIN_COARSENESS, MAX_COARSENESS = 0.5, 4.0
 """How far the steps of a layer may lie from those of its slice."""
