@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from codec.camera import Camera
 from codec.errors import InvalidError
 from tests.tiny_capture import picture_of, tiny_rig, write_dynamic3dgs
-from trainer.capture.capture import Capture
+from trainer.capture.capture import Capture, InitialPoints
 from trainer.capture.layout import open_capture
-from trainer.capture.points import read_points_file
+from trainer.capture.points import points_evenness, read_points_file
 from trainer.capture.rig import rig_centre, rig_depths
 from trainer.errors import CaptureError
 from trainer.synth_scene import CAMERA_RADIUS_M, CAMERA_TARGET
@@ -254,6 +256,21 @@ def test_points_come_from_a_ply_as_from_an_npz(tmp_path: Path) -> None:
         np.testing.assert_array_equal(points.rgb, rgb)
     with pytest.raises(CaptureError, match=r"points.txt: .*\.ply or an \.npz"):
         read_points_file(tmp_path / "points.txt")
+
+
+def test_evenness_is_the_share_of_the_picture_that_points_fill() -> None:
+    camera = Camera("c", 160, 80, 100.0, 100.0, 80.0, 40.0, np.eye(4))
+    v, u = np.mgrid[0:80, 0:160] + 0.5
+
+    def points(columns: slice) -> InitialPoints:
+        local = [(u - 80) / 100, (v - 40) / 100, np.ones_like(u)]
+        xyz = 3 * np.stack(local, axis=-1)[:, columns].reshape(-1, 3)
+        return InitialPoints(xyz.astype(np.float32), np.zeros((len(xyz), 3), np.uint8))
+
+    assert points_evenness(points(slice(None)), [camera]) == pytest.approx(1)
+    assert points_evenness(points(slice(0, 40)), [camera]) == pytest.approx(0.25)
+    away = replace(camera, w2c=np.diag([1.0, -1, -1, 1]))
+    assert points_evenness(points(slice(None)), [camera, away]) == pytest.approx(0.5)
 
 
 @pytest.fixture(scope="module")

@@ -28,7 +28,7 @@ from player.render.cpu import render_splats
 from . import checkpoint, runlog
 from .capture.capture import Capture
 from .capture.layout import open_capture
-from .capture.points import read_points_file
+from .capture.points import points_evenness, read_points_file
 from .checkpoint import load_checkpoint, save_checkpoint
 from .contribution import CONTRIBUTION, matured_by_contribution, writer_rank
 from .errors import CaptureError, InterruptedRunError
@@ -46,6 +46,9 @@ FALLBACK_NEAR_M = 0.2
 """Near plane where a rig does not tell. 3DGS."""
 
 FALLBACK_FAR_M = 100.0
+
+LEAST_POINT_SHARE = 0.3
+"""Of the first Gaussians, where points lie in a few spots only: those are what matters most."""
 
 
 Preset = Literal["cpu", "fast", "paper"]
@@ -76,9 +79,9 @@ class TrainConfig:
     """Depth that seeding reaches to, metres; by default from the rig."""
     points: Path | None = None
     """File of initial points, .ply or .npz, in the place of the capture's own."""
-    point_share: float = 0.3
+    point_share: float | None = None
     """Share of the first Gaussians taken from the capture's points, if it has any; seeds fill the
-    rest."""
+    rest. By default how evenly the points lie over the pictures (0 to 1), but 0.3 at least."""
     layers: tuple[float, ...] = (0.35, 0.15, 0.2, 0.3)
     """Share of a slice's Gaussians in each layer, most important first; the sum is 1. A smaller
     first layer leaves holes, and the last third of the Gaussians adds little."""
@@ -115,6 +118,8 @@ class TrainConfig:
     def __post_init__(self) -> None:
         if self.stream is None and self.check is None:
             raise InvalidError("name the folder to write the stream to, or --check PNG")
+        if self.point_share is not None and not 0 <= self.point_share <= 1:
+            raise InvalidError(f"point_share {self.point_share:g}: choose 0 to 1")
         if self.snapshot_every < 0:
             raise InvalidError(f"snapshot_every {self.snapshot_every}: choose 0 or more")
 
@@ -171,7 +176,10 @@ def first_gaussians(
     rng = np.random.default_rng(fit.seed)
     positions, colours = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8)
     if capture.points is not None:
-        count = min(len(capture.points), round(config.point_share * fit.num_gs))
+        share = config.point_share
+        if share is None:
+            share = max(LEAST_POINT_SHARE, points_evenness(capture.points, pictures.cameras))
+        count = min(len(capture.points), round(share * fit.num_gs))
         chosen = rng.choice(len(capture.points), count, replace=False)
         positions, colours = capture.points.xyz[chosen], capture.points.rgb[chosen]
     missing = fit.num_gs - len(positions)

@@ -18,6 +18,9 @@ from .capture import InitialPoints
 MAX_COORDINATE_M = 1e9
 """Farthest coordinate of a point or camera that is believed, metres."""
 
+EVENNESS_CELLS = 16
+"""Cells along each side of a picture in which points are counted."""
+
 
 def checked_points(
     path: Path, xyz: npt.NDArray[np.float64], rgb: npt.NDArray[np.uint8]
@@ -124,6 +127,27 @@ def read_points_file(path: Path) -> InitialPoints:
     if path.suffix.lower() == ".npz":
         return read_points(path)
     raise CaptureError(f"{path}: initial points come from a .ply or an .npz file")
+
+
+def points_evenness(points: InitialPoints, cameras: Sequence[Camera]) -> float:
+    """How evenly the points lie over the cameras' pictures: near 1 all over, near 0 in one spot.
+
+    The participation ratio of the counts in EVENNESS_CELLS x EVENNESS_CELLS cells, (sum n)^2 /
+    (cells sum n^2), the mean over the cameras.
+    """
+    ratios = []
+    cells = EVENNESS_CELLS
+    for camera in cameras:
+        x, y, z = (points.xyz @ camera.w2c[:3, :3].T + camera.w2c[:3, 3]).T
+        front = z > 0
+        x, y, z = x[front], y[front], z[front]
+        column = np.floor((camera.fx_px * x / z + camera.cx_px) / camera.width_px * cells)
+        row = np.floor((camera.fy_px * y / z + camera.cy_px) / camera.height_px * cells)
+        inside = (column >= 0) & (column < cells) & (row >= 0) & (row < cells)
+        cell = (row[inside] * cells + column[inside]).astype(np.int64)
+        counts = np.bincount(cell, minlength=cells**2).astype(np.float64)
+        ratios.append(counts.sum() ** 2 / (cells**2 * max(float(counts @ counts), 1.0)))
+    return float(np.mean(ratios))
 
 
 def points_depths(points: InitialPoints, cameras: Sequence[Camera]) -> tuple[float, float] | None:
