@@ -49,8 +49,8 @@ class Steps:
         )
 
 
-# Found on trained models by rendering: each bit then buys about the same in every attribute, and the
-# picture loses about 0.05 dB, measured in docs/RESULTS.md.
+# Found on trained models by rendering: each bit then buys about the same in every attribute, and
+# the picture loses about 0.05 dB, measured in docs/RESULTS.md.
 POSITION_PER_SIZE = 1 / 11
 BASE_LOG_SCALE = 0.125
 BASE_ROTATION = 1 / 60
