@@ -106,7 +106,7 @@ def start() -> Splats:
 
 def test_a_whole_run_is_algorithm_one() -> None:
     pictures, seen = Rendered(), list[Progress]()
-    trainer = Trainer(CONFIG, pictures, start(), NEAR_M, seen.append)
+    trainer = Trainer(CONFIG, pictures, start(), NEAR_M, on_progress=seen.append)
     slices: list[Slice] = []
     asked_before: list[int] = []
     for part in (part for window in trainer.windows() for part in window):

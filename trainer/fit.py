@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,13 +23,18 @@ from .colour import CameraColour
 from .mask import half_mask
 from .mcmc import McmcConfig, relocate
 from .optimiser import Adam, OptimiserConfig, add_noise
+from .pictures import Pictures
 from .raster.backend import Backend, BackendName, make_backend
 from .raster.cpu import Parameters, View
+from .renew import Comparer, missing_splats
 from .target import half_camera
 from .window import Lifespans
 
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]
+
+FALLBACK_FAR_M = 100.0
+"""Where something new is looked for, at most, when nobody knows."""
 
 
 @dataclass(frozen=True)
@@ -83,24 +88,6 @@ class FitConfig:
         return make_backend(name, self.dssim_weight, self.mcmc.opacity_reg, self.mcmc.scale_reg)
 
 
-class Pictures(Protocol):
-    """What training sees: frames 0..num_frames-1 of the training cameras."""
-
-    @property
-    def num_frames(self) -> int: ...
-
-    @property
-    def cameras(self) -> Sequence[Camera]: ...
-
-    def picture(self, camera: int, frame: int) -> npt.NDArray[np.uint8]:
-        """(H, W, 3) uint8, of the camera's size."""
-        ...
-
-    def mask(self, camera: int, frame: int) -> npt.NDArray[np.uint8] | None:
-        """(H, W): 1 where a pixel of the picture counts, 0 where not; None if all do."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
 class Progress:
     """Where training stands."""
@@ -127,6 +114,7 @@ class Trainer:
         pictures: Pictures,
         initial: Splats | None,
         near_m: float,
+        far_m: float = FALLBACK_FAR_M,
         on_progress: Callable[[Progress], None] = lambda progress: None,
         backend: Backend | None = None,
     ) -> None:
@@ -157,6 +145,8 @@ class Trainer:
                 getattr(self.values, name)[: config.num_gs] = getattr(initial, name)
         self.gradients = Parameters.zeros(config.num_gs, config.sh_degree)
         self.backend = backend or config.backend("cpu")
+        self.comparer = Comparer(pictures.cameras, near_m)
+        self.near_m, self.far_m = near_m, far_m
         self.extent_m = scene_extent_m(pictures.cameras)
         self.rng = np.random.default_rng(config.seed)
         self.on_progress = on_progress
@@ -252,6 +242,9 @@ class Trainer:
         ages = self.lifespans.ages(first_frame)
         if genesis:
             ages[:] = 0
+        elif last_frame == first_frame + config.swin_size - 1:
+            ages[self._renew(last_frame)] = 0
+            active = {f: self.lifespans.active_rows(f) for f in active}
         for iteration in range(iterations):
             frame = int(self.rng.integers(first_frame, last_frame + 1))
             if not genesis and self.rng.random() < config.newest_share:
@@ -305,6 +298,34 @@ class Trainer:
         )  # fmt: skip
         self._steps += 1
         return loss.value
+
+    def _renew(self, last_frame: int) -> Ints:
+        """Places the least contributing Gaussians of every slice where `last_frame`, which no
+        window saw before, shows what is not rendered. They show from then on. Gives their rows."""
+        lifespans, config = self.lifespans, self.config
+        each = round(config.mcmc.renew_share * lifespans.slice_size)
+        if each == 0:
+            return np.zeros(0, np.int32)
+        rows = lifespans.active_rows(last_frame)
+        seen, weights = self.comparer.compare(
+            self.values, rows, self.pictures, last_frame, self.colour
+        )
+        trainable = rows < config.num_gs
+        rows, weights = rows[trainable], weights[trainable]
+        by_weight = rows[np.argsort(weights, kind="stable")]
+        # The least important of every slice, slice by slice in turn.
+        births = lifespans.births[by_weight]
+        slices = [by_weight[births == birth][:each] for birth in np.unique(births)]
+        order = np.array([row for turn in zip(*slices, strict=True) for row in turn], np.int32)
+        found = missing_splats(
+            seen, len(order), self.near_m, self.far_m, config.sh_degree, self.rng
+        )
+        renewed = order[: len(found)]
+        for name in Parameters.__slots__:
+            getattr(self.values, name)[renewed] = getattr(found, name)
+        lifespans.starts[renewed] = last_frame
+        self.adam.reset(renewed)
+        return renewed
 
     def _relocate(self, last_frame: int) -> None:
         """Moves dead Gaussians of every slice in the window to living ones born no earlier.

@@ -33,7 +33,7 @@ from .checkpoint import load_checkpoint, save_checkpoint
 from .contribution import CONTRIBUTION, matured_by_contribution, writer_rank
 from .errors import CaptureError, InterruptedRunError
 from .evaluate import displayed
-from .fit import FitConfig, Trainer
+from .fit import FALLBACK_FAR_M, FitConfig, Trainer
 from .frames import DEFAULT_MAX_BYTES, FrameCache, parse_frames
 from .monitor import Monitor, progress_bar
 from .quality import QualityMeter
@@ -44,8 +44,6 @@ from .sheet import comparison, save_png
 
 FALLBACK_NEAR_M = 0.2
 """Near plane where a rig does not tell. 3DGS."""
-
-FALLBACK_FAR_M = 100.0
 
 LEAST_POINT_SHARE = 0.3
 """Of the first Gaussians, where points lie in a few spots only: those are what matters most."""
@@ -344,10 +342,10 @@ def train_stream(
             with console.status("first Gaussians"):
                 initial = first_gaussians(capture, pictures, config, near_m, far_m)
             manifest = make_manifest(capture, cache, initial, config, near_m)
-            trainer = Trainer(config.fit, pictures, initial, near_m, backend=backend)
+            trainer = Trainer(config.fit, pictures, initial, near_m, far_m, backend=backend)
         else:
             manifest = StreamReader(config.target).manifest
-            trainer = Trainer(config.fit, pictures, None, near_m, backend=backend)
+            trainer = Trainer(config.fit, pictures, None, near_m, far_m, backend=backend)
             trainer.restore(found.state)
         outputs = open_outputs(targets, manifest, config, capture, cache)
         writers = [stack.enter_context(output.writer) for output in outputs]

@@ -105,8 +105,8 @@ def _sweep(  # type: ignore[no-untyped-def]
 ):
     """Fills best_depths (C, H, W), 0 where fewer than two neighbours see a pixel at any depth.
 
-    features (C, 6, H, W), of which camera c fills sizes[c] = (height, width); at depth d, pixel
-    (u, v) of camera c lies in its n-th neighbour at d * warps[c, n] (u, v, 1) + offsets[c, n].
+    features (C, 6, H, W), of which camera c fills sizes[c] = (height, width); neighbours, warps,
+    offsets: of `pair_cameras`.
     """
     zero, half = np.float32(0), np.float32(0.5)
     count = neighbours.shape[1]
@@ -212,6 +212,27 @@ def small_camera(camera: Camera) -> Camera:
     )
 
 
+def pair_cameras(cameras: Sequence[Camera]) -> tuple[Ints, Floats, Floats]:
+    """(C, N) int32 each camera's neighbours, those that look in the most similar direction first;
+    (C, N, 3, 3) and (C, N, 3) float32: at depth d, pixel (u, v) of camera c lies in its n-th
+    neighbour at d * warps[c, n] (u, v, 1) + offsets[c, n], homogeneous."""
+    intrinsics = np.array(
+        [[[c.fx_px, 0, c.cx_px], [0, c.fy_px, c.cy_px], [0, 0, 1]] for c in cameras], np.float64
+    )
+    to_pixel = intrinsics @ np.stack([c.w2c[:3, :3] for c in cameras])
+    to_ray = np.linalg.inv(to_pixel)
+    positions = np.stack([c.position for c in cameras])
+    forwards = np.stack([c.forward for c in cameras])
+    likeness = forwards @ forwards.T
+    np.fill_diagonal(likeness, -np.inf)
+    neighbours = np.argsort(-likeness, axis=1)[:, : min(NEIGHBOURS, len(cameras) - 1)]
+    warps = (to_pixel[neighbours] @ to_ray[:, None]).astype(np.float32)
+    offsets = np.einsum(
+        "cnij,cnj->cni", to_pixel[neighbours], positions[:, None] - positions[neighbours]
+    ).astype(np.float32)
+    return neighbours.astype(np.int32), warps, offsets
+
+
 def depth_maps(
     cameras: Sequence[Camera],
     pictures: Sequence[npt.NDArray[np.uint8]],
@@ -230,23 +251,9 @@ def depth_maps(
         size = (camera.width_px, camera.height_px)
         resized = np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.BOX))
         features[i, :, : camera.height_px, : camera.width_px] = _features(resized)
-    intrinsics = np.array(
-        [[[c.fx_px, 0, c.cx_px], [0, c.fy_px, c.cy_px], [0, 0, 1]] for c in small], np.float64
-    )
-    to_pixel = intrinsics @ np.stack([c.w2c[:3, :3] for c in small])
-    to_ray = np.linalg.inv(to_pixel)
-    positions = np.stack([c.position for c in small])
-    forwards = np.stack([c.forward for c in small])
-    likeness = forwards @ forwards.T
-    np.fill_diagonal(likeness, -np.inf)
-    neighbours = np.argsort(-likeness, axis=1)[:, : min(NEIGHBOURS, len(small) - 1)]
-    warps = (to_pixel[neighbours] @ to_ray[:, None]).astype(np.float32)
-    offsets = np.einsum(
-        "cnij,cnj->cni", to_pixel[neighbours], positions[:, None] - positions[neighbours]
-    ).astype(np.float32)
+    neighbours, warps, offsets = pair_cameras(small)
     inverse_depths = np.linspace(1 / near_m, 1 / far_m, DEPTHS).astype(np.float32)
     depths = np.zeros((len(small), height, width), np.float32)
-    neighbours = neighbours.astype(np.int32)
     _sweep(
         features, sizes, warps, offsets, neighbours, inverse_depths, RADIUS_PX,
         np.float32(COST_LIMIT), depths,
