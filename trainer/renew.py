@@ -86,7 +86,9 @@ class Comparer:
             error = np.abs(np.clip(picture, 0, 1) - truth).mean(axis=2)
             mask = pictures.mask(i, frame)
             if mask is not None:
-                error *= scaled_mask(mask, width, height)
+                small_mask = scaled_mask(mask, width, height)
+                error *= small_mask
+                truth *= small_mask[:, :, None]
             shown[i, :height, :width] = truth
             errors[i, :height, :width] = error
         return Comparison(tuple(v.camera for v in self.views), shown, errors), weights
@@ -181,10 +183,10 @@ def missing_splats(
         weights[i, camera.height_px - 1 :] = 0
         weights[i, :, camera.width_px - 1 :] = 0
     places = np.flatnonzero(weights)
-    if len(places) == 0 or count == 0:
-        return initial_splats(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), sh_degree)
     chances = weights.reshape(-1)[places].astype(np.float64)
-    drawn = rng.choice(places, 2 * count, p=chances / chances.sum())
+    # Twice as many as wanted, as not all are found in other cameras.
+    draws = 2 * count if len(places) else 0
+    drawn = rng.choice(places, draws, p=chances / chances.sum()) if draws else places[:0]
     which, ys, xs = np.unravel_index(drawn, weights.shape)
     sizes = np.array([(c.height_px, c.width_px) for c in cameras], np.int32)
     neighbours, warps, offsets = pair_cameras(cameras)

@@ -85,7 +85,7 @@ def initial_splats(points: Floats, colours: npt.NDArray[np.uint8], sh_degree: in
     if count > 3:
         _spacings(points, spacing)
     # Points that coincide, and points far from all others, must not start as specks or as fog.
-    middle = float(np.median(spacing))
+    middle = float(np.median(spacing)) if count else 0.0
     spacing = np.clip(spacing, 0.1 * middle + 1e-6, 10 * middle + 1e-6)
     quats = np.zeros((count, 4), np.float32)
     quats[:, 0] = 1

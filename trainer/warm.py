@@ -30,7 +30,7 @@ _STARTED_OVER = "SWINGS_STARTED_OVER"
 class _Noise:
     """Three cameras of which two look alike; the smallest that genesis halves."""
 
-    num_frames = 2
+    num_frames = 3  # so that a window brings a new frame
 
     def __init__(self) -> None:
         self.cameras = []
@@ -76,7 +76,7 @@ def compile_kernels(sh_degree: int) -> bool:
         genesis_iterations=4,
         window_iterations=2,
         coarse_share=0.5,
-        mcmc=McmcConfig(relocate_period=1),
+        mcmc=McmcConfig(relocate_period=1, renew_share=0.5),
     )
     trainer = Trainer(config, pictures, initial, 0.2)
     for parts in trainer.windows():
