@@ -54,6 +54,12 @@ def rig() -> list[Camera]:
     return [c.resized(160, 90) for c in tiny_rig(8, arc_deg=90.0)]
 
 
+def seen(splats: Splats, camera: Camera, gain: float) -> npt.NDArray[np.uint8]:
+    picture = np.clip(gain * render_splats(splats, camera, NEAR_M), 0, 1)
+    rounded: npt.NDArray[np.uint8] = np.rint(picture * 255).astype(np.uint8)
+    return rounded
+
+
 class Film:
     """Pictures of Gaussians: those of each frame."""
 
@@ -61,13 +67,8 @@ class Film:
         self.cameras = rig()
         self.num_frames = len(frames)
         gains = np.ones(len(self.cameras)) if gains is None else gains
-        self._pictures = [
-            [
-                np.rint(np.clip(gain * render_splats(splats, camera, NEAR_M), 0, 1) * 255).astype(
-                    np.uint8
-                )
-                for camera, gain in zip(self.cameras, gains, strict=True)
-            ]
+        self._pictures: list[list[npt.NDArray[np.uint8]]] = [
+            [seen(splats, camera, gain) for camera, gain in zip(self.cameras, gains, strict=True)]
             for splats in frames
         ]
         self.masks: list[npt.NDArray[np.uint8] | None] = [None] * len(self.cameras)
@@ -91,8 +92,8 @@ def compare(film: Film, splats: Splats, colour: CameraColour | None = None) -> C
     return comparer.compare(parameters(splats), rows, film, 0, colour)[0]
 
 
-def find(seen: Comparison, count: int = 200) -> Splats:
-    return missing_splats(seen, count, NEAR_M, FAR_M, 0, np.random.default_rng(0))
+def find(compared: Comparison, count: int = 200) -> Splats:
+    return missing_splats(compared, count, NEAR_M, FAR_M, 0, np.random.default_rng(0))
 
 
 def test_what_is_missing_is_found_in_its_place_and_colour() -> None:
@@ -133,11 +134,12 @@ def test_a_cameras_own_colour_is_no_error_and_masked_pixels_do_not_count() -> No
     colour.values[:, :3] = gains[:, None]
     assert compare(film, room(), colour).errors.max() < 0.02
     film.picture(2, 0)[10:30, 10:30] = 255
-    film.masks[2] = np.ones((90, 160), np.uint8)
-    film.masks[2][10:30, 10:30] = 0
-    seen = compare(film, room(), colour)
-    assert seen.errors.max() < 0.02
-    assert seen.pictures[2, 10:30, 10:30].max() == 0
+    mask = np.ones((90, 160), np.uint8)
+    mask[10:30, 10:30] = 0
+    film.masks[2] = mask
+    compared = compare(film, room(), colour)
+    assert compared.errors.max() < 0.02
+    assert compared.pictures[2, 10:30, 10:30].max() == 0
 
 
 def test_contributions_come_with_the_comparison() -> None:
@@ -148,7 +150,9 @@ def test_contributions_come_with_the_comparison() -> None:
     _, weights = Comparer(film.cameras, NEAR_M).compare(
         parameters(splats), rows, film, 0, CameraColour(8, 0)
     )
-    assert weights.shape == (251,) and weights[0] == weights.min() and weights.max() > 10
+    assert weights.shape == (251,)
+    assert weights[0] == weights.min()
+    assert weights.max() > 10
 
 
 CONFIG = FitConfig(
@@ -184,9 +188,8 @@ def test_what_jumps_is_followed() -> None:
     for share in (0.0, 0.2):
         trainer = trained(share, 3)  # the last window shows frames 2, 3 and, for the first time, 4
         camera = film.cameras[4]
-        seen = render_splats(trainer.shown(4), camera, NEAR_M)
-        truth = film.picture(4, 4) / 255
-        errors.append(float(np.square(seen - truth).mean()))
+        shown = render_splats(trainer.shown(4), camera, NEAR_M)
+        errors.append(float(np.square(shown - film.picture(4, 4) / 255).mean()))
     assert errors[1] < 0.5 * errors[0]
 
 

@@ -30,7 +30,7 @@ from .stereo import pair_cameras, small_camera, world_points
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]
 
-LEAST_ERROR = 0.08
+LEAST_ERROR = 0.05
 """Mean colour difference, of 1, from which on a pixel is wrong."""
 
 DEPTHS = 64
