@@ -11,16 +11,16 @@ from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 from . import raw
 from .errors import CorruptError
-from .morton import BITS_PER_AXIS, Codes, decode_gaps, deinterleave, encode_gaps, interleave
+from .morton import BITS_PER_AXIS, decode_gaps, encode_gaps, gather, interleave
 from .orientation import canonical
 from .quantize import (
     MAX_OPACITY_LEVELS,
     MAX_ROTATION_HALF,
     MIDDLE,
-    Bytes,
     Doubles,
     Steps,
     choose_steps,
@@ -40,9 +40,6 @@ GEOMETRY_PLANES = 8
 
 TAME = 1e30
 """Magnitude from which a value escapes, so that no dequantised one overflows float32."""
-
-BLOCK = 1 << 14
-"""Gaussians dequantised at a time: what lies between bytes and value then fits a cache."""
 
 MAX_ESCAPE_SHARE = 0.005
 MIN_ESCAPES = 4
@@ -81,6 +78,10 @@ class Head:
     @property
     def origin_m(self) -> tuple[float, float, float]:
         return self.origin_x_m, self.origin_y_m, self.origin_z_m
+
+    def floats(self) -> Floats:
+        """(9,) float32: all but the last four."""
+        return np.array(astuple(self)[:9], np.float32)
 
     def pack(self) -> bytes:
         return HEAD.pack(*astuple(self))
@@ -138,16 +139,21 @@ def _colour_step(sh: Doubles, step: float) -> float:
     if not len(sh):
         return step
     # All but the luma of the first one, which has a base of its own.
-    around_zero = np.concatenate([sh[:, 0, 1:], *sh[:, 1:].transpose(1, 0, 2)], axis=1)
-    farthest = np.abs(around_zero).max(axis=1)
+    farthest = np.zeros(len(sh))
+    for column in sh.reshape(len(sh), 3 * sh.shape[1]).T[1:]:
+        np.maximum(farthest, np.abs(column), out=farthest)
     spare = _spare(len(sh))
     return max(step, float(np.partition(farthest, -1 - spare)[-1 - spare]) / (MIDDLE - 1))
 
 
 def _is_tame(splats: Splats) -> Flags:
     """(N,) whether every number of a Gaussian is of a sane magnitude."""
-    rows = (splats.means, splats.log_scales, *splats.sh.transpose(1, 0, 2))
-    tame: Flags = (np.abs(np.concatenate(rows, axis=1)) < TAME).all(axis=1)
+    tame = np.ones(len(splats), bool)
+    sh = splats.sh.reshape(len(splats), 3 * splats.sh.shape[1])
+    for array in (splats.means, splats.log_scales, sh):
+        # Column by column: reducing short rows costs several times as much.
+        for column in array.T:
+            tame &= np.abs(column) < TAME
     return tame
 
 
@@ -184,7 +190,9 @@ def _quantise(splats: Splats, steps: Steps) -> tuple[Head, Quantised]:
     head = _choose_head(means, scales, sh, steps)
 
     places = np.rint((means - head.origin_m) / head.position_step_m)
-    fits = np.asarray(((places >= 0) & (places < 1 << BITS_PER_AXIS)).all(axis=1))
+    fits = np.ones(len(splats), bool)
+    for axis in places.T:
+        fits &= (axis >= 0) & (axis < 1 << BITS_PER_AXIS)
     sizes = np.rint((scales - head.scale_base) / head.scale_step)
     turns = np.rint(quats[:, 1:] / head.rotation_step) + head.rotation_half
     colours = np.rint(sh / head.colour_step) + MIDDLE
@@ -241,47 +249,53 @@ def decode_body(body: memoryview, count: int, sh_degree: int) -> Splats:
         raise CorruptError(f"compact: opacity {planes[7].max()} of {head.opacity_levels} levels")
     escaped = raw.read_arrays(body[low_bits_end:], head.escapes, sh_degree)
     codes = decode_gaps(planes[0], body[planes_end:low_bits_end])
-    # Filled piece by piece: whatever a chunk claims, it costs its bytes and its value, no more.
-    arrays = tuple(np.empty((count, *array.shape[1:]), np.float32) for array in escaped)
-    with np.errstate(all="ignore"):
-        for start in range(0, inside, BLOCK):
-            rows = slice(start, min(start + BLOCK, inside))
-            for array, part in zip(
-                arrays, _dequantise(head, codes[rows], planes[:, rows]), strict=True
-            ):
-                array[rows] = part
+    means, log_scales, quats, opacities, sh = (
+        np.empty((count, *array.shape[1:]), np.float32) for array in escaped
+    )
+    arrays = means, log_scales, quats, opacities, sh
+    logits = opacity_logits(head.opacity_levels)
+    _dequantise(codes, planes, head.floats(), head.rotation_half, logits, *arrays)
     for array, part in zip(arrays, escaped, strict=True):
         array[inside:] = part
-    means, log_scales, quats, opacities, sh = arrays
-    return Splats(means, log_scales, quats, opacities, sh)
+    return Splats(*arrays)
 
 
-def _dequantise(head: Head, codes: Codes, planes: Bytes) -> tuple[Floats, ...]:
-    """means, log_scales, quats, logit_opacities and sh of some of the Gaussians."""
-    f32 = np.float32
-    places = deinterleave(codes).astype(f32)
-    means = places * f32(head.position_step_m) + np.array(head.origin_m, f32)
-
-    largest = planes[1].astype(np.int32)
-    middle = largest - planes[2]
-    sizes = np.stack([largest, middle, middle - planes[3]], axis=1).astype(f32)
-    log_scales = sizes * f32(head.scale_step) + f32(head.scale_base)
-
-    turns = planes[4:7].astype(np.int32) - head.rotation_half
-    x, y, z = turns.astype(f32) * f32(head.rotation_step)
-    w = np.sqrt(np.maximum(f32(1) - ((x * x + y * y) + z * z), f32(0)))
-
-    colours = np.stack(np.split(planes[GEOMETRY_PLANES:], 3))
-    sh = (colours.astype(np.int32) - MIDDLE).astype(f32) * f32(head.colour_step)
-    sh[0, 0] = colours[0, 0].astype(f32) * f32(head.colour_step) + f32(head.colour_base)
-    rgb = from_luma(sh[0], sh[1], sh[2])
-    return (
-        means,
-        log_scales,
-        np.stack([w, x, y, z], axis=1),
-        opacity_logits(head.opacity_levels)[planes[7]],
-        rgb.transpose(1, 0, 2),
-    )
+@njit(cache=True, nogil=True, error_model="numpy")
+def _dequantise(  # type: ignore[no-untyped-def]
+    codes, planes, floats, half, logits, means, log_scales, quats, logit_opacities, sh
+):
+    """Fills as many rows as there are codes. Without fastmath: FORMAT.md says the order of every
+    operation. floats: `Head.floats`."""
+    position_step_m, scale_base, scale_step = floats[3], floats[4], floats[5]
+    rotation_step, colour_base, colour_step = floats[6], floats[7], floats[8]
+    one, zero = np.float32(1), np.float32(0)
+    coefficients = sh.shape[1]
+    for i in range(codes.shape[0]):
+        for axis in range(3):
+            place = np.float32(gather(codes[i] >> np.uint64(axis)))
+            means[i, axis] = place * position_step_m + floats[axis]
+        size = np.int32(planes[1, i])
+        for axis in range(3):
+            if axis:
+                size -= np.int32(planes[1 + axis, i])
+            log_scales[i, axis] = np.float32(size) * scale_step + scale_base
+        x = np.float32(np.int32(planes[4, i]) - half) * rotation_step
+        y = np.float32(np.int32(planes[5, i]) - half) * rotation_step
+        z = np.float32(np.int32(planes[6, i]) - half) * rotation_step
+        quats[i, 0] = np.sqrt(max(one - ((x * x + y * y) + z * z), zero))
+        quats[i, 1], quats[i, 2], quats[i, 3] = x, y, z
+        logit_opacities[i] = logits[planes[7, i]]
+        for k in range(coefficients):
+            luma = np.int32(planes[GEOMETRY_PLANES + k, i])
+            if k:
+                luma_value = np.float32(luma - MIDDLE) * colour_step
+            else:
+                luma_value = np.float32(luma) * colour_step + colour_base
+            co = np.int32(planes[GEOMETRY_PLANES + coefficients + k, i]) - MIDDLE
+            cg = np.int32(planes[GEOMETRY_PLANES + 2 * coefficients + k, i]) - MIDDLE
+            sh[i, k, 0], sh[i, k, 1], sh[i, k, 2] = from_luma(
+                luma_value, np.float32(co) * colour_step, np.float32(cg) * colour_step
+            )
 
 
 def plane_edges(body: memoryview, count: int, sh_degree: int) -> list[int]:

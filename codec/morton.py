@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 from .errors import CorruptError
 
@@ -20,54 +21,67 @@ CODE_BITS = 3 * BITS_PER_AXIS
 
 Codes = npt.NDArray[np.uint64]
 
-# Each step doubles the distance between groups of bits: 20 together, then 16 + 4, 8, 4, 2, 1.
-_SPREAD = (
-    (32, 0x000F00000000FFFF),
-    (16, 0x000F0000FF0000FF),
-    (8, 0xF00F00F00F00F00F),
-    (4, 0x30C30C30C30C30C3),
-    (2, 0x9249249249249249),
-)
-_AXIS_MASK = (1 << BITS_PER_AXIS) - 1
+
+@njit(cache=True, nogil=True)
+def _spread(value):  # type: ignore[no-untyped-def]
+    """Bit b of a value below 2**BITS_PER_AXIS moved to bit 3 b."""
+    # Each step doubles the distance between groups of bits: 16 + 4, then 8, 4, 2, 1.
+    value = (value | (value << np.uint64(32))) & np.uint64(0x000F00000000FFFF)
+    value = (value | (value << np.uint64(16))) & np.uint64(0x000F0000FF0000FF)
+    value = (value | (value << np.uint64(8))) & np.uint64(0xF00F00F00F00F00F)
+    value = (value | (value << np.uint64(4))) & np.uint64(0x30C30C30C30C30C3)
+    return (value | (value << np.uint64(2))) & np.uint64(0x9249249249249249)
 
 
-def _spread(values: Codes) -> Codes:
-    """Bit b of each value moved to bit 3 b."""
-    for shift, mask in _SPREAD:
-        values = (values | (values << np.uint64(shift))) & np.uint64(mask)
-    return values
+@njit(cache=True, nogil=True)
+def gather(code):  # type: ignore[no-untyped-def]
+    """Bit 3 b of a uint64 moved to bit b: an axis of a Morton code shifted down by the axis."""
+    code &= np.uint64(0x9249249249249249)
+    code = (code | (code >> np.uint64(2))) & np.uint64(0x30C30C30C30C30C3)
+    code = (code | (code >> np.uint64(4))) & np.uint64(0xF00F00F00F00F00F)
+    code = (code | (code >> np.uint64(8))) & np.uint64(0x000F0000FF0000FF)
+    code = (code | (code >> np.uint64(16))) & np.uint64(0x000F00000000FFFF)
+    return (code | (code >> np.uint64(32))) & np.uint64((1 << BITS_PER_AXIS) - 1)
 
 
-def _gather(codes: Codes) -> Codes:
-    """Bit 3 b of each code moved to bit b."""
-    codes = codes & np.uint64(_SPREAD[-1][1])
-    masks = [mask for _, mask in _SPREAD[-2::-1]] + [_AXIS_MASK]
-    for (shift, _), mask in zip(_SPREAD[::-1], masks, strict=True):
-        codes = (codes | (codes >> np.uint64(shift))) & np.uint64(mask)
-    return codes
+@njit(cache=True, nogil=True)
+def _interleave(coordinates, codes):  # type: ignore[no-untyped-def]
+    for i in range(codes.shape[0]):
+        x = _spread(np.uint64(coordinates[i, 0]))
+        y = _spread(np.uint64(coordinates[i, 1]))
+        z = _spread(np.uint64(coordinates[i, 2]))
+        codes[i] = x | (y << np.uint64(1)) | (z << np.uint64(2))
 
 
 def interleave(coordinates: npt.NDArray[np.int64]) -> Codes:
     """(N,) Morton codes of (N, 3) coordinates below 2**BITS_PER_AXIS; bit 0 of x is the lowest."""
-    x, y, z = (_spread(axis.astype(np.uint64)) for axis in coordinates.T)
-    codes: Codes = x | (y << np.uint64(1)) | (z << np.uint64(2))
+    codes = np.empty(len(coordinates), np.uint64)
+    _interleave(coordinates, codes)
     return codes
 
 
-def deinterleave(codes: Codes) -> npt.NDArray[np.int64]:
-    """(N, 3) coordinates of (N,) Morton codes."""
-    axes = [_gather(codes >> np.uint64(axis)) for axis in range(3)]
-    return np.stack(axes, axis=1).astype(np.int64)
-
-
-def _bit_lengths(values: Codes) -> npt.NDArray[np.uint8]:
-    lengths = np.zeros(len(values), np.uint8)
-    for shift in (32, 16, 8, 4, 2, 1):
-        large = (values >> np.uint64(shift)) > 0
-        lengths[large] += np.uint8(shift)
-        values = np.where(large, values >> np.uint64(shift), values)
-    lengths += values > 0
-    return lengths
+@njit(cache=True, nogil=True)
+def _encode_gaps(codes, lengths, packed):  # type: ignore[no-untyped-def]
+    """Fills lengths and packed, which begins as zeros; gives the number of low bits."""
+    before = np.uint64(0)
+    bit = 0
+    for i in range(codes.shape[0]):
+        gap = codes[i] - before
+        before = codes[i]
+        length = 0
+        while length < 64 and gap >> np.uint64(length):
+            length += 1
+        lengths[i] = length
+        left = length - 1
+        while left > 0:
+            free = 8 - (bit & 7)
+            taken = min(free, left)
+            part = gap & np.uint64((1 << taken) - 1)
+            packed[bit >> 3] |= np.uint8(part << np.uint64(bit & 7))
+            gap >>= np.uint64(taken)
+            left -= taken
+            bit += taken
+    return bit
 
 
 def encode_gaps(codes: Codes) -> tuple[npt.NDArray[np.uint8], bytes]:
@@ -76,28 +90,37 @@ def encode_gaps(codes: Codes) -> tuple[npt.NDArray[np.uint8], bytes]:
     The low bits are one bit string: for each gap the bits under its leading one, lowest first; the
     string fills bytes from their lowest bit, and the last byte is filled up with zeros.
     """
-    gaps = np.diff(codes, prepend=np.uint64(0))
-    lengths = _bit_lengths(gaps)
-    first, shift, num_bits = _places(lengths)
-    leading = (np.uint64(1) << lengths.astype(np.uint64)) >> np.uint64(1)
-    low = gaps ^ leading
-    # A run of up to 59 bits from bit 0..7 of its first byte reaches into 9 bytes.
-    pieces = [(low << shift) >> np.uint64(8 * byte) & np.uint64(255) for byte in range(8)]
-    # Two shifts, because a shift by 64 is not defined.
-    pieces.append((low >> np.uint64(1)) >> (np.uint64(63) - shift))
-    packed = np.zeros((num_bits + 7) // 8 + 9)
-    for byte, piece in enumerate(pieces):
-        # No bit is shared, so a sum is an or; float64 holds it exactly.
-        packed += np.bincount(first + byte, weights=piece, minlength=len(packed))
-    return lengths, packed[: (num_bits + 7) // 8].astype(np.uint8).tobytes()
+    lengths = np.empty(len(codes), np.uint8)
+    packed = np.zeros((len(codes) * (CODE_BITS - 1) + 7) // 8, np.uint8)
+    num_bits = _encode_gaps(codes, lengths, packed)
+    return lengths, packed[: (num_bits + 7) // 8].tobytes()
 
 
-def _places(lengths: npt.NDArray[np.uint8]) -> tuple[npt.NDArray[np.int64], Codes, int]:
-    """First byte and bit in it of the low bits of each gap, and the number of all bits."""
-    widths = np.maximum(lengths.astype(np.int64) - 1, 0)
-    ends = np.cumsum(widths)
-    starts = ends - widths
-    return starts >> 3, (starts & 7).astype(np.uint64), int(ends[-1]) if len(ends) else 0
+@njit(cache=True, nogil=True)
+def _decode_gaps(lengths, packed, codes):  # type: ignore[no-untyped-def]
+    """Fills codes; whether all of them fit. packed: the low bits and 9 bytes more."""
+    code = np.uint64(0)
+    bit = 0
+    for i in range(lengths.shape[0]):
+        if lengths[i] > 0:
+            width = int(lengths[i]) - 1
+            first = bit >> 3
+            word = np.uint64(0)
+            for byte in range(8):
+                word |= np.uint64(packed[first + byte]) << np.uint64(8 * byte)
+            # A run of up to 59 bits from bit 0..7 of its first byte reaches into 9 bytes. Two
+            # shifts, because a shift by 64 is not defined.
+            shift = np.uint64(bit & 7)
+            last = np.uint64(packed[first + 8]) << np.uint64(1)
+            low = (word >> shift) | (last << (np.uint64(63) - shift))
+            leading = np.uint64(1) << np.uint64(width)
+            code += leading | (low & (leading - np.uint64(1)))
+            bit += width
+        # A sum cannot jump over what this sees, for every gap is below 2**CODE_BITS.
+        if code >> np.uint64(CODE_BITS):
+            return False
+        codes[i] = code
+    return True
 
 
 def decode_gaps(lengths: npt.NDArray[np.uint8], low_bits: bytes | memoryview) -> Codes:
@@ -107,20 +130,12 @@ def decode_gaps(lengths: npt.NDArray[np.uint8], low_bits: bytes | memoryview) ->
     """
     if len(lengths) and lengths.max() > CODE_BITS:
         raise CorruptError(f"positions: a gap of {lengths.max()} bits, at most {CODE_BITS}")
-    first, shift, num_bits = _places(lengths)
+    num_bits = int(lengths.sum(dtype=np.int64)) - int(np.count_nonzero(lengths))
     if len(low_bits) != (num_bits + 7) // 8:
         raise CorruptError(f"positions: {len(low_bits)} bytes of low bits, not {num_bits} bits")
     packed = np.zeros(len(low_bits) + 9, np.uint8)
     packed[: len(low_bits)] = np.frombuffer(low_bits, np.uint8)
-    words = np.zeros(len(lengths), np.uint64)
-    for byte in range(8):
-        words |= packed[first + byte].astype(np.uint64) << np.uint64(8 * byte)
-    last = packed[first + 8].astype(np.uint64)
-    values = (words >> shift) | ((last << np.uint64(1)) << (np.uint64(63) - shift))
-    leading = (np.uint64(1) << lengths.astype(np.uint64)) >> np.uint64(1)
-    gaps = np.where(lengths > 0, leading | (values & (leading - np.uint64(1))), np.uint64(0))
-    codes: Codes = np.cumsum(gaps, dtype=np.uint64)
-    # A sum cannot jump over this range, for every gap is below 2**CODE_BITS.
-    if (codes >> np.uint64(CODE_BITS)).any():
+    codes = np.empty(len(lengths), np.uint64)
+    if not _decode_gaps(lengths, packed, codes):
         raise CorruptError(f"positions: a code of more than {CODE_BITS} bits")
     return codes

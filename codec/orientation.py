@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 Doubles = npt.NDArray[np.float64]
 
@@ -27,36 +28,58 @@ _PERMUTATIONS[[1, 5, 6, 3, 2, 7]] = (
 )
 
 
-def multiply(a: Doubles, b: Doubles) -> Doubles:
-    """(N, 4) quaternion products a b, wxyz."""
-    aw, ax, ay, az = a.T
-    bw, bx, by, bz = b.T
-    return np.stack(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ],
-        axis=1,
+@njit(cache=True, nogil=True)
+def multiply(a, b):  # type: ignore[no-untyped-def]
+    """The quaternion product a b of four numbers each, wxyz."""
+    return (
+        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
     )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _canonical(log_scales, quats, permutations, scales, chosen):  # type: ignore[no-untyped-def]
+    for i in range(quats.shape[0]):
+        # Over the largest component first, because the square of a tiny or a huge one is 0 or
+        # infinite.
+        w, x = np.float64(quats[i, 0]), np.float64(quats[i, 1])
+        y, z = np.float64(quats[i, 2]), np.float64(quats[i, 3])
+        largest = max(max(abs(w), abs(x)), max(abs(y), abs(z)))
+        w, x, y, z = w / largest, x / largest, y / largest, z / largest
+        norm = np.sqrt(w * w + x * x + y * y + z * z)
+
+        first, second, third = 0, 1, 2
+        if log_scales[i, second] > log_scales[i, first]:
+            first, second = second, first
+        if log_scales[i, third] > log_scales[i, second]:
+            second, third = third, second
+            if log_scales[i, second] > log_scales[i, first]:
+                first, second = second, first
+        scales[i, 0] = log_scales[i, first]
+        scales[i, 1] = log_scales[i, second]
+        scales[i, 2] = log_scales[i, third]
+
+        unit = (w / norm, x / norm, y / norm, z / norm)
+        w, x, y, z = multiply(unit, permutations[3 * first + second])
+        # Times 1, i, j, k: half turns about the three axes, one of which moves the largest to w.
+        a, b, c, d = abs(w), abs(x), abs(y), abs(z)
+        if b > a and b >= c and b >= d:
+            w, x, y, z = -x, w, z, -y
+        elif c > a and c > b and c >= d:
+            w, x, y, z = -y, -z, w, x
+        elif d > a and d > b and d > c:
+            w, x, y, z = -z, y, -x, w
+        sign = -1.0 if w < 0 else 1.0
+        chosen[i, 0], chosen[i, 1] = sign * w, sign * x
+        chosen[i, 2], chosen[i, 3] = sign * y, sign * z
 
 
 def canonical(
     log_scales: npt.NDArray[np.float32], quats: npt.NDArray[np.float32]
 ) -> tuple[Doubles, Doubles]:
     """The same Gaussians with (N, 3) falling log-scales and (N, 4) unit quaternions, w largest."""
-    # Over the largest component first, because the square of a tiny or a huge one is 0 or infinite.
-    unit = quats.astype(np.float64)
-    unit /= np.abs(unit).max(axis=1, keepdims=True)
-    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
-    order = np.argsort(-log_scales, axis=1, kind="stable")
-    turned = multiply(unit, _PERMUTATIONS[3 * order[:, 0] + order[:, 1]])
-    w, x, y, z = turned.T
-    # turned times 1, i, j, k: half turns about the three axes, one of which moves the largest to w.
-    forms = np.stack([w, x, y, z, -x, w, z, -y, -y, -z, w, x, -z, y, -x, w], axis=1)
-    rows = np.arange(len(forms))
-    best = np.argmax(np.abs(turned), axis=1)
-    chosen = forms.reshape(-1, 4, 4)[rows, best]
-    chosen = np.where(chosen[:, :1] < 0, -chosen, chosen)
-    return np.take_along_axis(log_scales.astype(np.float64), order, axis=1), chosen
+    scales, chosen = np.empty(log_scales.shape), np.empty(quats.shape)
+    _canonical(log_scales, quats, _PERMUTATIONS, scales, chosen)
+    return scales, chosen

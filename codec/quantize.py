@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 from .splats import Floats, Splats
 
@@ -69,8 +70,9 @@ def _log_paint(splats: Splats) -> Doubles:
 
 def _log_radius(splats: Splats) -> Doubles:
     """(N,) log of the geometric mean of the two larger standard deviations."""
-    scales = splats.log_scales.astype(np.float64)
-    radius: Doubles = (scales.sum(axis=1) - scales.min(axis=1)) / 2
+    # Column by column: reducing rows of three costs several times as much.
+    x, y, z = splats.log_scales.T.astype(np.float64)
+    radius: Doubles = (x + y + z - np.minimum(np.minimum(x, y), z)) / 2
     return radius
 
 
@@ -78,7 +80,7 @@ def choose_steps(splats: Splats, coarseness: float = 1.0) -> Steps:
     """The steps for a slice; positions go by the Gaussians' own sizes, as scenes have any scale."""
     if len(splats):
         weights = splats.opacities.astype(np.float64) + 1e-6
-        log_size = (weights @ _log_radius(splats)) / weights.sum()
+        log_size = (weights * _log_radius(splats)).sum() / weights.sum()
     else:
         log_size = 0.0
     # A step as small as 1e-6 m keeps hostile or broken input from dividing by zero.
@@ -107,10 +109,11 @@ def to_luma(rgb: Doubles) -> Doubles:
     return np.stack([luma, (red - blue) / 2, (2 * green - red - blue) / 4], axis=-1)
 
 
-def from_luma(y: Floats, co: Floats, cg: Floats) -> Floats:
-    """(..., 3) float32 RGB: G = Y + Cg, t = Y - Cg, R = t + Co, B = t - Co."""
+@njit(cache=True, nogil=True)
+def from_luma(y, co, cg):  # type: ignore[no-untyped-def]
+    """Red, green, blue, all float32: G = Y + Cg, t = Y - Cg, R = t + Co, B = t - Co."""
     rest = y - cg
-    return np.stack([rest + co, y + cg, rest - co], axis=-1)
+    return rest + co, y + cg, rest - co
 
 
 def opacity_logits(levels: int) -> Floats:

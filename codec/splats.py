@@ -63,7 +63,8 @@ class Splats:
                 raise InvalidError(f"Splats.{name} is {array.dtype}, expected float32")
             if not np.isfinite(array).all():
                 raise InvalidError(f"Splats.{name} holds a value that is not finite")
-        if n and not self.quats.any(axis=1).all():
+        # The four bytes of a row as one number: reducing rows of four costs ten times as much.
+        if not np.not_equal(self.quats, 0, order="C").view(np.uint32).all():
             raise InvalidError("Splats.quats holds a zero quaternion")
 
     def __len__(self) -> int:
