@@ -16,6 +16,8 @@ from numba.core.dispatcher import Dispatcher
 from rich.console import Console
 
 from codec.camera import Camera
+from codec.chunk import decode_chunk, encode_chunk
+from codec.profile import Profile
 from player.render.cpu import render_splats
 
 from .contribution import matured_by_contribution
@@ -56,7 +58,7 @@ def _misses() -> int:
     return sum(
         sum(value.stats.cache_misses.values())
         for name, module in list(sys.modules.items())
-        if name.split(".")[0] in ("trainer", "player")
+        if name.split(".")[0] in ("trainer", "player", "codec")
         for value in vars(module).values()
         if isinstance(value, Dispatcher)
     )
@@ -80,7 +82,8 @@ def compile_kernels(sh_degree: int) -> bool:
     )
     trainer = Trainer(config, pictures, initial, 0.2)
     for parts in trainer.windows():
-        matured_by_contribution(trainer, parts)
+        for part in matured_by_contribution(trainer, parts):
+            decode_chunk(encode_chunk(part, 0, Profile.COMPACT))
     render_splats(trainer.shown(1), pictures.cameras[0], 0.2)
     return _misses() > 0
 
