@@ -7,6 +7,7 @@ import numpy.typing as npt
 from numba import njit
 
 from .pack import NEVER
+from .sort import radix_sort
 
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]
@@ -31,36 +32,6 @@ def _collect(means, starts, expires, counts, frame, view, near, slots, keys):  #
                 keys[found] = z
                 found += 1
     return found
-
-
-@njit(cache=True, nogil=True)
-def _sort_far_first(keys, slots, spare_keys, spare_slots):  # type: ignore[no-untyped-def]
-    """Stable radix sort by falling key, three passes of 11 bits; the result is in `spare_slots`.
-
-    The bits of positive floats rise with their value, so no precision is lost to bins.
-    """
-    counts = np.zeros((3, 2048), np.int32)
-    for i in range(keys.shape[0]):
-        key = ~keys[i]
-        counts[0, key & 2047] += 1
-        counts[1, (key >> 11) & 2047] += 1
-        counts[2, key >> 22 & 1023] += 1
-    for digit in range(3):
-        total = 0
-        for value in range(2048):
-            count = counts[digit, value]
-            counts[digit, value] = total
-            total += count
-    for digit in range(3):
-        shift = 11 * digit
-        for i in range(keys.shape[0]):
-            place = (~keys[i] >> shift) & (2047 if digit < 2 else 1023)
-            to = counts[digit, place]
-            counts[digit, place] = to + 1
-            spare_keys[to] = keys[i]
-            spare_slots[to] = slots[i]
-        keys, spare_keys = spare_keys, keys
-        slots, spare_slots = spare_slots, slots
 
 
 class Order:
@@ -99,5 +70,6 @@ class Order:
         )
         keys = [depths[:found].view(np.uint32) for depths in self._depths]
         slots = [slots[:found] for slots in self._slots]
-        _sort_far_first(keys[0], slots[0], keys[1], slots[1])
+        np.invert(keys[0], out=keys[0])  # farthest first
+        radix_sort(keys[0], slots[0], keys[1], slots[1])
         return slots[1]

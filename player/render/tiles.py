@@ -10,6 +10,7 @@ from numba import njit, prange
 
 from .project import CONIC_A, CONIC_B, CONIC_C, Q_MAX, Projection, X, Y
 from .recipe import ALPHA_MAX, ALPHA_MIN, TILE_PX, TRANSMITTANCE_MIN
+from .sort import near_first
 
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]
@@ -128,7 +129,7 @@ def list_tiles(projection: Projection, tiles_x: int, tiles_y: int) -> TileLists:
     starts = np.zeros(tiles_x * tiles_y + 1, np.int32)
     _count_pairs(boxes, row_starts, spans, tiles_x, starts)
     gaussians, pairs = np.empty(pair_starts[-1], np.int32), np.empty(pair_starts[-1], np.int32)
-    by_depth = np.argsort(projection.depths)
+    by_depth = near_first(projection.depths)
     _fill_pairs(boxes, row_starts, spans, by_depth, tiles_x, starts, pair_starts, gaussians, pairs)
     heavy_first = np.argsort(-np.diff(starts), kind="stable").astype(np.int32)
     # Threads take equal contiguous shares of the list: deal the tiles so that shares cost alike.
