@@ -209,7 +209,9 @@ class Trainer:
 
     def _stagger(self) -> None:
         rows = self.config.num_gs
-        order = self.lifespans.stagger(self.splats(slice(0, rows)).opacities)
+        # At random: slots hand their Gaussians on for the whole video, so slices that are unequal
+        # now would stay so, and frames alternate in quality and layers in worth.
+        order = self.lifespans.stagger(self.rng.permutation(rows))
         for array in self.values.arrays():
             array[:rows] = array[:rows][order]
         self.adam.permute(order)

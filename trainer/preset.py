@@ -37,7 +37,11 @@ PRESETS: Mapping[Preset, Mapping[str, Any]] = {
                 window_means_lr_end=1.6e-6,
                 age_scaling="gradient",  # 4.5.1
             ),
-            mcmc=McmcConfig(opacity_reg=0.02, scale_reg=0.01),  # 8.1
+            mcmc=McmcConfig(
+                renew_share=0.0,  # not in the paper
+                opacity_reg=0.02,  # 8.1
+                scale_reg=0.01,  # 8.1
+            ),
         ),
         "point_share": 1.0,  # 3DGS: a capture's points and nothing else, as far as they go
         "rank": "opacity",  # 5.5

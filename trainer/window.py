@@ -31,19 +31,19 @@ class Lifespans:
         self.matured_starts = np.zeros(num_gs, np.int32)
         self.matured_expires = np.zeros(num_gs, np.int32)
 
-    def stagger(self, opacities: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
-        """Ends genesis: the most opaque slice lives longest, each next one a frame less.
+    def stagger(self, ranking: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        """Ends genesis: of the rows in `ranking` the first slice lives longest, each next one a
+        frame less.
 
         Gives the order that rows must be permuted by: row i becomes what row order[i] was. The
         slice that expires at e is as if born at e - swin_size, and lies in lane (e - swin_size) %
         swin_size.
         """
-        by_opacity = np.argsort(-opacities, kind="stable")
         order = np.empty(self.num_gs, np.int64)
         for rank in range(self.swin_size):
             birth = -rank
             lane = self.lane_rows(birth % self.swin_size)
-            order[lane] = by_opacity[rank * self.slice_size : (rank + 1) * self.slice_size]
+            order[lane] = ranking[rank * self.slice_size : (rank + 1) * self.slice_size]
             self.births[lane] = birth
             self.starts[lane] = birth
             self.expires[lane] = birth + self.swin_size
