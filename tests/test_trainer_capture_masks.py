@@ -22,7 +22,7 @@ from tests.tiny_models import (
 )
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
-from trainer.check import check_capture
+from trainer.check import check_capture, describe_capture
 from trainer.errors import CaptureError
 
 NUM_FRAMES = 3
@@ -207,5 +207,6 @@ def test_check_says_that_masks_were_found(tmp_path: Path) -> None:
     save_mask(tmp_path / "a.png", 0, 0)
     save_mask(tmp_path / "b.png", 0, 1)
     write_transforms(tmp_path, value)
-    (line,) = (line for line in check_capture(tmp_path) if line.startswith("masks"))
+    lines = describe_capture(open_capture(tmp_path))
+    (line,) = (line for line in lines if line.startswith("masks"))
     assert "2 of 3 cameras have them, 1 one for all frames" in line

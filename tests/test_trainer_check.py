@@ -104,3 +104,20 @@ def test_a_last_frame_that_cannot_be_read_is_found(tmp_path: Path) -> None:
     (tmp_path / "c/ims/2/000002.png").write_bytes(b"none")
     with pytest.raises(CaptureError, match="000002"):
         check_capture(tmp_path / "c")
+
+
+def test_too_few_cameras_to_train_on_are_told(tmp_path: Path) -> None:
+    write_dynerf(tmp_path / "c", num_cameras=3)  # one of them is held out
+    with pytest.raises(CaptureError, match="2 training cameras, needs 3"):
+        check_capture(tmp_path / "c")
+
+
+def test_points_of_a_file_stand_in_for_the_captures(tmp_path: Path) -> None:
+    write_dynerf(tmp_path / "c", num_cameras=5)
+    points = tmp_path / "points.npz"
+    np.savez(points, xyz=np.zeros((7, 3)), rgb=np.zeros((7, 3), np.uint8))
+    lines = check_capture(tmp_path / "c", points=points)
+    assert [line.split() for line in lines if line.startswith("points")] == [["points", "7"]]
+    np.savez(points, xyz=np.zeros((0, 3)), rgb=np.zeros((0, 3), np.uint8))
+    with pytest.raises(CaptureError, match="holds no point"):
+        check_capture(tmp_path / "c", points=points)

@@ -109,6 +109,17 @@ def test_contributions_and_the_light_left_are_the_pixels(count: int, logit: floa
     assert float(contribution(drawn).sum()) + left.sum() == pytest.approx(pixels, abs=0.1)
 
 
+def test_ignored_pixels_add_nothing() -> None:
+    cam = camera()
+    drawn = rendered(scene(60, 2, -1.0), cam)
+    rng = np.random.default_rng(1)
+    parts = rng.integers(0, 2, (cam.height_px, cam.width_px), dtype=np.uint8)
+    one, other = contribution(drawn, parts), contribution(drawn, 1 - parts)
+    np.testing.assert_allclose(one + other, contribution(drawn), atol=1e-3)
+    assert one.sum() == pytest.approx(contribution(drawn).sum() / 2, rel=0.1)
+    assert not contribution(drawn, np.zeros_like(parts)).any()
+
+
 def test_they_add_up_to_the_picture_of_a_white_scene() -> None:
     splats, cam = scene(200, 4), camera()
     splats.sh[:] = WHITE

@@ -123,7 +123,9 @@ def test_a_whole_run_is_algorithm_one() -> None:
     held_out = ring_camera(0.3, "between")
     for frame in range(FRAMES):
         shown = active_splats(slices, frame, SWIN)
-        # Delayed starts may hide a few.
+        # All num_gs live in every frame; delayed starts may hide a few.
+        living = [s for s in slices if s.birth <= frame < s.birth + SWIN]
+        assert sum(len(s.splats) for s in living) == CONFIG.num_gs
         assert 0.6 * CONFIG.num_gs <= len(shown) <= CONFIG.num_gs
         goal = np.clip(render_splats(truth(frame), held_out, NEAR_M), 0, 1)
         got = psnr_db(np.clip(render_splats(shown, held_out, NEAR_M), 0, 1), goal)
@@ -212,11 +214,28 @@ def test_the_colour_of_the_cameras_stays_identity_in_the_mean() -> None:
         {"sh_degree": 2},
         {"window_iterations": 0},
         {"newest_share": 1.5},
+        {"seed": -1},
     ],
 )
 def test_settings_that_cannot_work_are_refused(change: dict[str, int]) -> None:
     with pytest.raises(InvalidError):
         replace(CONFIG, **change)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"relocate_period": 0},
+        {"relocate_until": 1.1},
+        {"dead_opacity": 0.0},
+        {"renew_share": -0.1},
+        {"noise_lr": -1.0},
+        {"scale_reg": float("nan")},
+    ],
+)
+def test_relocation_that_cannot_work_is_refused(change: dict[str, float]) -> None:
+    with pytest.raises(InvalidError, match=next(iter(change))):
+        McmcConfig(**change)  # type: ignore[arg-type]
 
 
 def test_fresh_adam_forgets_at_every_window_and_carried_adam_does_not() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +19,7 @@ from trainer.mcmc import McmcConfig
 from trainer.raster.cpu import Parameters
 from trainer.renew import Comparer, Comparison, missing_splats
 from trainer.seed import initial_splats
+from trainer.synth_scene import CAMERA_RADIUS_M
 
 NEAR_M, FAR_M = 0.5, 20.0
 NEW_AT_M = np.array([0.4, -0.9, 0.3], np.float32)
@@ -50,8 +52,9 @@ def thing(at: npt.NDArray[np.floating] = NEW_AT_M) -> Splats:
     return blobs(at + inside, colours.astype(np.uint8), 0.05)
 
 
-def rig() -> list[Camera]:
-    return [c.resized(160, 90) for c in tiny_rig(8, arc_deg=90.0)]
+def rig(sizes: Sequence[tuple[int, int]] = ((160, 90),)) -> list[Camera]:
+    cameras = tiny_rig(8, arc_deg=90.0)
+    return [c.resized(*sizes[i % len(sizes)]) for i, c in enumerate(cameras)]
 
 
 def seen(splats: Splats, camera: Camera, gain: float) -> npt.NDArray[np.uint8]:
@@ -63,8 +66,13 @@ def seen(splats: Splats, camera: Camera, gain: float) -> npt.NDArray[np.uint8]:
 class Film:
     """Pictures of Gaussians: those of each frame."""
 
-    def __init__(self, frames: list[Splats], gains: npt.NDArray[np.floating] | None = None) -> None:
-        self.cameras = rig()
+    def __init__(
+        self,
+        frames: list[Splats],
+        gains: npt.NDArray[np.floating] | None = None,
+        sizes: Sequence[tuple[int, int]] = ((160, 90),),
+    ) -> None:
+        self.cameras = rig(sizes)
         self.num_frames = len(frames)
         gains = np.ones(len(self.cameras)) if gains is None else gains
         self._pictures: list[list[npt.NDArray[np.uint8]]] = [
@@ -138,8 +146,65 @@ def test_a_cameras_own_colour_is_no_error_and_masked_pixels_do_not_count() -> No
     mask[10:30, 10:30] = 0
     film.masks[2] = mask
     compared = compare(film, room(), colour)
-    assert compared.errors.max() < 0.02
-    assert compared.pictures[2, 10:30, 10:30].max() == 0
+    assert (compared.errors * compared.usable).max() < 0.02
+    assert not compared.usable[2, 9:31, 9:31].any()
+    assert compared.usable[2, 32:88, 32:158].all()
+
+
+def test_cameras_whose_view_is_masked_neither_help_nor_hinder() -> None:
+    film = Film([Splats.concatenate([room(), thing()])])
+    for i in (0, 2, 4, 5, 7):
+        film.masks[i] = np.zeros((90, 160), np.uint8)
+    found = find(compare(film, room()))
+    assert len(found) > 100
+    off = np.linalg.norm(found.means - NEW_AT_M, axis=1)
+    assert np.median(off) < 1.3 * NEW_RADIUS_M
+
+
+def test_what_a_camera_cannot_show_is_no_error() -> None:
+    bright = room()
+    bright.sh[:] += 1.5
+    film = Film([bright], np.linspace(0.6, 1.0, 8))
+    assert film.picture(7, 0).max() == 255
+    colour = CameraColour(8, 0)
+    colour.values[:, :3] = np.linspace(0.6, 1.0, 8)[:, None]
+    assert compare(film, bright, colour).errors.max() < 0.02
+    assert len(find(compare(film, bright, colour))) == 0
+
+
+def test_few_wrong_pixels_give_few_gaussians_each_in_a_place_of_its_own() -> None:
+    speck = blobs(NEW_AT_M[None], np.array([NEW_COLOUR], np.uint8), 0.02)
+    compared = compare(Film([Splats.concatenate([room(), speck])]), room())
+    wrong = int((compared.usable & (compared.errors >= 0.05)).sum())
+    assert 8 <= wrong < 200
+    found = find(compared, count=2000)
+    assert 0 < len(found) <= wrong
+    assert len(np.unique(found.means, axis=0)) == len(found)
+    pixel_m = CAMERA_RADIUS_M / compared.cameras[0].fx_px
+    assert np.exp(found.log_scales).min() > 0.2 * pixel_m
+
+
+def test_nothing_is_placed_outside_the_depths_of_the_scene() -> None:
+    away = thing(np.array([0.2, -0.9, 14.0]))
+    away.log_scales[:] = np.log(0.6)
+    compared = compare(Film([Splats.concatenate([room(), away])]), room())
+    found = missing_splats(compared, 200, 1.0, 6.0, 0, np.random.default_rng(0))
+    for camera in compared.cameras:
+        local = found.means @ camera.w2c[:3, :3].T + camera.w2c[:3, 3]
+        assert (local[:, 2] < 12).all()
+    depths = [
+        found.means @ c.w2c[2, :3].astype(np.float32) + np.float32(c.w2c[2, 3])
+        for c in compared.cameras
+    ]
+    assert (np.min(depths, axis=0) < 6.001).all()
+
+
+def test_cameras_may_differ_in_size() -> None:
+    film = Film([Splats.concatenate([room(), thing()])], sizes=[(160, 90), (128, 100), (400, 225)])
+    found = find(compare(film, room()))
+    assert len(found) > 100
+    off = np.linalg.norm(found.means - NEW_AT_M, axis=1)
+    assert np.mean(off < 2 * NEW_RADIUS_M) > 0.9
 
 
 def test_contributions_come_with_the_comparison() -> None:
@@ -202,7 +267,16 @@ def test_only_the_least_of_each_slice_are_placed_and_they_show_from_the_frame_on
     lifespans, num_gs = trainer.lifespans, CONFIG.num_gs
     before = [array.copy() for array in trainer.values.arrays()]
     starts = lifespans.starts.copy()
+    rows = lifespans.active_rows(frame)
+    _, weights = trainer.comparer.compare(
+        trainer.values, rows, trainer.pictures, frame, trainer.colour
+    )
     renewed = trainer._renew(frame)
+    for lane in range(CONFIG.swin_size):
+        own = rows // lifespans.slice_size == lane
+        chosen = np.isin(rows, renewed) & own
+        if chosen.any():
+            assert weights[chosen].max() <= weights[own & ~chosen].min()
     changed = np.zeros(2 * num_gs, bool)
     for array, old in zip(trainer.values.arrays(), before, strict=True):
         changed |= (array != old).reshape(len(array), -1).any(axis=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import signal
 import subprocess
 import time
@@ -116,6 +117,15 @@ def test_resuming_what_is_not_there_or_other_is_one_line(capture: Path, tmp_path
     other = run("swings-train", capture, stream, *SETTINGS, "--resume", "--seed", 5)
     assert other.returncode == 1
     assert "seed" in other.stderr
+    # The same rig and number of frames, another take.
+    take = tmp_path / "take"
+    shutil.copytree(capture, take)
+    videos = sorted(take.glob("*.mp4"))
+    shutil.copyfile(videos[2], videos[1])
+    shutil.copyfile(videos[3], videos[2])
+    another = run("swings-train", take, stream, *SETTINGS, "--resume")
+    assert another.returncode == 1
+    assert "first_picture" in another.stderr
     again = run("swings-train", capture, stream, *SETTINGS)
     assert again.returncode == 1
     assert "--resume" in again.stderr

@@ -61,6 +61,36 @@ def test_seeds_of_a_painted_floor_lie_on_it(sizes: list[tuple[int, int]]) -> Non
     assert np.median(np.abs(colour_at(x, z) * 255 - colours[coloured][on_floor])) < 12
 
 
+def test_no_seed_lies_behind_an_ignored_pixel_nor_depends_on_what_it_shows() -> None:
+    cameras = [c.resized(128, 72) for c in tiny_rig(8)]
+    pictures, seen = zip(*map(picture_of_floor, cameras), strict=True)
+    masks = [floor.astype(np.uint8) for floor in seen]
+    masks[3][:] = 0
+
+    def seeds(garbage: int) -> np.ndarray:
+        shown = [
+            np.where(mask[:, :, None] > 0, picture, garbage).astype(np.uint8)
+            for picture, mask in zip(pictures, masks, strict=True)
+        ]
+        rng = np.random.default_rng(0)
+        points, colours = stereo_seeds(cameras, shown, 1000, 0.8, 9.0, rng, masks)
+        assert len(points) == 1000
+        assert (colours.max(axis=1) > 0).all()
+        return points
+
+    points = seeds(0)
+    np.testing.assert_array_equal(points, seeds(200))
+    assert np.mean(np.abs(points[:, 1] - FLOOR_Y_M) < 0.2) > 0.8
+
+
+def test_where_all_is_ignored_there_is_no_seed() -> None:
+    cameras = [c.resized(128, 72) for c in tiny_rig(4)]
+    pictures = [picture_of_floor(c)[0] for c in cameras]
+    masks = [np.zeros((72, 128), np.uint8)] * 4
+    rng = np.random.default_rng(0)
+    assert len(stereo_seeds(cameras, pictures, 50, 0.8, 9.0, rng, masks)[0]) == 0
+
+
 def test_depths_that_cameras_agree_on_are_right_though_their_colours_differ() -> None:
     cameras = [c.resized(128, 72) for c in tiny_rig(8)]
     pictures, seen = zip(*map(picture_of_floor, cameras), strict=True)

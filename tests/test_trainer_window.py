@@ -68,6 +68,9 @@ def test_ages_count_the_windows_a_generation_was_trained_for() -> None:
     assert sorted(lifespans.ages(1)) == [0, 1, 2, 3]
     assert lifespans.ages(1)[lifespans.births == 1] == 3
     assert lifespans.ages(1)[lifespans.births == 4] == 0
+    # What begins later than its slice has been trained for as long as it has shown.
+    lifespans.starts[lifespans.births == 1] = 3
+    assert lifespans.ages(1)[lifespans.births == 1] == 1
 
 
 def test_a_delayed_start_hides_a_slot_between_birth_and_start() -> None:

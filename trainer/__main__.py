@@ -27,7 +27,7 @@ from .warm import start_over_if_compiled
 
 def _train(config: TrainConfig) -> None:
     if config.check is not None:
-        print("\n".join(check_capture(config.capture, config.check)))
+        print("\n".join(check_capture(config.capture, config.check, config.points)))
         return
     console = Console(stderr=True)
     # Bytes must not depend on whether this run compiles the kernels.

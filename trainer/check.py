@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib.backends.backend_agg
@@ -18,8 +19,9 @@ from matplotlib.patheffects import withStroke
 
 from codec.camera import Camera
 
-from .capture.capture import Capture
+from .capture.capture import Capture, check_trainable
 from .capture.layout import open_capture
+from .capture.points import read_points_file
 from .capture.rig import rig_centre
 
 LAYOUT_NAMES = {
@@ -41,14 +43,16 @@ MAX_LABELS = 64
 Floats = npt.NDArray[np.float64]
 
 
-def check_capture(path: Path, picture: Path | None = None) -> list[str]:
+def check_capture(path: Path, picture: Path | None = None, points: Path | None = None) -> list[str]:
     """Opens a capture, reads the first and the last frame of each camera with its mask, and
     describes it.
 
-    picture: where to draw it as a PNG, if anywhere. Raises CaptureError for what would stop a
-    training.
+    picture: where to draw it as a PNG, if anywhere. points: a file of points in the place of the
+    capture's own. Raises CaptureError for what would stop a training.
     """
     capture = open_capture(path)
+    if points is not None:
+        capture = replace(capture, points=read_points_file(points))
     for index in range(len(capture.cameras)):
         source = capture.open_images(index)
         try:
@@ -59,6 +63,7 @@ def check_capture(path: Path, picture: Path | None = None) -> list[str]:
                     masks.read(frame)
         finally:
             source.close()
+    check_trainable(capture)
     lines = describe_capture(capture)
     if picture is not None:
         draw_capture(capture, picture)

@@ -39,11 +39,17 @@ def _most_first(part: Slice, importance: Doubles) -> Slice:
     return Slice(part.birth, part.splats.take(order), part.start_offsets[order])
 
 
-def _summed(values: Parameters, rows: Ints, views: Sequence[View]) -> Doubles:
-    """(M,) contribution of the Gaussians `rows`, alone in the scene, over all `views`."""
+def _summed(
+    values: Parameters,
+    rows: Ints,
+    views: Sequence[View],
+    masks: Sequence[npt.NDArray[np.uint8] | None],
+) -> Doubles:
+    """(M,) contribution of the Gaussians `rows`, alone in the scene, over all `views`, where their
+    masks count."""
     sums = np.zeros(len(rows), np.float64)
-    for view in views:
-        sums += contribution(render(values, rows, view))
+    for view, mask in zip(views, masks, strict=True):
+        sums += contribution(render(values, rows, view), mask)
     return sums
 
 
@@ -63,7 +69,8 @@ def slices_by_contribution(reader: StreamReader, views: Sequence[View]) -> Itera
         values = Parameters(
             splats.means, splats.log_scales, splats.quats, splats.logit_opacities, splats.sh
         )
-        weights = _summed(values, np.arange(len(splats), dtype=np.int32), views)
+        rows = np.arange(len(splats), dtype=np.int32)
+        weights = _summed(values, rows, views, [None] * len(views))
         first = 0
         for part in window:
             shown = np.flatnonzero(part.active(frame, manifest.swin_size))
@@ -87,7 +94,8 @@ def matured_by_contribution(trainer: Trainer, parts: Sequence[Slice]) -> list[Sl
     sums = np.zeros(2 * config.num_gs, np.float64)
     for frame in range(first, min(first + config.swin_size, trainer.pictures.num_frames)):
         rows = lifespans.active_rows(frame)
-        sums[rows] += _summed(trainer.values, rows, trainer.views)
+        masks = [trainer.pictures.mask(c, frame) for c in range(len(trainer.views))]
+        sums[rows] += _summed(trainer.values, rows, trainer.views, masks)
     # The matured generation of a slot lies num_gs rows behind the one being optimised.
     matured = sums[config.num_gs :]
     return [

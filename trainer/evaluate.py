@@ -16,11 +16,12 @@ from rich.table import Table
 
 from codec.camera import Camera
 from codec.errors import InvalidError
+from codec.manifest import Manifest
 from codec.splats import Splats
 from codec.stream import StreamReader
 from player.render.cpu import render_splats
 
-from .capture.capture import Mask
+from .capture.capture import Capture, Mask
 from .capture.layout import open_capture
 from .errors import CaptureError
 from .frames import FrameCache
@@ -160,15 +161,24 @@ class _Flicker:
         return 100 * self._sum / self._count if self._count else None
 
 
-def matching_scale(stream_camera: Camera, capture_camera: Camera, name: str) -> float:
-    """The scale that the stream was trained at. Raises CaptureError when the cameras differ."""
-    scale = stream_camera.width_px / capture_camera.width_px
-    same_pose = np.allclose(stream_camera.w2c, capture_camera.w2c, atol=1e-4)
-    if not same_pose or abs(stream_camera.height_px - scale * capture_camera.height_px) > 1:
-        raise CaptureError(
-            f"{name}: camera {capture_camera.name} is not the one that the stream was trained with"
-        )
-    return scale
+def stream_cameras(manifest: Manifest, capture: Capture, name: str) -> list[Camera]:
+    """The capture's cameras at the sizes that the stream `name` was trained at.
+
+    Raises CaptureError when a held-out camera is missing in the stream or is another one there.
+    """
+    known = {camera.name: camera for camera in manifest.cameras}
+    for index in capture.held_out:
+        camera = capture.cameras[index].camera
+        if camera.name not in known:
+            raise CaptureError(f"{name} does not know camera {camera.name}: another capture?")
+        trained = known[camera.name]
+        scale = trained.width_px / camera.width_px
+        same_pose = np.allclose(trained.w2c, camera.w2c, atol=1e-4)
+        if not same_pose or abs(trained.height_px - scale * camera.height_px) > 1:
+            raise CaptureError(
+                f"{name}: camera {camera.name} is not the one that the stream was trained with"
+            )
+    return [known.get(c.camera.name, c.camera) for c in capture.cameras]
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,13 +230,8 @@ def open_held_out(stream: Path, capture_path: Path) -> Iterator[HeldOut]:
         raise CaptureError(
             f"{capture.root} has {capture.num_frames} frames, the stream needs {frames.stop}"
         )
-    names = {camera.name: camera for camera in manifest.cameras}
-    cameras = [capture.cameras[i].camera for i in held_out]
-    for camera in cameras:
-        if camera.name not in names:
-            raise CaptureError(f"{stream} does not know camera {camera.name}: another capture?")
-    scale = matching_scale(names[cameras[0].name], cameras[0], str(stream))
-    with FrameCache(capture, frames, scale) as cache:
+    cameras = stream_cameras(manifest, capture, str(stream))
+    with FrameCache(capture, frames, cameras=cameras) as cache:
         yield HeldOut(reader, [cache.camera(i) for i in held_out], held_out, cache)
 
 

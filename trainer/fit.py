@@ -55,8 +55,8 @@ class FitConfig:
     window_iterations: int = 800
     """Iterations of every later window. Paper: 2,000 on a GPU."""
     newest_share: float = 0.5
-    """Share of a window's iterations spent on its newest frame, which no earlier window has
-    seen."""
+    """Share of a window's iterations spent on its newest frame, if no earlier window has seen
+    it."""
     dssim_weight: float = 0.2
     """Weight of 1 - SSIM beside L1. 3DGS."""
     colour_lr: float = 1e-3
@@ -71,6 +71,8 @@ class FitConfig:
     def __post_init__(self) -> None:
         if not 1 <= self.swin_size <= MAX_SWIN_SIZE:
             raise InvalidError(f"swin_size {self.swin_size}: choose 1 to {MAX_SWIN_SIZE}")
+        if self.seed < 0:
+            raise InvalidError(f"seed {self.seed}: choose 0 or more")
         if self.num_gs < self.swin_size or self.num_gs % self.swin_size:
             raise InvalidError(
                 f"num_gs {self.num_gs} is not a multiple of swin_size {self.swin_size}"
@@ -240,16 +242,17 @@ class Trainer:
         config = self.config
         last_frame = min(first_frame + config.swin_size, self.pictures.num_frames) - 1
         genesis = first_frame == 0
+        # Neither genesis nor the last windows of a video.
+        brings_new = not genesis and last_frame == first_frame + config.swin_size - 1
+        if brings_new:
+            self._renew(last_frame)
         active = {f: self.lifespans.active_rows(f) for f in range(first_frame, last_frame + 1)}
         ages = self.lifespans.ages(first_frame)
         if genesis:
             ages[:] = 0
-        elif last_frame == first_frame + config.swin_size - 1:
-            ages[self._renew(last_frame)] = 0
-            active = {f: self.lifespans.active_rows(f) for f in active}
         for iteration in range(iterations):
             frame = int(self.rng.integers(first_frame, last_frame + 1))
-            if not genesis and self.rng.random() < config.newest_share:
+            if brings_new and self.rng.random() < config.newest_share:
                 frame = last_frame
             camera = int(self.rng.integers(len(self.views)))
             means_lr = self._means_lr(genesis, iteration / iterations)
@@ -308,12 +311,11 @@ class Trainer:
         each = round(config.mcmc.renew_share * lifespans.slice_size)
         if each == 0:
             return np.zeros(0, np.int32)
+        # Whatever has matured before this window expires before its last frame.
         rows = lifespans.active_rows(last_frame)
         seen, weights = self.comparer.compare(
             self.values, rows, self.pictures, last_frame, self.colour
         )
-        trainable = rows < config.num_gs
-        rows, weights = rows[trainable], weights[trainable]
         by_weight = rows[np.argsort(weights, kind="stable")]
         # The least important of every slice, slice by slice in turn.
         births = lifespans.births[by_weight]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import NamedTuple
@@ -80,12 +80,14 @@ class FrameCache:
         scale: float = 1.0,
         max_bytes: int = DEFAULT_MAX_BYTES,
         max_requests: int = DEFAULT_MAX_REQUESTS,
+        cameras: Sequence[Camera] | None = None,
     ) -> None:
         """Opens nothing yet.
 
         frames: the frames that may be asked for, by their number in the capture, step 1. scale:
-        size of the pictures handed out over the size of the capture's, in (0, 1]. max_requests:
-        pictures that may wait to be read ahead. Raises InvalidError for frames outside the
+        size of the pictures handed out over the size of the capture's, in (0, 1]; or, in its place,
+        cameras: all of the capture's at the sizes wanted. max_requests: pictures that may wait to
+        be read ahead. Raises InvalidError for frames outside the
         capture, a scale outside (0, 1], or a bound that cannot hold one picture.
         """
         if not 0 < scale <= 1:
@@ -97,7 +99,9 @@ class FrameCache:
             )
         self.capture = capture
         self.frames = frames
-        self._cameras = tuple(scaled_camera(c.camera, scale) for c in capture.cameras)
+        if cameras is None:
+            cameras = [scaled_camera(c.camera, scale) for c in capture.cameras]
+        self._cameras = tuple(cameras)
         largest_bytes = max(3 * c.width_px * c.height_px for c in self._cameras)
         if max_bytes < largest_bytes:
             raise InvalidError(f"max_bytes {max_bytes}: one picture takes {largest_bytes} bytes")

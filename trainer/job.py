@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -26,7 +27,7 @@ from codec.stream import StreamReader, StreamWriter
 from player.render.cpu import render_splats
 
 from . import checkpoint, runlog
-from .capture.capture import Capture
+from .capture.capture import Capture, check_trainable
 from .capture.layout import open_capture
 from .capture.points import points_evenness, read_points_file
 from .checkpoint import load_checkpoint, save_checkpoint
@@ -95,8 +96,8 @@ class TrainConfig:
     segment_frames: int = 15
     """Frames in a segment: what a writer can lose, and the unit of caching."""
     backend: BackendName = "cpu"
-    """Where pictures are rendered in training: cpu, cuda (gsplat on an NVIDIA GPU), or auto, which
-    is cuda if it can."""
+    """Where the steps of training are computed: cpu, cuda (gsplat on an NVIDIA GPU), or auto, which
+    is cuda if it can. Ranks and scores are computed on the CPU."""
     resume: bool = False
     """Go on where a run of the same settings was stopped or killed."""
     log: Path | None = None
@@ -159,8 +160,12 @@ class CapturePictures:
 
 def depths(capture: Capture, config: TrainConfig) -> tuple[float, float]:
     """Near and far depth in metres: as configured, else the capture's, else the fallbacks."""
-    near_m = config.near_m or capture.near_m or FALLBACK_NEAR_M
-    far_m = config.far_m or capture.far_m or max(FALLBACK_FAR_M, 10 * near_m)
+    near_m = config.near_m
+    if near_m is None:
+        near_m = FALLBACK_NEAR_M if capture.near_m is None else capture.near_m
+    far_m = config.far_m
+    if far_m is None:
+        far_m = max(FALLBACK_FAR_M, 10 * near_m) if capture.far_m is None else capture.far_m
     if not 0 < near_m < far_m:
         raise InvalidError(f"near_m {near_m:g} and far_m {far_m:g}: choose 0 < near_m < far_m")
     return near_m, far_m
@@ -182,8 +187,10 @@ def first_gaussians(
         positions, colours = capture.points.xyz[chosen], capture.points.rgb[chosen]
     missing = fit.num_gs - len(positions)
     if missing > 0:
-        first = [pictures.picture(c, 0) for c in range(len(pictures.cameras))]
-        seeds, seed_colours = stereo_seeds(pictures.cameras, first, missing, near_m, far_m, rng)
+        cameras = pictures.cameras
+        first = [pictures.picture(c, 0) for c in range(len(cameras))]
+        masks = [pictures.mask(c, 0) for c in range(len(cameras))]
+        seeds, seed_colours = stereo_seeds(cameras, first, missing, near_m, far_m, rng, masks)
         if len(seeds) < missing:
             raise CaptureError(
                 f"{capture.root}: no three training cameras see the same place between "
@@ -289,6 +296,15 @@ def settings(config: TrainConfig, frames: range, near_m: float, far_m: float) ->
     }
 
 
+def fingerprint(capture: Capture, frame: int) -> str:
+    """Of one picture: tells the takes of one rig apart."""
+    source = capture.open_images(capture.training[0])
+    try:
+        return hashlib.sha256(source.read(frame).tobytes()).hexdigest()
+    finally:
+        source.close()
+
+
 @contextmanager
 def interruptible() -> Iterator[threading.Event]:
     """Ctrl-C sets the event, so that the running window can end; a second one ends at once."""
@@ -322,13 +338,15 @@ def train_stream(
     capture = open_capture(config.capture)
     if config.points is not None:
         capture = replace(capture, points=read_points_file(config.points))
-    if len(capture.training) < 3:
-        raise CaptureError(f"{capture.root}: {len(capture.training)} training cameras, needs 3")
+    check_trainable(capture)
     frames = parse_frames(config.frames, capture.num_frames)
     targets = check_targets(config)
     near_m, far_m = depths(capture, config)
-    shared = settings(config, frames, near_m, far_m)
     backend = config.fit.backend(config.backend)
+    shared = settings(config, frames, near_m, far_m) | {
+        "backend": type(backend).__name__,
+        "first_picture": fingerprint(capture, frames.start),
+    }
     kept = config.target / checkpoint.NAME
     found = load_checkpoint(kept, shared) if config.resume else None
     on_checked()

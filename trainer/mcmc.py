@@ -12,6 +12,8 @@ from math import comb
 import numpy as np
 import numpy.typing as npt
 
+from codec.errors import InvalidError
+
 from .raster.cpu import Parameters
 
 Floats = npt.NDArray[np.float32]
@@ -44,6 +46,21 @@ class McmcConfig:
     thousands."""
     scale_reg: float = 1e-3
     """Weight of the mean standard deviation (metres) in the loss. Paper, section 8.1: 0.01."""
+
+    def __post_init__(self) -> None:
+        if self.relocate_period < 1:
+            raise InvalidError(
+                f"relocate_period {self.relocate_period}: choose 1 or more; relocate_until 0 "
+                "switches relocation off"
+            )
+        if not 0 < self.dead_opacity < 1:
+            raise InvalidError(f"dead_opacity {self.dead_opacity:g}: choose above 0, below 1")
+        for name in ("relocate_until", "renew_share"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise InvalidError(f"{name} {getattr(self, name):g}: choose 0 to 1")
+        for name in ("noise_lr", "window_noise_lr", "opacity_reg", "scale_reg"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise InvalidError(f"{name} {getattr(self, name):g}: choose 0 or more")
 
 
 def _binomial_table() -> npt.NDArray[np.float64]:

@@ -29,6 +29,7 @@ from .stereo import pair_cameras, small_camera, world_points
 
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]
+Flags = npt.NDArray[np.bool_]
 
 LEAST_ERROR = 0.05
 """Mean colour difference, of 1, from which on a pixel is wrong."""
@@ -45,8 +46,8 @@ COST_LIMIT = 0.2
 COST_ACCEPTED = 0.06
 """Mean colour difference over the better half of the cameras, at which they see the same thing."""
 
-LARGEST_PX = 2.0
-"""Largest standard deviation of a new Gaussian, in pixels of the small pictures."""
+SMALLEST_PX, LARGEST_PX = 0.5, 2.0
+"""Bounds of a new Gaussian's standard deviation, in pixels of the small pictures."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +56,14 @@ class Comparison:
 
     cameras: tuple[Camera, ...]
     pictures: Floats  # (C, H, W, 3) float32, in the stream's colours; smaller ones fill a corner
-    errors: Floats  # (C, H, W) float32, 0..1, how far off what is rendered is; 0 where ignored
+    errors: Floats  # (C, H, W) float32, 0..1: how far off what is rendered is
+    usable: Flags  # (C, H, W) whether all of a pixel's 3 x 3 neighbourhood counts
+
+
+def _surrounded(counts: Flags) -> Flags:
+    """(H - 2, W - 2): whether all of the 3 x 3 flags around each inner one are set."""
+    rows = counts[:-2] & counts[1:-1] & counts[2:]
+    return rows[:, :-2] & rows[:, 1:-1] & rows[:, 2:]
 
 
 class Comparer:
@@ -73,36 +81,36 @@ class Comparer:
         """The Gaussians `rows` against `frame`, and (M,) what each of them contributes there."""
         shown = np.zeros((*self._shape, 3), np.float32)
         errors = np.zeros(self._shape, np.float32)
+        usable = np.zeros(self._shape, np.bool_)
         weights = np.zeros(len(rows), np.float32)
         for i, view in enumerate(self.views):
             width, height = size = view.camera.width_px, view.camera.height_px
             small = Image.fromarray(pictures.picture(i, frame)).resize(size, Image.Resampling.BOX)
             truth = np.asarray(small, np.float32) / np.float32(255)
-            # In the stream's colours, not the camera's.
-            truth = (truth - colour.bias(i)) / np.maximum(colour.gain(i), np.float32(0.1))
-            rendered = render(values, rows, view)
-            weights += contribution(rendered)
-            picture = rendered.picture[:, :height, :width].transpose(1, 2, 0)
-            error = np.abs(np.clip(picture, 0, 1) - truth).mean(axis=2)
             mask = pictures.mask(i, frame)
-            if mask is not None:
-                small_mask = scaled_mask(mask, width, height)
-                error *= small_mask
-                truth *= small_mask[:, :, None]
-            shown[i, :height, :width] = truth
-            errors[i, :height, :width] = error
-        return Comparison(tuple(v.camera for v in self.views), shown, errors), weights
+            small_mask = None if mask is None else scaled_mask(mask, width, height)
+            rendered = render(values, rows, view)
+            weights += contribution(rendered, small_mask)
+            # Compared as this camera would show it, matched with others in the stream's colours.
+            gain, bias = colour.gain(i), colour.bias(i)
+            seen = rendered.picture[:, :height, :width].transpose(1, 2, 0) * gain + bias
+            errors[i, :height, :width] = np.abs(np.clip(seen, 0, 1) - truth).mean(axis=2)
+            shown[i, :height, :width] = (truth - bias) / np.maximum(gain, np.float32(0.1))
+            counts = np.ones((height, width), np.bool_) if small_mask is None else small_mask > 0
+            usable[i, 1 : height - 1, 1 : width - 1] = _surrounded(counts)
+        return Comparison(tuple(v.camera for v in self.views), shown, errors, usable), weights
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def _find_depths(  # type: ignore[no-untyped-def]
-    pictures, errors, sizes, warps, offsets, neighbours, inverse_depths, which, xs, ys, finer,
-    least, limit, depths, costs,
+    pictures, errors, usable, sizes, warps, offsets, neighbours, inverse_depths, which, xs, ys,
+    finer, least, limit, depths, costs,
 ):  # fmt: skip
     """For pixel (xs[i], ys[i]) of camera which[i] fills depths[i] and costs[i], the lowest.
 
     A camera's cost is the mean difference of 3 x 3 pixels, or the limit where it is not wrong; the
-    better half of the cameras that see a place counts.
+    better half of the cameras that see a place counts. At pixels that are not usable a camera sees
+    nothing.
     """
     count = neighbours.shape[1]
     step = inverse_depths[1] - inverse_depths[0]
@@ -120,10 +128,10 @@ def _find_depths(  # type: ignore[no-untyped-def]
                 if trial == coarse:
                     middle = best_inverse
                 inverse = middle + step * np.float32(trial - coarse - finer) / np.float32(finer)
-            if inverse <= 0:
-                continue
+                # From near to far the inverse falls.
+                inverse = min(max(inverse, inverse_depths[coarse - 1]), inverse_depths[0])
             depth = np.float32(1) / inverse
-            usable = 0
+            seeing = 0
             for n in range(count):
                 other = neighbours[c, n]
                 m, o = warps[c, n], offsets[c, n]
@@ -132,9 +140,11 @@ def _find_depths(  # type: ignore[no-untyped-def]
                     continue
                 px = (depth * (m[0, 0] * u + m[0, 1] * v + m[0, 2]) + o[0]) / w
                 py = (depth * (m[1, 0] * u + m[1, 1] * v + m[1, 2]) + o[1]) / w
-                if not (1 <= px < sizes[other, 1] - 1 and 1 <= py < sizes[other, 0] - 1):
+                if not (0 <= px < sizes[other, 1] and 0 <= py < sizes[other, 0]):
                     continue
                 ix, iy = np.int32(px), np.int32(py)
+                if not usable[other, iy, ix]:
+                    continue
                 value = limit
                 if errors[other, iy, ix] >= least:
                     total = np.float32(0)
@@ -146,15 +156,15 @@ def _find_depths(  # type: ignore[no-untyped-def]
                                     - pictures[c, y + dy, x + dx, k]
                                 )
                     value = min(total / np.float32(27), limit)
-                at = usable
+                at = seeing
                 while at > 0 and ordered[at - 1] > value:
                     ordered[at] = ordered[at - 1]
                     at -= 1
                 ordered[at] = value
-                usable += 1
-            if usable < 2:
+                seeing += 1
+            if seeing < 2:
                 continue
-            keep = (usable + 1) // 2
+            keep = max(2, (seeing + 1) // 2)
             total = np.float32(0)
             for n in range(keep):
                 total += ordered[n]
@@ -162,7 +172,7 @@ def _find_depths(  # type: ignore[no-untyped-def]
             if total < best:
                 best, best_inverse = total, inverse
         costs[i] = best
-        depths[i] = np.float32(1) / best_inverse if best_inverse > 0 else np.float32(0)
+        depths[i] = np.float32(1) / best_inverse  # infinite where the costs are
 
 
 def missing_splats(
@@ -175,27 +185,24 @@ def missing_splats(
 ) -> Splats:
     """At most `count` Gaussians, in random order, where the cameras see what is not rendered."""
     cameras = seen.cameras
-    weights = np.where(seen.errors >= LEAST_ERROR, seen.errors, 0)
-    # The windows that are compared must lie inside.
-    weights[:, 0] = 0
-    weights[:, :, 0] = 0
-    for i, camera in enumerate(cameras):
-        weights[i, camera.height_px - 1 :] = 0
-        weights[i, :, camera.width_px - 1 :] = 0
+    weights = np.where(seen.usable & (seen.errors >= LEAST_ERROR), seen.errors, 0).reshape(-1)
     places = np.flatnonzero(weights)
-    chances = weights.reshape(-1)[places].astype(np.float64)
     # Twice as many as wanted, as not all are found in other cameras.
-    draws = 2 * count if len(places) else 0
-    drawn = rng.choice(places, draws, p=chances / chances.sum()) if draws else places[:0]
-    which, ys, xs = np.unravel_index(drawn, weights.shape)
+    draws = min(2 * count, len(places))
+    if draws == 0:
+        return Splats.empty(sh_degree)
+    chances = weights[places].astype(np.float64)
+    drawn = rng.choice(places, draws, replace=False, p=chances / chances.sum())
+    which, ys, xs = map(np.ascontiguousarray, np.unravel_index(drawn, seen.errors.shape))
     sizes = np.array([(c.height_px, c.width_px) for c in cameras], np.int32)
     neighbours, warps, offsets = pair_cameras(cameras)
     inverse_depths = np.linspace(1 / near_m, 1 / far_m, DEPTHS).astype(np.float32)
     depths = np.empty(len(drawn), np.float32)
     costs = np.empty(len(drawn), np.float32)
     _find_depths(
-        seen.pictures, seen.errors, sizes, warps, offsets, neighbours, inverse_depths, which, xs,
-        ys, FINER, np.float32(LEAST_ERROR / 2), np.float32(COST_LIMIT), depths, costs,
+        seen.pictures, seen.errors, seen.usable, sizes, warps, offsets, neighbours,
+        inverse_depths, which, xs, ys, FINER, np.float32(LEAST_ERROR / 2), np.float32(COST_LIMIT),
+        depths, costs,
     )  # fmt: skip
     kept = np.flatnonzero(costs <= COST_ACCEPTED)[:count]
     which, xs, ys, depths = which[kept], xs[kept], ys[kept], depths[kept]
@@ -207,6 +214,7 @@ def missing_splats(
         pixel_m[own] = depths[own] / np.float32(camera.fx_px)
     colours = np.clip(seen.pictures[which, ys, xs] * 255, 0, 255).astype(np.uint8)
     splats = initial_splats(positions, colours, sh_degree)
-    limits = np.log(LARGEST_PX * pixel_m)[:, None]
-    np.minimum(splats.log_scales, limits, out=splats.log_scales)
+    # Neighbours tell the size, within reason: cameras may find the same place twice.
+    smallest, largest = (np.log(px * pixel_m)[:, None] for px in (SMALLEST_PX, LARGEST_PX))
+    np.clip(splats.log_scales, smallest, largest, out=splats.log_scales)
     return splats

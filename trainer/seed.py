@@ -29,23 +29,43 @@ def stereo_seeds(
     near_m: float,
     far_m: float,
     rng: np.random.Generator,
+    masks: Sequence[npt.NDArray[np.uint8] | None] | None = None,
 ) -> tuple[Floats, npt.NDArray[np.uint8]]:
     """`count` points behind random places of random pictures, as deep as plane-sweep stereo says.
 
     Where the cameras do not agree on a depth it is filled from around: a smooth wall at about the
     right depth trains into the right one, while seeds at random depths train into haze. pictures:
-    one (H, W, 3) uint8 per camera. Gives positions (count, 3) float32, metres, world, and colours
-    (count, 3) uint8; none when no three cameras agree on anything.
+    one (H, W, 3) uint8 per camera; masks: (H, W) each, 0 where no point may lie. Gives positions
+    (count, 3) float32, metres, world, and colours (count, 3) uint8; none when no three cameras
+    agree on anything.
     """
-    maps = depth_maps(cameras, pictures, near_m, far_m)
+    allowed = [None if mask is None else np.flatnonzero(mask) for mask in masks or ()]
+    allowed += [None] * (len(cameras) - len(allowed))
+    # What is ignored must not tell where anything lies: black agrees with black only.
+    shown = [
+        picture if mask is None else picture * (mask > 0)[:, :, None]
+        for picture, mask in zip(pictures, masks or [None] * len(pictures), strict=True)
+    ]
+    maps = depth_maps(cameras, shown, near_m, far_m)
     positions, colours = [np.zeros((0, 3), np.float32)], [np.zeros((0, 3), np.uint8)]
-    if (maps.agreeing < 2).all():
+    areas_px = np.array(
+        [
+            c.width_px * c.height_px if places is None else len(places)
+            for c, places in zip(cameras, allowed, strict=True)
+        ]
+    )
+    if (maps.agreeing < 2).all() or not areas_px.any():
         return positions[0], colours[0]
-    which = rng.integers(len(cameras), size=count)
+    which = rng.choice(len(cameras), count, p=areas_px / areas_px.sum())
     for i, (camera, depths) in enumerate(zip(cameras, completed(maps), strict=True)):
         here = int((which == i).sum())
-        x = rng.random(here) * camera.width_px
-        y = rng.random(here) * camera.height_px
+        x, y = rng.random(here), rng.random(here)  # in a pixel
+        places = allowed[i]
+        if places is None:
+            x, y = x * camera.width_px, y * camera.height_px
+        else:
+            drawn = places[rng.integers(len(places), size=here)] if here else places[:0]
+            x, y = x + drawn % camera.width_px, y + drawn // camera.width_px
         height, width = depths.shape
         behind = depths[
             (y * height / camera.height_px).astype(int), (x * width / camera.width_px).astype(int)

@@ -14,7 +14,7 @@ from player.render.cpu import render_splats
 
 from .capture.layout import open_capture
 from .errors import CaptureError
-from .evaluate import displayed, matching_scale
+from .evaluate import displayed, stream_cameras
 from .frames import FrameCache
 from .loss import psnr_db
 
@@ -50,13 +50,12 @@ def write_sheet(stream: Path, capture_path: Path, target: Path) -> None:
     capture = open_capture(capture_path)
     if not capture.held_out:
         raise CaptureError(f"{capture.root}: no held-out camera to compare with")
-    first = capture.cameras[capture.held_out[0]].camera
-    scale = matching_scale(manifest.camera(first.name), first, str(stream))
+    cameras = stream_cameras(manifest, capture, str(stream))
     frames = range(manifest.capture_frame, manifest.capture_frame + reader.num_frames)
     rows = min(MAX_ROWS, reader.num_frames)
     lines: list[npt.NDArray[np.uint8]] = []
     labels: list[str] = []
-    with FrameCache(capture, frames, scale) as cache:
+    with FrameCache(capture, frames, cameras=cameras) as cache:
         for row in range(rows):
             frame = round(row * (reader.num_frames - 1) / max(rows - 1, 1))
             index = capture.held_out[row % len(capture.held_out)]

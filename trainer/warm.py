@@ -20,6 +20,7 @@ from codec.chunk import decode_chunk, encode_chunk
 from codec.profile import Profile
 from player.render.cpu import render_splats
 
+from .capture.lens import Lens, straightened
 from .contribution import matured_by_contribution
 from .fit import FitConfig, Trainer
 from .mcmc import McmcConfig
@@ -81,6 +82,7 @@ def compile_kernels(sh_degree: int) -> bool:
         mcmc=McmcConfig(relocate_period=1, renew_share=0.5),
     )
     trainer = Trainer(config, pictures, initial, 0.2)
+    straightened(pictures.picture(0, 0), pictures.cameras[0], Lens(k1=0.01))
     for parts in trainer.windows():
         for part in matured_by_contribution(trainer, parts):
             decode_chunk(encode_chunk(part, 0, Profile.COMPACT))

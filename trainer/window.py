@@ -77,5 +77,5 @@ class Lifespans:
 
     def ages(self, first_frame: int) -> npt.NDArray[np.float32]:
         """(num_gs,) float32: windows that each row has been trained for before this one."""
-        trained = first_frame + self.swin_size - 1 - self.births
+        trained = first_frame + self.swin_size - 1 - self.starts
         return np.maximum(trained, 0).astype(np.float32)

@@ -17,6 +17,8 @@ import numpy.typing as npt
 from codec.camera import Camera
 from codec.errors import InvalidError
 
+from ..errors import CaptureError
+
 Layout = Literal["dynamic3dgs", "dynerf", "colmap", "nerfstudio"]
 """The layouts that `open_capture` knows."""
 
@@ -128,6 +130,19 @@ class Capture:
     def held_out(self) -> tuple[int, ...]:
         """The indices of the cameras to score with."""
         return tuple(i for i, c in enumerate(self.cameras) if c.held_out)
+
+
+MIN_TRAINING_CAMERAS = 3
+"""Fewer do not tell what is where."""
+
+
+def check_trainable(capture: Capture) -> None:
+    """Raises CaptureError where too few cameras are left to train on."""
+    if len(capture.training) < MIN_TRAINING_CAMERAS:
+        raise CaptureError(
+            f"{capture.root}: {len(capture.training)} training cameras, needs "
+            f"{MIN_TRAINING_CAMERAS}"
+        )
 
 
 def check_frame(frame: int, num_frames: int, name: str) -> None:

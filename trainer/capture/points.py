@@ -26,6 +26,8 @@ def checked_points(
     path: Path, xyz: npt.NDArray[np.float64], rgb: npt.NDArray[np.uint8]
 ) -> InitialPoints:
     """The points that a file holds. Raises CaptureError, naming the file, for what are none."""
+    if not len(xyz):
+        raise CaptureError(f"{path}: holds no point")
     if (np.abs(xyz) > MAX_COORDINATE_M).any():
         raise CaptureError(f"{path}: a point is over {MAX_COORDINATE_M:g} m away")
     try:

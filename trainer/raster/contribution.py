@@ -18,10 +18,11 @@ _SUMS = TILE_PX * TILE_PX  # where the 16 lanes of a pair's sum begin, after the
 
 @njit(cache=True, fastmath=True, parallel=True)
 def sum_weights(  # type: ignore[no-untyped-def]
-    projected, starts, gaussians, pairs, order, tiles_x, width_px, height_px, pair_weights
+    projected, starts, gaussians, pairs, order, tiles_x, counts, pair_weights
 ):
     """Fills `pair_weights` (P,) float32 with the sum of transmittance * alpha over the pixels of
-    each pair's tile that lie in the picture."""
+    each pair's tile that lie in the picture and count: counts (H, W) uint8, above 0."""
+    height_px, width_px = counts.shape
     size = TILE_PX
     alpha_min, alpha_max = np.float32(ALPHA_MIN), np.float32(ALPHA_MAX)
     stop = np.float32(TRANSMITTANCE_MIN)
@@ -39,8 +40,10 @@ def sum_weights(  # type: ignore[no-untyped-def]
             row_open[row] = True
             open_rows += 1
             for x in range(16):
-                # Pixels beside the picture are closed from the start, so nothing counts there.
-                buf[row * 16 + x] = one if x_px + x < width_px else zero
+                # Pixels beside the picture and ignored ones are closed from the start, so nothing
+                # counts there.
+                inside = x_px + x < width_px and counts[y_px + row, x_px + x] > 0
+                buf[row * 16 + x] = one if inside else zero
         for entry in range(starts[tile], starts[tile + 1]):
             pair = pairs[entry]
             if open_rows == 0:
@@ -85,17 +88,19 @@ def sum_weights(  # type: ignore[no-untyped-def]
             pair_weights[pair] = total
 
 
-def contribution(rendered: Rendered) -> Floats:
+def contribution(rendered: Rendered, mask: npt.NDArray[np.uint8] | None = None) -> Floats:
     """(M,) float32: the blending weight (transmittance * alpha) of each rendered Gaussian, summed
     over the pixels of the picture; pixels, so at most its area, and 0 for what does not show.
+    mask: (H, W), above 0 where a pixel counts; None: all count.
 
     It is the derivative of the picture's sum by the Gaussian's colour.
     """
     lists, camera = rendered.lists, rendered.view.camera
+    counts = np.ones((camera.height_px, camera.width_px), np.uint8) if mask is None else mask.copy()
     pair_weights = np.empty(len(lists.pairs), np.float32)
     sum_weights(
         rendered.projection.projected, lists.starts, lists.gaussians, lists.pairs, lists.order,
-        rendered.view.tiles_x, camera.width_px, camera.height_px, pair_weights,
+        rendered.view.tiles_x, counts, pair_weights,
     )  # fmt: skip
     # Pairs are numbered Gaussian by Gaussian: differences of a running sum, exact enough in double.
     running = np.concatenate([[0.0], np.cumsum(pair_weights, dtype=np.float64)])
