@@ -11,10 +11,10 @@ from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from . import raw
 from .errors import CorruptError
+from .kernel import kernel
 from .morton import BITS_PER_AXIS, decode_gaps, encode_gaps, gather, interleave
 from .orientation import canonical
 from .quantize import (
@@ -254,13 +254,15 @@ def decode_body(body: memoryview, count: int, sh_degree: int) -> Splats:
     )
     arrays = means, log_scales, quats, opacities, sh
     logits = opacity_logits(head.opacity_levels)
-    _dequantise(codes, planes, head.floats(), head.rotation_half, logits, *arrays)
+    # Where NUMBA_DISABLE_JIT makes numpy of it; what overflows is not finite, which Splats refuses.
+    with np.errstate(over="ignore", invalid="ignore"):
+        _dequantise(codes, planes, head.floats(), head.rotation_half, logits, *arrays)
     for array, part in zip(arrays, escaped, strict=True):
         array[inside:] = part
     return Splats(*arrays)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def _dequantise(  # type: ignore[no-untyped-def]
     codes, planes, floats, half, logits, means, log_scales, quats, logit_opacities, sh
 ):

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from .errors import CorruptError
+from .kernel import kernel
 
 BITS_PER_AXIS = 20
 """Bits of an integer coordinate: two halves of 30 bits suit a decoder without 64-bit integers."""
@@ -22,7 +22,7 @@ CODE_BITS = 3 * BITS_PER_AXIS
 Codes = npt.NDArray[np.uint64]
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _spread(value):  # type: ignore[no-untyped-def]
     """Bit b of a value below 2**BITS_PER_AXIS moved to bit 3 b."""
     # Each step doubles the distance between groups of bits: 16 + 4, then 8, 4, 2, 1.
@@ -33,7 +33,7 @@ def _spread(value):  # type: ignore[no-untyped-def]
     return (value | (value << np.uint64(2))) & np.uint64(0x9249249249249249)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def gather(code):  # type: ignore[no-untyped-def]
     """Bit 3 b of a uint64 moved to bit b: an axis of a Morton code shifted down by the axis."""
     code &= np.uint64(0x9249249249249249)
@@ -44,7 +44,7 @@ def gather(code):  # type: ignore[no-untyped-def]
     return (code | (code >> np.uint64(32))) & np.uint64((1 << BITS_PER_AXIS) - 1)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _interleave(coordinates, codes):  # type: ignore[no-untyped-def]
     for i in range(codes.shape[0]):
         x = _spread(np.uint64(coordinates[i, 0]))
@@ -60,7 +60,7 @@ def interleave(coordinates: npt.NDArray[np.int64]) -> Codes:
     return codes
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _encode_gaps(codes, lengths, packed):  # type: ignore[no-untyped-def]
     """Fills lengths and packed, which begins as zeros; gives the number of low bits."""
     before = np.uint64(0)
@@ -96,7 +96,7 @@ def encode_gaps(codes: Codes) -> tuple[npt.NDArray[np.uint8], bytes]:
     return lengths, packed[: (num_bits + 7) // 8].tobytes()
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _decode_gaps(lengths, packed, codes):  # type: ignore[no-untyped-def]
     """Fills codes; whether all of them fit. packed: the low bits and 9 bytes more."""
     code = np.uint64(0)
@@ -126,7 +126,8 @@ def _decode_gaps(lengths, packed, codes):  # type: ignore[no-untyped-def]
 def decode_gaps(lengths: npt.NDArray[np.uint8], low_bits: bytes | memoryview) -> Codes:
     """The sorted codes that `encode_gaps` took apart.
 
-    Raises CorruptError for a wrong amount of bits, or a code over CODE_BITS bits.
+    Raises CorruptError for a wrong amount of bits, a bit set behind them, or a code over CODE_BITS
+    bits.
     """
     if len(lengths) and lengths.max() > CODE_BITS:
         raise CorruptError(f"positions: a gap of {lengths.max()} bits, at most {CODE_BITS}")
@@ -135,6 +136,8 @@ def decode_gaps(lengths: npt.NDArray[np.uint8], low_bits: bytes | memoryview) ->
         raise CorruptError(f"positions: {len(low_bits)} bytes of low bits, not {num_bits} bits")
     packed = np.zeros(len(low_bits) + 9, np.uint8)
     packed[: len(low_bits)] = np.frombuffer(low_bits, np.uint8)
+    if num_bits % 8 and packed[len(low_bits) - 1] >> (num_bits % 8):
+        raise CorruptError(f"positions: a bit is set after the {num_bits} low bits")
     codes = np.empty(len(lengths), np.uint64)
     if not _decode_gaps(lengths, packed, codes):
         raise CorruptError(f"positions: a code of more than {CODE_BITS} bits")

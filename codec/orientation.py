@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from .kernel import kernel
 
 Doubles = npt.NDArray[np.float64]
 
@@ -28,7 +29,7 @@ _PERMUTATIONS[[1, 5, 6, 3, 2, 7]] = (
 )
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def multiply(a, b):  # type: ignore[no-untyped-def]
     """The quaternion product a b of four numbers each, wxyz."""
     return (
@@ -39,7 +40,7 @@ def multiply(a, b):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def _canonical(log_scales, quats, permutations, scales, chosen):  # type: ignore[no-untyped-def]
     for i in range(quats.shape[0]):
         # Over the largest component first, because the square of a tiny or a huge one is 0 or

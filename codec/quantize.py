@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from .kernel import kernel
 from .splats import Floats, Splats
 
 Doubles = npt.NDArray[np.float64]
@@ -109,7 +109,7 @@ def to_luma(rgb: Doubles) -> Doubles:
     return np.stack([luma, (red - blue) / 2, (2 * green - red - blue) / 4], axis=-1)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def from_luma(y, co, cg):  # type: ignore[no-untyped-def]
     """Red, green, blue, all float32: G = Y + Cg, t = Y - Cg, R = t + Co, B = t - Co."""
     rest = y - cg

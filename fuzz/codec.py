@@ -6,9 +6,13 @@ parser (`TARGETS`), the rest is its food.
 
 How to run it, from the root of the repository, in an environment of its own:
 
-    python3 -m venv /tmp/fuzz && /tmp/fuzz/bin/pip install atheris numpy zstandard msgpack
+    python3 -m venv /tmp/fuzz && /tmp/fuzz/bin/pip install atheris numba numpy zstandard msgpack
     mkdir -p /tmp/found
     /tmp/fuzz/bin/python -m fuzz /tmp/found fuzz/corpus -max_total_time=600 -max_len=8192
+
+Atheris instruments Python, not compiled kernels (codec/kernel.py): it does not see which way they
+go, and what they read out of bounds goes unnoticed. With NUMBA_DISABLE_JIT=1 in front they are
+Python too: slower, seen, and an index out of bounds is an IndexError. The law holds either way.
 
 New inputs go to the first folder, what breaks the law to ./crash-*. `python -m fuzz FILE...` runs
 single files again; `tests/test_codec_fuzz.py` does so with the whole corpus, without atheris. What

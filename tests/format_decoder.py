@@ -9,7 +9,7 @@ import math
 import struct
 import zlib
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import zstandard
 
@@ -17,8 +17,11 @@ LARGEST_CHUNK = 248512584
 
 
 def f32(value: float) -> float:
-    """`value` rounded to the nearest float32."""
-    rounded: float = struct.unpack("<f", struct.pack("<f", value))[0]
+    """`value` rounded to the nearest float32, which is infinite for what is too large."""
+    try:
+        rounded: float = struct.unpack("<f", struct.pack("<f", value))[0]
+    except OverflowError:
+        return math.copysign(math.inf, value)
     return rounded
 
 
@@ -86,6 +89,10 @@ def decode(chunk: bytes) -> PlainChunk:
         body = body[: len(body) - count]
     k = (degree + 1) ** 2
     parts = (raw, paper, compact)[profile](body, count, k)
+    means, scales, quats, logits, sh = parts
+    vectors = chain(means, scales, quats, [logits], *sh)
+    assert all(map(math.isfinite, chain.from_iterable(vectors)))
+    assert all(map(any, quats))
     return PlainChunk(birth, layer, profile, *parts, offsets)
 
 
@@ -126,13 +133,19 @@ def paper(body: bytes, count: int, k: int) -> Parts:
 
 
 def compact(body: bytes, count: int, k: int) -> Parts:
+    assert len(body) >= 48
     numbers = struct.unpack_from("<9fHHII", body)
+    assert all(map(math.isfinite, numbers))
     origin, (p_step, s_base, s_step, r_step, c_base, c_step) = numbers[:3], numbers[3:9]
     levels, half, escapes, low_bit_bytes = numbers[9:]
+    assert 2 <= levels <= 256
+    assert 1 <= half <= 127
+    assert escapes <= count
     n = count - escapes
     num_planes = 8 + 3 * k
     planes = [body[48 + p * n : 48 + (p + 1) * n] for p in range(num_planes)]
     at = 48 + num_planes * n
+    assert len(body) >= at + low_bit_bytes
     low_bits = int.from_bytes(body[at : at + low_bit_bytes], "little")
     at += low_bit_bytes
     parts: Parts = ([], [], [], [], [])
@@ -141,10 +154,12 @@ def compact(body: bytes, count: int, k: int) -> Parts:
     used = 0
     for i in range(n):
         length = planes[0][i]
+        assert length <= 60
         if length:
             width = length - 1
             code += (1 << width) | (low_bits >> used) & ((1 << width) - 1)
             used += width
+        assert code < 1 << 60
         place = [sum((code >> (3 * b + axis) & 1) << b for b in range(20)) for axis in range(3)]
         means.append(tuple(f32(f32(q * p_step) + o) for q, o in zip(place, origin, strict=True)))
 
@@ -157,6 +172,7 @@ def compact(body: bytes, count: int, k: int) -> Parts:
         square = f32(f32(f32(x * x) + f32(y * y)) + f32(z * z))
         quats.append((f32(math.sqrt(max(f32(1 - square), 0.0))), x, y, z))
 
+        assert planes[7][i] < levels
         logits.append(logit(planes[7][i], levels))
 
         colour: list[tuple[float, ...]] = []
@@ -170,5 +186,6 @@ def compact(body: bytes, count: int, k: int) -> Parts:
             colour.append((f32(rest + co), f32(luma + cg), f32(rest - co)))
         sh.append(colour)
     assert (used + 7) // 8 == low_bit_bytes
+    assert low_bits >> used == 0
     tail = raw(body[at:], escapes, k)
     return means + tail[0], scales + tail[1], quats + tail[2], logits + tail[3], sh + tail[4]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -213,13 +214,85 @@ def test_a_header_out_of_bounds(place: int, value: bytes, error: type[Exception]
         decode_chunk(bytes(data))
 
 
-@pytest.mark.parametrize("number", [float("nan"), float("inf"), 3e38])
-def test_numbers_that_would_not_be_finite(number: float) -> None:
-    data = encode_chunk(trained_like_slice(0, 50), 0, Profile.COMPACT)
-    for field in range(9):
-        altered = bytearray(data)
-        struct.pack_into("<f", altered, HEADER_BYTES + 4 * field, number)
-        survives(decode_chunk, bytes(altered))
+def altered_head(place: int, layout: str, value: float) -> bytes:
+    """A compact chunk of 50 Gaussians with another number at `place` of its head."""
+    data = bytearray(encode_chunk(trained_like_slice(0, 50), 0, Profile.COMPACT))
+    struct.pack_into(layout, data, HEADER_BYTES + place, value)
+    return bytes(data)
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf"), -float("inf")])
+@pytest.mark.parametrize("field", range(9))
+def test_a_head_that_is_not_finite(field: int, number: float) -> None:
+    with pytest.raises(CorruptError, match="a number in the head is not finite"):
+        decode_chunk(altered_head(4 * field, "<f", number))
+
+
+@pytest.mark.parametrize("field", [3, 5, 6, 8])
+def test_a_step_so_large_that_values_are_not_finite(field: int) -> None:
+    for number in (3e38, -3e38):
+        with pytest.raises(CorruptError, match="holds a value that is not finite"):
+            decode_chunk(altered_head(4 * field, "<f", number))
+
+
+@pytest.mark.parametrize("field", [0, 1, 2, 4, 7])
+def test_a_base_as_large_as_float32_goes(field: int) -> None:
+    splats = decode_chunk(altered_head(4 * field, "<f", 3e38)).slice.splats
+    largest = (splats.means, splats.log_scales, splats.sh)[min(field // 3, 2)]
+    assert largest.max() == np.float32(3e38)
+
+
+@pytest.mark.parametrize(
+    ("place", "layout", "value", "message"),
+    [
+        (36, "<H", 0, "0 opacity levels"),
+        (36, "<H", 1, "1 opacity levels"),
+        (36, "<H", 257, "257 opacity levels"),
+        (36, "<H", 65535, "65535 opacity levels"),
+        (36, "<H", 2, r"opacity \d+ of 2 levels"),
+        (38, "<H", 0, "rotation half 0"),
+        (38, "<H", 128, "rotation half 128"),
+        (38, "<H", 65535, "rotation half 65535"),
+        (40, "<I", 51, "51 escapes among 50"),
+        (40, "<I", 1 << 31, "2147483648 escapes among 50"),
+        (44, "<I", 1 << 20, "a body of .* for 50 Gaussians"),
+    ],
+)
+def test_a_head_out_of_bounds(place: int, layout: str, value: int, message: str) -> None:
+    with pytest.raises(CorruptError, match=message):
+        decode_chunk(altered_head(place, layout, value))
+
+
+@pytest.mark.parametrize("levels", [2, 3, 255])
+def test_an_opacity_that_has_no_level(levels: int) -> None:
+    """The kernel looks its logit up: beyond the table it would read what lies there."""
+    head = Head(0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.1, 0.0, 1.0, levels, 127)
+    for opacity in (levels - 1, levels, 255):
+        body = head.pack() + bytes(7) + bytes([opacity]) + bytes(3)
+        if opacity < levels:
+            assert len(compact.decode_body(memoryview(body), 1, 0)) == 1
+        else:
+            with pytest.raises(CorruptError, match=f"opacity {opacity} of {levels} levels"):
+                compact.decode_body(memoryview(body), 1, 0)
+
+
+def test_a_chunk_of_nobody_still_has_a_head() -> None:
+    """No value shows that its bounds are broken, so only the bounds can refuse."""
+    good = Head(0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.1, 0.0, 1.0, 2, 1)
+    assert len(compact.decode_body(memoryview(good.pack()), 0, 0)) == 0
+    for change in (
+        {"opacity_levels": 1},
+        {"opacity_levels": 257},
+        {"rotation_half": 0},
+        {"rotation_half": 128},
+        {"colour_step": float("nan")},
+    ):
+        bad = replace(good, **change)
+        with pytest.raises(CorruptError, match="compact"):
+            compact.decode_body(memoryview(bad.pack()), 0, 0)
+
+
+def test_numbers_that_are_not_finite() -> None:
     raw = bytearray(encode_chunk(trained_like_slice(0, 5), 0, Profile.RAW))
     struct.pack_into("<f", raw, HEADER_BYTES + 8, float("nan"))
     with pytest.raises(CorruptError, match="not finite"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 
 from codec.chunk import Chunk, decode_chunk, encode_chunk
 from codec.coder import Coder
+from codec.errors import CodecError
 from codec.object import HEAD, decode_object, encode_object
 from codec.profile import Profile
 from tests.format_decoder import PlainChunk, decode
@@ -25,6 +27,7 @@ from tests.goldens.cases import (
     decoded_sha256,
     encode,
 )
+from tests.hostile_chunks import hostile_chunks
 from tests.trained_like import trained_like_slice
 
 GOLDENS: list[dict[str, Any]] = json.loads(FILE.read_text(encoding="utf-8"))
@@ -69,6 +72,29 @@ def test_a_decoder_written_from_the_format_agrees_bit_for_bit(
 ) -> None:
     data = encode_chunk(trained_like_slice(3, 300, sh_degree), 2, profile)
     assert_same(decode_chunk(data), decode(data))
+
+
+def test_a_decoder_written_from_the_format_refuses_the_same() -> None:
+    kept = 0
+    for data in hostile_chunks(1500):
+        try:
+            chunk = decode_chunk(data)
+        except CodecError:
+            with pytest.raises(AssertionError):
+                decode(data)
+        else:
+            assert_same(chunk, decode(data))
+            kept += 1
+    assert 300 < kept < 1200
+
+
+def test_a_step_of_rotation_whose_square_is_infinite() -> None:
+    """The text gives w = 0 then, and the quaternion is a valid one."""
+    data = bytearray(encode_chunk(trained_like_slice(0, 50), 0, Profile.COMPACT))
+    struct.pack_into("<f", data, 24 + 24, 1e19)
+    chunk = decode_chunk(bytes(data))
+    assert (chunk.slice.splats.quats[:, 0] == 0).any()
+    assert_same(chunk, decode(bytes(data)))
 
 
 def test_every_coder_is_pinned() -> None:

@@ -45,16 +45,26 @@ def test_gaps_round_trip_and_pack_as_the_format_says(values: list[int]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("lengths", "low_bits"),
+    ("lengths", "low_bits", "message"),
     [
-        ([61], bytes(8)),
-        ([255], bytes(32)),
-        ([9], b""),
-        ([9], bytes(2)),
-        ([60, 60, 60], bytes(23)),
-        ([60] * 64, bytes([255]) * (59 * 8)),
+        ([61], bytes(8), "a gap of 61 bits"),
+        ([255], bytes(32), "a gap of 255 bits"),
+        ([9], b"", "0 bytes of low bits, not 8 bits"),
+        ([9], bytes(2), "2 bytes of low bits, not 8 bits"),
+        ([1, 0], bytes(1), "1 bytes of low bits, not 0 bits"),
+        ([60, 60, 60], bytes(23), "a code of more than 60 bits"),
+        ([60] * 64, bytes([255]) * (59 * 8), "a code of more than 60 bits"),
+        ([3], b"\xff", "a bit is set after the 2 low bits"),
+        ([3], b"\x04", "a bit is set after the 2 low bits"),
+        ([9, 0, 2], b"\xff\x80", "a bit is set after the 9 low bits"),
     ],
 )
-def test_gaps_that_no_encoder_made(lengths: list[int], low_bits: bytes) -> None:
-    with pytest.raises(CorruptError):
+def test_gaps_that_no_encoder_made(lengths: list[int], low_bits: bytes, message: str) -> None:
+    with pytest.raises(CorruptError, match=message):
         decode_gaps(np.array(lengths, np.uint8), low_bits)
+
+
+def test_a_last_byte_that_is_used_to_its_end() -> None:
+    assert decode_gaps(np.array([3], np.uint8), b"\x03").tolist() == [7]
+    assert decode_gaps(np.array([9], np.uint8), b"\xff").tolist() == [511]
+    assert decode_gaps(np.array([1, 0, 1], np.uint8), b"").tolist() == [1, 1, 2]
