@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .errors import CodecError, CorruptError
-from .index import SegmentRecord
+from .index import SegmentRecord, record_bytes
 from .object import MAX_OBJECT_BYTES, entry_offset, read_object_table
 from .reader import StreamReader, check_births, decode_fitting_chunk, read_file
+from .writer import INDEX_NAME
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,6 +142,8 @@ def verify_stream(path: Path) -> StreamSummary:
     """
     reader = StreamReader(path)
     manifest = reader.manifest
+    if not manifest.live:
+        _verify_end_of_index(reader)
     for record in reader.records:
         births = manifest.births(record.segment, record.num_frames)
         totals = [0] * len(births)
@@ -154,6 +157,20 @@ def verify_stream(path: Path) -> StreamSummary:
                     f"the manifest allows {manifest.slice_size}"
                 )
     return _summary(reader)
+
+
+def _verify_end_of_index(reader: StreamReader) -> None:
+    """Raises CorruptError if the index of a finished stream has a torn tail, which a reader leaves
+    out: the writer may have been cut off in it only as long as the stream is live."""
+    path = reader.path / INDEX_NAME
+    whole_bytes = len(reader.records) * record_bytes(reader.manifest.num_layers)
+    size_bytes = path.stat().st_size
+    if size_bytes != whole_bytes:
+        raise CorruptError(
+            f"index: {size_bytes - whole_bytes} bytes after the last whole record "
+            "of a finished stream",
+            whole_bytes,
+        ).within(path)
 
 
 def _verify_object(reader: StreamReader, record: SegmentRecord, layer: int) -> list[int]:

@@ -14,13 +14,16 @@ from .errors import CorruptError, InvalidError
 MAX_IMAGE_PX = 16384
 """Largest width or height accepted, in pixels: the texture limit of common GPUs."""
 
+MAX_NAME_CHARS = 2000
+"""Longest name of a camera, as of any text in a manifest."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Camera:
     """Pinhole camera, OpenCV pose (x right, y down, z forward).
 
-    Raises InvalidError at construction when a number is not finite, a size or focal length is not
-    positive, or the pose's rotation is not orthonormal.
+    Raises InvalidError at construction when the name is too long, a number is not finite, a size or
+    focal length is not positive, or the pose's rotation is not orthonormal.
     """
 
     name: str
@@ -33,6 +36,11 @@ class Camera:
     w2c: npt.NDArray[np.float64]  # (4, 4) world to camera, metres
 
     def __post_init__(self) -> None:
+        if len(self.name) > MAX_NAME_CHARS:
+            raise InvalidError(
+                f"camera: a name of {len(self.name)} characters, at most {MAX_NAME_CHARS}: "
+                f"{self.name[:20]!a}..."
+            )
         if not (0 < self.width_px <= MAX_IMAGE_PX and 0 < self.height_px <= MAX_IMAGE_PX):
             raise InvalidError(f"camera {self.name}: size {self.width_px}x{self.height_px} px")
         if self.w2c.shape != (4, 4) or self.w2c.dtype != np.float64:
@@ -99,7 +107,7 @@ class Camera:
             raise CorruptError("camera: w2c is not 16 numbers")
         try:
             return Camera(
-                name=found("name", str)[:80],
+                name=found("name", str),
                 width_px=found("width_px", int),
                 height_px=found("height_px", int),
                 fx_px=float(found("fx_px", int, float)),

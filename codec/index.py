@@ -58,6 +58,8 @@ def pack_record(record: SegmentRecord) -> bytes:
         layers = list(zip(record.object_bytes, record.object_sha256, record.psnr_db, strict=True))
         if any(len(sha256) != 32 for _, sha256, _ in layers):
             raise ValueError("a sha256 has 32 bytes")
+        if any(map(math.isinf, record.psnr_db)):
+            raise ValueError("a PSNR is infinite; cap it, or say NaN where it is unknown")
         body = HEAD.pack(record.segment, record.first_frame, record.num_frames, 0) + b"".join(
             LAYER.pack(*layer) for layer in layers
         )

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from .camera import Camera
+from .camera import MAX_NAME_CHARS, Camera
 from .chunk import MAX_SPLATS_PER_CHUNK, ChunkBounds
 from .errors import CorruptError, InvalidError, UnsupportedError
 from .layers import check_fractions
@@ -32,7 +32,10 @@ MAX_SEGMENT_FRAMES = 4096
 MAX_NUM_GS = 1 << 24
 """Most active Gaussians: far above what any player can draw."""
 
-MAX_TEXT_CHARS = 2000
+MAX_TEXT_CHARS = MAX_NAME_CHARS
+
+MAX_POSTER_BYTES = 255
+"""Longest path of a poster, in UTF-8: what file systems take as one name."""
 
 Point = tuple[float, float, float]
 
@@ -124,6 +127,12 @@ class Manifest:
                 raise InvalidError(f"manifest: a text of {len(text)} characters")
             if not _is_unicode(text):
                 raise InvalidError(f"manifest: {text[:40]!a} holds half a surrogate pair")
+        poster = self.poster or ""
+        if len(poster.encode()) > MAX_POSTER_BYTES or any(c < " " or c == "\x7f" for c in poster):
+            raise InvalidError(
+                f"manifest: poster {poster[:40]!a} is longer than {MAX_POSTER_BYTES} bytes or "
+                "holds a control character"
+            )
         if sorted(re.findall(r"\{.*?\}", self.object_url)) != ["{layer}", "{segment}"]:
             raise InvalidError(
                 f"manifest: object_url {self.object_url!r} does not hold {{segment}} and {{layer}}"
@@ -179,7 +188,7 @@ class Manifest:
         return replace(self, profile=profile)
 
     def to_json(self) -> bytes:
-        """manifest.json, UTF-8, one key a line."""
+        """manifest.json, UTF-8, one key a line. Raises InvalidError if no reader would take it."""
         value = {
             "version": self.version,
             "fps": self.fps,
@@ -200,7 +209,14 @@ class Manifest:
             "title": self.title,
             "capture_frame": self.capture_frame,
         }
-        return (json.dumps(value, ensure_ascii=False, allow_nan=False, indent=1) + "\n").encode()
+        text = json.dumps(value, ensure_ascii=False, allow_nan=False, indent=1) + "\n"
+        data = text.encode()
+        # When a stream is finished, `false` takes a byte more than `true`.
+        if len(data) + self.live > MAX_MANIFEST_BYTES:
+            raise InvalidError(
+                f"manifest: {len(data)} bytes, at most {MAX_MANIFEST_BYTES}; shorten the names"
+            )
+        return data
 
     @staticmethod
     def from_json(data: bytes) -> Manifest:
@@ -245,7 +261,7 @@ def _no_constant(name: str) -> Any:
 
 def _typed(value: Mapping[str, Any], key: str, *kinds: type) -> Any:
     found = value.get(key)
-    if type(found) not in kinds:
+    if key not in value or type(found) not in kinds:
         raise CorruptError(f"manifest: {key} is missing or of the wrong type")
     return found
 

@@ -95,6 +95,7 @@ class StreamReader:
         """One record for each finished segment."""
         self._objects: OrderedDict[tuple[int, int], _Object] = OrderedDict()
         self._chunks: OrderedDict[tuple[int, int], Chunk] = OrderedDict()
+        self._chunk_splats = 0  # in all of _chunks
         self._read_manifest()
         self.refresh()
 
@@ -210,11 +211,22 @@ class StreamReader:
         """The chunk of one layer of the slice born at `birth`."""
         key = (birth, layer)
         if key not in self._chunks:
-            self._chunks[key] = self._decode(birth, layer)
-            while len(self._chunks) > (self.manifest.swin_size + 1) * self.manifest.num_layers:
-                self._chunks.popitem(last=False)
+            self._keep(key, self._decode(birth, layer))
         self._chunks.move_to_end(key)
         return self._chunks[key]
+
+    def _keep(self, key: tuple[int, int], chunk: Chunk) -> None:
+        """Puts `chunk` into the cache, which holds a window and a slice, however layers fill."""
+        manifest = self.manifest
+        slices = manifest.swin_size + 1
+        room = slices * manifest.slice_size - len(chunk.slice.splats)
+        while self._chunks and (
+            self._chunk_splats > room or len(self._chunks) >= slices * manifest.num_layers
+        ):
+            _, dropped = self._chunks.popitem(last=False)
+            self._chunk_splats -= len(dropped.slice.splats)
+        self._chunks[key] = chunk
+        self._chunk_splats += len(chunk.slice.splats)
 
     def _decode(self, birth: int, layer: int) -> Chunk:
         manifest = self.manifest

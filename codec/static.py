@@ -15,7 +15,7 @@ from .errors import InvalidError
 from .index import SegmentRecord, pack_record
 from .object import encode_frame, join_frames, object_frames
 from .reader import StreamReader
-from .writer import INDEX_NAME, MANIFEST_NAME, write_atomic
+from .writer import INDEX_NAME, MANIFEST_NAME, temporary_beside, write_atomic
 
 OBJECT_URL = "segments/{segment}/{layer}"
 """Where the objects lie, whatever other place the manifest of the source names."""
@@ -42,11 +42,11 @@ def export_static(stream: Path, out: Path) -> StaticExport:
     """
     if out.exists() and not (out.is_dir() and not any(out.iterdir())):
         raise InvalidError(f"{out} is not empty; remove it or name another folder")
+    temporary = temporary_beside(out)
     reader = StreamReader(stream)
     if not reader.records:
         raise InvalidError(f"{stream} has no frames yet; there is nothing to export")
     out.parent.mkdir(parents=True, exist_ok=True)
-    temporary = out.with_name(f".{out.name}.tmp")
     if temporary.exists():
         shutil.rmtree(temporary)  # of an export that was killed
     try:
@@ -100,8 +100,11 @@ def _write_segment(reader: StreamReader, record: SegmentRecord, folder: Path) ->
 def _copy_poster(reader: StreamReader, folder: Path) -> None:
     """Takes the picture along if it lies in the stream's folder; it may also be elsewhere."""
     root = reader.path.resolve()
-    poster = (root / (reader.manifest.poster or "")).resolve()
-    if not poster.is_relative_to(root) or not poster.is_file():
+    try:
+        poster = (root / (reader.manifest.poster or "")).resolve()
+        if not poster.is_relative_to(root) or not poster.is_file():
+            return
+    except (OSError, RuntimeError):  # links in a circle, or a path too long for this system
         return
     copy = folder / poster.relative_to(root)
     if not copy.exists():  # else it is no picture but a part of the stream

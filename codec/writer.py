@@ -11,6 +11,7 @@ import hashlib
 import math
 import os
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
@@ -41,15 +42,42 @@ def sync_folder(path: Path) -> None:
         os.close(descriptor)
 
 
+def temporary_beside(path: Path) -> Path:
+    """Where to make what is to be renamed to `path`. Raises InvalidError if that names nothing."""
+    try:
+        return path.with_name(f".{path.name}.tmp")
+    except ValueError as error:
+        raise InvalidError(f"{path} names no file or folder to write; give it a name") from error
+
+
 def write_atomic(path: Path, data: bytes) -> None:
     """Puts `data` at `path`: a reader sees all of it or what was there before."""
-    temporary = path.with_name(f".{path.name}.tmp")
+    temporary = temporary_beside(path)
     with open(temporary, "wb") as file:
         file.write(data)
         file.flush()
         os.fsync(file.fileno())
     os.replace(temporary, path)
     sync_folder(path.parent)
+
+
+def _append_durably(path: Path, size_bytes: int, data: bytes) -> None:
+    """Appends `data` to the file at `path`, which has `size_bytes`: all of it, or it raises."""
+    with open(path, "ab", buffering=0) as file:
+        found_bytes = os.fstat(file.fileno()).st_size
+        if found_bytes < size_bytes:
+            raise CorruptError(f"{path} has {found_bytes} bytes, not the {size_bytes} written")
+        try:
+            # A failed call before may have been unable to take back what it wrote.
+            file.truncate(size_bytes)
+            rest = memoryview(data)
+            while rest:  # a full disk takes a part and fails only when asked again
+                rest = rest[file.write(rest) :]
+            os.fsync(file.fileno())
+        except BaseException:
+            with suppress(OSError):
+                file.truncate(size_bytes)
+            raise
 
 
 def _is_unused(path: Path) -> bool:
@@ -86,7 +114,7 @@ class StreamWriter:
         self._rank = RANKS[rank]
         self._coarseness = coarseness
         self._quality = quality
-        self._scores_db: list[Sequence[float]] = []
+        self._scores_db: list[tuple[float, ...]] = []
         self._num_segments = len(records)
         self._frames: list[list[tuple[int, bytes]]] = [[] for _ in manifest.layers]
         self._closed = False
@@ -116,11 +144,12 @@ class StreamWriter:
         if path.exists() and not (path.is_dir() and _is_unused(path)):
             raise InvalidError(f"{path} is not empty; remove it or name another folder")
         writer = cls(path, manifest.with_live(True), [], rank, coarseness, quality)
+        described = writer.manifest.to_json()  # before anything is written: it may be refused
         path.mkdir(parents=True, exist_ok=True)
         (path / "segments").mkdir(exist_ok=True)
         write_atomic(path / INDEX_NAME, b"")
         # Last, because a folder is a stream from the moment that it has a manifest.
-        write_atomic(path / MANIFEST_NAME, writer.manifest.to_json())
+        write_atomic(path / MANIFEST_NAME, described)
         return writer
 
     @classmethod
@@ -160,7 +189,10 @@ class StreamWriter:
         return min(self.next_birth, self._num_segments * self.manifest.segment_frames)
 
     def append(self, slice: Slice) -> None:
-        """Takes the slice born at `next_birth`; writes the segment that it completes."""
+        """Takes the slice born at `next_birth`; writes the segment that it completes.
+
+        If it raises, nothing of the slice is kept: the same one, or another, may be tried again.
+        """
         manifest = self.manifest
         if self._closed:
             raise InvalidError(f"{self.path}: the writer is closed")
@@ -182,63 +214,90 @@ class StreamWriter:
         steps: Sequence[Steps | None] = [None] * len(parts)
         if manifest.profile is Profile.COMPACT:
             steps = layer_steps([part.splats for part in parts], self._coarseness)
-        for layer, part in enumerate(parts):
-            frame = encode_frame(encode_chunk(part, layer, manifest.profile, steps[layer]))
-            self._frames[layer].append((slice.birth, frame))
-        if self._quality is not None:
-            # Of the bytes as they are, not of what was given.
-            scores_db = self._quality([decode_frame(frames[-1][1]) for frames in self._frames])
-            if scores_db is not None:
-                self._scores_db.append(tuple(scores_db))
-        self.next_birth += 1
-        if self.next_birth == (self._num_segments + 1) * manifest.segment_frames:
-            self._write_segment()
+        encoded = [
+            encode_frame(encode_chunk(part, layer, manifest.profile, steps[layer]))
+            for layer, part in enumerate(parts)
+        ]
+        scores_db = [*self._scores_db, *self._measure(encoded)]
+        frames = [
+            [*kept, (slice.birth, frame)] for kept, frame in zip(self._frames, encoded, strict=True)
+        ]
+        next_birth = slice.birth + 1
+        if next_birth == (self._num_segments + 1) * manifest.segment_frames:
+            self._write_segment(frames, scores_db, next_birth)
+        else:
+            self._frames, self._scores_db, self.next_birth = frames, scores_db, next_birth
 
-    def _write_segment(self) -> None:
+    def _measure(self, frames: Sequence[bytes]) -> list[tuple[float, ...]]:
+        """The scores of a slice, if it has any: of the bytes as they are, not of what was given."""
+        if self._quality is None:
+            return []
+        scores_db = self._quality([decode_frame(frame) for frame in frames])
+        if scores_db is None:
+            return []
+        if len(scores_db) != len(frames) or any(map(math.isinf, scores_db)):
+            raise InvalidError(
+                f"{self.path}: a quality of {tuple(scores_db)} dB is not {len(frames)} numbers, "
+                "each finite, or NaN where unknown"
+            )
+        return [tuple(scores_db)]
+
+    def _write_segment(
+        self,
+        frames: list[list[tuple[int, bytes]]],
+        scores_db: list[tuple[float, ...]],
+        next_birth: int,
+    ) -> None:
+        """Writes the segment of `frames`; only then takes note of it, so that it may fail."""
         segment = self._num_segments
         first_frame = segment * self.manifest.segment_frames
         folder = self.path / "segments" / str(segment)
         folder.mkdir(exist_ok=True)
-        objects = [join_frames(frames) for frames in self._frames]
+        objects = [join_frames(of_layer) for of_layer in frames]
         for layer, data in enumerate(objects):
             write_atomic(folder / str(layer), data)
         sync_folder(folder.parent)
         record = SegmentRecord(
             segment,
             first_frame,
-            self.next_birth - first_frame,
+            next_birth - first_frame,
             tuple(len(data) for data in objects),
             tuple(hashlib.sha256(data).digest() for data in objects),
-            self._mean_scores_db(),
+            self._mean(scores_db),
         )
-        with open(self.path / INDEX_NAME, "ab", buffering=0) as index:
-            index.write(pack_record(record))
-            os.fsync(index.fileno())
+        index_bytes = segment * record_bytes(self.manifest.num_layers)
+        _append_durably(self.path / INDEX_NAME, index_bytes, pack_record(record))
         self._num_segments += 1
-        self._frames = [[] for _ in self.manifest.layers]
+        self.next_birth = next_birth
         self.bytes_written += sum(record.object_bytes)
+        self._drop()
 
-    def _mean_scores_db(self) -> tuple[float, ...]:
-        """For each number of layers the mean over the segment's frames."""
-        scores_db, self._scores_db = self._scores_db, []
+    def _drop(self) -> None:
+        self._frames = [[] for _ in self.manifest.layers]
+        self._scores_db = []
+
+    def _mean(self, scores_db: list[tuple[float, ...]]) -> tuple[float, ...]:
+        """For each number of layers the mean over the frames."""
         if not scores_db:
             return (math.nan,) * self.manifest.num_layers
-        return tuple(math.fsum(column) / len(column) for column in zip(*scores_db, strict=True))
+        columns = zip(*scores_db, strict=True)
+        return tuple(math.fsum(column) / len(column) for column in columns)
 
     def close(self) -> None:
         """Writes the short last segment, if there is one, and marks the stream as finished."""
         if self._closed:
             return
         if self._frames[0] and self.next_birth > 0:
-            self._write_segment()
-        self._closed = True
-        self.manifest = self.manifest.with_live(False)
-        write_atomic(self.path / MANIFEST_NAME, self.manifest.to_json())
+            self._write_segment(self._frames, self._scores_db, self.next_birth)
+        finished = self.manifest.with_live(False)
+        write_atomic(self.path / MANIFEST_NAME, finished.to_json())
+        self.manifest = finished
+        self._closed = True  # only now: what failed above may be tried again
 
     def abort(self) -> None:
         """Drops the unfinished segment and leaves the stream live."""
         self._closed = True
-        self._frames = [[] for _ in self.manifest.layers]
+        self._drop()
 
     def __enter__(self) -> StreamWriter:
         return self

@@ -181,6 +181,33 @@ def ply_claiming(count: int) -> bytes:
     return "\n".join([*lines, *(f"property float {n}" for n in names), "end_header\n"]).encode()
 
 
+def ply_of_floats(sh_degree: int) -> bytes:
+    """N Gaussians whose every number is 1."""
+    rest = 3 * ((sh_degree + 1) ** 2 - 1)
+    head = ply_claiming(N)
+    extra = "".join(f"property float f_rest_{i}\n" for i in range(rest)).encode()
+    head = head.replace(b"end_header\n", extra + b"end_header\n")
+    return head + struct.pack("<f", 1.0) * ((14 + rest) * N)
+
+
+def compressed_ply(count: int) -> bytes:
+    num_chunks = -(-count // 256)
+    lines = ["ply", "format binary_little_endian 1.0", f"element chunk {num_chunks}"]
+    for what in ("", "scale_"):
+        lines += [f"property float {end}_{what}{c}" for end in ("min", "max") for c in "xyz"]
+    lines += [f"property float {end}_{c}" for end in ("min", "max") for c in "rgb"]
+    lines += [f"element vertex {count}"]
+    lines += [f"property uint packed_{n}" for n in ("position", "rotation", "scale", "color")]
+    head = "\n".join([*lines, "end_header\n"]).encode()
+    return head + bytes(18 * 4 * num_chunks) + bytes(16 * count)
+
+
+def spz_3(count: int) -> bytes:
+    head = struct.pack("<4sIIBBBB", b"NGSP", 3, count, 0, 12, 0, 0)
+    # Of real bytes, or it is a bomb.
+    return gzip.compress(head + os.urandom(count) + bytes(19 * count), 1)
+
+
 def spz_bomb() -> bytes:
     return gzip.compress(struct.pack("<4sIIBBBB", b"NGSP", 2, 9, 0, 12, 0, 0) + bytes(99 << 20), 1)
 
@@ -241,6 +268,14 @@ CASES: dict[str, Case] = {
     "ply": Case(lambda: ply_claiming(1 << 24), decode_any, 0),
     "ply over the cap": Case(lambda: ply_claiming(1 << 40), decode_any, 0),
     "spz": Case(spz_bomb, decode_any, 0),
+    "ply of degree 3": Case(lambda: ply_of_floats(3), decode_any, N * VALUE_BYTES),
+    "compressed ply": Case(lambda: compressed_ply(2 * N), decode_any, 2 * N * 56),
+    "splat": Case(
+        lambda: bytes(32) * 2 * N,
+        lambda data: decode_any(data, ".splat"),
+        2 * N * 56,
+    ),
+    "spz 3": Case(lambda: spz_3(2 * N), decode_any, 2 * N * (20 + 56)),
     "spz 4": Case(lambda: spz_4(200 << 20), decode_any, 0),
     "control": Case(lambda: b"", lambda _: bytearray(SLACK_BYTES + (1 << 20)), 0),
 }

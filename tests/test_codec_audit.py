@@ -19,6 +19,7 @@ from codec.index import pack_record, record_bytes
 from codec.object import encode_frame, encode_object, join_frames, object_frames, read_object_table
 from codec.profile import Profile
 from codec.reader import StreamReader
+from tests.forged import forged_record
 from tests.hostile import flips
 from tests.slow_writer import tiny_slice, write_tiny
 
@@ -143,8 +144,23 @@ def test_a_field_of_the_index_with_a_right_checksum(
 ) -> None:
     records = list(StreamReader(stream).records)
     records[1] = replace(records[1], **change)  # type: ignore[arg-type]
-    (stream / "index.bin").write_bytes(b"".join(map(pack_record, records)))
+    (stream / "index.bin").write_bytes(b"".join(map(forged_record, records)))
     assert found(stream, "index.bin").at == RECORD_BYTES + field
+
+
+@pytest.mark.parametrize("torn", [b"\0", b"more", bytes(RECORD_BYTES), bytes(RECORD_BYTES + 9)])
+def test_the_index_of_a_finished_stream_has_no_torn_end(stream: Path, torn: bytes) -> None:
+    path = stream / "index.bin"
+    data = path.read_bytes()
+    path.write_bytes(data + torn)
+    error = found(stream, "index.bin")
+    assert error.at == len(data)
+    assert f"{len(torn)} bytes after the last whole record of a finished stream" in str(error)
+    # A writer may be at it, or may go on.
+    live = StreamReader(stream).manifest.with_live(True)
+    (stream / "manifest.json").write_bytes(live.to_json())
+    if len(torn) <= RECORD_BYTES:
+        assert verify_stream(stream).num_frames == NUM_FRAMES
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from codec.errors import CorruptError, InvalidError
 from codec.index import SegmentRecord, pack_record, parse_index, record_bytes
+from tests.forged import forged_record
 from tests.hostile import flips, survives
 
 LAYERS = 3
@@ -88,7 +89,7 @@ def test_noise(noise: bytes, layers: int, first: int) -> None:
 )
 def test_records_that_break_a_rule(wrong: SegmentRecord) -> None:
     with pytest.raises(CorruptError):
-        parse_index(pack_record(RECORDS[0]) + pack_record(wrong), LAYERS)
+        parse_index(pack_record(RECORDS[0]) + forged_record(wrong), LAYERS)
 
 
 @pytest.mark.parametrize(
@@ -99,6 +100,8 @@ def test_records_that_break_a_rule(wrong: SegmentRecord) -> None:
         replace(RECORDS[0], object_sha256=(b"short",) * LAYERS),
         replace(RECORDS[0], num_frames=1 << 32),
         replace(RECORDS[0], psnr_db=(1e300,) * LAYERS),
+        replace(RECORDS[0], psnr_db=(30.0, math.inf, 30.0)),
+        replace(RECORDS[0], psnr_db=(-math.inf, math.nan, 30.0)),
     ],
 )
 def test_what_does_not_fit_is_not_packed(wrong: SegmentRecord) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import gzip
+import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from codec.errors import CodecError, InvalidError
+from codec.errors import CodecError, InvalidError, UnsupportedError
 from codec.interop.exporting import export_stream, numbered, parse_range
 from codec.interop.formats import SplatFormat, read_splats, write_splats
 from codec.interop.importing import (
@@ -133,8 +135,32 @@ def test_more_than_a_frame_holds_is_refused(
 ) -> None:
     monkeypatch.setattr("codec.interop.importing.MAX_SPLATS_PER_CHUNK", 9)
     model = save(tmp_path / "model.ply", trained_like_splats(10))
-    with pytest.raises(InvalidError, match=r"model\.ply: 10 Gaussians in a frame, at most 9"):
+    with pytest.raises(
+        UnsupportedError, match=r"model\.ply: PLY: 10 Gaussians in a frame, at most 9"
+    ):
         import_stream(model, tmp_path / "stream", RAW)
+    assert not (tmp_path / "stream").exists()
+
+
+SPLAT_RECORD_BYTES = 32
+
+
+@pytest.mark.parametrize(
+    ("name", "head"),
+    [
+        ("a.spz", gzip.compress(struct.pack("<4sIIBBBB", b"NGSP", 3, 10, 0, 12, 0, 0))),
+        ("b.spz", struct.pack("<4sIIBBBBI12x", b"NGSP", 4, 10, 0, 12, 0, 5, 32)),
+        ("c.splat", bytes(10 * SPLAT_RECORD_BYTES)),
+    ],
+)
+def test_too_many_are_refused_by_the_header_alone(
+    tmp_path: Path, name: str, head: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing follows the header: whoever went on would say so."""
+    monkeypatch.setattr("codec.interop.importing.MAX_SPLATS_PER_CHUNK", 9)
+    (tmp_path / name).write_bytes(head)
+    with pytest.raises(UnsupportedError, match=r"10 Gaussians in a frame, at most 9"):
+        import_stream(tmp_path / name, tmp_path / "stream", RAW)
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec.camera import Camera
+from codec.camera import MAX_NAME_CHARS, Camera
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
 from codec.manifest import MAX_MANIFEST_BYTES, Manifest
 from codec.profile import Profile
@@ -91,6 +91,11 @@ def test_its_size_does_not_depend_on_live_by_more_than_a_byte() -> None:
         {"object_url": "segments/{segment}"},
         {"object_url": "{segment}/{layer}/{__class__}"},
         {"title": "x" * 2001},
+        {"poster": "a\0b"},
+        {"poster": "a\nb"},
+        {"poster": "x" * 256},
+        {"poster": "ü" * 128},
+        {"poster": "\ud800"},
         {"version": 2},
     ],
 )
@@ -122,8 +127,52 @@ def test_junk_under_any_key_and_a_missing_key(key: str) -> None:
     for junk in JUNK:
         survives(Manifest.from_json, json.dumps(VALUE | {key: junk}).encode())
     without = {k: v for k, v in VALUE.items() if k != key}
-    if key != "poster":
-        assert not survives(Manifest.from_json, json.dumps(without).encode())
+    with pytest.raises(CodecError, match=key):
+        Manifest.from_json(json.dumps(without).encode())
+
+
+@pytest.mark.parametrize("poster", ["a\0b", "x" * 300, "\x7f", "ü" * 128])
+def test_a_poster_that_can_be_no_file_is_corrupt(poster: str) -> None:
+    with pytest.raises(CorruptError, match=r"manifest: poster .* is longer than 255 bytes or"):
+        Manifest.from_json(json.dumps(VALUE | {"poster": poster}).encode())
+
+
+def test_posters_that_are_none_or_as_long_as_may_be() -> None:
+    for poster in (None, "", "https://cdn/poster.png", "ü" * 127 + "x"):
+        found = Manifest.from_json(replace(MANIFEST, poster=poster).to_json())
+        assert found.poster == poster
+
+
+def test_a_name_of_a_camera_is_kept_whole_or_refused() -> None:
+    longest = "ü" * MAX_NAME_CHARS
+    manifest = replace(
+        MANIFEST, cameras=(camera(longest), camera(longest[:-1])), default_camera=longest
+    )
+    assert Manifest.from_json(manifest.to_json()).camera().name == longest
+    with pytest.raises(InvalidError, match="a name of 2001 characters, at most 2000"):
+        camera(longest + "x")
+    cameras = [VALUE["cameras"][0] | {"name": longest + "x"}, VALUE["cameras"][0]]
+    with pytest.raises(CorruptError, match="a name of 2001 characters, at most 2000"):
+        Manifest.from_json(json.dumps(VALUE | {"cameras": cameras}).encode())
+
+
+def test_what_no_reader_would_take_is_not_written() -> None:
+    """Every text is short enough; all of them together are not."""
+    names = [f"{n:03}" + "\U0001f600" * (MAX_NAME_CHARS - 3) for n in range(256)]
+    many = replace(MANIFEST, cameras=tuple(map(camera, names)), default_camera=names[0])
+    with pytest.raises(InvalidError, match="bytes, at most 1048576; shorten the names"):
+        many.to_json()
+
+
+def test_a_live_manifest_can_still_be_finished(monkeypatch: pytest.MonkeyPatch) -> None:
+    finished = replace(MANIFEST, live=False)
+    size = len(finished.to_json())
+    monkeypatch.setattr("codec.manifest.MAX_MANIFEST_BYTES", size)
+    assert len(MANIFEST.to_json()) == size - 1
+    monkeypatch.setattr("codec.manifest.MAX_MANIFEST_BYTES", size - 1)
+    for manifest in (MANIFEST, finished):
+        with pytest.raises(InvalidError, match="shorten the names"):
+            manifest.to_json()
 
 
 @pytest.mark.parametrize("key", sorted(VALUE["cameras"][0]))

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from codec.audit import summarize, verify_stream
-from codec.chunk import encode_chunk
+from codec.chunk import Chunk, encode_chunk
 from codec.errors import CodecError, CorruptError, InvalidError
 from codec.index import pack_record, record_bytes
 from codec.object import encode_object
@@ -101,6 +101,47 @@ def test_memory_of_reader_and_writer_is_bounded(tmp_path: Path) -> None:
         reader.window(frame, 2)
         assert len(reader._objects) <= 4
         assert len(reader._chunks) <= 8
+
+
+def test_the_cache_is_bounded_by_what_its_chunks_hold(tmp_path: Path) -> None:
+    """The layers of a hostile stream: each is as full as the whole slice may be."""
+    path, num_layers = tmp_path / "s", 8
+    manifest = replace(tiny_manifest(Profile.RAW), layers=(1 / num_layers,) * num_layers)
+    write_tiny(path, NUM_FRAMES, manifest)
+    records = []
+    for record in StreamReader(path).records:
+        births = manifest.births(record.segment, record.num_frames)
+        objects = [
+            encode_object([encode_chunk(tiny_slice(b), layer, Profile.RAW) for b in births])
+            for layer in range(num_layers)
+        ]
+        for layer, data in enumerate(objects):
+            (path / f"segments/{record.segment}/{layer}").write_bytes(data)
+        hashes = tuple(hashlib.sha256(data).digest() for data in objects)
+        records.append(replace(record, object_bytes=tuple(map(len, objects)), object_sha256=hashes))
+    (path / "index.bin").write_bytes(b"".join(map(pack_record, records)))
+    reader = StreamReader(path)
+    for birth in reader.births:
+        for layer in range(num_layers):
+            assert len(reader.chunk(birth, layer).slice.splats) == SLICE_SIZE
+            held = sum(len(chunk.slice.splats) for chunk in reader._chunks.values())
+            assert held == reader._chunk_splats <= (manifest.swin_size + 1) * SLICE_SIZE
+
+
+def test_a_window_is_decoded_once(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    reader = StreamReader(finished)
+    decoded = 0
+
+    def counting(birth: int, layer: int) -> Chunk:
+        nonlocal decoded
+        decoded += 1
+        return StreamReader._decode(reader, birth, layer)
+
+    monkeypatch.setattr(reader, "_decode", counting)
+    for frame in range(NUM_FRAMES):
+        reader.window(frame, 2)
+        reader.window(frame, 2)
+    assert decoded == 2 * len(reader.births)
 
 
 def test_arguments_out_of_range(finished: Path) -> None:
@@ -347,7 +388,13 @@ def test_truncated_anywhere_every_file_is_refused_or_shorter(stream: Path) -> No
     index = (stream / "index.bin").read_bytes()
     for length in range(0, len(index), 13):
         (stream / "index.bin").write_bytes(index[:length])
-        assert verify_stream(stream).num_frames == (0, 4, 8)[length // record_bytes(2)]
+        frames = (0, 4, 8)[length // record_bytes(2)]
+        assert StreamReader(stream).num_frames == frames
+        if length % record_bytes(2):
+            with pytest.raises(CodecError, match=r"index\.bin: byte \d+: .* of a finished stream"):
+                verify_stream(stream)
+        else:
+            assert verify_stream(stream).num_frames == frames
 
 
 def test_an_object_with_the_right_hash_and_the_wrong_births(stream: Path) -> None:

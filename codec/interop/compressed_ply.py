@@ -21,10 +21,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import CorruptError, UnsupportedError
-from ..splats import SH_C0, Floats, Splats
+from ..splats import SH_C0, Splats
 from .levels import byte_logits, restore_largest
-from .limits import checked_splats
-from .ply import rest_names
+from .limits import MAX_GAUSSIANS, Decoded, check_count
+from .ply import REST_COUNTS, rest_names
 from .plyheader import PlyElement, read_ply_elements
 
 CHUNK_GAUSSIANS = 256
@@ -68,28 +68,28 @@ def _between(bounds: Doubles, shares: Doubles) -> Doubles:
     return between
 
 
-def _rest(sh: PlyElement | None, data: bytes, count: int) -> Floats:
-    """(N, K - 1, 3) the coefficients above degree 0."""
+def _rest_names(sh: PlyElement | None, count: int) -> list[str]:
+    """The properties of `sh`, in order; none without it."""
     if sh is None:
-        return np.zeros((count, 0, 3), np.float32)
+        return []
     names = rest_names(sh.properties)
     if sh.count != count or any(sh.dtype[name] != np.uint8 for name in names):
         raise CorruptError(f"PLY: element sh is not {count} rows of uchar")
-    rows = sh.rows(data)
-    rest = np.empty((count, len(names) // 3, 3), np.float32)
-    for i, name in enumerate(names):
-        channel, coefficient = divmod(i, rest.shape[1])
-        rest[:, coefficient, channel] = rows[name] * np.float32(8 / 255) - np.float32(4)
-    return rest
+    return names
 
 
-def decode_compressed_ply(data: bytes) -> Splats:
-    """The Gaussians of a compressed PLY. Raises CorruptError or UnsupportedError."""
-    elements = read_ply_elements(data)
+def decode_compressed_ply(
+    data: bytes, max_gaussians: int = MAX_GAUSSIANS, elements: dict[str, PlyElement] | None = None
+) -> Splats:
+    """The Gaussians of a compressed PLY, whose `elements` may be known already.
+
+    Raises CorruptError, or UnsupportedError, also for more than `max_gaussians`.
+    """
+    elements = read_ply_elements(data) if elements is None else elements
     if not is_compressed(elements):
         raise UnsupportedError("PLY: no compressed PLY, which has chunk and packed_position")
     chunk, vertex = elements["chunk"], elements["vertex"]
-    count = vertex.count
+    count = check_count("PLY", vertex.count, max_gaussians)
     if chunk.count != -(-count // CHUNK_GAUSSIANS):
         raise CorruptError(f"PLY: {chunk.count} chunks for {count} Gaussians")
     axes, scales, colours = ("x", "y", "z"), ("scale_x", "scale_y", "scale_z"), ("r", "g", "b")
@@ -100,22 +100,31 @@ def decode_compressed_ply(data: bytes) -> Splats:
         raise CorruptError(f"PLY: no property {', '.join(missing[:4])}")
     if any(vertex.dtype[name] != np.uint32 for name in PACKED):
         raise CorruptError("PLY: a packed property is not uint")
-    chunks, rows = chunk.rows(data), vertex.rows(data)
-    position, rotation, scale, colour = (rows[name].astype(np.uint32) for name in PACKED)
-    rgba = _unpack(colour, 8, 8, 8, 8)
-    rgb = rgba[:, :3]
-    three = (_unpack(rotation, 2, 10, 10, 10)[:, 1:] - 0.5) * np.sqrt(2.0)
-    with np.errstate(all="ignore"):  # what overflows or is no number is refused below
-        if all(f"{end}_{c}" in chunk.properties for end in ("min", "max") for c in colours):
-            rgb = _between(_bounds(chunks, count, colours), rgb)
-        means = _between(_bounds(chunks, count, axes), _unpack(position, 11, 10, 11))
-        log_scales = _between(_bounds(chunks, count, scales), _unpack(scale, 11, 10, 11))
-        dc = ((rgb - 0.5) / SH_C0).astype(np.float32)
-        return checked_splats(
-            "PLY",
-            means.astype(np.float32),
-            log_scales.astype(np.float32),
-            restore_largest(three, rotation >> np.uint32(30)).astype(np.float32),
-            byte_logits((colour & np.uint32(255)).astype(np.uint8)),
-            np.concatenate([dc[:, None], _rest(elements.get("sh"), data, count)], axis=1),
-        )
+    sh = elements.get("sh")
+    names = _rest_names(sh, count)
+    chunks, packed = chunk.rows(data), vertex.rows(data)
+    made = Decoded.empty(count, REST_COUNTS[len(names)])
+    tinted = all(f"{end}_{c}" in chunk.properties for end in ("min", "max") for c in colours)
+    for block in made.blocks():
+        rows, size = packed[block], block.stop - block.start
+        bounds = chunks[block.start // CHUNK_GAUSSIANS : -(-block.stop // CHUNK_GAUSSIANS)]
+        position, rotation, scale, colour = (rows[name].astype(np.uint32) for name in PACKED)
+        rgb = _unpack(colour, 8, 8, 8, 8)[:, :3]
+        three = (_unpack(rotation, 2, 10, 10, 10)[:, 1:] - 0.5) * np.sqrt(2.0)
+        with np.errstate(all="ignore"):  # what overflows or is no number is refused below
+            if tinted:
+                rgb = _between(_bounds(bounds, size, colours), rgb)
+            made.means[block] = _between(_bounds(bounds, size, axes), _unpack(position, 11, 10, 11))
+            made.log_scales[block] = _between(
+                _bounds(bounds, size, scales), _unpack(scale, 11, 10, 11)
+            )
+            made.sh[block, 0] = (rgb - 0.5) / SH_C0
+            made.quats[block] = restore_largest(three, rotation >> np.uint32(30))
+        made.logit_opacities[block] = byte_logits((colour & np.uint32(255)).astype(np.uint8))
+    if sh is not None:
+        rest = sh.rows(data)
+        for i, name in enumerate(names):
+            channel, coefficient = divmod(i, len(names) // 3)
+            levels = rest[name] * np.float32(8 / 255) - np.float32(4)
+            made.sh[:, 1 + coefficient, channel] = levels
+    return made.checked("PLY")

@@ -12,11 +12,17 @@ NUMBER_DIGITS = 4
 """Least digits of a frame number in a file name: `name_0001.ply`."""
 
 
+MAX_DIGITS = 18
+"""Digits read of a frame number: a number of thousands of them is not even converted."""
+
+
 def parse_range(text: str, num_frames: int) -> range:
     """The frames of `A:B`, `A:` or `:B`, B not among them. Raises InvalidError."""
     first, colon, end = text.partition(":")
     if not colon or not all(p == "" or (p.isascii() and p.isdigit()) for p in (first, end)):
-        raise InvalidError(f"frames {text!r} are not FIRST:END, such as 30:60, 30: or :60")
+        raise InvalidError(f"frames {text[:40]!r} are not FIRST:END, such as 30:60, 30: or :60")
+    if max(len(first), len(end)) > MAX_DIGITS:
+        raise InvalidError(f"frames {text[:40]!r}...: a number of more than {MAX_DIGITS} digits")
     frames = range(int(first or 0), int(end) if end else num_frames)
     if not frames:
         raise InvalidError(f"frames {text!r} hold no frame of {num_frames}")
@@ -35,7 +41,12 @@ def chosen_format(out: Path, format: SplatFormat | None) -> SplatFormat:
 
 
 def numbered(out: Path, frame: int, format: SplatFormat) -> Path:
-    """The file of `frame` in the sequence that `out` names, with or without its suffix."""
+    """The file of `frame` in the sequence that `out` names, with or without its suffix.
+
+    Raises InvalidError for an `out` that ends in no name, such as `.` or `/`.
+    """
+    if not out.name:
+        raise InvalidError(f"{out} names no file to number; give it a name, such as frame.{format}")
     stem = out.stem if out.suffix.lower() == f".{format}" else out.name
     return out.with_name(f"{stem}_{frame:0{NUMBER_DIGITS}}.{format}")
 

@@ -41,23 +41,29 @@ def has_known_suffix(path: Path) -> bool:
     return path.suffix.lower().removeprefix(".") in set(SplatFormat)
 
 
-def decode_any(data: bytes, suffix: str = "") -> Splats:
+def decode_any(data: bytes, suffix: str = "", max_gaussians: int = MAX_GAUSSIANS) -> Splats:
     """The Gaussians of a file that begins as a known format, or is called .splat, which has no
-    magic. Raises CorruptError or UnsupportedError."""
+    magic.
+
+    Raises CorruptError, or UnsupportedError, which is also for a file that claims more than
+    `max_gaussians`: nothing of it is decoded.
+    """
     if suffix.lower() == ".splat":
-        return decode_splat(data)
+        return decode_splat(data, max_gaussians)
     if data.startswith(b"ply"):
         elements = read_ply_elements(data)
-        return decode_compressed_ply(data) if is_compressed(elements) else decode_ply(data)
+        decode = decode_compressed_ply if is_compressed(elements) else decode_ply
+        return decode(data, max_gaussians, elements)
     if data.startswith((b"NGSP", b"\x1f\x8b")):
-        return decode_spz(data)
+        return decode_spz(data, max_gaussians)
     raise UnsupportedError(
         f"starts with {data[:4]!r}; this program reads .ply, compressed .ply, .spz and .splat"
     )
 
 
-def read_splats(path: Path) -> Splats:
-    """The Gaussians of the file at `path`. Raises a CodecError that names it."""
+def read_splats(path: Path, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
+    """The Gaussians of the file at `path`, `max_gaussians` at most. Raises a CodecError that names
+    it."""
     try:
         with open(path, "rb") as file:
             # Python takes at once what it is told to read, however short the file is.
@@ -68,7 +74,7 @@ def read_splats(path: Path) -> Splats:
     if len(data) > MAX_FILE_BYTES:
         raise CorruptError(f"{path} is longer than {MAX_FILE_BYTES} bytes")
     try:
-        return decode_any(data, path.suffix)
+        return decode_any(data, path.suffix, max_gaussians)
     except CodecError as error:
         raise type(error)(f"{path}: {error}") from error
 

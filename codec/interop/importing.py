@@ -66,7 +66,10 @@ class Survey:
         if not len(splats):
             return Survey(0, splats.sh_degree, np.full(3, np.inf), np.full(3, -np.inf))
         cut = (1 - CORE_SHARE) / 2
-        lower, upper = np.quantile(splats.means.astype(np.float64), (cut, 1 - cut), axis=0)
+        # Axis by axis, for the quantile takes several float64 copies of what it is given.
+        lower, upper = np.transpose(
+            [np.quantile(axis.astype(np.float64), (cut, 1 - cut)) for axis in splats.means.T]
+        )
         return Survey(len(splats), splats.sh_degree, lower, upper)
 
     def joined(self, other: Survey) -> Survey:
@@ -149,6 +152,8 @@ def _point(values: npt.NDArray[np.float64]) -> Point:
 def _with_degree(splats: Splats, sh_degree: int) -> Splats:
     """`splats` with zeros for the harmonics that it lacks."""
     lacking = sh_count(sh_degree) - splats.sh.shape[1]
+    if not lacking:
+        return splats
     return Splats(
         splats.means,
         splats.log_scales,
@@ -166,20 +171,16 @@ def import_stream(source: Path, stream: Path, options: ImportOptions) -> Manifes
     written.
     """
     files = find_files(source)
-    splats = read_splats(files[0])
+    splats = read_splats(files[0], MAX_SPLATS_PER_CHUNK)
     survey = Survey.of(splats)
     for file in files[1:]:
-        survey = survey.joined(Survey.of(read_splats(file)))
-    if survey.num_gs > MAX_SPLATS_PER_CHUNK:
-        raise InvalidError(
-            f"{source}: {survey.num_gs} Gaussians in a frame, at most {MAX_SPLATS_PER_CHUNK}"
-        )
+        survey = survey.joined(Survey.of(read_splats(file, MAX_SPLATS_PER_CHUNK)))
     title = source.resolve().name if options.title is None else options.title
     manifest = make_manifest(survey, options, title)
     with StreamWriter.create(stream, manifest, options.rank) as writer:
         for birth, file in enumerate(files):
             if birth:
-                splats = read_splats(file)
+                splats = read_splats(file, MAX_SPLATS_PER_CHUNK)
             offsets = np.zeros(len(splats), np.uint8)
             writer.append(Slice(birth, _with_degree(splats, survey.sh_degree), offsets))
     return writer.manifest

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from ..errors import CorruptError, InvalidError
-from ..splats import Floats, Splats
+from ..errors import CorruptError, InvalidError, UnsupportedError
+from ..splats import Floats, Splats, sh_count
 
 MAX_GAUSSIANS = 1 << 24
 """Gaussians in a file: 248 bytes each as float32 with SH degree 3, about 4 GB."""
@@ -17,10 +19,20 @@ RATIO_SLACK_BYTES = 1 << 20
 """Decompressed bytes that need no justification, so that tiny uniform models pass."""
 
 
-def check_count(what: str, count: int) -> int:
-    """`count`, the Gaussians that a header claims. Raises CorruptError over MAX_GAUSSIANS."""
+BLOCK_GAUSSIANS = 1 << 16
+"""Gaussians decoded at a time, a multiple of 256: wider numbers on the way to float32 cost memory
+for these alone."""
+
+
+def check_count(what: str, count: int, limit: int = MAX_GAUSSIANS) -> int:
+    """`count`, the Gaussians that a header claims.
+
+    Raises CorruptError over MAX_GAUSSIANS, UnsupportedError over `limit`, what the caller can take.
+    """
     if count > MAX_GAUSSIANS:
         raise CorruptError(f"{what}: claims {count} Gaussians, at most {MAX_GAUSSIANS}")
+    if count > limit:
+        raise UnsupportedError(f"{what}: {count} Gaussians in a frame, at most {limit}")
     return count
 
 
@@ -28,6 +40,36 @@ def check_ratio(what: str, raw_bytes: int, file_bytes: int) -> None:
     """Raises CorruptError when `file_bytes` cannot honestly hold `raw_bytes`."""
     if raw_bytes > MAX_RATIO * file_bytes + RATIO_SLACK_BYTES:
         raise CorruptError(f"{what}: {file_bytes} bytes claim to hold {raw_bytes}; a bomb")
+
+
+@dataclass(frozen=True, slots=True)
+class Decoded:
+    """The arrays of a Splats, allocated to be filled block by block."""
+
+    means: Floats
+    log_scales: Floats
+    quats: Floats
+    logit_opacities: Floats
+    sh: Floats
+
+    @staticmethod
+    def empty(count: int, sh_degree: int) -> Decoded:
+        shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, sh_count(sh_degree), 3))
+        return Decoded(*(np.empty(shape, np.float32) for shape in shapes))
+
+    def blocks(self) -> list[slice]:
+        """Rows of BLOCK_GAUSSIANS and fewer that together are all."""
+        count = len(self.means)
+        return [
+            slice(first, min(first + BLOCK_GAUSSIANS, count))
+            for first in range(0, count, BLOCK_GAUSSIANS)
+        ]
+
+    def checked(self, what: str) -> Splats:
+        """All as a Splats. Raises CorruptError that names the first Gaussian at fault."""
+        return checked_splats(
+            what, self.means, self.log_scales, self.quats, self.logit_opacities, self.sh
+        )
 
 
 def checked_splats(

@@ -13,18 +13,20 @@ is the world of a swings stream. A reader goes by name: any order and any other 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from ..errors import CorruptError, UnsupportedError
 from ..splats import MAX_SH_DEGREE, Floats, Splats, sh_count
-from .limits import checked_splats
+from .limits import MAX_GAUSSIANS, Decoded, check_count
 from .plyheader import PlyElement, read_ply_elements
 
 SURE_LOGIT = 16.0
 """Stands for infinite logits, which programs write that make them of opacity bytes 0 and 255."""
 
-REST_COUNTS = {3 * (sh_count(degree) - 1) for degree in range(MAX_SH_DEGREE + 1)}
-"""How many f_rest there may be: 0, 9, 24, 45."""
+REST_COUNTS = {3 * (sh_count(degree) - 1): degree for degree in range(MAX_SH_DEGREE + 1)}
+"""How many f_rest there may be, 0, 9, 24 or 45, and the SH degree of each."""
 
 
 def _names(stem: str, count: int) -> list[str]:
@@ -45,18 +47,14 @@ def rest_names(properties: tuple[str, ...]) -> list[str]:
     return names
 
 
-def _columns(vertex: PlyElement, data: bytes, names: list[str]) -> Floats:
-    """(N, len(names)) float32."""
-    rows = vertex.rows(data)
-    columns = np.empty((vertex.count, len(names)), np.float32)
-    for i, name in enumerate(names):
-        columns[:, i] = rows[name]
-    return columns
+def decode_ply(
+    data: bytes, max_gaussians: int = MAX_GAUSSIANS, elements: dict[str, PlyElement] | None = None
+) -> Splats:
+    """The Gaussians of an uncompressed PLY, whose `elements` may be known already.
 
-
-def decode_ply(data: bytes) -> Splats:
-    """The Gaussians of an uncompressed PLY. Raises CorruptError or UnsupportedError."""
-    vertex = read_ply_elements(data).get("vertex")
+    Raises CorruptError, or UnsupportedError, also for more than `max_gaussians`.
+    """
+    vertex = (read_ply_elements(data) if elements is None else elements).get("vertex")
     if vertex is None:
         raise CorruptError("PLY: no element vertex")
     groups = {
@@ -72,15 +70,26 @@ def decode_ply(data: bytes) -> Splats:
         raise CorruptError(
             f"PLY: no property {', '.join(missing[:4])}; these are points, not Gaussians"
         )
+    check_count("PLY", vertex.count, max_gaussians)
+    rows = vertex.rows(data)
+    made = Decoded.empty(vertex.count, REST_COUNTS[len(groups["rest"])])
+    places: dict[str, Iterable[Floats]] = {
+        "means": made.means.T,
+        "dc": made.sh[:, 0].T,
+        # Channel-major in the file.
+        "rest": [made.sh[:, 1 + k, c] for c in range(3) for k in range(made.sh.shape[1] - 1)],
+        "opacity": [made.logit_opacities],
+        "scale": made.log_scales.T,
+        "rot": made.quats.T,
+    }
     with np.errstate(all="ignore"):  # a double beyond float32 becomes inf, which is refused below
-        found = {key: _columns(vertex, data, names) for key, names in groups.items()}
-    sh = np.empty((vertex.count, 1 + len(groups["rest"]) // 3, 3), np.float32)
-    sh[:, 0] = found["dc"]
-    sh[:, 1:] = found["rest"].reshape(vertex.count, 3, sh.shape[1] - 1).swapaxes(1, 2)
-    logits = found["opacity"][:, 0].copy()
+        for key, names in groups.items():
+            for name, column in zip(names, places[key], strict=True):
+                column[:] = rows[name]
+    logits = made.logit_opacities
     endless = np.isinf(logits)
     logits[endless] = np.copysign(np.float32(SURE_LOGIT), logits[endless])
-    return checked_splats("PLY", found["means"], found["scale"], found["rot"], logits, sh)
+    return made.checked("PLY")
 
 
 def encode_ply(splats: Splats) -> bytes:

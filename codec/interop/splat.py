@@ -18,7 +18,7 @@ import numpy as np
 from ..errors import CorruptError
 from ..splats import SH_C0, Splats
 from .levels import byte_logits, clipped_bytes, opacity_bytes, unit_quats
-from .limits import check_count, checked_splats
+from .limits import MAX_GAUSSIANS, Decoded, check_count
 
 RECORD = np.dtype([("xyz", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rot", "u1", 4)])
 assert RECORD.itemsize == 32
@@ -27,27 +27,27 @@ SMALLEST_SCALE = float(np.finfo(np.float32).tiny)
 LARGEST_SCALE = float(np.finfo(np.float32).max)
 
 
-def decode_splat(data: bytes) -> Splats:
-    """The Gaussians of a .splat file, SH degree 0. Raises CorruptError."""
+def decode_splat(data: bytes, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
+    """The Gaussians of a .splat file, SH degree 0. Raises CorruptError, or UnsupportedError for
+    more than `max_gaussians`."""
     if len(data) % RECORD.itemsize:
         raise CorruptError(f".splat: {len(data)} bytes are no whole records of {RECORD.itemsize}")
-    check_count(".splat", len(data) // RECORD.itemsize)
-    rows = np.frombuffer(data, RECORD)
-    with np.errstate(invalid="ignore"):  # what is no number is refused, here or below
-        scales, means = rows["scale"].astype(np.float64), rows["xyz"].astype(np.float32)
-        if not (scales >= 0).all():
-            raise CorruptError(".splat: a standard deviation is negative or no number")
-    # A flat Gaussian may have a scale of exactly 0, which has no logarithm.
-    log_scales = np.log(np.maximum(scales, SMALLEST_SCALE))
-    quats = (rows["rot"].astype(np.float32) - 128) / 128
-    return checked_splats(
-        ".splat",
-        means,
-        log_scales.astype(np.float32),
-        quats.astype(np.float32),
-        byte_logits(rows["rgba"][:, 3]),
-        ((rows["rgba"][:, None, :3] / 255.0 - 0.5) / SH_C0).astype(np.float32),
-    )
+    count = check_count(".splat", len(data) // RECORD.itemsize, max_gaussians)
+    records = np.frombuffer(data, RECORD)
+    made = Decoded.empty(count, 0)
+    for block in made.blocks():
+        rows = records[block]
+        with np.errstate(invalid="ignore"):  # what is no number is refused, here or below
+            scales = rows["scale"].astype(np.float64)
+            made.means[block] = rows["xyz"]
+            if not (scales >= 0).all():
+                raise CorruptError(".splat: a standard deviation is negative or no number")
+        # A flat Gaussian may have a scale of exactly 0, which has no logarithm.
+        made.log_scales[block] = np.log(np.maximum(scales, SMALLEST_SCALE))
+        made.quats[block] = (rows["rot"].astype(np.float32) - 128) / 128
+        made.logit_opacities[block] = byte_logits(rows["rgba"][:, 3])
+        made.sh[block] = (rows["rgba"][:, None, :3] / 255.0 - 0.5) / SH_C0
+    return made.checked(".splat")
 
 
 def encode_splat(splats: Splats) -> bytes:

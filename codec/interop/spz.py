@@ -36,7 +36,7 @@ import zstandard
 from ..errors import CorruptError, InvalidError, UnsupportedError
 from ..splats import MAX_SH_DEGREE, Floats, Splats, sh_count
 from .levels import byte_logits, clipped_bytes, opacity_bytes, restore_largest, unit_quats
-from .limits import check_count, check_ratio, checked_splats
+from .limits import MAX_GAUSSIANS, Decoded, check_count, check_ratio
 
 MAGIC = 0x5053474E
 HEADER = struct.Struct("<IIIBBBB")
@@ -86,7 +86,7 @@ class SpzHeader:
         return tuple(self.count * row for row in rows)
 
 
-def _header(data: bytes, versions: tuple[int, ...]) -> SpzHeader:
+def _header(data: bytes, versions: tuple[int, ...], max_gaussians: int) -> SpzHeader:
     magic, version, count, sh_degree, fractional_bits, flags, _ = HEADER.unpack_from(data)
     if magic != MAGIC:
         raise CorruptError("SPZ: does not start with NGSP")
@@ -97,7 +97,8 @@ def _header(data: bytes, versions: tuple[int, ...]) -> SpzHeader:
         raise UnsupportedError(f"SPZ: SH degree {sh_degree}, at most {MAX_SH_DEGREE}")
     if fractional_bits > MAX_FRACTIONAL_BITS:
         raise CorruptError(f"SPZ: {fractional_bits} fractional bits of 24")
-    return SpzHeader(version, check_count("SPZ", count), sh_degree, fractional_bits, flags)
+    check_count("SPZ", count, max_gaussians)
+    return SpzHeader(version, count, sh_degree, fractional_bits, flags)
 
 
 def _gunzip(stream: zlib._Decompress, data: bytes, limit_bytes: int) -> bytes:
@@ -107,16 +108,16 @@ def _gunzip(stream: zlib._Decompress, data: bytes, limit_bytes: int) -> bytes:
         raise CorruptError(f"SPZ: {error}") from error
 
 
-def _gzip_arrays(data: bytes) -> tuple[SpzHeader, list[bytes]]:
+def _gzip_arrays(data: bytes, max_gaussians: int) -> tuple[SpzHeader, list[memoryview]]:
     """Header and arrays of versions 2 and 3."""
     stream = zlib.decompressobj(wbits=31)
     head = _gunzip(stream, data, HEADER.size)
     if len(head) < HEADER.size:
         raise CorruptError(f"SPZ: ends inside its header of {HEADER.size} bytes")
-    header = _header(head, (2, 3))
+    header = _header(head, (2, 3), max_gaussians)
     wanted = sum(header.array_bytes)
     check_ratio("SPZ", wanted, len(data))
-    body = _gunzip(stream, stream.unconsumed_tail, wanted + EXTENSION_BYTES)
+    body = memoryview(_gunzip(stream, stream.unconsumed_tail, wanted + EXTENSION_BYTES))
     if len(body) < wanted or not stream.eof:
         raise CorruptError(f"SPZ: not the {wanted} bytes that {header.count} Gaussians need")
     arrays, offset = [], 0
@@ -142,11 +143,11 @@ def _zstd_frame(frame: bytes, raw_bytes: int) -> bytes:
     return content
 
 
-def _zstd_arrays(data: bytes) -> tuple[SpzHeader, list[bytes]]:
+def _zstd_arrays(data: bytes, max_gaussians: int) -> tuple[SpzHeader, list[memoryview]]:
     """Header and arrays of version 4."""
     if len(data) < HEADER_V4.size:
         raise CorruptError(f"SPZ: ends inside its header of {HEADER_V4.size} bytes")
-    header = _header(data, (4,))
+    header = _header(data, (4,), max_gaussians)
     num_arrays, table_offset = HEADER_V4.unpack_from(data)[6:8]
     wanted = header.array_bytes if header.count else ()
     check_ratio("SPZ", sum(wanted), len(data))
@@ -162,59 +163,65 @@ def _zstd_arrays(data: bytes) -> tuple[SpzHeader, list[bytes]]:
             raise CorruptError(f"SPZ: an array of {raw_bytes} bytes, not {expected}")
         if offset + size > len(data):
             raise CorruptError(f"SPZ: ends inside an array: {len(data)} bytes of {offset + size}")
-        arrays.append(_zstd_frame(data[offset : offset + size], expected))
+        arrays.append(memoryview(_zstd_frame(data[offset : offset + size], expected)))
         offset += size
-    return header, arrays or [b""] * len(header.array_bytes)
+    return header, arrays or [memoryview(b"")] * len(header.array_bytes)
 
 
-def _positions(array: bytes, fractional_bits: int) -> Floats:
-    low = np.frombuffer(array, np.uint8).reshape(-1, 3, 3).astype(np.int32)
+def _rows(array: memoryview, width: int) -> Bytes:
+    """(N, width) bytes, a view."""
+    return np.frombuffer(array, np.uint8).reshape(-1, width)
+
+
+def _positions(rows: Bytes, fractional_bits: int) -> Floats:
+    low = rows.reshape(-1, 3, 3).astype(np.int32)
     fixed = low[:, :, 0] | low[:, :, 1] << 8 | low[:, :, 2] << 16
     signed = (fixed ^ 0x800000) - 0x800000
     return np.ldexp(signed.astype(np.float32), -fractional_bits) * FLIP_POSITION
 
 
-def _rotations(array: bytes, version: int) -> Floats:
+def _rotations(rows: Bytes, version: int) -> Floats:
     """(N, 4) w, x, y, z."""
     if version == 2:
-        xyz = np.frombuffer(array, np.uint8).reshape(-1, 3) / 127.5 - 1
+        xyz = rows / 127.5 - 1
         xyzw = restore_largest(xyz, np.full(len(xyz), 3))
     else:
-        words = np.frombuffer(array, "<u4").astype(np.uint32)
+        words = rows.view("<u4")[:, 0].astype(np.uint32)
         fields = words[:, None] >> np.array([20, 10, 0], np.uint32)
         sizes = (fields & 511) / 511 * np.sqrt(0.5)
         xyzw = restore_largest(np.where(fields & 512, -sizes, sizes), words >> np.uint32(30))
     return xyzw[:, [3, 0, 1, 2]].astype(np.float32) * FLIP_QUATERNION
 
 
-def decode_spz(data: bytes) -> Splats:
-    """The Gaussians of an SPZ file of version 2, 3 or 4. Raises CorruptError or UnsupportedError.
+def decode_spz(data: bytes, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
+    """The Gaussians of an SPZ file of version 2, 3 or 4.
 
-    The flag for opacity compensation is only logged: a Splats has no place for it.
+    Raises CorruptError, or UnsupportedError, also for more than `max_gaussians`. The flag for
+    opacity compensation is only logged: a Splats has no place for it.
     """
     is_gzip = data.startswith(b"\x1f\x8b")
-    header, arrays = _gzip_arrays(data) if is_gzip else _zstd_arrays(data)
+    header, arrays = (_gzip_arrays if is_gzip else _zstd_arrays)(data, max_gaussians)
     if header.flags & FLAG_ANTIALIAS:
         _log.warning(
             "the SPZ was trained with opacity compensation, which is left out: "
             "small Gaussians may look too bright"
         )
-    positions, opacities, colours, scales, rotations = arrays[:5]
-    sh = np.empty((header.count, sh_count(header.sh_degree), 3), np.float32)
-    sh[:, 0] = (np.frombuffer(colours, np.uint8).reshape(-1, 3) / 255 - 0.5) / COLOUR_SCALE
-    if header.sh_degree:
-        rest = np.frombuffer(arrays[5], np.uint8).reshape(header.count, sh.shape[1] - 1, 3)
-        flips = FLIP_SH[1 : sh.shape[1], None]
-        sh[:, 1:] = (rest.astype(np.float32) - 128) / 128 * flips
-    log_scales = np.frombuffer(scales, np.uint8).reshape(-1, 3).astype(np.float32) / 16 - 10
-    return checked_splats(
-        "SPZ",
-        _positions(positions, header.fractional_bits),
-        log_scales.astype(np.float32),
-        _rotations(rotations, header.version),
-        byte_logits(np.frombuffer(opacities, np.uint8)),
-        sh,
-    )
+    made = Decoded.empty(header.count, header.sh_degree)
+    rotation_bytes = 3 if header.version == 2 else 4
+    widths = (9, 1, 3, 3, rotation_bytes, 3 * (made.sh.shape[1] - 1))
+    parts = [_rows(array, width) for array, width in zip(arrays, widths, strict=False)]
+    positions, opacities, colours, scales, rotations = parts[:5]
+    flips = FLIP_SH[1 : made.sh.shape[1], None]
+    for block in made.blocks():
+        made.means[block] = _positions(positions[block], header.fractional_bits)
+        made.logit_opacities[block] = byte_logits(opacities[block, 0])
+        made.sh[block, 0] = (colours[block] / 255 - 0.5) / COLOUR_SCALE
+        made.log_scales[block] = scales[block].astype(np.float32) / 16 - 10
+        made.quats[block] = _rotations(rotations[block], header.version)
+        if header.sh_degree:
+            rest = parts[5][block].reshape(-1, len(flips), 3)
+            made.sh[block, 1:] = (rest.astype(np.float32) - 128) / 128 * flips
+    return made.checked("SPZ")
 
 
 def _fixed_positions(means: Floats) -> tuple[bytes, int]:
