@@ -1,4 +1,4 @@
-"""The compiler of the codec's inner loops."""
+"""The compiler of inner loops."""
 
 from __future__ import annotations
 

@@ -12,7 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from numba import prange
+
+from codec.kernel import kernel
 
 Floats = npt.NDArray[np.float32]
 MaskLike = npt.NDArray[np.uint8] | npt.NDArray[np.bool_] | npt.NDArray[np.float32]
@@ -31,7 +33,7 @@ TAPS: Floats = (_taps / _taps.sum()).astype(np.float32)
 TAPS.setflags(write=False)
 
 
-@njit(cache=True, fastmath=True, parallel=True)
+@kernel(fastmath=True, parallel=True)
 def _blur_products_rows(pred, target, taps, out):  # type: ignore[no-untyped-def]
     """out (5, C, H, W): the rows of p, t, p*p, t*t and p*t, blurred along x."""
     channels, height, width = target.shape
@@ -55,7 +57,7 @@ def _blur_products_rows(pred, target, taps, out):  # type: ignore[no-untyped-def
                     out[m, c, y, x] += w * rows[m, x + k]
 
 
-@njit(cache=True, fastmath=True, parallel=True)
+@kernel(fastmath=True, parallel=True)
 def _ssim_columns(blurred, taps, partials, row_sums):  # type: ignore[no-untyped-def]
     """Ends the blur along y; SSIM's sum per row, and its partial derivatives (3, C, H, W)."""
     _, channels, height, width = blurred.shape
@@ -91,7 +93,7 @@ def _ssim_columns(blurred, taps, partials, row_sums):  # type: ignore[no-untyped
         row_sums[item] = total
 
 
-@njit(cache=True, fastmath=True, parallel=True)
+@kernel(fastmath=True, parallel=True)
 def _blur_rows(maps, taps, out):  # type: ignore[no-untyped-def]
     count, channels, height, width = maps.shape
     radius = taps.shape[0] // 2
@@ -108,7 +110,7 @@ def _blur_rows(maps, taps, out):  # type: ignore[no-untyped-def]
                     out[m, c, y, x] += w * row[x + k]
 
 
-@njit(cache=True, fastmath=True, parallel=True)
+@kernel(fastmath=True, parallel=True)
 def _gradient_columns(  # type: ignore[no-untyped-def]
     pred, target, blurred, taps, l1_weight, ssim_weight, gradient, l1_sums
 ):
@@ -138,7 +140,7 @@ def _gradient_columns(  # type: ignore[no-untyped-def]
         l1_sums[item] = total
 
 
-@njit(cache=True, fastmath=True, parallel=True)
+@kernel(fastmath=True, parallel=True)
 def _correct(picture, gain, bias, out):  # type: ignore[no-untyped-def]
     channels, height, width = out.shape
     for item in prange(channels * height):
@@ -147,7 +149,7 @@ def _correct(picture, gain, bias, out):  # type: ignore[no-untyped-def]
             out[c, y, x] = gain[c] * picture[c, y, x] + bias[c]
 
 
-@njit(cache=True, fastmath=True, parallel=True)
+@kernel(fastmath=True, parallel=True)
 def _uncorrect(picture, gradient, gain, picture_grad, gain_sums, bias_sums):  # type: ignore[no-untyped-def]
     channels, height, width = gradient.shape
     for item in prange(channels * height):
@@ -162,7 +164,7 @@ def _uncorrect(picture, gradient, gain, picture_grad, gain_sums, bias_sums):  # 
         bias_sums[item] = by_bias
 
 
-@njit(cache=True, parallel=True)
+@kernel(parallel=True)
 def _ignore(mask, pred, target, out_pred, out_target):  # type: ignore[no-untyped-def]
     """Both with IGNORED where the mask ignores; out_pred may be pred."""
     channels, height, width = target.shape
@@ -175,7 +177,7 @@ def _ignore(mask, pred, target, out_pred, out_target):  # type: ignore[no-untype
             out_target[c, y, x] = target[c, y, x] if counts else ignored
 
 
-@njit(cache=True, parallel=True)
+@kernel(parallel=True)
 def _silence(mask, gradient):  # type: ignore[no-untyped-def]
     channels, height, width = gradient.shape
     for item in prange(channels * height):

@@ -12,8 +12,9 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from numba import prange
 
+from codec.kernel import kernel
 from player.render.project import rotation_of
 
 from .raster.cpu import Parameters
@@ -56,7 +57,7 @@ class OptimiserConfig:
     rate."""
 
 
-@njit(cache=True, fastmath=True, parallel=True)
+@kernel(fastmath=True, parallel=True)
 def _adam_kernel(  # type: ignore[no-untyped-def]
     values, gradients, first, second, steps, rows, rates, gradient_scale, update_scale, eps
 ):
@@ -79,7 +80,7 @@ def _adam_kernel(  # type: ignore[no-untyped-def]
             values[row, d] -= rates[d] * scale * m / (np.sqrt(v) * root + eps)
 
 
-@njit(cache=True)
+@kernel()
 def _count_steps(steps, rows):  # type: ignore[no-untyped-def]
     for row in rows:
         steps[row] += 1
@@ -144,7 +145,7 @@ class Adam:
             )
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def _mix(x):  # type: ignore[no-untyped-def]
     """The finaliser of SplitMix64: 64 well mixed bits from any 64."""
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -152,7 +153,7 @@ def _mix(x):  # type: ignore[no-untyped-def]
     return x ^ (x >> np.uint64(31))
 
 
-@njit(cache=True, parallel=True)
+@kernel(parallel=True)
 def add_noise(  # type: ignore[no-untyped-def]
     means, log_scales, quats, logit_opacities, rows, amount, opacity_gate, gate_steepness, seed
 ):

@@ -13,10 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from numba import prange
 from PIL import Image
 
 from codec.camera import Camera
+from codec.kernel import kernel
 from codec.splats import Splats
 
 from .colour import CameraColour
@@ -101,7 +102,7 @@ class Comparer:
         return Comparison(tuple(v.camera for v in self.views), shown, errors, usable), weights
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 def _find_depths(  # type: ignore[no-untyped-def]
     pictures, errors, usable, sizes, warps, offsets, neighbours, inverse_depths, which, xs, ys,
     finer, least, limit, depths, costs,

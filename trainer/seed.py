@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from numba import prange
 
 from codec.camera import Camera
+from codec.kernel import kernel
 from codec.splats import SH_C0, Splats, sh_count
 
 from .stereo import completed, depth_maps, world_points
@@ -75,7 +76,7 @@ def stereo_seeds(
     return np.concatenate(positions), np.concatenate(colours)
 
 
-@njit(cache=True, parallel=True)
+@kernel(parallel=True)
 def _spacings(points, out):  # type: ignore[no-untyped-def]
     """Root mean square distance of every point to its three nearest others."""
     for i in prange(len(points)):

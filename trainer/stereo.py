@@ -11,10 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from numba import prange
 from PIL import Image
 
 from codec.camera import Camera
+from codec.kernel import kernel
 
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]
@@ -70,7 +71,7 @@ def _features(picture: npt.NDArray[np.uint8]) -> Floats:
     return np.concatenate([planes - _box(planes, 2 * RADIUS_PX), COLOUR_WEIGHT * planes])
 
 
-@njit(cache=True, fastmath=True)
+@kernel(fastmath=True)
 def _window_sums(plane, radius, row_sums, out):  # type: ignore[no-untyped-def]
     """Sums over a square window, cut off at the edges; row_sums is spare memory."""
     height, width = plane.shape
@@ -99,7 +100,7 @@ def _window_sums(plane, radius, row_sums, out):  # type: ignore[no-untyped-def]
             out[y, x] = total
 
 
-@njit(cache=True, fastmath=True, parallel=True, error_model="numpy")
+@kernel(fastmath=True, parallel=True, error_model="numpy")
 def _sweep(  # type: ignore[no-untyped-def]
     features, sizes, warps, offsets, neighbours, inverse_depths, radius, limit, best_depths
 ):
@@ -181,7 +182,7 @@ def _sweep(  # type: ignore[no-untyped-def]
                         best_depths[c, y, x] = depth
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 def _count_agreeing(depths, sizes, warps, offsets, neighbours, tolerance, agreeing):  # type: ignore[no-untyped-def]
     for c in prange(depths.shape[0]):
         for y in range(sizes[c, 0]):

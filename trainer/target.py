@@ -6,16 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from numba import prange
 
 from codec.camera import Camera
+from codec.kernel import kernel
 
 from .loss import Workspace
 
 Floats = npt.NDArray[np.float32]
 
 
-@njit(cache=True, parallel=True)
+@kernel(parallel=True)
 def _planar(picture, out):  # type: ignore[no-untyped-def]
     height, width, _ = picture.shape
     unit = np.float32(1 / 255)
@@ -25,7 +26,7 @@ def _planar(picture, out):  # type: ignore[no-untyped-def]
                 out[c, y, x] = unit * np.float32(picture[y, x, c])
 
 
-@njit(cache=True, parallel=True)
+@kernel(parallel=True)
 def _planar_half(picture, out):  # type: ignore[no-untyped-def]
     _, height, width = out.shape
     unit = np.float32(0.25 / 255)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from codec.kernel import kernel
 
 from .pack import NEVER
 from .sort import radix_sort
@@ -13,7 +14,7 @@ Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(nogil=True, fastmath=True)
 def _collect(means, starts, expires, counts, frame, view, near, slots, keys):  # type: ignore[no-untyped-def]
     lanes, lane_slots = starts.shape
     found = 0

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from codec.kernel import kernel
 from codec.slice import Slice
 from codec.splats import SH_C0
 
@@ -30,7 +30,7 @@ def texels_per_gaussian(sh_degree: int) -> int:
     return 6 if sh_degree >= 1 else 4
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _pack_rows(  # type: ignore[no-untyped-def]
     means, log_scales, quats, logit_opacities, sh, birth, offsets, words, starts
 ):

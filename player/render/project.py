@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from numba import prange
 
 from codec.camera import Camera
+from codec.kernel import kernel
 from codec.splats import SH_C0
 
 from .recipe import (
@@ -77,7 +78,7 @@ class Projection:
         )
 
 
-@njit(cache=True, fastmath=True, inline="always")
+@kernel(fastmath=True, inline="always")
 def rotation_of(qw, qx, qy, qz):  # type: ignore[no-untyped-def]
     """The nine entries, row by row, of the rotation of a unit quaternion."""
     two = np.float32(2)
@@ -95,7 +96,7 @@ def rotation_of(qw, qx, qy, qz):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, fastmath=True, parallel=True, nogil=True)
+@kernel(fastmath=True, parallel=True, nogil=True)
 def project_kernel(  # type: ignore[no-untyped-def]
     means, log_scales, quats, logit_opacities, sh, rows, camera, tiles_x, tiles_y,
     projected, depths, tile_boxes,

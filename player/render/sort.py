@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from codec.kernel import kernel
 
 Keys = npt.NDArray[np.uint32]
 Ints = npt.NDArray[np.int32]
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def radix_sort(keys, values, spare_keys, spare_values):  # type: ignore[no-untyped-def]
     """Sorts uint32 keys, and values with them, rising, in three passes of 11 bits.
 

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from numba import prange
+
+from codec.kernel import kernel
 
 from .project import CONIC_A, CONIC_B, CONIC_C, Q_MAX, Projection, X, Y
 from .recipe import ALPHA_MAX, ALPHA_MIN, TILE_PX, TRANSMITTANCE_MIN
@@ -35,7 +37,7 @@ class TileLists:
     order: Ints  # (tiles,) int32: tiles dealt so that equal shares of the list cost about the same
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(nogil=True, inline="always")
 def _row_span(projected, box, i, y):  # type: ignore[no-untyped-def]
     """First and end tile of row y of tiles that Gaussian i's ellipse q <= q_max reaches.
 
@@ -67,7 +69,7 @@ def _row_span(projected, box, i, y):  # type: ignore[no-untyped-def]
     return min(max(box[0], first), end), end
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@kernel(nogil=True, parallel=True)
 def _row_spans(projected, boxes, row_starts, spans, pair_starts):  # type: ignore[no-untyped-def]
     """Fills spans (R, 2), Gaussian by Gaussian, row by row; pair_starts[i + 1]: pairs of i."""
     for i in prange(boxes.shape[0]):
@@ -81,7 +83,7 @@ def _row_spans(projected, boxes, row_starts, spans, pair_starts):  # type: ignor
         pair_starts[i + 1] = count
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _count_pairs(boxes, row_starts, spans, tiles_x, starts):  # type: ignore[no-untyped-def]
     """Fills starts (tiles + 1,) from the spans."""
     for i in range(boxes.shape[0]):
@@ -94,7 +96,7 @@ def _count_pairs(boxes, row_starts, spans, tiles_x, starts):  # type: ignore[no-
         starts[t + 1] += starts[t]
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _fill_pairs(  # type: ignore[no-untyped-def]
     boxes, row_starts, spans, order, tiles_x, starts, pair_starts, gaussians, pairs
 ):
@@ -138,7 +140,7 @@ def list_tiles(projection: Projection, tiles_x: int, tiles_y: int) -> TileLists:
     return TileLists(starts, gaussians, pairs, pair_starts, order)
 
 
-@njit(cache=True, fastmath=True, inline="always")
+@kernel(fastmath=True, inline="always")
 def exp_minus(q):  # type: ignore[no-untyped-def]
     """exp(-q) for 0 <= q <= 6, relative error below 1e-6; constant beyond, where nothing shows.
 
@@ -157,7 +159,7 @@ def exp_minus(q):  # type: ignore[no-untyped-def]
     return p * p
 
 
-@njit(cache=True, fastmath=True, inline="always")
+@kernel(fastmath=True, inline="always")
 def row_misses(a, b, c, q_max, dy, left):  # type: ignore[no-untyped-def]
     """Whether the ellipse q <= q_max misses the 16 pixel centres of a row.
 
@@ -172,7 +174,7 @@ def row_misses(a, b, c, q_max, dy, left):  # type: ignore[no-untyped-def]
     return (middle + root) < left * a or (middle - root) > (left + np.float32(15)) * a
 
 
-@njit(cache=True, fastmath=True, parallel=True, nogil=True)
+@kernel(fastmath=True, parallel=True, nogil=True)
 def blend_tiles(  # type: ignore[no-untyped-def]
     projected, starts, gaussians, order, tiles_x, picture
 ):

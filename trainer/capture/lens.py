@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 
 from codec.camera import Camera
+from codec.kernel import kernel
 
 from ..errors import CaptureError
 from .capture import Picture, PictureSource
@@ -104,7 +104,7 @@ def check_optics(camera: Camera, lens: Lens, path: Path) -> None:
         )
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _straighten(bent, straight, fx, fy, cx, cy, k1, k2, k3, p1, p2):  # type: ignore[no-untyped-def]
     height, width = bent.shape[:2]
     for row in range(height):

@@ -9,8 +9,9 @@ way.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
+from codec.kernel import kernel
 from player.render.recipe import ALPHA_MAX, ALPHA_MIN, TILE_PX, TRANSMITTANCE_MIN
 from player.render.tiles import exp_minus, row_misses
 
@@ -22,7 +23,7 @@ _ROW = 5 * TILE_PX  # per row of a tile: transmittance, remaining sum, g red, g 
 _SUMS = TILE_PX * _ROW  # where the nine sums of 16 lanes each begin
 
 
-@njit(cache=True, fastmath=True, parallel=True)
+@kernel(fastmath=True, parallel=True)
 def blend_tiles_backward(  # type: ignore[no-untyped-def]
     projected, starts, gaussians, pairs, order, tiles_x, picture, picture_grad, pair_grads
 ):

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from numba import prange
 
+from codec.kernel import kernel
 from player.render.recipe import ALPHA_MAX, ALPHA_MIN, TILE_PX, TRANSMITTANCE_MIN
 from player.render.tiles import exp_minus, row_misses
 
@@ -16,7 +17,7 @@ Floats = npt.NDArray[np.float32]
 _SUMS = TILE_PX * TILE_PX  # where the 16 lanes of a pair's sum begin, after the transmittances
 
 
-@njit(cache=True, fastmath=True, parallel=True)
+@kernel(fastmath=True, parallel=True)
 def sum_weights(  # type: ignore[no-untyped-def]
     projected, starts, gaussians, pairs, order, tiles_x, counts, pair_weights
 ):

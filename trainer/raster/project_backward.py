@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
+from codec.kernel import kernel
 from codec.splats import SH_C0
 from player.render.project import rotation_of
 from player.render.recipe import SH_C1
 
 
-@njit(cache=True, fastmath=True, parallel=True)
+@kernel(fastmath=True, parallel=True)
 def project_backward_kernel(  # type: ignore[no-untyped-def]
     means, log_scales, quats, logit_opacities, sh, rows, trainable, camera,
     projected, pair_starts, pair_grads, opacity_reg, scale_reg,
