@@ -7,7 +7,7 @@ import json
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -167,37 +167,56 @@ def drain(address: tuple[str, int]) -> int:
         return total
 
 
-def test_one_second_of_bytes_takes_a_second() -> None:
-    with pouring(1_000_000) as server, Relay(Link.parse("8M"), "127.0.0.1", server.port) as relay:
+def takes_s(work: Callable[[], object], least_s: float, most_s: float) -> None:
+    """Never less, and not more in the best of five tries: other work on the machine adds time."""
+    for attempt in range(5):
         began_s = time.monotonic()
-        assert drain(relay.address) == 1_000_000
-        assert time.monotonic() - began_s == pytest.approx(1.0, rel=0.1)
-        assert relay.down_bytes == 1_000_000
+        work()
+        took_s = time.monotonic() - began_s
+        assert took_s > least_s
+        if took_s < most_s:
+            return
+        time.sleep(attempt)
+    pytest.fail(f"took {took_s:.3f} s, not under {most_s} s")
+
+
+def test_one_second_of_bytes_takes_a_second() -> None:
+    def pour() -> None:
+        link = Link.parse("8M")
+        with pouring(1_000_000) as server, Relay(link, "127.0.0.1", server.port) as relay:
+            assert drain(relay.address) == 1_000_000
+            assert relay.down_bytes == 1_000_000
+
+    takes_s(pour, 0.9, 1.1)
 
 
 def test_connections_share_the_link() -> None:
-    with pouring(150_000) as server, Relay(Link.parse("8M"), "127.0.0.1", server.port) as relay:
-        began_s = time.monotonic()
-        threads = [threading.Thread(target=drain, args=(relay.address,)) for _ in range(4)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-        assert time.monotonic() - began_s == pytest.approx(0.6, rel=0.1)
-        assert relay.down_bytes == 600_000
+    def pour() -> None:
+        link = Link.parse("8M")
+        with pouring(150_000) as server, Relay(link, "127.0.0.1", server.port) as relay:
+            threads = [threading.Thread(target=drain, args=(relay.address,)) for _ in range(4)]
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join()
+            assert relay.down_bytes == 600_000
+
+    takes_s(pour, 0.54, 0.66)
 
 
 def test_latency_delays_and_does_not_throttle() -> None:
-    link = Link.parse("40M,150ms")
-    with pouring(1_000_000) as server, Relay(link, "127.0.0.1", server.port) as relay:
-        began_s = time.monotonic()
-        with socket.create_connection(relay.address, timeout=30) as connection:
-            total = len(connection.recv(1))
-            assert 0.14 < time.monotonic() - began_s < 0.3
-            while piece := connection.recv(65536):
-                total += len(piece)
-        assert total == 1_000_000
-        assert time.monotonic() - began_s == pytest.approx(0.35, abs=0.1)
+    def pour() -> None:
+        link = Link.parse("40M,150ms")
+        with pouring(1_000_000) as server, Relay(link, "127.0.0.1", server.port) as relay:
+            began_s = time.monotonic()
+            with socket.create_connection(relay.address, timeout=30) as connection:
+                total = len(connection.recv(1))
+                assert time.monotonic() - began_s > 0.14
+                while piece := connection.recv(65536):
+                    total += len(piece)
+            assert total == 1_000_000
+
+    takes_s(pour, 0.3, 0.45)
 
 
 def test_a_player_that_does_not_read_holds_the_server_back() -> None:
