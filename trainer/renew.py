@@ -26,7 +26,7 @@ from .pictures import Pictures
 from .raster.contribution import contribution
 from .raster.cpu import Parameters, View, render
 from .seed import initial_splats
-from .stereo import pair_cameras, small_camera, world_points
+from .stereo import pair_cameras, small_camera, warped, world_points
 
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]
@@ -135,12 +135,9 @@ def _find_depths(  # type: ignore[no-untyped-def]
             seeing = 0
             for n in range(count):
                 other = neighbours[c, n]
-                m, o = warps[c, n], offsets[c, n]
-                w = depth * (m[2, 0] * u + m[2, 1] * v + m[2, 2]) + o[2]
+                px, py, w = warped(warps[c, n], offsets[c, n], depth, u, v)
                 if w <= 0:
                     continue
-                px = (depth * (m[0, 0] * u + m[0, 1] * v + m[0, 2]) + o[0]) / w
-                py = (depth * (m[1, 0] * u + m[1, 1] * v + m[1, 2]) + o[1]) / w
                 if not (0 <= px < sizes[other, 1] and 0 <= py < sizes[other, 0]):
                     continue
                 ix, iy = np.int32(px), np.int32(py)

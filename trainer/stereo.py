@@ -182,6 +182,16 @@ def _sweep(  # type: ignore[no-untyped-def]
                         best_depths[c, y, x] = depth
 
 
+@kernel(error_model="numpy")
+def warped(warp, offset, depth, u, v):  # type: ignore[no-untyped-def]
+    """Where a neighbour of `pair_cameras` sees pixel (u, v) at `depth`: x and y in pixels, and how
+    deep, metres; not at all where that is not above 0."""
+    w = depth * (warp[2, 0] * u + warp[2, 1] * v + warp[2, 2]) + offset[2]
+    x = (depth * (warp[0, 0] * u + warp[0, 1] * v + warp[0, 2]) + offset[0]) / w
+    y = (depth * (warp[1, 0] * u + warp[1, 1] * v + warp[1, 2]) + offset[1]) / w
+    return x, y, w
+
+
 @kernel(parallel=True, error_model="numpy")
 def _count_agreeing(depths, sizes, warps, offsets, neighbours, tolerance, agreeing):  # type: ignore[no-untyped-def]
     for c in prange(depths.shape[0]):
@@ -194,11 +204,9 @@ def _count_agreeing(depths, sizes, warps, offsets, neighbours, tolerance, agreei
                 for n in range(neighbours.shape[1]):
                     other = neighbours[c, n]
                     m, o = warps[c, n], offsets[c, n]
-                    w = depth * (m[2, 0] * u + m[2, 1] * v + m[2, 2]) + o[2]
+                    px, py, w = warped(m, o, depth, u, v)
                     if w <= 0:
                         continue
-                    px = (depth * (m[0, 0] * u + m[0, 1] * v + m[0, 2]) + o[0]) / w
-                    py = (depth * (m[1, 0] * u + m[1, 1] * v + m[1, 2]) + o[1]) / w
                     if not (0 <= px < sizes[other, 1] and 0 <= py < sizes[other, 0]):
                         continue
                     if abs(depths[other, int(py), int(px)] - w) < tolerance * w:
