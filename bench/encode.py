@@ -14,14 +14,14 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from codec.chunk import decode_chunk, encode_chunk, plane_edges
-from codec.coder import compress
-from codec.layers import opacity_rank, split_layers
-from codec.object import decode_frame, encode_frame
-from codec.profile import Profile
-from codec.quantize import layer_steps
+from codec.coders.coder import compress
+from codec.profiles.profile import Profile
+from codec.profiles.quantise import layer_steps
 from codec.slice import Slice
 from codec.stream import StreamReader
+from codec.stream.chunk import decode_chunk, encode_chunk, plane_edges
+from codec.stream.layers import opacity_rank, split_layers
+from codec.stream.object import decode_frame, encode_frame
 from tests.trained_like import trained_like_splats
 
 NUM_GS = 40_000

@@ -25,10 +25,10 @@ from rich.table import Table
 
 from codec.console import run_command
 from codec.errors import InvalidError
-from codec.manifest import Manifest
-from codec.profile import Profile
+from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.stream import StreamReader, StreamWriter
+from codec.stream.manifest import Manifest
 from trainer.capture.layout import open_capture
 from trainer.contribution import CONTRIBUTION, slices_by_contribution, writer_rank
 from trainer.evaluate import EvaluateConfig, Evaluation, LayerScore, evaluate_stream

@@ -19,10 +19,10 @@ from rich.console import Console
 from rich.table import Table
 
 from codec.camera import Camera
-from codec.manifest import Manifest
-from codec.profile import Profile
+from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.splats import Splats
+from codec.stream.manifest import Manifest
 from player.render.gl import GlError, GlRenderer
 from player.render.order import Order
 from player.renderer import CpuRenderer

@@ -28,11 +28,11 @@ from rich.table import Table
 from codec.camera import Camera
 from codec.console import run_command
 from codec.errors import SwingsError
-from codec.manifest import Manifest
-from codec.profile import Profile
+from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.splats import Splats
 from codec.stream import StreamWriter
+from codec.stream.manifest import Manifest
 
 SEGMENT_FRAMES = 15
 NUM_FRAMES = 45

@@ -9,7 +9,8 @@ from typing import Annotated
 
 import tyro
 
-from .audit import describe, summarize, verify_stream
+from codec.tools.audit import describe, summarize, verify_stream
+
 from .console import run_command
 from .interop.commands import Export, Import, export_files, import_files
 
@@ -48,7 +49,7 @@ def run(command: Command) -> None:
         case Info(stream=path, json=as_json, plot=picture):
             summary = summarize(path)
             if picture is not None:
-                from .plot import draw_stream  # matplotlib loads slowly
+                from codec.tools.plot import draw_stream  # matplotlib loads slowly
 
                 draw_stream(path, picture)
             print(json.dumps(asdict(summary)) if as_json else describe(summary))

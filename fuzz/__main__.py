@@ -9,7 +9,7 @@ import warnings
 import atheris
 
 with atheris.instrument_imports(include=["codec"]):
-    from fuzz.codec import accepts
+    from .codec import accepts
 
 
 def test_one_input(data: bytes) -> None:

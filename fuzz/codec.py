@@ -30,17 +30,17 @@ from contextlib import suppress
 
 import zstandard
 
-from codec.chunk import decode_chunk, encode_chunk
 from codec.errors import CodecError
-from codec.index import CHECKSUM, pack_record, parse_index, record_bytes
 from codec.interop.formats import decode_any
 from codec.interop.spz import ENTRY, HEADER_V4, decode_spz
-from codec.layers import MAX_LAYERS
-from codec.manifest import Manifest
-from codec.object import decode_frame, decode_object, object_frames, read_object_table
-from codec.playrecord import RecordParser, encode_record
-from codec.profile import Profile
+from codec.profiles.profile import Profile
 from codec.splats import Splats
+from codec.stream.chunk import decode_chunk, encode_chunk
+from codec.stream.index import CHECKSUM, pack_record, parse_index, record_bytes
+from codec.stream.layers import MAX_LAYERS
+from codec.stream.manifest import Manifest
+from codec.stream.object import decode_frame, decode_object, object_frames, read_object_table
+from codec.stream.playrecord import RecordParser, encode_record
 
 
 def same(a: Splats, b: Splats) -> bool:

@@ -11,15 +11,18 @@ import numpy as np
 import zstandard
 
 from codec.camera import Camera
-from codec.chunk import encode_chunk
-from codec.coder import Coder
-from codec.index import SegmentRecord, pack_record
+from codec.coders.coder import Coder
 from codec.interop.ply import encode_ply
 from codec.interop.splat import encode_splat
 from codec.interop.spz import ENTRY, HEADER_V4, encode_spz
-from codec.manifest import Manifest
-from codec.object import encode_frame, encode_object
-from codec.playrecord import (
+from codec.profiles.profile import Profile
+from codec.slice import Slice
+from codec.splats import Splats, sh_count
+from codec.stream.chunk import encode_chunk
+from codec.stream.index import SegmentRecord, pack_record
+from codec.stream.manifest import Manifest
+from codec.stream.object import encode_frame, encode_object
+from codec.stream.playrecord import (
     EndRecord,
     ErrorRecord,
     Record,
@@ -27,9 +30,6 @@ from codec.playrecord import (
     StartRecord,
     encode_record,
 )
-from codec.profile import Profile
-from codec.slice import Slice
-from codec.splats import Splats, sh_count
 
 from .codec import TARGETS
 

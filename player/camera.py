@@ -15,7 +15,7 @@ import numpy as np
 
 from codec.camera import MAX_IMAGE_PX, Camera
 from codec.errors import InvalidError
-from codec.manifest import Manifest
+from codec.stream.manifest import Manifest
 
 from .frames import Frames
 from .keyframes import read_keyframes

@@ -9,9 +9,9 @@ import json
 from collections.abc import Iterator
 
 from codec.errors import CodecError, CorruptError
-from codec.manifest import Manifest
-from codec.object import decode_frame
-from codec.playrecord import (
+from codec.stream.manifest import Manifest
+from codec.stream.object import decode_frame
+from codec.stream.playrecord import (
     EndRecord,
     ErrorRecord,
     Record,

@@ -15,8 +15,8 @@ import numpy.typing as npt
 
 from codec.camera import Camera
 from codec.errors import UnsupportedError
-from codec.manifest import Manifest
 from codec.slice import Slice
+from codec.stream.manifest import Manifest
 
 from .render.arrivals import Arrivals
 from .render.cpu import render_splats

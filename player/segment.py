@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from codec.chunk import Chunk
 from codec.errors import CodecError, CorruptError
-from codec.index import SegmentRecord
-from codec.layers import merge_layers
-from codec.manifest import Manifest
-from codec.object import decode_object_chunk, read_object_table
+from codec.stream.chunk import Chunk
+from codec.stream.index import SegmentRecord
+from codec.stream.layers import merge_layers
+from codec.stream.manifest import Manifest
+from codec.stream.object import decode_object_chunk, read_object_table
 
 from .playout import ReceivedSlice
 

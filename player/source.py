@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Protocol
 
 from codec.errors import InvalidError
-from codec.manifest import Manifest
 from codec.stream import StreamReader
+from codec.stream.manifest import Manifest
 
 from .frames import Frames
 from .playout import ReceivedSlice

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from urllib.parse import urljoin
 
 from codec.errors import CodecError, CorruptError
-from codec.index import SegmentRecord, parse_index, record_bytes
-from codec.manifest import MAX_MANIFEST_BYTES, Manifest
-from codec.object import MAX_OBJECT_BYTES
+from codec.stream.index import SegmentRecord, parse_index, record_bytes
+from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest
+from codec.stream.object import MAX_OBJECT_BYTES
 
 from .fetch import BrokenError, Fetcher, FetchError
 from .frames import Frames

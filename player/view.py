@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from codec.camera import Camera
-from codec.manifest import Manifest
+from codec.stream.manifest import Manifest
 
 from .camera import scene_centre, turned, up_of
 from .pose import Vector

@@ -7,7 +7,7 @@ from collections import OrderedDict
 from dataclasses import dataclass
 
 from codec.errors import CorruptError
-from codec.object import ChunkEntry, read_object_table
+from codec.stream.object import ChunkEntry, read_object_table
 
 from .library import ServedStream
 from .metrics import Metrics

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from codec.errors import CodecError, SwingsError
-from codec.index import pack_record, record_bytes
-from codec.manifest import Manifest
-from codec.reader import StreamReader
-from codec.writer import INDEX_NAME, MANIFEST_NAME
+from codec.stream.index import pack_record, record_bytes
+from codec.stream.manifest import Manifest
+from codec.stream.reader import StreamReader
+from codec.stream.writer import INDEX_NAME, MANIFEST_NAME
 
 from .errors import ServerError
 

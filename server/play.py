@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from aiohttp import web
 
 from codec.errors import SwingsError
-from codec.playrecord import (
+from codec.stream.playrecord import (
     EndRecord,
     ErrorRecord,
     Record,

@@ -26,14 +26,14 @@ from pathlib import Path
 import msgpack
 import zstandard
 
-from codec.chunk import HEADER, MAX_CHUNK_BYTES, MAX_SPLATS_PER_CHUNK, ChunkBounds
-from codec.compact import HEAD as COMPACT_HEAD
-from codec.index import pack_record
 from codec.interop.formats import decode_any, read_splats
-from codec.manifest import Manifest
-from codec.object import HEAD, decode_frame, decode_object, join_frames
-from codec.playrecord import LENGTH, MAX_RECORD_BYTES, RecordParser
-from codec.reader import StreamReader
+from codec.profiles.compact import HEAD as COMPACT_HEAD
+from codec.stream.chunk import HEADER, MAX_CHUNK_BYTES, MAX_SPLATS_PER_CHUNK, ChunkBounds
+from codec.stream.index import pack_record
+from codec.stream.manifest import Manifest
+from codec.stream.object import HEAD, decode_frame, decode_object, join_frames
+from codec.stream.playrecord import LENGTH, MAX_RECORD_BYTES, RecordParser
+from codec.stream.reader import StreamReader
 from tests.slow_writer import tiny_manifest, write_tiny
 
 SLACK_BYTES = 64 << 20

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 
-from codec.index import CHECKSUM, HEAD, LAYER, SegmentRecord
+from codec.stream.index import CHECKSUM, HEAD, LAYER, SegmentRecord
 
 
 def forged_record(record: SegmentRecord) -> bytes:

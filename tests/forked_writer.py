@@ -12,10 +12,10 @@ import sys
 import traceback
 from pathlib import Path
 
-from codec.manifest import Manifest
-from codec.profile import Profile
+from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.stream import StreamWriter
+from codec.stream.manifest import Manifest
 from tests.slow_writer import tiny_manifest, tiny_slice
 
 NUM_FRAMES = 31

@@ -12,12 +12,12 @@ import numpy as np
 from aiohttp import web
 
 from codec.camera import Camera
-from codec.manifest import Manifest
-from codec.playrecord import Record, RecordParser
-from codec.profile import Profile
+from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.splats import Splats
 from codec.stream import StreamWriter
+from codec.stream.manifest import Manifest
+from codec.stream.playrecord import Record, RecordParser
 from server.app import make_app
 from server.config import ServerConfig, SessionConfig
 from server.connection import bound_connections

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from codec.camera import Camera
-from codec.manifest import Manifest
-from codec.profile import Profile
+from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.stream import StreamWriter
+from codec.stream.manifest import Manifest
 from tests.trained_like import trained_like_slice
 
 SLICE_SIZE = 40

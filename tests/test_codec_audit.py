@@ -12,13 +12,19 @@ from pathlib import Path
 
 import pytest
 
-from codec.audit import verify_stream
-from codec.chunk import encode_chunk
 from codec.errors import CodecError
-from codec.index import pack_record, record_bytes
-from codec.object import encode_frame, encode_object, join_frames, object_frames, read_object_table
-from codec.profile import Profile
-from codec.reader import StreamReader
+from codec.profiles.profile import Profile
+from codec.stream.chunk import encode_chunk
+from codec.stream.index import pack_record, record_bytes
+from codec.stream.object import (
+    encode_frame,
+    encode_object,
+    join_frames,
+    object_frames,
+    read_object_table,
+)
+from codec.stream.reader import StreamReader
+from codec.tools.audit import verify_stream
 from tests.forged import forged_record
 from tests.hostile import flips
 from tests.slow_writer import tiny_slice, write_tiny

@@ -11,15 +11,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec import compact
-from codec.chunk import HEADER_BYTES, MAX_SPLATS_PER_CHUNK, decode_chunk, encode_chunk, read_header
-from codec.compact import Head
 from codec.errors import CorruptError, InvalidError, UnsupportedError
-from codec.orientation import canonical
-from codec.profile import Profile
-from codec.quantize import Steps, choose_steps, to_luma
+from codec.profiles import compact
+from codec.profiles.compact import Head
+from codec.profiles.orientation import canonical
+from codec.profiles.profile import Profile
+from codec.profiles.quantise import Steps, choose_steps, to_luma
 from codec.slice import Slice
 from codec.splats import SH_C0, Splats, sh_count
+from codec.stream.chunk import (
+    HEADER_BYTES,
+    MAX_SPLATS_PER_CHUNK,
+    decode_chunk,
+    encode_chunk,
+    read_header,
+)
 from tests.hostile import flips, survives, truncations
 from tests.trained_like import covariances, trained_like_slice, trained_like_splats
 

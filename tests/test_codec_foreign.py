@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from codec.audit import verify_stream
 from codec.errors import CorruptError, InvalidError
 from codec.interop.exporting import export_stream, numbered, parse_range
 from codec.interop.formats import SplatFormat, write_splats
-from codec.plot import draw_stream
-from codec.static import export_static
 from codec.stream import StreamReader
-from codec.writer import write_atomic
+from codec.stream.writer import write_atomic
+from codec.tools.audit import verify_stream
+from codec.tools.plot import draw_stream
+from codec.tools.static import export_static
 from tests.commands import run
 from tests.slow_writer import write_tiny
 from tests.trained_like import trained_like_splats

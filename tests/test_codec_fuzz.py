@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from codec.errors import CodecError, CorruptError
-from codec.manifest import Manifest
-from codec.playrecord import MAX_TEXT_BYTES, ErrorRecord, decode_record, encode_record
+from codec.stream.manifest import Manifest
+from codec.stream.playrecord import MAX_TEXT_BYTES, ErrorRecord, decode_record, encode_record
 from fuzz.codec import TARGETS, accepts
 from fuzz.seed import CORPUS, found, made_manifest, seeds
 from tests.hostile import survives

@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from codec.chunk import Chunk, decode_chunk, encode_chunk
-from codec.coder import Coder
+from codec.coders.coder import Coder
 from codec.errors import CodecError
-from codec.object import HEAD, decode_object, encode_object
-from codec.profile import Profile
+from codec.profiles.profile import Profile
+from codec.stream.chunk import Chunk, decode_chunk, encode_chunk
+from codec.stream.object import HEAD, decode_object, encode_object
 from tests.format_decoder import PlainChunk, decode
 from tests.format_decoder import decode_object as decode_plain_object
 from tests.goldens.cases import (

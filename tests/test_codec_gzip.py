@@ -17,11 +17,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec import gzipframe
-from codec.chunk import MAX_CHUNK_BYTES, encode_chunk
-from codec.coder import Coder, coder_of, compress, decompress
+from codec.coders import gzip as gzipframe
+from codec.coders.coder import Coder, coder_of, compress, decompress
 from codec.errors import CorruptError
-from codec.object import (
+from codec.profiles.profile import Profile
+from codec.stream.chunk import MAX_CHUNK_BYTES, encode_chunk
+from codec.stream.object import (
     HEAD,
     decode_frame,
     decode_object,
@@ -31,7 +32,6 @@ from codec.object import (
     object_frames,
     read_object_table,
 )
-from codec.profile import Profile
 from tests.hostile import flips, survives, truncations
 from tests.trained_like import trained_like_slice
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codec.errors import CorruptError, InvalidError
-from codec.index import SegmentRecord, pack_record, parse_index, record_bytes
+from codec.stream.index import SegmentRecord, pack_record, parse_index, record_bytes
 from tests.forged import forged_record
 from tests.hostile import flips, survives
 

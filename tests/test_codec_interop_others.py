@@ -20,7 +20,7 @@ from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat, read_splats
 from codec.interop.importing import ImportOptions, import_stream
 from codec.interop.ply import encode_ply
-from codec.profile import Profile
+from codec.profiles.profile import Profile
 from codec.splats import SH_C0, Splats
 from codec.stream import StreamReader
 from tests.drawn_splats import angles_rad, same

@@ -19,7 +19,7 @@ from codec.interop.importing import (
     import_stream,
     make_manifest,
 )
-from codec.profile import Profile
+from codec.profiles.profile import Profile
 from codec.splats import Splats
 from codec.stream import StreamReader
 from tests.commands import run, run_ok

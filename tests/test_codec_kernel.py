@@ -13,7 +13,7 @@ ROOT = Path(__file__).parent.parent
 
 HOSTILE = """
 import sys
-from codec.chunk import decode_chunk
+from codec.stream.chunk import decode_chunk
 from tests.hostile import survives
 from tests.hostile_chunks import hostile_chunks
 kept = [survives(decode_chunk, chunk) for chunk in hostile_chunks(int(sys.argv[1]))]
@@ -23,8 +23,8 @@ print(sum(kept))
 # Decoding is enough: all kernels are made at import, in the same way.
 KERNELS = """
 from numba.core.dispatcher import Dispatcher
-from codec import compact, morton, orientation, quantize
-from codec.chunk import decode_chunk
+from codec.profiles import compact, morton, orientation, quantise as quantize
+from codec.stream.chunk import decode_chunk
 from tests.hostile import survives
 from tests.hostile_chunks import hostile_chunks
 assert any([survives(decode_chunk, chunk) for chunk in hostile_chunks(20)])

@@ -26,9 +26,9 @@ from pathlib import Path
 
 import pytest
 
-from codec.audit import verify_stream
-from codec.index import record_bytes
-from codec.reader import StreamReader
+from codec.stream.index import record_bytes
+from codec.stream.reader import StreamReader
+from codec.tools.audit import verify_stream
 from tests.forked_writer import NUM_FRAMES, forked_manifest, forked_slices, write
 
 ROOT = Path(__file__).parents[1]

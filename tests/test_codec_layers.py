@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec.chunk import Chunk
 from codec.errors import CorruptError, InvalidError
-from codec.layers import RANKS, check_fractions, merge_layers, opacity_rank, split_layers
-from codec.profile import Profile
+from codec.profiles.profile import Profile
 from codec.slice import Slice
+from codec.stream.chunk import Chunk
+from codec.stream.layers import RANKS, check_fractions, merge_layers, opacity_rank, split_layers
 from tests.trained_like import trained_like_slice
 
 QUARTERS = (0.25, 0.25, 0.25, 0.25)

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from codec.camera import MAX_NAME_CHARS, Camera
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
-from codec.manifest import MAX_MANIFEST_BYTES, Manifest
-from codec.profile import Profile
+from codec.profiles.profile import Profile
+from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest
 from tests.hostile import survives, truncations
 
 
@@ -167,9 +167,9 @@ def test_what_no_reader_would_take_is_not_written() -> None:
 def test_a_live_manifest_can_still_be_finished(monkeypatch: pytest.MonkeyPatch) -> None:
     finished = replace(MANIFEST, live=False)
     size = len(finished.to_json())
-    monkeypatch.setattr("codec.manifest.MAX_MANIFEST_BYTES", size)
+    monkeypatch.setattr("codec.stream.manifest.MAX_MANIFEST_BYTES", size)
     assert len(MANIFEST.to_json()) == size - 1
-    monkeypatch.setattr("codec.manifest.MAX_MANIFEST_BYTES", size - 1)
+    monkeypatch.setattr("codec.stream.manifest.MAX_MANIFEST_BYTES", size - 1)
     for manifest in (MANIFEST, finished):
         with pytest.raises(InvalidError, match="shorten the names"):
             manifest.to_json()

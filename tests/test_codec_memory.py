@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from codec.chunk import encode_chunk
 from codec.errors import CorruptError
-from codec.object import decode_object, encode_object
-from codec.profile import Profile
+from codec.profiles.profile import Profile
+from codec.stream.chunk import encode_chunk
+from codec.stream.object import decode_object, encode_object
 from tests.bounded_decoder import CASES
 from tests.slow_writer import SLICE_SIZE, tiny_slice
 
@@ -65,9 +65,9 @@ def test_the_chunks_of_an_object_are_bounded_together(monkeypatch: pytest.Monkey
     """At a gigabyte; here at what three chunks take."""
     chunks = [encode_chunk(tiny_slice(birth), 0, Profile.COMPACT) for birth in range(3)]
     three = 3 * SLICE_SIZE * 56
-    monkeypatch.setattr("codec.object.MAX_DECODED_BYTES", three)
+    monkeypatch.setattr("codec.stream.object.MAX_DECODED_BYTES", three)
     assert len(decode_object(encode_object(chunks))) == 3
-    monkeypatch.setattr("codec.object.MAX_DECODED_BYTES", three - 1)
+    monkeypatch.setattr("codec.stream.object.MAX_DECODED_BYTES", three - 1)
     with pytest.raises(CorruptError, match="bytes of Gaussians"):
         decode_object(encode_object(chunks))
 

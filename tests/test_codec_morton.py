@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codec.errors import CorruptError
-from codec.morton import BITS_PER_AXIS, decode_gaps, encode_gaps, gather, interleave
+from codec.profiles.morton import BITS_PER_AXIS, decode_gaps, encode_gaps, gather, interleave
 
 coordinate = st.integers(0, (1 << BITS_PER_AXIS) - 1)
 code = st.integers(0, (1 << 60) - 1)

@@ -11,10 +11,11 @@ import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec.chunk import MAX_CHUNK_BYTES, encode_chunk
-from codec.coder import compress, decompress
+from codec.coders.coder import compress, decompress
 from codec.errors import CorruptError, InvalidError, UnsupportedError
-from codec.object import (
+from codec.profiles.profile import Profile
+from codec.stream.chunk import MAX_CHUNK_BYTES, encode_chunk
+from codec.stream.object import (
     ENTRY,
     HEAD,
     MAX_CHUNKS_PER_OBJECT,
@@ -27,7 +28,6 @@ from codec.object import (
     object_frames,
     read_object_table,
 )
-from codec.profile import Profile
 from tests.hostile import flips, survives, truncations
 from tests.trained_like import trained_like_slice
 

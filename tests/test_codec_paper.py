@@ -11,16 +11,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec import paper
-from codec.chunk import HEADER_BYTES, MAX_CHUNK_BYTES, decode_chunk, encode_chunk, plane_edges
-from codec.coder import decompress
+from codec.coders.coder import decompress
 from codec.errors import CorruptError, InvalidError
-from codec.object import decode_frame, encode_frame
-from codec.paper import ATTRIBUTES, quantise_attribute
-from codec.profile import Profile
-from codec.quantize import MAX_LOGIT
+from codec.profiles import paper
+from codec.profiles.paper import ATTRIBUTES, quantise_attribute
+from codec.profiles.profile import Profile
+from codec.profiles.quantise import MAX_LOGIT
 from codec.slice import Slice
 from codec.splats import Floats, Splats, sh_count
+from codec.stream.chunk import (
+    HEADER_BYTES,
+    MAX_CHUNK_BYTES,
+    decode_chunk,
+    encode_chunk,
+    plane_edges,
+)
+from codec.stream.object import decode_frame, encode_frame
 from tests.format_decoder import decode
 from tests.hostile import flips, survives, truncations
 from tests.trained_like import trained_like_slice, trained_like_splats

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codec.errors import CodecError, CorruptError, InvalidError
-from codec.playrecord import (
+from codec.stream.playrecord import (
     MAX_RECORD_BYTES,
     EndRecord,
     ErrorRecord,

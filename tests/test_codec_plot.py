@@ -13,10 +13,10 @@ import pytest
 from PIL import Image
 
 from codec.errors import CorruptError, InvalidError
-from codec.index import SegmentRecord
-from codec.manifest import Manifest
-from codec.plot import LAYER_COLOURS, bitrates_bps, draw_stream
 from codec.stream import StreamReader, StreamWriter
+from codec.stream.index import SegmentRecord
+from codec.stream.manifest import Manifest
+from codec.tools.plot import LAYER_COLOURS, bitrates_bps, draw_stream
 from tests.commands import run, run_ok
 from tests.slow_writer import tiny_manifest, tiny_slice, write_tiny
 

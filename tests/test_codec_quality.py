@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from codec.chunk import Chunk
 from codec.stream import StreamReader, StreamWriter
+from codec.stream.chunk import Chunk
 from tests.served import SEGMENT_FRAMES, SWIN_SIZE, births_of, random_slice, small_manifest
 
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec.orientation import canonical, multiply
-from codec.quantize import (
+from codec.profiles.orientation import canonical, multiply
+from codec.profiles.quantise import (
     MAX_COARSENESS,
     MAX_LOGIT,
     MIN_COARSENESS,

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from codec.chunk import encode_chunk
-from codec.layers import opacity_rank, split_layers
-from codec.object import encode_frame
-from codec.profile import Profile
-from codec.quantize import layer_steps
+from codec.profiles.profile import Profile
+from codec.profiles.quantise import layer_steps
 from codec.slice import Slice
+from codec.stream.chunk import encode_chunk
+from codec.stream.layers import opacity_rank, split_layers
+from codec.stream.object import encode_frame
 from tests.trained_like import trained_like_splats
 
 COUNT = 40_000

@@ -15,15 +15,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from codec.audit import verify_stream
-from codec.coder import Coder
+from codec.coders.coder import Coder
 from codec.errors import CorruptError, InvalidError
-from codec.manifest import Manifest
-from codec.object import HEAD, decode_object
-from codec.profile import Profile
-from codec.static import export_static
+from codec.profiles.profile import Profile
 from codec.stream import StreamReader, StreamWriter
-from codec.writer import write_atomic
+from codec.stream.manifest import Manifest
+from codec.stream.object import HEAD, decode_object
+from codec.stream.writer import write_atomic
+from codec.tools.audit import verify_stream
+from codec.tools.static import export_static
 from player.frames import Frames
 from player.locate import open_source
 from player.playback import PlayConfig, play

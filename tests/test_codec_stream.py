@@ -17,15 +17,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from codec.audit import summarize, verify_stream
-from codec.chunk import Chunk, encode_chunk
 from codec.errors import CodecError, CorruptError, InvalidError
-from codec.index import pack_record, record_bytes
-from codec.object import encode_object
-from codec.profile import Profile
+from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
+from codec.stream.chunk import Chunk, encode_chunk
+from codec.stream.index import pack_record, record_bytes
+from codec.stream.object import encode_object
+from codec.tools.audit import summarize, verify_stream
 from tests.slow_writer import SLICE_SIZE, tiny_manifest, tiny_slice, write_tiny
 
 ROOT = Path(__file__).parents[1]

@@ -14,14 +14,14 @@ from typing import IO, Any
 
 import pytest
 
-from codec import writer as writer_module
-from codec.audit import verify_stream
-from codec.chunk import Chunk
 from codec.errors import CorruptError, InvalidError
-from codec.index import record_bytes
-from codec.profile import Profile
+from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.stream import StreamReader, StreamWriter
+from codec.stream import writer as writer_module
+from codec.stream.chunk import Chunk
+from codec.stream.index import record_bytes
+from codec.tools.audit import verify_stream
 from tests.slow_writer import tiny_manifest, tiny_slice, write_tiny
 
 ROOT = Path(__file__).parents[1]
@@ -50,8 +50,8 @@ def append_all(writer: StreamWriter) -> None:
 SHORT_OF_SPACE = """
 import os, resource, sys
 from pathlib import Path
-from codec.audit import verify_stream
-from codec.index import record_bytes
+from codec.tools.audit import verify_stream
+from codec.stream.index import record_bytes
 from codec.stream import StreamWriter
 from tests.slow_writer import tiny_manifest, tiny_slice
 

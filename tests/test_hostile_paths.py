@@ -14,12 +14,12 @@ from pathlib import Path
 
 import pytest
 
-from codec.audit import verify_stream
 from codec.errors import CodecError, SwingsError
 from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat
-from codec.reader import StreamReader
 from codec.stream import StreamWriter
+from codec.stream.reader import StreamReader
+from codec.tools.audit import verify_stream
 from player.fetch import Fetcher, FetchError
 from player.frames import Frames
 from player.locate import open_source

@@ -19,8 +19,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.errors import InvalidError, UnsupportedError
-from codec.manifest import Manifest
 from codec.slice import Slice
+from codec.stream.manifest import Manifest
 from player.render.cpu import render_splats
 from player.render.gl import GlError, GlRenderer, Target, open_context
 from player.render.order import Order

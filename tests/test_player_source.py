@@ -13,14 +13,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from codec.chunk import encode_chunk
 from codec.errors import CorruptError, InvalidError, SwingsError
-from codec.layers import RANKS, split_layers
-from codec.manifest import Manifest
-from codec.object import encode_frame
-from codec.playrecord import EndRecord, ErrorRecord, Record, SliceRecord, StartRecord, encode_record
 from codec.slice import Slice
 from codec.stream import StreamReader, StreamWriter
+from codec.stream.chunk import encode_chunk
+from codec.stream.layers import RANKS, split_layers
+from codec.stream.manifest import Manifest
+from codec.stream.object import encode_frame
+from codec.stream.playrecord import (
+    EndRecord,
+    ErrorRecord,
+    Record,
+    SliceRecord,
+    StartRecord,
+    encode_record,
+)
 from player.fetch import BrokenError, FetchConfig, Fetcher, FetchError, StoppedError
 from player.frames import Frames
 from player.link import Link

@@ -12,8 +12,8 @@ import pytest
 
 from codec.camera import Camera
 from codec.errors import SwingsError
-from codec.manifest import Manifest
 from codec.slice import Slice
+from codec.stream.manifest import Manifest
 from player.clock import Clock
 from player.fetch import StoppedError
 from player.frames import Frames

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from codec.errors import CodecError, SwingsError
-from codec.index import record_bytes
 from codec.stream import StreamReader, StreamWriter
+from codec.stream.index import record_bytes
 from server.cache import ObjectCache
 from server.library import Library
 from server.metrics import Metrics

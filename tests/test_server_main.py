@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from codec.playrecord import ErrorRecord, SliceRecord
+from codec.stream.playrecord import ErrorRecord, SliceRecord
 from tests.served import make_stream, parse_records
 
 REPO = Path(__file__).parents[1]

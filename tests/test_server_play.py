@@ -15,8 +15,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.errors import CorruptError
-from codec.object import decode_frame, object_frames
-from codec.playrecord import (
+from codec.stream import StreamReader, StreamWriter
+from codec.stream.object import decode_frame, object_frames
+from codec.stream.playrecord import (
     EndRecord,
     ErrorRecord,
     Record,
@@ -24,7 +25,6 @@ from codec.playrecord import (
     SliceRecord,
     StartRecord,
 )
-from codec.stream import StreamReader, StreamWriter
 from server.config import ServerConfig
 from server.connection import PIECE_BYTES
 from server.play import parse_query

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from codec.camera import Camera
-from codec.manifest import Manifest
-from codec.profile import Profile
+from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.splats import Splats, sh_count
 from codec.stream import StreamReader, StreamWriter
+from codec.stream.manifest import Manifest
 from tests.commands import run, run_ok
 from tests.tiny_capture import write_dynamic3dgs
 from trainer.ablation import CASES, Ablation, ablate_quantisation

@@ -13,11 +13,11 @@ import torch
 
 from codec.camera import Camera
 from codec.errors import InvalidError
-from codec.manifest import Manifest
-from codec.profile import Profile
+from codec.profiles.profile import Profile
 from codec.slice import Slice, active_splats
 from codec.splats import SH_C0, Splats
 from codec.stream import StreamReader, StreamWriter
+from codec.stream.manifest import Manifest
 from player.render.cpu import render_splats
 from player.render.recipe import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from tests.reference_render import render_reference

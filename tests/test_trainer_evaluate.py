@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from codec.manifest import Manifest
+from codec.stream.manifest import Manifest
 from tests.slow_writer import tiny_manifest
 from tests.tiny_capture import write_dynamic3dgs
 from trainer.capture.capture import Capture

@@ -13,11 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from codec.manifest import Manifest
-from codec.profile import Profile
+from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
+from codec.stream.manifest import Manifest
 from tests.tiny_capture import HEIGHT_PX, WIDTH_PX, picture_of, tiny_rig
 from tests.tiny_models import transforms_of, write_pictures, write_transforms
 from trainer.capture.layout import open_capture

@@ -14,7 +14,7 @@ from PIL import Image
 from rich.console import Console
 
 from codec.errors import InvalidError
-from codec.profile import Profile
+from codec.profiles.profile import Profile
 from tests.commands import run, run_ok
 from tests.tiny_capture import write_dynerf
 from trainer import runlog

@@ -11,8 +11,8 @@ import numpy as np
 from rich.table import Table
 
 from codec.errors import InvalidError
-from codec.paper import ATTRIBUTES, quantise_attribute
-from codec.profile import Profile
+from codec.profiles.paper import ATTRIBUTES, quantise_attribute
+from codec.profiles.profile import Profile
 from codec.splats import Splats, sh_count
 
 from .evaluate import EvaluateConfig, Score, open_held_out, score_picture

@@ -16,9 +16,9 @@ from rich.table import Table
 
 from codec.camera import Camera
 from codec.errors import InvalidError
-from codec.manifest import Manifest
 from codec.splats import Splats
 from codec.stream import StreamReader
+from codec.stream.manifest import Manifest
 from player.render.cpu import render_splats
 
 from .capture.capture import Capture, Mask

@@ -19,11 +19,11 @@ from rich.console import Console
 
 from codec.camera import Camera
 from codec.errors import InvalidError
-from codec.manifest import Manifest
-from codec.profile import Profile
+from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
+from codec.stream.manifest import Manifest
 from player.render.cpu import render_splats
 
 from . import checkpoint, runlog

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import field, make_dataclass
 from typing import Any, get_args, get_type_hints
 
-from codec.profile import Profile
+from codec.profiles.profile import Profile
 
 from .fit import FitConfig
 from .job import Preset, TrainConfig

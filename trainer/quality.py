@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 
-from codec.chunk import Chunk
-from codec.layers import merge_layers
-from codec.manifest import Manifest
 from codec.slice import Slice, active_splats
 from codec.stream import StreamReader
+from codec.stream.chunk import Chunk
+from codec.stream.layers import merge_layers
+from codec.stream.manifest import Manifest
 
 from .capture.capture import Capture
 from .evaluate import score_picture

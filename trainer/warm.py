@@ -16,8 +16,8 @@ from numba.core.dispatcher import Dispatcher
 from rich.console import Console
 
 from codec.camera import Camera
-from codec.chunk import decode_chunk, encode_chunk
-from codec.profile import Profile
+from codec.profiles.profile import Profile
+from codec.stream.chunk import decode_chunk, encode_chunk
 from player.render.cpu import render_splats
 
 from .capture.lens import Lens, straightened

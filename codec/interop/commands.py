@@ -8,8 +8,9 @@ from typing import Annotated
 
 import tyro
 
-from ..errors import InvalidError
-from ..static import export_static
+from codec.errors import InvalidError
+from codec.tools.static import export_static
+
 from .exporting import export_stream
 from .formats import SplatFormat
 from .importing import ImportOptions, import_stream

@@ -20,8 +20,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ..errors import CorruptError, UnsupportedError
-from ..splats import SH_C0, Splats
+from codec.errors import CorruptError, UnsupportedError
+from codec.splats import SH_C0, Splats
+
 from .levels import byte_logits, restore_largest
 from .limits import MAX_GAUSSIANS, Decoded, check_count
 from .ply import REST_COUNTS, rest_names

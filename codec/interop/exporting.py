@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..errors import InvalidError
-from ..reader import StreamReader
+from codec.errors import InvalidError
+from codec.stream.reader import StreamReader
+
 from .formats import SplatFormat, write_splats
 
 NUMBER_DIGITS = 4

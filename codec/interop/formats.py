@@ -7,9 +7,10 @@ from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
 
-from ..errors import CodecError, CorruptError, UnsupportedError
-from ..splats import Splats
-from ..writer import write_atomic
+from codec.errors import CodecError, CorruptError, UnsupportedError
+from codec.splats import Splats
+from codec.stream.writer import write_atomic
+
 from .compressed_ply import decode_compressed_ply, is_compressed
 from .limits import MAX_GAUSSIANS
 from .ply import decode_ply, encode_ply

@@ -15,14 +15,15 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ..camera import Camera
-from ..chunk import MAX_SPLATS_PER_CHUNK
-from ..errors import InvalidError
-from ..manifest import Manifest
-from ..profile import Profile
-from ..slice import Slice
-from ..splats import Splats, sh_count
-from ..writer import StreamWriter
+from codec.camera import Camera
+from codec.errors import InvalidError
+from codec.profiles.profile import Profile
+from codec.slice import Slice
+from codec.splats import Splats, sh_count
+from codec.stream.chunk import MAX_SPLATS_PER_CHUNK
+from codec.stream.manifest import Manifest
+from codec.stream.writer import StreamWriter
+
 from .formats import has_known_suffix, read_splats
 
 WIDTH_PX, HEIGHT_PX = 1280, 720

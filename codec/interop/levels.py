@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ..splats import Floats
+from codec.splats import Floats
 
 Bytes = npt.NDArray[np.uint8]
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import CorruptError, InvalidError, UnsupportedError
-from ..splats import Floats, Splats, sh_count
+from codec.errors import CorruptError, InvalidError, UnsupportedError
+from codec.splats import Floats, Splats, sh_count
 
 MAX_GAUSSIANS = 1 << 24
 """Gaussians in a file: 248 bytes each as float32 with SH degree 3, about 4 GB."""

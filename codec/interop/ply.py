@@ -17,8 +17,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from ..errors import CorruptError, UnsupportedError
-from ..splats import MAX_SH_DEGREE, Floats, Splats, sh_count
+from codec.errors import CorruptError, UnsupportedError
+from codec.splats import MAX_SH_DEGREE, Floats, Splats, sh_count
+
 from .limits import MAX_GAUSSIANS, Decoded, check_count
 from .plyheader import PlyElement, read_ply_elements
 

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ..errors import CorruptError, UnsupportedError
+from codec.errors import CorruptError, UnsupportedError
+
 from .limits import check_count
 
 MAX_HEADER_BYTES = 1 << 16

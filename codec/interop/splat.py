@@ -15,8 +15,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..errors import CorruptError
-from ..splats import SH_C0, Splats
+from codec.errors import CorruptError
+from codec.splats import SH_C0, Splats
+
 from .levels import byte_logits, clipped_bytes, opacity_bytes, unit_quats
 from .limits import MAX_GAUSSIANS, Decoded, check_count
 

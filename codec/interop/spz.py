@@ -33,8 +33,9 @@ import numpy as np
 import numpy.typing as npt
 import zstandard
 
-from ..errors import CorruptError, InvalidError, UnsupportedError
-from ..splats import MAX_SH_DEGREE, Floats, Splats, sh_count
+from codec.errors import CorruptError, InvalidError, UnsupportedError
+from codec.splats import MAX_SH_DEGREE, Floats, Splats, sh_count
+
 from .levels import byte_logits, clipped_bytes, opacity_bytes, restore_largest, unit_quats
 from .limits import MAX_GAUSSIANS, Decoded, check_count, check_ratio
 

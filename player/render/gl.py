@@ -23,8 +23,8 @@ import numpy.typing as npt
 
 from codec.camera import Camera
 from codec.errors import SwingsError
-from codec.manifest import Manifest
 from codec.slice import Slice
+from codec.stream.manifest import Manifest
 
 from . import recipe
 from .arrivals import Arrivals

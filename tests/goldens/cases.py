@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from codec.chunk import Chunk, decode_chunk, encode_chunk
-from codec.coder import Coder
-from codec.object import encode_object
-from codec.profile import Profile
-from codec.quantize import Steps
+from codec.coders.coder import Coder
+from codec.profiles.profile import Profile
+from codec.profiles.quantise import Steps
 from codec.slice import Slice
 from codec.splats import Splats, sh_count
+from codec.stream.chunk import Chunk, decode_chunk, encode_chunk
+from codec.stream.object import encode_object
 
 FILE = Path(__file__).parent / "chunks.json"
 OBJECTS_FILE = Path(__file__).parent / "objects.json"

@@ -16,8 +16,7 @@ import numpy.typing as npt
 
 from codec.camera import Camera
 from codec.errors import InvalidError
-
-from ..errors import CaptureError
+from trainer.errors import CaptureError
 
 Layout = Literal["dynamic3dgs", "dynerf", "colmap", "nerfstudio"]
 """The layouts that `open_capture` knows."""

@@ -26,8 +26,8 @@ import numpy as np
 
 from codec.camera import Camera
 from codec.errors import InvalidError
+from trainer.errors import CaptureError
 
-from ..errors import CaptureError
 from .capture import Capture, CaptureCamera, PictureSource
 from .colmap_model import (
     Optics,

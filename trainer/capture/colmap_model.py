@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ..errors import CaptureError
+from trainer.errors import CaptureError
+
 from .capture import InitialPoints
 from .points import checked_points
 

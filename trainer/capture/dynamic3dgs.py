@@ -24,8 +24,8 @@ from PIL import Image, UnidentifiedImageError
 
 from codec.camera import Camera
 from codec.errors import InvalidError
+from trainer.errors import CaptureError
 
-from ..errors import CaptureError
 from .capture import Capture, CaptureCamera, Picture, PictureSource, check_frame
 from .points import read_points
 from .rig import rig_depths

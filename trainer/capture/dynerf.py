@@ -23,8 +23,8 @@ import numpy.typing as npt
 
 from codec.camera import Camera
 from codec.errors import InvalidError
+from trainer.errors import CaptureError
 
-from ..errors import CaptureError
 from .capture import Capture, CaptureCamera, PictureSource
 from .points import read_points
 from .rig import rig_depths

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..errors import CaptureError
+from trainer.errors import CaptureError
+
 from .capture import Capture
 from .colmap import MODEL_NAME, open_colmap
 from .dynamic3dgs import META_NAMES, open_dynamic3dgs

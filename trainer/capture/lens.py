@@ -13,8 +13,8 @@ import numpy as np
 
 from codec.camera import Camera
 from codec.kernel import kernel
+from trainer.errors import CaptureError
 
-from ..errors import CaptureError
 from .capture import Picture, PictureSource
 from .points import MAX_COORDINATE_M
 

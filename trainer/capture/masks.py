@@ -13,8 +13,8 @@ import numpy as np
 from PIL import Image, UnidentifiedImageError
 
 from codec.camera import Camera
+from trainer.errors import CaptureError
 
-from ..errors import CaptureError
 from .capture import Mask, check_frame
 from .lens import Lens, straightened
 from .pictures import folder_names

@@ -39,8 +39,8 @@ import numpy as np
 
 from codec.camera import Camera
 from codec.errors import InvalidError
+from trainer.errors import CaptureError
 
-from ..errors import CaptureError
 from .capture import Capture, CaptureCamera, InitialPoints, PictureSource
 from .dynamic3dgs import STILL_TOLERANCE
 from .dynerf import HELD_OUT_NAME, POINTS_NAME, check_equal, read_held_out

@@ -17,8 +17,8 @@ from pathlib import Path, PurePosixPath
 from PIL import Image, UnidentifiedImageError
 
 from codec.camera import Camera
+from trainer.errors import CaptureError
 
-from ..errors import CaptureError
 from .capture import PictureSource
 from .dynamic3dgs import FileSource
 from .lens import Lens, straight_source

@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from codec.camera import Camera
 from codec.errors import InvalidError
+from trainer.errors import CaptureError
 
-from ..errors import CaptureError
 from .capture import InitialPoints
 
 MAX_COORDINATE_M = 1e9

@@ -20,8 +20,8 @@ import av.video.stream
 import numpy as np
 
 from codec.camera import Camera
+from trainer.errors import CaptureError
 
-from ..errors import CaptureError
 from .capture import Picture, check_frame
 
 MAX_SKIP_FRAMES = 12

@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.errors import InvalidError
+from trainer.loss import Loss, photometric_loss
+from trainer.target import Targets
 
-from ..loss import Loss, photometric_loss
-from ..target import Targets
 from .cpu import Ints, Parameters, Scratch, View, backward, render
 
 Floats = npt.NDArray[np.float32]

@@ -7,11 +7,11 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from .errors import CodecError, CorruptError
-from .index import SegmentRecord, record_bytes
-from .object import MAX_OBJECT_BYTES, entry_offset, read_object_table
-from .reader import StreamReader, check_births, decode_fitting_chunk, read_file
-from .writer import INDEX_NAME
+from codec.errors import CodecError, CorruptError
+from codec.stream.index import SegmentRecord, record_bytes
+from codec.stream.object import MAX_OBJECT_BYTES, entry_offset, read_object_table
+from codec.stream.reader import StreamReader, check_births, decode_fitting_chunk, read_file
+from codec.stream.writer import INDEX_NAME
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from .camera import MAX_NAME_CHARS, Camera
+from codec.camera import MAX_NAME_CHARS, Camera
+from codec.errors import CorruptError, InvalidError, UnsupportedError
+from codec.profiles.profile import Profile
+from codec.slice import MAX_SWIN_SIZE
+from codec.splats import MAX_SH_DEGREE
+
 from .chunk import MAX_SPLATS_PER_CHUNK, ChunkBounds
-from .errors import CorruptError, InvalidError, UnsupportedError
 from .layers import check_fractions
-from .profile import Profile
-from .slice import MAX_SWIN_SIZE
-from .splats import MAX_SH_DEGREE
 
 VERSION = 1
 

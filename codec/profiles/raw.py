@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .errors import CorruptError
-from .splats import Floats, Splats, sh_count
+from codec.errors import CorruptError
+from codec.splats import Floats, Splats, sh_count
 
 FLOAT32 = np.dtype("<f4")
 

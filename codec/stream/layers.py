@@ -10,10 +10,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from codec.errors import CorruptError, InvalidError
+from codec.slice import Slice
+from codec.splats import Floats, Splats
+
 from .chunk import Chunk
-from .errors import CorruptError, InvalidError
-from .slice import Slice
-from .splats import Floats, Splats
 
 RankFunction = Callable[[Splats], Floats]
 """Gives (N,) importances; the higher, the earlier the layer."""

@@ -7,8 +7,9 @@ from itertools import pairwise
 
 import zstandard
 
+from codec.errors import CorruptError
+
 from .blocks import join_planes
-from .errors import CorruptError
 
 MAGIC = b"\x28\xb5\x2f\xfd"
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import IntEnum
 
-from . import gzipframe, zstdframe
-from .errors import CorruptError
+from codec.errors import CorruptError
+
+from . import gzip as gzipframe
+from . import zstd as zstdframe
 
 
 class Coder(IntEnum):

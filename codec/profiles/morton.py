@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from .errors import CorruptError
-from .kernel import kernel
+from codec.errors import CorruptError
+from codec.kernel import kernel
 
 BITS_PER_AXIS = 20
 """Bits of an integer coordinate: two halves of 30 bits suit a decoder without 64-bit integers."""

@@ -10,12 +10,12 @@ import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from .coder import Coder, decompress
-from .errors import InvalidError
-from .index import SegmentRecord, pack_record
-from .object import encode_frame, join_frames, object_frames
-from .reader import StreamReader
-from .writer import INDEX_NAME, MANIFEST_NAME, temporary_beside, write_atomic
+from codec.coders.coder import Coder, decompress
+from codec.errors import InvalidError
+from codec.stream.index import SegmentRecord, pack_record
+from codec.stream.object import encode_frame, join_frames, object_frames
+from codec.stream.reader import StreamReader
+from codec.stream.writer import INDEX_NAME, MANIFEST_NAME, temporary_beside, write_atomic
 
 OBJECT_URL = "segments/{segment}/{layer}"
 """Where the objects lie, whatever other place the manifest of the source names."""

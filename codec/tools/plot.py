@@ -12,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
-from .errors import InvalidError
-from .index import SegmentRecord
-from .reader import StreamReader
-from .writer import write_atomic
+from codec.errors import InvalidError
+from codec.stream.index import SegmentRecord
+from codec.stream.reader import StreamReader
+from codec.stream.writer import write_atomic
 
 LAYER_COLOURS = ("#33307a", "#2a78b5", "#2fa58a", "#e3a72f")
 """Of layers 0, 1, ...: the most important is the darkest. More layers take steps between."""

@@ -15,15 +15,16 @@ from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
+from codec.errors import CorruptError, InvalidError
+from codec.profiles.profile import Profile
+from codec.profiles.quantise import Steps, layer_steps
+from codec.slice import Slice
+
 from .chunk import Chunk, encode_chunk
-from .errors import CorruptError, InvalidError
 from .index import SegmentRecord, pack_record, parse_index, record_bytes
 from .layers import RANKS, split_layers
 from .manifest import Manifest
 from .object import decode_frame, encode_frame, join_frames
-from .profile import Profile
-from .quantize import Steps, layer_steps
-from .slice import Slice
 
 MANIFEST_NAME = "manifest.json"
 INDEX_NAME = "index.bin"
@@ -137,7 +138,7 @@ class StreamWriter:
         """A writer of a new stream at `path`, which is absent, an empty folder, or one where a
         writer was killed before it was a stream.
 
-        `rank` names one of `codec.layers.RANKS`; `coarseness` multiplies the quantisation steps of
+        `rank` names one of RANKS (layers.py); `coarseness` multiplies the quantisation steps of
         profile `compact`: 2 saves about a quarter of the bytes. `quality` scores every frame; the
         index holds its mean over each segment, or NaN without it.
         """

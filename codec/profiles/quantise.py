@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from .kernel import kernel
-from .splats import Floats, Splats
+from codec.kernel import kernel
+from codec.splats import Floats, Splats
 
 Doubles = npt.NDArray[np.float64]
 Bytes = npt.NDArray[np.uint8]

@@ -14,10 +14,11 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from .errors import CorruptError, InvalidError
-from .quantize import MIDDLE, Bytes, opacity_logits
+from codec.errors import CorruptError, InvalidError
+from codec.splats import Floats, Splats, sh_count
+
+from .quantise import MIDDLE, Bytes, opacity_logits
 from .raw import FLOAT32
-from .splats import Floats, Splats, sh_count
 
 FLOAT16 = np.dtype("<f2")
 MAX_HALF = 65504

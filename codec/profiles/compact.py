@@ -12,12 +12,14 @@ from dataclasses import astuple, dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from codec.errors import CorruptError
+from codec.kernel import kernel
+from codec.splats import SH_C0, Floats, Splats, sh_count
+
 from . import raw
-from .errors import CorruptError
-from .kernel import kernel
 from .morton import BITS_PER_AXIS, decode_gaps, encode_gaps, gather, interleave
 from .orientation import canonical
-from .quantize import (
+from .quantise import (
     MAX_OPACITY_LEVELS,
     MAX_ROTATION_HALF,
     MIDDLE,
@@ -28,7 +30,6 @@ from .quantize import (
     opacity_logits,
     to_luma,
 )
-from .splats import SH_C0, Floats, Splats, sh_count
 
 # origin x y z, position step, log-scale base and step, rotation step, colour base and step;
 # opacity levels, rotation half, escapes, bytes of low bits

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from . import compact, paper, raw
-from .errors import CorruptError, InvalidError, UnsupportedError
-from .profile import Profile
-from .quantize import Steps
-from .slice import Slice
-from .splats import MAX_SH_DEGREE, Splats, sh_count
+from codec.errors import CorruptError, InvalidError, UnsupportedError
+from codec.profiles import compact, paper, raw
+from codec.profiles.profile import Profile
+from codec.profiles.quantise import Steps
+from codec.slice import Slice
+from codec.splats import MAX_SH_DEGREE, Splats, sh_count
 
 MAGIC = b"SWGC"
 VERSION = 1

@@ -12,8 +12,9 @@ import zlib
 from collections.abc import Sequence
 from itertools import pairwise
 
+from codec.errors import CorruptError
+
 from .blocks import join_planes
-from .errors import CorruptError
 
 MAGIC = b"\x1f\x8b\x08\x00"
 """gzip, deflate, and no flag: neither name nor comment nor anything else in the head."""

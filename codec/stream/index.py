@@ -10,7 +10,8 @@ import struct
 import zlib
 from dataclasses import dataclass
 
-from .errors import CorruptError, InvalidError
+from codec.errors import CorruptError, InvalidError
+
 from .layers import MAX_LAYERS
 
 # segment, first frame, frames, zero

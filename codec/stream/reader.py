@@ -12,8 +12,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from codec.errors import CodecError, CorruptError, InvalidError
+from codec.slice import Slice, active_splats
+from codec.splats import Splats
+
 from .chunk import Chunk
-from .errors import CodecError, CorruptError, InvalidError
 from .index import SegmentRecord, parse_index, record_bytes, size_offset
 from .layers import merge_layers
 from .manifest import MAX_MANIFEST_BYTES, Manifest
@@ -25,8 +28,6 @@ from .object import (
     entry_offset,
     read_object_table,
 )
-from .slice import Slice, active_splats
-from .splats import Splats
 from .writer import INDEX_NAME, MANIFEST_NAME
 
 MAX_INDEX_BYTES = 1 << 28

@@ -11,7 +11,8 @@ from typing import Any
 
 import msgpack
 
-from .errors import CorruptError, InvalidError
+from codec.errors import CorruptError, InvalidError
+
 from .layers import MAX_LAYERS
 
 LENGTH = struct.Struct("<I")

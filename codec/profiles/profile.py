@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class Profile(StrEnum):
-    """The name stands in the manifest, the number (`codec.chunk.PROFILE_CODES`) in each chunk."""
+    """The name stands in the manifest, a number (PROFILE_CODES) in each chunk."""
 
     RAW = "raw"
     """Every float32 exactly as it was given."""

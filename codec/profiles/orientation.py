@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from .kernel import kernel
+from codec.kernel import kernel
 
 Doubles = npt.NDArray[np.float64]
 

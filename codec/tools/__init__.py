@@ -1,0 +1,1 @@
+"""What swings-stream does with a whole stream: check it, draw it, export it."""
