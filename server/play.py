@@ -21,12 +21,12 @@ from codec.stream.playrecord import (
     StartRecord,
     encode_record,
 )
+from server.abr.session import Finished, PlaySession, SendSlice, WaitForFrames, WaitUntil
 
 from .abr.policy import FixedPolicy, LayerPolicy, Policy
 from .cache import LoadedObject
 from .connection import Connection, StalledError
 from .library import ServedStream
-from .session import Finished, PlaySession, SendSlice, WaitForFrames, WaitUntil
 from .state import STATE, RequestError, ServerState, find_stream
 
 LOG = logging.getLogger(__name__)

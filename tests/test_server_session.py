@@ -13,14 +13,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from server.abr.policy import FixedPolicy, LayerPolicy, Policy
-from server.config import SessionConfig
-from server.session import (
+from server.abr.session import (
     Finished,
     PlaySession,
     SendSlice,
     WaitForFrames,
     WaitUntil,
 )
+from server.config import SessionConfig
 
 QUEUE_BYTES = 64 * 1024
 FPS = 30.0

@@ -9,9 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from .abr.estimator import ThroughputEstimator
-from .abr.policy import Policy, Situation
-from .config import SessionConfig
+from server.config import SessionConfig
+
+from .estimator import ThroughputEstimator
+from .policy import Policy, Situation
 
 
 class Media(Protocol):
