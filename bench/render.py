@@ -25,7 +25,7 @@ from codec.splats import Splats
 from codec.stream.manifest import Manifest
 from player.render.gl import GlError, GlRenderer
 from player.render.order import Order
-from player.renderer import CpuRenderer
+from player.render.renderer import CpuRenderer
 
 SWIN_SIZE = 5
 ROUNDS = 7

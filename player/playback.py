@@ -20,19 +20,18 @@ from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from codec.errors import InvalidError
-
-from .camera import CameraPath, Size, camera_path, check_path
-from .capture import check_capture, open_sink, to_bytes
-from .clock import Clock
-from .frames import Frames
-from .link import Link
-from .locate import is_url, open_source
-from .playout import FrameRecord, Playout, PlayoutConfig, PlayoutTotals
-from .relay import Relay
-from .renderer import Renderer, RendererKind, create_renderer
-from .source import Source
-from .update import Events, Threads, render_thread
-from .window import show_window, window_system
+from codec.framerange import Frames
+from player.link.link import Link
+from player.link.relay import Relay
+from player.playout.clock import Clock
+from player.playout.threads import Events, Threads, render_thread
+from player.playout.timeline import FrameRecord, Playout, PlayoutConfig, PlayoutTotals
+from player.render.renderer import Renderer, RendererKind, create_renderer
+from player.show.sink import check_capture, open_sink, to_bytes
+from player.show.window import show_window, window_system
+from player.source.locate import is_url, open_source
+from player.source.source import Source
+from player.view.path import CameraPath, Size, camera_path, check_path
 
 log = logging.getLogger(__name__)
 

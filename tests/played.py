@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 
 from codec.camera import Camera
+from codec.pose import look_at
 from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.splats import Splats, sh_count
 from codec.stream import StreamWriter
 from codec.stream.manifest import Manifest
-from player.pose import look_at
 
 ROOT = Path(__file__).parents[1]
 SWIN_SIZE = 4

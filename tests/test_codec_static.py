@@ -17,6 +17,7 @@ from PIL import Image
 
 from codec.coders.coder import Coder
 from codec.errors import CorruptError, InvalidError
+from codec.framerange import Frames
 from codec.profiles.profile import Profile
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import Manifest
@@ -24,10 +25,9 @@ from codec.stream.object import HEAD, decode_object
 from codec.stream.writer import write_atomic
 from codec.tools.audit import verify_stream
 from codec.tools.static import export_static
-from player.frames import Frames
-from player.locate import open_source
 from player.playback import PlayConfig, play
-from player.renderer import RendererKind
+from player.render.renderer import RendererKind
+from player.source.locate import open_source
 from tests.commands import run, run_ok
 from tests.drawn_splats import same
 from tests.format_decoder import decode_object as decode_plain_object

@@ -15,14 +15,14 @@ from pathlib import Path
 import pytest
 
 from codec.errors import CodecError, SwingsError
+from codec.framerange import Frames
 from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat
 from codec.stream import StreamWriter
 from codec.stream.reader import StreamReader
 from codec.tools.audit import verify_stream
-from player.fetch import Fetcher, FetchError
-from player.frames import Frames
-from player.locate import open_source
+from player.source.fetch import Fetcher, FetchError
+from player.source.locate import open_source
 from server.library import Library, ServedStream
 from tests.slow_writer import tiny_slice, write_tiny
 

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from codec.camera import Camera
 from codec.errors import InvalidError
-from player.camera import Size, camera_path, closest_point, fitted, scene_centre, turned, up_of
-from player.frames import Frames
-from player.pose import Vector, look_at, quat_of, rotation_about, rotation_of, slerp
-from player.view import view_of
+from codec.framerange import Frames
+from codec.pose import Vector, look_at, quat_of, rotation_about, rotation_of, slerp
+from player.view.mouse import view_of
+from player.view.path import Size, camera_path, closest_point, fitted, scene_centre, turned, up_of
 from tests.played import ring_of_cameras, small_manifest
 
 MANIFEST = small_manifest()

@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 
 from codec.errors import InvalidError
-from player.camera import Size
-from player.capture import Bytes, PngSink, VideoSink, check_capture, open_sink, to_bytes
+from player.show.sink import Bytes, PngSink, VideoSink, check_capture, open_sink, to_bytes
+from player.view.path import Size
 
 
 def picture(seed: int, width_px: int, height_px: int) -> Bytes:

@@ -15,11 +15,11 @@ from PIL import Image
 
 from codec.errors import InvalidError, SwingsError
 from codec.stream import StreamReader
-from player.capture import to_bytes
 from player.playback import PlayConfig, play
 from player.render.cpu import render_splats
-from player.renderer import RendererKind
-from player.window import WindowError, window_system
+from player.render.renderer import RendererKind
+from player.show.sink import to_bytes
+from player.show.window import WindowError, window_system
 from tests.played import ROOT, SWIN_SIZE, ServerProcess, served, static_host, write_stream
 
 CPU = RendererKind.CPU

@@ -16,8 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.errors import InvalidError
-from player.link import Link, LinkStep
-from player.relay import Relay
+from player.link.link import Link, LinkStep
+from player.link.relay import Relay
 
 steps = st.lists(
     st.builds(

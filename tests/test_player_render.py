@@ -24,8 +24,8 @@ from codec.stream.manifest import Manifest
 from player.render.cpu import render_splats
 from player.render.gl import GlError, GlRenderer, Target, open_context
 from player.render.order import Order
-from player.renderer import CpuRenderer, RendererKind, check_drawable, create_renderer
-from player.ring import Ring
+from player.render.renderer import CpuRenderer, RendererKind, check_drawable, create_renderer
+from player.render.ring import Ring
 from tests.played import ROOT, SWIN_SIZE, random_slice, random_splats, small_manifest
 
 Floats = npt.NDArray[np.float32]
@@ -320,7 +320,7 @@ WITHOUT_GL = {**os.environ, "__EGL_VENDOR_LIBRARY_FILENAMES": "/nonexistent"}
 
 CHOOSE = """
 import logging, sys
-from player.renderer import RendererKind, create_renderer
+from player.render.renderer import RendererKind, create_renderer
 from tests.played import small_manifest
 logging.basicConfig(level=logging.WARNING)
 try:

@@ -10,7 +10,7 @@ import pytest
 from codec.errors import InvalidError
 from codec.splats import Splats
 from codec.stream import StreamReader
-from player.ring import Ring
+from player.render.ring import Ring
 from tests.played import SLICE_SIZE, SWIN_SIZE, random_slice, write_stream
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from codec.errors import CorruptError, InvalidError, SwingsError
+from codec.framerange import Frames
 from codec.slice import Slice
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.chunk import encode_chunk
@@ -28,15 +29,14 @@ from codec.stream.playrecord import (
     StartRecord,
     encode_record,
 )
-from player.fetch import BrokenError, FetchConfig, Fetcher, FetchError, StoppedError
-from player.frames import Frames
-from player.link import Link
-from player.locate import open_source
-from player.played import HttpPlaySource
-from player.playout import ReceivedSlice
-from player.relay import Relay
-from player.retry import Retry, RetryConfig
-from player.source import Source
+from player.link.link import Link
+from player.link.relay import Relay
+from player.playout.timeline import ReceivedSlice
+from player.source.fetch import BrokenError, FetchConfig, Fetcher, FetchError, StoppedError
+from player.source.locate import open_source
+from player.source.retry import Retry, RetryConfig
+from player.source.served import HttpPlaySource
+from player.source.source import Source
 from tests.played import (
     SWIN_SIZE,
     ServerProcess,

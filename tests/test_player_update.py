@@ -12,13 +12,13 @@ import pytest
 
 from codec.camera import Camera
 from codec.errors import SwingsError
+from codec.framerange import Frames
 from codec.slice import Slice
 from codec.stream.manifest import Manifest
-from player.clock import Clock
-from player.fetch import StoppedError
-from player.frames import Frames
-from player.playout import FrameRecord, Playout, PlayoutConfig, ReceivedSlice
-from player.update import EmptyStreamError, Events, Handoff, Threads, render_thread
+from player.playout.clock import Clock
+from player.playout.threads import EmptyStreamError, Events, Handoff, Threads, render_thread
+from player.playout.timeline import FrameRecord, Playout, PlayoutConfig, ReceivedSlice
+from player.source.fetch import StoppedError
 from tests.played import SWIN_SIZE, random_slice, small_manifest
 
 CAMERA = small_manifest().camera()

@@ -15,11 +15,11 @@ import numpy as np
 
 from codec.camera import MAX_IMAGE_PX, Camera
 from codec.errors import InvalidError
+from codec.framerange import Frames
+from codec.pose import Vector, rotation_about
 from codec.stream.manifest import Manifest
 
-from .frames import Frames
 from .keyframes import read_keyframes
-from .pose import Vector, rotation_about
 
 CameraPath = Callable[[int], Camera]
 """Gives the camera of a frame."""

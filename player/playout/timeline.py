@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 from codec.errors import CorruptError, InvalidError
 from codec.slice import Slice
-
-from .render.lane import slice_bytes
+from player.render.lane import slice_bytes
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from codec.errors import InvalidError
+from .errors import InvalidError
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from codec.camera import Camera
+from codec.pose import Vector
 from codec.stream.manifest import Manifest
 
-from .camera import scene_centre, turned, up_of
-from .pose import Vector
+from .path import scene_centre, turned, up_of
 
 TURN_RAD_PER_PX = 0.005
 ZOOM_PER_STEP = 0.9

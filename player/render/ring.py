@@ -9,7 +9,7 @@ from codec.errors import InvalidError
 from codec.slice import Slice
 from codec.splats import Splats, sh_count
 
-from .render.lane import check_slice
+from .lane import check_slice
 
 
 class Ring:

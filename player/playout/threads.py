@@ -17,13 +17,13 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.errors import SwingsError
+from player.render.renderer import Renderer
+from player.source.fetch import StoppedError
+from player.source.source import Source
+from player.view.path import CameraPath
 
-from .camera import CameraPath
 from .clock import Clock
-from .fetch import StoppedError
-from .playout import DueFrame, FrameRecord, Playout, PlayoutTotals, ReceivedSlice
-from .renderer import Renderer
-from .source import Source
+from .timeline import DueFrame, FrameRecord, Playout, PlayoutTotals, ReceivedSlice
 
 log = logging.getLogger(__name__)
 

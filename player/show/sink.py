@@ -16,8 +16,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from codec.errors import InvalidError, SwingsError
-
-from .camera import Size
+from player.view.path import Size
 
 Bytes = npt.NDArray[np.uint8]
 Floats = npt.NDArray[np.float32]

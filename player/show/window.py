@@ -14,14 +14,13 @@ from typing import Any
 import moderngl
 
 from codec.errors import SwingsError
-
-from .camera import CameraPath, Size, fitted
-from .playout import FrameRecord
-from .render.gl import MIN_VERSION, GlError, GlRenderer, Target
-from .renderer import check_drawable
-from .source import Source
-from .update import Events, Threads
-from .view import View, view_of
+from player.playout.threads import Events, Threads
+from player.playout.timeline import FrameRecord
+from player.render.gl import MIN_VERSION, GlError, GlRenderer, Target
+from player.render.renderer import check_drawable
+from player.source.source import Source
+from player.view.mouse import View, view_of
+from player.view.path import CameraPath, Size, fitted
 
 IDLE_S = 0.005
 """Between two looks at the keyboard while there is nothing new to draw, seconds."""

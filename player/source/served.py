@@ -9,6 +9,7 @@ import json
 from collections.abc import Iterator
 
 from codec.errors import CodecError, CorruptError
+from codec.framerange import Frames
 from codec.stream.manifest import Manifest
 from codec.stream.object import decode_frame
 from codec.stream.playrecord import (
@@ -19,12 +20,11 @@ from codec.stream.playrecord import (
     SliceRecord,
     StartRecord,
 )
+from player.playout.timeline import ReceivedSlice
 
+from .decode import merge_chunks
 from .fetch import BrokenError, Fetcher, FetchError, OpenResponse
-from .frames import Frames
-from .playout import ReceivedSlice
 from .retry import Retry, RetryConfig
-from .segment import merge_chunks
 from .source import check_frames, check_layers
 
 CONTENT_TYPE = "application/x-swings-play"

@@ -7,15 +7,15 @@ from collections.abc import Iterator
 from urllib.parse import urljoin
 
 from codec.errors import CodecError, CorruptError
+from codec.framerange import Frames
 from codec.stream.index import SegmentRecord, parse_index, record_bytes
 from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest
 from codec.stream.object import MAX_OBJECT_BYTES
+from player.playout.timeline import ReceivedSlice
 
+from .decode import decode_segment
 from .fetch import BrokenError, Fetcher, FetchError
-from .frames import Frames
-from .playout import ReceivedSlice
 from .retry import Retry, RetryConfig
-from .segment import decode_segment
 from .source import check_frames, check_layers
 
 MAX_INDEX_BYTES = 256 << 20

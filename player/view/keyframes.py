@@ -21,8 +21,7 @@ import numpy as np
 
 from codec.camera import Camera
 from codec.errors import InvalidError, SwingsError
-
-from .pose import Vector, look_at, quat_of, rotation_of, slerp
+from codec.pose import Vector, look_at, quat_of, rotation_of, slerp
 
 MAX_FILE_BYTES = 16 << 20
 KEYS = {"frame", "w2c", "position", "look_at", "up", "fov_deg"}

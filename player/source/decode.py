@@ -13,8 +13,7 @@ from codec.stream.index import SegmentRecord
 from codec.stream.layers import merge_layers
 from codec.stream.manifest import Manifest
 from codec.stream.object import decode_object_chunk, read_object_table
-
-from .playout import ReceivedSlice
+from player.playout.timeline import ReceivedSlice
 
 
 def merge_chunks(chunks: Sequence[Chunk], manifest: Manifest, wire_bytes: int) -> ReceivedSlice:

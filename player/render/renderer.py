@@ -18,10 +18,10 @@ from codec.errors import UnsupportedError
 from codec.slice import Slice
 from codec.stream.manifest import Manifest
 
-from .render.arrivals import Arrivals
-from .render.cpu import render_splats
-from .render.gl import GlError, GlRenderer
-from .render.lane import slice_bytes
+from .arrivals import Arrivals
+from .cpu import render_splats
+from .gl import GlError, GlRenderer
+from .lane import slice_bytes
 from .ring import Ring
 
 log = logging.getLogger(__name__)

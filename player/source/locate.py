@@ -7,12 +7,12 @@ from pathlib import Path
 from urllib.parse import quote, unquote, urlsplit, urlunsplit
 
 from codec.errors import InvalidError
+from codec.framerange import Frames
 
 from .fetch import Fetcher, FetchError
-from .frames import Frames
-from .played import HttpPlaySource
+from .hosted import StaticHttpSource, fetch_manifest
+from .served import HttpPlaySource
 from .source import DirectorySource, Source
-from .static import StaticHttpSource, fetch_manifest
 
 MAX_LIST_BYTES = 16 << 20
 """Longest list of streams read, bytes."""

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Protocol
 
 from codec.errors import InvalidError
+from codec.framerange import Frames
 from codec.stream import StreamReader
 from codec.stream.manifest import Manifest
+from player.playout.timeline import ReceivedSlice
 
-from .frames import Frames
-from .playout import ReceivedSlice
-from .segment import decode_segment
+from .decode import decode_segment
 
 
 class Source(Protocol):

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from codec.errors import InvalidError
+from .errors import InvalidError
 
 Vector = npt.NDArray[np.float64]
 """A vector or a matrix of the world or of a camera."""

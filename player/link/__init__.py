@@ -1,0 +1,1 @@
+"""A slow network link, as numbers and as a relay."""

@@ -1,0 +1,1 @@
+"""When each frame is shown, and the threads that bring it there."""

@@ -1,0 +1,1 @@
+"""Where slices come from: a folder, a server, or any static host."""

@@ -1,0 +1,1 @@
+"""Where the camera is: paths, key frames, and the mouse."""
