@@ -18,8 +18,9 @@ from codec.splats import Splats
 from codec.stream import StreamWriter
 from codec.stream.manifest import Manifest
 from codec.stream.playrecord import Record, RecordParser
+from server.abr.session import SessionConfig
 from server.app import make_app
-from server.config import ServerConfig, SessionConfig
+from server.config import ServerConfig
 from server.connection import bound_connections
 from server.library import Library
 from server.listener import bind, make_runner

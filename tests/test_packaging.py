@@ -18,7 +18,7 @@ MAY_USE: dict[str, tuple[str, ...]] = {
     "trainer": ("codec", "player.render"),
     "server": ("codec",),
     "player": ("codec", "server.abr"),
-    "server/abr": (),
+    "server/abr": ("codec.errors", "codec.stream.manifest", "codec.stream.index"),
     "player/render": ("codec",),
 }
 NO_IO = {"asyncio", "aiohttp", "os", "pathlib", "socket", "threading", "time", "datetime", "random"}

@@ -17,10 +17,10 @@ from server.abr.session import (
     Finished,
     PlaySession,
     SendSlice,
+    SessionConfig,
     WaitForFrames,
     WaitUntil,
 )
-from server.config import SessionConfig
 
 QUEUE_BYTES = 64 * 1024
 FPS = 30.0

@@ -9,10 +9,35 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from server.config import SessionConfig
+from codec.errors import InvalidError
 
 from .estimator import ThroughputEstimator
 from .policy import Policy, Situation
+
+
+@dataclass(frozen=True, slots=True)
+class SessionConfig:
+    """How far ahead of the client a play is kept."""
+
+    target_lead_s: float = 2.0
+    """Seconds of media sent ahead of what the client shows, at most."""
+    burst_s: float = 0.5
+    """Seconds of media sent in one go; a burst measures the link, a trickle cannot."""
+    blind_lead_s: float = 0.25
+    """Seconds of media sent ahead before anything is known of the link."""
+    start_s: float = 0.5
+    """Seconds within which the first picture should be complete, quality permitting."""
+    poll_s: float = 0.02
+    """Seconds between two looks at a send queue that drains during a pause."""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.burst_s <= self.target_lead_s:
+            raise InvalidError(
+                f"burst_s {self.burst_s} is not in 0..target_lead_s {self.target_lead_s}"
+            )
+        for name in ("blind_lead_s", "start_s", "poll_s"):
+            if not getattr(self, name) > 0:
+                raise InvalidError(f"{name} is {getattr(self, name)}; it must be positive")
 
 
 class Media(Protocol):
