@@ -34,11 +34,11 @@ from rich.table import Table
 from codec.console import run_command
 from codec.errors import InvalidError
 from trainer.capture.layout import open_capture
-from trainer.evaluate import EvaluateConfig, evaluate_stream
-from trainer.fit import FitConfig
-from trainer.frames import parse_frames
-from trainer.job import TrainConfig, train_stream
-from trainer.optimiser import OptimiserConfig
+from trainer.fit.optimiser import OptimiserConfig
+from trainer.fit.trainer import FitConfig
+from trainer.pictures.framecache import parse_frames
+from trainer.run.job import TrainConfig, train_stream
+from trainer.score.evaluate import EvaluateConfig, evaluate_stream
 
 AgeScaling = Literal["off", "gradient", "update"]
 AGE_SCALINGS: tuple[AgeScaling, ...] = get_args(AgeScaling)

@@ -20,10 +20,10 @@ from rich.console import Console
 from rich.table import Table
 
 from codec.console import run_command
-from trainer.evaluate import EvaluateConfig, evaluate_stream
-from trainer.fit import FitConfig
-from trainer.job import TrainConfig, train_stream
-from trainer.preset import PRESETS
+from trainer.fit.trainer import FitConfig
+from trainer.run.job import TrainConfig, train_stream
+from trainer.run.preset import PRESETS
+from trainer.score.evaluate import EvaluateConfig, evaluate_stream
 
 
 @dataclass(frozen=True)

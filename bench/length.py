@@ -38,10 +38,10 @@ from codec.console import run_command
 from codec.errors import SwingsError
 from trainer.capture.dynerf import HELD_OUT_NAME, POINTS_NAME, POSES_NAME
 from trainer.capture.layout import open_capture
-from trainer.checkpoint import save_checkpoint
-from trainer.fit import FitConfig
-from trainer.job import TrainConfig, train_stream
-from trainer.synth import SynthConfig, VideoWriter, synthesise
+from trainer.fit.trainer import FitConfig
+from trainer.run.checkpoint import save_checkpoint
+from trainer.run.job import TrainConfig, train_stream
+from trainer.synth.film import SynthConfig, VideoWriter, synthesise
 
 LOOP_FRAMES = 10
 """Frames of the capture that is looped."""
@@ -174,7 +174,7 @@ def train(config: LengthConfig, capture: Path, stream: Path) -> Track:
     picture_bytes = 3 * config.width_px * config.height_px
     cache_bytes = 2 * config.swin_size * config.cameras * picture_bytes
     # A checkpoint is what ends a window; one more is written before the first window.
-    with patch("trainer.job.save_checkpoint", save_and_record):
+    with patch("trainer.run.job.save_checkpoint", save_and_record):
         train_stream(
             TrainConfig(capture, stream, cache_bytes=cache_bytes, fit=fit), Console(quiet=True)
         )

@@ -30,9 +30,9 @@ from codec.slice import Slice
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import Manifest
 from trainer.capture.layout import open_capture
-from trainer.contribution import CONTRIBUTION, slices_by_contribution, writer_rank
-from trainer.evaluate import EvaluateConfig, Evaluation, LayerScore, evaluate_stream
-from trainer.raster.cpu import View
+from trainer.run.rank import CONTRIBUTION, slices_by_contribution, writer_rank
+from trainer.score.evaluate import EvaluateConfig, Evaluation, LayerScore, evaluate_stream
+from trainer.step.raster import View
 
 COLOURS = {Profile.RAW: "#6b7280", Profile.PAPER: "#d9480f", Profile.COMPACT: "#1f5fbf"}
 LINES = {"opacity": ("--", "s"), CONTRIBUTION: ("-", "o")}

@@ -20,10 +20,10 @@ from rich.table import Table
 from codec.camera import Camera
 from player.render.project import Projection, project_kernel
 from player.render.tiles import blend_tiles, list_tiles
-from trainer.loss import Workspace, photometric_loss
-from trainer.optimiser import Adam, OptimiserConfig, add_noise
-from trainer.raster.blend_backward import PAIR_GRADIENT, blend_tiles_backward
-from trainer.raster.cpu import Parameters, Scratch, View, backward, render
+from trainer.fit.optimiser import Adam, OptimiserConfig, add_noise
+from trainer.step.blend_backward import PAIR_GRADIENT, blend_tiles_backward
+from trainer.step.loss import Workspace, photometric_loss
+from trainer.step.raster import Parameters, Scratch, View, backward, render
 
 REPEATS = 15
 CASES = [(5_000, 320, 180), (20_000, 320, 180), (20_000, 640, 360), (60_000, 640, 360)]

@@ -16,7 +16,7 @@ from bench.train import (
     stages,
 )
 from tests.torch_step import TorchStep
-from trainer.optimiser import OptimiserConfig
+from trainer.fit.optimiser import OptimiserConfig
 
 CASE = (300, 61, 40)
 

@@ -43,7 +43,7 @@ def imported_modules(file: Path) -> set[str]:
     return names
 
 
-USES_TORCH = ("trainer/raster/backend.py", "trainer/raster/cuda.py")
+USES_TORCH = ("trainer/step/backend.py", "trainer/step/cuda.py")
 
 
 def is_within(module: str, package: str) -> bool:

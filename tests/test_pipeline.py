@@ -18,7 +18,7 @@ from player.render.cpu import render_splats
 from player.render.gl import GlError, GlRenderer
 from tests.commands import run, run_ok, serving
 from tests.tiny_capture import write_dynamic3dgs, write_dynerf, write_video
-from trainer.loss import psnr_db
+from trainer.step.loss import psnr_db
 
 FRAMES = 7
 SWIN = 3

@@ -17,10 +17,10 @@ from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import Manifest
 from tests.commands import run, run_ok
 from tests.tiny_capture import write_dynamic3dgs
-from trainer.ablation import CASES, Ablation, ablate_quantisation
 from trainer.capture.layout import open_capture
 from trainer.capture.rig import rig_centre
-from trainer.evaluate import EvaluateConfig, evaluate_stream
+from trainer.score.ablation import CASES, Ablation, ablate_quantisation
+from trainer.score.evaluate import EvaluateConfig, evaluate_stream
 
 FRAMES, SWIN, SLICE_SIZE = 3, 2, 60
 

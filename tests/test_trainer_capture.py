@@ -21,7 +21,7 @@ from trainer.capture.layout import open_capture
 from trainer.capture.points import points_evenness, read_points_file
 from trainer.capture.rig import rig_centre, rig_depths
 from trainer.errors import CaptureError
-from trainer.synth_scene import CAMERA_RADIUS_M, CAMERA_TARGET
+from trainer.synth.scene import CAMERA_RADIUS_M, CAMERA_TARGET
 
 DATA = Path(os.environ.get("SWINGS_DATA", Path(__file__).parents[1] / ".." / "shared" / "data"))
 BASKETBALL = DATA / "panoptic_basketball"

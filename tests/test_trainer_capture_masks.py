@@ -21,8 +21,8 @@ from tests.tiny_models import (
     write_videos,
 )
 from trainer.capture.capture import Capture
+from trainer.capture.check import check_capture, describe_capture
 from trainer.capture.layout import open_capture
-from trainer.check import check_capture, describe_capture
 from trainer.errors import CaptureError
 
 NUM_FRAMES = 3

@@ -13,8 +13,8 @@ from PIL import Image
 from codec.camera import Camera
 from tests.tiny_capture import picture_of, tiny_rig, write_dynamic3dgs, write_dynerf
 from tests.tiny_models import write_model, write_pictures
+from trainer.capture.check import check_capture, describe_capture, draw_capture, level_axes
 from trainer.capture.layout import open_capture
-from trainer.check import check_capture, describe_capture, draw_capture, level_axes
 from trainer.errors import CaptureError
 
 

@@ -21,11 +21,11 @@ from codec.stream.manifest import Manifest
 from player.render.cpu import render_splats
 from player.render.recipe import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from tests.reference_render import render_reference
-from trainer.contribution import matured_by_contribution, slices_by_contribution
-from trainer.fit import FitConfig, Trainer
-from trainer.raster.contribution import contribution
-from trainer.raster.cpu import Parameters, Rendered, View, render
-from trainer.seed import initial_splats
+from trainer.fit.trainer import FitConfig, Trainer
+from trainer.run.rank import matured_by_contribution, slices_by_contribution
+from trainer.seed.gaussians import initial_splats
+from trainer.step.raster import Parameters, Rendered, View, render
+from trainer.step.weights import contribution
 
 NEAR_M = 0.2
 WHITE = 0.5 / SH_C0

@@ -18,11 +18,11 @@ from codec.errors import InvalidError
 from codec.splats import SH_C0
 from player.render.recipe import LOW_PASS_PX2, TILE_PX
 from tests.reference_render import render_reference
-from trainer.loss import Loss
-from trainer.raster import backend as backends
-from trainer.raster.backend import Backend, make_backend
-from trainer.raster.cpu import Parameters, View
-from trainer.raster.cuda import CudaBackend, Rasterise
+from trainer.step import backend as backends
+from trainer.step.backend import Backend, make_backend
+from trainer.step.cuda import CudaBackend, Rasterise
+from trainer.step.loss import Loss
+from trainer.step.raster import Parameters, View
 
 COUNT, TRAINABLE = 60, 45
 WEIGHTS = (0.2, 0.01, 0.02)

@@ -13,8 +13,8 @@ from tests.tiny_capture import write_dynamic3dgs
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError
-from trainer.evaluate import stream_cameras
-from trainer.frames import FrameCache, scaled_camera
+from trainer.pictures.framecache import FrameCache, scaled_camera
+from trainer.score.evaluate import stream_cameras
 
 SCALE = 0.3
 

@@ -13,12 +13,12 @@ from codec.errors import InvalidError
 from codec.slice import Slice, active_splats
 from codec.splats import Splats
 from player.render.cpu import render_splats
-from trainer.fit import FitConfig, Progress, Trainer
-from trainer.loss import Floats, Workspace, psnr_db
-from trainer.mcmc import McmcConfig
-from trainer.raster.backend import CpuBackend
-from trainer.seed import initial_splats
-from trainer.target import Targets, half_camera
+from trainer.fit.mcmc import McmcConfig
+from trainer.fit.trainer import FitConfig, Progress, Trainer
+from trainer.seed.gaussians import initial_splats
+from trainer.step.backend import CpuBackend
+from trainer.step.loss import Floats, Workspace, psnr_db
+from trainer.step.target import Targets, half_camera
 
 NEAR_M = 0.2
 FRAMES = 5

@@ -15,7 +15,7 @@ from codec.errors import InvalidError
 from tests.tiny_capture import picture_of, write_dynamic3dgs, write_dynerf
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
-from trainer.frames import FrameCache, parse_frames, scaled_camera, scaled_picture
+from trainer.pictures.framecache import FrameCache, parse_frames, scaled_camera, scaled_picture
 
 PICTURE_BYTES = 3 * 32 * 18
 

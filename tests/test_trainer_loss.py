@@ -7,7 +7,7 @@ import numpy.typing as npt
 import pytest
 import torch
 
-from trainer.loss import C1, C2, TAPS, Floats, Workspace, photometric_loss, psnr_db, ssim
+from trainer.step.loss import C1, C2, TAPS, Floats, Workspace, photometric_loss, psnr_db, ssim
 
 
 def ssim_reference(pred: torch.Tensor, target: torch.Tensor) -> torch.Tensor:

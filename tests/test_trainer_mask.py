@@ -23,13 +23,13 @@ from tests.tiny_models import transforms_of, write_pictures, write_transforms
 from trainer.capture.layout import open_capture
 from trainer.capture.rig import rig_centre
 from trainer.errors import CaptureError
-from trainer.evaluate import EvaluateConfig, LayerScore, evaluate_stream
-from trainer.frames import FrameCache
-from trainer.loss import Floats, photometric_loss
-from trainer.mask import half_mask, scaled_mask
-from trainer.optimiser import Adam, OptimiserConfig
-from trainer.quality import QualityMeter
-from trainer.raster.cpu import Parameters, View, backward, render
+from trainer.fit.optimiser import Adam, OptimiserConfig
+from trainer.pictures.framecache import FrameCache
+from trainer.pictures.scale import half_mask, scaled_mask
+from trainer.score.evaluate import EvaluateConfig, LayerScore, evaluate_stream
+from trainer.score.quality import QualityMeter
+from trainer.step.loss import Floats, photometric_loss
+from trainer.step.raster import Parameters, View, backward, render
 
 FRAMES, SWIN, SLICE_SIZE = 3, 2, 40
 

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from codec.camera import Camera
 from player.render.recipe import ALPHA_MAX
-from trainer.mcmc import MAX_COPIES, relocate, split_opacity_and_scale
-from trainer.optimiser import Adam, OptimiserConfig, add_noise
-from trainer.raster.cpu import Parameters, View, render
+from trainer.fit.mcmc import MAX_COPIES, relocate, split_opacity_and_scale
+from trainer.fit.optimiser import Adam, OptimiserConfig, add_noise
+from trainer.step.raster import Parameters, View, render
 
 
 @given(st.floats(0.01, 0.99), st.integers(1, MAX_COPIES))

@@ -17,8 +17,8 @@ from trainer.capture.capture import Capture, Picture, PictureSource
 from trainer.capture.layout import open_capture
 from trainer.capture.video import VideoSource
 from trainer.errors import CaptureError
-from trainer.frames import CacheStatistics, FrameCache
-from trainer.prefetch import Prefetcher
+from trainer.pictures.framecache import CacheStatistics, FrameCache
+from trainer.pictures.prefetch import Prefetcher
 
 FRAMES = 8
 PICTURE_BYTES = 3 * 64 * 36

@@ -11,7 +11,7 @@ from codec.splats import Splats
 from player.render.cpu import render_splats
 from player.render.tiles import exp_minus
 from tests.reference_render import render_reference
-from trainer.raster.cpu import Parameters, View, backward, render
+from trainer.step.raster import Parameters, View, backward, render
 
 NEAR_M = 0.2
 

@@ -13,13 +13,13 @@ from codec.camera import Camera
 from codec.splats import Splats
 from player.render.cpu import render_splats
 from tests.tiny_capture import tiny_rig
-from trainer.colour import CameraColour
-from trainer.fit import FitConfig, Trainer
-from trainer.mcmc import McmcConfig
-from trainer.raster.cpu import Parameters
-from trainer.renew import Comparer, Comparison, missing_splats
-from trainer.seed import initial_splats
-from trainer.synth_scene import CAMERA_RADIUS_M
+from trainer.fit.colour import CameraColour
+from trainer.fit.mcmc import McmcConfig
+from trainer.fit.renew import Comparer, Comparison, missing_splats
+from trainer.fit.trainer import FitConfig, Trainer
+from trainer.seed.gaussians import initial_splats
+from trainer.step.raster import Parameters
+from trainer.synth.scene import CAMERA_RADIUS_M
 
 NEAR_M, FAR_M = 0.5, 20.0
 NEW_AT_M = np.array([0.4, -0.9, 0.3], np.float32)

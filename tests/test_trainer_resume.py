@@ -15,9 +15,9 @@ from codec.errors import InvalidError
 from codec.stream import StreamReader
 from tests.commands import command, environment, run, run_ok
 from tests.tiny_capture import write_dynerf
-from trainer import checkpoint, runlog
-from trainer.checkpoint import load_checkpoint, save_checkpoint
 from trainer.errors import CheckpointError
+from trainer.run import checkpoint, runlog
+from trainer.run.checkpoint import load_checkpoint, save_checkpoint
 
 FRAMES = 6
 SETTINGS = (

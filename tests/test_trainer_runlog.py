@@ -17,14 +17,14 @@ from codec.errors import InvalidError
 from codec.profiles.profile import Profile
 from tests.commands import run, run_ok
 from tests.tiny_capture import write_dynerf
-from trainer import runlog
-from trainer.fit import FitConfig
-from trainer.fit import Progress as FitProgress
-from trainer.job import TrainConfig
-from trainer.monitor import Monitor, progress_bar
-from trainer.preset import PRESETS, config_type
-from trainer.quality import QualityMeter
-from trainer.runlog import RunLog
+from trainer.fit.trainer import FitConfig
+from trainer.fit.trainer import Progress as FitProgress
+from trainer.run import runlog
+from trainer.run.job import TrainConfig
+from trainer.run.monitor import Monitor, progress_bar
+from trainer.run.preset import PRESETS, config_type
+from trainer.run.runlog import RunLog
+from trainer.score.quality import QualityMeter
 
 FRAMES = 5
 

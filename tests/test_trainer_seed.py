@@ -8,8 +8,8 @@ import pytest
 from codec.camera import Camera
 from codec.splats import SH_C0
 from tests.tiny_capture import tiny_rig
-from trainer.seed import SPACING_SCALE, initial_splats, stereo_seeds
-from trainer.stereo import depth_maps
+from trainer.seed.gaussians import SPACING_SCALE, initial_splats, stereo_seeds
+from trainer.seed.stereo import depth_maps
 
 FLOOR_Y_M = 0.0
 

@@ -18,9 +18,9 @@ from codec.errors import InvalidError
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError
-from trainer.synth import Studio, SynthConfig, check_config, make_scene, synthesise
-from trainer.synth_motion import BALL_RADIUS_M, ball_place, foot_place, moving_parts
-from trainer.synth_scene import camera_rig
+from trainer.synth.film import Studio, SynthConfig, check_config, make_scene, synthesise
+from trainer.synth.motion import BALL_RADIUS_M, ball_place, foot_place, moving_parts
+from trainer.synth.scene import camera_rig
 
 TINY = SynthConfig(
     Path("unset"), frames=3, cameras=4, held_out=1, width_px=64, height_px=36, points=300

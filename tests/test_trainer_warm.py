@@ -18,9 +18,9 @@ import sys
 from pathlib import Path
 from numba.core.dispatcher import Dispatcher
 from rich.console import Console
-from trainer.fit import FitConfig
-from trainer.job import TrainConfig, train_stream
-from trainer.warm import compile_kernels
+from trainer.fit.trainer import FitConfig
+from trainer.run.job import TrainConfig, train_stream
+from trainer.run.warm import compile_kernels
 
 def known():
     return {

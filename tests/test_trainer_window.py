@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trainer.window import Lifespans
+from trainer.fit.lifespans import Lifespans
 
 sizes = st.tuples(st.integers(1, 6), st.integers(1, 5))  # swin_size, slice_size
 

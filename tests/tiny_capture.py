@@ -14,7 +14,7 @@ from PIL import Image
 
 from codec.camera import Camera
 from trainer.capture.dynerf import encode_pose
-from trainer.synth_scene import camera_rig
+from trainer.synth.scene import camera_rig
 
 WIDTH_PX, HEIGHT_PX = 64, 36
 

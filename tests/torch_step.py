@@ -20,9 +20,9 @@ from player.render.recipe import (
     TRANSMITTANCE_MIN,
 )
 from tests.reference_render import rotations
-from trainer.loss import C1, C2, RADIUS_PX, TAPS
-from trainer.optimiser import OptimiserConfig
-from trainer.raster.cpu import Parameters
+from trainer.fit.optimiser import OptimiserConfig
+from trainer.step.loss import C1, C2, RADIUS_PX, TAPS
+from trainer.step.raster import Parameters
 
 
 class TorchStep:

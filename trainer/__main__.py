@@ -15,14 +15,14 @@ from codec.console import run_command
 # It has to be said before the first parallel kernel runs.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-from .ablation import ablate_quantisation
-from .check import check_capture
-from .evaluate import EvaluateConfig, evaluate_stream
-from .job import TrainConfig, train_stream
-from .preset import config_type
-from .sheet import write_sheet
-from .synth import SynthConfig, synthesise
-from .warm import start_over_if_compiled
+from trainer.capture.check import check_capture
+from trainer.run.job import TrainConfig, train_stream
+from trainer.run.preset import config_type
+from trainer.run.warm import start_over_if_compiled
+from trainer.score.ablation import ablate_quantisation
+from trainer.score.evaluate import EvaluateConfig, evaluate_stream
+from trainer.score.sheet import write_sheet
+from trainer.synth.film import SynthConfig, synthesise
 
 
 def _train(config: TrainConfig) -> None:

@@ -41,7 +41,7 @@ from .colmap_model import (
 from .dynerf import read_held_out
 from .lens import Lens, check_optics
 from .masks import MASKS_NAME, mask_source, mirrored_masks
-from .pictures import (
+from .picturefiles import (
     FRAMES_NAME,
     IMAGES_NAME,
     natural_order,

@@ -17,7 +17,7 @@ from trainer.errors import CaptureError
 
 from .capture import Mask, check_frame
 from .lens import Lens, straightened
-from .pictures import folder_names
+from .picturefiles import folder_names
 
 MASKS_NAME = "masks"
 WHITE = 128

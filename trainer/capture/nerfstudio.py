@@ -46,7 +46,7 @@ from .dynamic3dgs import STILL_TOLERANCE
 from .dynerf import HELD_OUT_NAME, POINTS_NAME, check_equal, read_held_out
 from .lens import Lens, check_optics, straight_source
 from .masks import mask_source
-from .pictures import (
+from .picturefiles import (
     FRAMES_NAME,
     IMAGES_NAME,
     check_without_gap,

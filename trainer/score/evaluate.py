@@ -20,12 +20,11 @@ from codec.splats import Splats
 from codec.stream import StreamReader
 from codec.stream.manifest import Manifest
 from player.render.cpu import render_splats
-
-from .capture.capture import Capture, Mask
-from .capture.layout import open_capture
-from .errors import CaptureError
-from .frames import FrameCache
-from .loss import psnr_db, ssim
+from trainer.capture.capture import Capture, Mask
+from trainer.capture.layout import open_capture
+from trainer.errors import CaptureError
+from trainer.pictures.framecache import FrameCache
+from trainer.step.loss import psnr_db, ssim
 
 Floats = npt.NDArray[np.float32]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from .capture.capture import Mask
+from trainer.capture.capture import Mask
 
 
 def scaled_mask(mask: Mask, width_px: int, height_px: int) -> Mask:

@@ -16,9 +16,9 @@ from torch import Tensor
 from codec.camera import Camera
 from codec.splats import SH_C0
 from player.render.recipe import LOW_PASS_PX2, SH_C1, TILE_PX
-from trainer.loss import C1, C2, IGNORED, RADIUS_PX, TAPS, Loss
 
-from .cpu import Ints, Parameters, View
+from .loss import C1, C2, IGNORED, RADIUS_PX, TAPS, Loss
+from .raster import Ints, Parameters, View
 
 Floats = npt.NDArray[np.float32]
 

@@ -11,8 +11,8 @@ from typing import Any
 
 from numba import njit
 
-from .synth_paint import LAMP, Rgb
-from .synth_solid import Vector, ahead, dot, hit_box
+from .paint import LAMP, Rgb
+from .solid import Vector, ahead, dot, hit_box
 
 LAMP_RADIUS_M = 0.3
 """Radius of the lamp as a light: how soft shadows are."""

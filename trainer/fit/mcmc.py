@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.errors import InvalidError
-
-from .raster.cpu import Parameters
+from trainer.step.raster import Parameters
 
 Floats = npt.NDArray[np.float32]
 

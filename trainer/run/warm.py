@@ -19,12 +19,12 @@ from codec.camera import Camera
 from codec.profiles.profile import Profile
 from codec.stream.chunk import decode_chunk, encode_chunk
 from player.render.cpu import render_splats
+from trainer.capture.lens import Lens, straightened
+from trainer.fit.mcmc import McmcConfig
+from trainer.fit.trainer import FitConfig, Trainer
+from trainer.seed.gaussians import initial_splats, stereo_seeds
 
-from .capture.lens import Lens, straightened
-from .contribution import matured_by_contribution
-from .fit import FitConfig, Trainer
-from .mcmc import McmcConfig
-from .seed import initial_splats, stereo_seeds
+from .rank import matured_by_contribution
 
 _STARTED_OVER = "SWINGS_STARTED_OVER"
 """Environment variable that ends the second try where numba cannot keep what it compiles."""

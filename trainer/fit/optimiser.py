@@ -16,8 +16,7 @@ from numba import prange
 
 from codec.kernel import kernel
 from player.render.project import rotation_of
-
-from .raster.cpu import Parameters
+from trainer.step.raster import Parameters
 
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]

@@ -11,9 +11,9 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from .synth_light import REACH_RADII
-from .synth_paint import BALL, FACE, JEANS, PLAIN, SHOE, STRIPES
-from .synth_scene import PartList, Parts
+from .light import REACH_RADII
+from .paint import BALL, FACE, JEANS, PLAIN, SHOE, STRIPES
+from .scene import PartList, Parts
 
 Table = npt.NDArray[np.float64]
 

@@ -10,10 +10,10 @@ from codec.stream import StreamReader
 from codec.stream.chunk import Chunk
 from codec.stream.layers import merge_layers
 from codec.stream.manifest import Manifest
+from trainer.capture.capture import Capture
+from trainer.pictures.framecache import FrameCache
 
-from .capture.capture import Capture
 from .evaluate import score_picture
-from .frames import FrameCache
 
 
 class QualityMeter:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from .synth_light import (
+from .light import (
     LAMP_LIGHT,
     ambient_light,
     ambient_of_parts,
@@ -25,7 +25,7 @@ from .synth_light import (
     light_past_groups,
     shadow_of_parts,
 )
-from .synth_paint import (
+from .paint import (
     BACK,
     CEILING,
     FLOOR,
@@ -38,7 +38,7 @@ from .synth_paint import (
     paint_part,
     paint_room,
 )
-from .synth_solid import Vector, ahead, dot, hit_box, hit_part, hit_sphere, part_foot, unit
+from .solid import Vector, ahead, dot, hit_box, hit_part, hit_sphere, part_foot, unit
 
 Floats = npt.NDArray[np.float32]
 Integers = npt.NDArray[np.int64]

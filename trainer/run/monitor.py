@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from .fit import FitConfig
-from .fit import Progress as FitProgress
-from .quality import QualityMeter
+from trainer.fit.trainer import FitConfig
+from trainer.fit.trainer import Progress as FitProgress
+from trainer.score.quality import QualityMeter
+
 from .runlog import RunLog
 
 

@@ -19,10 +19,10 @@ from matplotlib.patheffects import withStroke
 
 from codec.camera import Camera
 
-from .capture.capture import Capture, check_trainable
-from .capture.layout import open_capture
-from .capture.points import read_points_file
-from .capture.rig import rig_centre
+from .capture import Capture, check_trainable
+from .layout import open_capture
+from .points import read_points_file
+from .rig import rig_centre
 
 LAYOUT_NAMES = {
     "dynamic3dgs": "Dynamic 3D Gaussians",

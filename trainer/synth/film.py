@@ -27,11 +27,11 @@ from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 
 from codec.camera import Camera
 from codec.errors import InvalidError
+from trainer.capture.dynerf import HELD_OUT_NAME, POINTS_NAME, POSES_NAME, encode_pose
+from trainer.errors import CaptureError
 
-from .capture.dynerf import HELD_OUT_NAME, POINTS_NAME, POSES_NAME, encode_pose
-from .errors import CaptureError
-from .synth_motion import Moving, moving_parts
-from .synth_scene import (
+from .motion import Moving, moving_parts
+from .scene import (
     LAMP_AT,
     ROOM,
     Boxes,
@@ -42,7 +42,7 @@ from .synth_scene import (
     held_out_cameras,
     pictures,
 )
-from .synth_trace import BUFFER_COLUMNS, RAYS_PER_PIXEL, trace_frame, trace_room
+from .trace import BUFFER_COLUMNS, RAYS_PER_PIXEL, trace_frame, trace_room
 
 Picture = npt.NDArray[np.uint8]
 Floats = npt.NDArray[np.float32]

@@ -10,7 +10,7 @@ from codec.kernel import kernel
 from player.render.recipe import ALPHA_MAX, ALPHA_MIN, TILE_PX, TRANSMITTANCE_MIN
 from player.render.tiles import exp_minus, row_misses
 
-from .cpu import Rendered
+from .raster import Rendered
 
 Floats = npt.NDArray[np.float32]
 

@@ -11,12 +11,12 @@ from PIL import Image, ImageDraw
 
 from codec.stream import StreamReader
 from player.render.cpu import render_splats
+from trainer.capture.layout import open_capture
+from trainer.errors import CaptureError
+from trainer.pictures.framecache import FrameCache
+from trainer.step.loss import psnr_db
 
-from .capture.layout import open_capture
-from .errors import CaptureError
 from .evaluate import displayed, stream_cameras
-from .frames import FrameCache
-from .loss import psnr_db
 
 Floats = npt.NDArray[np.float32]
 

@@ -25,23 +25,23 @@ from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import Manifest
 from player.render.cpu import render_splats
+from trainer.capture.capture import Capture, check_trainable
+from trainer.capture.layout import open_capture
+from trainer.capture.points import points_evenness, read_points_file
+from trainer.errors import CaptureError, InterruptedRunError
+from trainer.fit.trainer import FALLBACK_FAR_M, FitConfig, Trainer
+from trainer.pictures.framecache import DEFAULT_MAX_BYTES, FrameCache, parse_frames
+from trainer.score.evaluate import displayed
+from trainer.score.quality import QualityMeter
+from trainer.score.sheet import comparison, save_png
+from trainer.seed.gaussians import initial_splats, stereo_seeds
+from trainer.step.backend import BackendName
 
 from . import checkpoint, runlog
-from .capture.capture import Capture, check_trainable
-from .capture.layout import open_capture
-from .capture.points import points_evenness, read_points_file
 from .checkpoint import load_checkpoint, save_checkpoint
-from .contribution import CONTRIBUTION, matured_by_contribution, writer_rank
-from .errors import CaptureError, InterruptedRunError
-from .evaluate import displayed
-from .fit import FALLBACK_FAR_M, FitConfig, Trainer
-from .frames import DEFAULT_MAX_BYTES, FrameCache, parse_frames
 from .monitor import Monitor, progress_bar
-from .quality import QualityMeter
-from .raster.backend import BackendName
+from .rank import CONTRIBUTION, matured_by_contribution, writer_rank
 from .runlog import RunLog
-from .seed import initial_splats, stereo_seeds
-from .sheet import comparison, save_png
 
 FALLBACK_NEAR_M = 0.2
 """Near plane where a rig does not tell. 3DGS."""

@@ -20,8 +20,7 @@ import numpy.typing as npt
 from codec.errors import InvalidError
 from codec.slice import Slice
 from codec.splats import Splats
-
-from .errors import CheckpointError
+from trainer.errors import CheckpointError
 
 NAME = ".checkpoint.npz"
 """In the stream's folder; readers of a stream ignore names that begin with a dot."""

@@ -18,17 +18,17 @@ from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.slice import MAX_SWIN_SIZE, Slice
 from codec.splats import Splats
+from trainer.pictures.feed import Pictures
+from trainer.pictures.scale import half_mask
+from trainer.step.backend import Backend, BackendName, make_backend
+from trainer.step.raster import Parameters, View
+from trainer.step.target import half_camera
 
 from .colour import CameraColour
-from .mask import half_mask
+from .lifespans import Lifespans
 from .mcmc import McmcConfig, relocate
 from .optimiser import Adam, OptimiserConfig, add_noise
-from .pictures import Pictures
-from .raster.backend import Backend, BackendName, make_backend
-from .raster.cpu import Parameters, View
 from .renew import Comparer, missing_splats
-from .target import half_camera
-from .window import Lifespans
 
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]

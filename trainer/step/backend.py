@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.errors import InvalidError
-from trainer.loss import Loss, photometric_loss
-from trainer.target import Targets
 
-from .cpu import Ints, Parameters, Scratch, View, backward, render
+from .loss import Loss, photometric_loss
+from .raster import Ints, Parameters, Scratch, View, backward, render
+from .target import Targets
 
 Floats = npt.NDArray[np.float32]
 

@@ -20,10 +20,10 @@ from PIL import Image
 
 from codec.camera import Camera
 from codec.errors import InvalidError
+from trainer.capture.capture import Capture, Mask, Picture
 
-from .capture.capture import Capture, Mask, Picture
-from .mask import scaled_mask
 from .prefetch import Prefetcher
+from .scale import scaled_mask
 
 DEFAULT_MAX_BYTES = 1 << 30
 """Bytes of pictures kept: 30 cameras x 200 frames at 320x180, or 30 x 8 at 1352x1014."""

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from codec.camera import Camera
 
-from .synth_paint import (
+from .paint import (
     ARCHES,
     BACK,
     BLOBS,

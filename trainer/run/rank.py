@@ -15,10 +15,9 @@ import numpy.typing as npt
 from codec.errors import InvalidError
 from codec.slice import Slice, active_splats
 from codec.stream import StreamReader
-
-from .fit import Trainer
-from .raster.contribution import contribution
-from .raster.cpu import Parameters, View, render
+from trainer.fit.trainer import Trainer
+from trainer.step.raster import Parameters, View, render
+from trainer.step.weights import contribution
 
 Doubles = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]

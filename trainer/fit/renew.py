@@ -19,14 +19,14 @@ from PIL import Image
 from codec.camera import Camera
 from codec.kernel import kernel
 from codec.splats import Splats
+from trainer.pictures.feed import Pictures
+from trainer.pictures.scale import scaled_mask
+from trainer.seed.gaussians import initial_splats
+from trainer.seed.stereo import pair_cameras, small_camera, warped, world_points
+from trainer.step.raster import Parameters, View, render
+from trainer.step.weights import contribution
 
 from .colour import CameraColour
-from .mask import scaled_mask
-from .pictures import Pictures
-from .raster.contribution import contribution
-from .raster.cpu import Parameters, View, render
-from .seed import initial_splats
-from .stereo import pair_cameras, small_camera, warped, world_points
 
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]

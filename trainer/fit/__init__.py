@@ -1,0 +1,1 @@
+"""Sliding-window training: who lives when, and what moves where."""

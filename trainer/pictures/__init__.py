@@ -1,0 +1,1 @@
+"""Pictures as training asks for them: scaled, kept, read ahead."""

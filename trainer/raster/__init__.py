@@ -1,1 +1,0 @@
-"""Gradients of the CPU rasteriser; its forward kernels stand in player.render."""

@@ -1,0 +1,1 @@
+"""A run from a capture folder to a stream: settings, outputs, checkpoints, log."""

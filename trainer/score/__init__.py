@@ -1,0 +1,1 @@
+"""What a stream is worth against its capture: scores, tables, pictures."""

@@ -1,0 +1,1 @@
+"""One training step: render, compare, differentiate, on the CPU or a GPU."""
