@@ -22,7 +22,7 @@ from codec.stream import StreamReader
 from codec.stream.chunk import decode_chunk, encode_chunk, plane_edges
 from codec.stream.layers import opacity_rank, split_layers
 from codec.stream.object import decode_frame, encode_frame
-from tests.trained_like import trained_like_splats
+from tests.support.trained_like import trained_like_splats
 
 NUM_GS = 40_000
 CASES = [(1, (1.0,)), (5, (1.0,)), (5, (0.25,) * 4), (20, (0.25,) * 4)]

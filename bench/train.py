@@ -171,7 +171,7 @@ def against_torch(
     """
     import torch
 
-    from tests.torch_step import TorchStep
+    from tests.support.torch_step import TorchStep
 
     torch.set_num_threads(numba.get_num_threads())
     ours = Step(count, width_px, height_px)

@@ -15,7 +15,7 @@ go, and what they read out of bounds goes unnoticed. With NUMBA_DISABLE_JIT=1 in
 Python too: slower, seen, and an index out of bounds is an IndexError. The law holds either way.
 
 New inputs go to the first folder, what breaks the law to ./crash-*. `python -m fuzz FILE...` runs
-single files again; `tests/test_codec_fuzz.py` does so with the whole corpus, without atheris. What
+single files again; `tests/codec/test_fuzz.py` does so with the whole corpus, without atheris. What
 was found and mended is kept in fuzz/corpus as `found-*`; `python -m fuzz.seed` writes the corpus
 anew. A new parser gets a function and a place at the end of TARGETS here, and a seed there.
 """

@@ -16,8 +16,8 @@ from PIL import Image
 from codec.stream import StreamReader
 from player.render.cpu import render_splats
 from player.render.gl import GlError, GlRenderer
-from tests.commands import run, run_ok, serving
-from tests.tiny_capture import write_dynamic3dgs, write_dynerf, write_video
+from tests.support.commands import run, run_ok, serving
+from tests.support.tiny_capture import write_dynamic3dgs, write_dynerf, write_video
 from trainer.step.loss import psnr_db
 
 FRAMES = 7

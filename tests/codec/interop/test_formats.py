@@ -1,0 +1,86 @@
+"""Files of Gaussians by name and first bytes, and one real model in two formats."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from codec.errors import CorruptError, UnsupportedError
+from codec.interop.formats import SplatFormat, read_splats, write_splats
+from codec.splats import SH_C0
+from tests.support.drawn_splats import angles_rad, same
+from tests.support.trained_like import trained_like_splats
+
+ROOT = Path(__file__).parents[3]
+MODELS = Path(os.environ.get("SWINGS_DATA", ROOT / ".." / "shared" / "data")) / "splats"
+
+
+@pytest.mark.parametrize("format", list(SplatFormat))
+def test_what_is_written_is_read_by_its_name(format: SplatFormat, tmp_path: Path) -> None:
+    splats = trained_like_splats(50)
+    path = tmp_path / f"model.{format}"
+    assert write_splats(path, splats, format) == path.stat().st_size
+    back = read_splats(path)
+    assert len(back) == 50
+    assert np.sort(back.means[:, 0]) == pytest.approx(np.sort(splats.means[:, 0]), abs=2e-4)
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_the_first_bytes_count_more_than_a_wrong_name(tmp_path: Path) -> None:
+    splats = trained_like_splats(5)
+    write_splats(tmp_path / "model.spz", splats, SplatFormat.PLY)
+    assert same(read_splats(tmp_path / "model.spz"), splats)
+
+
+def test_an_unreadable_file_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "model.ply"
+    with pytest.raises(CorruptError, match=r"model\.ply cannot be read: No such file"):
+        read_splats(path)
+    with pytest.raises(CorruptError, match="cannot be read: Is a directory"):
+        read_splats(tmp_path)
+    path.write_bytes(b"glTF and so on")
+    with pytest.raises(UnsupportedError, match=r"model\.ply: starts with b'glTF'; this program"):
+        read_splats(path)
+    path.write_bytes(b"ply\n")
+    with pytest.raises(CorruptError, match=r"model\.ply: PLY: no end_header"):
+        read_splats(path)
+
+
+def test_an_interrupted_write_leaves_the_old_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "model.ply"
+    write_splats(path, trained_like_splats(5), SplatFormat.PLY)
+    before = path.read_bytes()
+
+    def full(descriptor: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space"):
+        write_splats(path, trained_like_splats(6), SplatFormat.PLY)
+    assert path.read_bytes() == before
+
+
+@pytest.mark.skipif(
+    not (MODELS / "biker.spz").exists(), reason=f"no biker.spz in {MODELS} (set SWINGS_DATA)"
+)
+def test_one_model_from_two_formats_is_the_same_within_their_precision() -> None:
+    """SuperSplat wrote both files, Gaussian for Gaussian in the same order."""
+    packed = read_splats(MODELS / "biker.compressed.ply")
+    spz = read_splats(MODELS / "biker.spz")
+    assert len(packed) == len(spz) == 152_746
+    assert packed.sh.shape == spz.sh.shape == (152_746, 1, 3)
+    assert np.abs(packed.means - spz.means).max() <= 0.51 / 4096
+    assert np.abs(packed.opacities - spz.opacities).max() < 1e-6
+    assert np.abs(packed.sh - spz.sh).max() <= 0.51 / (0.15 * 255)
+    scales = np.maximum(packed.log_scales, -10)  # where SPZ ends
+    assert np.abs(scales - spz.log_scales).max() <= 0.51 / 16
+    assert angles_rad(packed, spz).max() < 0.004
+    # Both are in our frame: he stands with his feet on y = 0, y down, as a PLY has it.
+    assert packed.means[:, 1].min() < -1.5
+    assert abs(packed.means[:, 1].max()) < 0.01
+    assert 0 < np.median(0.5 + SH_C0 * packed.sh) < 1

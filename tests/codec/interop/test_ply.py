@@ -1,0 +1,251 @@
+"""PLY and compressed PLY: hand-made bytes, round trips, hostile bytes."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from codec.errors import CodecError, CorruptError, UnsupportedError
+from codec.interop.compressed_ply import decode_compressed_ply
+from codec.interop.formats import decode_any
+from codec.interop.ply import decode_ply, encode_ply
+from codec.splats import SH_C0, Splats
+from tests.support.drawn_splats import drawn_splats, same
+from tests.support.hostile import flips, survives, truncations
+from tests.support.trained_like import trained_like_splats
+
+HALF = np.sqrt(0.5)
+
+
+def header(*elements: str, layout: str = "binary_little_endian") -> bytes:
+    return "\n".join(["ply", f"format {layout} 1.0", *elements, "end_header", ""]).encode()
+
+
+def floats(*names: str) -> list[str]:
+    return [f"property float {name}" for name in names]
+
+
+REQUIRED = (
+    *("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"),
+    *("scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"),
+)
+
+
+@given(drawn_splats(position=1e30, log_scale=(-80, 80), logit=80, harmonic=1e20))
+@settings(max_examples=60, deadline=None)
+def test_ply_gives_back_every_bit(splats: Splats) -> None:
+    assert same(decode_any(encode_ply(splats)), splats)
+
+
+def test_ply_is_written_in_the_order_of_the_reference_implementation() -> None:
+    splats = Splats(
+        np.array([[1, 2, 3]], np.float32),
+        np.array([[4, 5, 6]], np.float32),
+        np.array([[7, 8, 9, 10]], np.float32),
+        np.array([11], np.float32),
+        # coefficient k of channel c is 100 k + c
+        (100 * np.arange(4)[:, None] + np.arange(3)).astype(np.float32)[None],
+    )
+    names = [
+        *("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"),
+        *(f"f_rest_{i}" for i in range(9)),
+        *("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"),
+    ]
+    values = [1, 2, 3, 0, 0, 0, 0, 1, 2]
+    values += [100, 200, 300, 101, 201, 301, 102, 202, 302]
+    values += [11, 4, 5, 6, 7, 8, 9, 10]
+    expected = header("element vertex 1", *floats(*names)) + struct.pack("<26f", *values)
+    assert encode_ply(splats) == expected
+    assert same(decode_ply(expected), splats)
+
+
+def test_ply_goes_by_name_whatever_else_there_is() -> None:
+    names = list(reversed(REQUIRED))
+    data = header(
+        "comment hand-made",
+        "element camera 2",
+        "property uchar kind",
+        "property double focal",
+        "element vertex 2",
+        "property uchar red",
+        *(f"property double {name}" for name in names),
+        "element face 0",
+        "property uint first",
+    )
+    data += bytes(2 * 9)
+    data += struct.pack("<B14d", 255, *range(1, 15)) + struct.pack("<B14d", 255, *range(21, 35))
+    splats = decode_ply(data.replace(b"\n", b"\r\n", 3))
+    assert len(splats) == 2
+    assert splats.means.tolist() == [[14, 13, 12], [34, 33, 32]]
+    assert splats.sh.tolist() == [[[11, 10, 9]], [[31, 30, 29]]]
+    assert splats.logit_opacities.tolist() == [8, 28]
+    assert splats.log_scales[0].tolist() == [7, 6, 5]
+    assert splats.quats[0].tolist() == [4, 3, 2, 1]
+
+
+@pytest.mark.parametrize(
+    ("data", "kind", "says"),
+    [
+        (b"", CorruptError, "does not start"),
+        (b"ply\nformat binary_little_endian 1.0\n", CorruptError, "no end_header"),
+        (header("element vertex 0", layout="ascii"), UnsupportedError, "ascii"),
+        (header("element vertex 0", layout="binary_big_endian"), UnsupportedError, "big_endian"),
+        (header("element face 0"), CorruptError, "no element vertex"),
+        (header("element vertex 3", *floats("x", "y", "z")), CorruptError, "are points"),
+        (header("element vertex -1"), CorruptError, "'-1'"),
+        (header("element vertex 16777217"), CorruptError, "at most 16777216"),
+        (header("element vertex 16777216", *floats(*REQUIRED)), CorruptError, "ends after"),
+        (header("element vertex 1", *floats("x", "x")), CorruptError, "twice"),
+        (header("element vertex 1", "element vertex 1"), CorruptError, "two elements"),
+        (header("element vertex 1", "property list uchar int i"), UnsupportedError, "list"),
+        (header("element vertex 1", "property quad x"), CorruptError, "property quad x"),
+        (header("property float x"), CorruptError, "property float x"),
+        (
+            header("element vertex 0", *floats(*REQUIRED, "f_rest_0")),
+            UnsupportedError,
+            "1 properties f_rest",
+        ),
+        (
+            header("element vertex 0", *floats(*REQUIRED, *(f"f_rest_{i}" for i in range(72)))),
+            UnsupportedError,
+            "72 properties f_rest",
+        ),
+    ],
+)
+def test_a_bad_ply_is_refused_with_the_reason(
+    data: bytes, kind: type[CodecError], says: str
+) -> None:
+    with pytest.raises(kind, match=says):
+        decode_ply(data)
+
+
+def test_infinite_logits_are_nearly_transparent_and_opaque() -> None:
+    splats = trained_like_splats(3)
+    data = bytearray(encode_ply(splats))
+    row_bytes = 17 * 4
+    at = 9 * 4  # opacity: after position, normal and colour
+    for row, logit in ((1, np.inf), (2, -np.inf)):
+        struct.pack_into("<f", data, len(data) - (3 - row) * row_bytes + at, logit)
+    logits = decode_ply(bytes(data)).logit_opacities
+    assert logits.tolist() == [splats.logit_opacities[0], 16.0, -16.0]
+
+
+def test_a_value_that_is_not_finite_is_named() -> None:
+    splats = trained_like_splats(5)
+    data = bytearray(encode_ply(splats))
+    data[-3 * 17 * 4 : -3 * 17 * 4 + 4] = struct.pack("<f", np.inf)  # x of the third of five
+    with pytest.raises(CorruptError, match=r"1 of 5 Gaussians, the first is number 2\)"):
+        decode_ply(bytes(data))
+    # A signalling NaN, which numpy warns of wherever it is touched.
+    data[-16:] = bytes([1, 0, 0xA0, 0x7F]) * 4
+    with pytest.raises(CorruptError, match=r"2 of 5 Gaussians, the first is number 2\)"):
+        decode_ply(bytes(data))
+    data = bytearray(encode_ply(splats.take(slice(0, 1))))
+    data[-16:] = bytes(16)
+    with pytest.raises(CorruptError, match="zero quaternion"):
+        decode_ply(bytes(data))
+
+
+CHUNK = [
+    *("min_x", "min_y", "min_z", "max_x", "max_y", "max_z"),
+    *("min_scale_x", "min_scale_y", "min_scale_z", "max_scale_x", "max_scale_y", "max_scale_z"),
+]
+TINTS = ["min_r", "min_g", "min_b", "max_r", "max_g", "max_b"]
+PACKED = [f"property uint packed_{name}" for name in ("position", "rotation", "scale", "color")]
+
+
+def compressed(
+    tints: bool = True, harmonics: int = 0, count: int = 2, num_chunks: int = 1
+) -> bytes:
+    """Two Gaussians, more are zeros; x -1..1, y 0..10, z 5..5, ln s -8..0, tints 0..1 or -1..3."""
+    data = header(
+        f"element chunk {num_chunks}",
+        *floats(*CHUNK, *(TINTS if tints else [])),
+        f"element vertex {count}",
+        *PACKED,
+        *([f"element sh {count}"] if harmonics else []),
+        *(f"property uchar f_rest_{i}" for i in range(harmonics)),
+    )
+    bounds = [-1, 0, 5, 1, 10, 5, -8, -8, -8, 0, 0, 0, *([-1] * 3 + [3] * 3 if tints else [])]
+    data += struct.pack(f"<{len(bounds)}f", *bounds) * num_chunks
+    # x lowest, y highest, z in between; w largest and x = 1/sqrt(2) (code 1023), y, z about 0
+    data += struct.pack(
+        "<4I",
+        0 << 21 | 1023 << 11 | 1024,
+        0 << 30 | 1023 << 20 | 511 << 10 | 512,
+        2047 << 21 | 0 << 11 | 2047,
+        255 << 24 | 0 << 16 | 51 << 8 | 102,
+    )
+    # y (2) is left out: w, x, z follow
+    data += struct.pack("<4I", 2047 << 21, 2 << 30 | 0 << 20 | 512 << 10 | 511, 0, 255)
+    data += bytes(16 * (count - 2))
+    data += bytes(i % 256 for i in range(harmonics * count))
+    return data
+
+
+def test_compressed_ply_by_hand() -> None:
+    splats = decode_compressed_ply(compressed())
+    assert splats.means.tolist() == [[-1, 10, 5], [1, 0, 5]]
+    assert splats.log_scales.tolist() == [[0, -8, 0], [-8, -8, -8]]
+    tiny = (512 / 1023 - 0.5) * np.sqrt(2)
+    assert splats.quats[0] == pytest.approx([HALF, HALF, -tiny, tiny], abs=1e-5)
+    assert splats.quats[1] == pytest.approx([-HALF, tiny, HALF, -tiny], abs=1e-5)
+    rgb = 0.5 + SH_C0 * splats.sh[:, 0]
+    assert rgb[0] == pytest.approx([3, -1, -0.2], abs=1e-6)
+    assert rgb[1] == pytest.approx([-1, -1, -1], abs=1e-6)
+    assert splats.opacities == pytest.approx([0.4, 254.75 / 255], abs=1e-6)
+
+
+def test_compressed_ply_without_tints_and_with_harmonics() -> None:
+    splats = decode_any(compressed(tints=False, harmonics=24))
+    assert splats.sh.shape == (2, 9, 3)
+    assert 0.5 + SH_C0 * splats.sh[0, 0] == pytest.approx([1, 0, 0.2], abs=1e-6)
+    # Gaussian 1, green (second of three blocks of eight), coefficient 3 above degree 0
+    assert splats.sh[1, 3, 1] == pytest.approx((24 + 8 + 2) * 8 / 255 - 4, abs=1e-6)
+
+
+def test_compressed_ply_gives_each_256_their_own_bounds() -> None:
+    data = bytearray(compressed(tints=False, count=257, num_chunks=2))
+    second = data.index(b"end_header\n") + len(b"end_header\n") + 48
+    data[second : second + 4] = struct.pack("<f", -7)
+    splats = decode_compressed_ply(bytes(data))
+    assert splats.means[[2, 255, 256], 0].tolist() == [-1, -1, -7]
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (compressed(num_chunks=2), "2 chunks for 2"),
+        (compressed()[:-1], "ends after"),
+        (compressed(harmonics=9)[:-1], "ends after"),
+        (compressed().replace(b"float max_scale_z", b"float max_other_z"), "max_scale_z"),
+        (compressed().replace(b"uint packed_color", b"float packed_color"), "not uint"),
+        (compressed(harmonics=9).replace(b"sh 2", b"sh 1"), "not 2 rows"),
+        (compressed(harmonics=9).replace(b"uchar f_rest_4", b"ushort f_rest_4"), "of uchar"),
+    ],
+)
+def test_a_bad_compressed_ply_is_refused_with_the_reason(data: bytes, says: str) -> None:
+    with pytest.raises(CorruptError, match=says):
+        decode_any(data)
+
+
+@pytest.mark.parametrize(
+    "data", [encode_ply(trained_like_splats(3, sh_degree=1)), compressed(harmonics=9)]
+)
+def test_any_bytes_give_gaussians_or_one_clear_error(data: bytes) -> None:
+    assert not any(survives(decode_any, part) for part in truncations(data))
+    for part in flips(data):
+        survives(decode_any, part)
+
+
+@given(st.binary(max_size=200))
+@settings(max_examples=200, deadline=None)
+def test_random_rows_give_gaussians_or_one_clear_error(body: bytes) -> None:
+    count = len(body) // 56
+    survives(decode_any, header(f"element vertex {count}", *floats(*REQUIRED)) + body)
+    survives(decode_any, b"ply\n" + body)
+    survives(decode_any, compressed()[:-144] + body)

@@ -1,0 +1,244 @@
+"""SPZ 2, 3 and 4: hand-made bytes, axes, round trips, bombs and other hostile bytes."""
+
+from __future__ import annotations
+
+import gzip
+import logging
+import struct
+import tracemalloc
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import zstandard
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
+from codec.interop.formats import decode_any
+from codec.interop.spz import decode_spz, encode_spz
+from codec.splats import Splats
+from tests.support.drawn_splats import angles_rad, drawn_splats
+from tests.support.hostile import flips, survives, truncations
+from tests.support.trained_like import trained_like_splats
+
+HALF = np.sqrt(0.5)
+
+
+def fixed(*values: int) -> bytes:
+    return b"".join(struct.pack("<i", value)[:3] for value in values)
+
+
+# Two Gaussians of SH degree 1, array by array.
+POSITIONS = fixed(4096, -4096, 1) + fixed(-8388608, 8388607, 0)
+OPACITIES = bytes([51, 255])
+COLOURS = bytes([255, 0, 51, 0, 0, 0])
+SCALES = bytes([160, 0, 255, 160, 160, 160])
+FIRST_THREE = bytes([255, 0, 0]) + bytes([0, 255, 255])  # too long: w is 0 then
+# w (3) left out: x 0, y -511, z 0; then x (0) left out: y 0, z 0, w 511
+SMALLEST_THREE = struct.pack("<2I", 3 << 30 | (512 | 511) << 10, 511)
+HARMONICS = bytes([128, 0, 255, 192, 192, 192, 64, 64, 64]) + bytes([0] * 9)
+
+
+def header(version: int, count: int = 2, degree: int = 1, bits: int = 12, flags: int = 0) -> bytes:
+    return struct.pack("<4sIIBBBB", b"NGSP", version, count, degree, bits, flags, 0)
+
+
+def legacy(version: int, rotations: bytes, extra: bytes = b"", flags: int = 0) -> bytes:
+    arrays = POSITIONS + OPACITIES + COLOURS + SCALES + rotations + HARMONICS
+    return gzip.compress(header(version, flags=flags) + arrays + extra)
+
+
+def version_4(extensions: bytes = b"", streaming: bool = False) -> bytes:
+    arrays = [POSITIONS, OPACITIES, COLOURS, SCALES, SMALLEST_THREE, HARMONICS]
+    compressor = zstandard.ZstdCompressor(write_content_size=not streaming)
+    frames = [compressor.compress(array) for array in arrays]
+    head = header(4, flags=2 if extensions else 0)[:15]
+    head += struct.pack("<BI12x", len(arrays), 32 + len(extensions)) + extensions
+    for frame, array in zip(frames, arrays, strict=True):
+        head += struct.pack("<QQ", len(frame), len(array))
+    return head + b"".join(frames)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        legacy(3, SMALLEST_THREE),
+        legacy(3, SMALLEST_THREE, b"an extension", flags=2),
+        version_4(),
+        version_4(b"an extension"),
+        version_4(streaming=True),
+    ],
+)
+def test_spz_by_hand(data: bytes) -> None:
+    splats = decode_any(data)
+    # RUB to RDF: y and z change sign.
+    assert splats.means.tolist() == [[1, 1, -1 / 4096], [-2048, -8388607 / 4096, 0]]
+    assert splats.log_scales.tolist() == [[0, -10, 5.9375], [0, 0, 0]]
+    assert splats.opacities == pytest.approx([0.2, 254.75 / 255], abs=1e-6)
+    assert splats.sh[0, 0] == pytest.approx([0.5 / 0.15, -0.5 / 0.15, -0.3 / 0.15], abs=1e-5)
+    assert splats.quats[0] == pytest.approx([HALF, 0, HALF, 0], abs=1e-6)
+    assert splats.quats[1] == pytest.approx([HALF, HALF, 0, 0], abs=1e-6)
+    # The harmonics of degree 1 go as y, z, x.
+    assert splats.sh[0, 1:].tolist() == [
+        [0, 1, -127 / 128],
+        [-0.5, -0.5, -0.5],
+        [-0.5, -0.5, -0.5],
+    ]
+
+
+def test_spz_2_keeps_the_rotation_in_three_bytes() -> None:
+    splats = decode_any(legacy(2, bytes([255, 127, 128]) + bytes([128, 128, 0])))
+    small = 0.5 / 127.5
+    assert splats.quats[0] == pytest.approx([0, 1, small, -small], abs=1e-6)
+    assert splats.quats[1] == pytest.approx([0, small, -small, 1], abs=3e-5)
+
+
+def basis(directions: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """(N, 16) harmonics up to their constants and signs, which do not matter here."""
+    x, y, z = directions.T
+    one = np.ones_like(x)
+    terms = [one, y, z, x, x * y, y * z, 2 * z * z - x * x - y * y, x * z, x * x - y * y]
+    terms += [y * (3 * x * x - y * y), x * y * z, y * (4 * z * z - x * x - y * y)]
+    terms += [z * (2 * z * z - 3 * x * x - 3 * y * y), x * (4 * z * z - x * x - y * y)]
+    terms += [z * (x * x - y * y), x * (x * x - 3 * y * y)]
+    return np.stack(terms, axis=1)
+
+
+def test_colours_turn_with_the_axes() -> None:
+    """What is seen along d in our frame is what the file's numbers say along the turned d."""
+    rng = np.random.default_rng(3)
+    codes = rng.integers(0, 256, 45).astype(np.uint8)
+    arrays = [bytes(9), b"\x80", bytes(3), bytes(3), bytes(4), codes.tobytes()]
+    body = header(3, 1, 3) + b"".join(arrays)
+    splats = decode_spz(gzip.compress(body))
+    directions = rng.normal(size=(20, 3))
+    turned = directions * [1, -1, -1]
+    in_file = basis(turned)[:, 1:] @ ((codes.reshape(15, 3) - 128.0) / 128)
+    ours = basis(directions)[:, 1:] @ splats.sh[0, 1:].astype(np.float64)
+    assert ours == pytest.approx(in_file, abs=1e-5)
+
+
+@given(drawn_splats(log_scale=(-10.0, 5.9), harmonic=0.99))
+@settings(max_examples=80, deadline=None)
+def test_spz_keeps_what_its_bits_can(splats: Splats) -> None:
+    back = decode_any(encode_spz(splats))
+    assert back.sh.shape == splats.sh.shape
+    assert np.abs(back.means - splats.means).max(initial=0) <= 0.51 / 4096 + 1e-4
+    assert np.abs(back.log_scales - splats.log_scales).max(initial=0) <= 0.501 / 16
+    assert np.abs(back.opacities - splats.opacities).max(initial=0) <= 0.51 / 255
+    assert np.abs(back.sh[:, 0] - splats.sh[:, 0]).max(initial=0) <= 0.501 / (0.15 * 255)
+    assert np.abs(back.sh[:, 1:] - splats.sh[:, 1:]).max(initial=0) <= 0.501 / 128
+    # Half a step of sqrt(1/2)/511 in three components; the fourth is at least as large as each.
+    step = HALF / 511
+    assert angles_rad(back, splats).max(initial=0) <= 2 * np.sqrt(3 + 9) * step / 2
+    # A second trip changes nothing, but for rotations whose two largest components tie after
+    # rounding: which of them is left out may change, and with it the last bit of the others.
+    again = decode_any(encode_spz(back))
+    for name in ("means", "log_scales", "logit_opacities", "sh"):
+        assert (getattr(again, name) == getattr(back, name)).all()
+    assert angles_rad(again, back).max(initial=0) <= 2 * np.sqrt(3 + 9) * step / 2
+
+
+def test_a_huge_scene_trades_precision_for_range() -> None:
+    splats = trained_like_splats(3)
+    far = Splats(
+        splats.means * np.float32(1e5),
+        splats.log_scales,
+        splats.quats,
+        splats.logit_opacities,
+        splats.sh,
+    )
+    back = decode_spz(encode_spz(far))
+    bits = encode_spz(far)[13]
+    assert bits < 12
+    assert np.abs(back.means - far.means).max() <= 0.51 / (1 << bits)
+    farther = Splats(
+        far.means * np.float32(1e5), far.log_scales, far.quats, far.logit_opacities, far.sh
+    )
+    with pytest.raises(InvalidError, match="at most 8388607"):
+        encode_spz(farther)
+
+
+def test_opacity_compensation_is_not_lost_in_silence(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING):
+        decode_spz(legacy(3, SMALLEST_THREE, flags=1))
+    assert "opacity compensation" in caplog.text
+
+
+def altered(data: bytes, place: int, value: bytes) -> bytes:
+    return data[:place] + value + data[place + len(value) :]
+
+
+@pytest.mark.parametrize(
+    ("data", "kind", "says"),
+    [
+        (b"NGSP", CorruptError, "header of 32"),
+        (gzip.compress(b"NGSP"), CorruptError, "header of 16"),
+        (gzip.compress(b"PSGN" + bytes(12)), CorruptError, "NGSP"),
+        (gzip.compress(header(1)), UnsupportedError, "version 1; .* 2 or 3"),
+        (gzip.compress(header(4)), UnsupportedError, "version 4"),
+        (header(3) + bytes(16), UnsupportedError, "must be 4"),
+        (gzip.compress(header(3, degree=4)), UnsupportedError, "SH degree 4"),
+        (gzip.compress(header(3, bits=24)), CorruptError, "24 fractional bits"),
+        (gzip.compress(header(3)), CorruptError, "that 2 Gaussians need"),
+        (legacy(3, SMALLEST_THREE, bytes(2 << 20)), CorruptError, "not the"),
+        (b"\x1f\x8bnonsense", CorruptError, "SPZ: "),
+        (altered(version_4(), 15, b"\5"), CorruptError, "5 arrays, not 6"),
+        (altered(version_4(), 16, b"\x1f"), CorruptError, "outside"),
+        (altered(version_4(), 18, b"\xff"), CorruptError, "outside"),
+        (altered(version_4(), 40, b"\x13"), CorruptError, "19 bytes, not 18"),
+        (altered(version_4(), 32, b"\xff" * 8), CorruptError, "ends inside an array"),
+        (altered(version_4(), 8, b"\3"), CorruptError, "18 bytes, not 27"),
+    ],
+)
+def test_a_bad_spz_is_refused_with_the_reason(
+    data: bytes, kind: type[CodecError], says: str
+) -> None:
+    with pytest.raises(kind, match=says):
+        decode_any(data)
+
+
+def bombs() -> list[bytes]:
+    """Small files that claim, or hold, very much."""
+    count = 1 << 24
+    frame = zstandard.ZstdCompressor().compress(bytes(1 << 26))
+    table = b"".join(struct.pack("<QQ", len(frame), count * row) for row in (9, 1, 3, 3, 4))
+    ngsp = header(4, count, 0)[:15] + struct.pack("<BI12x", 5, 32) + table + frame * 5
+    # The table is honest about two Gaussians, the frame is not.
+    lying = version_4()[:32] + struct.pack("<QQ", len(frame), 18) + version_4()[48:128] + frame
+    return [
+        gzip.compress(header(3, count, 0)),
+        gzip.compress(header(3, 2, 0) + bytes(1 << 27), 9),
+        gzip.compress(header(3, (1 << 32) - 1, 3)),
+        ngsp,
+        lying,
+    ]
+
+
+@pytest.mark.parametrize("number", range(5))
+def test_a_bomb_costs_little_memory(number: int) -> None:
+    data = bombs()[number]
+    tracemalloc.start()
+    try:
+        with pytest.raises(CodecError):
+            decode_any(data)
+        peak_bytes = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak_bytes < 8 << 20
+
+
+@pytest.mark.parametrize("data", [legacy(3, SMALLEST_THREE), legacy(2, FIRST_THREE), version_4()])
+def test_any_bytes_give_gaussians_or_one_clear_error(data: bytes) -> None:
+    assert len(decode_any(data)) == 2
+    assert not any(survives(decode_any, part) for part in truncations(data))
+    for part in flips(data):
+        survives(decode_any, part)
+
+
+@given(st.binary(max_size=120), st.sampled_from([b"", b"NGSP", header(4), gzip.compress(b"")]))
+@settings(max_examples=300, deadline=None)
+def test_random_bytes_give_gaussians_or_one_clear_error(body: bytes, start: bytes) -> None:
+    survives(decode_any, start + body)
+    survives(decode_any, gzip.compress(header(3) + body))

@@ -1,0 +1,115 @@
+"""index.bin: pinned records, torn tails left out, anything else refused."""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from codec.errors import CorruptError, InvalidError
+from codec.stream.index import SegmentRecord, pack_record, parse_index, record_bytes
+from tests.support.forged import forged_record
+from tests.support.hostile import flips, survives
+
+LAYERS = 3
+
+
+def record(segment: int, num_frames: int = 30) -> SegmentRecord:
+    return SegmentRecord(
+        segment,
+        30 * segment,
+        num_frames,
+        tuple(1000 * segment + layer for layer in range(LAYERS)),
+        tuple(bytes([segment, layer] * 16) for layer in range(LAYERS)),
+        (30.5, 31.25, 32.0),
+    )
+
+
+RECORDS = [record(0), record(1), record(2, 7)]
+INDEX = b"".join(map(pack_record, RECORDS))
+
+
+def test_records_round_trip() -> None:
+    assert parse_index(INDEX, LAYERS) == RECORDS
+    assert parse_index(b"", LAYERS) == []
+    assert parse_index(INDEX[record_bytes(LAYERS) :], LAYERS, first_segment=1) == RECORDS[1:]
+
+
+def test_unknown_quality_is_nan() -> None:
+    unknown = replace(RECORDS[0], psnr_db=(math.nan,) * LAYERS)
+    (found,) = parse_index(pack_record(unknown), LAYERS)
+    assert all(math.isnan(psnr) for psnr in found.psnr_db)
+
+
+def test_the_record_is_pinned() -> None:
+    assert [record_bytes(n) for n in (1, 4, 16)] == [64, 196, 724]
+    data = pack_record(RECORDS[2])
+    assert struct.unpack_from("<IIII", data) == (2, 60, 7, 0)
+    assert struct.unpack_from("<Q32sf", data, 16 + 44) == (2001, bytes([2, 1] * 16), 31.25)
+    assert struct.unpack_from("<I", data, 16 + 44 * 3) == (zlib.crc32(data[:-4]),)
+
+
+def test_a_torn_last_record_is_left_out_at_any_byte() -> None:
+    size = record_bytes(LAYERS)
+    for length in range(len(INDEX)):
+        assert parse_index(INDEX[:length], LAYERS) == RECORDS[: length // size]
+    assert parse_index(INDEX + bytes(size), LAYERS) == RECORDS
+    assert parse_index(INDEX + bytes(size - 1), LAYERS) == RECORDS
+
+
+def test_any_altered_byte_is_found() -> None:
+    for altered in flips(INDEX):
+        with pytest.raises(CorruptError, match="segment"):
+            parse_index(altered, LAYERS)
+
+
+@given(st.binary(max_size=400), st.integers(1, 16), st.integers(0, 9))
+@settings(max_examples=200)
+def test_noise(noise: bytes, layers: int, first: int) -> None:
+    survives(lambda data: parse_index(data, layers, first), noise)
+    body = noise[: record_bytes(layers) - 4].ljust(record_bytes(layers) - 4, b"\0")
+    survives(
+        lambda data: parse_index(data, layers, first), body + struct.pack("<I", zlib.crc32(body))
+    )
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        replace(RECORDS[1], segment=5),
+        replace(RECORDS[1], first_frame=31),
+        replace(RECORDS[1], num_frames=0),
+        replace(RECORDS[1], psnr_db=(1.0, math.inf, 1.0)),
+    ],
+)
+def test_records_that_break_a_rule(wrong: SegmentRecord) -> None:
+    with pytest.raises(CorruptError):
+        parse_index(pack_record(RECORDS[0]) + forged_record(wrong), LAYERS)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        replace(RECORDS[0], object_bytes=(1, 2)),
+        replace(RECORDS[0], object_bytes=(1, -2, 3)),
+        replace(RECORDS[0], object_sha256=(b"short",) * LAYERS),
+        replace(RECORDS[0], num_frames=1 << 32),
+        replace(RECORDS[0], psnr_db=(1e300,) * LAYERS),
+        replace(RECORDS[0], psnr_db=(30.0, math.inf, 30.0)),
+        replace(RECORDS[0], psnr_db=(-math.inf, math.nan, 30.0)),
+    ],
+)
+def test_what_does_not_fit_is_not_packed(wrong: SegmentRecord) -> None:
+    with pytest.raises(InvalidError):
+        pack_record(wrong)
+
+
+@pytest.mark.parametrize("layers", [0, 17])
+def test_layers_out_of_bounds(layers: int) -> None:
+    with pytest.raises(InvalidError):
+        record_bytes(layers)

@@ -1,0 +1,188 @@
+"""A writer killed 200 times, and a reader that follows it all the while.
+
+What this proves: the writer is a real process that dies by SIGKILL, so no handler and no `finally`
+of it runs. At every poll, before, during and after a kill, the reader that follows sees whole
+records only, in order, each naming objects that are there, whole, and byte by byte those of a
+writer that nobody disturbed; it never has to give up, and what it has seen is never taken back.
+After each kill the folder passes `verify` and the next writer goes on where the last record ends.
+The moments are drawn from a fixed seed, from before the folder exists to after its last record;
+how far a writer has come by then depends on the machine, so they adapt until half of the kills come
+before a segment is whole, and the test counts that many kills did fall into a write. What a kill
+cannot show is a loss of power, when the disk forgets what no fsync has secured:
+`test_a_failure_at_any_step_of_any_write` has that order.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from codec.stream.index import record_bytes
+from codec.stream.reader import StreamReader
+from codec.tools.audit import verify_stream
+from tests.support.forked_writer import NUM_FRAMES, forked_manifest, forked_slices, write
+
+ROOT = Path(__file__).parents[3]
+KILLS = 200
+NUM_LAYERS = 2
+
+
+class Forker:
+    """The warm process, and at most one writer forked from it."""
+
+    def __init__(self) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "tests.support.forked_writer"],
+            cwd=ROOT,
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            bufsize=1,
+        )
+
+    def _ask(self, line: str) -> int:
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(line + "\n")
+        return int(self._process.stdout.readline())
+
+    def start(self, path: Path) -> int:
+        """The pid of a writer that is about to begin; until `ended` nobody else can have it."""
+        return self._ask(str(path))
+
+    def ended(self) -> int:
+        """How the writer ended, once it has."""
+        return self._ask("")
+
+    def close(self) -> None:
+        self._process.communicate(timeout=60)
+
+
+@pytest.fixture
+def forker() -> Iterator[Forker]:
+    forker = Forker()
+    yield forker
+    forker.close()
+
+
+class Follower:
+    """A reader that is opened as soon as there is a stream, and kept from then on."""
+
+    def __init__(self, path: Path, whole: dict[str, bytes]) -> None:
+        self._path = path
+        self._whole = whole
+        self._reader: StreamReader | None = None
+
+    def poll(self) -> None:
+        """Looks once; everything that is new is as it should be."""
+        if self._reader is None:
+            if not (self._path / "manifest.json").exists():
+                return
+            self._reader = StreamReader(self._path)
+            fresh = self._reader.records
+        else:
+            before = len(self._reader.records)
+            count = self._reader.refresh()
+            fresh = self._reader.records[before:]
+            assert len(fresh) == count
+        for record in fresh:
+            assert self._whole["index.bin"].startswith(self._index())
+            for layer in range(NUM_LAYERS):
+                found = self._reader.read_object(record.segment, layer)
+                assert found == self._whole[f"segments/{record.segment}/{layer}"]
+            birth = record.first_frame + record.num_frames - 1
+            assert self._reader.slice(birth, NUM_LAYERS).birth == birth
+
+    def _index(self) -> bytes:
+        """What there is of the index now: whole records, and a part of one at most."""
+        return (self._path / "index.bin").read_bytes()
+
+
+def files(path: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(path)): p.read_bytes() for p in path.rglob("*") if p.is_file()}
+
+
+def fell_into_a_write(path: Path) -> bool:
+    """Whether there is something that no index names: the last writer was killed in a write."""
+    indexed = 0
+    if (path / "manifest.json").exists():
+        indexed = (path / "index.bin").stat().st_size // record_bytes(NUM_LAYERS)
+    folders = [int(p.name) for p in path.glob("segments/*")]
+    return any(path.rglob(".*.tmp")) or any(number >= indexed for number in folders)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Iterator[Path]:
+    """A folder in memory where there is one: kills are the same there, and an fsync is free."""
+    memory = Path("/dev/shm")
+    if not os.access(memory, os.W_OK):
+        yield tmp_path
+        return
+    with tempfile.TemporaryDirectory(dir=memory) as path:
+        yield Path(path)
+
+
+def test_200_kills_and_a_reader_that_follows(folder: Path, forker: Forker) -> None:
+    write(folder / "whole", forked_slices())
+    whole = files(folder / "whole")
+    rng = random.Random(0)
+    kills = in_a_write = polls = 0
+    streams = [folder / "0"]
+    follower = Follower(streams[-1], whole)
+    num_frames = 0
+    patience_s = 0.005
+    while kills < KILLS:
+        path = streams[-1]
+        pid = forker.start(path)
+        until_s = time.perf_counter() + rng.uniform(0, patience_s)
+        while time.perf_counter() < until_s:
+            follower.poll()
+            polls += 1
+        os.kill(pid, signal.SIGKILL)
+        ended = forker.ended()
+        assert ended in (0, -signal.SIGKILL)
+        follower.poll()
+        polls += 1
+        if ended:
+            kills += 1
+            in_a_write += fell_into_a_write(path)
+        grew, live = False, True
+        if (path / "manifest.json").exists():
+            summary = verify_stream(path)
+            assert summary.num_frames >= num_frames
+            grew, live = summary.num_frames > num_frames, summary.live
+            num_frames = summary.num_frames
+        # However fast the machine is: half of the kills come before a segment is whole.
+        patience_s = min(patience_s * (0.8 if grew else 1.25), 1.0)
+        if not live:
+            assert files(path) == whole
+            streams.append(folder / str(len(streams)))
+            follower = Follower(streams[-1], whole)
+            num_frames = 0
+    # Otherwise the moments were none, and nobody followed.
+    assert in_a_write > KILLS // 10
+    assert polls > KILLS
+    assert len(streams) > 1
+    forker.start(streams[-1])
+    assert forker.ended() == 0
+    follower.poll()
+    assert files(streams[-1]) == whole
+
+
+def test_a_folder_of_a_writer_killed_before_it_was_a_stream(tmp_path: Path) -> None:
+    path = tmp_path / "s"
+    (path / "segments").mkdir(parents=True)
+    (path / "index.bin").touch()
+    (path / ".manifest.json.tmp").write_bytes(forked_manifest().to_json()[:50])
+    write(path, forked_slices())
+    assert verify_stream(path).num_frames == NUM_FRAMES

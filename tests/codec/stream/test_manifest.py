@@ -1,0 +1,216 @@
+"""manifest.json: what is valid round-trips, what is not says why."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from codec.camera import MAX_NAME_CHARS, Camera
+from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
+from codec.profiles.profile import Profile
+from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest
+from tests.support.hostile import survives, truncations
+
+
+def camera(name: str) -> Camera:
+    return Camera(name, 640, 360, 500.0, 510.0, 320.0, 180.0, np.eye(4))
+
+
+MANIFEST = Manifest(
+    fps=29.97,
+    swin_size=5,
+    num_gs=1000,
+    layers=(0.25, 0.25, 0.5),
+    segment_frames=30,
+    sh_degree=1,
+    profile=Profile.COMPACT,
+    antialias=False,
+    near_m=0.1,
+    bounds=((-1.0, -2.0, -3.0), (1.0, 2.0, 3.0)),
+    cameras=(camera("left"), camera("rechts ü")),
+    default_camera="left",
+    live=True,
+    poster="poster.jpg",
+    title="Ball & Bälle",
+)
+VALUE: dict[str, Any] = json.loads(MANIFEST.to_json())
+
+
+def test_round_trip() -> None:
+    found = Manifest.from_json(MANIFEST.to_json())
+    assert found.to_json() == MANIFEST.to_json()
+    assert replace(found, cameras=MANIFEST.cameras) == MANIFEST
+    assert (found.camera("rechts ü").w2c == np.eye(4)).all()
+    assert found.camera().name == "left"
+
+
+def test_what_follows_from_it() -> None:
+    assert (MANIFEST.slice_size, MANIFEST.num_layers, MANIFEST.first_birth) == (200, 3, -4)
+    assert MANIFEST.object_path(12, 2) == "segments/12/2"
+    assert [MANIFEST.segment_of(birth) for birth in (-4, 0, 29, 30, 61)] == [0, 0, 0, 1, 2]
+    assert MANIFEST.births(0, 30) == range(-4, 30)
+    assert MANIFEST.births(2, 7) == range(60, 67)
+
+
+def test_its_size_does_not_depend_on_live_by_more_than_a_byte() -> None:
+    closed = replace(MANIFEST, live=False)
+    assert len(closed.to_json()) - len(MANIFEST.to_json()) == 1
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"fps": 0.0},
+        {"fps": float("nan")},
+        {"fps": 1001.0},
+        {"swin_size": 0},
+        {"swin_size": 256},
+        {"num_gs": 0},
+        {"num_gs": 1001},
+        {"num_gs": 5 << 24},
+        {"swin_size": 1, "num_gs": 1 << 21},
+        {"layers": ()},
+        {"layers": (0.5, 0.4)},
+        {"segment_frames": 0},
+        {"segment_frames": 5000},
+        {"sh_degree": 4},
+        {"near_m": 0.0},
+        {"near_m": float("inf")},
+        {"bounds": ((0.0, 0.0, 0.0), (1.0, 1.0, -1.0))},
+        {"bounds": ((0.0, 0.0, float("nan")), (1.0, 1.0, 1.0))},
+        {"cameras": ()},
+        {"cameras": (camera("left"), camera("left"))},
+        {"cameras": tuple(camera(str(n)) for n in range(257)), "default_camera": "0"},
+        {"default_camera": "middle"},
+        {"object_url": "segments/{segment}"},
+        {"object_url": "{segment}/{layer}/{__class__}"},
+        {"title": "x" * 2001},
+        {"poster": "a\0b"},
+        {"poster": "a\nb"},
+        {"poster": "x" * 256},
+        {"poster": "ü" * 128},
+        {"poster": "\ud800"},
+        {"version": 2},
+    ],
+)
+def test_values_that_break_a_rule(change: dict[str, Any]) -> None:
+    with pytest.raises(InvalidError, match=r"manifest|layers"):
+        replace(MANIFEST, **change)
+
+
+def test_an_unknown_camera_is_named() -> None:
+    with pytest.raises(InvalidError, match="no camera is called 'x'; there are left, rechts"):
+        MANIFEST.camera("x")
+
+
+def test_later_versions_and_profiles_are_unsupported() -> None:
+    for change in ({"version": 2}, {"profile": "neural"}):
+        with pytest.raises(UnsupportedError):
+            Manifest.from_json(json.dumps(VALUE | change).encode())
+
+
+def test_unknown_keys_are_ignored() -> None:
+    assert Manifest.from_json(json.dumps(VALUE | {"audio": [1]}).encode()).title == MANIFEST.title
+
+
+JUNK: list[Any] = [None, True, 1, -1, 0.5, 1e400, 10**400, "", "x", [], [1, 2], [[]], {}, {"a": 1}]
+
+
+@pytest.mark.parametrize("key", sorted(VALUE))
+def test_junk_under_any_key_and_a_missing_key(key: str) -> None:
+    for junk in JUNK:
+        survives(Manifest.from_json, json.dumps(VALUE | {key: junk}).encode())
+    without = {k: v for k, v in VALUE.items() if k != key}
+    with pytest.raises(CodecError, match=key):
+        Manifest.from_json(json.dumps(without).encode())
+
+
+@pytest.mark.parametrize("poster", ["a\0b", "x" * 300, "\x7f", "ü" * 128])
+def test_a_poster_that_can_be_no_file_is_corrupt(poster: str) -> None:
+    with pytest.raises(CorruptError, match=r"manifest: poster .* is longer than 255 bytes or"):
+        Manifest.from_json(json.dumps(VALUE | {"poster": poster}).encode())
+
+
+def test_posters_that_are_none_or_as_long_as_may_be() -> None:
+    for poster in (None, "", "https://cdn/poster.png", "ü" * 127 + "x"):
+        found = Manifest.from_json(replace(MANIFEST, poster=poster).to_json())
+        assert found.poster == poster
+
+
+def test_a_name_of_a_camera_is_kept_whole_or_refused() -> None:
+    longest = "ü" * MAX_NAME_CHARS
+    manifest = replace(
+        MANIFEST, cameras=(camera(longest), camera(longest[:-1])), default_camera=longest
+    )
+    assert Manifest.from_json(manifest.to_json()).camera().name == longest
+    with pytest.raises(InvalidError, match="a name of 2001 characters, at most 2000"):
+        camera(longest + "x")
+    cameras = [VALUE["cameras"][0] | {"name": longest + "x"}, VALUE["cameras"][0]]
+    with pytest.raises(CorruptError, match="a name of 2001 characters, at most 2000"):
+        Manifest.from_json(json.dumps(VALUE | {"cameras": cameras}).encode())
+
+
+def test_what_no_reader_would_take_is_not_written() -> None:
+    """Every text is short enough; all of them together are not."""
+    names = [f"{n:03}" + "\U0001f600" * (MAX_NAME_CHARS - 3) for n in range(256)]
+    many = replace(MANIFEST, cameras=tuple(map(camera, names)), default_camera=names[0])
+    with pytest.raises(InvalidError, match="bytes, at most 1048576; shorten the names"):
+        many.to_json()
+
+
+def test_a_live_manifest_can_still_be_finished(monkeypatch: pytest.MonkeyPatch) -> None:
+    finished = replace(MANIFEST, live=False)
+    size = len(finished.to_json())
+    monkeypatch.setattr("codec.stream.manifest.MAX_MANIFEST_BYTES", size)
+    assert len(MANIFEST.to_json()) == size - 1
+    monkeypatch.setattr("codec.stream.manifest.MAX_MANIFEST_BYTES", size - 1)
+    for manifest in (MANIFEST, finished):
+        with pytest.raises(InvalidError, match="shorten the names"):
+            manifest.to_json()
+
+
+@pytest.mark.parametrize("key", sorted(VALUE["cameras"][0]))
+def test_junk_in_a_camera(key: str) -> None:
+    for junk in JUNK:
+        cameras = [VALUE["cameras"][0] | {key: junk}]
+        survives(Manifest.from_json, json.dumps(VALUE | {"cameras": cameras}).encode())
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"\xff\xfe",
+        b"null",
+        b"[]",
+        b"{}",
+        b"[" * 100_000,
+        b'{"version": 1, "fps": NaN}',
+        b'{"version": 1' + b"9" * 5000 + b"}",
+        b" " * (MAX_MANIFEST_BYTES + 1),
+    ],
+)
+def test_what_is_no_manifest(data: bytes) -> None:
+    with pytest.raises(CodecError, match="manifest"):
+        Manifest.from_json(data)
+
+
+def test_every_truncation_is_refused() -> None:
+    data = MANIFEST.to_json().rstrip()
+    for cut in list(truncations(data))[::7]:
+        with pytest.raises(CorruptError):
+            Manifest.from_json(cut)
+
+
+@given(st.integers(0, len(MANIFEST.to_json()) - 1), st.integers(0, 255))
+@settings(max_examples=300)
+def test_an_altered_byte(place: int, value: int) -> None:
+    data = bytearray(MANIFEST.to_json())
+    data[place] = value
+    survives(Manifest.from_json, bytes(data))

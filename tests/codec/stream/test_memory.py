@@ -1,0 +1,95 @@
+"""Hostile bytes under a limit of memory that the kernel enforces: nothing grows beyond its claim.
+
+tests/support/bounded_decoder.py holds the inputs and says what each may cost.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from codec.errors import CorruptError
+from codec.profiles.profile import Profile
+from codec.stream.chunk import encode_chunk
+from codec.stream.object import decode_object, encode_object
+from tests.support.bounded_decoder import CASES
+from tests.support.slow_writer import SLICE_SIZE, tiny_slice
+
+ROOT = Path(__file__).parents[3]
+
+# `value`, or what the error says. An allocation that failed inside zstd says neither.
+OUTCOMES = {
+    "raw": "value",
+    "paper": "value",
+    "compact": "value",
+    "compact, half escaped": "value",
+    "compact, wide gaps": "value",
+    "no chunk": "CorruptError: chunk: starts with",
+    "cut off": "CorruptError: frame: decompression error: did not decompress full frame",
+    "claims the most": "CorruptError: frame: decompression error: did not decompress full frame",
+    "claims too much": "248512585 bytes of content, at most 248512584",
+    "claims an exabyte": "1152921504606846976 bytes of content cannot come from 8",
+    "gzip": "value",
+    "gzip says less": "CorruptError: frame: more than the 1000 bytes of content it says",
+    "gzip claims too much": "248512585 bytes of content, at most 248512584",
+    "more than the manifest": "of content, at most 2988468",
+    "higher degree than the manifest": "of content, at most 59768904",
+    "table": "CorruptError: object: 196628 bytes, its table says 1065156628",
+    "chunks in a stream": "segments/0/0: byte 92: frame: 11534408 bytes of content, at most 2352",
+    "size in an index": "segments/0/0 has 5 bytes, the index says 1073741824",
+    "index": "index.bin is longer than",
+    "manifest": "CorruptError: manifest: no JSON object",
+    "texts in a manifest": "a name of 60000 characters, at most 2000",
+    "slice record": "value",
+    "bytes as a kind": "CorruptError: play: a record of kind bytes",
+    "text in a record": "CorruptError: play: no msgpack record",
+    "short file": "value",
+    "ply": "CorruptError: PLY: ends after",
+    "ply over the cap": "CorruptError: PLY: claims 1099511627776 Gaussians",
+    "spz": "CorruptError: SPZ: not the 171 bytes that 9 Gaussians need",
+    "ply of degree 3": "value",
+    "compressed ply": "value",
+    "splat": "value",
+    "spz 3": "value",
+    "spz 4": "CorruptError: SPZ: decompression error: did not decompress full frame",
+    # The limit is one.
+    "control": "MemoryError",
+}
+
+
+def test_the_chunks_of_an_object_are_bounded_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At a gigabyte; here at what three chunks take."""
+    chunks = [encode_chunk(tiny_slice(birth), 0, Profile.COMPACT) for birth in range(3)]
+    three = 3 * SLICE_SIZE * 56
+    monkeypatch.setattr("codec.stream.object.MAX_DECODED_BYTES", three)
+    assert len(decode_object(encode_object(chunks))) == 3
+    monkeypatch.setattr("codec.stream.object.MAX_DECODED_BYTES", three - 1)
+    with pytest.raises(CorruptError, match="bytes of Gaussians"):
+        decode_object(encode_object(chunks))
+
+
+def test_every_case_has_an_outcome() -> None:
+    assert list(OUTCOMES) == list(CASES)
+
+
+@pytest.mark.skipif(
+    not Path("/proc/self/status").exists(), reason="needs Linux: RLIMIT_DATA and VmData"
+)
+@pytest.mark.parametrize("case", OUTCOMES)
+def test_memory_stays_within_what_is_declared(case: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.support.bounded_decoder", case],
+        cwd=ROOT,
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    outcome = OUTCOMES[case]
+    assert outcome in done.stdout
+    assert (outcome == "value") == (done.stdout == "value\n")

@@ -1,0 +1,137 @@
+"""Play records: any cut of the bytes gives the same records; hostile ones are refused cheaply."""
+
+from __future__ import annotations
+
+import struct
+import tracemalloc
+from typing import Any
+
+import msgpack
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from codec.errors import CodecError, CorruptError, InvalidError
+from codec.stream.playrecord import (
+    MAX_RECORD_BYTES,
+    EndRecord,
+    ErrorRecord,
+    Record,
+    RecordParser,
+    SliceRecord,
+    StartRecord,
+    decode_record,
+    encode_record,
+)
+from tests.support.hostile import flips, survives, truncations
+
+frames = st.integers(0, 2**31 - 1)
+records: st.SearchStrategy[Record] = st.one_of(
+    st.builds(StartRecord, frames, frames, st.binary(max_size=50)),
+    st.builds(
+        SliceRecord,
+        st.integers(-254, 2**31 - 1),
+        st.lists(st.binary(max_size=50), min_size=1, max_size=16).map(tuple),
+    ),
+    st.builds(EndRecord, frames),
+    st.builds(ErrorRecord, st.text(max_size=100)),
+)
+
+
+def parse(data: bytes) -> list[Record]:
+    return RecordParser().feed(data)
+
+
+@given(st.lists(records, max_size=6), st.lists(st.integers(0, 400), max_size=12))
+@settings(max_examples=100)
+def test_any_cut_gives_the_same_records(sent: list[Record], cuts: list[int]) -> None:
+    data = b"".join(map(encode_record, sent))
+    parser = RecordParser()
+    received: list[Record] = []
+    edges = sorted({0, len(data), *(min(cut, len(data)) for cut in cuts)})
+    for start, end in zip(edges, edges[1:] or edges, strict=False):
+        received += parser.feed(data[start:end])
+    assert received == sent
+    assert parser.pending_bytes == 0
+
+
+def test_byte_by_byte() -> None:
+    sent: list[Record] = [StartRecord(3, 9, b"{}"), SliceRecord(-2, (b"a", b"")), EndRecord(9)]
+    data = b"".join(map(encode_record, sent))
+    parser = RecordParser()
+    received = [record for byte in data for record in parser.feed(bytes([byte]))]
+    assert received == sent
+
+
+def test_the_bytes_are_pinned() -> None:
+    record = SliceRecord(-1, (b"ab",))
+    body = b"\x83\xa4kind\xa5slice\xa5birth\xff\xa6frames\x91\xc4\x02ab"
+    assert encode_record(record) == struct.pack("<I", len(body)) + body
+    start = msgpack.unpackb(encode_record(StartRecord(1, 2, b"m"))[4:])
+    assert start == {"kind": "start", "from": 1, "num_frames": 2, "manifest": b"m"}
+
+
+def test_truncations_wait_and_flips_never_crash() -> None:
+    data = encode_record(SliceRecord(5, (b"frame-0", b"frame-1")))
+    for cut in truncations(data):
+        parser = RecordParser()
+        assert parser.feed(cut) == []
+        assert parser.pending_bytes == len(cut)
+    for altered in flips(data):
+        survives(parse, altered)
+
+
+@given(st.binary(max_size=100))
+@settings(max_examples=300)
+def test_noise(noise: bytes) -> None:
+    survives(parse, noise)
+    survives(parse, struct.pack("<I", len(noise)) + noise)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        None,
+        [],
+        {},
+        {"kind": "other"},
+        {"kind": 7},
+        {"kind": "start", "from": 0, "num_frames": 1},
+        {"kind": "start", "from": -1, "num_frames": 1, "manifest": b""},
+        {"kind": "start", "from": True, "num_frames": 1, "manifest": b""},
+        {"kind": "start", "from": 0, "num_frames": 1, "manifest": "text"},
+        {"kind": "slice", "birth": 1, "frames": []},
+        {"kind": "slice", "birth": 1, "frames": [b""] * 17},
+        {"kind": "slice", "birth": 1, "frames": ["text"]},
+        {"kind": "slice", "birth": 1, "frames": {}},
+        {"kind": "slice", "birth": 1 << 40, "frames": [b""]},
+        {"kind": "slice", "birth": 1.0, "frames": [b""]},
+        {"kind": "end", "num_frames": 1 << 31},
+        {"kind": "error", "message": b"bytes"},
+        {1: 2},
+        {"kind": "end", "num_frames": msgpack.ExtType(4, b"x")},
+    ],
+)
+def test_maps_that_are_no_records(value: Any) -> None:
+    with pytest.raises(CorruptError):
+        decode_record(msgpack.packb(value))
+
+
+def test_a_record_that_is_too_long_is_refused_at_its_length() -> None:
+    with pytest.raises(CorruptError, match="at most"):
+        parse(struct.pack("<I", MAX_RECORD_BYTES + 1))
+    with pytest.raises(InvalidError):
+        encode_record(StartRecord(0, 1, bytes(MAX_RECORD_BYTES)))
+
+
+def test_a_tree_of_lists_does_not_grow() -> None:
+    tree = b"\x90"
+    while len(tree) < 1 << 20:
+        tree = b"\xdc\x00\x10" + tree * 16
+    for bomb in (b"\x81\xa4kind" + tree, b"\x91" * 5000, b"\x81\xa1k" * 5000, tree):
+        tracemalloc.start()
+        with pytest.raises(CodecError):
+            decode_record(bomb)
+        peak_bytes = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert peak_bytes < 4 << 20

@@ -1,0 +1,92 @@
+"""The codec's kernels, each in a process of its own: within bounds, kept on disk, or not kept."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+HOSTILE = """
+import sys
+from codec.stream.chunk import decode_chunk
+from tests.support.hostile import survives
+from tests.support.hostile_chunks import hostile_chunks
+kept = [survives(decode_chunk, chunk) for chunk in hostile_chunks(int(sys.argv[1]))]
+print(sum(kept))
+"""
+
+# Decoding is enough: all kernels are made at import, in the same way.
+KERNELS = """
+from numba.core.dispatcher import Dispatcher
+from codec.profiles import compact, morton, orientation, quantise as quantize
+from codec.stream.chunk import decode_chunk
+from tests.support.hostile import survives
+from tests.support.hostile_chunks import hostile_chunks
+assert any([survives(decode_chunk, chunk) for chunk in hostile_chunks(20)])
+kernels = {
+    value
+    for module in (compact, morton, orientation, quantize)
+    for value in vars(module).values()
+    if isinstance(value, Dispatcher)
+}
+assert all(kernel.targetoptions["nogil"] for kernel in kernels)
+compiled = sum(sum(kernel.stats.cache_misses.values()) for kernel in kernels)
+loaded = sum(sum(kernel.stats.cache_hits.values()) for kernel in kernels)
+print(len(kernels), compiled, loaded)
+"""
+
+# Root may write anywhere, so numba is told what it would find where nobody may.
+NO_PLACE = """
+from numba.core import caching
+def refuse(locator):
+    raise PermissionError(13, "nowhere")
+caching._CacheLocator.ensure_cache_path = refuse
+"""
+
+
+def output_of(program: str, *arguments: str, **environment: str) -> list[int]:
+    """The numbers that `program` prints, which warns of nothing."""
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", program, *arguments],
+        cwd=ROOT,
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        timeout=200,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    return [int(word) for word in done.stdout.split()]
+
+
+@pytest.mark.parametrize(
+    ("mode", "count"), [("NUMBA_BOUNDSCHECK", 6000), ("NUMBA_DISABLE_JIT", 1000)]
+)
+def test_hostile_chunks_never_lead_a_kernel_out_of_bounds(
+    mode: str, count: int, tmp_path: Path
+) -> None:
+    """A kernel that reads beyond an array would just read; in these modes it raises IndexError."""
+    # A cache of its own, for numba does not tell code that checks bounds from code that does not.
+    environment = {mode: "1", "NUMBA_CACHE_DIR": str(tmp_path)}
+    (kept,) = output_of(HOSTILE, str(count), **environment)
+    assert 0.2 * count < kept < 0.8 * count
+
+
+def test_kernels_are_compiled_once(tmp_path: Path) -> None:
+    kernels, compiled, loaded = output_of(KERNELS, NUMBA_CACHE_DIR=str(tmp_path))
+    assert kernels >= 8
+    assert compiled > 0
+    assert loaded == 0
+    _, compiled, loaded = output_of(KERNELS, NUMBA_CACHE_DIR=str(tmp_path))
+    assert compiled == 0
+    assert loaded > 0
+
+
+def test_kernels_work_where_nothing_can_be_kept() -> None:
+    _, compiled, loaded = output_of(NO_PLACE + KERNELS)
+    assert compiled > 0
+    assert loaded == 0

@@ -1,0 +1,56 @@
+"""swings-stream as a process: what it prints and how it exits."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.support.commands import run, run_ok
+from tests.support.slow_writer import write_tiny
+
+
+@pytest.fixture(scope="module")
+def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("main") / "stream"
+    write_tiny(path, 6)
+    return path
+
+
+def test_info_tells_the_same_to_people_and_programs(stream: Path) -> None:
+    told = json.loads(run_ok("swings-stream", "info", stream, "--json"))
+    assert (told["num_frames"], told["swin_size"], told["profile"]) == (6, 3, "compact")
+    objects_bytes = sum(path.stat().st_size for path in stream.glob("segments/*/*"))
+    assert told["layers"][-1]["size_bytes"] == objects_bytes
+    assert told["size_bytes"] == sum(p.stat().st_size for p in stream.rglob("*") if p.is_file())
+    assert told["bytes_per_gaussian"] == pytest.approx(objects_bytes / (8 * 40))
+    assert told["layers"][0]["gaussians_share"] == 0.5
+    text = run_ok("swings-stream", "info", stream)
+    assert "6 frames, 0.2 s at 25 fps" in text
+    assert f"{told['size_bytes']} bytes" in text
+
+
+def test_verify_exits_with_0_and_with_1(stream: Path, tmp_path: Path) -> None:
+    assert "6 frames in 2 segments are good" in run_ok("swings-stream", "verify", stream)
+    done = run("swings-stream", "verify", tmp_path)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.startswith("swings-stream: ")
+    assert "manifest.json" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_verify_names_the_altered_file(stream: Path) -> None:
+    path = stream / "segments" / "1" / "0"
+    data = path.read_bytes()
+    path.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
+    done = run("swings-stream", "verify", stream)
+    path.write_bytes(data)
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"swings-stream: {path}: byte ")
+    assert "was altered: frame: " in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_bad_usage_exits_with_2() -> None:
+    assert run("swings-stream", "polish").returncode == 2

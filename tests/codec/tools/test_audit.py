@@ -1,0 +1,229 @@
+"""swings-stream verify says which byte of which file is the first that may be wrong."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from codec.errors import CodecError
+from codec.profiles.profile import Profile
+from codec.stream.chunk import encode_chunk
+from codec.stream.index import pack_record, record_bytes
+from codec.stream.object import (
+    encode_frame,
+    encode_object,
+    join_frames,
+    object_frames,
+    read_object_table,
+)
+from codec.stream.reader import StreamReader
+from codec.tools.audit import verify_stream
+from tests.support.forged import forged_record
+from tests.support.hostile import flips
+from tests.support.slow_writer import tiny_slice, write_tiny
+
+NUM_FRAMES = 6
+RECORD_BYTES = record_bytes(2)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("audit") / "finished"
+    write_tiny(path, NUM_FRAMES)
+    return path
+
+
+@pytest.fixture
+def stream(finished: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(finished, tmp_path / "stream"))
+
+
+def found(stream: Path, name: str) -> CodecError:
+    """The error of verify, which names `name` and the byte that it carries."""
+    with pytest.raises(CodecError) as caught:
+        verify_stream(stream)
+    message = str(caught.value)
+    assert message.startswith(f"{stream / name}: ")
+    assert "\n" not in message
+    told = re.match(r": byte ([0-9]+): ", message.removeprefix(str(stream / name)))
+    assert caught.value.at == (int(told[1]) if told else None)
+    return caught.value
+
+
+def fields(data: bytes) -> list[int]:
+    """Where the parts of an object begin that are checked as one: fields, then frames; its end."""
+    entries = read_object_table(data)
+    table = [20 + 12 * n + field for n in range(len(entries)) for field in (0, 4, 8)]
+    return [0, 4, 8, 12, 13, 14, 16, *table, *(entry.offset for entry in entries), len(data)]
+
+
+def test_a_good_stream_has_no_such_place(finished: Path) -> None:
+    assert verify_stream(finished).num_frames == NUM_FRAMES
+
+
+def test_an_altered_byte_of_an_object_is_found_in_its_field_or_frame(stream: Path) -> None:
+    path = stream / "segments/1/0"
+    data = path.read_bytes()
+    parts = list(pairwise(fields(data)))
+    # Each contradicts one before it: the count the length of the table, an offset the size of the
+    # frame before, a birth the one before.
+    slack_bytes = 12
+    unplaced = 0
+    every = 7
+    for n, altered in enumerate(flips(data, every)):
+        place = n // 3 * every
+        path.write_bytes(altered)
+        error = found(stream, "segments/1/0")
+        assert "was altered" in str(error)
+        if error.at is None:
+            unplaced += 1
+            continue
+        begin, end = next((a, b) for a, b in parts if a <= place < b)
+        in_table = end <= parts[-2][0] and place < read_object_table(data)[0].offset
+        assert begin - (slack_bytes if in_table else 0) <= error.at <= place < end
+    # A decoder overlooks a bit or two of a frame's header; nothing then says which.
+    assert unplaced <= 0.01 * 3 * len(data) / every
+
+
+def test_a_truncated_object_is_wrong_where_it_ends(stream: Path) -> None:
+    path = stream / "segments/0/1"
+    data = path.read_bytes()
+    for length in range(0, len(data), 17):
+        path.write_bytes(data[:length])
+        assert found(stream, "segments/0/1").at == length
+
+
+def test_damage_before_the_end_of_a_truncated_object_comes_first(stream: Path) -> None:
+    path = stream / "segments/0/1"
+    data = bytearray(path.read_bytes())
+    entry = read_object_table(bytes(data))[1]
+    data[entry.offset + entry.size - 1] ^= 1
+    path.write_bytes(data[:-3])
+    assert found(stream, "segments/0/1").at == entry.offset
+
+
+def test_bytes_behind_an_object_are_wrong_from_its_end_on(stream: Path) -> None:
+    path = stream / "segments/0/0"
+    data = path.read_bytes()
+    path.write_bytes(data + b"more")
+    assert found(stream, "segments/0/0").at == len(data)
+
+
+def test_the_first_of_several_damaged_files_is_named(stream: Path) -> None:
+    for name in ("segments/1/0", "segments/0/1"):
+        data = (stream / name).read_bytes()
+        (stream / name).write_bytes(data[:-1])
+    found(stream, "segments/0/1")
+    (stream / "segments/0/0").unlink()
+    with pytest.raises(CodecError, match=r"segments/0/0 is missing"):
+        verify_stream(stream)
+
+
+def test_an_altered_byte_of_the_index_is_found_in_its_record(stream: Path) -> None:
+    path = stream / "index.bin"
+    data = path.read_bytes()
+    for n, altered in enumerate(flips(data, every=3)):
+        path.write_bytes(altered)
+        assert found(stream, "index.bin").at == n // RECORD_BYTES * RECORD_BYTES
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"segment": 7}, 0),
+        ({"first_frame": 5}, 4),
+        ({"num_frames": 0}, 8),
+        ({"num_frames": 5}, 8),
+        ({"object_bytes": (9, 1 << 31)}, 16 + 44),
+        ({"psnr_db": (30.0, float("inf"))}, 16 + 44 + 40),
+    ],
+)
+def test_a_field_of_the_index_with_a_right_checksum(
+    stream: Path, change: dict[str, object], field: int
+) -> None:
+    records = list(StreamReader(stream).records)
+    records[1] = replace(records[1], **change)  # type: ignore[arg-type]
+    (stream / "index.bin").write_bytes(b"".join(map(forged_record, records)))
+    assert found(stream, "index.bin").at == RECORD_BYTES + field
+
+
+@pytest.mark.parametrize("torn", [b"\0", b"more", bytes(RECORD_BYTES), bytes(RECORD_BYTES + 9)])
+def test_the_index_of_a_finished_stream_has_no_torn_end(stream: Path, torn: bytes) -> None:
+    path = stream / "index.bin"
+    data = path.read_bytes()
+    path.write_bytes(data + torn)
+    error = found(stream, "index.bin")
+    assert error.at == len(data)
+    assert f"{len(torn)} bytes after the last whole record of a finished stream" in str(error)
+    # A writer may be at it, or may go on.
+    live = StreamReader(stream).manifest.with_live(True)
+    (stream / "manifest.json").write_bytes(live.to_json())
+    if len(torn) <= RECORD_BYTES:
+        assert verify_stream(stream).num_frames == NUM_FRAMES
+
+
+@pytest.mark.parametrize(
+    ("change", "at"),
+    [
+        (lambda data: data[:100], 100),
+        (lambda data: b"", 0),
+        (lambda data: data[:40] + b"\xff" + data[41:], 40),
+        (lambda data: data.replace(b'"fps": 25.0,', b'"fps": 25.0;'), 29),
+    ],
+)
+def test_where_the_manifest_stops_being_json(
+    stream: Path, change: Callable[[bytes], bytes], at: int
+) -> None:
+    path = stream / "manifest.json"
+    path.write_bytes(change(path.read_bytes()))
+    error = found(stream, "manifest.json")
+    assert error.at is not None
+    # What is cut off inside a token is noticed at its beginning.
+    assert at - 20 <= error.at <= at
+
+
+def test_a_key_of_the_manifest_is_named(stream: Path) -> None:
+    path = stream / "manifest.json"
+    path.write_bytes(path.read_bytes().replace(b'"fps": 25.0', b'"fps": "x"'))
+    assert "fps is missing or of the wrong type" in str(found(stream, "manifest.json"))
+
+
+def put(stream: Path, segment: int, layer: int, data: bytes) -> None:
+    """Replaces an object and says so in the index, as a faulty writer would."""
+    (stream / "segments" / str(segment) / str(layer)).write_bytes(data)
+    records = list(StreamReader(stream).records)
+    sizes, hashes = list(records[segment].object_bytes), list(records[segment].object_sha256)
+    sizes[layer], hashes[layer] = len(data), hashlib.sha256(data).digest()
+    records[segment] = replace(
+        records[segment], object_bytes=tuple(sizes), object_sha256=tuple(hashes)
+    )
+    (stream / "index.bin").write_bytes(b"".join(map(pack_record, records)))
+
+
+def test_a_wrong_chunk_with_a_right_hash(stream: Path) -> None:
+    frames = object_frames((stream / "segments/1/1").read_bytes())
+    wrong = encode_chunk(tiny_slice(5), 0, Profile.COMPACT)
+    put(stream, 1, 1, join_frames([frames[0], (5, encode_frame(wrong))]))
+    error = found(stream, "segments/1/1")
+    assert error.at == 20 + 12 * 2 + len(frames[0][1])
+    assert "altered" not in str(error)
+    assert "birth 5 does not fit the manifest: layer 0" in str(error)
+
+
+def test_what_hides_behind_the_last_chunk(stream: Path) -> None:
+    put(stream, 1, 1, (stream / "segments/1/1").read_bytes() + b"hidden")
+    assert found(stream, "segments/1/1").at == 20 + 12 + 8
+
+
+def test_more_gaussians_than_the_manifest_allows(stream: Path) -> None:
+    chunks = [encode_chunk(tiny_slice(birth), 1, Profile.COMPACT) for birth in (4, 5)]
+    put(stream, 1, 1, encode_object(chunks))
+    error = found(stream, "segments/1/1")
+    assert "the slice born at 4 has 60 Gaussians, the manifest allows 40" in str(error)

@@ -1,0 +1,250 @@
+"""swings-stream export --static: a stream that any plain web server plays, with equal pictures."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from codec.coders.coder import Coder
+from codec.errors import CorruptError, InvalidError
+from codec.framerange import Frames
+from codec.profiles.profile import Profile
+from codec.stream import StreamReader, StreamWriter
+from codec.stream.manifest import Manifest
+from codec.stream.object import HEAD, decode_object
+from codec.stream.writer import write_atomic
+from codec.tools.audit import verify_stream
+from codec.tools.static import export_static
+from player.playback import PlayConfig, play
+from player.render.renderer import RendererKind
+from player.source.locate import open_source
+from tests.goldens.format_decoder import decode_object as decode_plain_object
+from tests.support.commands import run, run_ok
+from tests.support.drawn_splats import same
+from tests.support.played import served, write_stream
+from tests.support.slow_writer import tiny_manifest, tiny_slice, write_tiny
+
+PARTS = ("manifest.json", "index.bin", "segments")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A stream `original` and its export `exported`."""
+    root = tmp_path_factory.mktemp("static")
+    write_stream(root / "original", 13)
+    export_static(root / "original", root / "exported")
+    return root
+
+
+@contextmanager
+def plain_web_server(folder: Path) -> Iterator[str]:
+    """The URL of Python's own file server of `folder`, a process that knows nothing of streams."""
+    process = subprocess.Popen(
+        [sys.executable, "-u", "-m", "http.server", "0", "--bind", "127.0.0.1"],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    assert process.stdout is not None
+    try:
+        ready = process.stdout.readline()  # Serving HTTP on 127.0.0.1 port N (URL) ...
+        yield f"http://127.0.0.1:{ready.split(' port ')[1].split()[0]}"
+    finally:
+        process.terminate()
+        process.wait(timeout=20)
+        process.stdout.close()
+
+
+@pytest.mark.parametrize("profile", list(Profile))
+@pytest.mark.parametrize("sh_degree", [0, 2])
+def test_every_value_is_that_of_the_original(
+    profile: Profile, sh_degree: int, tmp_path: Path
+) -> None:
+    write_stream(tmp_path / "a", 13, sh_degree=sh_degree, profile=profile)
+    made = export_static(tmp_path / "a", tmp_path / "b")
+    before, after = StreamReader(tmp_path / "a"), StreamReader(tmp_path / "b")
+    assert after.manifest.to_json() == before.manifest.to_json()
+    assert (made.num_frames, made.num_segments) == (13, 3) == (after.num_frames, 3)
+    for birth in before.births:
+        for layer in range(before.manifest.num_layers):
+            old, new = before.chunk(birth, layer).slice, after.chunk(birth, layer).slice
+            assert same(old.splats, new.splats)
+            assert np.array_equal(old.start_offsets, new.start_offsets)
+    assert verify_stream(tmp_path / "b").num_frames == 13
+    sizes = {"a": made.source_bytes, "b": made.size_bytes}
+    for name, told in sizes.items():
+        files = [path for path in (tmp_path / name).rglob("*") if path.is_file()]
+        assert told == sum(path.stat().st_size for path in files)
+
+
+def test_only_what_a_plain_host_needs_is_there(folder: Path) -> None:
+    out = folder / "exported"
+    assert sorted(path.name for path in out.iterdir()) == sorted(PARTS)
+    objects = sorted((out / "segments").rglob("*/*"))
+    assert [str(path.relative_to(out / "segments")) for path in objects] == [
+        f"{segment}/{layer}" for segment in range(3) for layer in range(3)
+    ]
+    for path in objects:
+        data = path.read_bytes()
+        assert HEAD.unpack_from(data)[4] == Coder.GZIP
+        assert [chunk.birth for chunk in decode_object(data)] == [
+            int.from_bytes(chunk[8:12], "little", signed=True)
+            for chunk in decode_plain_object(data)
+        ]
+    # Readable by the user that a web server runs as, as far as the one who exports wants it.
+    assert out.stat().st_mode == (folder / "original").stat().st_mode
+
+
+def test_a_plain_web_server_plays_the_same_pictures(folder: Path, tmp_path: Path) -> None:
+    with plain_web_server(folder) as host:
+        sources = [str(folder / "original"), f"{host}/exported", f"{host}/exported/manifest.json"]
+        for number, source in enumerate(sources):
+            config = PlayConfig(
+                source,
+                capture=tmp_path / str(number),
+                camera="camera:c1",
+                renderer=RendererKind.CPU,
+                frames="7:9",
+            )
+            play(config)
+    for frame in (7, 8):
+        pictures = [
+            np.asarray(Image.open(tmp_path / str(number) / f"frame_{frame:05d}.png"))
+            for number in range(len(sources))
+        ]
+        assert pictures[0].max() > 60
+        for picture in pictures[1:]:
+            np.testing.assert_array_equal(picture, pictures[0])
+
+
+def test_a_swings_server_plays_it_too(folder: Path) -> None:
+    before = StreamReader(folder / "original")
+    with served(folder) as server:
+        source = open_source(f"{server.url}/watch/exported", Frames(), 3)
+        try:
+            received = list(source.slices())
+        finally:
+            source.close()
+    assert [r.slice.birth for r in received] == list(before.births)
+    for r in received:
+        assert same(r.slice.splats, before.slice(r.slice.birth, 3).splats)
+
+
+def test_the_quality_that_the_index_knows_stays(tmp_path: Path) -> None:
+    manifest = tiny_manifest()
+    with StreamWriter.create(
+        tmp_path / "a", manifest, quality=lambda chunks: (20.5, 30.25) if chunks[0].birth else None
+    ) as writer:
+        for birth in range(manifest.first_birth, 6):
+            writer.append(tiny_slice(birth))
+    export_static(tmp_path / "a", tmp_path / "b")
+    found = [record.psnr_db for record in StreamReader(tmp_path / "b").records]
+    assert found == [record.psnr_db for record in StreamReader(tmp_path / "a").records]
+    assert not math.isnan(found[0][0])
+
+
+def set_manifest(stream: Path, **changes: object) -> None:
+    path = stream / "manifest.json"
+    manifest = Manifest.from_json(path.read_bytes())
+    write_atomic(path, replace(manifest, **changes).to_json())  # type: ignore[arg-type]
+
+
+def test_a_live_stream_is_exported_as_far_as_it_has_come(tmp_path: Path) -> None:
+    manifest = tiny_manifest()
+    writer = StreamWriter.create(tmp_path / "a", manifest)
+    with pytest.raises(InvalidError, match="has no frames yet"):
+        export_static(tmp_path / "a", tmp_path / "b")
+    for birth in range(manifest.first_birth, 6):
+        writer.append(tiny_slice(birth))
+    writer.abort()
+    export_static(tmp_path / "a", tmp_path / "b")
+    after = StreamReader(tmp_path / "b")
+    assert (after.num_frames, after.manifest.live) == (4, False)
+
+
+def test_objects_lie_where_the_new_manifest_says_and_the_poster_comes_along(tmp_path: Path) -> None:
+    write_tiny(tmp_path / "a", 6)
+    (tmp_path / "a" / "art").mkdir()
+    (tmp_path / "a" / "art" / "poster.png").write_bytes(b"picture")
+    set_manifest(
+        tmp_path / "a", object_url="https://cdn/{layer}/{segment}", poster="art/poster.png"
+    )
+    export_static(tmp_path / "a", tmp_path / "b")
+    after = StreamReader(tmp_path / "b").manifest
+    assert (tmp_path / "b" / after.object_path(1, 1)).is_file()
+    assert after.poster is not None
+    assert (tmp_path / "b" / after.poster).read_bytes() == b"picture"
+
+
+@pytest.mark.parametrize("poster", ["../secret", "https://cdn/poster.png", "", ".", "none.png"])
+def test_a_poster_elsewhere_is_left_there(poster: str, tmp_path: Path) -> None:
+    write_tiny(tmp_path / "a", 6)
+    (tmp_path / "secret").write_bytes(b"not of the stream")
+    set_manifest(tmp_path / "a", poster=poster)
+    export_static(tmp_path / "a", tmp_path / "b")
+    assert StreamReader(tmp_path / "b").manifest.poster == poster
+    assert sorted(path.name for path in (tmp_path / "b").iterdir()) == sorted(PARTS)
+    assert (tmp_path / "secret").read_bytes() == b"not of the stream"
+
+
+@pytest.mark.parametrize("poster", ["manifest.json", "index.bin", "segments/1/0"])
+def test_a_poster_that_is_a_part_of_the_stream_does_no_harm(poster: str, tmp_path: Path) -> None:
+    write_tiny(tmp_path / "a", 6)
+    set_manifest(tmp_path / "a", poster=poster)
+    export_static(tmp_path / "a", tmp_path / "b")
+    assert verify_stream(tmp_path / "b").num_frames == 6
+
+
+def test_a_wrong_chunk_is_named_and_nothing_is_left(tmp_path: Path) -> None:
+    write_tiny(tmp_path / "a", 6)
+    path = tmp_path / "a" / "segments" / "1" / "0"
+    data = path.read_bytes()
+    path.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
+    with pytest.raises(CorruptError, match="segments/1/0"):
+        export_static(tmp_path / "a", tmp_path / "b")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a"]
+
+
+def test_what_a_killed_export_left_is_replaced_and_no_folder_in_use(tmp_path: Path) -> None:
+    write_tiny(tmp_path / "a", 6)
+    (tmp_path / ".b.tmp" / "segments" / "99").mkdir(parents=True)
+    (tmp_path / "b").mkdir()
+    export_static(tmp_path / "a", tmp_path / "b")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b"]
+    assert sorted(path.name for path in (tmp_path / "b" / "segments").iterdir()) == ["0", "1"]
+    for taken in (tmp_path / "b", tmp_path / "a", tmp_path / "b" / "index.bin"):
+        with pytest.raises(InvalidError, match="is not empty"):
+            export_static(tmp_path / "a", taken)
+
+
+def test_an_export_exports_again_to_the_same_bytes(folder: Path, tmp_path: Path) -> None:
+    export_static(folder / "exported", tmp_path / "again")
+    for path in (folder / "exported").rglob("*"):
+        if path.is_file():
+            copy = tmp_path / "again" / path.relative_to(folder / "exported")
+            assert copy.read_bytes() == path.read_bytes()
+
+
+def test_the_command(folder: Path, tmp_path: Path) -> None:
+    stream, out = tmp_path / "stream", tmp_path / "web"
+    shutil.copytree(folder / "original", stream)
+    told = run_ok("swings-stream", "export", stream, out, "--static")
+    assert told.startswith(f"{out}: 13 frames in 3 segments for any web server, ")
+    assert told.endswith(f" % of {stream}\n")
+    for arguments in (["--frame", 0], ["--frames", "0:2"], ["--format", "ply"], ["--layers", 1]):
+        done = run("swings-stream", "export", stream, tmp_path / "x", "--static", *arguments)
+        assert (done.returncode, done.stdout) == (1, "")
+        assert done.stderr.count("\n") == 1
+        assert "--static writes the whole stream" in done.stderr
+    assert not (tmp_path / "x").exists()

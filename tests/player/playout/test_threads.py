@@ -1,0 +1,228 @@
+"""The threads of Algorithm 2: in order, bounded, and down together."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from codec.camera import Camera
+from codec.errors import SwingsError
+from codec.framerange import Frames
+from codec.slice import Slice
+from codec.stream.manifest import Manifest
+from player.playout.clock import Clock
+from player.playout.threads import EmptyStreamError, Events, Handoff, Threads, render_thread
+from player.playout.timeline import FrameRecord, Playout, PlayoutConfig, ReceivedSlice
+from player.source.fetch import StoppedError
+from tests.support.played import SWIN_SIZE, random_slice, small_manifest
+
+CAMERA = small_manifest().camera()
+
+
+class ListSource:
+    """Slices from a list, then an error if there is one, or endless silence."""
+
+    def __init__(
+        self,
+        num_slices: int,
+        gap_s: float = 0.0,
+        failure: Exception | None = None,
+        silent: bool = False,
+    ) -> None:
+        self._num_slices, self._gap_s = num_slices, gap_s
+        self._failure, self._silent = failure, silent
+        self._stopped = threading.Event()
+        self.given = 0
+
+    name = "list"
+    manifest: Manifest = small_manifest(4, 0)
+    frames = Frames(0)
+    received_bytes = 0
+
+    def slices(self) -> Iterator[ReceivedSlice]:
+        for birth in range(1 - SWIN_SIZE, 1 - SWIN_SIZE + self._num_slices):
+            time.sleep(self._gap_s)
+            self.given += 1
+            yield ReceivedSlice(random_slice(birth, 4, 0), 1, 10)
+        if self._failure is not None:
+            raise self._failure
+        if self._silent:
+            self._stopped.wait()
+            raise StoppedError("stopped")
+
+    def interrupt(self) -> None:
+        self._stopped.set()
+
+    def close(self) -> None:
+        pass
+
+
+class NotingRenderer:
+    """Notes what was put before each frame was drawn."""
+
+    name = "notes"
+    uploaded_bytes = 0
+
+    def __init__(self, failure: Exception | None = None, draw_s: float = 0.0) -> None:
+        self.births: list[int] = []
+        self.drawn: list[tuple[int, int]] = []
+        self._failure, self._draw_s = failure, draw_s
+
+    def put(self, slice: Slice) -> None:
+        if self._failure is not None:
+            raise self._failure
+        self.births.append(slice.birth)
+
+    def render(self, frame: int, camera: Camera) -> npt.NDArray[np.float32]:
+        time.sleep(self._draw_s)
+        self.drawn.append((frame, max(self.births)))
+        return np.zeros((2, 2, 3), np.float32)
+
+    def close(self) -> None:
+        pass
+
+
+def run(
+    source: ListSource,
+    renderer: NotingRenderer,
+    *,
+    real: bool = False,
+    fps: float = 30.0,
+    config: PlayoutConfig | None = None,
+) -> tuple[list[FrameRecord], Events]:
+    events = Events(Playout(0, SWIN_SIZE, fps, config), Clock(real))
+    shown: list[FrameRecord] = []
+    with Threads(source, events) as threads:
+        handoff = threads.update(renderer)
+        render_thread(handoff, renderer, lambda _: CAMERA, lambda r, _: shown.append(r))
+    return shown, events
+
+
+def no_threads_left() -> bool:
+    return not {"receive", "update"} & {thread.name for thread in threading.enumerate()}
+
+
+def test_a_capture_draws_every_frame_once_in_order_with_its_slices() -> None:
+    renderer = NotingRenderer()
+    shown, _ = run(ListSource(SWIN_SIZE + 29), renderer, fps=0.001)
+    assert [record.frame for record in shown] == list(range(30))
+    assert renderer.births == list(range(1 - SWIN_SIZE, 30))
+    assert [frame for frame, _ in renderer.drawn] == list(range(30))
+    # Slices may be there a little early, never late.
+    assert all(frame <= last <= frame + 3 for frame, last in renderer.drawn)
+    assert no_threads_left()
+
+
+def test_a_slow_drawer_holds_the_stream_back_and_is_no_stall() -> None:
+    source, renderer = ListSource(SWIN_SIZE + 19), NotingRenderer(draw_s=0.02)
+    ahead: list[int] = []
+    draw = renderer.render
+
+    def noting(frame: int, camera: Camera) -> npt.NDArray[np.float32]:
+        ahead.append(source.given - (frame + SWIN_SIZE))
+        return draw(frame, camera)
+
+    renderer.render = noting  # type: ignore[method-assign]
+    # The machine draws 50 frames a second, the stream has 1000.
+    shown, events = run(source, renderer, fps=1000.0, config=PlayoutConfig(max_frames=3))
+    assert len(shown) == 20
+    # Queue 3, on their way to the renderer 3, in the hand of the receiver 1.
+    assert max(ahead) <= 8
+    assert events.totals.most_frames_waiting <= 3
+    assert events.totals.stalled_s < 0.1
+
+
+def test_with_a_real_clock_frames_wait_until_they_are_due() -> None:
+    began_s = time.monotonic()
+    shown, events = run(ListSource(SWIN_SIZE + 9), NotingRenderer(), real=True, fps=30.0)
+    assert time.monotonic() - began_s >= 9 / 30
+    assert len(shown) == 10
+    assert events.totals.stalls == 0
+
+
+def test_a_slow_stream_stalls() -> None:
+    shown, events = run(ListSource(SWIN_SIZE + 5, gap_s=0.03), NotingRenderer(), fps=1000.0)
+    assert events.totals.stalls == 5
+    assert events.totals.stalled_s == pytest.approx(5 * 0.03, rel=0.5)
+    assert events.totals.startup_s >= SWIN_SIZE * 0.03
+    assert [record.late for record in shown] == [False] + [True] * 5
+
+
+@pytest.mark.parametrize("real", [True, False])
+def test_what_breaks_the_stream_rises_where_frames_are_drawn(real: bool) -> None:
+    with pytest.raises(SwingsError, match="the network is gone"):
+        run(
+            ListSource(SWIN_SIZE + 3, failure=SwingsError("the network is gone")),
+            NotingRenderer(),
+            real=real,
+        )
+    assert no_threads_left()
+
+
+def test_what_breaks_the_renderer_rises_and_ends_the_stream() -> None:
+    source = ListSource(1000, silent=True)
+    with pytest.raises(SwingsError, match="no memory"):
+        run(source, NotingRenderer(failure=SwingsError("no memory")))
+    assert no_threads_left()
+
+
+def test_what_breaks_the_drawing_ends_both_threads() -> None:
+    renderer = NotingRenderer()
+
+    def broken(frame: int, camera: Camera) -> npt.NDArray[np.float32]:
+        raise SwingsError("the disk is full")
+
+    renderer.render = broken  # type: ignore[method-assign]
+    with pytest.raises(SwingsError, match="the disk is full"):
+        run(ListSource(SWIN_SIZE + 2, silent=True), renderer)
+    assert no_threads_left()
+
+
+def test_a_stream_that_ends_before_its_first_frame_is_an_error() -> None:
+    with pytest.raises(EmptyStreamError):
+        run(ListSource(SWIN_SIZE - 1), NotingRenderer())
+
+
+def test_a_window_sees_errors_too_and_takes_all_frames_at_once() -> None:
+    handoff = Handoff(max_frames=3)
+    for frame in range(3):
+        handoff.wait_for_room()
+        handoff.put(FrameRecord(frame, 1, 1, 0.0, 0.0))
+    assert [record.frame for record in handoff.poll()] == [0, 1, 2]
+    assert handoff.poll() == []
+    handoff.finish(SwingsError("broken"))
+    with pytest.raises(SwingsError, match="broken"):
+        handoff.poll()
+
+
+def test_a_pause_stops_the_time() -> None:
+    events = Events(Playout(0, 1, 100.0), Clock(real=True))
+    events.append(ReceivedSlice(random_slice(0, 4, 0), 1, 1))
+    events.append(ReceivedSlice(random_slice(1, 4, 0), 1, 1))
+    assert events.take() is not None
+    events.toggle_pause()
+    threading.Timer(0.2, events.toggle_pause).start()
+    began_s = time.monotonic()
+    assert events.take() is not None
+    assert time.monotonic() - began_s >= 0.2
+
+
+def test_a_clock_that_stands_loses_no_time_twice() -> None:
+    clock = Clock(real=True)
+    clock.stop()
+    at_s = clock.now_s()
+    time.sleep(0.05)
+    clock.stop()
+    assert clock.now_s() == at_s
+    assert not clock.running
+    clock.start()
+    clock.start()
+    assert at_s <= clock.now_s() < at_s + 0.05
+    assert clock.until_s(at_s - 1) == 0
+    assert clock.until_s(at_s + 10) == pytest.approx(10, abs=0.1)
+    assert Clock(real=False).until_s(99) == 0

@@ -1,0 +1,371 @@
+"""OpenGL beside the CPU renderer: the same picture, and only the changed slice uploaded."""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+
+import moderngl
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from codec.errors import InvalidError, UnsupportedError
+from codec.slice import Slice
+from codec.stream.manifest import Manifest
+from player.render.cpu import render_splats
+from player.render.gl import GlError, GlRenderer, Target, open_context
+from player.render.order import Order
+from player.render.renderer import CpuRenderer, RendererKind, check_drawable, create_renderer
+from player.render.ring import Ring
+from tests.support.played import ROOT, SWIN_SIZE, random_slice, random_splats, small_manifest
+
+Floats = npt.NDArray[np.float32]
+
+
+def gl_reason() -> str | None:
+    """Why OpenGL cannot start here; None where it can."""
+    try:
+        open_context().release()
+    except GlError as error:
+        return str(error)
+    return None
+
+
+NO_GL = gl_reason()
+needs_gl = pytest.mark.skipif(NO_GL is not None, reason=f"OpenGL: {NO_GL}")
+
+
+def psnr_db(a: Floats, b: Floats) -> float:
+    error = ((a.astype(np.float64) - b) ** 2).mean()
+    return float("inf") if error == 0 else float(-10 * np.log10(error))
+
+
+@pytest.fixture
+def renderers() -> Iterator[list[GlRenderer]]:
+    """A list whose renderers are closed after the test."""
+    opened: list[GlRenderer] = []
+    yield opened
+    for renderer in opened:
+        renderer.close()
+
+
+def open_gl(
+    renderers: list[GlRenderer], manifest: Manifest, target: Target = Target.FLOAT32
+) -> GlRenderer:
+    renderers.append(GlRenderer(manifest, target))
+    return renderers[-1]
+
+
+@needs_gl
+@pytest.mark.parametrize("sh_degree", [0, 1, 2])
+def test_parity_with_the_cpu(renderers: list[GlRenderer], sh_degree: int) -> None:
+    manifest = small_manifest(slice_size=500, sh_degree=sh_degree)
+    gl, cpu = open_gl(renderers, manifest), CpuRenderer(manifest)
+    cameras = [
+        manifest.camera("c0"),
+        # Odd size, principal point off the middle, pixels not square.
+        replace(manifest.camera("c1"), width_px=95, height_px=51, cx_px=40.0, fy_px=75.0),
+        # In the midst of the Gaussians: many behind, and beside, and nearer than near_m.
+        replace(manifest.camera("c0"), w2c=shift(-3.9)),
+    ]
+    for birth in range(1 - SWIN_SIZE, 6):
+        slice = random_slice(birth, 500, sh_degree)
+        gl.put(slice)
+        cpu.put(slice)
+        if birth < 0:
+            continue
+        for camera in cameras:
+            expected = cpu.render(birth, camera)
+            assert expected.max() > 0.5
+            got = gl.render(birth, camera)
+            assert got.shape == (camera.height_px, camera.width_px, 3)
+            assert got.dtype == np.float32
+            assert psnr_db(got, expected) >= 60
+
+
+def shift(z_m: float) -> npt.NDArray[np.float64]:
+    """The pose of a camera moved backwards by `z_m`."""
+    w2c = np.eye(4)
+    w2c[2, 3] = z_m
+    return w2c
+
+
+@needs_gl
+@pytest.mark.parametrize(("target", "least_db"), [(Target.FLOAT16, 52), (Target.BYTE, 45)])
+def test_coarser_targets_are_near(
+    renderers: list[GlRenderer], target: Target, least_db: float
+) -> None:
+    # Degree 0 and few layers: eight bits round and clip every layer that is blended.
+    manifest = small_manifest(slice_size=60, sh_degree=0)
+    gl, cpu = open_gl(renderers, manifest, target), CpuRenderer(manifest)
+    for birth in range(1 - SWIN_SIZE, 1):
+        slice = random_slice(birth, 60, 0)
+        gl.put(slice)
+        cpu.put(slice)
+    expected = np.clip(cpu.render(0, manifest.camera()), 0, 1)
+    got = gl.render(0, manifest.camera())
+    assert psnr_db(got, expected) >= least_db
+    if target is Target.BYTE:
+        np.testing.assert_array_equal(got, np.rint(got * 255) / np.float32(255))
+
+
+@needs_gl
+def test_the_renderer_draws_the_ring(renderers: list[GlRenderer]) -> None:
+    manifest = small_manifest(slice_size=100)
+    gl, ring = open_gl(renderers, manifest), Ring(SWIN_SIZE, 100, 1)
+    camera = manifest.camera()
+    # Slices shrink and grow as a server drops and adds layers; one lane is empty for a while.
+    for birth, count in enumerate([100, 3, 0, 60, 1, 100, 2], 1 - SWIN_SIZE):
+        slice = random_slice(birth, count)
+        gl.put(slice)
+        ring.put(slice)
+        if birth >= 0:
+            expected = render_splats(ring.active(birth), camera, manifest.near_m)
+            assert psnr_db(gl.render(birth, camera), expected) >= 60
+
+
+@needs_gl
+def test_slices_put_early_do_not_show_early(renderers: list[GlRenderer]) -> None:
+    manifest = small_manifest(slice_size=100)
+    gl, patient = open_gl(renderers, manifest), open_gl(renderers, manifest)
+    for birth in range(1 - SWIN_SIZE, 4):
+        gl.put(random_slice(birth, 100))
+    for birth in range(1 - SWIN_SIZE, 4):
+        patient.put(random_slice(birth, 100))
+        if birth >= 0:
+            np.testing.assert_array_equal(
+                gl.render(birth, manifest.camera()), patient.render(birth, manifest.camera())
+            )
+
+
+@needs_gl
+def test_only_the_changed_slice_is_uploaded(renderers: list[GlRenderer]) -> None:
+    manifest = small_manifest(slice_size=1024, sh_degree=0)
+    gl = open_gl(renderers, manifest)
+    slice_bytes = 1024 * 64  # two whole rows of 512 Gaussians
+    for birth in range(1 - SWIN_SIZE, 1):
+        gl.put(random_slice(birth, 1024, 0))
+    assert gl.uploaded_bytes == 0
+    gl.render(0, manifest.camera())
+    assert gl.uploaded_bytes == SWIN_SIZE * slice_bytes
+    for frame in range(1, 6):
+        gl.put(random_slice(frame, 1024, 0))
+        gl.render(frame, manifest.camera())
+        gl.render(frame, manifest.camera("c1"))
+        assert gl.uploaded_bytes == (SWIN_SIZE + frame) * slice_bytes
+    # Late starts need no upload either: the same slices show more Gaussians a frame later.
+    before = gl.uploaded_bytes
+    gl.render(6, manifest.camera())
+    assert gl.uploaded_bytes == before
+
+
+@needs_gl
+def test_another_thread_may_put(renderers: list[GlRenderer]) -> None:
+    manifest = small_manifest(slice_size=100)
+    gl, expected = open_gl(renderers, manifest), CpuRenderer(manifest)
+    for birth in range(1 - SWIN_SIZE, 3):
+        thread = threading.Thread(target=gl.put, args=(random_slice(birth, 100),))
+        thread.start()
+        thread.join()
+        expected.put(random_slice(birth, 100))
+        if birth >= 0:
+            pair = gl.render(birth, manifest.camera()), expected.render(birth, manifest.camera())
+            assert psnr_db(*pair) >= 60
+
+
+@needs_gl
+def test_other_threads_run_while_a_frame_is_drawn(renderers: list[GlRenderer]) -> None:
+    manifest = small_manifest(slice_size=20_000, sh_degree=0)
+    gl = open_gl(renderers, manifest)
+    for birth in range(1 - SWIN_SIZE, 1):
+        gl.put(random_slice(birth, 20_000, 0))
+    gl.render(0, manifest.camera())
+    ticks_s: list[float] = []
+    done = threading.Event()
+
+    def tick() -> None:
+        while not done.wait(0.001):
+            ticks_s.append(time.perf_counter())
+
+    thread = threading.Thread(target=tick)
+    thread.start()
+    began_s = time.perf_counter()
+    gl.render(0, manifest.camera())
+    took_s = time.perf_counter() - began_s
+    done.set()
+    thread.join()
+    if took_s < 0.05:
+        pytest.skip(f"drawn in {took_s:.3f} s: too fast to tell")
+    assert len([t for t in ticks_s if began_s < t < began_s + took_s]) >= 5
+
+
+@needs_gl
+def test_a_window_gets_the_picture_the_right_way_up() -> None:
+    manifest = small_manifest(slice_size=200)
+    context = open_context()
+    gl = GlRenderer(manifest, context=context)
+    try:
+        for birth in range(1 - SWIN_SIZE, 1):
+            gl.put(random_slice(birth, 200))
+        camera = manifest.camera()
+        expected = gl.render(0, camera)
+        # Larger than the picture, as a window that was just resized may be.
+        screen = context.framebuffer([context.renderbuffer((100, 90), 4, dtype="f1")])
+        gl.present(0, camera, screen)
+        area = (0, 0, camera.width_px, camera.height_px)
+        data = screen.read(area, components=3, alignment=1)
+        # OpenGL's first row is the lowest one of a window.
+        shown = np.frombuffer(data, np.uint8).reshape(camera.height_px, camera.width_px, 3)[::-1]
+        assert np.abs(shown - np.clip(expected, 0, 1) * 255).max() <= 0.51
+        np.testing.assert_array_equal(gl.render(0, camera), expected)
+    finally:
+        gl.close()
+        context.release()
+
+
+@needs_gl
+def test_sizes_may_change_and_closing_twice_is_closing_once(renderers: list[GlRenderer]) -> None:
+    manifest = small_manifest(slice_size=10)
+    gl = open_gl(renderers, manifest)
+    assert gl.render(0, manifest.camera()).max() == 0
+    for width_px in (8, 500, 8):
+        camera = manifest.camera().resized(width_px, 30)
+        assert gl.render(0, camera).shape == (30, width_px, 3)
+    gl.close()
+    gl.close()
+
+
+@needs_gl
+def test_a_slice_that_does_not_fit_is_refused(renderers: list[GlRenderer]) -> None:
+    gl = open_gl(renderers, small_manifest(slice_size=10))
+    with pytest.raises(InvalidError, match="11 Gaussians"):
+        gl.put(random_slice(0, 11))
+
+
+@needs_gl
+def test_a_stream_too_large_for_the_texture_is_refused() -> None:
+    with pytest.raises(GlError, match="need a texture"):
+        GlRenderer(small_manifest(slice_size=1 << 20, swin_size=16, num_gs=1 << 24))
+
+
+@needs_gl
+def test_a_picture_too_large_is_refused(renderers: list[GlRenderer]) -> None:
+    gl = open_gl(renderers, small_manifest(slice_size=10))
+    gl._limit_px = 63
+    with pytest.raises(GlError, match="up to 63 pixels wide and high, not 64x48"):
+        gl.render(0, small_manifest().camera())
+
+
+def test_the_order_is_that_of_a_stable_sort_by_depth() -> None:
+    rng = np.random.default_rng(3)
+    order = Order(3, 4000)
+    for lane in range(3):
+        means = rng.normal(size=(3000 + lane, 3)).astype(np.float32) * 10
+        means[::7] = means[0]  # ties
+        starts = rng.integers(0, 5, 3000 + lane).astype(np.int32)
+        order.put(lane, 4 + lane, means, starts)
+    w2c = np.eye(4)
+    w2c[2, 3] = 1.5
+    for frame in range(7):
+        depths = (order.means[..., 2] + np.float32(1.5)).ravel()
+        shown = (order.starts <= frame) & (order.expires[:, None] > frame)
+        shown &= np.arange(4000) < order.counts[:, None]
+        slots = np.flatnonzero(shown.ravel() & (depths > 0.5))
+        expected = slots[np.argsort(-depths[slots], kind="stable")]
+        np.testing.assert_array_equal(order.far_first(frame, w2c, 0.5), expected)
+
+
+@given(st.lists(st.floats(2.0**-10, 2.0**120, width=32), max_size=50))
+def test_any_depths_are_sorted(depths_m: list[float]) -> None:
+    order = Order(1, 50)
+    means = np.zeros((len(depths_m), 3), np.float32)
+    means[:, 2] = depths_m
+    order.put(0, 1, means, np.zeros(len(depths_m), np.int32))
+    got = means[order.far_first(0, np.eye(4), 0.0), 2]
+    np.testing.assert_array_equal(got, np.sort(means[:, 2])[::-1])
+
+
+def test_the_cpu_renderer_shows_slices_from_their_birth_on() -> None:
+    manifest = small_manifest(slice_size=50)
+    cpu, ring = CpuRenderer(manifest), Ring(SWIN_SIZE, 50, 1)
+    for birth in range(1 - SWIN_SIZE, 4):
+        cpu.put(random_slice(birth, 50))
+    for birth in range(1 - SWIN_SIZE, 4):
+        ring.put(random_slice(birth, 50))
+        if birth >= 0:
+            expected = render_splats(ring.active(birth), manifest.camera(), manifest.near_m)
+            np.testing.assert_array_equal(cpu.render(birth, manifest.camera()), expected)
+    assert cpu.uploaded_bytes == 7 * 50 * (4 * (3 + 3 + 4 + 1 + 12) + 1)
+
+
+def test_what_the_recipe_cannot_draw(caplog: pytest.LogCaptureFixture) -> None:
+    with pytest.raises(UnsupportedError, match="antialias"):
+        create_renderer(RendererKind.CPU, small_manifest(antialias=True))
+    with caplog.at_level(logging.WARNING):
+        check_drawable(small_manifest(sh_degree=2))
+    assert "degree 2" in caplog.text
+
+
+WITHOUT_GL = {**os.environ, "__EGL_VENDOR_LIBRARY_FILENAMES": "/nonexistent"}
+"""An environment in which libglvnd, where it is, finds no OpenGL."""
+
+CHOOSE = """
+import logging, sys
+from player.render.renderer import RendererKind, create_renderer
+from tests.support.played import small_manifest
+logging.basicConfig(level=logging.WARNING)
+try:
+    print(create_renderer(RendererKind(sys.argv[1]), small_manifest()).name)
+except Exception as error:
+    print(type(error).__name__, error)
+"""
+
+
+def choose(kind: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", CHOOSE, kind],
+        cwd=ROOT,
+        env=WITHOUT_GL,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+
+
+def test_without_opengl_auto_says_so_and_gl_fails() -> None:
+    forced = choose("gl")
+    if not forced.stdout.startswith("GlError"):
+        pytest.skip("this OpenGL does not come through libglvnd, so it cannot be hidden")
+    assert "OpenGL 3.3 cannot start without a window" in forced.stdout
+    assert forced.stdout.count("\n") == 1
+    fallen = choose("auto")
+    assert fallen.stdout == "CPU\n"
+    assert "drawing on the CPU: OpenGL 3.3 cannot start" in fallen.stderr
+
+
+def test_empty_slices_are_drawn_as_nothing() -> None:
+    manifest = small_manifest(slice_size=4)
+    empty = Slice(0, random_splats(0, 1, 0), np.zeros(0, np.uint8))
+    kinds = [RendererKind.CPU] if NO_GL else [RendererKind.CPU, RendererKind.GL]
+    for kind in kinds:
+        renderer = create_renderer(kind, manifest)
+        renderer.put(empty)
+        assert not renderer.render(0, manifest.camera()).any()
+        renderer.close()
+
+
+@needs_gl
+def test_the_context_is_at_least_what_is_asked_for() -> None:
+    context = open_context()
+    assert isinstance(context, moderngl.Context)
+    assert context.version_code >= 330
+    context.release()

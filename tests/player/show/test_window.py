@@ -1,0 +1,113 @@
+"""The window itself, on an X server without a screen."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.support.played import ROOT, write_stream
+
+XVFB = shutil.which("Xvfb")
+
+pytestmark = pytest.mark.skipif(
+    XVFB is None or importlib.util.find_spec("glfw") is None,
+    reason="needs Xvfb, and glfw (the extra `window`)",
+)
+
+# Plays in a window, notes what is on it, turns the view by mouse and key events and closes it.
+PLAY = """
+import json, sys
+from pathlib import Path
+
+import glfw
+import moderngl
+import numpy as np
+
+from player.playback import PlayConfig, play
+
+shown = []
+swap = glfw.swap_buffers
+
+def swap_buffers(window):
+    width, height = glfw.get_framebuffer_size(window)
+    context = moderngl.get_context()
+    data = context.screen.read((0, 0, width, height), components=3, alignment=1)
+    picture = np.frombuffer(data, np.uint8).reshape(height, width, 3)[::-1]
+    shown.append((width, height, int(picture.max()), picture.tobytes()))
+    swap(window)
+    if len(shown) == 4:
+        glfw.set_window_size(window, 100, 90)
+    if len(shown) == 12:
+        glfw.set_window_should_close(window, True)
+
+glfw.swap_buffers = swap_buffers
+summary = play(PlayConfig(sys.argv[1], report=Path(sys.argv[2])))
+print(json.dumps({
+    "sizes": [s[:2] for s in shown],
+    "brightest": [s[2] for s in shown],
+    "different": len({s[3] for s in shown}),
+    "renderer": summary.renderer,
+}))
+"""
+
+
+@pytest.fixture
+def display() -> Iterator[str]:
+    assert XVFB is not None
+    reading, writing = os.pipe()
+    command = [XVFB, "-displayfd", str(writing), "-screen", "0", "640x480x24", "-nolisten", "tcp"]
+    process = subprocess.Popen(command, pass_fds=(writing,), stderr=subprocess.DEVNULL)
+    os.close(writing)
+    with os.fdopen(reading) as pipe:
+        number = pipe.readline().strip()
+    try:
+        yield f":{number}"
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def test_a_window_plays_resizes_and_closes(display: str, tmp_path: Path) -> None:
+    stream = write_stream(tmp_path / "s", 40)
+    done = subprocess.run(
+        [sys.executable, "-c", PLAY, str(stream), str(tmp_path / "r.json")],
+        cwd=ROOT,
+        env={**os.environ, "DISPLAY": display},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["sizes"][0] == [64, 48]
+    assert told["sizes"][-1] == [100, 90]
+    assert min(told["brightest"]) > 100
+    assert told["different"] > 5
+    assert told["renderer"].startswith("OpenGL")
+    frames = [f["frame"] for f in json.loads((tmp_path / "r.json").read_text())["frames"]]
+    assert frames == list(range(len(frames)))
+
+
+def test_without_a_display_one_line_says_what_to_do(tmp_path: Path) -> None:
+    stream = write_stream(tmp_path / "s", 5)
+    environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    done = subprocess.run(
+        [sys.executable, "-m", "player", str(stream)],
+        cwd=ROOT,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 1
+    assert done.stderr.startswith("swings-play: no window can be opened here")
+    assert "--capture" in done.stderr
+    assert done.stderr.count("\n") == 1

@@ -1,0 +1,505 @@
+"""Sources: the same slices from a folder, a static host and a server, whatever networks do."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from codec.errors import CorruptError, InvalidError, SwingsError
+from codec.framerange import Frames
+from codec.slice import Slice
+from codec.stream import StreamReader, StreamWriter
+from codec.stream.chunk import encode_chunk
+from codec.stream.layers import RANKS, split_layers
+from codec.stream.manifest import Manifest
+from codec.stream.object import encode_frame
+from codec.stream.playrecord import (
+    EndRecord,
+    ErrorRecord,
+    Record,
+    SliceRecord,
+    StartRecord,
+    encode_record,
+)
+from player.link.link import Link
+from player.link.relay import Relay
+from player.playout.timeline import ReceivedSlice
+from player.source.fetch import BrokenError, FetchConfig, Fetcher, FetchError, StoppedError
+from player.source.locate import open_source
+from player.source.retry import Retry, RetryConfig
+from player.source.served import HttpPlaySource
+from player.source.source import Source
+from tests.support.played import (
+    SWIN_SIZE,
+    ServerProcess,
+    random_slice,
+    served,
+    small_manifest,
+    static_host,
+    write_stream,
+)
+
+ALL_FRAMES = Frames()
+QUICK = RetryConfig(attempts=2, first_delay_s=0.01, max_delay_s=0.01)
+
+
+def read_all(
+    source: str, frames: Frames = ALL_FRAMES, layers: int | None = None
+) -> list[ReceivedSlice]:
+    opened = open_source(source, frames, layers)
+    try:
+        return list(opened.slices())
+    finally:
+        opened.close()
+
+
+def same(a: Slice, b: Slice) -> bool:
+    return (
+        a.birth == b.birth
+        and np.array_equal(a.start_offsets, b.start_offsets)
+        and np.array_equal(a.splats.means, b.splats.means)
+        and np.array_equal(a.splats.sh, b.splats.sh)
+        and np.array_equal(a.splats.logit_opacities, b.splats.logit_opacities)
+    )
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("library")
+    write_stream(root / "one", 13)
+    return root
+
+
+@pytest.fixture(scope="module")
+def endless(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A library of one stream, longer than the server sends ahead: it can die in the middle."""
+    root = tmp_path_factory.mktemp("endless")
+    write_stream(root / "long", 300, sh_degree=0, slice_size=8, fps=100.0, segment_frames=50)
+    return root
+
+
+@pytest.fixture(scope="module")
+def server(library: Path) -> Iterator[ServerProcess]:
+    with served(library) as server:
+        yield server
+
+
+@pytest.mark.parametrize("layers", [1, 2, 3, None])
+@pytest.mark.parametrize("frames", [Frames(), Frames(3, 9), Frames(12), Frames(0, 1)])
+def test_every_source_gives_the_slices_of_the_reader(
+    library: Path, server: ServerProcess, layers: int | None, frames: Frames
+) -> None:
+    reader = StreamReader(library / "one")
+    count = layers or 3
+    births = range(frames.first - SWIN_SIZE + 1, frames.end or 13)
+    expected = [reader.slice(birth, count) for birth in births]
+    with static_host(library) as host:
+        sources = [str(library / "one"), f"{host}/one", f"{host}/one/manifest.json"]
+        if layers is not None:
+            sources.append(f"{server.url}/v1/streams/one")
+        for source in sources:
+            got = read_all(source, frames, layers)
+            assert [r.slice.birth for r in got] == list(births)
+            assert all(same(r.slice, e) for r, e in zip(got, expected, strict=True))
+            assert {r.layers for r in got} == {count}
+            assert all(r.wire_bytes > 0 for r in got)
+
+
+def test_all_forms_of_a_server_s_url(server: ServerProcess) -> None:
+    for form in ("", "/", "/watch/one", "/watch/one/", "/v1/streams/one"):
+        got = read_all(server.url + form)
+        assert [r.slice.birth for r in got] == list(range(1 - SWIN_SIZE, 13))
+        assert {r.layers for r in got} <= {1, 2, 3}
+    # The server's objects are also a static stream.
+    assert len(read_all(f"{server.url}/v1/streams/one/manifest.json")) == 16
+
+
+def test_what_a_source_says_before_its_slices(library: Path, server: ServerProcess) -> None:
+    manifest = StreamReader(library / "one").manifest
+    for name in (str(library / "one"), server.url):
+        source = open_source(name, Frames(2), None)
+        assert source.name == name
+        assert source.frames == Frames(2, 13)
+        assert source.manifest.to_json() == manifest.to_json()
+        source.close()
+
+
+@pytest.mark.parametrize(
+    ("frames", "layers", "message"),
+    [
+        (Frames(13), None, "there is no frame 13|has 13 frames"),
+        (Frames(0, 14), None, "there is no frame 13"),
+        (Frames(), 4, "layers"),
+    ],
+)
+def test_what_a_stream_does_not_have(
+    library: Path, server: ServerProcess, frames: Frames, layers: int | None, message: str
+) -> None:
+    with static_host(library) as host:
+        for source in (str(library / "one"), f"{host}/one", f"{server.url}/watch/one"):
+            with pytest.raises(SwingsError, match=message):
+                read_all(source, frames, layers)
+
+
+def test_a_server_of_many_streams_names_them(library: Path, tmp_path: Path) -> None:
+    shutil.copytree(library / "one", tmp_path / "first")
+    shutil.copytree(library / "one", tmp_path / "second")
+    with served(tmp_path) as server:
+        with pytest.raises(FetchError, match="2 streams: first, second; name one"):
+            read_all(server.url)
+        with pytest.raises(FetchError, match="is not a stream: HTTP 404, no stream is called"):
+            read_all(f"{server.url}/watch/third")
+
+
+def test_what_is_no_stream(tmp_path: Path, server: ServerProcess) -> None:
+    (tmp_path / "manifest.json").write_text("<html>")
+    (tmp_path / "empty").mkdir()
+    with static_host(tmp_path) as host:
+        for url in (host, f"{host}/nothing", f"{host}/empty", f"{server.url}/elsewhere"):
+            with pytest.raises(FetchError, match="is not a stream"):
+                read_all(url)
+    with pytest.raises(BrokenError, match="cannot connect: Connection refused"):
+        read_all(host)
+    for nonsense in ("ftp://host/x", "http:///x", "http://host:port/x"):
+        with pytest.raises(SwingsError):
+            read_all(nonsense)
+    with pytest.raises(CorruptError, match="is no folder"):
+        read_all(str(tmp_path / "absent"))
+
+
+@pytest.mark.parametrize("damage", ["altered", "short", "missing"])
+def test_a_damaged_object_is_named(library: Path, tmp_path: Path, damage: str) -> None:
+    shutil.copytree(library / "one", tmp_path / "s")
+    path = tmp_path / "s" / "segments" / "1" / "0"
+    data = path.read_bytes()
+    if damage == "altered":
+        path.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
+    elif damage == "short":
+        path.write_bytes(data[:-1])
+    else:
+        path.unlink()
+    with static_host(tmp_path) as host:
+        for source in (str(tmp_path / "s"), f"{host}/s"):
+            with pytest.raises(SwingsError, match="segments/1/0"):
+                read_all(source)
+
+
+def test_a_folder_still_written_is_played_as_far_as_it_has_come(tmp_path: Path) -> None:
+    manifest = small_manifest()
+    births = iter(range(1 - SWIN_SIZE, 99))
+    with StreamWriter.create(tmp_path / "s", manifest) as writer:
+        for birth in births:
+            writer.append(random_slice(birth))
+            if birth == 7:
+                break
+        source = open_source(str(tmp_path / "s"), Frames(), None)
+        got = []
+        for received in source.slices():
+            got.append(received.slice.birth)
+            if received.slice.birth == 2:
+                for birth in births:
+                    writer.append(random_slice(birth))
+                    if birth == 9:
+                        break
+        assert got == list(range(1 - SWIN_SIZE, 10))  # two whole segments
+
+
+def test_through_a_link_the_slices_are_the_same(library: Path, server: ServerProcess) -> None:
+    with Relay(Link.parse("2M,5ms"), "127.0.0.1", server.port) as relay:
+        source = open_source(server.url, Frames(), 3, relay.address)
+        got = list(source.slices())
+        source.close()
+        assert relay.down_bytes > sum(r.wire_bytes for r in got)
+    reader = StreamReader(library / "one")
+    assert all(same(r.slice, reader.slice(r.slice.birth, 3)) for r in got)
+
+
+def test_a_live_stream_is_followed_to_its_end(tmp_path: Path) -> None:
+    root = tmp_path / "library"
+    with StreamWriter.create(root / "live", small_manifest()) as writer, served(root) as server:
+        # Nothing stands yet: the source waits for the first segment.
+        source = open_source(server.url, Frames(), 2)
+        assert source.frames.end is None
+
+        def write() -> None:
+            for birth in range(1 - SWIN_SIZE, 23):
+                writer.append(random_slice(birth))
+                time.sleep(0.01)
+            writer.close()
+
+        thread = threading.Thread(target=write)
+        thread.start()
+        got = list(source.slices())
+        thread.join()
+        source.close()
+    reader = StreamReader(root / "live")
+    assert [r.slice.birth for r in got] == list(range(1 - SWIN_SIZE, 23))
+    assert all(same(r.slice, reader.slice(r.slice.birth, 2)) for r in got)
+
+
+def test_a_killed_server_that_comes_back_is_not_noticed(endless: Path) -> None:
+    server = ServerProcess(endless)
+    source = HttpPlaySource(
+        "s",
+        f"{server.url}/v1/streams/long",
+        Fetcher(),
+        Frames(),
+        3,
+        RetryConfig(attempts=100, first_delay_s=0.05, max_delay_s=0.05),
+    )
+    got = []
+    try:
+        for received in source.slices():
+            got.append(received)
+            if received.slice.birth == 20:
+                server.kill()
+                threading.Timer(0.3, lambda: restart(endless, server)).start()
+    finally:
+        source.close()
+        server.kill()
+    reader = StreamReader(endless / "long")
+    assert [r.slice.birth for r in got] == list(range(1 - SWIN_SIZE, 300))
+    assert all(same(r.slice, reader.slice(r.slice.birth, 3)) for r in got)
+
+
+def restart(root: Path, server: ServerProcess) -> None:
+    server.process = ServerProcess(root, server.port).process
+
+
+def test_a_server_that_stays_away_ends_in_one_line(endless: Path) -> None:
+    server = ServerProcess(endless)
+    source = HttpPlaySource(
+        "the stream", f"{server.url}/v1/streams/long", Fetcher(), Frames(), None, QUICK
+    )
+    slices = source.slices()
+    next(slices)
+    server.kill()
+    with pytest.raises(BrokenError, match=r"given up after 2 new tries"):
+        list(slices)
+    source.close()
+
+
+class Script:
+    """A host that answers each connection with the next of `answers`, whatever is asked."""
+
+    def __init__(self, answers: list[bytes]) -> None:
+        self._answers = answers
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.url = f"http://127.0.0.1:{self._listener.getsockname()[1]}"
+        self.asked: list[str] = []
+        self._held: list[socket.socket] = []
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        for answer in self._answers:
+            try:
+                connection, _ = self._listener.accept()
+            except OSError:
+                return
+            request = b""
+            while b"\r\n\r\n" not in request:
+                request += connection.recv(65536)
+            self.asked.append(request.split()[1].decode())
+            connection.sendall(answer)
+            if answer.endswith(HOLD):
+                self._held.append(connection)
+            else:
+                connection.close()
+
+    def close(self) -> None:
+        self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        self._thread.join()
+        for connection in self._held:
+            connection.close()
+
+
+HOLD = b"\r\n"
+"""An answer that ends so leaves the connection open."""
+
+
+@contextmanager
+def script(*answers: bytes) -> Iterator[Script]:
+    host = Script(list(answers))
+    try:
+        yield host
+    finally:
+        host.close()
+
+
+HEAD = b"HTTP/1.1 200 OK\r\nContent-Type: application/x-swings-play\r\nConnection: close\r\n\r\n"
+
+
+def answer(*records: Record) -> bytes:
+    return HEAD + b"".join(map(encode_record, records))
+
+
+MANIFEST = small_manifest()
+
+
+def start(num_frames: int = 3, manifest: Manifest = MANIFEST) -> StartRecord:
+    return StartRecord(0, num_frames, manifest.to_json())
+
+
+def record_of(birth: int, change: Callable[[Slice], Slice] = lambda s: s) -> SliceRecord:
+    layers = split_layers(change(random_slice(birth)), MANIFEST.layers, RANKS["opacity"])
+    chunks = [encode_chunk(part, n, MANIFEST.profile) for n, part in enumerate(layers)]
+    return SliceRecord(birth, tuple(map(encode_frame, chunks)))
+
+
+ALL = [record_of(birth) for birth in range(-3, 3)]
+
+
+def open_play(url: str, retry: RetryConfig = QUICK) -> Source:
+    fetcher = Fetcher(config=FetchConfig(read_timeout_s=0.3))
+    try:
+        return HttpPlaySource("S", f"{url}/v1/streams/s", fetcher, Frames(), None, retry)
+    except BaseException:
+        fetcher.close()
+        raise
+
+
+def births_from(*answers: bytes) -> tuple[list[int], list[str]]:
+    with script(*answers) as host:
+        source = open_play(host.url)
+        try:
+            return [received.slice.birth for received in source.slices()], host.asked
+        finally:
+            source.close()
+
+
+def test_a_response_cut_anywhere_is_taken_up_again() -> None:
+    whole = answer(start(), *ALL, EndRecord(3))
+    first = len(answer(start()))
+    for cut in (first, first + 1, first + 200, len(whole) - 3):
+        births, asked = births_from(whole[:cut], whole)
+        assert births == [-3, -2, -1, 0, 1, 2]
+        assert len(asked) == 2
+
+
+def test_a_new_connection_asks_for_what_is_missing_only() -> None:
+    resumed = answer(StartRecord(2, 3, MANIFEST.to_json()), *ALL[2:], EndRecord(3))
+    births, asked = births_from(answer(start(), *ALL[:3]), resumed)
+    assert births == [-3, -2, -1, 0, 1, 2]
+    # Slice 0 is missing, first of the window of frame 3; the last frame is 2, whose window has -1.
+    assert asked == [
+        "/v1/streams/s/play?from=0&layers=auto",
+        "/v1/streams/s/play?from=2&layers=auto",
+    ]
+
+
+def test_at_the_edge_of_a_live_stream_only_the_last_window_comes_again() -> None:
+    live = MANIFEST.with_live(True)
+    later = StartRecord(5, 6, live.to_json())
+    births, asked = births_from(
+        answer(start(1, live), *map(record_of, range(-3, 6))),
+        answer(later, *map(record_of, range(2, 7)), EndRecord(7)),
+    )
+    assert births == list(range(-3, 7))
+    assert asked[1] == "/v1/streams/s/play?from=5&layers=auto"
+
+
+def test_a_server_that_stops_is_asked_again() -> None:
+    stopping = answer(start(), *ALL[:4], ErrorRecord("the server is stopping"))
+    unavailable = b"HTTP/1.1 503 Busy\r\nContent-Length: 0\r\nConnection: close\r\n\r\n\r"
+    births, _ = births_from(stopping, unavailable, answer(start(), *ALL, EndRecord(3)))
+    assert births == [-3, -2, -1, 0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("answers", "error", "message"),
+    [
+        ([b"garbage"], BrokenError, "S/|v1/streams/s/play.*broke"),
+        ([HEAD + b"\xff\xff\xff\xff"], CorruptError, "record of 4294967295 bytes"),
+        ([HEAD + b"\x01\0\0\0\xc0"], CorruptError, "S: play"),
+        ([answer(EndRecord(3))], CorruptError, "does not begin with a start record"),
+        ([answer(StartRecord(0, 3, b"{}"))], CorruptError, "S: manifest"),
+        ([answer(start(), start())], CorruptError, "second start"),
+        ([answer(start(), *ALL[1:])], CorruptError, "born at -2 came before -3"),
+        ([answer(start(), *ALL[:3], EndRecord(3))], CorruptError, "ended before frame 0"),
+        (
+            [answer(start(), SliceRecord(-3, ALL[1].frames))],
+            CorruptError,
+            "has another birth",
+        ),
+        ([answer(start(), SliceRecord(-3, (b"zz",)))], CorruptError, "S: frame"),
+        (
+            [answer(start(), record_of(-3, lambda s: random_slice(-3, 41)))],
+            CorruptError,
+            "does not fit the manifest",
+        ),
+        (
+            [answer(start(), *ALL[:2]), answer(start(3, small_manifest(num_gs=4)))],
+            CorruptError,
+            "replaced by another",
+        ),
+        ([answer(start(), *ALL[:2])] * 9, BrokenError, "ended early .given up after 2"),
+        ([answer(start(), *ALL[:2]), HOLD, HOLD, HOLD], BrokenError, "given up after 2"),
+        (
+            [answer(start()), *[answer(ErrorRecord("it is damaged"))] * 3],
+            BrokenError,
+            "the server says: it is damaged",
+        ),
+        ([HEAD.replace(b"x-swings-play", b"json") + b"{}"], FetchError, "S is not a stream"),
+        (
+            [b'HTTP/1.1 400 No\r\nConnection: close\r\n\r\n{"error": "from=0: no"}'],
+            FetchError,
+            "S: HTTP 400, from=0: no",
+        ),
+        (
+            [b"HTTP/1.1 404 No\r\nContent-Length: 3\r\n\r\n[1]"],
+            FetchError,
+            "S is not a stream: HTTP 404",
+        ),
+    ],
+)
+def test_hostile_servers(answers: list[bytes], error: type[SwingsError], message: str) -> None:
+    with pytest.raises(error, match=message) as caught:
+        births_from(*answers)
+    assert "\n" not in str(caught.value)
+
+
+def test_waiting_for_a_slice_can_be_stopped() -> None:
+    with script(answer(start(), ALL[0]) + HOLD) as host:
+        source = HttpPlaySource("S", host.url, Fetcher(), Frames(), None)
+        slices = source.slices()
+        next(slices)
+        began_s = time.monotonic()
+        threading.Timer(0.1, source.interrupt).start()
+        with pytest.raises(StoppedError):
+            next(slices)
+        assert time.monotonic() - began_s < 5
+        source.close()
+        source.close()
+
+
+def test_a_body_longer_than_allowed_is_not_read() -> None:
+    with script(b"HTTP/1.1 200 OK\r\nConnection: close\r\n\r\n" + bytes(5000)) as host:
+        fetcher = Fetcher()
+        with pytest.raises(FetchError, match="longer than 100 bytes"):
+            fetcher.get(host.url, 100)
+        fetcher.close()
+
+
+def test_retries_wait_longer_and_are_bounded() -> None:
+    retry = Retry(RetryConfig(attempts=4, first_delay_s=0.1, max_delay_s=0.3))
+    error = BrokenError("x")
+    assert [retry.delay_s(error) for _ in range(4)] == [0.1, 0.2, 0.3, 0.3]
+    with pytest.raises(BrokenError, match=r"x .given up after 4 new tries"):
+        retry.delay_s(error)
+    retry.progress()
+    assert retry.delay_s(error) == 0.1
+
+
+def test_layers_and_frames_are_checked_before_anything_is_sent(library: Path) -> None:
+    with pytest.raises(InvalidError, match="--layers 9"):
+        read_all(str(library / "one"), layers=9)

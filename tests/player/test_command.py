@@ -1,0 +1,202 @@
+"""swings-play from end to end: files out, exit codes, one line for what is wrong."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from PIL import Image
+
+from codec.errors import InvalidError, SwingsError
+from codec.stream import StreamReader
+from player.playback import PlayConfig, play
+from player.render.cpu import render_splats
+from player.render.renderer import RendererKind
+from player.show.sink import to_bytes
+from player.show.window import WindowError, window_system
+from tests.support.played import ROOT, SWIN_SIZE, ServerProcess, served, static_host, write_stream
+
+CPU = RendererKind.CPU
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("library")
+    write_stream(root / "one", 13)
+    return root
+
+
+@pytest.fixture(scope="module")
+def server(library: Path) -> Iterator[ServerProcess]:
+    with served(library) as server:
+        yield server
+
+
+def command(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-W", "error", "-m", "player", *arguments],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+
+
+def test_a_folder_into_a_video_with_a_report(library: Path, tmp_path: Path) -> None:
+    out, report = tmp_path / "out.mp4", tmp_path / "report.json"
+    arguments = ["--capture", str(out), "--report", str(report), "--size", "80x60"]
+    done = command(str(library / "one"), *arguments, "--camera", "orbit", "--layers", "2")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("13 frames of ")
+    assert "0 stalls" in done.stdout
+    with av.open(str(out)) as container:
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    assert len(frames) == 13
+    assert frames[0].shape == (60, 80, 3)
+    assert max(frame.max() for frame in frames) > 60
+    told = json.loads(report.read_text())
+    assert [f["frame"] for f in told["frames"]] == list(range(13))
+    assert {f["layers"] for f in told["frames"]} == {2}
+    assert all(f["shown_s"] >= f["due_s"] for f in told["frames"])
+    totals = told["totals"]
+    assert totals["frames"] == 13
+    assert totals["bytes"] == sum(f["bytes"] for f in told["frames"]) > 0
+    assert totals["mean_layers"] == 2
+    assert totals["link_bytes"] is None
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["out.mp4", "report.json"]
+
+
+def test_every_source_draws_the_same_frames(
+    library: Path, server: ServerProcess, tmp_path: Path
+) -> None:
+    reader = StreamReader(library / "one")
+    camera = reader.manifest.camera("c1")
+    with static_host(library) as host:
+        sources = [str(library / "one"), f"{host}/one", server.url]
+        for number, source in enumerate(sources):
+            link = None if number == 0 else "20M,2ms"
+            play(
+                PlayConfig(
+                    source,
+                    capture=tmp_path / str(number),
+                    layers="2",
+                    camera="camera:c1",
+                    renderer=CPU,
+                    frames="3:9",
+                    link=link,
+                )
+            )
+    for frame in range(3, 9):
+        splats = reader.active_splats(frame, 2)
+        expected = to_bytes(render_splats(splats, camera, reader.manifest.near_m))
+        for number in range(3):
+            file = tmp_path / str(number) / f"frame_{frame:05d}.png"
+            np.testing.assert_array_equal(np.asarray(Image.open(file)), expected)
+    assert len(list((tmp_path / "0").iterdir())) == 6
+
+
+def test_a_slow_link_stalls_and_is_counted(library: Path, tmp_path: Path) -> None:
+    with static_host(library) as host:
+        source = f"{host}/one"
+        config = PlayConfig(source, capture=tmp_path / "out", renderer=CPU, link="400k")
+        summary = play(config)
+    totals = summary.totals
+    assert totals.frames == 13
+    # Two segments and a half of about 20 kB each, at 50 kB/s, for half a second of frames.
+    assert totals.stalls > 0
+    assert summary.link_bytes is not None
+    assert summary.link_bytes >= totals.wire_bytes
+    passed_s = totals.startup_s + 12 / 30 + totals.stalled_s
+    assert passed_s == pytest.approx(summary.link_bytes * 8 / 400e3, rel=0.4)
+
+
+def test_a_server_that_dies_leaves_no_half_video(library: Path, tmp_path: Path) -> None:
+    with static_host(library) as host:
+        (tmp_path / "s").mkdir()
+        for part in ("manifest.json", "index.bin"):
+            (tmp_path / "s" / part).write_bytes((library / "one" / part).read_bytes())
+        objects = tmp_path / "s" / "segments" / "0"
+        objects.mkdir(parents=True)
+        for layer in range(3):
+            data = (library / "one" / "segments" / "0" / str(layer)).read_bytes()
+            (objects / str(layer)).write_bytes(data)
+        assert host
+    out = tmp_path / "out.mp4"
+    with static_host(tmp_path) as host, pytest.raises(SwingsError, match="segments/1/0: HTTP 404"):
+        play(PlayConfig(f"{host}/s", capture=out, renderer=CPU, report=tmp_path / "r.json"))
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["s"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--layers", "0"), "neither auto nor a number"),
+        (("--layers", "some"), "neither auto nor a number"),
+        (("--frames", "9:3"), "hold no frame"),
+        (("--size", "big"), "WIDTHxHEIGHT"),
+        (("--camera", "nowhere"), "none of default"),
+        (("--renderer", "cpu"), "goes with --capture"),
+        (("--capture", "x.gif"), "name an .mp4"),
+        (("--capture", "x.mp4", "--link", "8M"), "slows down http"),
+        (("--capture", "x.mp4", "--report", "/absent/r.json"), "there is no folder"),
+    ],
+)
+def test_options_that_are_wrong_for_any_stream(arguments: tuple[str, ...], message: str) -> None:
+    values = dict(zip([a[2:] for a in arguments[::2]], arguments[1::2], strict=True))
+    types = {"capture": Path, "report": Path, "renderer": RendererKind}
+    typed = {key: types.get(key, str)(value) for key, value in values.items()}
+    with pytest.raises(InvalidError, match=message):
+        PlayConfig("somewhere", **typed)
+
+
+def test_exit_codes(library: Path, tmp_path: Path) -> None:
+    stream, out = str(library / "one"), str(tmp_path / "out.mp4")
+    for bad in (("--size", "big"), ("--link", "8M"), ("--renderer", "magic"), ("--nonsense",)):
+        done = command(stream, "--capture", out, *bad)
+        assert (done.returncode, done.stdout) == (2, "")
+        assert "Traceback" not in done.stderr
+    for source, message in (
+        ("absent", "absent is no folder"),
+        ("http://127.0.0.1:9/s", "cannot connect"),
+        (str(tmp_path), "manifest.json is missing"),
+    ):
+        done = command(source, "--capture", out)
+        assert done.returncode == 1
+        assert done.stderr.startswith("swings-play: ")
+        assert message in done.stderr
+        assert done.stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_glfw_a_window_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "glfw", None)
+    with pytest.raises(WindowError, match=r"extra `window`.*--capture"), window_system():
+        pass
+
+
+def test_what_the_stream_does_not_have_leaves_nothing(library: Path, tmp_path: Path) -> None:
+    stream, out = str(library / "one"), tmp_path / "out.mp4"
+    for options, message in (
+        ({"frames": "13:"}, "there is no frame 13"),
+        ({"layers": "4"}, "--layers 4"),
+        ({"camera": "camera:nobody"}, "no camera is called"),
+    ):
+        with pytest.raises(InvalidError, match=message):
+            play(PlayConfig(stream, capture=out, renderer=CPU, **options))  # type: ignore[arg-type]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_window_of_frame_zero_counts_in_the_first_frame(library: Path, tmp_path: Path) -> None:
+    config = PlayConfig(
+        str(library / "one"), capture=tmp_path / "o", renderer=CPU, report=tmp_path / "r.json"
+    )
+    summary = play(config)
+    assert len(summary.records) == 13
+    others = [record.wire_bytes for record in summary.records[1:]]
+    assert summary.records[0].wire_bytes > (SWIN_SIZE - 1) * max(others)

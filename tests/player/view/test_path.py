@@ -1,0 +1,222 @@
+"""Camera paths, key frames, poses and the window's view, as mathematics."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from codec.camera import Camera
+from codec.errors import InvalidError
+from codec.framerange import Frames
+from codec.pose import Vector, look_at, quat_of, rotation_about, rotation_of, slerp
+from player.view.mouse import view_of
+from player.view.path import Size, camera_path, closest_point, fitted, scene_centre, turned, up_of
+from tests.support.played import ring_of_cameras, small_manifest
+
+MANIFEST = small_manifest()
+CENTRE = np.array([0.0, 0.0, 4.0])
+
+angles_rad = st.floats(-math.pi, math.pi)
+axes = st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1)
+
+
+def unit(vector: tuple[float, float, float]) -> Vector:
+    return np.asarray(np.array(vector) / np.linalg.norm(vector), np.float64)
+
+
+def seen_at_px(camera: Camera, point: Vector) -> Vector:
+    x, y, z = camera.w2c[:3, :3] @ point + camera.w2c[:3, 3]
+    return np.array([camera.fx_px * x / z + camera.cx_px, camera.fy_px * y / z + camera.cy_px])
+
+
+@given(axes, angles_rad)
+def test_quaternions_and_rotations_are_the_same(
+    axis: tuple[float, float, float], angle_rad: float
+) -> None:
+    rotation = rotation_about(unit(axis), angle_rad)
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(rotation) == pytest.approx(1)
+    np.testing.assert_allclose(rotation_of(quat_of(rotation)), rotation, atol=1e-9)
+
+
+@given(axes, st.floats(-3, 3), st.floats(0, 1))
+def test_slerp_turns_evenly(
+    axis: tuple[float, float, float], angle_rad: float, share: float
+) -> None:
+    first, last = np.eye(3), rotation_about(unit(axis), angle_rad)
+    between = rotation_of(slerp(quat_of(first), quat_of(last), share))
+    np.testing.assert_allclose(between, rotation_about(unit(axis), share * angle_rad), atol=1e-6)
+
+
+def test_look_at_is_the_pose_of_opencv() -> None:
+    np.testing.assert_allclose(
+        look_at(np.zeros(3), np.array([0.0, 0, 1]), np.array([0.0, -1, 0])), np.eye(4), atol=1e-12
+    )
+    with pytest.raises(InvalidError):
+        look_at(np.zeros(3), np.array([0.0, 1, 0]), np.array([0.0, -1, 0]))
+
+
+@given(st.integers(1, 2000), st.integers(1, 2000))
+def test_a_fitted_camera_keeps_pixels_square_and_loses_nothing(
+    width_px: int, height_px: int
+) -> None:
+    camera = MANIFEST.camera()
+    other = fitted(camera, Size(width_px, height_px))
+    assert other.fx_px / other.fy_px == pytest.approx(camera.fx_px / camera.fy_px)
+    tan_x = (other.width_px / other.fx_px, camera.width_px / camera.fx_px)
+    tan_y = (other.height_px / other.fy_px, camera.height_px / camera.fy_px)
+    assert tan_x[0] >= tan_x[1] * (1 - 1e-9)
+    assert tan_y[0] >= tan_y[1] * (1 - 1e-9)
+
+
+def test_the_scene_is_where_the_cameras_look() -> None:
+    found = closest_point(ring_of_cameras(5))
+    assert found is not None
+    np.testing.assert_allclose(found, CENTRE, atol=1e-9)
+    np.testing.assert_allclose(up_of(ring_of_cameras()), [0, -1, 0], atol=1e-9)
+    np.testing.assert_allclose(scene_centre(MANIFEST), CENTRE, atol=1e-9)
+    alone = small_manifest(cameras=ring_of_cameras()[:1], bounds=((0, 0, 0), (2, 4, 6)))
+    np.testing.assert_allclose(scene_centre(alone), [1, 2, 3])
+
+
+def test_an_orbit_goes_once_around_and_starts_at_the_default_camera() -> None:
+    path = camera_path("orbit", MANIFEST, None, Frames(10, 50))
+    np.testing.assert_allclose(path(10).w2c, MANIFEST.camera("c0").w2c, atol=1e-12)
+    np.testing.assert_allclose(path(50).w2c, path(10).w2c, atol=1e-9)
+    places = np.array([path(frame).position for frame in range(10, 50)])
+    np.testing.assert_allclose(np.linalg.norm(places - CENTRE, axis=1), 4, atol=1e-9)
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    np.testing.assert_allclose(steps, steps[0])
+    others = {tuple(np.round(camera.position, 6) + 0.0) for camera in MANIFEST.cameras}
+    assert others <= {tuple(np.round(place, 6) + 0.0) for place in places}
+    for frame in range(10, 50):
+        np.testing.assert_allclose(seen_at_px(path(frame), CENTRE), (32, 24), atol=1e-6)
+
+
+def test_an_arc_swings_to_both_sides_and_back() -> None:
+    path = camera_path("orbit:30", MANIFEST, None, Frames(0, 40))
+    start = path(0).position - CENTRE
+    turns_deg = [
+        math.degrees(math.acos(min(1.0, (path(f).position - CENTRE) @ start / 16)))
+        for f in range(40)
+    ]
+    assert max(turns_deg) == pytest.approx(15)
+    np.testing.assert_allclose(path(20).w2c, path(0).w2c, atol=1e-9)
+    endless = camera_path("orbit", MANIFEST, None, Frames(0, None))
+    np.testing.assert_allclose(endless(300).w2c, endless(0).w2c, atol=1e-9)
+
+
+def test_named_cameras() -> None:
+    path = camera_path("camera:c2", MANIFEST, Size(32, 24), Frames())
+    assert path(7).name == "c2"
+    assert (path(7).width_px, path(7).fx_px) == (32, 30)
+    assert camera_path("default", MANIFEST, None, Frames())(3).name == "c0"
+    with pytest.raises(InvalidError, match="c0, c1, c2, c3"):
+        camera_path("camera:nobody", MANIFEST, None, Frames())
+
+
+def test_key_frames_are_met_and_joined(tmp_path: Path) -> None:
+    file = tmp_path / "path.json"
+    w2c = [float(x) for x in MANIFEST.camera("c1").w2c.ravel()]
+    keys = [
+        {"frame": 10, "position": [0, 0, 0], "look_at": [0, 0, 4], "fov_deg": 90},
+        {"frame": 20, "w2c": w2c},
+    ]
+    file.write_text(json.dumps(keys))
+    path = camera_path(str(file), MANIFEST, Size(64, 48), Frames())
+    for frame in (0, 10):
+        np.testing.assert_allclose(path(frame).w2c, np.eye(4), atol=1e-9)
+        assert path(frame).fy_px == pytest.approx(24)
+    for frame in (20, 99):
+        np.testing.assert_allclose(path(frame).w2c, MANIFEST.camera("c1").w2c, atol=1e-9)
+        assert path(frame).fy_px == pytest.approx(60)
+    middle = path(15)
+    expected = (np.zeros(3) + MANIFEST.camera("c1").position) / 2
+    np.testing.assert_allclose(middle.position, expected, atol=1e-9)
+    assert math.degrees(math.acos(middle.forward[2])) == pytest.approx(45)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "no JSON"),
+        ("[]", "no list"),
+        ("[3]", "key frame 0: it is no JSON object"),
+        ('[{"frame": 0}]', "neither w2c nor position"),
+        ('[{"frame": -1, "w2c": []}]', "frame is missing"),
+        ('[{"frame": 0, "w2c": [1]}]', "w2c is not 16 numbers"),
+        ('[{"frame": 0, "w2c": [2,0,0,0,0,2,0,0,0,0,2,0,0,0,0,1]}]', "not a rotation"),
+        ('[{"frame": 0, "position": [0,0,0], "look_at": [0,1,0]}]', "straight up"),
+        ('[{"frame": 0, "position": [0,0,0], "look_at": [0,0,1], "fov_deg": 0}]', "fov_deg"),
+        ('[{"frame": 0, "position": [0,0,0], "look_at": [0,0,1], "zoom": 1}]', "'zoom'"),
+        ('[{"frame": 0, "position": [0,0,NaN], "look_at": [0,0,1]}]', "position"),
+    ],
+)
+def test_bad_key_frames_say_what_is_wrong(tmp_path: Path, text: str, message: str) -> None:
+    file = tmp_path / "path.json"
+    file.write_text(text)
+    with pytest.raises(InvalidError, match=message):
+        camera_path(str(file), MANIFEST, None, Frames())
+
+
+def test_key_frames_must_rise(tmp_path: Path) -> None:
+    key = {"frame": 5, "position": [0, 0, 0], "look_at": [0, 0, 4]}
+    file = tmp_path / "path.json"
+    file.write_text(json.dumps([key, key]))
+    with pytest.raises(InvalidError, match="key frame 1: its frame is not later"):
+        camera_path(str(file), MANIFEST, None, Frames())
+
+
+@pytest.mark.parametrize(
+    "text", ["orbiting", "orbit:0", "orbit:x", "orbit:400", "camera:", "a.json"]
+)
+def test_bad_paths(text: str) -> None:
+    with pytest.raises(InvalidError, match="camera path"):
+        camera_path(text, MANIFEST, None, Frames())
+
+
+def test_frames_and_sizes_as_text() -> None:
+    assert Frames.parse("3:9") == Frames(3, 9)
+    assert Frames.parse(":9").count == 9
+    assert Frames.parse("4:").count is None
+    for text in ("", "5", "9:3", "3:3", "a:b", "-1:4"):
+        with pytest.raises(InvalidError, match="frames"):
+            Frames.parse(text)
+    assert Size.parse("1280x720") == Size(1280, 720)
+    for text in ("1280", "x720", "0x5", "99999x5", "5x5x5"):
+        with pytest.raises(InvalidError, match="size"):
+            Size.parse(text)
+
+
+def test_the_view_turns_moves_and_zooms_about_the_scene() -> None:
+    camera = MANIFEST.camera()
+    view = view_of(MANIFEST)
+    np.testing.assert_allclose(view.applied(camera).w2c, camera.w2c, atol=1e-12)
+    view.drag_turn(100, 40)
+    seen = view.applied(camera)
+    assert np.linalg.norm(seen.position - CENTRE) == pytest.approx(4)
+    np.testing.assert_allclose(seen_at_px(seen, CENTRE), (32, 24), atol=1e-6)
+    near_side_px = seen_at_px(seen, CENTRE - (0, 0, 1))
+    assert near_side_px[0] > 33
+    assert near_side_px[1] > 25
+    view.scroll(1)
+    assert np.linalg.norm(view.applied(camera).position - CENTRE) == pytest.approx(3.6)
+    view.drag_pan(6, -3, camera.fy_px)
+    # The centre follows the mouse.
+    np.testing.assert_allclose(seen_at_px(view.applied(camera), CENTRE), (38, 21), atol=1e-6)
+    view.drag_turn(0, 1e9)
+    assert abs(view.tilt_rad) <= math.pi / 2
+    view.reset()
+    np.testing.assert_allclose(view.applied(camera).w2c, camera.w2c, atol=1e-12)
+
+
+def test_turning_all_the_way_is_not_turning() -> None:
+    camera = MANIFEST.camera()
+    there = turned(camera, CENTRE, np.array([0.0, 1.0, 0.0]), 2 * math.pi)
+    np.testing.assert_allclose(there.w2c, camera.w2c, atol=1e-9)

@@ -1,0 +1,116 @@
+"""swings-serve as a process: the ready line, signals, and one clear line for each mistake."""
+
+from __future__ import annotations
+
+import re
+import signal
+import socket
+import subprocess
+import sys
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from codec.stream.playrecord import ErrorRecord, SliceRecord
+from tests.support.served import make_stream, parse_records
+
+REPO = Path(__file__).parents[2]
+
+
+@contextmanager
+def serving(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A `python -m server` that is ready, and its URL."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "server", *arguments],
+        cwd=REPO,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    with process:
+        try:
+            assert process.stdout is not None
+            line = process.stdout.readline()
+            match = re.fullmatch(r"serving (http://\S+)\n", line)
+            assert match, (line, process.stderr and process.stderr.read())
+            yield process, match[1]
+        finally:
+            process.kill()
+
+
+def failing(*arguments: str) -> tuple[int, str]:
+    """Exit code and stderr of a server that must not start."""
+    done = subprocess.run(
+        [sys.executable, "-m", "server", *arguments],
+        cwd=REPO,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.stdout == ""
+    return done.returncode, done.stderr
+
+
+def test_it_says_when_it_is_ready_and_ends_on_sigterm(tmp_path: Path) -> None:
+    make_stream(tmp_path / "walk", 3)
+    make_stream(tmp_path / "dance", 3)
+    with serving(str(tmp_path), "--port", "0") as (process, url):
+        assert re.fullmatch(r"http://127\.0\.0\.1:\d+", url)
+        assert process.stdout is not None
+        assert [process.stdout.readline() for _ in range(2)] == ["dance\n", "walk\n"]
+        with urllib.request.urlopen(f"{url}/readyz", timeout=10) as response:
+            assert response.read() == b"ready\n"
+        process.send_signal(signal.SIGTERM)
+        out, err = process.communicate(timeout=20)
+        assert (process.returncode, out, err) == (0, "", "")
+
+
+def test_sigint_ends_a_play_at_a_slice_boundary(tmp_path: Path) -> None:
+    make_stream(tmp_path / "walk", 300)
+    with serving(str(tmp_path / "walk"), "--port", "0") as (process, url):
+        with urllib.request.urlopen(f"{url}/v1/streams/walk/play?layers=1", timeout=10) as response:
+            head = response.read(100)
+            process.send_signal(signal.SIGINT)
+            records = parse_records([head, response.read()])
+        assert isinstance(records[-2], SliceRecord)
+        assert isinstance(records[-1], ErrorRecord)
+        _, err = process.communicate(timeout=20)
+        assert (process.returncode, err) == (0, "")
+
+
+def test_mistakes_are_one_clear_line(tmp_path: Path) -> None:
+    good = make_stream(tmp_path / "good", 3)
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    bad = make_stream(tmp_path / "bad", 3)
+    (bad / "manifest.json").write_text("{")
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = str(taken.getsockname()[1])
+        cases = [
+            ([str(tmp_path / "absent")], "no folder"),
+            ([str(good / "manifest.json")], "no folder"),
+            ([str(empty)], "holds no stream"),
+            ([str(bad)], "manifest.json"),
+            ([str(good), "--port", port], f"port {port}"),
+            ([str(good), "--port", "70000"], "70000"),
+            ([str(good), "--host", "no.such.host.invalid"], "no.such.host.invalid"),
+        ]
+        for arguments, word in cases:
+            code, err = failing(*arguments)
+            assert code == 1, (arguments, err)
+            assert err.count("\n") == 1, err
+            assert err.startswith("swings-serve: "), err
+            assert word in err, (word, err)
+
+
+@pytest.mark.parametrize("arguments", [[], ["x", "--port", "y"], ["x", "--max-plays", "0"]])
+def test_wrong_usage_exits_with_2(arguments: list[str]) -> None:
+    code, err = failing(*arguments)
+    assert code == 2
+    assert "Traceback" not in err

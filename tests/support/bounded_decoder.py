@@ -1,0 +1,321 @@
+"""A decoder that may not take more memory than it should: `python -m tests.bounded_decoder CASE`.
+
+The process takes the hostile input of a case, notes how much data memory it has (VmData: heap and
+private mappings, so what zstd and numpy allocate too), forbids itself more than the declared bytes
+and SLACK_BYTES beyond that, decodes, and prints how that went: `value`, or the error.
+
+Declared are, within the caps of the format, the bytes that a header claims as content and those of
+the Gaussians that it claims, as float32. A claim over a cap declares nothing: it is to be refused
+before it costs anything.
+"""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import os
+import resource
+import struct
+import sys
+import tempfile
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgpack
+import zstandard
+
+from codec.interop.formats import decode_any, read_splats
+from codec.profiles.compact import HEAD as COMPACT_HEAD
+from codec.stream.chunk import HEADER, MAX_CHUNK_BYTES, MAX_SPLATS_PER_CHUNK, ChunkBounds
+from codec.stream.index import pack_record
+from codec.stream.manifest import Manifest
+from codec.stream.object import HEAD, decode_frame, decode_object, join_frames
+from codec.stream.playrecord import LENGTH, MAX_RECORD_BYTES, RecordParser
+from codec.stream.reader import StreamReader
+from tests.support.slow_writer import tiny_manifest, write_tiny
+
+SLACK_BYTES = 64 << 20
+N = MAX_SPLATS_PER_CHUNK
+VALUE_BYTES = 236
+"""A Gaussian of SH degree 3 as float32."""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A decoder, the hostile input for it, and what that may cost."""
+
+    make: Callable[[], bytes]
+    decode: Callable[[bytes], object]
+    declared_bytes: int
+
+
+def compress(content: bytes) -> bytes:
+    return zstandard.ZstdCompressor(level=1, write_checksum=True).compress(content)
+
+
+def chunk(profile: int, sh_degree: int, body: bytes, count: int = N) -> bytes:
+    return HEADER.pack(b"SWGC", 1, 0, profile, 0, 0, count, 0, sh_degree, 0, len(body)) + body
+
+
+def floats(count: int, sh_degree: int) -> bytes:
+    """`count` Gaussians at the origin as the profile raw has them; only quaternions must not be
+    zero."""
+    one = struct.pack("<f", 1.0)
+    return bytes(24 * count) + one * (4 * count) + bytes(4 * count * (1 + 3 * (sh_degree + 1) ** 2))
+
+
+def gzip_member(content: bytes, said_bytes: int) -> bytes:
+    """`content` as a gzip member that says it holds `said_bytes`."""
+    stream = zlib.compressobj(1, zlib.DEFLATED, -zlib.MAX_WBITS)
+    body = stream.compress(content) + stream.flush()
+    head = b"\x1f\x8b\x08\x00" + bytes(4) + b"\x02\xff"
+    return head + body + struct.pack("<II", zlib.crc32(content), said_bytes)
+
+
+def gzip_raw() -> bytes:
+    content = chunk(0, 3, floats(N, 3))
+    return gzip_member(content, len(content))
+
+
+def raw() -> bytes:
+    return compress(chunk(0, 3, floats(N, 3)))
+
+
+def paper() -> bytes:
+    return compress(chunk(1, 3, bytes(12 * N) + b"\xff" * (4 * N) + bytes(N + 192 * N)))
+
+
+def compact(sh_degree: int, escapes: int = 0, gap_bits: int = 0, count: int = N) -> bytes:
+    inside = count - escapes
+    low_bits = bytes((max(gap_bits - 1, 0) * inside + 7) // 8)
+    numbers = (0.0, 0.0, 0.0, 1e-3, -4.0, 0.1, 0.01, 0.0, 0.04)
+    head = COMPACT_HEAD.pack(*numbers, 256, 100, escapes, len(low_bits))
+    planes = bytes([gap_bits]) * inside + bytes((7 + 3 * (sh_degree + 1) ** 2) * inside)
+    body = head + planes + low_bits + floats(escapes, sh_degree)
+    return compress(chunk(2, sh_degree, body, count))
+
+
+def claiming(size: int) -> bytes:
+    """8 KB of a frame that says it holds `size` bytes."""
+    compressor = zstandard.ZstdCompressor(write_checksum=True).compressobj(size)
+    frame = compressor.compress(os.urandom(8192))
+    return frame + compressor.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
+
+
+def lying_table() -> bytes:
+    """The most chunks there may be, each said to have 65000 bytes; none is there."""
+    count = 1 << 14
+    end = HEAD.size + 12 * count
+    data = HEAD.pack(0x184D2A50, end - 8, b"SWGO", 1, 1, 0, count)
+    return data + b"".join(struct.pack("<iII", n, end + n * 65000, 65000) for n in range(count))
+
+
+def read_stream(first_object: bytes, object_bytes: int | None = None) -> None:
+    """Reads the first slice of a tiny stream whose index names `first_object`, with its hash, as
+    one of `object_bytes`."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "stream"
+        write_tiny(path, 4)
+        (path / "segments/0/0").write_bytes(first_object)
+        record = StreamReader(path).records[0]
+        size = len(first_object) if object_bytes is None else object_bytes
+        sha256 = hashlib.sha256(first_object).digest()
+        (path / "index.bin").write_bytes(
+            pack_record(
+                type(record)(
+                    0,
+                    0,
+                    4,
+                    (size, record.object_bytes[1]),
+                    (sha256, record.object_sha256[1]),
+                    record.psnr_db,
+                )
+            )
+        )
+        StreamReader(path).slice(-2, 1)
+
+
+def chunk_bombs() -> bytes:
+    """An object of six chunks of a million Gaussians; the manifest allows 40."""
+    return join_frames([(birth, compact(0)) for birth in range(-2, 4)])
+
+
+def sparse_index(_: bytes) -> None:
+    """Opens a stream whose index seems to have 64 GB."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "stream"
+        write_tiny(path, 4)
+        os.truncate(path / "index.bin", 64 << 30)
+        StreamReader(path)
+
+
+def record(value: object) -> bytes:
+    body: bytes = msgpack.packb(value)
+    assert len(body) <= MAX_RECORD_BYTES
+    return LENGTH.pack(len(body)) + body
+
+
+def spz_4(raw_bytes: int) -> bytes:
+    """40 Gaussians by the header and the table; each array inflates to `raw_bytes`."""
+    streaming = zstandard.ZstdCompressor(level=1, write_content_size=False)
+    frame = streaming.compress(bytes(raw_bytes))
+    head = struct.pack("<4sIIBBBBI12x", b"NGSP", 4, 40, 0, 12, 0, 5, 32)
+    table = b"".join(struct.pack("<QQ", len(frame), 40 * row) for row in (9, 1, 3, 3, 4))
+    return head + table + frame * 5
+
+
+def read_short_file(data: bytes) -> None:
+    """Reads a file of Gaussians; up to 4 GB there may be in one."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "short.splat"
+        path.write_bytes(data)
+        read_splats(path)
+
+
+def ply_claiming(count: int) -> bytes:
+    names = ["x", "y", "z", *(f"f_dc_{i}" for i in range(3)), "opacity"]
+    names += [f"scale_{i}" for i in range(3)] + [f"rot_{i}" for i in range(4)]
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
+    return "\n".join([*lines, *(f"property float {n}" for n in names), "end_header\n"]).encode()
+
+
+def ply_of_floats(sh_degree: int) -> bytes:
+    """N Gaussians whose every number is 1."""
+    rest = 3 * ((sh_degree + 1) ** 2 - 1)
+    head = ply_claiming(N)
+    extra = "".join(f"property float f_rest_{i}\n" for i in range(rest)).encode()
+    head = head.replace(b"end_header\n", extra + b"end_header\n")
+    return head + struct.pack("<f", 1.0) * ((14 + rest) * N)
+
+
+def compressed_ply(count: int) -> bytes:
+    num_chunks = -(-count // 256)
+    lines = ["ply", "format binary_little_endian 1.0", f"element chunk {num_chunks}"]
+    for what in ("", "scale_"):
+        lines += [f"property float {end}_{what}{c}" for end in ("min", "max") for c in "xyz"]
+    lines += [f"property float {end}_{c}" for end in ("min", "max") for c in "rgb"]
+    lines += [f"element vertex {count}"]
+    lines += [f"property uint packed_{n}" for n in ("position", "rotation", "scale", "color")]
+    head = "\n".join([*lines, "end_header\n"]).encode()
+    return head + bytes(18 * 4 * num_chunks) + bytes(16 * count)
+
+
+def spz_3(count: int) -> bytes:
+    head = struct.pack("<4sIIBBBB", b"NGSP", 3, count, 0, 12, 0, 0)
+    # Of real bytes, or it is a bomb.
+    return gzip.compress(head + os.urandom(count) + bytes(19 * count), 1)
+
+
+def spz_bomb() -> bytes:
+    return gzip.compress(struct.pack("<4sIIBBBB", b"NGSP", 2, 9, 0, 12, 0, 0) + bytes(99 << 20), 1)
+
+
+RECORDS_BYTES = 2 * MAX_RECORD_BYTES
+"""What has come of a record, and what it becomes."""
+
+CASES: dict[str, Case] = {
+    "raw": Case(raw, decode_frame, 2 * N * VALUE_BYTES),
+    "paper": Case(paper, decode_frame, N * (209 + VALUE_BYTES)),
+    "compact": Case(lambda: compact(3), decode_frame, N * (56 + VALUE_BYTES)),
+    "compact, half escaped": Case(
+        lambda: compact(3, escapes=N // 2), decode_frame, N * ((56 + 236) // 2 + VALUE_BYTES)
+    ),
+    "compact, wide gaps": Case(lambda: compact(0, gap_bits=40), decode_frame, N * (11 + 4 + 56)),
+    "no chunk": Case(lambda: compress(bytes(MAX_CHUNK_BYTES)), decode_frame, MAX_CHUNK_BYTES),
+    "cut off": Case(lambda: compress(bytes(MAX_CHUNK_BYTES))[:-9], decode_frame, MAX_CHUNK_BYTES),
+    "claims the most": Case(lambda: claiming(MAX_CHUNK_BYTES), decode_frame, MAX_CHUNK_BYTES),
+    "claims too much": Case(lambda: claiming(MAX_CHUNK_BYTES + 1), decode_frame, 0),
+    "claims an exabyte": Case(lambda: claiming(1 << 60), decode_frame, 0),
+    "gzip": Case(gzip_raw, decode_frame, 2 * N * VALUE_BYTES),
+    "gzip says less": Case(lambda: gzip_member(bytes(200 << 20), 1000), decode_frame, 0),
+    "gzip claims too much": Case(
+        lambda: gzip_member(bytes(MAX_CHUNK_BYTES), MAX_CHUNK_BYTES + 1), decode_frame, 0
+    ),
+    "more than the manifest": Case(
+        lambda: compact(0), lambda data: decode_frame(data, ChunkBounds(N // 20, 0)), 0
+    ),
+    "higher degree than the manifest": Case(
+        raw, lambda data: decode_frame(data, ChunkBounds(N, 0)), 0
+    ),
+    "table": Case(lying_table, decode_object, 0),
+    "chunks in a stream": Case(chunk_bombs, read_stream, 0),
+    "size in an index": Case(lambda: b"short", lambda data: read_stream(data, 1 << 30), 0),
+    "index": Case(lambda: b"", sparse_index, 0),
+    "manifest": Case(lambda: b"[" + b"[]," * 349_000 + b"1]", Manifest.from_json, 0),
+    "texts in a manifest": Case(
+        lambda: tiny_manifest().to_json().replace(b"front", "\U0001f600".encode() * 60_000),
+        Manifest.from_json,
+        0,
+    ),
+    "slice record": Case(
+        lambda: record({"kind": "slice", "birth": 0, "frames": [bytes(4_000_000)] * 16}),
+        lambda data: RecordParser().feed(data),
+        RECORDS_BYTES,
+    ),
+    "bytes as a kind": Case(
+        lambda: record({"kind": bytes(64_000_000)}),
+        lambda data: RecordParser().feed(data),
+        RECORDS_BYTES,
+    ),
+    "text in a record": Case(
+        lambda: record({"kind": "error", "message": "\U0001f600" + "x" * 64_000_000}),
+        lambda data: RecordParser().feed(data),
+        RECORDS_BYTES,
+    ),
+    "short file": Case(lambda: bytes(28) + b"\xff" * 4, read_short_file, 0),
+    "ply": Case(lambda: ply_claiming(1 << 24), decode_any, 0),
+    "ply over the cap": Case(lambda: ply_claiming(1 << 40), decode_any, 0),
+    "spz": Case(spz_bomb, decode_any, 0),
+    "ply of degree 3": Case(lambda: ply_of_floats(3), decode_any, N * VALUE_BYTES),
+    "compressed ply": Case(lambda: compressed_ply(2 * N), decode_any, 2 * N * 56),
+    "splat": Case(
+        lambda: bytes(32) * 2 * N,
+        lambda data: decode_any(data, ".splat"),
+        2 * N * 56,
+    ),
+    "spz 3": Case(lambda: spz_3(2 * N), decode_any, 2 * N * (20 + 56)),
+    "spz 4": Case(lambda: spz_4(200 << 20), decode_any, 0),
+    "control": Case(lambda: b"", lambda _: bytearray(SLACK_BYTES + (1 << 20)), 0),
+}
+
+
+def data_bytes() -> int:
+    """VmData of this process."""
+    for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
+        if line.startswith("VmData:"):
+            return int(line.split()[1]) << 10
+    raise RuntimeError("no VmData in /proc/self/status")
+
+
+def made_elsewhere(case: Case) -> bytes:
+    """The input of `case`, made in a fork, so that what its making took is not left over here."""
+    with tempfile.TemporaryFile() as file:
+        pid = os.fork()
+        if not pid:
+            file.write(case.make())
+            file.flush()
+            os._exit(0)
+        if os.waitpid(pid, 0)[1]:
+            raise RuntimeError("the input could not be made")
+        file.seek(0)
+        return file.read()
+
+
+def main() -> None:
+    case = CASES[sys.argv[1]]
+    food = made_elsewhere(case)
+    # The kernels, and what loads them, are not what a decoder takes for its input.
+    decode_frame(compact(0, count=2))
+    limit = data_bytes() + case.declared_bytes + SLACK_BYTES
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+    try:
+        case.decode(food)
+        sys.stdout.write("value\n")
+    except Exception as error:
+        sys.stdout.write(f"{type(error).__name__}: {str(error)[:300]}\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,69 @@
+"""The installed commands as real processes."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+ENTRY = {
+    "swings-synth": "trainer.__main__:synth",
+    "swings-train": "trainer.__main__:train",
+    "swings-eval": "trainer.__main__:evaluate",
+    "swings-stream": "codec.__main__:main",
+    "swings-serve": "server.__main__:main",
+    "swings-play": "player.__main__:main",
+}
+
+
+def command(name: str, *arguments: object) -> list[str]:
+    """What the console script `name` runs, without needing it installed."""
+    module, function = ENTRY[name].split(":")
+    code = f"import sys; from {module} import {function} as main; sys.exit(main())"
+    return [sys.executable, "-c", code, *map(str, arguments)]
+
+
+def environment() -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "160"}
+
+
+def run(name: str, *arguments: object, timeout_s: float = 240) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        command(name, *arguments),
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=timeout_s,
+    )
+
+
+def run_ok(name: str, *arguments: object, timeout_s: float = 240) -> str:
+    """Its standard output; fails the test unless it exits with 0."""
+    done = run(name, *arguments, timeout_s=timeout_s)
+    assert done.returncode == 0, f"{name} {arguments}: {done.stderr[-2000:]}"
+    return done.stdout
+
+
+@contextlib.contextmanager
+def serving(root: Path, *arguments: object) -> Iterator[str]:
+    """A server process of `root`; gives its URL and ends it by its pid."""
+    process = subprocess.Popen(
+        command("swings-serve", root, "--port", 0, *arguments),
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    assert process.stdout is not None
+    try:
+        ready = process.stdout.readline()
+        assert ready.startswith("serving "), ready
+        yield ready.split()[1]
+    finally:
+        process.terminate()
+        process.wait(timeout=20)
+        process.stdout.close()

@@ -1,0 +1,143 @@
+"""Small streams with something to see, and servers as processes, for tests of the player."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import numpy as np
+
+from codec.camera import Camera
+from codec.pose import look_at
+from codec.profiles.profile import Profile
+from codec.slice import Slice
+from codec.splats import Splats, sh_count
+from codec.stream import StreamWriter
+from codec.stream.manifest import Manifest
+
+ROOT = Path(__file__).parents[2]
+SWIN_SIZE = 4
+SEGMENT_FRAMES = 5
+SLICE_SIZE = 40
+WIDTH_PX, HEIGHT_PX = 64, 48
+
+
+def ring_of_cameras(count: int = 4) -> tuple[Camera, ...]:
+    """Cameras named c0, c1, ... on a circle around (0, 0, 4), at its height, looking at it."""
+    cameras = []
+    for n in range(count):
+        angle = 2 * np.pi * n / count
+        place = np.array([4 * np.sin(angle), 0.0, 4 - 4 * np.cos(angle)])
+        pose = look_at(place, np.array([0.0, 0.0, 4.0]), np.array([0.0, -1.0, 0.0]))
+        size = (WIDTH_PX, HEIGHT_PX, 60.0, 60.0, WIDTH_PX / 2, HEIGHT_PX / 2)
+        cameras.append(Camera(f"c{n}", *size, pose))
+    return tuple(cameras)
+
+
+def small_manifest(
+    slice_size: int = SLICE_SIZE, sh_degree: int = 1, fps: float = 30.0, **changes: object
+) -> Manifest:
+    values: dict[str, object] = {
+        "fps": fps,
+        "swin_size": SWIN_SIZE,
+        "num_gs": SWIN_SIZE * slice_size,
+        "layers": (0.25, 0.25, 0.5),
+        "segment_frames": SEGMENT_FRAMES,
+        "sh_degree": sh_degree,
+        "profile": Profile.RAW,
+        "antialias": False,
+        "near_m": 0.5,
+        "bounds": ((-2.0, -2.0, 2.0), (2.0, 2.0, 6.0)),
+        "cameras": ring_of_cameras(),
+        "default_camera": "c0",
+        "live": False,
+    }
+    return Manifest(**(values | changes))  # type: ignore[arg-type]
+
+
+def random_splats(count: int, sh_degree: int, seed: int) -> Splats:
+    """Gaussians before the default camera, of many sizes, opacities and colours."""
+    rng = np.random.default_rng(seed)
+    arrays = (
+        rng.uniform(-1, 1, (count, 3)) * (1.5, 1, 1.5) + (0, 0, 4),
+        rng.normal(-2.5, 0.7, (count, 3)),
+        rng.normal(size=(count, 4)),
+        rng.normal(0.5, 2, count),
+        rng.normal(0, 0.7, (count, sh_count(sh_degree), 3)),
+    )
+    return Splats(*(array.astype(np.float32) for array in arrays))
+
+
+def random_slice(birth: int, count: int = SLICE_SIZE, sh_degree: int = 1) -> Slice:
+    """The same slice for the same arguments; some of its Gaussians start late."""
+    offsets = np.random.default_rng(birth + 500).integers(0, 3, count).astype(np.uint8)
+    return Slice(birth, random_splats(count, sh_degree, birth + 1000), offsets)
+
+
+def write_stream(
+    path: Path,
+    num_frames: int,
+    slice_size: int = SLICE_SIZE,
+    sh_degree: int = 1,
+    fps: float = 30.0,
+    **changes: object,
+) -> Path:
+    """A finished stream at `path`."""
+    manifest = small_manifest(slice_size, sh_degree, fps, **changes)
+    with StreamWriter.create(path, manifest) as writer:
+        for birth in range(1 - manifest.swin_size, num_frames):
+            writer.append(random_slice(birth, slice_size, sh_degree))
+    return path
+
+
+@contextlib.contextmanager
+def static_host(folder: Path) -> Iterator[str]:
+    """The URL of a plain file server of `folder`."""
+
+    class Handler(SimpleHTTPRequestHandler):
+        def log_message(self, format: str, *args: object) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=str(folder)))
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{server.server_port}"
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+class ServerProcess:
+    """swings-serve as a process that can be killed and started again at the same port."""
+
+    def __init__(self, root: Path, port: int = 0) -> None:
+        command = [sys.executable, "-m", "server", str(root), "--port", str(port)]
+        self.process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+        assert self.process.stdout is not None
+        ready = self.process.stdout.readline()
+        assert ready.startswith("serving http://"), ready
+        self.url = ready.split()[1]
+        self.port = int(self.url.rpartition(":")[2])
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        assert self.process.stdout is not None
+        self.process.stdout.close()
+
+
+@contextlib.contextmanager
+def served(root: Path) -> Iterator[ServerProcess]:
+    server = ServerProcess(root)
+    try:
+        yield server
+    finally:
+        server.kill()

@@ -1,0 +1,345 @@
+"""The COLMAP layout: models in both forms, both picture layouts, distortion, what is refused."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from PIL import Image
+
+from codec.camera import Camera
+from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, picture_of, tiny_rig
+from tests.support.tiny_models import COLOURS, POINTS, write_model, write_pictures
+from trainer.capture.layout import open_capture
+from trainer.capture.lens import Lens, straightened
+from trainer.errors import CaptureError
+
+NUM_FRAMES = 3
+
+
+def write_colmap(root: Path, binary: bool = True, by_frame: bool = True) -> list[Camera]:
+    cameras = tiny_rig(3)
+    suffix = ".png" if by_frame else "/0007.png"
+    write_model(root / "sparse/0", cameras, [c.name + suffix for c in cameras], binary)
+    write_pictures(root, cameras, NUM_FRAMES, by_frame)
+    return cameras
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(CaptureError) as caught:
+        open_capture(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+@pytest.mark.parametrize("binary", [True, False])
+@pytest.mark.parametrize("by_frame", [True, False])
+def test_capture_as_written(tmp_path: Path, binary: bool, by_frame: bool) -> None:
+    written = write_colmap(tmp_path, binary, by_frame)
+    capture = open_capture(tmp_path)
+    assert (capture.layout, capture.num_frames, capture.fps) == ("colmap", NUM_FRAMES, 30.0)
+    assert capture.held_out == (0,)
+    assert capture.points is not None
+    assert np.array_equal(capture.points.xyz, np.array(POINTS, np.float32))
+    assert np.array_equal(capture.points.rgb, COLOURS)
+    assert capture.near_m is not None
+    for index, camera in enumerate(written):
+        got = capture.cameras[index].camera
+        assert got.name == camera.name
+        assert np.allclose(got.w2c, camera.w2c, atol=1e-12)
+        assert (got.fx_px, got.fy_px, got.cx_px, got.cy_px) == (
+            camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px
+        )  # fmt: skip
+        for frame in (2, 0):
+            picture = capture.open_images(index).read(frame)
+            assert np.array_equal(picture, picture_of(index, frame))
+
+
+def test_model_without_a_numbered_folder_or_points(tmp_path: Path) -> None:
+    write_colmap(tmp_path)
+    (tmp_path / "sparse/0").rename(tmp_path / "aside")
+    (tmp_path / "sparse").rmdir()
+    (tmp_path / "aside").rename(tmp_path / "sparse")
+    (tmp_path / "sparse/points3D.bin").unlink()
+    assert open_capture(tmp_path).points is None
+
+
+def test_held_out_and_rate_files(tmp_path: Path) -> None:
+    write_colmap(tmp_path)
+    (tmp_path / "held_out.txt").write_text("cam02\n")
+    (tmp_path / "fps.txt").write_text("59.94\n")
+    capture = open_capture(tmp_path)
+    assert (capture.held_out, capture.fps) == ((2,), 59.94)
+    for text in ("fast", "0", "nan"):
+        (tmp_path / "fps.txt").write_text(text)
+        assert "fps.txt" in refusal(tmp_path)
+    (tmp_path / "fps.txt").unlink()
+    (tmp_path / "held_out.txt").write_text("cam07")
+    assert "'cam07' is no camera" in refusal(tmp_path)
+
+
+def test_cameras_of_different_sizes(tmp_path: Path) -> None:
+    cameras = tiny_rig(3)
+    cameras[1] = cameras[1].resized(WIDTH_PX // 2, HEIGHT_PX // 2)
+    write_model(tmp_path / "sparse/0", cameras, [f"{c.name}.png" for c in cameras], True)
+    write_pictures(
+        tmp_path, cameras, 1, True, lambda i, f: picture_of(i, f)[:: 1 + (i == 1), :: 1 + (i == 1)]
+    )
+    capture = open_capture(tmp_path)
+    assert capture.open_images(1).read(0).shape == (HEIGHT_PX // 2, WIDTH_PX // 2, 3)
+    assert capture.open_images(2).read(0).shape == (HEIGHT_PX, WIDTH_PX, 3)
+
+
+def test_a_forward_rig_takes_its_depths_from_the_points(tmp_path: Path) -> None:
+    cameras = tiny_rig(3, arc_deg=10)
+    write_model(tmp_path / "sparse/0", cameras, [f"{c.name}.png" for c in cameras], True)
+    write_pictures(tmp_path, cameras, 1, True)
+    capture = open_capture(tmp_path)
+    depths = np.array([(np.array(POINTS) @ c.w2c[2, :3]) + c.w2c[2, 3] for c in cameras])
+    assert capture.near_m == pytest.approx(0.9 * depths.min(), rel=0.01)
+    assert capture.far_m == pytest.approx(1.1 * depths.max(), rel=0.01)
+
+
+# --- distortion -----------------------------------------------------------------------------------
+
+
+def grid_colour(x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> npt.NDArray[np.uint8]:
+    """Smooth crossing lines on the straight picture plane, seen at positions over the focal
+    length."""
+    red = 128 + 100 * np.sin(12 * x)
+    green = 128 + 100 * np.sin(12 * y)
+    return np.stack([red, green, 0 * x + 50], axis=-1).round().astype(np.uint8)
+
+
+def bent_grid(camera: Camera, lens: Lens) -> npt.NDArray[np.uint8]:
+    """What the lens shows of the grid: each pixel's straight position is found by iteration."""
+    u = (np.arange(camera.width_px) + 0.5 - camera.cx_px) / camera.fx_px
+    v = (np.arange(camera.height_px) + 0.5 - camera.cy_px) / camera.fy_px
+    u, v = np.meshgrid(u, v)
+    x, y = u.copy(), v.copy()
+    for _ in range(200):
+        r2 = x * x + y * y
+        radial = 1 + lens.k1 * r2 + lens.k2 * r2**2 + lens.k3 * r2**3
+        x, y = (
+            (u - 2 * lens.p1 * x * y - lens.p2 * (r2 + 2 * x * x)) / radial,
+            (v - 2 * lens.p2 * x * y - lens.p1 * (r2 + 2 * y * y)) / radial,
+        )
+    return grid_colour(x, y)
+
+
+@pytest.mark.parametrize(
+    ("model", "distortion", "lens"),
+    [
+        ("SIMPLE_RADIAL", (-0.12,), Lens(k1=-0.12)),
+        ("RADIAL", (-0.15, 0.04), Lens(k1=-0.15, k2=0.04)),
+        ("OPENCV", (-0.1, 0.02, 0.003, -0.004), Lens(k1=-0.1, k2=0.02, p1=0.003, p2=-0.004)),
+    ],
+)
+def test_a_bent_grid_comes_back_straight(
+    tmp_path: Path, model: str, distortion: tuple[float, ...], lens: Lens
+) -> None:
+    pose = tiny_rig(1)[0].w2c
+    camera = Camera("cam00", 240, 160, 150.0, 150.0, 118.0, 83.0, pose)
+    straight = bent_grid(camera, Lens())
+    bent = bent_grid(camera, lens)
+    write_model(tmp_path / "sparse/0", [camera], ["cam00.png"], True, model, distortion)
+    write_pictures(tmp_path, [camera], 2, True, lambda *_: bent)
+    capture = open_capture(tmp_path)
+    assert capture.cameras[0].camera.fx_px == 150
+    assert capture.cameras[0].camera.cx_px == 118
+    source = capture.open_images(0)
+    for frame in (0, 1):
+        error = np.abs(source.read(frame).astype(int) - straight)[2:-2, 2:-2]
+        assert error.max() <= 4
+        assert error.mean() < 0.8
+    source.close()
+    assert np.abs(bent.astype(int) - straight).max() > 60
+
+
+def test_a_straight_lens_changes_nothing_and_pincushion_repeats_the_edge(tmp_path: Path) -> None:
+    camera = tiny_rig(1)[0]
+    picture = np.random.default_rng(1).integers(0, 256, (HEIGHT_PX, WIDTH_PX, 3), np.uint8)
+    assert np.array_equal(straightened(picture, camera, Lens()), picture)
+    wide = straightened(picture, camera, Lens(k1=0.5))
+    assert np.array_equal(wide[0, 0], picture[0, 0])
+
+
+def test_lenses_that_are_refused(tmp_path: Path) -> None:
+    camera = tiny_rig(1)
+    for number, (model, distortion, said) in enumerate(
+        [
+            ("OPENCV_FISHEYE", (0.1, 0, 0, 0), "camera cam00 has the lens model OPENCV_FISHEYE"),
+            ("SIMPLE_RADIAL", (-0.9,), "camera cam00: the distortion folds"),
+            ("SIMPLE_RADIAL", (float("nan"),), "cam00: a distortion term is not a number"),
+        ]
+    ):
+        for binary in (True, False):
+            root = tmp_path / f"{number}{binary}"
+            write_model(root / "sparse", camera, ["cam00.png"], binary, model, distortion)
+            write_pictures(root, camera, 1, True)
+            message = refusal(root)
+            assert said in message
+            assert "cameras." in message
+
+
+# --- what is refused ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["cameras", "images", "points3D"])
+def test_binary_files_cut_anywhere_or_continued(tmp_path: Path, name: str) -> None:
+    write_colmap(tmp_path)
+    path = tmp_path / "sparse/0" / f"{name}.bin"
+    whole = path.read_bytes()
+    for size in range(len(whole)):
+        path.write_bytes(whole[:size])
+        assert f"{name}.bin: ends in the middle" in refusal(tmp_path)
+    path.write_bytes(whole + b"x")
+    assert f"{name}.bin: 1 bytes follow" in refusal(tmp_path)
+    for count in (1, 4, 2**64 - 1):
+        path.write_bytes(struct.pack("<Q", count) + whole[8:])
+        assert f"{name}.bin" in refusal(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["cameras", "images", "points3D"])
+def test_text_files_with_another_count_or_words(tmp_path: Path, name: str) -> None:
+    write_colmap(tmp_path, binary=False)
+    path = tmp_path / "sparse/0" / f"{name}.txt"
+    text = path.read_text()
+    path.write_text(text.replace(": 3", ": 4"))
+    assert f"{name}.txt: declares 4 rows, has 3" in refusal(tmp_path)
+    path.write_text(text + "99 word\n")
+    assert f"{name}.txt: line" in refusal(tmp_path)
+    path.write_bytes(b"\xff\xfe" + text.encode())
+    assert f"{name}.txt: not text" in refusal(tmp_path)
+
+
+def test_rows_that_contradict_each_other(tmp_path: Path) -> None:
+    write_colmap(tmp_path, binary=False)
+    cameras, images = (tmp_path / "sparse/0" / f"{n}.txt" for n in ("cameras", "images"))
+    optics, poses = cameras.read_text(), images.read_text()
+    cameras.write_text(optics.replace("PINHOLE", "RADIAL"))
+    assert "RADIAL has 5 parameters, not 4" in refusal(tmp_path)
+    cameras.write_text(optics.replace("\n2 P", "\n1 P"))
+    assert "cameras.txt: camera 1 is listed twice" in refusal(tmp_path)
+    cameras.write_text(optics.replace("\n2 P", "\n5 P"))
+    assert "image cam01.png names camera 2" in refusal(tmp_path)
+    cameras.write_text(optics.replace(f" {WIDTH_PX} ", " 65 "))
+    assert "cam00.png: is 64x36 px" in refusal(tmp_path)
+    cameras.write_text(optics.replace(f" {WIDTH_PX} ", " 0 "))
+    assert "cameras.txt: camera cam00: size 0x36" in refusal(tmp_path)
+    cameras.write_text(optics)
+    images.write_text(poses.replace("cam01.png", "../cam01.png"))
+    assert "images.txt: '../cam01.png' is not a path inside" in refusal(tmp_path)
+    images.write_text(poses.replace("cam01.png", "cam00.jpg"))
+    assert "cam00.jpg and cam00.png are both camera cam00" in refusal(tmp_path)
+    images.write_text("\n".join(["10 0 0 0 0 1 2 3 1 cam00.png", "", ""]))
+    assert "images.txt: image cam00.png: its quaternion" in refusal(tmp_path)
+    images.write_text(poses.replace("cam01.png", "cam\x0001.png"))
+    assert "is not a path inside" in refusal(tmp_path)
+    first = poses.index("\n10 ") + 4
+    images.write_text(poses[:first] + "1e200 " + poses[first:].split(maxsplit=1)[1])
+    assert "images.txt: image cam00.png: its quaternion" in refusal(tmp_path)
+    images.write_text("# nothing\n")
+    assert "images.txt: has no images" in refusal(tmp_path)
+
+
+def test_numbers_that_no_camera_has(tmp_path: Path) -> None:
+    whole = tiny_rig(1)[0]
+    odd = (replace(whole, fx_px=1e-300), replace(whole, fy_px=1e300), replace(whole, cx_px=-1e5))
+    for number, camera in enumerate(odd):
+        cameras = [camera]
+        write_model(tmp_path / f"{number}/sparse", cameras, ["cam00.png"], True)
+        write_pictures(tmp_path / f"{number}", cameras, 1, True)
+        assert "cameras.bin: camera cam00: focal length" in refusal(tmp_path / f"{number}")
+    cameras = tiny_rig(1)
+    cameras[0].w2c[0, 3] = 1e200
+    write_model(tmp_path / "far/sparse", cameras, ["cam00.png"], True)
+    write_pictures(tmp_path / "far", cameras, 1, True)
+    assert "camera cam00: is over 1e+09 m away" in refusal(tmp_path / "far")
+
+
+def test_points_that_are_no_points(tmp_path: Path) -> None:
+    write_colmap(tmp_path)
+    path = tmp_path / "sparse/0/points3D.bin"
+    whole = path.read_bytes()
+    for value, said in (
+        (1e300, "points3D.bin: a point is over 1e+09 m away"),
+        (float("nan"), "points3D.bin: points: a coordinate is not finite"),
+    ):
+        path.write_bytes(whole[:16] + struct.pack("<d", value) + whole[24:])
+        assert said in refusal(tmp_path)
+
+
+def test_unknown_model_number(tmp_path: Path) -> None:
+    write_colmap(tmp_path)
+    path = tmp_path / "sparse/0/cameras.bin"
+    data = bytearray(path.read_bytes())
+    data[12] = 77
+    path.write_bytes(data)
+    assert "cameras.bin: camera 1 has the unknown model number 77" in refusal(tmp_path)
+
+
+def test_missing_files_of_the_model(tmp_path: Path) -> None:
+    write_colmap(tmp_path)
+    (tmp_path / "sparse/0/images.bin").unlink()
+    assert "images.bin: is missing" in refusal(tmp_path)
+    (tmp_path / "sparse/0/cameras.bin").unlink()
+    assert "cameras.bin or cameras.txt" in refusal(tmp_path)
+
+
+def test_missing_pictures_of_frame_folders(tmp_path: Path) -> None:
+    write_colmap(tmp_path)
+    (tmp_path / "frames/frame_08/cam01.png").unlink()
+    assert "frame_08/cam01.png: is missing" in refusal(tmp_path)
+    (tmp_path / "frames/frame_08").rename(tmp_path / "aside")
+    assert "frames: frame 8 is missing before frame 9" in refusal(tmp_path)
+    (tmp_path / "aside").rename(tmp_path / "frames/other_9")
+    assert "frame 9 is also" in refusal(tmp_path)
+    (tmp_path / "frames").rename(tmp_path / "aside")
+    assert "frames: is missing, and so is images/" in refusal(tmp_path)
+    (tmp_path / "frames").mkdir()
+    assert "holds no numbered frames" in refusal(tmp_path)
+
+
+def test_missing_pictures_of_camera_folders(tmp_path: Path) -> None:
+    write_colmap(tmp_path, by_frame=False)
+    path = tmp_path / "images/cam01"
+    (path / "._0008.png").touch()
+    (path / "notes.txt").touch()
+    assert open_capture(tmp_path).num_frames == NUM_FRAMES
+    (path / "0008.png").rename(tmp_path / "aside.png")
+    assert "cam01: lacks frame 8" in refusal(tmp_path)
+    (tmp_path / "aside.png").rename(path / "0010.png")
+    assert "cam01: lacks frame 8" in refusal(tmp_path)
+    for file in path.iterdir():
+        file.unlink()
+    assert "cam01: holds no numbered frames" in refusal(tmp_path)
+    path.rmdir()
+    assert "cam01: is missing" in refusal(tmp_path)
+
+
+def test_pictures_that_are_none_or_of_another_size(tmp_path: Path) -> None:
+    write_colmap(tmp_path)
+    (tmp_path / "frames/frame_08/cam01.png").write_bytes(b"nothing")
+    Image.fromarray(picture_of(1, 2)[:, :60]).save(tmp_path / "frames/frame_09/cam01.png")
+    source = open_capture(tmp_path).open_images(1)
+    with pytest.raises(CaptureError, match=r"frame_08/cam01\.png: not a picture"):
+        source.read(1)
+    with pytest.raises(CaptureError, match=r"frame_09/cam01\.png: is 60x36 px"):
+        source.read(2)
+    (tmp_path / "frames/frame_07/cam01.png").write_bytes(b"")
+    assert "frame_07/cam01.png: not a picture" in refusal(tmp_path)
+
+
+def test_names_sort_by_their_numbers(tmp_path: Path) -> None:
+    cameras = [
+        replace(c, name=n) for c, n in zip(tiny_rig(3), ("c10", "c2", "d"), strict=True)
+    ]  # fmt: skip
+    write_model(tmp_path / "sparse", cameras, [f"{c.name}.png" for c in cameras], True)
+    write_pictures(tmp_path, cameras, 1, True)
+    assert [c.camera.name for c in open_capture(tmp_path).cameras] == ["c2", "c10", "d"]

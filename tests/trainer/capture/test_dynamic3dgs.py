@@ -1,0 +1,293 @@
+"""Opening captures: the Dynamic 3D Gaussians layout, what is refused, and the rig's depths."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from codec.camera import Camera
+from codec.errors import InvalidError
+from tests.support.tiny_capture import picture_of, tiny_rig, write_dynamic3dgs
+from trainer.capture.capture import Capture, InitialPoints
+from trainer.capture.layout import open_capture
+from trainer.capture.points import points_evenness, read_points_file
+from trainer.capture.rig import rig_centre, rig_depths
+from trainer.errors import CaptureError
+from trainer.synth.scene import CAMERA_RADIUS_M, CAMERA_TARGET
+
+DATA = Path(os.environ.get("SWINGS_DATA", Path(__file__).parents[3] / ".." / "shared" / "data"))
+BASKETBALL = DATA / "panoptic_basketball"
+
+
+def refusal(path: Path) -> str:
+    """The one line with which `open_capture` refuses."""
+    with pytest.raises(CaptureError) as caught:
+        open_capture(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+def edit_meta(root: Path, change: Callable[[dict[str, Any]], None], name: str = "train") -> None:
+    path = root / f"{name}_meta.json"
+    meta = json.loads(path.read_text())
+    change(meta)
+    path.write_text(json.dumps(meta))
+
+
+def test_folders_that_are_no_capture_are_refused(tmp_path: Path) -> None:
+    assert "no such folder" in refusal(tmp_path / "nowhere")
+    file = tmp_path / "file"
+    file.touch()
+    assert "not a folder" in refusal(file)
+    (tmp_path / "empty").mkdir()
+    assert "is empty" in refusal(tmp_path / "empty")
+    assert "unknown layout" in refusal(tmp_path)
+
+
+def test_dynamic3dgs_cameras_split_and_pictures(tmp_path: Path) -> None:
+    written = write_dynamic3dgs(tmp_path / "c")
+    capture = open_capture(tmp_path / "c")
+    assert capture.layout == "dynamic3dgs"
+    assert (capture.num_frames, capture.fps, capture.points) == (3, 30.0, None)
+    assert [c.camera.name for c in capture.cameras] == ["cam00", "cam01", "cam02", "cam03"]
+    assert capture.held_out == (1,)
+    assert capture.training == (0, 2, 3)
+    for index, camera in enumerate(written):
+        assert np.array_equal(capture.cameras[index].camera.w2c, camera.w2c)
+        assert capture.cameras[index].camera.fx_px == camera.fx_px
+        source = capture.open_images(index)
+        for frame in (2, 0):
+            assert np.array_equal(source.read(frame), picture_of(index, frame))
+        source.close()
+    with pytest.raises(InvalidError, match="has 4 cameras"):
+        capture.open_images(4)
+    with pytest.raises(InvalidError, match="3 frames"):
+        capture.open_images(0).read(3)
+
+
+def test_dynamic3dgs_without_held_out_cameras(tmp_path: Path) -> None:
+    write_dynamic3dgs(tmp_path / "c")
+    (tmp_path / "c" / "test_meta.json").unlink()
+    assert open_capture(tmp_path / "c").held_out == ()
+
+
+def test_missing_frame_names_camera_and_file(tmp_path: Path) -> None:
+    write_dynamic3dgs(tmp_path / "c")
+    (tmp_path / "c/ims/2/000001.png").unlink()
+    message = refusal(tmp_path / "c")
+    assert "ims/2/000001.png" in message
+    assert "cam02 lacks frame 1" in message
+
+
+def test_missing_camera_folder_and_ims(tmp_path: Path) -> None:
+    write_dynamic3dgs(tmp_path / "c")
+    (tmp_path / "c/ims/3").rename(tmp_path / "aside")
+    assert "cam03 lacks frame 0" in refusal(tmp_path / "c")
+    (tmp_path / "c/ims").rename(tmp_path / "aside2")
+    assert "the pictures belong there" in refusal(tmp_path / "c")
+
+
+def move_camera(meta: dict[str, Any]) -> None:
+    meta["w2c"][2][1][0][3] += 0.01
+
+
+def zoom_camera(meta: dict[str, Any]) -> None:
+    meta["k"][1][0][0][0] *= 1.1
+
+
+def skew_camera(meta: dict[str, Any]) -> None:
+    for row in meta["k"]:
+        row[0][0][1] = 5.0
+
+
+def bend_pose(meta: dict[str, Any]) -> None:
+    for row in meta["w2c"]:
+        row[0][0][0] = 3.0
+
+
+def leave_ims(meta: dict[str, Any]) -> None:
+    meta["fn"][1][0] = "../../secret.png"
+
+
+def swap_cameras(meta: dict[str, Any]) -> None:
+    meta["cam_id"][1] = [2, 0, 3]
+
+
+def shorten_table(meta: dict[str, Any]) -> None:
+    meta["fn"] = meta["fn"][:-1]
+
+
+def drop_frame(meta: dict[str, Any]) -> None:
+    for key in ("k", "w2c", "fn", "cam_id"):
+        meta[key] = meta[key][:-1]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (move_camera, "cam02 moves at frame 2; only still cameras"),
+        (zoom_camera, "cam00 changes its lens at frame 1"),
+        (skew_camera, "skewed pixels"),
+        (bend_pose, "not a rotation"),
+        (leave_ims, "not a path below ims/"),
+        (swap_cameras, "cam_id of frame 1 differs"),
+        (shorten_table, "fn is not a 3 x 3 table"),
+        (drop_frame, "has 2 frames, test_meta.json 3"),
+        (lambda m: m.pop("w2c"), "lacks w2c"),
+        (lambda m: m.update(k=[[1, 2], [3]]), "k is not a table of 3x3"),
+        (lambda m: m.update(w2c=[]), "w2c has shape (0,)"),
+        (lambda m: m.update(w="wide"), "not whole numbers"),
+        (lambda m: m.update(w=65), "is 64x36 px; the meta file declares 65x36 px"),
+        (lambda m: m.update(cam_id=[[0, 1, 3]] * 3), "camera cam01 is listed twice"),
+    ],
+)
+def test_bad_meta_is_refused(
+    tmp_path: Path, change: Callable[[dict[str, Any]], None], said: str
+) -> None:
+    write_dynamic3dgs(tmp_path / "c")
+    edit_meta(tmp_path / "c", change)
+    assert said in refusal(tmp_path / "c")
+
+
+@pytest.mark.parametrize("text", ["", "{", "[1]", '"x"', "\x00"])
+def test_meta_that_is_no_json_object(tmp_path: Path, text: str) -> None:
+    write_dynamic3dgs(tmp_path / "c")
+    (tmp_path / "c/train_meta.json").write_text(text)
+    assert "train_meta.json" in refusal(tmp_path / "c")
+
+
+def test_only_test_meta(tmp_path: Path) -> None:
+    write_dynamic3dgs(tmp_path / "c")
+    (tmp_path / "c/train_meta.json").unlink()
+    assert "train_meta.json: is missing" in refusal(tmp_path / "c")
+
+
+def test_picture_that_is_none_or_of_another_size(tmp_path: Path) -> None:
+    write_dynamic3dgs(tmp_path / "c")
+    (tmp_path / "c/ims/0/000001.png").write_bytes(b"not a picture")
+    Image.fromarray(picture_of(0, 2)[:, :60]).save(tmp_path / "c/ims/0/000002.png")
+    source = open_capture(tmp_path / "c").open_images(0)
+    with pytest.raises(CaptureError, match=r"000001\.png: not a picture"):
+        source.read(1)
+    with pytest.raises(CaptureError, match=r"000002\.png: is 60x36 px"):
+        source.read(2)
+    (tmp_path / "c/ims/0/000000.png").write_bytes(b"")
+    assert "not a picture" in refusal(tmp_path / "c")
+
+
+def test_points_of_either_form(tmp_path: Path) -> None:
+    write_dynamic3dgs(tmp_path / "c")
+    xyz = np.arange(12, dtype=np.float64).reshape(4, 3)
+    rgb = np.arange(12, dtype=np.uint8).reshape(4, 3) * 20
+    np.savez(tmp_path / "c/derived_init_points_frame0.npz", xyz=xyz, rgb=rgb)
+    points = open_capture(tmp_path / "c").points
+    assert points is not None
+    assert points.xyz.dtype == np.float32
+    assert np.array_equal(points.xyz, xyz)
+    assert np.array_equal(points.rgb, rgb)
+    data = np.concatenate([xyz + 1, rgb / 255, np.ones((4, 1))], axis=1)
+    np.savez(tmp_path / "c/init_pt_cld.npz", data=data)
+    points = open_capture(tmp_path / "c").points
+    assert points is not None
+    assert np.array_equal(points.xyz, xyz + 1)
+    assert np.array_equal(points.rgb, rgb)
+
+
+def test_bad_points_are_refused(tmp_path: Path) -> None:
+    write_dynamic3dgs(tmp_path / "c")
+    path = tmp_path / "c/init_pt_cld.npz"
+    path.write_bytes(b"PK")
+    assert "not an .npz file" in refusal(tmp_path / "c")
+    np.savez(path, other=np.ones(3))
+    assert "has neither" in refusal(tmp_path / "c")
+    np.savez(path, data=np.ones((3, 2)))
+    assert "(P, 6 or more)" in refusal(tmp_path / "c")
+    np.savez(path, xyz=np.full((2, 3), np.nan), rgb=np.ones((2, 3)))
+    assert "not finite" in refusal(tmp_path / "c")
+    np.savez(path, xyz=np.ones((2, 3)), rgb=np.ones((3, 3)))
+    assert "rgb is" in refusal(tmp_path / "c")
+    np.savez(path, xyz=np.array([None, 1]), rgb=np.ones((3, 3)), allow_pickle=True)
+    assert "init_pt_cld.npz" in refusal(tmp_path / "c")
+
+
+def test_rig_depths_of_an_inward_rig() -> None:
+    cameras = tiny_rig(9)
+    centre = rig_centre(cameras)
+    assert centre is not None
+    assert np.allclose(centre, CAMERA_TARGET, atol=1e-9)
+    depths = rig_depths(cameras, (0.1, 99.0))
+    assert depths is not None
+    distances = [float(np.linalg.norm(c.position - centre)) for c in cameras]
+    assert depths[0] == pytest.approx(0.35 * min(distances))
+    assert depths[1] >= 2 * max(distances) - 1e-9
+    assert depths[1] >= 1.2 * 2 * CAMERA_RADIUS_M * np.sin(np.radians(79))
+
+
+def test_rig_depths_of_a_forward_facing_rig() -> None:
+    cameras = tiny_rig(6, arc_deg=20)
+    assert rig_centre(cameras) is None
+    assert rig_depths(cameras, (1.2, 34.0)) == (1.2, 34.0)
+    assert rig_depths(cameras) is None
+    assert rig_depths([]) is None
+    assert rig_depths(cameras[:1]) is None
+
+
+def test_points_come_from_a_ply_as_from_an_npz(tmp_path: Path) -> None:
+    xyz = np.array([[0.5, -1, 2], [3, 0.25, -4]], np.float32)
+    rgb = np.array([[255, 0, 7], [1, 2, 3]], np.uint8)
+    np.savez(tmp_path / "points.npz", xyz=xyz, rgb=rgb)
+    names = [f"property float {n}" for n in "xyz"]
+    names += [f"property uchar {n}" for n in ("red", "green", "blue")]
+    head = ["ply", "format ascii 1.0", "element vertex 2", *names, "end_header"]
+    rows = [" ".join(map(str, [*p.tolist(), *c.tolist()])) for p, c in zip(xyz, rgb, strict=True)]
+    (tmp_path / "points.PLY").write_text("\n".join([*head, *rows, ""]))
+    for name in ("points.npz", "points.PLY"):
+        points = read_points_file(tmp_path / name)
+        np.testing.assert_array_equal(points.xyz, xyz)
+        np.testing.assert_array_equal(points.rgb, rgb)
+    with pytest.raises(CaptureError, match=r"points.txt: .*\.ply or an \.npz"):
+        read_points_file(tmp_path / "points.txt")
+
+
+def test_evenness_is_the_share_of_the_picture_that_points_fill() -> None:
+    camera = Camera("c", 160, 80, 100.0, 100.0, 80.0, 40.0, np.eye(4))
+    v, u = np.mgrid[0:80, 0:160] + 0.5
+
+    def points(columns: slice) -> InitialPoints:
+        local = [(u - 80) / 100, (v - 40) / 100, np.ones_like(u)]
+        xyz = 3 * np.stack(local, axis=-1)[:, columns].reshape(-1, 3)
+        return InitialPoints(xyz.astype(np.float32), np.zeros((len(xyz), 3), np.uint8))
+
+    assert points_evenness(points(slice(None)), [camera]) == pytest.approx(1)
+    assert points_evenness(points(slice(0, 40)), [camera]) == pytest.approx(0.25)
+    away = replace(camera, w2c=np.diag([1.0, -1, -1, 1]))
+    assert points_evenness(points(slice(None)), [camera, away]) == pytest.approx(0.5)
+
+
+@pytest.fixture(scope="module")
+def basketball() -> Capture:
+    if not (BASKETBALL / "train_meta.json").is_file():
+        pytest.skip("the PanopticSports basketball capture is not on this machine (SWINGS_DATA)")
+    return open_capture(BASKETBALL)
+
+
+def test_basketball(basketball: Capture) -> None:
+    assert len(basketball.cameras) == 31
+    assert basketball.num_frames == 150
+    assert [basketball.cameras[i].camera.name[3:] for i in basketball.held_out] == [
+        "00", "10", "15", "30"
+    ]  # fmt: skip
+    assert basketball.points is not None
+    assert len(basketball.points) == 28352
+    assert basketball.near_m is not None
+    assert 0.9 < basketball.near_m < 1.0
+    assert basketball.open_images(7).read(149).shape == (360, 640, 3)

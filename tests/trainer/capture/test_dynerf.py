@@ -1,0 +1,265 @@
+"""The DyNeRF layout: poses, videos read in any order, and what is refused."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import av
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from codec.camera import Camera
+from codec.errors import InvalidError
+from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, picture_of, write_dynerf, write_video
+from trainer.capture.dynerf import decode_pose, encode_pose
+from trainer.capture.layout import open_capture
+from trainer.capture.video import MAX_SKIP_FRAMES, VideoSource, probe_video
+from trainer.errors import CaptureError
+
+NUM_FRAMES = 50
+
+
+@pytest.fixture(scope="module")
+def long_video(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("video") / "cam00.mp4"
+    write_video(path, 3, NUM_FRAMES)
+    return path
+
+
+@pytest.fixture
+def capture_path(tmp_path: Path) -> Path:
+    write_dynerf(tmp_path / "c")
+    return tmp_path / "c"
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(CaptureError) as caught:
+        open_capture(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+def tiny_camera() -> Camera:
+    return Camera("cam00", WIDTH_PX, HEIGHT_PX, 50.0, 50.0, 32.0, 18.0, np.eye(4))
+
+
+def nearly(picture: npt.NDArray[np.uint8], camera_index: int, frame: int) -> bool:
+    """Whether it is that picture, but for the rounding of RGB to YUV and back."""
+    difference = picture.astype(int) - picture_of(camera_index, frame)
+    return int(np.abs(difference).max()) <= 2
+
+
+def test_capture_as_written(tmp_path: Path) -> None:
+    written = write_dynerf(tmp_path / "c")
+    capture = open_capture(tmp_path / "c")
+    assert (capture.layout, capture.num_frames, capture.fps) == ("dynerf", 5, 30.0)
+    assert (capture.held_out, capture.points) == ((0,), None)
+    for index, (got, camera) in enumerate(zip(capture.cameras, written, strict=True)):
+        assert got.camera.name == camera.name
+        assert np.allclose(got.camera.w2c, camera.w2c, atol=1e-12)
+        source = capture.open_images(index)
+        for frame in (0, 4, 4, 1):
+            assert nearly(source.read(frame), index, frame)
+        source.close()
+        assert nearly(source.read(2), index, 2)
+        source.close()
+
+
+def test_held_out_and_points_files(capture_path: Path) -> None:
+    (capture_path / "held_out.txt").write_text("cam01\ncam02\n")
+    np.savez(capture_path / "points.npz", xyz=np.ones((2, 3)), rgb=np.ones((2, 3)))
+    capture = open_capture(capture_path)
+    assert (capture.held_out, capture.training) == ((1, 2), (0,))
+    assert capture.points is not None
+    assert capture.points.rgb.tolist() == [[255] * 3] * 2
+    (capture_path / "held_out.txt").write_text("")
+    assert open_capture(capture_path).held_out == ()
+    (capture_path / "held_out.txt").write_text("cam07")
+    assert "'cam07' is no camera" in refusal(capture_path)
+    (capture_path / "held_out.txt").write_bytes(b"\xff\xfe")
+    assert "not text" in refusal(capture_path)
+
+
+def test_llff_axes() -> None:
+    # A camera at (1, 2, 3) that looks along the world's -z with the world's y up, as LLFF writes
+    # it: down = -y, right = x, backwards = z.
+    matrix = [[0, 1, 0, 1, 36], [-1, 0, 0, 2, 64], [0, 0, 1, 3, 50]]
+    row = np.array([*np.ravel(matrix), 1.0, 9.0])
+    camera = decode_pose(row, "cam00", Path("poses"))
+    assert np.allclose(camera.position, (1, 2, 3))
+    assert np.allclose(camera.forward, (0, 0, -1))
+    assert np.allclose(camera.w2c[0, :3], (1, 0, 0))
+    assert np.allclose(camera.w2c[1, :3], (0, -1, 0))
+    assert (camera.width_px, camera.height_px, camera.fx_px) == (64, 36, 50)
+    assert (camera.cx_px, camera.cy_px) == (32, 18)
+
+
+@given(
+    quat=st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1),
+    centre=st.tuples(*[st.floats(-100, 100)] * 3),
+    focal_px=st.floats(1, 10_000),
+)
+def test_poses_come_back(
+    quat: tuple[float, ...], centre: tuple[float, ...], focal_px: float
+) -> None:
+    w, x, y, z = np.array(quat) / np.linalg.norm(quat)
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    w2c = np.eye(4)
+    w2c[:3, :3] = rotation
+    w2c[:3, 3] = -rotation @ np.array(centre)
+    camera = Camera("cam00", 64, 36, focal_px, focal_px, 32.0, 18.0, w2c)
+    row = encode_pose(camera, 0.5, 7.0)
+    back = decode_pose(row, "cam00", Path("poses"))
+    assert np.allclose(back.w2c, w2c, atol=1e-9)
+    assert (back.fx_px, back.fy_px, back.cx_px, back.cy_px) == (focal_px, focal_px, 32, 18)
+    assert row[15:].tolist() == [0.5, 7.0]
+
+
+def test_poses_that_llff_cannot_hold() -> None:
+    with pytest.raises(InvalidError, match="one focal length"):
+        encode_pose(Camera("a", 64, 36, 50.0, 51.0, 32.0, 18.0, np.eye(4)), 1, 2)
+
+
+def test_videos_of_unequal_length(capture_path: Path) -> None:
+    write_video(capture_path / "cam01.mp4", 1, 4)
+    assert "cam01.mp4 has 4, the others 5 frames" in refusal(capture_path)
+
+
+def test_a_text_and_a_picture_are_no_videos(capture_path: Path) -> None:
+    (capture_path / "cam01.mp4").write_text("hello " * 100)
+    assert "cam01.mp4: not a video that can be read" in refusal(capture_path)
+    (capture_path / "cam01.mp4").write_bytes(b"")
+    assert "cam01.mp4: not a video that can be read" in refusal(capture_path)
+    with av.open(str(capture_path / "cam01.mp4"), "w", format="mjpeg") as output:
+        stream = output.add_stream("mjpeg", rate=30)
+        stream.width, stream.height, stream.pix_fmt = WIDTH_PX, HEIGHT_PX, "yuvj420p"
+        output.mux(stream.encode(av.VideoFrame.from_ndarray(picture_of(0, 0), format="rgb24")))
+        output.mux(stream.encode())
+    assert "cam01.mp4" in refusal(capture_path)
+
+
+def test_a_sound_file_is_no_video(capture_path: Path) -> None:
+    with av.open(str(capture_path / "cam01.mp4"), "w", format="wav") as output:
+        stream = output.add_stream("pcm_s16le", rate=8000, layout="mono")
+        sound = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), "s16", "mono")
+        sound.sample_rate = 8000
+        output.mux(stream.encode(sound))
+    assert "holds no video" in refusal(capture_path)
+
+
+def test_number_of_poses_and_videos_must_agree(capture_path: Path) -> None:
+    (capture_path / "cam02.mp4").unlink()
+    assert "3 poses for 2 videos" in refusal(capture_path)
+    for video in capture_path.glob("*.mp4"):
+        video.unlink()
+    assert "no camNN.mp4" in refusal(capture_path)
+
+
+def test_picture_size_must_be_as_declared(capture_path: Path) -> None:
+    rows = np.load(capture_path / "poses_bounds.npy")
+    rows[1, 9] = 128  # W of the 3x5 matrix
+    np.save(capture_path / "poses_bounds.npy", rows)
+    message = refusal(capture_path)
+    assert "cam01.mp4: is 64x36 px; poses_bounds.npy declares 128x36 px" in message
+
+
+def test_bad_poses_are_refused(capture_path: Path) -> None:
+    path = capture_path / "poses_bounds.npy"
+    rows = np.load(path)
+    path.unlink()
+    assert "poses_bounds.npy: is missing" in refusal(capture_path)
+    path.write_bytes(b"nonsense")
+    assert "not a .npy file" in refusal(capture_path)
+    np.save(path, rows[:, :15])
+    assert "has shape (3, 15)" in refusal(capture_path)
+    np.save(path, np.where(rows == rows[0, 3], np.nan, rows))
+    assert "not finite" in refusal(capture_path)
+    np.save(path, np.array(["a" * 17]))
+    assert "shape" in refusal(capture_path)
+    bent = rows.copy()
+    bent[2, 0] += 1
+    np.save(path, bent)
+    assert "cam02" in refusal(capture_path)
+    swapped = rows.copy()
+    swapped[:, 15:] = 9, 1
+    np.save(path, swapped)
+    assert "0 < near < far" in refusal(capture_path)
+    half = rows.copy()
+    half[0, 4] = 36.5
+    np.save(path, half)
+    assert "is not whole" in refusal(capture_path)
+
+
+def test_forward_reading_decodes_each_frame_once(long_video: Path) -> None:
+    source = VideoSource(long_video, tiny_camera(), NUM_FRAMES)
+    for frame in range(NUM_FRAMES):
+        assert nearly(source.read(frame), 3, frame)
+    assert source.decoded_frames == NUM_FRAMES
+    source.close()
+
+
+def test_any_order_gives_the_same_pictures(long_video: Path) -> None:
+    forward = VideoSource(long_video, tiny_camera(), NUM_FRAMES)
+    pictures = [forward.read(frame) for frame in range(NUM_FRAMES)]
+    forward.close()
+    rng = np.random.default_rng(5)
+    source = VideoSource(long_video, tiny_camera(), NUM_FRAMES)
+    orders = [rng.permutation(NUM_FRAMES).tolist(), list(range(NUM_FRAMES))[::-1], [49, 0, 49]]
+    for order in orders:
+        for frame in order:
+            assert np.array_equal(source.read(frame), pictures[frame]), frame
+    source.close()
+
+
+def test_a_far_frame_costs_one_group_of_pictures(long_video: Path) -> None:
+    source = VideoSource(long_video, tiny_camera(), NUM_FRAMES)
+    assert nearly(source.read(47), 3, 47)
+    assert source.decoded_frames <= 10
+    assert nearly(source.read(48), 3, 48)
+    assert source.decoded_frames <= 11
+    assert nearly(source.read(5), 3, 5)
+    assert source.decoded_frames <= 11 + MAX_SKIP_FRAMES
+    source.close()
+
+
+def test_frames_are_counted_where_the_container_does_not_tell(
+    capture_path: Path, tmp_path: Path
+) -> None:
+    write_video(tmp_path / "v.mkv", 1, 5)
+    shutil.move(tmp_path / "v.mkv", capture_path / "cam01.mp4")
+    assert probe_video(capture_path / "cam01.mp4").num_frames == 5
+    assert nearly(open_capture(capture_path).open_images(1).read(4), 1, 4)
+
+
+def test_a_cut_video_is_named_when_its_end_is_read(tmp_path: Path) -> None:
+    # An MP4 whose table stands in front still tells all its frames when its end is cut off.
+    cut = tmp_path / "cam01.mp4"
+    write_video(cut, 1, NUM_FRAMES, table_in_front=True)
+    whole = cut.read_bytes()
+    cut.write_bytes(whole[: len(whole) // 2])
+    assert probe_video(cut).num_frames == NUM_FRAMES
+    source_of_cut = VideoSource(cut, tiny_camera(), NUM_FRAMES)
+    assert nearly(source_of_cut.read(3), 1, 3)
+    for frame in (NUM_FRAMES - 1, NUM_FRAMES - 1):
+        with pytest.raises(CaptureError, match=r"cam01\.mp4"):
+            source_of_cut.read(frame)
+    assert nearly(source_of_cut.read(2), 1, 2)
+    source_of_cut.close()
+
+
+def test_frames_outside_are_refused(long_video: Path) -> None:
+    source = VideoSource(long_video, tiny_camera(), NUM_FRAMES)
+    for frame in (-1, NUM_FRAMES):
+        with pytest.raises(InvalidError, match="50 frames"):
+            source.read(frame)

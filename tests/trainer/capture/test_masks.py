@@ -1,0 +1,218 @@
+"""Masks of a capture: where the layouts keep them, what they mean, what is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from PIL import Image
+
+from codec.camera import Camera
+from tests.support.tiny_capture import (
+    HEIGHT_PX,
+    WIDTH_PX,
+    tiny_rig,
+    write_dynamic3dgs,
+    write_dynerf,
+)
+from tests.support.tiny_models import (
+    transforms_of,
+    write_model,
+    write_pictures,
+    write_transforms,
+    write_videos,
+)
+from trainer.capture.capture import Capture
+from trainer.capture.check import check_capture, describe_capture
+from trainer.capture.layout import open_capture
+from trainer.errors import CaptureError
+
+NUM_FRAMES = 3
+
+
+def grey_of(camera_index: int, frame: int) -> npt.NDArray[np.uint8]:
+    """(36, 64): a white rectangle that tells camera and frame; around it a grey just too dark."""
+    grey = np.full((HEIGHT_PX, WIDTH_PX), 127, np.uint8)
+    grey[3 + frame : 30, 5 + camera_index : 50] = 128
+    return grey
+
+
+def save_mask(path: Path, camera_index: int, frame: int) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(grey_of(camera_index, frame)).save(path)
+
+
+def mask(capture: Capture, camera_index: int, frame: int) -> npt.NDArray[np.uint8]:
+    masks = capture.cameras[camera_index].masks
+    assert masks is not None
+    return masks.read(frame)
+
+
+def expect(capture: Capture, camera_index: int, frame: int, drawn_frame: int) -> None:
+    got = mask(capture, camera_index, frame)
+    assert got.dtype == np.uint8
+    assert np.array_equal(got, grey_of(camera_index, drawn_frame) >= 128)
+
+
+def refusal(ask: Callable[[], object]) -> str:
+    with pytest.raises(CaptureError) as caught:
+        ask()
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+def write_colmap(root: Path, by_frame: bool) -> list[list[str]]:
+    cameras = tiny_rig(3)
+    suffix = ".png" if by_frame else "/0007.png"
+    write_model(root / "sparse", cameras, [c.name + suffix for c in cameras], True)
+    return write_pictures(root, cameras, NUM_FRAMES, by_frame)
+
+
+def mirrored(root: Path, picture: str, name_of: Callable[[Path], str]) -> Path:
+    below = Path(picture).relative_to(Path(picture).parts[0])
+    return root / "masks" / below.parent / name_of(below)
+
+
+@pytest.mark.parametrize("by_frame", [True, False])
+@pytest.mark.parametrize("whole_name", [True, False])
+def test_colmap_masks_mirror_the_pictures(tmp_path: Path, by_frame: bool, whole_name: bool) -> None:
+    paths = write_colmap(tmp_path, by_frame)
+    for frame, path in enumerate(paths[1]):
+        name = mirrored(tmp_path, path, lambda p: p.name + ".png" if whole_name else p.name)
+        save_mask(name, 1, frame)
+    capture = open_capture(tmp_path)
+    assert [c.masks is not None for c in capture.cameras] == [False, True, False]
+    for frame in range(NUM_FRAMES):
+        expect(capture, 1, frame, frame)
+    assert not np.array_equal(mask(capture, 1, 0), mask(capture, 1, 2))
+
+
+def test_colmap_masks_that_cannot_be_used(tmp_path: Path) -> None:
+    paths = write_colmap(tmp_path, True)
+    assert all(c.masks is None for c in open_capture(tmp_path).cameras)
+    (tmp_path / "masks").mkdir()
+    assert "masks: has no mask of a picture in frames/" in refusal(lambda: open_capture(tmp_path))
+    files = [mirrored(tmp_path, path, lambda p: p.name + ".png") for path in paths[2]]
+    for frame, file in enumerate(files):
+        save_mask(file, 2, frame)
+    Image.fromarray(grey_of(2, 1)[:, 1:]).save(files[1])
+    files[2].write_bytes(b"none")
+    capture = open_capture(tmp_path)
+    assert "frame_08/cam02.png.png: is 63x36 px" in refusal(lambda: mask(capture, 2, 1))
+    assert "frame_09/cam02.png.png: not a mask" in refusal(lambda: mask(capture, 2, 2))
+    assert "frame_09/cam02.png.png: not a mask" in refusal(lambda: check_capture(tmp_path))
+    Image.fromarray(np.minimum(grey_of(2, 1), 1)).save(files[1])
+    assert "its brightest pixel is 1 of 255" in refusal(lambda: mask(capture, 2, 1))
+    Image.fromarray(np.zeros((HEIGHT_PX, WIDTH_PX), np.uint8)).save(files[1])
+    assert not mask(capture, 2, 1).any()
+    Image.fromarray(grey_of(2, 0)[1:]).save(files[0])
+    assert "frame_07/cam02.png.png: is 64x35 px" in refusal(lambda: open_capture(tmp_path))
+    save_mask(files[0], 2, 0)
+    files[1].unlink()
+    said = refusal(lambda: open_capture(tmp_path))
+    assert "frame_08/cam02.png.png: is missing; a camera with masks needs one for every" in said
+
+
+def write_nerfstudio(root: Path, listed: bool) -> tuple[list[Camera], dict[str, Any]]:
+    cameras = tiny_rig(3)
+    paths = write_pictures(root, cameras, NUM_FRAMES, False)
+    return cameras, transforms_of(cameras, paths if listed else [p[:1] for p in paths])
+
+
+def test_nerfstudio_has_a_mask_for_each_entry(tmp_path: Path) -> None:
+    _, value = write_nerfstudio(tmp_path, listed=True)
+    for frame in range(NUM_FRAMES):
+        value["frames"][NUM_FRAMES + frame]["mask_path"] = f"./m/{frame}.png"
+        save_mask(tmp_path / f"m/{frame}.png", 1, frame)
+    write_transforms(tmp_path, value)
+    capture = open_capture(tmp_path)
+    assert [c.masks is not None for c in capture.cameras] == [False, True, False]
+    for frame in range(NUM_FRAMES):
+        expect(capture, 1, frame, frame)
+    (tmp_path / "m/2.png").unlink()
+    assert "m/2.png: is missing; a mask_path" in refusal(lambda: open_capture(tmp_path))
+    del value["frames"][NUM_FRAMES + 1]["mask_path"]
+    write_transforms(tmp_path, value)
+    said = refusal(lambda: open_capture(tmp_path))
+    assert "images/cam01/0008.png has no mask_path" in said
+    for bad, why in ((7, "mask_path is '7', not a path"), ("../x.png", "not a path inside")):
+        value["frames"][NUM_FRAMES + 1]["mask_path"] = bad
+        write_transforms(tmp_path, value)
+        assert why in refusal(lambda: open_capture(tmp_path))
+
+
+def test_nerfstudio_masks_of_a_whole_camera(tmp_path: Path) -> None:
+    """An entry that stands for all frames, and entries that all name one file."""
+    _, value = write_nerfstudio(tmp_path / "p", listed=False)
+    value["frames"][2]["mask_path"] = "still.png"
+    save_mask(tmp_path / "p/still.png", 2, 1)
+    write_transforms(tmp_path / "p", value)
+    cameras, value = write_nerfstudio(tmp_path / "l", listed=True)
+    for entry in value["frames"][2 * NUM_FRAMES :]:
+        entry["mask_path"] = "still.png"
+    save_mask(tmp_path / "l/still.png", 2, 1)
+    write_transforms(tmp_path / "l", value)
+    videos = write_videos(tmp_path / "v", cameras, NUM_FRAMES)
+    value = transforms_of(cameras, videos)
+    value["frames"][2]["mask_path"] = "still.png"
+    save_mask(tmp_path / "v/still.png", 2, 1)
+    write_transforms(tmp_path / "v", value)
+    for name in ("p", "l", "v"):
+        capture = open_capture(tmp_path / name)
+        masks = capture.cameras[2].masks
+        assert masks is not None
+        assert masks.is_still
+        for frame in range(NUM_FRAMES):
+            expect(capture, 2, frame, 1)
+
+
+def test_masks_are_straightened_with_their_pictures(tmp_path: Path) -> None:
+    """The picture is the mask in grey: where it straightens to pure white, the mask counts."""
+    cameras = tiny_rig(3)
+
+    def as_picture(index: int, frame: int) -> npt.NDArray[np.uint8]:
+        white = np.where(grey_of(index, frame) >= 128, 255, 0).astype(np.uint8)
+        return np.ascontiguousarray(np.stack([white] * 3, axis=2))
+
+    paths = write_pictures(tmp_path, cameras, NUM_FRAMES, False, as_picture)
+    value = transforms_of(cameras, [p[:1] for p in paths]) | {"k1": -0.15, "k2": 0.02, "p1": 0.003}
+    value["frames"][1]["mask_path"] = "m.png"
+    save_mask(tmp_path / "m.png", 1, 2)
+    write_transforms(tmp_path, value)
+    capture = open_capture(tmp_path)
+    straight = mask(capture, 1, 2)
+    picture = capture.open_images(1).read(2)[..., 0]
+    assert np.array_equal(straight, picture == 255)
+    assert not np.array_equal(straight, grey_of(1, 2) >= 128)
+    assert ((picture > 0) & (picture < 255) & (straight == 0)).any()
+
+
+def test_other_layouts_have_none(tmp_path: Path) -> None:
+    """The seg folder of Dynamic 3D Gaussians tells foreground, not what to ignore."""
+    write_dynamic3dgs(tmp_path / "d", num_frames=NUM_FRAMES)
+    for index in range(4):
+        for frame in range(NUM_FRAMES):
+            save_mask(tmp_path / f"d/seg/{index}/{frame:06d}.png", index, frame)
+    write_dynerf(tmp_path / "v")
+    for name in ("d", "v"):
+        assert all(c.masks is None for c in open_capture(tmp_path / name).cameras)
+    assert "masks       none: every pixel counts" in check_capture(tmp_path / "d")
+
+
+def test_check_says_that_masks_were_found(tmp_path: Path) -> None:
+    _, value = write_nerfstudio(tmp_path, listed=True)
+    value["frames"][0]["mask_path"] = value["frames"][1]["mask_path"] = "a.png"
+    value["frames"][2]["mask_path"] = "b.png"
+    for entry in value["frames"][NUM_FRAMES : 2 * NUM_FRAMES]:
+        entry["mask_path"] = "a.png"
+    save_mask(tmp_path / "a.png", 0, 0)
+    save_mask(tmp_path / "b.png", 0, 1)
+    write_transforms(tmp_path, value)
+    lines = describe_capture(open_capture(tmp_path))
+    (line,) = (line for line in lines if line.startswith("masks"))
+    assert "2 of 3 cameras have them, 1 one for all frames" in line

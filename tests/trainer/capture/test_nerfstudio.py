@@ -1,0 +1,292 @@
+"""The Nerfstudio layout: its forms of file_path, points, held-out cameras, what is refused."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from codec.camera import Camera
+from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, picture_of, tiny_rig, write_dynerf
+from tests.support.tiny_models import (
+    COLOURS,
+    POINTS,
+    intrinsics_of,
+    transforms_of,
+    write_model,
+    write_pictures,
+    write_transforms,
+    write_videos,
+)
+from trainer.capture.layout import open_capture
+from trainer.capture.lens import Lens, straightened
+from trainer.errors import CaptureError
+
+NUM_FRAMES = 3
+FORMS = ("frames", "images", "frames listed", "images listed", "times")
+
+
+def write_nerfstudio(root: Path, form: str = "frames") -> list[Camera]:
+    root.mkdir(exist_ok=True)
+    cameras = tiny_rig(3)
+    paths = write_pictures(root, cameras, NUM_FRAMES, form.startswith("frames"))
+    if form == "times":
+        (root / "all").mkdir()
+        for of_camera in paths:
+            for frame, path in enumerate(of_camera):
+                of_camera[frame] = "all/" + path.replace("/", "_")
+                (root / path).rename(root / of_camera[frame])
+    listed = paths if "listed" in form or form == "times" else [p[:1] for p in paths]
+    value = transforms_of(cameras, listed)
+    if form != "frames" and form != "images":
+        for number, entry in enumerate(value["frames"]):
+            entry["time"] = (number % NUM_FRAMES) / NUM_FRAMES
+    write_transforms(root, value)
+    return cameras
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(CaptureError) as caught:
+        open_capture(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+def edit(root: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    value = json.loads((root / "transforms.json").read_text())
+    change(value)
+    write_transforms(root, value)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_pictures_as_written(tmp_path: Path, form: str) -> None:
+    written = write_nerfstudio(tmp_path, form)
+    capture = open_capture(tmp_path)
+    assert (capture.layout, capture.num_frames, capture.fps) == ("nerfstudio", NUM_FRAMES, 30.0)
+    assert (capture.held_out, capture.points) == ((0,), None)
+    for index, camera in enumerate(written):
+        got = capture.cameras[index].camera
+        assert got.name == camera.name
+        assert np.allclose(got.w2c, camera.w2c, atol=1e-12)
+        for frame in (2, 0):
+            picture = capture.open_images(index).read(frame)
+            assert np.array_equal(picture, picture_of(index, frame))
+
+
+def test_one_rig_in_three_layouts_gives_the_same_cameras(tmp_path: Path) -> None:
+    written = write_dynerf(tmp_path / "dynerf")
+    for binary in (True, False):
+        root = tmp_path / f"colmap{binary}"
+        write_model(root / "sparse/0", written, [f"{c.name}.png" for c in written], binary)
+        write_pictures(root, written, 5, True)
+    paths = write_videos(tmp_path / "nerfstudio", written, 5)
+    write_transforms(tmp_path / "nerfstudio", transforms_of(written, paths))
+    captures = [
+        open_capture(tmp_path / name)
+        for name in ("dynerf", "colmapTrue", "colmapFalse", "nerfstudio")
+    ]
+    assert [c.layout for c in captures] == ["dynerf", "colmap", "colmap", "nerfstudio"]
+    for capture in captures:
+        assert (capture.num_frames, capture.fps, capture.held_out) == (5, 30.0, (0,))
+        assert capture.near_m == pytest.approx(captures[0].near_m)
+        assert capture.far_m == pytest.approx(captures[0].far_m)
+        for index, reference in enumerate(written):
+            camera = capture.cameras[index].camera
+            assert camera.name == reference.name
+            assert (camera.width_px, camera.height_px) == (WIDTH_PX, HEIGHT_PX)
+            assert np.allclose(camera.w2c, reference.w2c, atol=1e-12)
+            assert (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px) == (
+                reference.fx_px, reference.fy_px, reference.cx_px, reference.cy_px
+            )  # fmt: skip
+            source = capture.open_images(index)
+            picture = source.read(4).astype(int)
+            assert np.abs(picture - picture_of(index, 4)).max() <= 2
+            source.close()
+
+
+def test_opengl_axes(tmp_path: Path) -> None:
+    # At (1, 2, 3), looking along the world's -z with y up: the identity in OpenGL.
+    pose = np.eye(4)
+    pose[:3, 3] = 1, 2, 3
+    write_nerfstudio(tmp_path)
+    edit(tmp_path, lambda v: v["frames"][0].update(transform_matrix=pose[:3].tolist()))
+    camera = open_capture(tmp_path).cameras[0].camera
+    assert np.allclose(camera.position, (1, 2, 3))
+    assert np.allclose(camera.forward, (0, 0, -1))
+    assert np.allclose(camera.w2c[1, :3], (0, -1, 0))
+
+
+def test_distortion_is_taken_out_of_pictures_and_videos(tmp_path: Path) -> None:
+    lens = Lens(k1=-0.1, k2=0.02, k3=0.001, p1=0.002, p2=-0.001)
+    terms = {"k1": -0.1, "k2": 0.02, "k3": 0.001, "p1": 0.002, "p2": -0.001, "k4": 0.0}
+    cameras = write_nerfstudio(tmp_path / "p")
+    edit(tmp_path / "p", lambda v: v.update(terms))
+    got = open_capture(tmp_path / "p").open_images(1).read(2)
+    assert np.array_equal(got, straightened(picture_of(1, 2), cameras[1], lens))
+    paths = write_videos(tmp_path / "v", cameras, 2)
+    write_transforms(tmp_path / "v", transforms_of(cameras, paths) | terms)
+    source = open_capture(tmp_path / "v").open_images(1)
+    expected = straightened(picture_of(1, 1), cameras[1], lens).astype(int)
+    assert np.abs(source.read(1).astype(int) - expected).max() <= 3
+    source.close()
+
+
+def test_cameras_of_different_sizes(tmp_path: Path) -> None:
+    cameras = tiny_rig(2)
+    cameras[1] = cameras[1].resized(WIDTH_PX // 2, HEIGHT_PX // 2)
+    paths = write_pictures(
+        tmp_path, cameras, 2, False, lambda i, f: picture_of(i, f)[:: 1 + i, :: 1 + i]
+    )
+    write_transforms(tmp_path, transforms_of(cameras, [p[:1] for p in paths]))
+    capture = open_capture(tmp_path)
+    assert [c.camera.width_px for c in capture.cameras] == [WIDTH_PX, WIDTH_PX // 2]
+    assert capture.open_images(1).read(1).shape == (HEIGHT_PX // 2, WIDTH_PX // 2, 3)
+
+
+def test_held_out_cameras_and_rate(tmp_path: Path) -> None:
+    write_nerfstudio(tmp_path, "images listed")
+    names = [f"./images/cam01/{7 + frame:04d}.png" for frame in range(NUM_FRAMES)]
+    edit(tmp_path, lambda v: v.update(test_filenames=names, fps=25))
+    capture = open_capture(tmp_path)
+    assert (capture.held_out, capture.fps) == ((1,), 25)
+    edit(tmp_path, lambda v: v.update(test_filenames=names[:2]))
+    assert "some frames of camera cam01, but not images/cam01/0009.png" in refusal(tmp_path)
+    edit(tmp_path, lambda v: v.update(test_filenames=["images/cam09/0007.png"]))
+    assert "test_filenames has images/cam09/0007.png" in refusal(tmp_path)
+    edit(tmp_path, lambda v: v.update(test_filenames="cam01"))
+    assert "test_filenames is no list" in refusal(tmp_path)
+    (tmp_path / "held_out.txt").write_text("cam02")
+    assert open_capture(tmp_path).held_out == (2,)
+    edit(tmp_path, lambda v: v.update(fps=-1))
+    assert "fps is -1" in refusal(tmp_path)
+
+
+def ply_of(binary: bool) -> bytes:
+    form = "binary_little_endian" if binary else "ascii"
+    header = f"ply\nformat {form} 1.0\ncomment tiny\nelement vertex 3\n"
+    header += "".join(f"property float {name}\n" for name in ("x", "y", "z", "nx"))
+    header += "".join(f"property uchar {name}\n" for name in ("red", "green", "blue"))
+    header += "element face 0\nproperty list uchar int vertex_indices\nend_header\n"
+    if not binary:
+        rows = [(*xyz, 0.0, *rgb) for xyz, rgb in zip(POINTS, COLOURS, strict=True)]
+        return (header + "".join(" ".join(map(str, row)) + "\n" for row in rows)).encode()
+    kinds = [("p", "<f4", 4), ("c", "u1", 3)]
+    table = np.zeros(3, kinds)
+    table["p"][:, :3], table["c"] = POINTS, COLOURS
+    return header.encode() + table.tobytes()
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_points_of_a_ply_file(tmp_path: Path, binary: bool) -> None:
+    write_nerfstudio(tmp_path)
+    edit(tmp_path, lambda v: v.update(ply_file_path="points.ply"))
+    assert "points.ply: not a .ply file" in refusal(tmp_path)
+    whole = ply_of(binary)
+    path = tmp_path / "points.ply"
+    path.write_bytes(whole)
+    points = open_capture(tmp_path).points
+    assert points is not None
+    assert np.array_equal(points.xyz, np.array(POINTS, np.float32))
+    assert np.array_equal(points.rgb, COLOURS)
+    for size in range(0, len(whole) - 4, 7):
+        path.write_bytes(whole[:size])
+        assert "points.ply" in refusal(tmp_path)
+    for before, after, said in (
+        (b"element vertex", b"element edge", "no list of vertices"),
+        (b"vertex 3", b"vertex 99999999999", "no list of vertices"),
+        (b"uchar red", b"float red", "red, green, blue as uchar"),
+        (b" z\n", b" w\n", "lack x, y, z"),
+        (b"format ", b"format big_", "format big_"),
+        (b"float nx", b"list int x", "no list of vertices"),
+    ):
+        path.write_bytes(whole.replace(before, after))
+        assert said in refusal(tmp_path)
+    np.savez(tmp_path / "points.npz", xyz=np.ones((5, 3)), rgb=np.ones((5, 3)))
+    points = open_capture(tmp_path).points
+    assert points is not None
+    assert len(points) == 5
+
+
+def turn(entry: dict[str, Any]) -> None:
+    entry["transform_matrix"][0][3] += 0.01
+
+
+@pytest.mark.parametrize(
+    ("form", "change", "said"),
+    [
+        ("frames", lambda v: v.pop("frames"), "`frames` is no list"),
+        ("frames", lambda v: v.update(frames=[{}]), "entry 0 of `frames` has no file_path"),
+        ("frames", lambda v: v.update(frames=["x"]), "entry 0 of `frames` has no file_path"),
+        ("frames", lambda v: v.pop("fl_x"), "lacks fl_x"),
+        ("frames", lambda v: v.update(cx=None), "lacks cx"),
+        ("frames", lambda v: v.update(cx="left"), "cx is 'left', not a number"),
+        ("frames", lambda v: v.update(cx=10**400), "not a number"),
+        ("frames", lambda v: v.update(cx=True), "cx is 'True', not a number"),
+        ("frames", lambda v: v["frames"][1].update(transform_matrix=[[1e300] * 4] * 4), "over 1e9"),
+        ("frames", lambda v: v["frames"][1].update(file_path="frames/1/a\nb.png"), "inside the"),
+        ("frames", lambda v: v.update(w=64.5), "size 64.5x36 px is not whole"),
+        ("frames", lambda v: v.update(w=65), "is 64x36 px"),
+        ("frames", lambda v: v.update(camera_model="OPENCV_FISHEYE"), "OPENCV_FISHEYE is not"),
+        ("frames", lambda v: v.update(is_fisheye=True), "(fisheye) is not read"),
+        ("frames", lambda v: v.update(k4=0.1), "distortion by k4"),
+        ("frames", lambda v: v.update(k1=-2), "folds the picture's corners"),
+        ("frames", lambda v: v["frames"][1].pop("transform_matrix"), "is not a 4x4 matrix"),
+        ("frames", lambda v: v["frames"][1].update(transform_matrix=[[1], [2, 3]]), "not a 4x4"),
+        ("frames", lambda v: v["frames"][1].update(transform_matrix=[[2] * 4] * 4), "rotation"),
+        ("frames", lambda v: v["frames"][1].update(file_path="../../x.png"), "inside the capture"),
+        ("frames", lambda v: v["frames"].append(v["frames"][0]), "listed twice"),
+        ("frames", lambda v: v["frames"][1].update(file_path="a.mp4"), "some file_path are videos"),
+        ("frames", lambda v: v["frames"][1].update(file_path="a.png"), "tells neither camera nor"),
+        ("frames", lambda v: v["frames"][1].update(file_path="b/frames/1/a.png"), "use one folder"),
+        ("images", lambda v: v["frames"][1].update(file_path="images/a/b.png"), "no frame number"),
+        ("images", lambda v: v["frames"][1].update(file_path="images/a/1.png"), "images/a: is mis"),
+        ("images listed", lambda v: v["frames"].pop(4), "camera cam01 lacks frame 8, which"),
+        ("images listed", lambda v: v["frames"].pop(1), "frame 8 is missing before frame 9"),
+        ("images listed", lambda v: turn(v["frames"][4]), "cam01/0007.png moves at images/cam01/0"),
+        ("images listed", lambda v: v["frames"][4].update(fl_x=9), "changes its lens at"),
+        ("images listed", lambda v: v["frames"][4].update(time=0.9), "time 0.9, but another"),
+        ("frames listed", lambda v: [e.update(time=1) for e in v["frames"]], "do not rise"),
+        ("times", lambda v: v["frames"][4].pop("time"), "tells neither camera nor frame"),
+        ("times", lambda v: v["frames"][4].update(time=0), "same pose and time"),
+        ("times", lambda v: turn(v["frames"][4]), "lacks frame"),
+        ("times", lambda v: v["frames"][4].update(file_path="all/x.png"), "all/x.png: is missing"),
+    ],
+)  # fmt: skip
+def test_bad_transforms_are_refused(
+    tmp_path: Path, form: str, change: Callable[[dict[str, Any]], object], said: str
+) -> None:
+    write_nerfstudio(tmp_path, form)
+    edit(tmp_path, change)
+    assert said in refusal(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[1]", "\x00"])
+def test_transforms_that_are_no_json_object(tmp_path: Path, text: str) -> None:
+    (tmp_path / "transforms.json").write_text(text)
+    assert "transforms.json" in refusal(tmp_path)
+
+
+def test_videos_that_do_not_fit(tmp_path: Path) -> None:
+    cameras = tiny_rig(3)
+    paths = write_videos(tmp_path, cameras, 4)
+    value = transforms_of(cameras, paths)
+    write_transforms(tmp_path, value)
+    assert open_capture(tmp_path).num_frames == 4
+    write_transforms(tmp_path, value | {"w": 128})
+    assert "cam00.mp4: is 64x36 px" in refusal(tmp_path)
+    write_transforms(tmp_path, value)
+    write_videos(tmp_path / "short", cameras[:1], 3)
+    (tmp_path / "short/videos/cam00.mp4").rename(tmp_path / "videos/cam00.mp4")
+    assert "cam00.mp4 has 3, the others 4 frames" in refusal(tmp_path)
+    (tmp_path / "videos/cam00.mp4").write_bytes(b"none")
+    assert "cam00.mp4: not a video" in refusal(tmp_path)
+    (tmp_path / "videos/cam00.mp4").unlink()
+    assert "cam00.mp4: is missing" in refusal(tmp_path)
+    again = {**value["frames"][1], **intrinsics_of(cameras[0]), "file_path": "other/cam02.mp4"}
+    write_transforms(tmp_path, value | {"frames": [value["frames"][2], again]})
+    assert "are both camera cam02" in refusal(tmp_path)

@@ -1,0 +1,293 @@
+"""Renewal: what a frame shows and nobody renders is found, and Gaussians are placed there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from codec.camera import Camera
+from codec.splats import Splats
+from player.render.cpu import render_splats
+from tests.support.tiny_capture import tiny_rig
+from trainer.fit.colour import CameraColour
+from trainer.fit.mcmc import McmcConfig
+from trainer.fit.renew import Comparer, Comparison, missing_splats
+from trainer.fit.trainer import FitConfig, Trainer
+from trainer.seed.gaussians import initial_splats
+from trainer.step.raster import Parameters
+from trainer.synth.scene import CAMERA_RADIUS_M
+
+NEAR_M, FAR_M = 0.5, 20.0
+NEW_AT_M = np.array([0.4, -0.9, 0.3], np.float32)
+NEW_RADIUS_M = 0.15
+NEW_COLOUR = (230, 40, 30)
+
+
+def blobs(
+    points: npt.NDArray[np.floating], colours: npt.NDArray[np.uint8], radius: float
+) -> Splats:
+    splats = initial_splats(points.astype(np.float32), colours, 0)
+    splats.log_scales[:] = np.log(radius)
+    splats.logit_opacities[:] = 4
+    return splats
+
+
+def room() -> Splats:
+    """A wall of coloured blobs behind the middle of the rig."""
+    rng = np.random.default_rng(2)
+    points = rng.uniform([-2.5, -2.5, 1.5], [2.5, 0.5, 2.5], (250, 3))
+    return blobs(points, rng.integers(40, 200, (250, 3), dtype=np.uint8), 0.15)
+
+
+def thing(at: npt.NDArray[np.floating] = NEW_AT_M) -> Splats:
+    """A red ball of blobs, not all of one red."""
+    rng = np.random.default_rng(4)
+    inside = rng.normal(size=(40, 3))
+    inside *= NEW_RADIUS_M / np.linalg.norm(inside, axis=1, keepdims=True)
+    colours = np.clip(np.array(NEW_COLOUR) + rng.integers(-60, 25, (40, 1)), 0, 255)
+    return blobs(at + inside, colours.astype(np.uint8), 0.05)
+
+
+def rig(sizes: Sequence[tuple[int, int]] = ((160, 90),)) -> list[Camera]:
+    cameras = tiny_rig(8, arc_deg=90.0)
+    return [c.resized(*sizes[i % len(sizes)]) for i, c in enumerate(cameras)]
+
+
+def seen(splats: Splats, camera: Camera, gain: float) -> npt.NDArray[np.uint8]:
+    picture = np.clip(gain * render_splats(splats, camera, NEAR_M), 0, 1)
+    rounded: npt.NDArray[np.uint8] = np.rint(picture * 255).astype(np.uint8)
+    return rounded
+
+
+class Film:
+    """Pictures of Gaussians: those of each frame."""
+
+    def __init__(
+        self,
+        frames: list[Splats],
+        gains: npt.NDArray[np.floating] | None = None,
+        sizes: Sequence[tuple[int, int]] = ((160, 90),),
+    ) -> None:
+        self.cameras = rig(sizes)
+        self.num_frames = len(frames)
+        gains = np.ones(len(self.cameras)) if gains is None else gains
+        self._pictures: list[list[npt.NDArray[np.uint8]]] = [
+            [seen(splats, camera, gain) for camera, gain in zip(self.cameras, gains, strict=True)]
+            for splats in frames
+        ]
+        self.masks: list[npt.NDArray[np.uint8] | None] = [None] * len(self.cameras)
+
+    def picture(self, camera: int, frame: int) -> npt.NDArray[np.uint8]:
+        return self._pictures[frame][camera]
+
+    def mask(self, camera: int, frame: int) -> npt.NDArray[np.uint8] | None:
+        return self.masks[camera]
+
+
+def parameters(splats: Splats) -> Parameters:
+    return Parameters(*(getattr(splats, name) for name in Parameters.__slots__))
+
+
+def compare(film: Film, splats: Splats, colour: CameraColour | None = None) -> Comparison:
+    """The film's first frame against `splats`."""
+    colour = colour or CameraColour(len(film.cameras), 0)
+    rows = np.arange(len(splats), dtype=np.int32)
+    comparer = Comparer(film.cameras, NEAR_M)
+    return comparer.compare(parameters(splats), rows, film, 0, colour)[0]
+
+
+def find(compared: Comparison, count: int = 200) -> Splats:
+    return missing_splats(compared, count, NEAR_M, FAR_M, 0, np.random.default_rng(0))
+
+
+def test_what_is_missing_is_found_in_its_place_and_colour() -> None:
+    film = Film([Splats.concatenate([room(), thing()])])
+    found = find(compare(film, room()))
+    assert 100 < len(found) <= 200
+    off = np.linalg.norm(found.means - NEW_AT_M, axis=1)
+    assert np.median(off) < 1.3 * NEW_RADIUS_M
+    assert np.mean(off < 2 * NEW_RADIUS_M) > 0.9
+    colours = 0.5 + 0.2820948 * found.sh[:, 0]
+    np.testing.assert_allclose(np.median(colours, axis=0) * 255, np.array(NEW_COLOUR) - 20, atol=35)
+    assert np.exp(found.log_scales).max() < NEW_RADIUS_M
+
+
+def test_placed_gaussians_bring_the_picture_nearer_in_a_camera_that_was_not_asked() -> None:
+    everything = Splats.concatenate([room(), thing()])
+    found = find(compare(Film([everything]), room()))
+    camera = [c.resized(160, 90) for c in tiny_rig(9, arc_deg=80.0)][2]
+    truth = render_splats(everything, camera, NEAR_M)
+    before = np.abs(render_splats(room(), camera, NEAR_M) - truth).sum()
+    after = np.abs(render_splats(Splats.concatenate([room(), found]), camera, NEAR_M) - truth).sum()
+    assert after < 0.5 * before
+
+
+def test_nothing_is_found_where_all_is_rendered_or_one_camera_alone_differs() -> None:
+    film = Film([room()])
+    assert len(find(compare(film, room()))) == 0
+    film.picture(3, 0)[20:40, 50:90] = 255
+    assert len(find(compare(film, room()))) == 0
+    assert len(find(compare(film, room()), count=0)) == 0
+
+
+def test_a_cameras_own_colour_is_no_error_and_masked_pixels_do_not_count() -> None:
+    gains = np.linspace(0.7, 1.0, 8)
+    film = Film([room()], gains)
+    colour = CameraColour(8, 0)
+    assert compare(film, room(), colour).errors.max() > 0.08
+    colour.values[:, :3] = gains[:, None]
+    assert compare(film, room(), colour).errors.max() < 0.02
+    film.picture(2, 0)[10:30, 10:30] = 255
+    mask = np.ones((90, 160), np.uint8)
+    mask[10:30, 10:30] = 0
+    film.masks[2] = mask
+    compared = compare(film, room(), colour)
+    assert (compared.errors * compared.usable).max() < 0.02
+    assert not compared.usable[2, 9:31, 9:31].any()
+    assert compared.usable[2, 32:88, 32:158].all()
+
+
+def test_cameras_whose_view_is_masked_neither_help_nor_hinder() -> None:
+    film = Film([Splats.concatenate([room(), thing()])])
+    for i in (0, 2, 4, 5, 7):
+        film.masks[i] = np.zeros((90, 160), np.uint8)
+    found = find(compare(film, room()))
+    assert len(found) > 100
+    off = np.linalg.norm(found.means - NEW_AT_M, axis=1)
+    assert np.median(off) < 1.3 * NEW_RADIUS_M
+
+
+def test_what_a_camera_cannot_show_is_no_error() -> None:
+    bright = room()
+    bright.sh[:] += 1.5
+    film = Film([bright], np.linspace(0.6, 1.0, 8))
+    assert film.picture(7, 0).max() == 255
+    colour = CameraColour(8, 0)
+    colour.values[:, :3] = np.linspace(0.6, 1.0, 8)[:, None]
+    assert compare(film, bright, colour).errors.max() < 0.02
+    assert len(find(compare(film, bright, colour))) == 0
+
+
+def test_few_wrong_pixels_give_few_gaussians_each_in_a_place_of_its_own() -> None:
+    speck = blobs(NEW_AT_M[None], np.array([NEW_COLOUR], np.uint8), 0.02)
+    compared = compare(Film([Splats.concatenate([room(), speck])]), room())
+    wrong = int((compared.usable & (compared.errors >= 0.05)).sum())
+    assert 8 <= wrong < 200
+    found = find(compared, count=2000)
+    assert 0 < len(found) <= wrong
+    assert len(np.unique(found.means, axis=0)) == len(found)
+    pixel_m = CAMERA_RADIUS_M / compared.cameras[0].fx_px
+    assert np.exp(found.log_scales).min() > 0.2 * pixel_m
+
+
+def test_nothing_is_placed_outside_the_depths_of_the_scene() -> None:
+    away = thing(np.array([0.2, -0.9, 14.0]))
+    away.log_scales[:] = np.log(0.6)
+    compared = compare(Film([Splats.concatenate([room(), away])]), room())
+    found = missing_splats(compared, 200, 1.0, 6.0, 0, np.random.default_rng(0))
+    for camera in compared.cameras:
+        local = found.means @ camera.w2c[:3, :3].T + camera.w2c[:3, 3]
+        assert (local[:, 2] < 12).all()
+    depths = [
+        found.means @ c.w2c[2, :3].astype(np.float32) + np.float32(c.w2c[2, 3])
+        for c in compared.cameras
+    ]
+    assert (np.min(depths, axis=0) < 6.001).all()
+
+
+def test_cameras_may_differ_in_size() -> None:
+    film = Film([Splats.concatenate([room(), thing()])], sizes=[(160, 90), (128, 100), (400, 225)])
+    found = find(compare(film, room()))
+    assert len(found) > 100
+    off = np.linalg.norm(found.means - NEW_AT_M, axis=1)
+    assert np.mean(off < 2 * NEW_RADIUS_M) > 0.9
+
+
+def test_contributions_come_with_the_comparison() -> None:
+    hidden = blobs(np.array([[0.0, -0.8, 50.0]]), np.full((1, 3), 90, np.uint8), 0.01)
+    splats = Splats.concatenate([hidden, room()])
+    rows = np.arange(len(splats), dtype=np.int32)
+    film = Film([room()])
+    _, weights = Comparer(film.cameras, NEAR_M).compare(
+        parameters(splats), rows, film, 0, CameraColour(8, 0)
+    )
+    assert weights.shape == (251,)
+    assert weights[0] == weights.min()
+    assert weights.max() > 10
+
+
+CONFIG = FitConfig(
+    num_gs=300,
+    swin_size=3,
+    genesis_iterations=150,
+    window_iterations=20,
+    mcmc=McmcConfig(renew_share=0.2),
+)
+
+
+def jumping() -> Film:
+    """The ball stands still for four frames and then jumps by a metre."""
+    far = NEW_AT_M + np.array([-1.0, 0.1, 0.2], np.float32)
+    places = [NEW_AT_M] * 4 + [far] * 2
+    return Film([Splats.concatenate([room(), thing(at)]) for at in places])
+
+
+def trained(share: float, windows: int) -> Trainer:
+    start = Splats.concatenate(
+        [room(), thing(), blobs(room().means[:10], np.zeros((10, 3), np.uint8), 0.01)]
+    )
+    config = replace(CONFIG, mcmc=replace(CONFIG.mcmc, renew_share=share))
+    trainer = Trainer(config, jumping(), start, NEAR_M, FAR_M)
+    run = trainer.windows()
+    for _ in range(windows):
+        next(run)
+    return trainer
+
+
+def test_what_jumps_is_followed() -> None:
+    film, errors = jumping(), []
+    for share in (0.0, 0.2):
+        trainer = trained(share, 3)  # the last window shows frames 2, 3 and, for the first time, 4
+        camera = film.cameras[4]
+        shown = render_splats(trainer.shown(4), camera, NEAR_M)
+        errors.append(float(np.square(shown - film.picture(4, 4) / 255).mean()))
+    assert errors[1] < 0.5 * errors[0]
+
+
+@pytest.mark.parametrize("frame", [3, 4])
+def test_only_the_least_of_each_slice_are_placed_and_they_show_from_the_frame_on(
+    frame: int,
+) -> None:
+    trainer = trained(0.0, frame - 2)
+    trainer.config = CONFIG
+    lifespans, num_gs = trainer.lifespans, CONFIG.num_gs
+    before = [array.copy() for array in trainer.values.arrays()]
+    starts = lifespans.starts.copy()
+    rows = lifespans.active_rows(frame)
+    _, weights = trainer.comparer.compare(
+        trainer.values, rows, trainer.pictures, frame, trainer.colour
+    )
+    renewed = trainer._renew(frame)
+    for lane in range(CONFIG.swin_size):
+        own = rows // lifespans.slice_size == lane
+        chosen = np.isin(rows, renewed) & own
+        if chosen.any():
+            assert weights[chosen].max() <= weights[own & ~chosen].min()
+    changed = np.zeros(2 * num_gs, bool)
+    for array, old in zip(trainer.values.arrays(), before, strict=True):
+        changed |= (array != old).reshape(len(array), -1).any(axis=1)
+    assert set(np.flatnonzero(changed)) <= set(renewed.tolist())
+    assert (renewed < num_gs).all()  # never what has matured
+    assert (lifespans.starts[renewed] == frame).all()
+    others = np.setdiff1d(np.arange(num_gs), renewed)
+    np.testing.assert_array_equal(lifespans.starts[others], starts[others])
+    assert (lifespans.expires[renewed] > frame).all()
+    assert (np.bincount(renewed // lifespans.slice_size) <= 0.2 * lifespans.slice_size).all()
+    if frame == 4:  # the jump
+        assert len(renewed) > 20
+    else:
+        assert len(renewed) < 20

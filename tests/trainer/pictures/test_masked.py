@@ -1,0 +1,240 @@
+"""Masks on their way from the cache to training and to the scores."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from codec.profiles.profile import Profile
+from codec.slice import Slice
+from codec.splats import Splats
+from codec.stream import StreamReader, StreamWriter
+from codec.stream.manifest import Manifest
+from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, picture_of, tiny_rig
+from tests.support.tiny_models import transforms_of, write_pictures, write_transforms
+from trainer.capture.layout import open_capture
+from trainer.capture.rig import rig_centre
+from trainer.errors import CaptureError
+from trainer.fit.optimiser import Adam, OptimiserConfig
+from trainer.pictures.framecache import FrameCache
+from trainer.pictures.scale import half_mask, scaled_mask
+from trainer.score.evaluate import EvaluateConfig, LayerScore, evaluate_stream
+from trainer.score.quality import QualityMeter
+from trainer.step.loss import Floats, photometric_loss
+from trainer.step.raster import Parameters, View, backward, render
+
+FRAMES, SWIN, SLICE_SIZE = 3, 2, 40
+
+Bytes = npt.NDArray[np.uint8]
+
+
+def hole(frame: int) -> Bytes:
+    """(36, 64) 0/1: a part near the middle is ignored, another in each frame."""
+    mask = np.ones((HEIGHT_PX, WIDTH_PX), np.uint8)
+    mask[8:20, 20 + frame : 41] = 0
+    return mask
+
+
+def write_masked(root: Path, garbage: int | None = None, masked: bool = True) -> None:
+    """Three cameras of three frames; cam00, held out, and cam01 have masks of every frame.
+
+    garbage: what the pictures show where it is ignored, other than the picture.
+    """
+
+    def picture(index: int, frame: int) -> Bytes:
+        shown = picture_of(index, frame)
+        if garbage is not None and index < 2:
+            shown[hole(frame) == 0] = garbage
+        return shown
+
+    cameras = tiny_rig(3)
+    value = transforms_of(cameras, write_pictures(root, cameras, FRAMES, False, picture))
+    for number, entry in enumerate(value["frames"][: 2 * FRAMES] if masked else ()):
+        entry["mask_path"] = f"masks/{number % FRAMES}.png"
+    (root / "masks").mkdir()
+    for frame in range(FRAMES):
+        Image.fromarray(hole(frame) * np.uint8(255)).save(root / f"masks/{frame}.png")
+    write_transforms(root, value)
+
+
+@settings(max_examples=40)
+@given(
+    size=st.tuples(st.integers(1, 23), st.integers(1, 23)),
+    small=st.tuples(st.integers(1, 23), st.integers(1, 23)),
+    seed=st.integers(0, 99),
+)
+def test_a_small_pixel_counts_if_all_that_it_touches_counts(
+    size: tuple[int, int], small: tuple[int, int], seed: int
+) -> None:
+    height, width = min(small[0], size[0]), min(small[1], size[1])
+    mask = (np.random.default_rng(seed).random(size) > 0.1).astype(np.uint8)
+    got = scaled_mask(mask, width, height)
+    assert got.shape == (height, width)
+    assert got.dtype == np.uint8
+    for y in range(height):
+        for x in range(width):
+            touched = [
+                mask[v, u]
+                for v in range(size[0])
+                for u in range(size[1])
+                if v < (y + 1) * size[0] / height - 1e-9
+                and v + 1 > y * size[0] / height + 1e-9
+                and u < (x + 1) * size[1] / width - 1e-9
+                and u + 1 > x * size[1] / width + 1e-9
+            ]
+            assert got[y, x] == min(touched)
+
+
+@pytest.mark.parametrize("size", [(12, 18), (13, 18), (12, 19), (13, 19)])
+def test_half_a_mask_is_that_of_2x2_means(size: tuple[int, int]) -> None:
+    mask = (np.random.default_rng(0).random(size) > 0.2).astype(np.uint8)
+    even = mask[:12, :18]
+    assert np.array_equal(half_mask(mask), scaled_mask(even, 9, 6))
+    assert half_mask(mask).shape == (6, 9)
+
+
+def test_the_cache_scales_masks_with_their_pictures(tmp_path: Path) -> None:
+    write_masked(tmp_path)
+    with FrameCache(open_capture(tmp_path), range(1, FRAMES), 0.5) as cache:
+        got = cache.mask(1, 2)
+        assert got is not None
+        assert got.shape == cache.image(1, 2).shape[:2]
+        assert np.array_equal(got, half_mask(hole(2)))
+        assert cache.mask(1, 2) is got
+        assert cache.mask(2, 2) is None
+        assert (cache.statistics.hits, cache.statistics.misses) == (1, 2)
+        assert cache.statistics.held_bytes == got.size + 3 * got.size
+        with pytest.raises(ValueError, match="read-only"):
+            got[0, 0] = 1
+
+
+def test_the_bound_counts_masks(tmp_path: Path) -> None:
+    write_masked(tmp_path)
+    pixels = WIDTH_PX * HEIGHT_PX
+    with FrameCache(open_capture(tmp_path), range(FRAMES), max_bytes=5 * pixels) as cache:
+        for frame in range(FRAMES):
+            cache.image(0, frame)
+            mask = cache.mask(0, frame)
+            assert mask is not None
+            assert np.array_equal(mask, hole(frame))
+            assert cache.statistics.held_bytes <= 5 * pixels
+        assert cache.statistics.evictions > 0
+
+
+def test_masks_are_read_ahead_too_and_a_still_one_is_held_once(tmp_path: Path) -> None:
+    write_masked(tmp_path)
+    value = json.loads((tmp_path / "transforms.json").read_text())
+    for entry in value["frames"][2 * FRAMES :]:
+        entry["mask_path"] = "masks/1.png"
+    write_transforms(tmp_path, value)
+    pixels = WIDTH_PX * HEIGHT_PX
+    cache = FrameCache(open_capture(tmp_path), range(FRAMES))
+    for frame in range(FRAMES):
+        cache.prefetch([0, 2], frame, 0)
+    deadline_s = time.monotonic() + 60
+    while cache.statistics.prefetched < 6 + 3 + 1:
+        assert time.monotonic() < deadline_s, cache.statistics
+        time.sleep(0.002)
+    assert cache.statistics.held_bytes == (3 * 6 + 3 + 1) * pixels
+    assert cache.mask(2, 0) is cache.mask(2, 2)
+    assert np.array_equal(cache.mask(0, 1), hole(1))  # type: ignore[arg-type]
+    assert cache.statistics.misses == 0
+    cache.close()
+
+
+def write_stream(path: Path, capture_path: Path) -> tuple[float, ...]:
+    """A stream of coarse Gaussians; gives the quality noted while it was written."""
+    capture = open_capture(capture_path)
+    cameras = tuple(c.camera for c in capture.cameras)
+    centre = rig_centre(cameras)
+    assert centre is not None
+    manifest = Manifest(
+        fps=30.0, swin_size=SWIN, num_gs=SWIN * SLICE_SIZE, layers=(0.5, 0.5), segment_frames=3,
+        sh_degree=0, profile=Profile.RAW, antialias=False, near_m=0.2,
+        bounds=((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)), cameras=cameras,
+        default_camera=cameras[0].name, live=False,
+    )  # fmt: skip
+    with FrameCache(capture, range(FRAMES)) as cache:
+        meter = QualityMeter(capture, cache, manifest)
+        with StreamWriter.create(path, manifest, quality=meter) as writer:
+            for birth in range(1 - SWIN, FRAMES):
+                rng = np.random.default_rng(birth + 9)
+                splats = Splats(
+                    (centre + rng.normal(0, 0.7, (SLICE_SIZE, 3))).astype(np.float32),
+                    rng.normal(-1.5, 0.4, (SLICE_SIZE, 3)).astype(np.float32),
+                    rng.normal(size=(SLICE_SIZE, 4)).astype(np.float32),
+                    rng.normal(0, 1, SLICE_SIZE).astype(np.float32),
+                    rng.normal(0, 1, (SLICE_SIZE, 1, 3)).astype(np.float32),
+                )
+                writer.append(Slice(birth, splats, np.zeros(SLICE_SIZE, np.uint8)))
+    return StreamReader(path).records[0].psnr_db
+
+
+def test_scores_see_only_what_counts(tmp_path: Path) -> None:
+    noted, scored = [], list[list[LayerScore]]()
+    for name, garbage, masked in (("a", 9, True), ("b", 200, True), ("c", 200, False)):
+        write_masked(tmp_path / name, garbage, masked)
+        noted.append(write_stream(tmp_path / f"{name}.s", tmp_path / name))
+        config = EvaluateConfig(tmp_path / f"{name}.s", tmp_path / name)
+        scored.append(evaluate_stream(config).layers)
+    assert noted[0] == noted[1]
+    assert scored[0] == scored[1]
+    assert noted[1] != noted[2]
+    for with_masks, without in zip(scored[1], scored[2], strict=True):
+        assert with_masks.psnr_db != pytest.approx(without.psnr_db, abs=0.01)
+        assert with_masks.ssim != pytest.approx(without.ssim, abs=1e-3)
+        assert with_masks.flicker != without.flicker
+
+
+def test_a_mask_that_ignores_all_leaves_nothing_to_score(tmp_path: Path) -> None:
+    write_masked(tmp_path / "c")
+    black = np.zeros((HEIGHT_PX, WIDTH_PX), np.uint8)
+    Image.fromarray(black).save(tmp_path / "c/masks/1.png")
+    assert write_stream(tmp_path / "s", tmp_path / "c")  # of the other frames
+    with pytest.raises(CaptureError, match="camera cam00 ignores all of frame 1") as caught:
+        evaluate_stream(EvaluateConfig(tmp_path / "s", tmp_path / "c"))
+    assert "\n" not in str(caught.value)
+
+
+def trained(target: Floats, mask: Bytes | None) -> list[npt.NDArray[np.float32]]:
+    """The parameters after twenty steps towards one picture."""
+    count = 60
+    rng = np.random.default_rng(1)
+    values, gradients = Parameters.zeros(count, 0), Parameters.zeros(count, 0)
+    values.means[:] = rng.uniform((-0.5, -0.5, 1.5), (0.5, 0.5, 2.5), (count, 3))
+    values.log_scales[:] = np.log(0.15)
+    values.quats[:, 0] = 1
+    values.sh[:] = rng.normal(size=values.sh.shape)
+    camera = tiny_rig(3)[0]
+    camera.w2c[:] = np.eye(4)
+    view, rows = View.prepare(camera, 0.2), np.arange(count, dtype=np.int32)
+    adam = Adam(count, 0, OptimiserConfig())
+    gain, bias = np.ones(3, np.float32), np.zeros(3, np.float32)
+    for _ in range(20):
+        rendered = render(values, rows, view)
+        loss = photometric_loss(rendered.picture, target, 0.2, gain, bias, None, mask)
+        backward(rendered, values, loss.picture_grad, count, gradients, 0.0, 0.0)
+        adam.step(values, gradients, rows, 1e-3, np.zeros(count, np.float32))
+    return [array.copy() for array in values.arrays()]
+
+
+def test_ignored_pixels_do_not_change_the_trained_gaussians() -> None:
+    rng = np.random.default_rng(6)
+    target = rng.random((3, HEIGHT_PX, WIDTH_PX)).astype(np.float32)
+    mask = hole(0)
+    other = target.copy()
+    other[:, mask == 0] = rng.random((3, int((mask == 0).sum())))
+    first = trained(target, mask)
+    assert all(np.array_equal(a, b) for a, b in zip(first, trained(other, mask), strict=True))
+    assert not np.array_equal(trained(other, None)[0], trained(target, None)[0])
+    # With nothing that counts, nothing moves.
+    assert (trained(target, np.zeros_like(mask))[1] == np.float32(np.log(0.15))).all()
+    assert (first[1] != np.float32(np.log(0.15))).any()

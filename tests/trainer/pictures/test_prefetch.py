@@ -1,0 +1,236 @@
+"""Reading ahead: bounded, never at the cost of what is needed, ending cleanly, losing no error."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from codec.errors import InvalidError
+from tests.support.tiny_capture import picture_of, write_dynamic3dgs, write_dynerf
+from trainer.capture.capture import Capture, Picture, PictureSource
+from trainer.capture.layout import open_capture
+from trainer.capture.video import VideoSource
+from trainer.errors import CaptureError
+from trainer.pictures.framecache import CacheStatistics, FrameCache
+from trainer.pictures.prefetch import Prefetcher
+
+FRAMES = 8
+PICTURE_BYTES = 3 * 64 * 36
+
+
+class Gate:
+    """Sources that count what is read and wait for the gate to open."""
+
+    def __init__(self, capture: Capture) -> None:
+        self.open = threading.Event()
+        self.reading = threading.Event()
+        self.read: list[tuple[int, int]] = []
+        self.capture = replace(capture, opener=lambda i: Gated(self, i, capture.open_images(i)))
+
+
+class Gated:
+    def __init__(self, gate: Gate, index: int, inner: PictureSource) -> None:
+        self._gate, self._index, self._inner = gate, index, inner
+
+    def read(self, frame: int) -> Picture:
+        self._gate.read.append((self._index, frame))
+        self._gate.reading.set()
+        assert self._gate.open.wait(60)
+        return self._inner.read(frame)
+
+    def close(self) -> None:
+        self._inner.close()
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
+    root = tmp_path_factory.mktemp("prefetch") / "c"
+    write_dynamic3dgs(root, num_cameras=4, num_frames=FRAMES)
+    return open_capture(root)
+
+
+@pytest.fixture
+def gate(capture: Capture) -> Iterator[Gate]:
+    gate = Gate(capture)
+    yield gate
+    gate.open.set()
+
+
+def until(cache: FrameCache, done: Callable[[CacheStatistics], bool]) -> CacheStatistics:
+    """The statistics once they are `done`."""
+    deadline_s = time.monotonic() + 60
+    while not done(cache.statistics):
+        assert time.monotonic() < deadline_s, cache.statistics
+        time.sleep(0.002)
+    return cache.statistics
+
+
+def prefetch_threads() -> list[threading.Thread]:
+    return [t for t in threading.enumerate() if t.name == "prefetch"]
+
+
+def test_pictures_read_ahead_are_the_pictures(capture: Capture) -> None:
+    with FrameCache(capture, range(1, FRAMES), 0.5) as plain:
+        expected = {(c, f): plain.image(c, f) for c in range(4) for f in range(1, FRAMES)}
+    with FrameCache(capture, range(1, FRAMES), 0.5) as cache:
+        for frame in range(1, FRAMES):
+            cache.prefetch(range(4), frame, 1)
+        count = len(expected)
+        assert until(cache, lambda s: s.prefetched == count).held_bytes == count * PICTURE_BYTES / 4
+        for (camera, frame), picture in expected.items():
+            got = cache.image(camera, frame)
+            assert np.array_equal(got, picture)
+            assert not got.flags.writeable
+        seen = cache.statistics
+        assert (seen.hits, seen.misses, seen.evictions) == (count, 0, 0)
+        assert (seen.prefetch_dropped, seen.prefetch_skipped, seen.prefetch_failed) == (0, 0, 0)
+        with pytest.raises(InvalidError, match="outside 1:8"):
+            cache.prefetch(range(4), FRAMES, 1)
+
+
+def test_what_finds_too_many_waiting_is_dropped_and_counted(gate: Gate) -> None:
+    with FrameCache(gate.capture, range(FRAMES), max_requests=3) as cache:
+        cache.prefetch([0], 0, 0)
+        assert gate.reading.wait(60)  # it runs, nothing waits
+        began_s = time.monotonic()
+        cache.prefetch([0, 1, 2, 3], 1, 0)
+        cache.prefetch([0, 1], 2, 0)
+        assert time.monotonic() - began_s < 10
+        assert cache.statistics.prefetch_dropped == 3
+        gate.open.set()
+        until(cache, lambda s: s.prefetched == 4)
+        assert gate.read == [(0, 0), (0, 1), (1, 1), (2, 1)]
+        assert np.array_equal(cache.image(3, 1), picture_of(3, 1))
+
+
+def test_close_ends_the_thread_in_the_middle(gate: Gate) -> None:
+    cache = FrameCache(gate.capture, range(FRAMES))
+    cache.close()  # nothing began: nothing to end
+    cache.prefetch(range(4), 3, 0)
+    assert gate.reading.wait(60)
+    assert len(prefetch_threads()) == 1
+    assert prefetch_threads()[0].daemon
+    closer = threading.Thread(target=cache.close)
+    closer.start()
+    time.sleep(0.05)
+    gate.open.set()
+    closer.join(60)
+    assert not closer.is_alive()
+    assert not prefetch_threads()
+    assert gate.read == [(0, 3)]  # the three that waited are forgotten
+    assert cache.statistics.held_bytes == 0
+    cache.prefetch([2], 3, 0)  # a closed cache may be used again
+    until(cache, lambda s: s.prefetched == 2)
+    cache.close()
+    cache.close()
+    assert not prefetch_threads()
+
+
+def test_nothing_that_is_needed_goes(capture: Capture) -> None:
+    gate = Gate(capture)
+    gate.open.set()
+    with FrameCache(gate.capture, range(FRAMES), max_bytes=4 * PICTURE_BYTES + 7) as cache:
+        for frame in (1, 2):
+            for camera in (0, 1):
+                cache.image(camera, frame)
+        cache.prefetch([0, 1], 3, 1)
+        until(cache, lambda s: s.prefetch_skipped == 2)
+        assert (0, 3) not in gate.read  # not even read: a video would have to come back
+        for frame in (1, 2):
+            for camera in (0, 1):
+                cache.image(camera, frame)
+        assert cache.statistics.hits == 4
+        # Frame 1 has had its time: its pictures make room, although frame 2's are older in use.
+        cache.image(0, 1)
+        cache.image(1, 1)
+        cache.prefetch([0, 1, 2], 3, 2)
+        seen = until(cache, lambda s: s.prefetched == 2 and s.prefetch_skipped == 3)
+        assert seen.evictions == 2
+        assert seen.held_bytes == 4 * PICTURE_BYTES
+        before = cache.statistics.hits
+        for camera, frame in ((0, 2), (1, 2), (0, 3), (1, 3)):
+            cache.image(camera, frame)
+        assert cache.statistics.hits == before + 4
+
+
+def test_the_bound_holds_while_others_read(capture: Capture) -> None:
+    bound = 5 * PICTURE_BYTES
+    with FrameCache(capture, range(FRAMES), max_bytes=bound) as cache:
+        rng = np.random.default_rng(2)
+        for _ in range(200):
+            camera, frame = int(rng.integers(4)), int(rng.integers(FRAMES))
+            cache.prefetch(range(4), int(rng.integers(FRAMES)), int(rng.integers(FRAMES)))
+            assert np.array_equal(cache.image(camera, frame), picture_of(camera, frame))
+            assert cache.statistics.held_bytes <= bound
+        assert cache.statistics.prefetched > 0
+
+
+def test_an_error_reaches_who_asks_for_the_picture(tmp_path: Path) -> None:
+    write_dynamic3dgs(tmp_path / "c", num_cameras=4, num_frames=3)
+    (tmp_path / "c/ims/2/000001.png").write_bytes(b"none")
+    with FrameCache(open_capture(tmp_path / "c"), range(3)) as cache:
+        cache.prefetch(range(4), 1, 0)
+        until(cache, lambda s: s.prefetched == 3 and s.prefetch_failed == 1)
+        with pytest.raises(CaptureError, match="000001"):
+            cache.image(2, 1)
+        cache.prefetch([2], 2, 0)  # the thread lives on
+        until(cache, lambda s: s.prefetched == 4)
+
+
+def test_videos_are_read_forward_once(tmp_path: Path) -> None:
+    """As the job does it: a window of frames in any order, the next one's frame ahead of it."""
+    length, window = 25, 3
+    write_dynerf(tmp_path / "c", num_cameras=2, num_frames=length)
+    opened = open_capture(tmp_path / "c")
+    sources: dict[int, PictureSource] = {}
+
+    def open_images(index: int) -> PictureSource:
+        sources[index] = opened.open_images(index)
+        return sources[index]
+
+    rng = np.random.default_rng(0)
+    capture = replace(opened, opener=open_images)
+    room = 2 * (window + 1) * PICTURE_BYTES
+    with FrameCache(capture, range(length), max_bytes=room) as cache:
+        for frame in range(window):
+            cache.prefetch(range(2), frame, 0)
+        until(cache, lambda s: s.prefetched == 2 * window)
+        for first in range(length - window + 1):
+            if first + window < length:
+                cache.prefetch(range(2), first + window, first)
+            for _ in range(20):
+                camera, frame = int(rng.integers(2)), int(rng.integers(first, first + window))
+                difference = cache.image(camera, frame).astype(int) - picture_of(camera, frame)
+                assert np.abs(difference).max() <= 2
+            if first + window < length:
+                done = 2 * (first + 1 + window)
+                until(cache, lambda s, done=done: s.prefetched == done)  # type: ignore[misc]
+        assert cache.statistics.misses == 0
+        assert cache.statistics.prefetch_skipped == 0
+        for source in sources.values():
+            assert isinstance(source, VideoSource)
+            assert source.decoded_frames == length
+
+
+def test_jobs_are_done_in_order_by_one_thread() -> None:
+    done: list[tuple[int, int]] = []
+    finished = threading.Event()
+
+    def do(job: int) -> None:
+        done.append((job, threading.get_ident()))
+        if job == 9:
+            finished.set()
+
+    line = Prefetcher(do, 10)
+    assert all(line.ask(job) for job in range(10))
+    assert finished.wait(60)
+    line.close()
+    assert [job for job, _ in done] == list(range(10))
+    assert len({ident for _, ident in done}) == 1
+    assert threading.get_ident() not in {ident for _, ident in done}

@@ -1,0 +1,163 @@
+"""A run that is killed and resumed writes the bytes of a run that is not."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from codec.errors import InvalidError
+from codec.stream import StreamReader
+from tests.support.commands import command, environment, run, run_ok
+from tests.support.tiny_capture import write_dynerf
+from trainer.errors import CheckpointError
+from trainer.run import checkpoint, runlog
+from trainer.run.checkpoint import load_checkpoint, save_checkpoint
+
+FRAMES = 6
+SETTINGS = (
+    "--num-gs", 200, "--swin-size", 2, "--genesis-iterations", 60, "--window-iterations", 40,
+    "--segment-frames", 4, "--mcmc.relocate-period", 10,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("resume") / "capture"
+    write_dynerf(path, 4, FRAMES)
+    return path
+
+
+def contents(stream: Path) -> dict[str, bytes]:
+    """Every file but the log, which tells the time."""
+    return {
+        str(f.relative_to(stream)): f.read_bytes()
+        for f in sorted(stream.rglob("*"))
+        if f.is_file() and f.name != runlog.NAME
+    }
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(capture: Path) -> dict[str, bytes]:
+    stream = capture.parent / "whole"
+    run_ok("swings-train", capture, stream, *SETTINGS)
+    assert not (stream / checkpoint.NAME).exists()
+    return contents(stream)
+
+
+def start_until(capture: Path, stream: Path, windows: int, *more: object) -> subprocess.Popen[str]:
+    """A training process that has written `windows` checkpoints after its first one."""
+    process = subprocess.Popen(
+        command("swings-train", capture, stream, *SETTINGS, *more),
+        env=environment(),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    kept, seen, last = stream / checkpoint.NAME, -1, 0
+    before = kept.stat().st_mtime_ns if kept.exists() else 0
+    deadline = time.monotonic() + 200
+    while seen < windows and process.poll() is None:
+        assert time.monotonic() < deadline
+        now = kept.stat().st_mtime_ns if kept.exists() else 0
+        if now not in (before, last):
+            seen, last = seen + 1, now
+        time.sleep(0.001)
+    return process
+
+
+def test_killed_at_any_moment_and_resumed_it_writes_the_same_bytes(
+    capture: Path, uninterrupted: dict[str, bytes], tmp_path: Path
+) -> None:
+    stream = tmp_path / "stream"
+    kills = 0
+    for windows in (0, 2, 1):
+        process = start_until(capture, stream, windows, *(["--resume"] if kills else []))
+        if process.poll() is None:
+            process.kill()
+            kills += 1
+        process.communicate()
+        reader = StreamReader(stream)  # valid at every instant
+        for frame in range(reader.num_frames):
+            reader.active_splats(frame, reader.manifest.num_layers)
+    assert kills >= 2
+    if (stream / checkpoint.NAME).exists():
+        run_ok("swings-train", capture, stream, *SETTINGS, "--resume")
+    assert contents(stream) == uninterrupted
+
+
+def test_ctrl_c_ends_the_window_and_can_be_resumed(
+    capture: Path, uninterrupted: dict[str, bytes], tmp_path: Path
+) -> None:
+    stream = tmp_path / "stream"
+    process = start_until(capture, stream, 1)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    if process.returncode == 0:
+        pytest.skip("the run was over before the signal came")
+    assert process.returncode == 1
+    assert "--resume" in errors.splitlines()[-1]
+    run_ok("swings-train", capture, stream, *SETTINGS, "--resume")
+    assert contents(stream) == uninterrupted
+
+
+def test_resuming_what_is_not_there_or_other_is_one_line(capture: Path, tmp_path: Path) -> None:
+    stream = tmp_path / "stream"
+    nothing = run("swings-train", capture, stream, *SETTINGS, "--resume")
+    assert nothing.returncode == 1
+    assert "nothing to resume" in nothing.stderr
+    process = start_until(capture, stream, 0)
+    process.kill()
+    process.communicate()
+    other = run("swings-train", capture, stream, *SETTINGS, "--resume", "--seed", 5)
+    assert other.returncode == 1
+    assert "seed" in other.stderr
+    # The same rig and number of frames, another take.
+    take = tmp_path / "take"
+    shutil.copytree(capture, take)
+    videos = sorted(take.glob("*.mp4"))
+    shutil.copyfile(videos[2], videos[1])
+    shutil.copyfile(videos[3], videos[2])
+    another = run("swings-train", take, stream, *SETTINGS, "--resume")
+    assert another.returncode == 1
+    assert "first_picture" in another.stderr
+    again = run("swings-train", capture, stream, *SETTINGS)
+    assert again.returncode == 1
+    assert "--resume" in again.stderr
+
+
+def test_a_damaged_checkpoint_is_told(tmp_path: Path) -> None:
+    path = tmp_path / checkpoint.NAME
+    state = {"values0": np.arange(6, dtype=np.float32)}
+    save_checkpoint(path, state, [], {"seed": 1})
+    found = load_checkpoint(path, {"seed": 1})
+    assert (found.state["values0"] == state["values0"]).all()
+    assert found.pending == []
+    with pytest.raises(InvalidError, match="seed"):
+        load_checkpoint(path, {"seed": 2})
+    data = path.read_bytes()
+    for size in range(0, len(data), 37):
+        path.write_bytes(data[:size])
+        with pytest.raises(CheckpointError):
+            load_checkpoint(path, {"seed": 1})
+
+
+def test_the_run_that_compiles_the_kernels_writes_the_same_bytes(
+    capture: Path, uninterrupted: dict[str, bytes], tmp_path: Path
+) -> None:
+    stream = tmp_path / "stream"
+    done = subprocess.run(
+        command("swings-train", capture, stream, *SETTINGS),
+        env={**environment(), "NUMBA_CACHE_DIR": str(tmp_path / "cache")},
+        capture_output=True,
+        text=True,
+        timeout=280,
+    )
+    assert done.returncode == 0, done.stderr
+    assert any((tmp_path / "cache").rglob("*.nbc"))
+    assert contents(stream) == uninterrupted

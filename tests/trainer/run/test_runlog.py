@@ -1,0 +1,134 @@
+"""What a training run leaves beside the stream: its log, scalars, snapshots; and its presets."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tyro
+from PIL import Image
+from rich.console import Console
+
+from codec.errors import InvalidError
+from codec.profiles.profile import Profile
+from tests.support.commands import run, run_ok
+from tests.support.tiny_capture import write_dynerf
+from trainer.fit.trainer import FitConfig
+from trainer.fit.trainer import Progress as FitProgress
+from trainer.run import runlog
+from trainer.run.job import TrainConfig
+from trainer.run.monitor import Monitor, progress_bar
+from trainer.run.preset import PRESETS, config_type
+from trainer.run.runlog import RunLog
+from trainer.score.quality import QualityMeter
+
+FRAMES = 5
+
+
+def parse(*arguments: str) -> TrainConfig:
+    return tyro.cli(config_type(arguments), args=["capture", "stream", *arguments])
+
+
+@pytest.mark.parametrize("spelling", [["--preset", "paper"], ["--preset=paper"]])
+def test_a_preset_gives_the_defaults_and_options_override_them(spelling: Sequence[str]) -> None:
+    config = parse(*spelling, "--window-iterations", "77", "--mcmc.scale-reg", "0.5")
+    assert config.preset == "paper"
+    assert config.profile is Profile.PAPER
+    wanted = PRESETS["paper"]["fit"]
+    assert config.fit == replace(
+        wanted, window_iterations=77, mcmc=replace(wanted.mcmc, scale_reg=0.5)
+    )
+    assert config.fit.num_gs == 200_000
+
+
+def test_without_a_preset_the_defaults_are_those_of_cpu() -> None:
+    assert asdict(parse()) == asdict(parse("--preset", "cpu"))
+    assert parse().fit == FitConfig()
+    assert parse("--preset", "fast").fit.window_iterations < FitConfig().window_iterations
+
+
+def test_an_unknown_preset_is_refused(tmp_path: Path) -> None:
+    done = run("swings-train", tmp_path, tmp_path / "out", "--preset", "gpu")
+    assert done.returncode == 2
+    assert "cpu" in done.stderr
+    assert "paper" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_log_without_a_place_is_refused_before_training(tmp_path: Path) -> None:
+    write_dynerf(tmp_path / "capture", 4, 2)
+    log = tmp_path / "nowhere" / "log.jsonl"
+    done = run("swings-train", tmp_path / "capture", tmp_path / "out", "--log", log)
+    assert done.returncode == 1
+    assert "nowhere is no folder" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_run_logs_every_frame_and_draws_snapshots(tmp_path: Path) -> None:
+    write_dynerf(tmp_path / "capture", 4, FRAMES)
+    stream = tmp_path / "stream"
+    xyz = np.random.default_rng(0).uniform(-0.5, 0.5, (50, 3))
+    np.savez(tmp_path / "points.npz", xyz=xyz, rgb=np.full((50, 3), 99, np.uint8))
+    run_ok(
+        "swings-train", tmp_path / "capture", stream, "--num-gs", 200, "--swin-size", 2,
+        "--genesis-iterations", 30, "--window-iterations", 20, "--segment-frames", 2,
+        "--snapshot-every", 2, "--points", tmp_path / "points.npz",
+    )  # fmt: skip
+    records = [json.loads(line) for line in (stream / runlog.NAME).read_text().splitlines()]
+    assert [r["frame"] for r in records] == list(range(FRAMES))
+    assert all(r["gaussians"] > 100 for r in records)
+    assert all(r["iterations_per_s"] > 0 for r in records)
+    assert records[-1]["left_s"] == 0 < records[0]["left_s"]
+    assert records[-1]["psnr_db"] > 5
+    on_disk = sum(f.stat().st_size for f in (stream / "segments").rglob("*") if f.is_file())
+    assert records[-1]["bytes_per_frame"] <= on_disk
+    assert sorted(p.name for p in (stream / "snapshots").iterdir()) == [
+        f"{frame:06d}.png" for frame in (0, 2, 4)
+    ]
+    with Image.open(stream / "snapshots" / "000004.png") as picture:
+        drawn = np.asarray(picture)
+    height, width = drawn.shape[:2]
+    captured, rendered = drawn[:, : width // 3], drawn[:, width // 3 : 2 * width // 3]
+    assert captured.std() > 1
+    assert rendered.std() > 1
+    assert height > 10
+
+
+def test_time_left_is_that_of_the_iterations_left(tmp_path: Path) -> None:
+    class Meter(QualityMeter):
+        def __init__(self) -> None:
+            self.last_db = [20.0, 25.5]
+
+    now_s = [100.0]
+    config = FitConfig(num_gs=10, genesis_iterations=200, window_iterations=50)
+    with RunLog(tmp_path / "log") as log, progress_bar(Console(quiet=True)) as bar:
+        monitor = Monitor(bar, log, config, 5, 0, lambda: now_s[0])
+        monitor.on_progress(FitProgress(0, 200, 200, 0.25))
+        now_s[0] += 20  # 200 iterations in 20 s; 200 are left
+        monitor.on_frame(0, 10, 0, Meter())
+        now_s[0] += 10  # 50 in 10 s; 250 in 30 s so far; 150 are left
+        monitor.on_frame(1, 10, 4000, Meter())
+        bar_text = bar.tasks[0].fields["score"]
+    first, second = (json.loads(line) for line in (tmp_path / "log").read_text().splitlines())
+    assert (first["left_s"], first["iterations_per_s"], first["loss"]) == (20, 10, 0.25)
+    assert (second["left_s"], second["iterations_per_s"]) == (18, 5)
+    assert (second["bytes_per_frame"], second["psnr_db"]) == (2000, 25.5)
+    assert "25.50 dB" in bar_text
+    assert "2.0 kB/frame" in bar_text
+
+
+def test_tensorboard_gets_the_scalars_or_says_what_to_install(tmp_path: Path) -> None:
+    try:
+        import tensorboardX
+    except ImportError:
+        with pytest.raises(InvalidError, match="pip install"):
+            RunLog(tmp_path / "log", tmp_path / "board")
+        return
+    assert tensorboardX.__version__
+    with RunLog(tmp_path / "log", tmp_path / "board") as log:
+        log.add({"frame": 3, "psnr_db": 25.0, "note": None})
+    assert any(f.stat().st_size for f in (tmp_path / "board").iterdir())

@@ -1,0 +1,148 @@
+"""Seeds lie where the cameras agree; the first Gaussians are sized by their neighbours."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from codec.camera import Camera
+from codec.splats import SH_C0
+from tests.support.tiny_capture import tiny_rig
+from trainer.seed.gaussians import SPACING_SCALE, initial_splats, stereo_seeds
+from trainer.seed.stereo import depth_maps
+
+FLOOR_Y_M = 0.0
+
+
+def colour_at(x: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """A smooth pattern on the floor that repeats nowhere nearby."""
+    return np.stack(
+        [
+            0.5 + 0.5 * np.sin(2.1 * x + 0.7 * z),
+            0.5 + 0.5 * np.sin(1.3 * z - 0.9 * x + 1),
+            0.5 + 0.5 * np.sin(0.8 * x * z + 2),
+        ],
+        axis=-1,
+    )
+
+
+def picture_of_floor(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W, 3) uint8, and (H, W) bool: which pixels see the floor within five metres."""
+    v, u = np.mgrid[0 : camera.height_px, 0 : camera.width_px] + 0.5
+    local = np.stack(
+        [
+            (u - camera.cx_px) / camera.fx_px,
+            (v - camera.cy_px) / camera.fy_px,
+            np.ones_like(u),
+        ],
+        axis=-1,
+    )
+    rays = local @ camera.w2c[:3, :3]
+    with np.errstate(divide="ignore"):
+        depth = (FLOOR_Y_M - camera.position[1]) / rays[..., 1]
+    hit = camera.position + depth[..., None] * rays
+    seen = (depth > 0) & (np.hypot(hit[..., 0], hit[..., 2]) < 5)
+    picture = np.where(seen[..., None], colour_at(hit[..., 0], hit[..., 2]), 0.0)
+    return np.rint(picture * 255).astype(np.uint8), seen
+
+
+@pytest.mark.parametrize("sizes", [[(128, 72)], [(128, 72), (96, 54), (320, 180)]])
+def test_seeds_of_a_painted_floor_lie_on_it(sizes: list[tuple[int, int]]) -> None:
+    cameras = [c.resized(*sizes[i % len(sizes)]) for i, c in enumerate(tiny_rig(8))]
+    pictures, seen = zip(*map(picture_of_floor, cameras), strict=True)
+    assert np.mean(seen[0]) > 0.3
+    points, colours = stereo_seeds(cameras, pictures, 3000, 0.8, 9.0, np.random.default_rng(0))
+    assert len(points) == len(colours) == 3000
+    coloured = colours.max(axis=1) > 0  # the rest look over the floor into the dark
+    on_floor = np.abs(points[coloured, 1] - FLOOR_Y_M) < 0.2
+    assert coloured.sum() > 500
+    assert on_floor.mean() > 0.8
+    x, z = points[coloured][on_floor][:, 0], points[coloured][on_floor][:, 2]
+    assert np.median(np.abs(colour_at(x, z) * 255 - colours[coloured][on_floor])) < 12
+
+
+def test_no_seed_lies_behind_an_ignored_pixel_nor_depends_on_what_it_shows() -> None:
+    cameras = [c.resized(128, 72) for c in tiny_rig(8)]
+    pictures, seen = zip(*map(picture_of_floor, cameras), strict=True)
+    masks = [floor.astype(np.uint8) for floor in seen]
+    masks[3][:] = 0
+
+    def seeds(garbage: int) -> np.ndarray:
+        shown = [
+            np.where(mask[:, :, None] > 0, picture, garbage).astype(np.uint8)
+            for picture, mask in zip(pictures, masks, strict=True)
+        ]
+        rng = np.random.default_rng(0)
+        points, colours = stereo_seeds(cameras, shown, 1000, 0.8, 9.0, rng, masks)
+        assert len(points) == 1000
+        assert (colours.max(axis=1) > 0).all()
+        return points
+
+    points = seeds(0)
+    np.testing.assert_array_equal(points, seeds(200))
+    assert np.mean(np.abs(points[:, 1] - FLOOR_Y_M) < 0.2) > 0.8
+
+
+def test_where_all_is_ignored_there_is_no_seed() -> None:
+    cameras = [c.resized(128, 72) for c in tiny_rig(4)]
+    pictures = [picture_of_floor(c)[0] for c in cameras]
+    masks = [np.zeros((72, 128), np.uint8)] * 4
+    rng = np.random.default_rng(0)
+    assert len(stereo_seeds(cameras, pictures, 50, 0.8, 9.0, rng, masks)[0]) == 0
+
+
+def test_depths_that_cameras_agree_on_are_right_though_their_colours_differ() -> None:
+    cameras = [c.resized(128, 72) for c in tiny_rig(8)]
+    pictures, seen = zip(*map(picture_of_floor, cameras), strict=True)
+    tinted = [
+        np.clip(p * (0.9 + 0.03 * i) + 2 * i, 0, 255).astype(np.uint8)
+        for i, p in enumerate(pictures)
+    ]
+    maps = depth_maps(cameras, tinted, 0.8, 9.0)
+    kept, errors = 0, list[np.ndarray]()
+    for camera, floor, depths, agreeing in zip(
+        cameras, seen, maps.depths, maps.agreeing, strict=True
+    ):
+        v, u = np.nonzero(floor & (agreeing >= 3))
+        rays = np.stack(
+            [
+                (u + 0.5 - camera.cx_px) / camera.fx_px,
+                (v + 0.5 - camera.cy_px) / camera.fy_px,
+                np.ones(len(u)),
+            ],
+            axis=1,
+        )
+        truth = (FLOOR_Y_M - camera.position[1]) / (rays @ camera.w2c[:3, :3])[:, 1]
+        kept += len(u)
+        errors.append(np.abs(depths[v, u] - truth) / truth)
+    assert kept > 0.2 * np.sum(seen)
+    # The depths that are tried lie 5 % apart here.
+    assert np.median(np.concatenate(errors)) < 0.05
+    assert np.percentile(np.concatenate(errors), 80) < 0.1
+
+
+def test_cameras_back_to_back_give_no_seed() -> None:
+    away = [
+        Camera(c.name, 64, 36, 60.0, 60.0, 32.0, 18.0, np.diag([1.0, s, s, 1.0]) @ np.eye(4))
+        for c, s in zip(tiny_rig(2), (1, -1), strict=True)
+    ]
+    pictures = [np.zeros((36, 64, 3), np.uint8)] * 2
+    points, _ = stereo_seeds(away, pictures, 50, 0.5, 5.0, np.random.default_rng(0))
+    assert len(points) == 0
+
+
+def test_first_gaussians_are_round_coloured_and_as_large_as_their_spacing() -> None:
+    grid = np.stack(np.meshgrid(*[np.arange(5) * 0.1] * 3), -1).reshape(-1, 3).astype(np.float32)
+    colours = np.full((125, 3), 200, np.uint8)
+    splats = initial_splats(grid, colours, 1)
+    assert splats.sh_degree == 1
+    np.testing.assert_allclose(np.exp(splats.log_scales), 0.1 * SPACING_SCALE, rtol=1e-4)
+    np.testing.assert_allclose(0.5 + SH_C0 * splats.sh[:, 0], 200 / 255, rtol=1e-5)
+    assert (splats.sh[:, 1:] == 0).all()
+
+
+@pytest.mark.parametrize("count", [1, 2, 50])
+def test_points_that_coincide_still_make_gaussians(count: int) -> None:
+    splats = initial_splats(np.zeros((count, 3), np.float32), np.zeros((count, 3), np.uint8), 0)
+    assert len(splats) == count
+    assert np.isfinite(splats.log_scales).all()

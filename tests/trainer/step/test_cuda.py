@@ -1,0 +1,120 @@
+"""The GPU backend gives the CPU's losses and gradients.
+
+Where there is no GPU, a plain torch rasteriser stands in for gsplat's, with its names of arguments:
+what is checked then is all that is ours, colours, loss, regularisers and the way of the gradients.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from codec.camera import Camera
+from codec.errors import InvalidError
+from codec.splats import SH_C0
+from player.render.recipe import LOW_PASS_PX2, TILE_PX
+from tests.support.reference_render import render_reference
+from trainer.step import backend as backends
+from trainer.step.backend import Backend, make_backend
+from trainer.step.cuda import CudaBackend, Rasterise
+from trainer.step.loss import Loss
+from trainer.step.raster import Parameters, View
+
+COUNT, TRAINABLE = 60, 45
+WEIGHTS = (0.2, 0.01, 0.02)
+CAMERA = Camera("c", 48, 40, 45.0, 47.0, 23.0, 21.0, np.eye(4))
+
+
+def stand_in(**given: Any) -> tuple[Tensor, Tensor, dict[str, Any]]:
+    """What gsplat.rasterization gives for one camera, by the plain reference."""
+    assert (given["eps2d"], given["tile_size"]) == (LOW_PASS_PX2, TILE_PX)
+    assert (given["rasterize_mode"], given["packed"]) == ("classic", False)
+    k = given["Ks"][0].double().numpy()
+    camera = Camera(
+        "given", given["width"], given["height"], k[0, 0], k[1, 1], k[0, 2], k[1, 2],
+        given["viewmats"][0].double().numpy(),
+    )  # fmt: skip
+    picture = render_reference(
+        given["means"], given["scales"].log(), given["quats"], torch.logit(given["opacities"]),
+        ((given["colors"] - 0.5) / SH_C0)[:, None], camera, given["near_plane"],
+    )  # fmt: skip
+    return picture[None], torch.ones(1), {}
+
+
+def scene(sh_degree: int) -> Parameters:
+    rng = np.random.default_rng(2)
+    values = Parameters.zeros(COUNT, sh_degree)
+    values.means[:] = rng.uniform((-1, -1, 2), (1, 1, 4), (COUNT, 3))
+    values.log_scales[:] = rng.uniform(-3, -1.2, (COUNT, 3))
+    values.quats[:] = rng.normal(size=(COUNT, 4))
+    # Nothing so opaque that the two rasterisers' largest alphas differ.
+    values.logit_opacities[:] = rng.uniform(-3, 2, COUNT)
+    values.sh[:] = rng.uniform(-0.4, 1.2, values.sh.shape)
+    return values
+
+
+def stepped(
+    backend: Backend, values: Parameters, picture: np.ndarray, mask: np.ndarray | None
+) -> tuple[Loss, Parameters]:
+    half = picture.shape[0] == 2 * CAMERA.height_px
+    gradients = Parameters.zeros(COUNT, 1 if values.sh.shape[1] > 1 else 0)
+    rows = np.random.default_rng(4).permutation(COUNT)[: COUNT - 5].astype(np.int32)
+    gain = np.array([1.1, 0.9, 1.0], np.float32)
+    bias = np.array([0.02, -0.01, 0.0], np.float32)
+    view = View.prepare(CAMERA, 0.2)
+    assert half or picture.shape == (CAMERA.height_px, CAMERA.width_px, 3)
+    loss = backend.step(values, rows, view, picture, gain, bias, TRAINABLE, gradients, mask)
+    return loss, gradients
+
+
+def check(
+    rasterise: Rasterise, device: str, sh_degree: int, factor: int, masked: bool = False
+) -> None:
+    picture = np.random.default_rng(3).integers(
+        0, 256, (factor * CAMERA.height_px, factor * CAMERA.width_px, 3), dtype=np.uint8
+    )
+    values = scene(sh_degree)
+    mask = None
+    if masked:
+        mask = (np.random.default_rng(8).random((40, 48)) > 0.3).astype(np.uint8)
+    wanted, expected = stepped(make_backend("cpu", *WEIGHTS), values, picture, mask)
+    found, got = stepped(CudaBackend(*WEIGHTS, rasterise, device), values, picture, mask)
+    assert found.value == pytest.approx(wanted.value, rel=1e-4)
+    np.testing.assert_allclose(found.gain_grad, wanted.gain_grad, rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(found.bias_grad, wanted.bias_grad, rtol=1e-3, atol=1e-6)
+    for a, b in zip(got.arrays(), expected.arrays(), strict=True):
+        assert np.abs(b).max() > 0
+        assert (a[TRAINABLE:] == 0).all()  # frozen rows get none
+        np.testing.assert_allclose(a, b, rtol=2e-2, atol=2e-3 * np.abs(b).max())
+
+
+@pytest.mark.parametrize("sh_degree", [0, 1])
+@pytest.mark.parametrize("factor", [1, 2])
+def test_what_surrounds_the_rasteriser_gives_the_cpu_s_gradients(
+    sh_degree: int, factor: int
+) -> None:
+    check(stand_in, "cpu", sh_degree, factor)
+
+
+def test_a_mask_ignores_the_same_on_both() -> None:
+    check(stand_in, "cpu", 0, 1, masked=True)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs an NVIDIA GPU and gsplat")
+@pytest.mark.parametrize("sh_degree", [0, 1])
+def test_gsplat_gives_the_cpu_s_gradients(sh_degree: int) -> None:
+    gsplat = pytest.importorskip("gsplat")
+    check(gsplat.rasterization, "cuda", sh_degree, 1)
+
+
+def test_cuda_that_is_missing_is_said_and_auto_takes_the_cpu(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(backends, "_cuda_is_there", lambda: False)
+    with pytest.raises(InvalidError, match="pip install"):
+        make_backend("cuda", *WEIGHTS)
+    assert isinstance(make_backend("auto", *WEIGHTS), backends.CpuBackend)

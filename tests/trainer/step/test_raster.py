@@ -1,0 +1,172 @@
+"""The CPU rasteriser against a plain torch reference and against finite differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from codec.camera import Camera
+from codec.splats import Splats
+from player.render.cpu import render_splats
+from player.render.tiles import exp_minus
+from tests.support.reference_render import render_reference
+from trainer.step.raster import Parameters, View, backward, render
+
+NEAR_M = 0.2
+
+
+def scene(count: int, sh_degree: int, seed: int) -> Splats:
+    rng = np.random.default_rng(seed)
+    return Splats(
+        rng.uniform(-1.2, 1.2, (count, 3)).astype(np.float32),
+        np.log(rng.uniform(0.02, 0.3, (count, 3))).astype(np.float32),
+        rng.normal(size=(count, 4)).astype(np.float32),
+        rng.normal(0.5, 1.5, count).astype(np.float32),
+        (rng.normal(size=(count, (sh_degree + 1) ** 2, 3)) * 0.6).astype(np.float32),
+    )
+
+
+def camera(width_px: int = 45, height_px: int = 37) -> Camera:
+    # Off-centre and turned, and not a whole number of tiles: nothing is symmetric by luck.
+    angle = 0.4
+    w2c = np.eye(4)
+    w2c[:3, :3] = [
+        [np.cos(angle), 0, np.sin(angle)],
+        [0, 1, 0],
+        [-np.sin(angle), 0, np.cos(angle)],
+    ]
+    w2c[:3, 3] = (0.1, -0.2, 2.2)
+    return Camera("test", width_px, height_px, 40.0, 43.0, 21.0, 20.0, w2c)
+
+
+def torch_parameters(
+    splats: Splats, dtype: torch.dtype
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    arrays = (splats.means, splats.log_scales, splats.quats, splats.logit_opacities, splats.sh)
+    means, log_scales, quats, logits, sh = (
+        torch.tensor(a, dtype=dtype, requires_grad=True) for a in arrays
+    )
+    return means, log_scales, quats, logits, sh
+
+
+def parameters(splats: Splats) -> Parameters:
+    return Parameters(
+        splats.means, splats.log_scales, splats.quats, splats.logit_opacities, splats.sh
+    )
+
+
+def test_exp_minus_is_exact_to_two_millionths_where_anything_shows() -> None:
+    q = np.linspace(0, 6, 5001, dtype=np.float32)
+    got = np.array([exp_minus(x) for x in q])
+    # 3e-8 from the polynomial, the rest from eight roundings squared three times
+    assert np.abs(got / np.exp(-q.astype(np.float64)) - 1).max() < 2e-6
+
+
+@pytest.mark.parametrize("sh_degree", [0, 1])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_picture_is_the_references(sh_degree: int, seed: int) -> None:
+    splats, cam = scene(120, sh_degree, seed), camera()
+    with torch.no_grad():
+        expected = render_reference(*torch_parameters(splats, torch.float64), cam, NEAR_M).numpy()
+    got = render_splats(splats, cam, NEAR_M)
+    mse = float(np.mean((got - expected) ** 2))
+    assert expected.max() > 0.5
+    assert -10 * np.log10(mse) > 80
+
+
+@pytest.mark.parametrize("sh_degree", [0, 1])
+def test_gradients_are_the_references(sh_degree: int) -> None:
+    splats, cam = scene(80, sh_degree, 3), camera()
+    rng = np.random.default_rng(7)
+    weights = rng.normal(size=(cam.height_px, cam.width_px, 3)).astype(np.float32)
+
+    leaves = torch_parameters(splats, torch.float64)
+    picture = render_reference(*leaves, cam, NEAR_M)
+    torch.autograd.backward((picture * torch.tensor(weights)).sum())
+
+    values, view = parameters(splats), View.prepare(cam, NEAR_M)
+    rows = np.arange(len(splats), dtype=np.int32)
+    rendered = render(values, rows, view)
+    picture_grad = np.zeros_like(rendered.picture)
+    picture_grad[:, : cam.height_px, : cam.width_px] = weights.transpose(2, 0, 1)
+    gradients = Parameters.zeros(len(splats), sh_degree)
+    backward(rendered, values, picture_grad, len(splats), gradients)
+
+    for got, leaf in zip(gradients.arrays(), leaves, strict=True):
+        assert leaf.grad is not None
+        expected = leaf.grad.numpy()
+        scale = np.abs(expected).max()
+        assert scale > 0
+        # The order of near-equal thresholds (1/255, 1e-4) may flip single pixels in float32.
+        error = np.abs(got - expected)
+        assert np.quantile(error, 0.99) < 2e-4 * scale
+        assert error.max() < 5e-3 * scale
+
+
+@pytest.mark.parametrize("name", ["means", "log_scales", "quats", "logit_opacities", "sh"])
+def test_gradients_are_the_slopes_of_the_kernels_own_picture(name: str) -> None:
+    """Central differences through the float32 kernels, along random directions."""
+    splats, cam = scene(12, 1, 5), camera()
+    # Opaque: the cut at alpha = 1/255, whose jump no gradient sees, then weighs little.
+    splats.logit_opacities[:] = np.abs(splats.logit_opacities) + 1.5
+    rng = np.random.default_rng(11)
+    # Smooth weights keep the cut at 1/255 from mattering.
+    v, u = np.mgrid[0 : cam.height_px, 0 : cam.width_px].astype(np.float32)
+    weights = np.stack([np.sin(u / 9), np.cos(v / 7), np.sin((u + v) / 11)], -1) / 100
+    view, rows = View.prepare(cam, NEAR_M), np.arange(len(splats), dtype=np.int32)
+
+    def loss(values: Parameters) -> float:
+        picture = render(values, rows, view).picture[:, : cam.height_px, : cam.width_px]
+        return float((picture.transpose(1, 2, 0).astype(np.float64) * weights).sum())
+
+    values = parameters(splats)
+    rendered = render(values, rows, view)
+    picture_grad = np.zeros_like(rendered.picture)
+    picture_grad[:, : cam.height_px, : cam.width_px] = weights.transpose(2, 0, 1)
+    gradients = Parameters.zeros(len(splats), 1)
+    backward(rendered, values, picture_grad, len(splats), gradients)
+
+    gradient = getattr(gradients, name).astype(np.float64)
+    for _ in range(3):
+        direction = rng.normal(size=gradient.shape)
+        direction /= np.linalg.norm(direction)
+        step = 5e-3
+
+        def moved(sign: int, direction: np.ndarray = direction, step: float = step) -> Parameters:
+            changed = {
+                f: getattr(values, f)
+                for f in ("means", "log_scales", "quats", "logit_opacities", "sh")
+            }
+            changed[name] = (changed[name] + sign * step * direction).astype(np.float32)
+            return Parameters(**changed)
+
+        slope = (loss(moved(+1)) - loss(moved(-1))) / (2 * step)
+        assert slope == pytest.approx(
+            float((gradient * direction).sum()),
+            rel=0.03,
+            abs=0.03 * float(np.linalg.norm(gradient)),
+        )
+
+
+def test_frozen_rows_get_no_gradient_and_regularisers_reach_hidden_rows() -> None:
+    splats, cam = scene(20, 0, 9), camera()
+    values, view = parameters(splats), View.prepare(cam, NEAR_M)
+    values.means[0] = (0, 0, -50)  # behind the camera
+    rendered = render(values, np.arange(20, dtype=np.int32), view)
+    gradients = Parameters.zeros(20, 0)
+    gradients.means[10:] = 7
+    backward(
+        rendered,
+        values,
+        np.ones_like(rendered.picture),
+        10,
+        gradients,
+        opacity_reg=20,
+        scale_reg=60,
+    )
+    assert (gradients.means[10:] == 7).all()
+    assert (gradients.means[0] == 0).all()
+    opacity = splats.opacities[0]
+    assert gradients.logit_opacities[0] == pytest.approx(opacity * (1 - opacity), rel=1e-5)
+    np.testing.assert_allclose(gradients.log_scales[0], np.exp(splats.log_scales[0]), rtol=1e-5)
