@@ -21,7 +21,7 @@ from codec.slice import Slice
 from codec.stream import StreamReader
 from codec.stream.chunk import decode_chunk, encode_chunk, plane_edges
 from codec.stream.layers import opacity_rank, split_layers
-from codec.stream.object import decode_frame, encode_frame
+from codec.stream.object import decode_packet, encode_packet
 from tests.support.trained_like import trained_like_splats
 
 NUM_GS = 40_000
@@ -68,14 +68,14 @@ def table_of_cases() -> Table:
         for count, fractions in CASES:
             slices = synthetic_slices(count)
             chunks = [c for s in slices for c in encode_slice(s, fractions, profile)]
-            frames = [encode_frame(chunk) for chunk in chunks]
+            frames = [encode_packet(chunk) for chunk in chunks]
             one, inflated = chunks[: len(fractions)], frames[: len(fractions)]
             total = sum(len(s.splats) for s in slices)
             times = (
                 median_ms(lambda s=slices[0], f=fractions, p=profile: encode_slice(s, f, p)),
-                median_ms(lambda o=one: [encode_frame(chunk) for chunk in o]),
+                median_ms(lambda o=one: [encode_packet(chunk) for chunk in o]),
                 median_ms(lambda o=one: [decode_chunk(chunk) for chunk in o]),
-                median_ms(lambda o=inflated: [decode_frame(frame) for frame in o]),
+                median_ms(lambda o=inflated: [decode_packet(frame) for frame in o]),
             )
             size = sum(map(len, frames)) / total
             row = (profile.value, str(len(slices)), str(len(fractions)), f"{size:.2f}")

@@ -39,7 +39,7 @@ from codec.stream.chunk import decode_chunk, encode_chunk
 from codec.stream.index import CHECKSUM, pack_record, parse_index, record_bytes
 from codec.stream.layers import MAX_LAYERS
 from codec.stream.manifest import Manifest
-from codec.stream.object import decode_frame, decode_object, object_frames, read_object_table
+from codec.stream.object import decode_object, decode_packet, object_packets, read_object_table
 from codec.stream.playrecord import RecordParser, encode_record
 
 
@@ -57,15 +57,15 @@ def fuzz_chunk(data: bytes) -> None:
     assert (again.slice.start_offsets == chunk.slice.start_offsets).all()
 
 
-def fuzz_frame(data: bytes) -> None:
-    """One frame of a chunk, of either coder."""
-    decode_frame(data)
+def fuzz_packet(data: bytes) -> None:
+    """One packet, of either coder."""
+    decode_packet(data)
 
 
 def fuzz_object(data: bytes) -> None:
-    """An object: its table, its frames, its chunks."""
+    """An object: its table, its packets, its chunks."""
     entries = read_object_table(data)
-    assert [birth for birth, _ in object_frames(data)] == [entry.birth for entry in entries]
+    assert [birth for birth, _ in object_packets(data)] == [entry.birth for entry in entries]
     assert [chunk.birth for chunk in decode_object(data)] == [entry.birth for entry in entries]
 
 
@@ -149,12 +149,12 @@ def fuzz_sealed_gzip(data: bytes) -> None:
     stream = zlib.compressobj(1, zlib.DEFLATED, -zlib.MAX_WBITS)
     body = stream.compress(data[4:]) + stream.flush()
     trailer = struct.pack("<I", zlib.crc32(data[4:])) + data[:4]
-    decode_frame(gzip.compress(b"")[:4] + bytes(4) + b"\x02\xff" + body + trailer)
+    decode_packet(gzip.compress(b"")[:4] + bytes(4) + b"\x02\xff" + body + trailer)
 
 
 TARGETS: dict[str, Callable[[bytes], None]] = {
     "chunk": fuzz_chunk,
-    "frame": fuzz_frame,
+    "packet": fuzz_packet,
     "object": fuzz_object,
     "index": fuzz_index,
     "sealed_index": fuzz_sealed_index,

@@ -21,7 +21,7 @@ from codec.splats import Splats, sh_count
 from codec.stream.chunk import encode_chunk
 from codec.stream.index import SegmentRecord, pack_record
 from codec.stream.manifest import Manifest
-from codec.stream.object import encode_frame, encode_object
+from codec.stream.object import encode_object, encode_packet
 from codec.stream.playrecord import (
     EndRecord,
     ErrorRecord,
@@ -126,10 +126,10 @@ def inflated_spz_4(count: int, sh_degree: int) -> bytes:
 
 
 def records() -> bytes:
-    frame = encode_frame(encode_chunk(made_slice(-2, 3, 0), 0, Profile.COMPACT))
+    packet = encode_packet(encode_chunk(made_slice(-2, 3, 0), 0, Profile.COMPACT))
     sent: list[Record] = [
         StartRecord(0, 8, made_manifest().to_json()),
-        SliceRecord(-2, (frame, b"")),
+        SliceRecord(-2, (packet, b"")),
         ErrorRecord("the disk is gone"),
         EndRecord(8),
     ]
@@ -146,7 +146,7 @@ def seeds() -> Iterator[tuple[str, str, bytes]]:
         chunks = [encode_chunk(made_slice(birth, 5, 0), 0, profile) for birth in (-1, 0, 4)]
         for coder in Coder:
             name = f"{profile}-{coder.name.lower()}"
-            yield "frame", name, encode_frame(chunks[0], coder)
+            yield "packet", name, encode_packet(chunks[0], coder)
             yield "object", name, encode_object(chunks, coder)
     yield "index", "two", made_index()
     yield "sealed_index", "two", made_index()

@@ -23,8 +23,8 @@ class LoadedObject:
     entries: tuple[ChunkEntry, ...]
     first_birth: int
 
-    def frame(self, birth: int) -> bytes:
-        """The still compressed frame of the slice born at `birth`."""
+    def packet(self, birth: int) -> bytes:
+        """The packet of the slice born at `birth`."""
         entry = self.entries[birth - self.first_birth]
         return self.data[entry.offset : entry.offset + entry.size]
 

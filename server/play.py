@@ -189,12 +189,12 @@ class _Play:
         while len(self._objects) < num_layers:
             layer = len(self._objects)
             self._objects.append(await self._state.cache.load(self._stream, segment, layer))
-        frames = tuple(loaded.frame(birth) for loaded in self._objects[:num_layers])
-        await self._send(SliceRecord(birth, frames))
+        packets = tuple(loaded.packet(birth) for loaded in self._objects[:num_layers])
+        await self._send(SliceRecord(birth, packets))
         metrics = self._state.metrics
         metrics.slices.add(1, str(num_layers))
-        for layer, frame in enumerate(frames):
-            metrics.layer_bytes.add(len(frame), "play", str(layer))
+        for layer, packet in enumerate(packets):
+            metrics.layer_bytes.add(len(packet), "play", str(layer))
 
     async def _send(self, record: Record) -> None:
         data = encode_record(record)

@@ -1,4 +1,4 @@
-"""Where the blocks of a frame end, each of which has a Huffman table of its own.
+"""Where the blocks of a packet end, each of which has a Huffman table of its own.
 
 A chunk is a row of planes with different statistics, so an encoder ends a block where a new table
 pays; a decoder need not know.

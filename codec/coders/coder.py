@@ -12,7 +12,7 @@ from . import zstd as zstdframe
 
 
 class Coder(IntEnum):
-    """How frames are coded: the number stands in the head of an object."""
+    """How packets are coded: the number stands in the head of an object."""
 
     ZSTD = 1
     """What a writer takes."""
@@ -21,18 +21,18 @@ class Coder(IntEnum):
     """What browsers inflate with DecompressionStream: for plain web servers."""
 
 
-def coder_of(frame: bytes | memoryview) -> Coder:
-    """The coder of `frame`, by its first bytes. Raises CorruptError if it is of none."""
-    start = bytes(frame[:4])
+def coder_of(packet: bytes | memoryview) -> Coder:
+    """The coder of `packet`, by its first bytes. Raises CorruptError if it is of none."""
+    start = bytes(packet[:4])
     if start == zstdframe.MAGIC:
         return Coder.ZSTD
     if start == gzipframe.MAGIC:
         return Coder.GZIP
-    raise CorruptError("frame: neither a zstd frame nor a gzip member")
+    raise CorruptError("packet: neither a zstd frame nor a gzip member")
 
 
 def compress(content: bytes, edges: Sequence[int] = (), coder: Coder = Coder.ZSTD) -> bytes:
-    """`content` as one frame.
+    """`content` as one packet.
 
     `edges` are the offsets, from 0 to the end, between its byte planes; without any it is float32.
     """
@@ -41,11 +41,11 @@ def compress(content: bytes, edges: Sequence[int] = (), coder: Coder = Coder.ZST
     return zstdframe.compress(content, edges)
 
 
-def decompress(frame: bytes | memoryview, limit_bytes: int) -> bytes:
-    """The content of `frame`, which holds one frame of either coder exactly.
+def decompress(packet: bytes | memoryview, limit_bytes: int) -> bytes:
+    """The content of `packet`, which holds one packet of either coder exactly.
 
     Memory stays within the limit. Raises CorruptError.
     """
-    if coder_of(frame) is Coder.GZIP:
-        return gzipframe.decompress(frame, limit_bytes)
-    return zstdframe.decompress(frame, limit_bytes)
+    if coder_of(packet) is Coder.GZIP:
+        return gzipframe.decompress(packet, limit_bytes)
+    return zstdframe.decompress(packet, limit_bytes)

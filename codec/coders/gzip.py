@@ -61,24 +61,24 @@ def compress(content: bytes, edges: Sequence[int] = ()) -> bytes:
     return HEAD + deflated + TRAILER.pack(zlib.crc32(content), len(content))
 
 
-def content_bytes(frame: bytes | memoryview, limit_bytes: int) -> int:
-    """What `frame` says it inflates to. Raises CorruptError if it cannot, or over the limit."""
-    if len(frame) < len(HEAD) + TRAILER.size or frame[: len(MAGIC)] != MAGIC:
-        raise CorruptError("frame: no gzip member without flags")
-    size = int(TRAILER.unpack_from(frame, len(frame) - TRAILER.size)[1])
-    if size > MAX_EXPANSION * len(frame):
-        raise CorruptError(f"frame: {size} bytes of content cannot come from {len(frame)}")
+def content_bytes(packet: bytes | memoryview, limit_bytes: int) -> int:
+    """What `packet` says it inflates to. Raises CorruptError if it cannot, or over the limit."""
+    if len(packet) < len(HEAD) + TRAILER.size or packet[: len(MAGIC)] != MAGIC:
+        raise CorruptError("packet: no gzip member without flags")
+    size = int(TRAILER.unpack_from(packet, len(packet) - TRAILER.size)[1])
+    if size > MAX_EXPANSION * len(packet):
+        raise CorruptError(f"packet: {size} bytes of content cannot come from {len(packet)}")
     if size > limit_bytes:
-        raise CorruptError(f"frame: {size} bytes of content, at most {limit_bytes}")
+        raise CorruptError(f"packet: {size} bytes of content, at most {limit_bytes}")
     return size
 
 
-def decompress(frame: bytes | memoryview, limit_bytes: int) -> bytes:
-    """The content of `frame`, which holds one member exactly. Memory stays within the limit."""
-    size = content_bytes(frame, limit_bytes)
+def decompress(packet: bytes | memoryview, limit_bytes: int) -> bytes:
+    """The content of `packet`, which holds one member exactly. Memory stays within the limit."""
+    size = content_bytes(packet, limit_bytes)
     stream = zlib.decompressobj(16 + zlib.MAX_WBITS)  # which checks the trailer
     content = io.BytesIO()
-    view = memoryview(frame)
+    view = memoryview(packet)
     try:
         for start in range(0, len(view), PIECE_BYTES):
             pending: bytes | memoryview = view[start : start + PIECE_BYTES]
@@ -86,12 +86,12 @@ def decompress(frame: bytes | memoryview, limit_bytes: int) -> bytes:
                 room = size + 1 - content.tell()
                 content.write(stream.decompress(pending, min(room, PIECE_BYTES)))
                 if content.tell() > size:
-                    raise CorruptError(f"frame: more than the {size} bytes of content it says")
+                    raise CorruptError(f"packet: more than the {size} bytes of content it says")
                 pending = stream.unconsumed_tail
             if stream.eof and (stream.unused_data or start + PIECE_BYTES < len(view)):
-                raise CorruptError("frame: something follows the gzip member")
+                raise CorruptError("packet: something follows the gzip member")
     except zlib.error as error:
-        raise CorruptError(f"frame: {error}") from error
+        raise CorruptError(f"packet: {error}") from error
     if not stream.eof:
-        raise CorruptError("frame: ends inside the gzip member")
+        raise CorruptError("packet: ends inside the gzip member")
     return content.getvalue()

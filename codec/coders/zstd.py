@@ -48,33 +48,33 @@ def compress(content: bytes, edges: Sequence[int] = ()) -> bytes:
     return b"".join(parts)
 
 
-def content_bytes(frame: bytes | memoryview, limit_bytes: int) -> int:
-    """What `frame` says it decompresses to. Raises CorruptError if unsaid or over the limit."""
+def content_bytes(packet: bytes | memoryview, limit_bytes: int) -> int:
+    """What `packet` says it decompresses to. Raises CorruptError if unsaid or over the limit."""
     try:
-        parameters = zstandard.get_frame_parameters(frame)
+        parameters = zstandard.get_frame_parameters(packet)
     except zstandard.ZstdError as error:
-        raise CorruptError("frame: no zstd frame") from error
+        raise CorruptError("packet: no zstd frame") from error
     size = int(parameters.content_size)
     if parameters.content_size in (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR):
-        raise CorruptError("frame: does not say its content size")
-    if size > MAX_EXPANSION * len(frame):
-        raise CorruptError(f"frame: {size} bytes of content cannot come from {len(frame)}")
+        raise CorruptError("packet: does not say its content size")
+    if size > MAX_EXPANSION * len(packet):
+        raise CorruptError(f"packet: {size} bytes of content cannot come from {len(packet)}")
     if size > limit_bytes:
-        raise CorruptError(f"frame: {size} bytes of content, at most {limit_bytes}")
+        raise CorruptError(f"packet: {size} bytes of content, at most {limit_bytes}")
     if not parameters.has_checksum or parameters.dict_id:
-        raise CorruptError("frame: no checksum, or a dictionary")
+        raise CorruptError("packet: no checksum, or a dictionary")
     return size
 
 
-def decompress(frame: bytes | memoryview, limit_bytes: int) -> bytes:
-    """The content of `frame`, which holds one frame exactly. Memory stays within the limit."""
-    size = content_bytes(frame, limit_bytes)
+def decompress(packet: bytes | memoryview, limit_bytes: int) -> bytes:
+    """The content of `packet`, which holds one packet exactly. Memory stays within the limit."""
+    size = content_bytes(packet, limit_bytes)
     try:
         content = zstandard.ZstdDecompressor().decompress(
-            frame, read_across_frames=False, allow_extra_data=False
+            packet, read_across_frames=False, allow_extra_data=False
         )
     except zstandard.ZstdError as error:
-        raise CorruptError(f"frame: {error}") from error
+        raise CorruptError(f"packet: {error}") from error
     if len(content) != size:
-        raise CorruptError(f"frame: {len(content)} bytes of content, not {size}")
+        raise CorruptError(f"packet: {len(content)} bytes of content, not {size}")
     return content

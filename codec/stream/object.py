@@ -1,8 +1,8 @@
-"""An object: the chunks of one (segment, layer), each in a frame of its own.
+"""An object: the chunks of one (segment, layer), each in a packet of its own.
 
-Layout: a table of chunks, which is a skippable zstd frame, then one frame for each chunk. With zstd
-the whole is one valid zstd stream. Nothing is decompressed before the frame itself has said how
-much it holds.
+Layout: a table of chunks, which is a skippable zstd frame, then one packet for each chunk. With
+zstd the whole is one valid zstd stream. Nothing is decompressed before the packet has said how much
+it holds.
 """
 
 from __future__ import annotations
@@ -46,48 +46,48 @@ MAX_DECODED_BYTES = 1 << 30
 
 @dataclass(frozen=True, slots=True)
 class ChunkEntry:
-    """Where the frame of a chunk lies in its object."""
+    """Where the packet of a chunk lies in its object."""
 
     birth: int
     offset: int  # bytes from the start of the object
     size: int  # bytes
 
 
-def encode_frame(chunk: bytes, coder: Coder = Coder.ZSTD) -> bytes:
-    """`chunk` as one frame with content size and checksum."""
+def encode_packet(chunk: bytes, coder: Coder = Coder.ZSTD) -> bytes:
+    """`chunk` as one packet with content size and checksum."""
     return compress(chunk, plane_edges(chunk), coder)
 
 
-def decode_frame(data: bytes | memoryview, bounds: ChunkBounds = ANY_CHUNK) -> Chunk:
-    """The chunk in one frame of either coder, which `data` holds exactly; memory goes by `bounds`.
+def decode_packet(data: bytes | memoryview, bounds: ChunkBounds = ANY_CHUNK) -> Chunk:
+    """The chunk in one packet of either coder, which `data` holds exactly; memory goes by `bounds`.
 
     The place that a CodecError says is one in the decompressed chunk.
     """
     return decode_chunk(decompress(data, bounds.max_bytes), bounds)
 
 
-def join_frames(frames: Sequence[tuple[int, bytes]], coder: Coder = Coder.ZSTD) -> bytes:
-    """The object of (birth, frame) pairs in order of birth; `coder` is that of all the frames."""
-    if not 1 <= len(frames) <= MAX_CHUNKS_PER_OBJECT:
-        raise InvalidError(f"object: {len(frames)} chunks, expected 1 to {MAX_CHUNKS_PER_OBJECT}")
-    births = [birth for birth, _ in frames]
+def join_packets(packets: Sequence[tuple[int, bytes]], coder: Coder = Coder.ZSTD) -> bytes:
+    """The object of (birth, packet) pairs in order of birth; `coder` is that of all the packets."""
+    if not 1 <= len(packets) <= MAX_CHUNKS_PER_OBJECT:
+        raise InvalidError(f"object: {len(packets)} chunks, expected 1 to {MAX_CHUNKS_PER_OBJECT}")
+    births = [birth for birth, _ in packets]
     if any(b <= a for a, b in pairwise(births)):
         raise InvalidError("object: the births do not rise")
-    offset = HEAD.size + ENTRY.size * len(frames)
-    if offset + sum(len(frame) for _, frame in frames) > MAX_OBJECT_BYTES:
+    offset = HEAD.size + ENTRY.size * len(packets)
+    if offset + sum(len(packet) for _, packet in packets) > MAX_OBJECT_BYTES:
         raise InvalidError(f"object: over {MAX_OBJECT_BYTES} bytes; use shorter segments")
-    head = HEAD.pack(SKIPPABLE_MAGIC, offset - 8, TABLE_MAGIC, VERSION, coder, 0, len(frames))
+    head = HEAD.pack(SKIPPABLE_MAGIC, offset - 8, TABLE_MAGIC, VERSION, coder, 0, len(packets))
     parts = [head]
-    for birth, frame in frames:
-        parts.append(ENTRY.pack(birth, offset, len(frame)))
-        offset += len(frame)
-    return b"".join((*parts, *(frame for _, frame in frames)))
+    for birth, packet in packets:
+        parts.append(ENTRY.pack(birth, offset, len(packet)))
+        offset += len(packet)
+    return b"".join((*parts, *(packet for _, packet in packets)))
 
 
 def encode_object(chunks: Sequence[bytes], coder: Coder = Coder.ZSTD) -> bytes:
     """The object of `chunks`, which come in order of birth."""
-    frames = [(read_header(chunk).birth, encode_frame(chunk, coder)) for chunk in chunks]
-    return join_frames(frames, coder)
+    packets = [(read_header(chunk).birth, encode_packet(chunk, coder)) for chunk in chunks]
+    return join_packets(packets, coder)
 
 
 def entry_offset(number: int) -> int:
@@ -98,7 +98,7 @@ def entry_offset(number: int) -> int:
 def read_object_table(data: bytes | memoryview) -> list[ChunkEntry]:
     """The entries of an object of which `data` holds at least the table.
 
-    Births rise and the frames lie one after another, from the end of the table on. A CodecError
+    Births rise and the packets lie one after another, from the end of the table on. A CodecError
     says the place of the field that is wrong, or of the first of two that contradict each other.
     """
     if len(data) < HEAD.size:
@@ -149,14 +149,14 @@ def _whole_table(data: bytes | memoryview) -> list[ChunkEntry]:
 def decode_object_chunk(
     data: bytes | memoryview, entry: ChunkEntry, bounds: ChunkBounds = ANY_CHUNK
 ) -> Chunk:
-    """The chunk of one entry of the object `data`. A CodecError says where its frame begins."""
-    frame = memoryview(data)[entry.offset : entry.offset + entry.size]
-    if len(frame) < entry.size:
+    """The chunk of one entry of the object `data`. A CodecError says where its packet begins."""
+    packet = memoryview(data)[entry.offset : entry.offset + entry.size]
+    if len(packet) < entry.size:
         raise CorruptError(f"object: ends inside the chunk of birth {entry.birth}", len(data))
     try:
-        if coder_of(frame) != data[CODER_OFFSET]:
-            raise CorruptError(f"frame: not of the object's coder, {data[CODER_OFFSET]}")
-        chunk = decode_frame(frame, bounds)
+        if coder_of(packet) != data[CODER_OFFSET]:
+            raise CorruptError(f"packet: not of the object's coder, {data[CODER_OFFSET]}")
+        chunk = decode_packet(packet, bounds)
     except CodecError as error:
         place = "" if error.at is None else f", byte {error.at} in it"
         raise type(error)(
@@ -182,7 +182,7 @@ def decode_object(data: bytes | memoryview) -> list[Chunk]:
     return chunks
 
 
-def object_frames(data: bytes | memoryview) -> list[tuple[int, bytes]]:
-    """(birth, the still compressed frame) of every chunk of the object `data`, in order."""
+def object_packets(data: bytes | memoryview) -> list[tuple[int, bytes]]:
+    """(birth, packet) of every chunk of the object `data`, in order."""
     view = memoryview(data)
     return [(e.birth, bytes(view[e.offset : e.offset + e.size])) for e in _whole_table(data)]

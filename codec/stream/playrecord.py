@@ -17,6 +17,9 @@ from .layers import MAX_LAYERS
 
 LENGTH = struct.Struct("<I")
 
+PACKETS_KEY = "frames"
+"""The key of the packets on the wire; it is older than the word packet."""
+
 MAX_MESSAGE_CHARS = 500
 """Characters of an error's message that are sent and taken."""
 
@@ -41,10 +44,10 @@ class StartRecord:
 
 @dataclass(frozen=True, slots=True)
 class SliceRecord:
-    """One slice: the still compressed frames of its layers 0, 1, ... (decode_frame)."""
+    """One slice: the packets of its layers 0, 1, ... (decode_packet)."""
 
     birth: int
-    frames: tuple[bytes, ...]
+    packets: tuple[bytes, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +78,7 @@ def encode_record(record: Record) -> bytes:
                 "manifest": record.manifest,
             }
         case SliceRecord():
-            value = {"kind": "slice", "birth": record.birth, "frames": list(record.frames)}
+            value = {"kind": "slice", "birth": record.birth, PACKETS_KEY: list(record.packets)}
         case EndRecord():
             value = {"kind": "end", "num_frames": record.num_frames}
         case ErrorRecord():
@@ -139,13 +142,13 @@ def decode_record(body: bytes | memoryview) -> Record:
                 _count(value, "from"), _count(value, "num_frames"), _field(value, "manifest", bytes)
             )
         case "slice":
-            frames = _field(value, "frames", list)
-            if not 1 <= len(frames) <= MAX_LAYERS or any(type(f) is not bytes for f in frames):
-                raise CorruptError("play: a 'slice' record without frames of its layers")
+            packets = _field(value, PACKETS_KEY, list)
+            if not 1 <= len(packets) <= MAX_LAYERS or any(type(p) is not bytes for p in packets):
+                raise CorruptError("play: a 'slice' record without packets of its layers")
             birth: int = _field(value, "birth", int)
             if not -(1 << 31) <= birth < 1 << 31:
                 raise CorruptError(f"play: a slice born at {birth}")
-            return SliceRecord(birth, tuple(frames))
+            return SliceRecord(birth, tuple(packets))
         case "end":
             return EndRecord(_count(value, "num_frames"))
         case "error":

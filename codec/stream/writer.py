@@ -24,7 +24,7 @@ from .chunk import Chunk, encode_chunk
 from .index import SegmentRecord, pack_record, parse_index, record_bytes
 from .layers import RANKS, split_layers
 from .manifest import Manifest
-from .object import decode_frame, encode_frame, join_frames
+from .object import decode_packet, encode_packet, join_packets
 
 MANIFEST_NAME = "manifest.json"
 INDEX_NAME = "index.bin"
@@ -117,7 +117,7 @@ class StreamWriter:
         self._quality = quality
         self._scores_db: list[tuple[float, ...]] = []
         self._num_segments = len(records)
-        self._frames: list[list[tuple[int, bytes]]] = [[] for _ in manifest.layers]
+        self._packets: list[list[tuple[int, bytes]]] = [[] for _ in manifest.layers]
         self._closed = False
         self.next_birth = (
             records[-1].first_frame + records[-1].num_frames if records else manifest.first_birth
@@ -216,45 +216,46 @@ class StreamWriter:
         if manifest.profile is Profile.COMPACT:
             steps = layer_steps([part.splats for part in parts], self._coarseness)
         encoded = [
-            encode_frame(encode_chunk(part, layer, manifest.profile, steps[layer]))
+            encode_packet(encode_chunk(part, layer, manifest.profile, steps[layer]))
             for layer, part in enumerate(parts)
         ]
         scores_db = [*self._scores_db, *self._measure(encoded)]
-        frames = [
-            [*kept, (slice.birth, frame)] for kept, frame in zip(self._frames, encoded, strict=True)
+        packets = [
+            [*kept, (slice.birth, packet)]
+            for kept, packet in zip(self._packets, encoded, strict=True)
         ]
         next_birth = slice.birth + 1
         if next_birth == (self._num_segments + 1) * manifest.segment_frames:
-            self._write_segment(frames, scores_db, next_birth)
+            self._write_segment(packets, scores_db, next_birth)
         else:
-            self._frames, self._scores_db, self.next_birth = frames, scores_db, next_birth
+            self._packets, self._scores_db, self.next_birth = packets, scores_db, next_birth
 
-    def _measure(self, frames: Sequence[bytes]) -> list[tuple[float, ...]]:
+    def _measure(self, packets: Sequence[bytes]) -> list[tuple[float, ...]]:
         """The scores of a slice, if it has any: of the bytes as they are, not of what was given."""
         if self._quality is None:
             return []
-        scores_db = self._quality([decode_frame(frame) for frame in frames])
+        scores_db = self._quality([decode_packet(packet) for packet in packets])
         if scores_db is None:
             return []
-        if len(scores_db) != len(frames) or any(map(math.isinf, scores_db)):
+        if len(scores_db) != len(packets) or any(map(math.isinf, scores_db)):
             raise InvalidError(
-                f"{self.path}: a quality of {tuple(scores_db)} dB is not {len(frames)} numbers, "
+                f"{self.path}: a quality of {tuple(scores_db)} dB is not {len(packets)} numbers, "
                 "each finite, or NaN where unknown"
             )
         return [tuple(scores_db)]
 
     def _write_segment(
         self,
-        frames: list[list[tuple[int, bytes]]],
+        packets: list[list[tuple[int, bytes]]],
         scores_db: list[tuple[float, ...]],
         next_birth: int,
     ) -> None:
-        """Writes the segment of `frames`; only then takes note of it, so that it may fail."""
+        """Writes the segment of `packets`; only then takes note of it, so that it may fail."""
         segment = self._num_segments
         first_frame = segment * self.manifest.segment_frames
         folder = self.path / "segments" / str(segment)
         folder.mkdir(exist_ok=True)
-        objects = [join_frames(of_layer) for of_layer in frames]
+        objects = [join_packets(of_layer) for of_layer in packets]
         for layer, data in enumerate(objects):
             write_atomic(folder / str(layer), data)
         sync_folder(folder.parent)
@@ -274,7 +275,7 @@ class StreamWriter:
         self._drop()
 
     def _drop(self) -> None:
-        self._frames = [[] for _ in self.manifest.layers]
+        self._packets = [[] for _ in self.manifest.layers]
         self._scores_db = []
 
     def _mean(self, scores_db: list[tuple[float, ...]]) -> tuple[float, ...]:
@@ -288,8 +289,8 @@ class StreamWriter:
         """Writes the short last segment, if there is one, and marks the stream as finished."""
         if self._closed:
             return
-        if self._frames[0] and self.next_birth > 0:
-            self._write_segment(self._frames, self._scores_db, self.next_birth)
+        if self._packets[0] and self.next_birth > 0:
+            self._write_segment(self._packets, self._scores_db, self.next_birth)
         finished = self.manifest.with_live(False)
         write_atomic(self.path / MANIFEST_NAME, finished.to_json())
         self.manifest = finished

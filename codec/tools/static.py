@@ -1,4 +1,4 @@
-"""A stream for plain web servers: the same chunks in frames that browsers inflate by themselves.
+"""A stream for plain web servers: the same chunks in packets that browsers inflate by themselves.
 
 Everything lies at a fixed relative path, and each file is fetched whole: no ranges, no logic.
 """
@@ -13,7 +13,7 @@ from pathlib import Path
 from codec.coders.coder import Coder, decompress
 from codec.errors import InvalidError
 from codec.stream.index import SegmentRecord, pack_record
-from codec.stream.object import encode_frame, join_frames, object_frames
+from codec.stream.object import encode_packet, join_packets, object_packets
 from codec.stream.reader import StreamReader
 from codec.stream.writer import INDEX_NAME, MANIFEST_NAME, temporary_beside, write_atomic
 
@@ -86,11 +86,11 @@ def _write_segment(reader: StreamReader, record: SegmentRecord, folder: Path) ->
     limit_bytes = manifest.chunk_bounds.max_bytes
     sizes, hashes = [], []
     for layer in range(manifest.num_layers):
-        frames = [
-            (birth, encode_frame(decompress(frame, limit_bytes), Coder.GZIP))
-            for birth, frame in object_frames(reader.read_object(segment, layer))
+        packets = [
+            (birth, encode_packet(decompress(packet, limit_bytes), Coder.GZIP))
+            for birth, packet in object_packets(reader.read_object(segment, layer))
         ]
-        data = join_frames(frames, Coder.GZIP)
+        data = join_packets(packets, Coder.GZIP)
         write_atomic(folder / "segments" / str(segment) / str(layer), data)
         sizes.append(len(data))
         hashes.append(hashlib.sha256(data).digest())

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from codec.errors import CodecError, CorruptError
 from codec.framerange import Frames
 from codec.stream.manifest import Manifest
-from codec.stream.object import decode_frame
+from codec.stream.object import decode_packet
 from codec.stream.playrecord import (
     EndRecord,
     ErrorRecord,
@@ -187,10 +187,12 @@ class HttpPlaySource:
         try:
             if record.birth != birth:
                 raise CorruptError(f"the slice born at {record.birth} came before {birth}")
-            chunks = [decode_frame(frame, self._manifest.chunk_bounds) for frame in record.frames]
+            chunks = [
+                decode_packet(packet, self._manifest.chunk_bounds) for packet in record.packets
+            ]
             if any(chunk.birth != birth for chunk in chunks):
                 raise CorruptError(f"a chunk in the record of birth {birth} has another birth")
-            wire_bytes = sum(len(frame) for frame in record.frames)
+            wire_bytes = sum(len(packet) for packet in record.packets)
             return merge_chunks(chunks, self._manifest, wire_bytes)
         except CodecError as error:
             raise type(error)(f"{self._name}: {error}") from error

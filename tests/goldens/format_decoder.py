@@ -42,15 +42,15 @@ def rows(values: list[float], width: int) -> list[tuple[float, ...]]:
     return [tuple(values[i : i + width]) for i in range(0, len(values), width)]
 
 
-def inflate(frame: bytes) -> bytes:
-    """The chunk in a frame of section 7, of either coder."""
-    if frame[:4] == b"\x28\xb5\x2f\xfd":
-        return zstandard.ZstdDecompressor().decompress(frame, allow_extra_data=False)
-    assert frame[:4] == b"\x1f\x8b\x08\x00"
-    checksum, size = struct.unpack("<II", frame[-8:])
-    assert size <= min(1032 * len(frame), LARGEST_CHUNK)
+def inflate(packet: bytes) -> bytes:
+    """The chunk in a packet of section 7, of either coder."""
+    if packet[:4] == b"\x28\xb5\x2f\xfd":
+        return zstandard.ZstdDecompressor().decompress(packet, allow_extra_data=False)
+    assert packet[:4] == b"\x1f\x8b\x08\x00"
+    checksum, size = struct.unpack("<II", packet[-8:])
+    assert size <= min(1032 * len(packet), LARGEST_CHUNK)
     deflated = zlib.decompressobj(-15)
-    content = deflated.decompress(frame[10:-8])
+    content = deflated.decompress(packet[10:-8])
     assert deflated.eof
     assert not deflated.unused_data
     assert (zlib.crc32(content), len(content)) == (checksum, size)
@@ -68,9 +68,9 @@ def decode_object(data: bytes) -> list[bytes]:
         birth, offset, size = struct.unpack_from("<iII", data, 20 + 12 * entry)
         assert offset == end
         end += size
-        frame = data[offset:end]
-        assert (frame[:4] == b"\x1f\x8b\x08\x00") == (coder == 2)
-        chunks.append(inflate(frame))
+        packet = data[offset:end]
+        assert (packet[:4] == b"\x1f\x8b\x08\x00") == (coder == 2)
+        chunks.append(inflate(packet))
         assert struct.unpack_from("<i", chunks[-1], 8)[0] == birth
     assert end == len(data)
     return chunks

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from codec.errors import CorruptError
 from codec.stream import StreamReader, StreamWriter
-from codec.stream.object import decode_frame, object_frames
+from codec.stream.object import decode_packet, object_packets
 from codec.stream.playrecord import (
     EndRecord,
     ErrorRecord,
@@ -77,14 +77,14 @@ def slices_of(records: Iterable[Record]) -> list[SliceRecord]:
     return [record for record in records if isinstance(record, SliceRecord)]
 
 
-def frames_on_disk(path: Path) -> dict[tuple[int, int], bytes]:
-    """The compressed frame of each (birth, layer)."""
+def packets_on_disk(path: Path) -> dict[tuple[int, int], bytes]:
+    """The compressed packet of each (birth, layer)."""
     reader = StreamReader(path)
     return {
-        (birth, layer): frame
+        (birth, layer): packet
         for record in reader.records
         for layer in range(reader.manifest.num_layers)
-        for birth, frame in object_frames(reader.read_object(record.segment, layer))
+        for birth, packet in object_packets(reader.read_object(record.segment, layer))
     }
 
 
@@ -104,7 +104,7 @@ def frames_on_disk(path: Path) -> dict[tuple[int, int], bytes]:
 def test_a_play_is_the_directory_slice_by_slice(
     root: Path, query: str, from_frame: int, until: int, layers: int | None
 ) -> None:
-    disk = frames_on_disk(root / "walk")
+    disk = packets_on_disk(root / "walk")
 
     async def check(server: Running, client: aiohttp.ClientSession) -> None:
         start, *slices, end = await play(client, "walk", query)
@@ -114,10 +114,10 @@ def test_a_play_is_the_directory_slice_by_slice(
         births = range(from_frame - SWIN_SIZE + 1, until)
         assert [s.birth for s in slices if isinstance(s, SliceRecord)] == list(births)
         for one in slices_of(slices):
-            assert layers in (None, len(one.frames))
-            for layer, frame in enumerate(one.frames):
-                assert frame == disk[one.birth, layer]
-                chunk = decode_frame(frame)
+            assert layers in (None, len(one.packets))
+            for layer, packet in enumerate(one.packets):
+                assert packet == disk[one.birth, layer]
+                chunk = decode_packet(packet)
                 assert (chunk.birth, chunk.layer) == (one.birth, layer)
         assert server.state.metrics.plays.value("complete") == 1
 
@@ -239,7 +239,7 @@ class SlowClient:
 
 
 def mean_layers(records: Iterable[Record]) -> float:
-    shown = [len(one.frames) for one in slices_of(records) if one.birth > 0]
+    shown = [len(one.packets) for one in slices_of(records) if one.birth > 0]
     return sum(shown) / len(shown)
 
 
@@ -338,7 +338,7 @@ def test_a_client_that_leaves_is_no_error(root: Path, caplog: pytest.LogCaptureF
 
 
 def test_many_clients_play_at_once(root: Path) -> None:
-    disk = frames_on_disk(root / "walk")
+    disk = packets_on_disk(root / "walk")
 
     async def check(server: Running, client: aiohttp.ClientSession) -> None:
         async with asyncio.TaskGroup() as group:
@@ -348,7 +348,7 @@ def test_many_clients_play_at_once(root: Path) -> None:
             ]
         for n, task in enumerate(tasks):
             for one in slices_of(task.result()):
-                assert one.frames == tuple(disk[one.birth, k] for k in range(n % 4 + 1))
+                assert one.packets == tuple(disk[one.birth, k] for k in range(n % 4 + 1))
         assert server.state.metrics.plays.value("complete") == 40
 
     on_server(root, check, quick_config(max_plays=40))
@@ -442,7 +442,7 @@ def test_metrics_count_what_was_sent(root: Path) -> None:
         metrics = server.state.metrics
         assert metrics.slices.value("3") == len(records)
         for layer in range(3):
-            sent_bytes = sum(len(one.frames[layer]) for one in records)
+            sent_bytes = sum(len(one.packets[layer]) for one in records)
             assert metrics.layer_bytes.value("play", str(layer)) == sent_bytes
         assert metrics.layer_bytes.value("play", "3") == 0
 

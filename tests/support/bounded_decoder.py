@@ -31,7 +31,7 @@ from codec.profiles.compact import HEAD as COMPACT_HEAD
 from codec.stream.chunk import HEADER, MAX_CHUNK_BYTES, MAX_SPLATS_PER_CHUNK, ChunkBounds
 from codec.stream.index import pack_record
 from codec.stream.manifest import Manifest
-from codec.stream.object import HEAD, decode_frame, decode_object, join_frames
+from codec.stream.object import HEAD, decode_object, decode_packet, join_packets
 from codec.stream.playrecord import LENGTH, MAX_RECORD_BYTES, RecordParser
 from codec.stream.reader import StreamReader
 from tests.support.slow_writer import tiny_manifest, write_tiny
@@ -98,10 +98,10 @@ def compact(sh_degree: int, escapes: int = 0, gap_bits: int = 0, count: int = N)
 
 
 def claiming(size: int) -> bytes:
-    """8 KB of a frame that says it holds `size` bytes."""
+    """8 KB of a packet that says it holds `size` bytes."""
     compressor = zstandard.ZstdCompressor(write_checksum=True).compressobj(size)
-    frame = compressor.compress(os.urandom(8192))
-    return frame + compressor.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
+    packet = compressor.compress(os.urandom(8192))
+    return packet + compressor.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
 
 
 def lying_table() -> bytes:
@@ -139,7 +139,7 @@ def read_stream(first_object: bytes, object_bytes: int | None = None) -> None:
 
 def chunk_bombs() -> bytes:
     """An object of six chunks of a million Gaussians; the manifest allows 40."""
-    return join_frames([(birth, compact(0)) for birth in range(-2, 4)])
+    return join_packets([(birth, compact(0)) for birth in range(-2, 4)])
 
 
 def sparse_index(_: bytes) -> None:
@@ -216,28 +216,28 @@ RECORDS_BYTES = 2 * MAX_RECORD_BYTES
 """What has come of a record, and what it becomes."""
 
 CASES: dict[str, Case] = {
-    "raw": Case(raw, decode_frame, 2 * N * VALUE_BYTES),
-    "paper": Case(paper, decode_frame, N * (209 + VALUE_BYTES)),
-    "compact": Case(lambda: compact(3), decode_frame, N * (56 + VALUE_BYTES)),
+    "raw": Case(raw, decode_packet, 2 * N * VALUE_BYTES),
+    "paper": Case(paper, decode_packet, N * (209 + VALUE_BYTES)),
+    "compact": Case(lambda: compact(3), decode_packet, N * (56 + VALUE_BYTES)),
     "compact, half escaped": Case(
-        lambda: compact(3, escapes=N // 2), decode_frame, N * ((56 + 236) // 2 + VALUE_BYTES)
+        lambda: compact(3, escapes=N // 2), decode_packet, N * ((56 + 236) // 2 + VALUE_BYTES)
     ),
-    "compact, wide gaps": Case(lambda: compact(0, gap_bits=40), decode_frame, N * (11 + 4 + 56)),
-    "no chunk": Case(lambda: compress(bytes(MAX_CHUNK_BYTES)), decode_frame, MAX_CHUNK_BYTES),
-    "cut off": Case(lambda: compress(bytes(MAX_CHUNK_BYTES))[:-9], decode_frame, MAX_CHUNK_BYTES),
-    "claims the most": Case(lambda: claiming(MAX_CHUNK_BYTES), decode_frame, MAX_CHUNK_BYTES),
-    "claims too much": Case(lambda: claiming(MAX_CHUNK_BYTES + 1), decode_frame, 0),
-    "claims an exabyte": Case(lambda: claiming(1 << 60), decode_frame, 0),
-    "gzip": Case(gzip_raw, decode_frame, 2 * N * VALUE_BYTES),
-    "gzip says less": Case(lambda: gzip_member(bytes(200 << 20), 1000), decode_frame, 0),
+    "compact, wide gaps": Case(lambda: compact(0, gap_bits=40), decode_packet, N * (11 + 4 + 56)),
+    "no chunk": Case(lambda: compress(bytes(MAX_CHUNK_BYTES)), decode_packet, MAX_CHUNK_BYTES),
+    "cut off": Case(lambda: compress(bytes(MAX_CHUNK_BYTES))[:-9], decode_packet, MAX_CHUNK_BYTES),
+    "claims the most": Case(lambda: claiming(MAX_CHUNK_BYTES), decode_packet, MAX_CHUNK_BYTES),
+    "claims too much": Case(lambda: claiming(MAX_CHUNK_BYTES + 1), decode_packet, 0),
+    "claims an exabyte": Case(lambda: claiming(1 << 60), decode_packet, 0),
+    "gzip": Case(gzip_raw, decode_packet, 2 * N * VALUE_BYTES),
+    "gzip says less": Case(lambda: gzip_member(bytes(200 << 20), 1000), decode_packet, 0),
     "gzip claims too much": Case(
-        lambda: gzip_member(bytes(MAX_CHUNK_BYTES), MAX_CHUNK_BYTES + 1), decode_frame, 0
+        lambda: gzip_member(bytes(MAX_CHUNK_BYTES), MAX_CHUNK_BYTES + 1), decode_packet, 0
     ),
     "more than the manifest": Case(
-        lambda: compact(0), lambda data: decode_frame(data, ChunkBounds(N // 20, 0)), 0
+        lambda: compact(0), lambda data: decode_packet(data, ChunkBounds(N // 20, 0)), 0
     ),
     "higher degree than the manifest": Case(
-        raw, lambda data: decode_frame(data, ChunkBounds(N, 0)), 0
+        raw, lambda data: decode_packet(data, ChunkBounds(N, 0)), 0
     ),
     "table": Case(lying_table, decode_object, 0),
     "chunks in a stream": Case(chunk_bombs, read_stream, 0),
@@ -307,7 +307,7 @@ def main() -> None:
     case = CASES[sys.argv[1]]
     food = made_elsewhere(case)
     # The kernels, and what loads them, are not what a decoder takes for its input.
-    decode_frame(compact(0, count=2))
+    decode_packet(compact(0, count=2))
     limit = data_bytes() + case.declared_bytes + SLACK_BYTES
     resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
     try:

@@ -24,12 +24,12 @@ from codec.profiles.profile import Profile
 from codec.stream.chunk import MAX_CHUNK_BYTES, encode_chunk
 from codec.stream.object import (
     HEAD,
-    decode_frame,
     decode_object,
-    encode_frame,
+    decode_packet,
     encode_object,
-    join_frames,
-    object_frames,
+    encode_packet,
+    join_packets,
+    object_packets,
     read_object_table,
 )
 from tests.support.hostile import flips, survives, truncations
@@ -44,16 +44,16 @@ def encoded(profile: Profile = Profile.COMPACT, count: int = 12) -> list[bytes]:
 
 
 @pytest.mark.parametrize("profile", list(Profile))
-def test_a_frame_is_one_gzip_member_for_anyone(profile: Profile) -> None:
+def test_a_packet_is_one_gzip_member_for_anyone(profile: Profile) -> None:
     chunks = encoded(profile, 3000)
-    for (birth, frame), chunk, wanted in zip(
-        object_frames(encode_object(chunks, Coder.GZIP)), chunks, BIRTHS, strict=True
+    for (birth, packet), chunk, wanted in zip(
+        object_packets(encode_object(chunks, Coder.GZIP)), chunks, BIRTHS, strict=True
     ):
         assert birth == wanted
-        assert gzip.decompress(frame) == chunk == decompress(frame, len(chunk))
-        assert frame[:10] == b"\x1f\x8b\x08\0\0\0\0\0\x02\xff"
-        assert frame[-8:] == struct.pack("<II", zlib.crc32(chunk), len(chunk))
-        assert coder_of(frame) is Coder.GZIP
+        assert gzip.decompress(packet) == chunk == decompress(packet, len(chunk))
+        assert packet[:10] == b"\x1f\x8b\x08\0\0\0\0\0\x02\xff"
+        assert packet[-8:] == struct.pack("<II", zlib.crc32(chunk), len(chunk))
+        assert coder_of(packet) is Coder.GZIP
 
 
 def test_the_coder_changes_no_value() -> None:
@@ -83,11 +83,11 @@ def test_the_table_is_pinned() -> None:
 
 
 @pytest.mark.parametrize("coder", list(Coder))
-def test_frames_of_another_coder_than_the_table_s_are_refused(coder: Coder) -> None:
+def test_packets_of_another_coder_than_the_table_s_are_refused(coder: Coder) -> None:
     other = next(c for c in Coder if c is not coder)
-    frames = [(birth, encode_frame(c, other)) for birth, c in zip(BIRTHS, encoded(), strict=True)]
+    packets = [(birth, encode_packet(c, other)) for birth, c in zip(BIRTHS, encoded(), strict=True)]
     with pytest.raises(CorruptError, match="not of the object's coder"):
-        decode_object(join_frames(frames, coder))
+        decode_object(join_packets(packets, coder))
 
 
 def test_every_truncation_is_refused() -> None:
@@ -96,16 +96,16 @@ def test_every_truncation_is_refused() -> None:
         assert not survives(decode_object, cut)
         survives(read_object_table, cut)
     assert not survives(decode_object, data + b"\0")
-    frame = encode_frame(encoded(count=5)[0], Coder.GZIP)
-    for cut in truncations(frame):
-        assert not survives(decode_frame, cut)
+    packet = encode_packet(encoded(count=5)[0], Coder.GZIP)
+    for cut in truncations(packet):
+        assert not survives(decode_packet, cut)
 
 
 def test_an_altered_byte_never_passes() -> None:
     """But for what means nothing: six bytes of the head, and bits that fill deflate's last byte."""
     chunk = encoded(count=5)[0]
-    frame = encode_frame(chunk, Coder.GZIP)
-    passed = [altered for altered in flips(frame) if survives(decode_frame, altered)]
+    packet = encode_packet(chunk, Coder.GZIP)
+    passed = [altered for altered in flips(packet) if survives(decode_packet, altered)]
     assert all(decompress(altered, len(chunk)) == chunk for altered in passed)
     assert len(passed) <= 3 * (6 + 1)
 
@@ -118,7 +118,7 @@ def test_noise(noise: bytes) -> None:
         gzipframe.HEAD + noise + struct.pack("<II", 0, 200),
         HEAD.pack(0x184D2A50, 24, b"SWGO", 1, 2, 0, 1) + noise,
     ):
-        for decode in (decode_object, decode_frame, read_object_table, object_frames):
+        for decode in (decode_object, decode_packet, read_object_table, object_packets):
             survives(decode, data)
 
 
@@ -129,18 +129,18 @@ def bomb(size: int) -> bytes:
 BOMB = bomb(1 << 24)
 
 
-def claiming(size: int, frame: bytes) -> bytes:
-    """`frame` with another content size in its trailer."""
-    return frame[:-4] + struct.pack("<I", size)
+def claiming(size: int, packet: bytes) -> bytes:
+    """`packet` with another content size in its trailer."""
+    return packet[:-4] + struct.pack("<I", size)
 
 
-def with_name(frame: bytes) -> bytes:
+def with_name(packet: bytes) -> bytes:
     """A valid gzip member, but with a file name in its head."""
-    return frame[:3] + b"\x08" + frame[4:10] + b"name\0" + frame[10:]
+    return packet[:3] + b"\x08" + packet[4:10] + b"name\0" + packet[10:]
 
 
 @pytest.mark.parametrize(
-    ("frame", "says"),
+    ("packet", "says"),
     [
         # Says more than a chunk can have, and is long enough for it: refused unread.
         (claiming(MAX_CHUNK_BYTES + 1, gzipframe.HEAD + bytes(300_000)), "at most"),
@@ -150,7 +150,7 @@ def with_name(frame: bytes) -> bytes:
         (claiming(0, BOMB), "more than the 0 bytes"),
         (claiming(1000, BOMB), "more than the 1000 bytes"),
         # Ends before it.
-        (claiming(1001, bomb(1000)), "frame: "),
+        (claiming(1001, bomb(1000)), "packet: "),
         # More than one member, or something behind it.
         (bomb(100) + bomb(100), "follows"),
         (bomb(100) + b"x" + bomb(100)[-8:], "follows"),
@@ -158,35 +158,35 @@ def with_name(frame: bytes) -> bytes:
         # Wrong checksum.
         (bomb(100)[:-8] + bytes(4) + bomb(100)[-4:], "incorrect data check"),
         # Ends inside, with a trailer where deflate would go on.
-        (bomb(1 << 16)[:30] + struct.pack("<II", 0, 1 << 14), "frame: "),
+        (bomb(1 << 16)[:30] + struct.pack("<II", 0, 1 << 14), "packet: "),
         (with_name(bomb(100)), "neither a zstd frame nor a gzip member"),
         # zlib's and no container at all.
         (zlib.compress(bytes(100)), "neither"),
         (b"\x1f\x8b\x08\0", "no gzip member"),
-        (gzipframe.HEAD + struct.pack("<II", 0, 0), "frame: "),
+        (gzipframe.HEAD + struct.pack("<II", 0, 0), "packet: "),
     ],
 )
-def test_frames_that_are_refused_before_they_grow(frame: bytes, says: str) -> None:
+def test_packets_that_are_refused_before_they_grow(packet: bytes, says: str) -> None:
     tracemalloc.start()
     with pytest.raises(CorruptError, match=says):
-        decode_frame(frame)
+        decode_packet(packet)
     peak_bytes = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak_bytes < 3 << 20
 
 
 def test_the_cap_is_that_of_the_caller() -> None:
-    frame = bomb(5000)
-    assert decompress(frame, 5000) == bytes(5000)
+    packet = bomb(5000)
+    assert decompress(packet, 5000) == bytes(5000)
     with pytest.raises(CorruptError, match="5000 bytes of content, at most 4999"):
-        decompress(frame, 4999)
+        decompress(packet, 4999)
 
 
-def test_a_large_frame_is_held_once() -> None:
+def test_a_large_packet_is_held_once() -> None:
     content = random.Random(1).randbytes(1 << 22)
-    frame = compress(content, (), Coder.GZIP)
+    packet = compress(content, (), Coder.GZIP)
     tracemalloc.start()
-    found = decompress(frame, len(content))
+    found = decompress(packet, len(content))
     peak_bytes = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert found == content
@@ -195,9 +195,9 @@ def test_a_large_frame_is_held_once() -> None:
 
 def test_what_shrinks_as_far_as_deflate_can_still_comes_back() -> None:
     content = bytes(1 << 24)
-    frame = compress(content, (), Coder.GZIP)
-    assert len(frame) < len(content) / 1000
-    assert decompress(frame, len(content)) == content
+    packet = compress(content, (), Coder.GZIP)
+    assert len(packet) < len(content) / 1000
+    assert decompress(packet, len(content)) == content
 
 
 @given(st.lists(st.binary(max_size=300), min_size=1, max_size=6))
@@ -205,15 +205,15 @@ def test_what_shrinks_as_far_as_deflate_can_still_comes_back() -> None:
 def test_the_coder_keeps_content_wherever_blocks_end(planes: list[bytes]) -> None:
     content = b"".join(planes)
     edges = [0, *np.cumsum([len(plane) for plane in planes]).tolist()]
-    for frame in (compress(content, edges, Coder.GZIP), compress(content, (), Coder.GZIP)):
-        assert decompress(frame, len(content)) == content == gzip.decompress(frame)
+    for packet in (compress(content, edges, Coder.GZIP), compress(content, (), Coder.GZIP)):
+        assert decompress(packet, len(content)) == content == gzip.decompress(packet)
 
 
 def test_ending_blocks_between_planes_makes_gzip_as_small_as_zstd() -> None:
     chunk = encode_chunk(trained_like_slice(0, 4000), 0, Profile.COMPACT)
-    frame = encode_frame(chunk, Coder.GZIP)
-    assert len(frame) < 0.95 * len(gzip.compress(chunk, 9))
-    assert len(frame) < 1.02 * len(encode_frame(chunk))
+    packet = encode_packet(chunk, Coder.GZIP)
+    assert len(packet) < 0.95 * len(gzip.compress(chunk, 9))
+    assert len(packet) < 1.02 * len(encode_packet(chunk))
 
 
 # What a browser has, and no code of ours: fetch, DataView, DecompressionStream.
@@ -224,8 +224,8 @@ async function main() {
   const chunks = [];
   for (let n = 0; n < view.getUint32(16, true); n++) {
     const offset = view.getUint32(24 + 12 * n, true), size = view.getUint32(28 + 12 * n, true);
-    const frame = new Blob([data.subarray(offset, offset + size)]);
-    const inflated = frame.stream().pipeThrough(new DecompressionStream("gzip"));
+    const packet = new Blob([data.subarray(offset, offset + size)]);
+    const inflated = packet.stream().pipeThrough(new DecompressionStream("gzip"));
     const chunk = Buffer.from(await new Response(inflated).arrayBuffer());
     chunks.push(chunk.toString("hex"));
   }

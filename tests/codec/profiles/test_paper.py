@@ -26,7 +26,7 @@ from codec.stream.chunk import (
     encode_chunk,
     plane_edges,
 )
-from codec.stream.object import decode_frame, encode_frame
+from codec.stream.object import decode_packet, encode_packet
 from tests.goldens.format_decoder import decode
 from tests.support.hostile import flips, survives, truncations
 from tests.support.trained_like import trained_like_slice, trained_like_splats
@@ -128,7 +128,7 @@ def test_bytes_per_gaussian_are_pinned(sh_degree: int, expected: int) -> None:
 def test_zstd_takes_no_more_than_27_bytes_of_a_trained_like_gaussian() -> None:
     splats = trained_like_splats(2500)
     chunk = encode_chunk(Slice(0, splats, np.zeros(2500, np.uint8)), 0, Profile.PAPER)
-    assert len(encode_frame(chunk)) < 27 * 2500
+    assert len(encode_packet(chunk)) < 27 * 2500
 
 
 def test_the_layout_is_pinned() -> None:
@@ -147,14 +147,14 @@ def test_the_layout_is_pinned() -> None:
 
 @pytest.mark.parametrize("count", [0, 1, 300])
 @pytest.mark.parametrize("late", [False, True])
-def test_a_frame_holds_the_chunk_whatever_its_size(count: int, late: bool) -> None:
+def test_a_packet_holds_the_chunk_whatever_its_size(count: int, late: bool) -> None:
     splats = trained_like_splats(count, sh_degree=1)
     chunk = encode_chunk(Slice(5, splats, np.full(count, late, np.uint8)), 1, Profile.PAPER)
     edges = plane_edges(chunk)
     assert (edges[0], edges[-1]) == (0, len(chunk))
-    frame = encode_frame(chunk)
-    assert decompress(frame, MAX_CHUNK_BYTES) == chunk
-    assert len(decode_frame(frame).slice.splats) == count
+    packet = encode_packet(chunk)
+    assert decompress(packet, MAX_CHUNK_BYTES) == chunk
+    assert len(decode_packet(packet).slice.splats) == count
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from codec.profiles.quantise import layer_steps
 from codec.slice import Slice
 from codec.stream.chunk import encode_chunk
 from codec.stream.layers import opacity_rank, split_layers
-from codec.stream.object import encode_frame
+from codec.stream.object import encode_packet
 from tests.support.trained_like import trained_like_splats
 
 COUNT = 40_000
@@ -25,7 +25,7 @@ def test_a_trained_like_gaussian_fits(
     layers = split_layers(whole, fractions, opacity_rank)
     steps = layer_steps([layer.splats for layer in layers])
     size = sum(
-        len(encode_frame(encode_chunk(layer, n, Profile.COMPACT, steps[n])))
+        len(encode_packet(encode_chunk(layer, n, Profile.COMPACT, steps[n])))
         for n, layer in enumerate(layers)
     )
     assert size <= most_bytes * COUNT

@@ -1,4 +1,4 @@
-"""Objects and frames: valid zstd for anyone, and no bomb goes off."""
+"""Objects and packets: valid zstd for anyone, and no bomb goes off."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from codec.stream.object import (
     ENTRY,
     HEAD,
     MAX_CHUNKS_PER_OBJECT,
-    decode_frame,
     decode_object,
     decode_object_chunk,
-    encode_frame,
+    decode_packet,
     encode_object,
-    join_frames,
-    object_frames,
+    encode_packet,
+    join_packets,
+    object_packets,
     read_object_table,
 )
 from tests.support.hostile import flips, survives, truncations
@@ -43,11 +43,11 @@ def test_all_chunks_come_back_in_order() -> None:
     data = encode_object(chunks)
     decoded = decode_object(data)
     assert [chunk.birth for chunk in decoded] == list(BIRTHS)
-    assert [frame[0] for frame in object_frames(data)] == list(BIRTHS)
-    for entry, chunk, (_, frame) in zip(
-        read_object_table(data), decoded, object_frames(data), strict=True
+    assert [packet[0] for packet in object_packets(data)] == list(BIRTHS)
+    for entry, chunk, (_, packet) in zip(
+        read_object_table(data), decoded, object_packets(data), strict=True
     ):
-        for other in (decode_object_chunk(data, entry), decode_frame(frame)):
+        for other in (decode_object_chunk(data, entry), decode_packet(packet)):
             assert (other.slice.splats.means == chunk.slice.splats.means).all()
 
 
@@ -57,8 +57,8 @@ def test_an_object_is_one_valid_zstd_stream(profile: Profile) -> None:
     data = encode_object(chunks)
     reader = zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True)
     assert reader.read() == b"".join(chunks)
-    for (_, frame), chunk in zip(object_frames(data), chunks, strict=True):
-        parameters = zstandard.get_frame_parameters(frame)
+    for (_, packet), chunk in zip(object_packets(data), chunks, strict=True):
+        parameters = zstandard.get_frame_parameters(packet)
         assert parameters.content_size == len(chunk)
         assert parameters.has_checksum
 
@@ -99,7 +99,7 @@ def test_an_altered_byte_never_passes() -> None:
 @given(st.binary(max_size=200))
 @settings(max_examples=200)
 def test_noise(noise: bytes) -> None:
-    for decode in (decode_object, decode_frame, read_object_table, object_frames):
+    for decode in (decode_object, decode_packet, read_object_table, object_packets):
         survives(decode, noise)
         survives(decode, struct.pack("<I", 0xFD2FB528) + noise)
         survives(decode, HEAD.pack(0x184D2A50, 24, b"SWGO", 1, 1, 0, 1) + noise)
@@ -112,7 +112,7 @@ def test_noise(noise: bytes) -> None:
         (4, b"\0", CorruptError),
         (8, b"X", CorruptError),
         (12, b"\2", UnsupportedError),
-        (13, b"\2", CorruptError),  # a coder, but not that of the frames
+        (13, b"\2", CorruptError),  # a coder, but not that of the packets
         (13, b"\3", UnsupportedError),
         (14, b"\1", CorruptError),
         (16, struct.pack("<I", 0), CorruptError),
@@ -130,8 +130,8 @@ def test_a_table_that_breaks_a_rule(place: int, value: bytes, error: type[Except
 
 
 def test_a_chunk_under_another_birth_is_refused() -> None:
-    frames = [encode_frame(chunk) for chunk in encoded()]
-    data = join_frames([(0, frames[0]), (1, frames[1])])
+    packets = [encode_packet(chunk) for chunk in encoded()]
+    data = join_packets([(0, packets[0]), (1, packets[1])])
     with pytest.raises(CorruptError, match="birth -2 where the table says 0"):
         decode_object(data)
 
@@ -148,20 +148,20 @@ def bomb(size: int) -> bytes:
 
 
 def claiming(size: int) -> bytes:
-    """The start of a frame that says it holds `size` bytes."""
+    """The start of a packet that says it holds `size` bytes."""
     compressor = zstandard.ZstdCompressor(write_checksum=True).compressobj(size)
     return compressor.compress(b"x") + compressor.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
 
 
 @pytest.mark.parametrize(
-    "frame",
+    "packet",
     [
         claiming(MAX_CHUNK_BYTES + 1),
         # No content size.
         zstandard.ZstdCompressor(write_content_size=False, write_checksum=True).compress(b"x" * 99),
         # No checksum.
         zstandard.ZstdCompressor(write_checksum=False).compress(b"x" * 99),
-        # More than one frame, or something behind it.
+        # More than one packet, or something behind it.
         bomb(100) + bomb(100),
         bomb(100) + b"x",
         # Skippable.
@@ -173,20 +173,20 @@ def claiming(size: int) -> bytes:
         b"\x28\xb5\x2f\xfd",
     ],
 )
-def test_frames_that_are_refused_before_they_grow(frame: bytes) -> None:
+def test_packets_that_are_refused_before_they_grow(packet: bytes) -> None:
     tracemalloc.start()
     with pytest.raises(CorruptError):
-        decode_frame(frame)
+        decode_packet(packet)
     peak_bytes = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak_bytes < 1 << 20
 
 
-def test_a_frame_that_holds_less_than_it_says_is_refused() -> None:
+def test_a_packet_that_holds_less_than_it_says_is_refused() -> None:
     with pytest.raises(CorruptError, match="cannot come from"):
-        decode_frame(claiming(1 << 20))
+        decode_packet(claiming(1 << 20))
     with pytest.raises(CorruptError):
-        decode_frame(claiming(1 << 18))
+        decode_packet(claiming(1 << 18))
 
 
 def test_what_shrinks_as_far_as_zstd_can_still_comes_back() -> None:
@@ -199,14 +199,14 @@ def test_what_shrinks_as_far_as_zstd_can_still_comes_back() -> None:
 def test_the_coder_keeps_content_wherever_blocks_end(planes: list[bytes]) -> None:
     content = b"".join(planes)
     edges = [0, *np.cumsum([len(plane) for plane in planes]).tolist()]
-    for frame in (compress(content, edges), compress(content)):
-        assert decompress(frame, len(content)) == content
+    for packet in (compress(content, edges), compress(content)):
+        assert decompress(packet, len(content)) == content
         if content:
             with pytest.raises(CorruptError):
-                decompress(frame, len(content) - 1)
+                decompress(packet, len(content) - 1)
 
 
 def test_ending_blocks_between_planes_pays() -> None:
     chunk = encode_chunk(trained_like_slice(0, 4000), 0, Profile.COMPACT)
     plain = zstandard.ZstdCompressor(level=19, write_checksum=True).compress(chunk)
-    assert len(encode_frame(chunk)) < 0.97 * len(plain)
+    assert len(encode_packet(chunk)) < 0.97 * len(plain)

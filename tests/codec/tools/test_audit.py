@@ -17,10 +17,10 @@ from codec.profiles.profile import Profile
 from codec.stream.chunk import encode_chunk
 from codec.stream.index import pack_record, record_bytes
 from codec.stream.object import (
-    encode_frame,
     encode_object,
-    join_frames,
-    object_frames,
+    encode_packet,
+    join_packets,
+    object_packets,
     read_object_table,
 )
 from codec.stream.reader import StreamReader
@@ -58,7 +58,7 @@ def found(stream: Path, name: str) -> CodecError:
 
 
 def fields(data: bytes) -> list[int]:
-    """Where the parts of an object begin that are checked as one: fields, then frames; its end."""
+    """Where the parts of an object begin that are checked as one: fields, then packets; its end."""
     entries = read_object_table(data)
     table = [20 + 12 * n + field for n in range(len(entries)) for field in (0, 4, 8)]
     return [0, 4, 8, 12, 13, 14, 16, *table, *(entry.offset for entry in entries), len(data)]
@@ -68,12 +68,12 @@ def test_a_good_stream_has_no_such_place(finished: Path) -> None:
     assert verify_stream(finished).num_frames == NUM_FRAMES
 
 
-def test_an_altered_byte_of_an_object_is_found_in_its_field_or_frame(stream: Path) -> None:
+def test_an_altered_byte_of_an_object_is_found_in_its_field_or_packet(stream: Path) -> None:
     path = stream / "segments/1/0"
     data = path.read_bytes()
     parts = list(pairwise(fields(data)))
     # Each contradicts one before it: the count the length of the table, an offset the size of the
-    # frame before, a birth the one before.
+    # packet before, a birth the one before.
     slack_bytes = 12
     unplaced = 0
     every = 7
@@ -208,11 +208,11 @@ def put(stream: Path, segment: int, layer: int, data: bytes) -> None:
 
 
 def test_a_wrong_chunk_with_a_right_hash(stream: Path) -> None:
-    frames = object_frames((stream / "segments/1/1").read_bytes())
+    packets = object_packets((stream / "segments/1/1").read_bytes())
     wrong = encode_chunk(tiny_slice(5), 0, Profile.COMPACT)
-    put(stream, 1, 1, join_frames([frames[0], (5, encode_frame(wrong))]))
+    put(stream, 1, 1, join_packets([packets[0], (5, encode_packet(wrong))]))
     error = found(stream, "segments/1/1")
-    assert error.at == 20 + 12 * 2 + len(frames[0][1])
+    assert error.at == 20 + 12 * 2 + len(packets[0][1])
     assert "altered" not in str(error)
     assert "birth 5 does not fit the manifest: layer 0" in str(error)
 

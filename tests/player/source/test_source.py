@@ -20,7 +20,7 @@ from codec.stream import StreamReader, StreamWriter
 from codec.stream.chunk import encode_chunk
 from codec.stream.layers import RANKS, split_layers
 from codec.stream.manifest import Manifest
-from codec.stream.object import encode_frame
+from codec.stream.object import encode_packet
 from codec.stream.playrecord import (
     EndRecord,
     ErrorRecord,
@@ -353,7 +353,7 @@ def start(num_frames: int = 3, manifest: Manifest = MANIFEST) -> StartRecord:
 def record_of(birth: int, change: Callable[[Slice], Slice] = lambda s: s) -> SliceRecord:
     layers = split_layers(change(random_slice(birth)), MANIFEST.layers, RANKS["opacity"])
     chunks = [encode_chunk(part, n, MANIFEST.profile) for n, part in enumerate(layers)]
-    return SliceRecord(birth, tuple(map(encode_frame, chunks)))
+    return SliceRecord(birth, tuple(map(encode_packet, chunks)))
 
 
 ALL = [record_of(birth) for birth in range(-3, 3)]
@@ -427,11 +427,11 @@ def test_a_server_that_stops_is_asked_again() -> None:
         ([answer(start(), *ALL[1:])], CorruptError, "born at -2 came before -3"),
         ([answer(start(), *ALL[:3], EndRecord(3))], CorruptError, "ended before frame 0"),
         (
-            [answer(start(), SliceRecord(-3, ALL[1].frames))],
+            [answer(start(), SliceRecord(-3, ALL[1].packets))],
             CorruptError,
             "has another birth",
         ),
-        ([answer(start(), SliceRecord(-3, (b"zz",)))], CorruptError, "S: frame"),
+        ([answer(start(), SliceRecord(-3, (b"zz",)))], CorruptError, "S: packet"),
         (
             [answer(start(), record_of(-3, lambda s: random_slice(-3, 41)))],
             CorruptError,
