@@ -1,0 +1,100 @@
+"""Files that are whole or absent: the one way in which everything here is written.
+
+Rule: what is being written has a temporary name that begins with a dot, beside its place; it takes
+its name by a rename once all of it is on the disk.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from .errors import CorruptError, InvalidError
+
+
+def sync_folder(path: Path) -> None:
+    """Makes the names in the folder `path` last through a power cut."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def temporary_beside(path: Path) -> Path:
+    """Where to make what is to be renamed to `path`. Raises InvalidError if that names nothing."""
+    try:
+        return path.with_name(f".{path.name}.tmp")
+    except ValueError as error:
+        raise InvalidError(f"{path} names no file or folder to write; give it a name") from error
+
+
+def put_in_place(temporary: Path, path: Path) -> None:
+    """Renames the finished file `temporary` to `path`, both of one folder, so that it lasts."""
+    with open(temporary, "rb") as file:
+        os.fsync(file.fileno())
+    os.replace(temporary, path)
+    sync_folder(path.parent)
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Gives the temporary file to write; leaving normally puts it at `path`.
+
+    A reader sees all of it or what was there before. Leaving by an exception removes it.
+    """
+    temporary = temporary_beside(path)
+    try:
+        yield temporary
+        put_in_place(temporary, path)
+    except BaseException:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise
+
+
+def write_atomic(path: Path, data: bytes) -> None:
+    """Puts `data` at `path`, see `replacing`."""
+    with replacing(path) as temporary:
+        temporary.write_bytes(data)
+
+
+def append_durably(path: Path, size_bytes: int, data: bytes) -> None:
+    """Appends `data` to the file at `path`, which has `size_bytes`: all of it, or it raises."""
+    with open(path, "ab", buffering=0) as file:
+        found_bytes = os.fstat(file.fileno()).st_size
+        if found_bytes < size_bytes:
+            raise CorruptError(f"{path} has {found_bytes} bytes, not the {size_bytes} written")
+        try:
+            # A failed call before may have been unable to take back what it wrote.
+            file.truncate(size_bytes)
+            rest = memoryview(data)
+            while rest:  # a full disk takes a part and fails only when asked again
+                rest = rest[file.write(rest) :]
+            os.fsync(file.fileno())
+        except BaseException:
+            with suppress(OSError):
+                file.truncate(size_bytes)
+            raise
+
+
+def read_bounded(path: Path, limit_bytes: int, offset: int = 0) -> bytes:
+    """The file at `path` from `offset` on.
+
+    Raises CorruptError if it cannot be read, or if that is more than `limit_bytes`.
+    """
+    try:
+        with open(path, "rb") as file:
+            # Python takes at once what it is told to read, however short the file is.
+            size = max(os.fstat(file.fileno()).st_size - offset, 0)
+            file.seek(offset)
+            data = file.read(size + 1) if size <= limit_bytes else None
+    except FileNotFoundError as error:
+        raise CorruptError(f"{path} is missing") from error
+    except OSError as error:
+        raise CorruptError(f"{path} cannot be read: {error.strerror}") from error
+    if data is None or len(data) > limit_bytes:
+        raise CorruptError(f"{path} is longer than {limit_bytes} bytes")
+    return data
