@@ -33,10 +33,10 @@ from rich.table import Table
 
 from codec.console import run_command
 from codec.errors import InvalidError
+from codec.framerange import FrameRange
 from trainer.capture.layout import open_capture
 from trainer.fit.optimiser import OptimiserConfig
 from trainer.fit.trainer import FitConfig
-from trainer.pictures.framecache import parse_frames
 from trainer.run.job import TrainConfig, train_stream
 from trainer.score.evaluate import EvaluateConfig, evaluate_stream
 
@@ -187,7 +187,9 @@ def measure(config: AblateConfig) -> Outcomes:
     log = Console(stderr=True)
     config.work.mkdir(parents=True, exist_ok=True)
     chosen = settings(config)
-    num_frames = len(parse_frames(config.frames, open_capture(config.capture).num_frames))
+    num_frames = len(
+        FrameRange.parse(config.frames).of(open_capture(config.capture).num_frames, config.capture)
+    )
     all_runs = list(runs(config, chosen))
     outcomes: dict[Setting, list[Outcome]] = {setting: [] for setting in chosen}
     left = sum(

@@ -33,6 +33,11 @@ class Slice:
         if self.start_offsets.dtype != np.uint8:
             raise InvalidError(f"Slice.start_offsets is {self.start_offsets.dtype}, not uint8")
 
+    @property
+    def num_bytes(self) -> int:
+        """What the slice takes in memory."""
+        return self.splats.num_bytes + self.start_offsets.nbytes
+
     def lane(self, swin_size: int) -> int:
         """The slice lane that this slice takes over."""
         return self.birth % swin_size

@@ -27,6 +27,15 @@ def sh_count(sh_degree: int) -> int:
     return (sh_degree + 1) ** 2
 
 
+def array_shapes(count: int, sh_degree: int) -> tuple[tuple[int, ...], ...]:
+    """The shapes of the arrays of `count` Gaussians, in the order of `Splats.arrays`."""
+    return (count, 3), (count, 3), (count, 4), (count,), (count, sh_count(sh_degree), 3)
+
+
+ARRAY_NAMES = ("means", "log_scales", "quats", "logit_opacities", "sh")
+"""The arrays of a `Splats`, in the order of construction."""
+
+
 @dataclass(frozen=True, slots=True)
 class Splats:
     """N Gaussians in the world frame (right-handed, metres).
@@ -71,6 +80,16 @@ class Splats:
         return len(self.means)
 
     @property
+    def arrays(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+        """means, log_scales, quats, logit_opacities, sh: the order of construction."""
+        return self.means, self.log_scales, self.quats, self.logit_opacities, self.sh
+
+    @property
+    def num_bytes(self) -> int:
+        """What the arrays take in memory."""
+        return sum(array.nbytes for array in self.arrays)
+
+    @property
     def sh_degree(self) -> int:
         return isqrt(self.sh.shape[1]) - 1
 
@@ -84,31 +103,14 @@ class Splats:
 
     def take(self, rows: npt.NDArray[np.integer] | slice) -> Splats:
         """The Gaussians at `rows`, in that order."""
-        return Splats(
-            self.means[rows],
-            self.log_scales[rows],
-            self.quats[rows],
-            self.logit_opacities[rows],
-            self.sh[rows],
-        )
+        return Splats(*(array[rows] for array in self.arrays))
 
     @staticmethod
     def empty(sh_degree: int = 0) -> Splats:
-        return Splats(
-            np.zeros((0, 3), np.float32),
-            np.zeros((0, 3), np.float32),
-            np.zeros((0, 4), np.float32),
-            np.zeros((0,), np.float32),
-            np.zeros((0, sh_count(sh_degree), 3), np.float32),
-        )
+        return Splats(*(np.zeros(shape, np.float32) for shape in array_shapes(0, sh_degree)))
 
     @staticmethod
     def concatenate(parts: Sequence[Splats]) -> Splats:
         """All of `parts`, which share one SH degree; at least one part."""
-        return Splats(
-            np.concatenate([p.means for p in parts]),
-            np.concatenate([p.log_scales for p in parts]),
-            np.concatenate([p.quats for p in parts]),
-            np.concatenate([p.logit_opacities for p in parts]),
-            np.concatenate([p.sh for p in parts]),
-        )
+        columns = zip(*(part.arrays for part in parts), strict=True)
+        return Splats(*(np.concatenate(column) for column in columns))

@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from codec.errors import InvalidError
-from codec.framerange import Frames
+from codec.framerange import FrameRange
 from player.link.link import Link
 from player.link.relay import Relay
 from player.playout.clock import Clock
@@ -88,8 +88,8 @@ class PlayConfig:
             raise InvalidError(f"layers {self.layers!r} are neither auto nor a number from 1 on")
         return int(self.layers)
 
-    def parsed_frames(self) -> Frames:
-        return Frames.parse(self.frames) if self.frames is not None else Frames()
+    def parsed_frames(self) -> FrameRange:
+        return FrameRange.parse(self.frames) if self.frames is not None else FrameRange()
 
     def parsed_size(self) -> Size | None:
         return Size.parse(self.size) if self.size is not None else None

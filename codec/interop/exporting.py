@@ -5,29 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from codec.errors import InvalidError
+from codec.framerange import FrameRange
 from codec.stream.reader import StreamReader
 
 from .formats import SplatFormat, write_splats
 
 NUMBER_DIGITS = 4
 """Least digits of a frame number in a file name: `name_0001.ply`."""
-
-
-MAX_DIGITS = 18
-"""Digits read of a frame number: a number of thousands of them is not even converted."""
-
-
-def parse_range(text: str, num_frames: int) -> range:
-    """The frames of `A:B`, `A:` or `:B`, B not among them. Raises InvalidError."""
-    first, colon, end = text.partition(":")
-    if not colon or not all(p == "" or (p.isascii() and p.isdigit()) for p in (first, end)):
-        raise InvalidError(f"frames {text[:40]!r} are not FIRST:END, such as 30:60, 30: or :60")
-    if max(len(first), len(end)) > MAX_DIGITS:
-        raise InvalidError(f"frames {text[:40]!r}...: a number of more than {MAX_DIGITS} digits")
-    frames = range(int(first or 0), int(end) if end else num_frames)
-    if not frames:
-        raise InvalidError(f"frames {text!r} hold no frame of {num_frames}")
-    return frames
 
 
 def chosen_format(out: Path, format: SplatFormat | None) -> SplatFormat:
@@ -70,11 +54,12 @@ def export_stream(
     format = chosen_format(out, format)
     reader = StreamReader(stream)
     layers = reader.manifest.num_layers if layers is None else layers
-    wanted = parse_range(frames, reader.num_frames) if frames is not None else [frame or 0]
-    if wanted[-1] >= reader.num_frames:
-        raise InvalidError(
-            f"{stream} has no frame {wanted[-1]}; it has {reader.num_frames} frames from 0 on"
-        )
+    if frames is not None:
+        wanted = FrameRange.parse(frames).of(reader.num_frames, stream)
+    elif frame is not None and 0 <= frame < reader.num_frames:
+        wanted = range(frame, frame + 1)
+    else:
+        raise InvalidError(f"{stream} has no frame {frame}; it has {reader.num_frames} frames")
     written = []
     for number in wanted:
         path = out if frames is None else numbered(out, number, format)

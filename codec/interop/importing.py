@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -155,13 +155,7 @@ def _with_degree(splats: Splats, sh_degree: int) -> Splats:
     lacking = sh_count(sh_degree) - splats.sh.shape[1]
     if not lacking:
         return splats
-    return Splats(
-        splats.means,
-        splats.log_scales,
-        splats.quats,
-        splats.logit_opacities,
-        np.pad(splats.sh, ((0, 0), (0, lacking), (0, 0))),
-    )
+    return replace(splats, sh=np.pad(splats.sh, ((0, 0), (0, lacking), (0, 0))))
 
 
 def import_stream(source: Path, stream: Path, options: ImportOptions) -> Manifest:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from codec.errors import CorruptError, InvalidError, UnsupportedError
-from codec.splats import Floats, Splats, sh_count
+from codec.splats import Floats, Splats, array_shapes
 
 MAX_GAUSSIANS = 1 << 24
 """Gaussians in a file: 248 bytes each as float32 with SH degree 3, about 4 GB."""
@@ -54,8 +54,7 @@ class Decoded:
 
     @staticmethod
     def empty(count: int, sh_degree: int) -> Decoded:
-        shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, sh_count(sh_degree), 3))
-        return Decoded(*(np.empty(shape, np.float32) for shape in shapes))
+        return Decoded(*(np.empty(s, np.float32) for s in array_shapes(count, sh_degree)))
 
     def blocks(self) -> list[slice]:
         """Rows of BLOCK_GAUSSIANS and fewer that together are all."""

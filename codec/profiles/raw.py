@@ -12,8 +12,7 @@ FLOAT32 = np.dtype("<f4")
 
 def encode_body(splats: Splats) -> bytes:
     """means, log_scales, quats, logit_opacities, sh: float32 little-endian, row after row."""
-    parts = (splats.means, splats.log_scales, splats.quats, splats.logit_opacities, splats.sh)
-    return b"".join(part.astype(FLOAT32, copy=False).tobytes() for part in parts)
+    return b"".join(array.astype(FLOAT32, copy=False).tobytes() for array in splats.arrays)
 
 
 def read_arrays(body: memoryview, count: int, sh_degree: int) -> tuple[Floats, ...]:

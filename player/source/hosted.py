@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from urllib.parse import urljoin
 
 from codec.errors import CodecError, CorruptError
-from codec.framerange import Frames
+from codec.framerange import FrameRange
 from codec.stream.index import SegmentRecord, parse_index, record_bytes
 from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest
 from codec.stream.object import MAX_OBJECT_BYTES
@@ -47,7 +47,7 @@ class StaticHttpSource:
         base: str,
         manifest: Manifest,
         fetcher: Fetcher,
-        frames: Frames,
+        frames: FrameRange,
         layers: int | None,
         retry: RetryConfig | None = None,
     ) -> None:
@@ -102,7 +102,7 @@ class StaticHttpSource:
         return self._manifest
 
     @property
-    def frames(self) -> Frames:
+    def frames(self) -> FrameRange:
         return self._frames
 
     @property

@@ -7,7 +7,7 @@ from pathlib import Path
 from urllib.parse import quote, unquote, urlsplit, urlunsplit
 
 from codec.errors import InvalidError
-from codec.framerange import Frames
+from codec.framerange import FrameRange
 
 from .fetch import Fetcher, FetchError
 from .hosted import StaticHttpSource, fetch_manifest
@@ -26,7 +26,7 @@ def is_url(source: str) -> bool:
 
 
 def open_source(
-    source: str, frames: Frames, layers: int | None, via: tuple[str, int] | None = None
+    source: str, frames: FrameRange, layers: int | None, via: tuple[str, int] | None = None
 ) -> Source:
     """The stream that `source` names, from `frames.first` on.
 
@@ -46,7 +46,7 @@ def open_source(
         raise
 
 
-def _open_url(source: str, fetcher: Fetcher, frames: Frames, layers: int | None) -> Source:
+def _open_url(source: str, fetcher: Fetcher, frames: FrameRange, layers: int | None) -> Source:
     parts = urlsplit(source)
     if not parts.hostname:
         raise InvalidError(f"{source} is no URL: it names no host")
@@ -74,13 +74,13 @@ def _with_path(source: str, path: str) -> str:
 
 
 def _play(
-    source: str, server: str, stream: str, fetcher: Fetcher, frames: Frames, layers: int | None
+    source: str, server: str, stream: str, fetcher: Fetcher, frames: FrameRange, layers: int | None
 ) -> Source:
     url = f"{server}/v1/streams/{quote(stream, safe='')}"
     return HttpPlaySource(source, url, fetcher, frames, layers)
 
 
-def _only_stream(source: str, fetcher: Fetcher, frames: Frames, layers: int | None) -> Source:
+def _only_stream(source: str, fetcher: Fetcher, frames: FrameRange, layers: int | None) -> Source:
     """What a bare host offers: the one stream of a server, or a stream at its root."""
     server = _with_path(source, "")
     response = fetcher.get(f"{server}/v1/streams", MAX_LIST_BYTES)

@@ -9,7 +9,7 @@ import json
 from collections.abc import Iterator
 
 from codec.errors import CodecError, CorruptError
-from codec.framerange import Frames
+from codec.framerange import FrameRange
 from codec.stream.manifest import Manifest
 from codec.stream.object import decode_packet
 from codec.stream.playrecord import (
@@ -38,7 +38,7 @@ class HttpPlaySource:
         name: str,
         url: str,
         fetcher: Fetcher,
-        frames: Frames,
+        frames: FrameRange,
         layers: int | None,
         retry: RetryConfig | None = None,
     ) -> None:
@@ -75,7 +75,7 @@ class HttpPlaySource:
         return self._manifest
 
     @property
-    def frames(self) -> Frames:
+    def frames(self) -> FrameRange:
         return self._frames
 
     @property

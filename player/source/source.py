@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Protocol
 
 from codec.errors import InvalidError
-from codec.framerange import Frames
+from codec.framerange import FrameRange
 from codec.stream import StreamReader
 from codec.stream.manifest import Manifest
 from player.playout.timeline import ReceivedSlice
@@ -30,7 +30,7 @@ class Source(Protocol):
     def manifest(self) -> Manifest: ...
 
     @property
-    def frames(self) -> Frames:
+    def frames(self) -> FrameRange:
         """The frames that will come; their end is None while it is not known."""
         ...
 
@@ -61,7 +61,7 @@ def check_layers(layers: int | None, manifest: Manifest, name: str) -> int:
     return layers
 
 
-def check_frames(frames: Frames, manifest: Manifest, num_frames: int, name: str) -> Frames:
+def check_frames(frames: FrameRange, manifest: Manifest, num_frames: int, name: str) -> FrameRange:
     """`frames` with the end that they will have. Raises InvalidError when the stream lacks them."""
     beyond = frames.first if frames.end is None else frames.end - 1
     # A live stream may be joined before its first segment stands.
@@ -71,13 +71,13 @@ def check_frames(frames: Frames, manifest: Manifest, num_frames: int, name: str)
         raise InvalidError(f"{name} has {num_frames} frames; there is no frame {beyond}")
     if frames.end is not None or manifest.live:
         return frames
-    return Frames(frames.first, num_frames)
+    return FrameRange(frames.first, num_frames)
 
 
 class DirectorySource:
     """A stream directory. One that is still written is played as far as it has come."""
 
-    def __init__(self, path: Path, frames: Frames, layers: int | None) -> None:
+    def __init__(self, path: Path, frames: FrameRange, layers: int | None) -> None:
         """layers: None takes all."""
         self._reader = StreamReader(path)
         self._path = path
@@ -94,7 +94,7 @@ class DirectorySource:
         return self._reader.manifest
 
     @property
-    def frames(self) -> Frames:
+    def frames(self) -> FrameRange:
         return self._frames
 
     @property

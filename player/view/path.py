@@ -15,7 +15,7 @@ import numpy as np
 
 from codec.camera import MAX_IMAGE_PX, Camera
 from codec.errors import InvalidError
-from codec.framerange import Frames
+from codec.framerange import FrameRange
 from codec.pose import Vector, rotation_about
 from codec.stream.manifest import Manifest
 
@@ -106,7 +106,7 @@ def scene_centre(manifest: Manifest) -> Vector:
     return middle
 
 
-def orbit(manifest: Manifest, start: Camera, frames: Frames, arc_rad: float) -> CameraPath:
+def orbit(manifest: Manifest, start: Camera, frames: FrameRange, arc_rad: float) -> CameraPath:
     """Around the scene's centre, from `start` at the first of `frames` and back to it at their end.
 
     arc_rad: 2 pi goes once around; less swings half of it to either side.
@@ -148,7 +148,7 @@ def _degrees(text: str) -> float:
     return degrees
 
 
-def camera_path(text: str, manifest: Manifest, size: Size | None, frames: Frames) -> CameraPath:
+def camera_path(text: str, manifest: Manifest, size: Size | None, frames: FrameRange) -> CameraPath:
     """The path that `text` describes in the stream of `manifest`.
 
     size: the pictures' size; None keeps that of the camera.

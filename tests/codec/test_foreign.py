@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from codec.errors import CorruptError, InvalidError
-from codec.interop.exporting import export_stream, numbered, parse_range
+from codec.framerange import FrameRange
+from codec.interop.exporting import export_stream, numbered
 from codec.interop.formats import SplatFormat, write_splats
 from codec.stream import StreamReader
 from codec.stream.writer import write_atomic
@@ -59,7 +60,7 @@ def test_a_number_of_thousands_of_digits(frames: str, stream: Path, tmp_path: Pa
         export_stream(stream, tmp_path / "a.ply", None, frames, None, None)
     assert len(str(caught.value)) < 200
     with pytest.raises(InvalidError):
-        parse_range("x" * 5000, 6)
+        FrameRange.parse("x" * 5000)
 
 
 def test_the_command_says_it_in_one_line(

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from codec.errors import CodecError, SwingsError
-from codec.framerange import Frames
+from codec.framerange import FrameRange
 from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat
 from codec.stream import StreamWriter
@@ -45,7 +45,7 @@ def astray(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 
 
 def play(path: Path) -> None:
-    source = open_source(str(path), Frames(0, None), None)
+    source = open_source(str(path), FrameRange(0, None), None)
     try:
         list(source.slices())
     finally:
@@ -102,4 +102,4 @@ def test_a_player_fetches_no_files(tmp_path: Path, via: tuple[str, int] | None) 
     finally:
         fetcher.close()
     with pytest.raises(SwingsError, match="only http"):
-        open_source(f"file://{tmp_path}/secret", Frames(0, None), None)
+        open_source(f"file://{tmp_path}/secret", FrameRange(0, None), None)

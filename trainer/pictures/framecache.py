@@ -297,15 +297,3 @@ def scaled_picture(picture: Picture, camera: Camera) -> Picture:
     if width_px % camera.width_px == 0 and height_px % camera.height_px == 0:
         return np.array(image.reduce((width_px // camera.width_px, height_px // camera.height_px)))
     return np.array(image.resize((camera.width_px, camera.height_px), Image.Resampling.BOX))
-
-
-def parse_frames(text: str, num_frames: int) -> range:
-    """The range of "A:B" (A included, B not; either may be left out). Raises InvalidError."""
-    first, colon, last = text.partition(":")
-    try:
-        frames = range(int(first or 0), int(last or num_frames))
-    except ValueError as error:
-        raise InvalidError(f"frames {text!r}: write A:B, two frame numbers") from error
-    if not colon or not 0 <= frames.start < frames.stop <= num_frames:
-        raise InvalidError(f"frames {text!r}: write A:B with 0 <= A < B <= {num_frames}")
-    return frames

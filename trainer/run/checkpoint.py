@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from codec.errors import InvalidError
 from codec.slice import Slice
-from codec.splats import Splats
+from codec.splats import ARRAY_NAMES, Splats
 from trainer.errors import CheckpointError
 
 NAME = ".checkpoint.npz"
@@ -28,8 +28,6 @@ NAME = ".checkpoint.npz"
 VERSION = 1
 
 Arrays = dict[str, npt.NDArray[Any]]
-
-_SPLATS = ("means", "log_scales", "quats", "logit_opacities", "sh")
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +48,7 @@ def save_checkpoint(
     head = {"version": VERSION, "settings": settings, "births": [s.birth for s in pending]}
     arrays["head"] = np.frombuffer(json.dumps(head, sort_keys=True).encode(), np.uint8)
     if pending:
-        for name in _SPLATS:
+        for name in ARRAY_NAMES:
             arrays[f"pending.{name}"] = np.stack([getattr(s.splats, name) for s in pending])
         arrays["pending.start_offsets"] = np.stack([s.start_offsets for s in pending])
     temporary = path.with_name(f"{path.name}.tmp")
@@ -79,7 +77,7 @@ def load_checkpoint(path: Path, settings: Mapping[str, Any]) -> Checkpoint:
         pending = [
             Slice(
                 int(birth),
-                Splats(*(arrays[f"pending.{name}"][i] for name in _SPLATS)),
+                Splats(*(arrays[f"pending.{name}"][i] for name in ARRAY_NAMES)),
                 arrays["pending.start_offsets"][i],
             )
             for i, birth in enumerate(head["births"])

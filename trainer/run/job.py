@@ -19,6 +19,7 @@ from rich.console import Console
 
 from codec.camera import Camera
 from codec.errors import InvalidError
+from codec.framerange import FrameRange
 from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.splats import Splats
@@ -30,7 +31,7 @@ from trainer.capture.layout import open_capture
 from trainer.capture.points import points_evenness, read_points_file
 from trainer.errors import CaptureError, InterruptedRunError
 from trainer.fit.trainer import FALLBACK_FAR_M, FitConfig, Trainer
-from trainer.pictures.framecache import DEFAULT_MAX_BYTES, FrameCache, parse_frames
+from trainer.pictures.framecache import DEFAULT_MAX_BYTES, FrameCache
 from trainer.score.evaluate import displayed
 from trainer.score.quality import QualityMeter
 from trainer.score.sheet import comparison, save_png
@@ -339,7 +340,7 @@ def train_stream(
     if config.points is not None:
         capture = replace(capture, points=read_points_file(config.points))
     check_trainable(capture)
-    frames = parse_frames(config.frames, capture.num_frames)
+    frames = FrameRange.parse(config.frames).of(capture.num_frames, capture.root)
     targets = check_targets(config)
     near_m, far_m = depths(capture, config)
     backend = config.fit.backend(config.backend)

@@ -65,9 +65,7 @@ def slices_by_contribution(reader: StreamReader, views: Sequence[View]) -> Itera
     for frame in range(reader.num_frames):
         window = reader.window(frame, manifest.num_layers)
         splats = active_splats(window, frame, manifest.swin_size)
-        values = Parameters(
-            splats.means, splats.log_scales, splats.quats, splats.logit_opacities, splats.sh
-        )
+        values = Parameters(*splats.arrays)
         rows = np.arange(len(splats), dtype=np.int32)
         weights = _summed(values, rows, views, [None] * len(views))
         first = 0

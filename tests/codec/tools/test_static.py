@@ -17,7 +17,7 @@ from PIL import Image
 
 from codec.coders.coder import Coder
 from codec.errors import CorruptError, InvalidError
-from codec.framerange import Frames
+from codec.framerange import FrameRange
 from codec.profiles.profile import Profile
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import Manifest
@@ -131,7 +131,7 @@ def test_a_plain_web_server_plays_the_same_pictures(folder: Path, tmp_path: Path
 def test_a_swings_server_plays_it_too(folder: Path) -> None:
     before = StreamReader(folder / "original")
     with served(folder) as server:
-        source = open_source(f"{server.url}/watch/exported", Frames(), 3)
+        source = open_source(f"{server.url}/watch/exported", FrameRange(), 3)
         try:
             received = list(source.slices())
         finally:

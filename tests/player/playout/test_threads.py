@@ -12,7 +12,7 @@ import pytest
 
 from codec.camera import Camera
 from codec.errors import SwingsError
-from codec.framerange import Frames
+from codec.framerange import FrameRange
 from codec.slice import Slice
 from codec.stream.manifest import Manifest
 from player.playout.clock import Clock
@@ -41,7 +41,7 @@ class ListSource:
 
     name = "list"
     manifest: Manifest = small_manifest(4, 0)
-    frames = Frames(0)
+    frames = FrameRange(0)
     received_bytes = 0
 
     def slices(self) -> Iterator[ReceivedSlice]:

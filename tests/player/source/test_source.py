@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from codec.errors import CorruptError, InvalidError, SwingsError
-from codec.framerange import Frames
+from codec.framerange import FrameRange
 from codec.slice import Slice
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.chunk import encode_chunk
@@ -47,12 +47,12 @@ from tests.support.played import (
     write_stream,
 )
 
-ALL_FRAMES = Frames()
+ALL_FRAMES = FrameRange()
 QUICK = RetryConfig(attempts=2, first_delay_s=0.01, max_delay_s=0.01)
 
 
 def read_all(
-    source: str, frames: Frames = ALL_FRAMES, layers: int | None = None
+    source: str, frames: FrameRange = ALL_FRAMES, layers: int | None = None
 ) -> list[ReceivedSlice]:
     opened = open_source(source, frames, layers)
     try:
@@ -93,9 +93,11 @@ def server(library: Path) -> Iterator[ServerProcess]:
 
 
 @pytest.mark.parametrize("layers", [1, 2, 3, None])
-@pytest.mark.parametrize("frames", [Frames(), Frames(3, 9), Frames(12), Frames(0, 1)])
+@pytest.mark.parametrize(
+    "frames", [FrameRange(), FrameRange(3, 9), FrameRange(12), FrameRange(0, 1)]
+)
 def test_every_source_gives_the_slices_of_the_reader(
-    library: Path, server: ServerProcess, layers: int | None, frames: Frames
+    library: Path, server: ServerProcess, layers: int | None, frames: FrameRange
 ) -> None:
     reader = StreamReader(library / "one")
     count = layers or 3
@@ -125,9 +127,9 @@ def test_all_forms_of_a_server_s_url(server: ServerProcess) -> None:
 def test_what_a_source_says_before_its_slices(library: Path, server: ServerProcess) -> None:
     manifest = StreamReader(library / "one").manifest
     for name in (str(library / "one"), server.url):
-        source = open_source(name, Frames(2), None)
+        source = open_source(name, FrameRange(2), None)
         assert source.name == name
-        assert source.frames == Frames(2, 13)
+        assert source.frames == FrameRange(2, 13)
         assert source.manifest.to_json() == manifest.to_json()
         source.close()
 
@@ -135,13 +137,13 @@ def test_what_a_source_says_before_its_slices(library: Path, server: ServerProce
 @pytest.mark.parametrize(
     ("frames", "layers", "message"),
     [
-        (Frames(13), None, "there is no frame 13|has 13 frames"),
-        (Frames(0, 14), None, "there is no frame 13"),
-        (Frames(), 4, "layers"),
+        (FrameRange(13), None, "there is no frame 13|has 13 frames"),
+        (FrameRange(0, 14), None, "there is no frame 13"),
+        (FrameRange(), 4, "layers"),
     ],
 )
 def test_what_a_stream_does_not_have(
-    library: Path, server: ServerProcess, frames: Frames, layers: int | None, message: str
+    library: Path, server: ServerProcess, frames: FrameRange, layers: int | None, message: str
 ) -> None:
     with static_host(library) as host:
         for source in (str(library / "one"), f"{host}/one", f"{server.url}/watch/one"):
@@ -200,7 +202,7 @@ def test_a_folder_still_written_is_played_as_far_as_it_has_come(tmp_path: Path) 
             writer.append(random_slice(birth))
             if birth == 7:
                 break
-        source = open_source(str(tmp_path / "s"), Frames(), None)
+        source = open_source(str(tmp_path / "s"), FrameRange(), None)
         got = []
         for received in source.slices():
             got.append(received.slice.birth)
@@ -214,7 +216,7 @@ def test_a_folder_still_written_is_played_as_far_as_it_has_come(tmp_path: Path) 
 
 def test_through_a_link_the_slices_are_the_same(library: Path, server: ServerProcess) -> None:
     with Relay(Link.parse("2M,5ms"), "127.0.0.1", server.port) as relay:
-        source = open_source(server.url, Frames(), 3, relay.address)
+        source = open_source(server.url, FrameRange(), 3, relay.address)
         got = list(source.slices())
         source.close()
         assert relay.down_bytes > sum(r.wire_bytes for r in got)
@@ -226,7 +228,7 @@ def test_a_live_stream_is_followed_to_its_end(tmp_path: Path) -> None:
     root = tmp_path / "library"
     with StreamWriter.create(root / "live", small_manifest()) as writer, served(root) as server:
         # Nothing stands yet: the source waits for the first segment.
-        source = open_source(server.url, Frames(), 2)
+        source = open_source(server.url, FrameRange(), 2)
         assert source.frames.end is None
 
         def write() -> None:
@@ -251,7 +253,7 @@ def test_a_killed_server_that_comes_back_is_not_noticed(endless: Path) -> None:
         "s",
         f"{server.url}/v1/streams/long",
         Fetcher(),
-        Frames(),
+        FrameRange(),
         3,
         RetryConfig(attempts=100, first_delay_s=0.05, max_delay_s=0.05),
     )
@@ -277,7 +279,7 @@ def restart(root: Path, server: ServerProcess) -> None:
 def test_a_server_that_stays_away_ends_in_one_line(endless: Path) -> None:
     server = ServerProcess(endless)
     source = HttpPlaySource(
-        "the stream", f"{server.url}/v1/streams/long", Fetcher(), Frames(), None, QUICK
+        "the stream", f"{server.url}/v1/streams/long", Fetcher(), FrameRange(), None, QUICK
     )
     slices = source.slices()
     next(slices)
@@ -362,7 +364,7 @@ ALL = [record_of(birth) for birth in range(-3, 3)]
 def open_play(url: str, retry: RetryConfig = QUICK) -> Source:
     fetcher = Fetcher(config=FetchConfig(read_timeout_s=0.3))
     try:
-        return HttpPlaySource("S", f"{url}/v1/streams/s", fetcher, Frames(), None, retry)
+        return HttpPlaySource("S", f"{url}/v1/streams/s", fetcher, FrameRange(), None, retry)
     except BaseException:
         fetcher.close()
         raise
@@ -470,7 +472,7 @@ def test_hostile_servers(answers: list[bytes], error: type[SwingsError], message
 
 def test_waiting_for_a_slice_can_be_stopped() -> None:
     with script(answer(start(), ALL[0]) + HOLD) as host:
-        source = HttpPlaySource("S", host.url, Fetcher(), Frames(), None)
+        source = HttpPlaySource("S", host.url, Fetcher(), FrameRange(), None)
         slices = source.slices()
         next(slices)
         began_s = time.monotonic()

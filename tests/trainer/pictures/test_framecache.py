@@ -15,7 +15,7 @@ from codec.errors import InvalidError
 from tests.support.tiny_capture import picture_of, write_dynamic3dgs, write_dynerf
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
-from trainer.pictures.framecache import FrameCache, parse_frames, scaled_camera, scaled_picture
+from trainer.pictures.framecache import FrameCache, scaled_camera, scaled_picture
 
 PICTURE_BYTES = 3 * 32 * 18
 
@@ -154,13 +154,3 @@ def test_bad_arguments_are_refused(capture: Capture, cache: FrameCache) -> None:
         FrameCache(capture, range(6), 1.0, 100)
     with pytest.raises(InvalidError, match="outside 1:6"):
         cache.image(0, 0)
-
-
-def test_parse_frames() -> None:
-    assert parse_frames("3:7", 10) == range(3, 7)
-    assert parse_frames(":", 10) == range(10)
-    assert parse_frames("5:", 10) == range(5, 10)
-    assert parse_frames(":2", 10) == range(2)
-    for text in ("", "5", "7:3", "3:3", "0:11", "-1:4", "a:b", "1:2:3"):
-        with pytest.raises(InvalidError, match="write A:B"):
-            parse_frames(text, 10)
