@@ -10,6 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from .errors import CorruptError, InvalidError
+from .pose import Doubles
+
+Floating = npt.NDArray[np.floating]
+"""float32 or float64."""
 
 MAX_IMAGE_PX = 16384
 """Largest width or height accepted, in pixels: the texture limit of common GPUs."""
@@ -22,6 +26,9 @@ MAX_NAME_CHARS = 2000
 class Camera:
     """Pinhole camera, OpenCV pose (x right, y down, z forward).
 
+    Pixel positions (u, v) count columns and rows from the picture's upper left corner: the middle
+    of its first pixel is (0.5, 0.5).
+
     Raises InvalidError at construction when the name is too long, a number is not finite, a size or
     focal length is not positive, or the pose's rotation is not orthonormal.
     """
@@ -33,7 +40,7 @@ class Camera:
     fy_px: float
     cx_px: float
     cy_px: float
-    w2c: npt.NDArray[np.float64]  # (4, 4) world to camera, metres
+    w2c: Doubles  # (4, 4) world to camera, metres
 
     def __post_init__(self) -> None:
         if len(self.name) > MAX_NAME_CHARS:
@@ -59,17 +66,58 @@ class Camera:
             raise InvalidError(f"camera {self.name}: the pose is not a rotation and a translation")
 
     @property
-    def position(self) -> npt.NDArray[np.float64]:
+    def position(self) -> Doubles:
         """(3,) the camera's centre in the world, metres."""
         return -self.w2c[:3, :3].T @ self.w2c[:3, 3]
 
     @property
-    def forward(self) -> npt.NDArray[np.float64]:
+    def right(self) -> Doubles:
+        """(3,) the unit direction in the world in which columns count up."""
+        return self.w2c[0, :3].copy()
+
+    @property
+    def down(self) -> Doubles:
+        """(3,) the unit direction in the world in which rows count up."""
+        return self.w2c[1, :3].copy()
+
+    @property
+    def forward(self) -> Doubles:
         """(3,) the unit viewing direction in the world."""
         return self.w2c[2, :3].copy()
 
+    @property
+    def intrinsics(self) -> Doubles:
+        """(3, 3) from the camera's coordinates to homogeneous pixels."""
+        return np.array(
+            [[self.fx_px, 0, self.cx_px], [0, self.fy_px, self.cy_px], [0, 0, 1]], np.float64
+        )
+
+    def project(self, points: Floating) -> tuple[Floating, Floating, Floating]:
+        """(u_px, v_px, depths) of `points` (..., 3), metres, world.
+
+        Depths are metres along the viewing axis. Where one is not above 0 the point is not in front
+        of the camera, and its pixel means nothing. The pose is applied in the precision of
+        `points`.
+        """
+        rotation = self.w2c[:3, :3].astype(points.dtype, copy=False)
+        local = points @ rotation.T + self.w2c[:3, 3].astype(points.dtype, copy=False)
+        x, y, depths = local[..., 0], local[..., 1], local[..., 2]
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+            u_px = self.fx_px * x / depths + self.cx_px
+            v_px = self.fy_px * y / depths + self.cy_px
+        return u_px, v_px, depths
+
+    def unproject(self, u_px: Floating, v_px: Floating, depths: Floating) -> Doubles:
+        """(..., 3) the points, metres, world, that `project` maps to these pixels and depths."""
+        x = (u_px - self.cx_px) / self.fx_px * depths
+        y = (v_px - self.cy_px) / self.fy_px * depths
+        points: Doubles = np.stack([x, y, depths], axis=-1) @ self.w2c[:3, :3] + self.position
+        return points
+
+    # Four ways to another size of the picture.
+
     def resized(self, width_px: int, height_px: int) -> Camera:
-        """The same view on another pixel grid."""
+        """The same view on another pixel grid, whose pixels need not be as wide as high."""
         sx, sy = width_px / self.width_px, height_px / self.height_px
         return replace(
             self,
@@ -79,6 +127,39 @@ class Camera:
             fy_px=self.fy_px * sy,
             cx_px=self.cx_px * sx,
             cy_px=self.cy_px * sy,
+        )
+
+    def scaled(self, scale: float) -> Camera:
+        """The same view with both sides times `scale`, rounded to whole pixels, at least one."""
+        return self.resized(
+            max(1, round(self.width_px * scale)), max(1, round(self.height_px * scale))
+        )
+
+    def halved(self) -> Camera:
+        """The camera of a picture's 2x2 means. An odd last row or column is left out, where
+        `resized` would squeeze it in."""
+        return replace(
+            self,
+            width_px=self.width_px // 2,
+            height_px=self.height_px // 2,
+            fx_px=self.fx_px / 2,
+            fy_px=self.fy_px / 2,
+            cx_px=self.cx_px / 2,
+            cy_px=self.cy_px / 2,
+        )
+
+    def fitted(self, width_px: int, height_px: int) -> Camera:
+        """The view inside a picture of this size: pixels keep their shape, all that showed still
+        shows, and where the shapes of the pictures differ there is more to see at two sides."""
+        scale = min(width_px / self.width_px, height_px / self.height_px)
+        return replace(
+            self,
+            width_px=width_px,
+            height_px=height_px,
+            fx_px=self.fx_px * scale,
+            fy_px=self.fy_px * scale,
+            cx_px=width_px / 2 + (self.cx_px - self.width_px / 2) * scale,
+            cy_px=height_px / 2 + (self.cy_px - self.height_px / 2) * scale,
         )
 
     def to_json(self) -> dict[str, Any]:

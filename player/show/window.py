@@ -20,7 +20,7 @@ from player.render.gl import MIN_VERSION, GlError, GlRenderer, Target
 from player.render.renderer import check_drawable
 from player.source.source import Source
 from player.view.mouse import View, view_of
-from player.view.path import CameraPath, Size, fitted
+from player.view.path import CameraPath, Size
 
 IDLE_S = 0.005
 """Between two looks at the keyboard while there is nothing new to draw, seconds."""
@@ -85,7 +85,7 @@ def show_window(
                 if frame is None or state == drawn or not all(state[2]):
                     time.sleep(IDLE_S)
                     continue
-                camera = fitted(view.applied(path(frame)), Size(*state[2]))
+                camera = view.applied(path(frame)).fitted(*state[2])
                 renderer.present(frame, camera, context.screen)
                 glfw.swap_buffers(window)
                 drawn = state

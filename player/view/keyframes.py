@@ -21,7 +21,7 @@ import numpy as np
 
 from codec.camera import Camera
 from codec.errors import InvalidError, SwingsError
-from codec.pose import Vector, look_at, quat_of, rotation_of, slerp
+from codec.pose import Doubles, look_at, quat_of, rotation_of, slerp, world_to_camera
 
 MAX_FILE_BYTES = 16 << 20
 KEYS = {"frame", "w2c", "position", "look_at", "up", "fov_deg"}
@@ -32,12 +32,12 @@ class Keyframe:
     """Where the camera is at `frame`."""
 
     frame: int
-    position: Vector  # (3,) metres, world
-    quat: Vector  # (4,) wxyz, unit: the world-to-camera rotation
+    position: Doubles  # (3,) metres, world
+    quat: Doubles  # (4,) wxyz, unit: the world-to-camera rotation
     focal: float  # fy in picture heights
 
 
-def read_keyframes(path: Path, camera: Camera, up: Vector) -> Callable[[int], Camera]:
+def read_keyframes(path: Path, camera: Camera, up: Doubles) -> Callable[[int], Camera]:
     """The path in the file `path`; `camera` gives the picture's size and what the file leaves out.
 
     Before the first key frame and after the last one the camera stands still. Raises InvalidError.
@@ -63,7 +63,7 @@ def read_keyframes(path: Path, camera: Camera, up: Vector) -> Callable[[int], Ca
     return lambda frame: _between(keyframes, frame, camera)
 
 
-def _numbers(entry: Mapping[str, Any], key: str, count: int) -> Vector:
+def _numbers(entry: Mapping[str, Any], key: str, count: int) -> Doubles:
     found = entry[key]
     if (
         not isinstance(found, list)
@@ -74,7 +74,7 @@ def _numbers(entry: Mapping[str, Any], key: str, count: int) -> Vector:
     return np.array(found, np.float64)
 
 
-def _keyframe(entry: Any, camera: Camera, up: Vector) -> Keyframe:
+def _keyframe(entry: Any, camera: Camera, up: Doubles) -> Keyframe:
     if not isinstance(entry, dict):
         raise InvalidError("it is no JSON object")
     unknown = set(entry) - KEYS
@@ -110,8 +110,12 @@ def _between(keyframes: list[Keyframe], frame: int, camera: Camera) -> Camera:
     share = (frame - first.frame) / (last.frame - first.frame) if last.frame > first.frame else 0.0
     share = min(max(share, 0.0), 1.0)
     focal = (1 - share) * first.focal + share * last.focal
-    w2c = np.eye(4)
-    w2c[:3, :3] = rotation_of(slerp(first.quat, last.quat, share))
-    w2c[:3, 3] = -w2c[:3, :3] @ ((1 - share) * first.position + share * last.position)
+    rotation = rotation_of(slerp(first.quat, last.quat, share))
+    position = (1 - share) * first.position + share * last.position
     fy_px = focal * camera.height_px
-    return replace(camera, w2c=w2c, fy_px=fy_px, fx_px=camera.fx_px * fy_px / camera.fy_px)
+    return replace(
+        camera,
+        w2c=world_to_camera(rotation, position),
+        fy_px=fy_px,
+        fx_px=camera.fx_px * fy_px / camera.fy_px,
+    )

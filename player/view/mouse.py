@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from codec.camera import Camera
-from codec.pose import Vector
+from codec.pose import Doubles, world_to_camera
+from codec.rig import mean_up
 from codec.stream.manifest import Manifest
 
-from .path import scene_centre, turned, up_of
+from .path import scene_centre, turned
 
 TURN_RAD_PER_PX = 0.005
 ZOOM_PER_STEP = 0.9
@@ -22,8 +23,8 @@ ZOOM_PER_STEP = 0.9
 class View:
     """What is done to the path's camera before a frame is drawn."""
 
-    centre: Vector  # (3,) what the view turns around, metres
-    up: Vector  # (3,) unit
+    centre: Doubles  # (3,) what the view turns around, metres
+    up: Doubles  # (3,) unit
     turn_rad: float = 0.0
     tilt_rad: float = 0.0
     zoom: float = 1.0
@@ -34,15 +35,12 @@ class View:
     def applied(self, camera: Camera) -> Camera:
         """`camera` as the user wants it."""
         seen = turned(camera, self.centre, self.up, self.turn_rad)
-        seen = turned(seen, self.centre, seen.w2c[0, :3], self.tilt_rad)
+        seen = turned(seen, self.centre, seen.right, self.tilt_rad)
         away = seen.position - self.centre
         distance_m = float(np.linalg.norm(away)) * self.zoom
         place = self.centre + away * self.zoom
-        right, down = seen.w2c[0, :3], seen.w2c[1, :3]
-        place = place - distance_m * (self.pan[0] * right + self.pan[1] * down)
-        w2c = seen.w2c.copy()
-        w2c[:3, 3] = -w2c[:3, :3] @ place
-        return replace(seen, w2c=w2c)
+        place = place - distance_m * (self.pan[0] * seen.right + self.pan[1] * seen.down)
+        return replace(seen, w2c=world_to_camera(seen.w2c[:3, :3], place))
 
     def drag_turn(self, right_px: float, down_px: float) -> None:
         """The near side of the scene follows the mouse."""
@@ -62,4 +60,4 @@ class View:
 
 
 def view_of(manifest: Manifest) -> View:
-    return View(scene_centre(manifest), up_of(manifest.cameras))
+    return View(scene_centre(manifest), mean_up(manifest.cameras))

@@ -7,7 +7,7 @@ of key frames (keyframes.py).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,7 +16,8 @@ import numpy as np
 from codec.camera import MAX_IMAGE_PX, Camera
 from codec.errors import InvalidError
 from codec.framerange import FrameRange
-from codec.pose import Vector, rotation_about
+from codec.pose import Doubles, rotation_about, world_to_camera
+from codec.rig import closest_point, mean_up
 from codec.stream.manifest import Manifest
 
 from .keyframes import read_keyframes
@@ -26,6 +27,10 @@ CameraPath = Callable[[int], Camera]
 
 ENDLESS_TURN_S = 10.0
 """Duration of a turn around a stream whose end is not known, in seconds."""
+
+LEAST_SPREAD = 1e-3
+"""See `closest_point`. Cameras whose axes spread less (1.8 degrees) look the same way: where these
+cross is chance, and the middle of the scene is the better centre."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,62 +52,20 @@ class Size:
         return size
 
 
-def fitted(camera: Camera, size: Size) -> Camera:
-    """`camera` on a picture of `size`: square pixels stay square, and all it showed still shows."""
-    scale = min(size.width_px / camera.width_px, size.height_px / camera.height_px)
-    return replace(
-        camera,
-        width_px=size.width_px,
-        height_px=size.height_px,
-        fx_px=camera.fx_px * scale,
-        fy_px=camera.fy_px * scale,
-        cx_px=size.width_px / 2 + (camera.cx_px - camera.width_px / 2) * scale,
-        cy_px=size.height_px / 2 + (camera.cy_px - camera.height_px / 2) * scale,
-    )
-
-
-def turned(camera: Camera, centre: Vector, axis: Vector, angle_rad: float) -> Camera:
+def turned(camera: Camera, centre: Doubles, axis: Doubles, angle_rad: float) -> Camera:
     """`camera` carried around the line through `centre` along the unit vector `axis`."""
     turn = rotation_about(axis, angle_rad)
-    w2c = np.eye(4)
-    w2c[:3, :3] = camera.w2c[:3, :3] @ turn.T
-    w2c[:3, 3] = -w2c[:3, :3] @ (centre + turn @ (camera.position - centre))
-    return replace(camera, w2c=w2c)
+    position = centre + turn @ (camera.position - centre)
+    return replace(camera, w2c=world_to_camera(camera.w2c[:3, :3] @ turn.T, position))
 
 
-def up_of(cameras: Sequence[Camera]) -> Vector:
-    """(3,) unit vector: where the top of the cameras' pictures points on average, in the world."""
-    up: Vector = -np.array([camera.w2c[1, :3] for camera in cameras])
-    total: Vector = up.sum(axis=0)
-    if not float(np.linalg.norm(total)) > 1e-3 * len(cameras):
-        total = up[0]
-    unit: Vector = total / np.linalg.norm(total)
-    return unit
-
-
-def closest_point(cameras: Sequence[Camera]) -> Vector | None:
-    """(3,) the point nearest to all viewing axes; None where they do not meet in front."""
-    system: Vector = np.zeros((3, 3))
-    right: Vector = np.zeros(3)
-    for camera in cameras:
-        across = np.eye(3) - np.outer(camera.forward, camera.forward)
-        system += across
-        right += across @ camera.position
-    # Parallel axes meet nowhere: the smallest eigenvalue is the mean squared sine between them.
-    if np.linalg.eigvalsh(system)[0] < 1e-3 * len(cameras):
-        return None
-    point = np.asarray(np.linalg.solve(system, right), np.float64)
-    in_front = [camera.forward @ (point - camera.position) > 0 for camera in cameras]
-    return point if all(in_front) else None
-
-
-def scene_centre(manifest: Manifest) -> Vector:
+def scene_centre(manifest: Manifest) -> Doubles:
     """(3,) what an orbit turns around: where the capture's cameras look, or the bounds' middle."""
     lower, upper = np.array(manifest.bounds, np.float64)
-    point = closest_point(manifest.cameras)
+    point = closest_point(manifest.cameras, LEAST_SPREAD)
     if point is not None and (lower <= point).all() and (point <= upper).all():
         return point
-    middle: Vector = (lower + upper) / 2
+    middle: Doubles = (lower + upper) / 2
     return middle
 
 
@@ -111,7 +74,7 @@ def orbit(manifest: Manifest, start: Camera, frames: FrameRange, arc_rad: float)
 
     arc_rad: 2 pi goes once around; less swings half of it to either side.
     """
-    centre, axis = scene_centre(manifest), up_of(manifest.cameras)
+    centre, axis = scene_centre(manifest), mean_up(manifest.cameras)
     period = frames.count or max(1, round(ENDLESS_TURN_S * manifest.fps))
     whole = arc_rad >= 2 * math.pi - 1e-9
 
@@ -158,10 +121,10 @@ def camera_path(text: str, manifest: Manifest, size: Size | None, frames: FrameR
     kind, _, rest = text.partition(":")
     start = manifest.camera(rest if kind == "camera" else None)
     if size is not None:
-        start = fitted(start, size)
+        start = start.fitted(size.width_px, size.height_px)
     if kind == "orbit":
         degrees = _degrees(rest) if rest else 360.0
         return orbit(manifest, start, frames, math.radians(degrees))
     if text.endswith(".json") and kind != "camera":
-        return read_keyframes(Path(text), start, up_of(manifest.cameras))
+        return read_keyframes(Path(text), start, mean_up(manifest.cameras))
     return lambda frame: start
