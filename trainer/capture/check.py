@@ -11,13 +11,14 @@ from pathlib import Path
 import matplotlib.backends.backend_agg
 import matplotlib.figure
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 
 from codec.camera import Camera
+from codec.pose import Doubles
+from codec.rig import mean_up
 
 from .capture import Capture, check_trainable
 from .layout import open_capture
@@ -39,8 +40,6 @@ shrink the rig to a dot."""
 MAX_DRAWN_POINTS = 60_000
 MAX_LABELS = 64
 """With more cameras only the held-out ones are labelled."""
-
-Floats = npt.NDArray[np.float64]
 
 
 def check_capture(path: Path, picture: Path | None = None, points: Path | None = None) -> list[str]:
@@ -177,33 +176,30 @@ def draw_capture(capture: Capture, path: Path) -> None:
         drawn.replace(path)
 
 
-def level_axes(cameras: Sequence[Camera]) -> Floats:
+def level_axes(cameras: Sequence[Camera]) -> Doubles:
     """(3, 3) orthonormal rows to draw along: across and away in the ground, and up.
 
-    Up is where the tops of the pictures point on the mean; across is the ground direction in which
-    the cameras are spread most, to the right of most pictures.
+    Up is that of `mean_up`; across is the ground direction in which the cameras are spread most,
+    to the right of most pictures.
     """
-    up = -np.array([c.w2c[1, :3] for c in cameras]).mean(axis=0)
-    if np.linalg.norm(up) < 1e-3:
-        up = -cameras[0].w2c[1, :3]  # the pictures' tops point everywhere
-    up = up / np.linalg.norm(up)
+    up = mean_up(cameras)
     level = np.eye(3) - np.outer(up, up)
     positions = np.array([c.position for c in cameras])
     spread = (positions - positions.mean(axis=0)) @ level
     if np.linalg.norm(spread) < 1e-9:
-        spread = cameras[0].w2c[:1, :3] @ level
+        spread = cameras[0].right[None] @ level
     if np.linalg.norm(spread) < 1e-9:
         spread = level
     across = np.linalg.svd(spread, full_matrices=False)[2][0] @ level
     across = across / np.linalg.norm(across)
-    if float(sum(c.w2c[0, :3] @ across for c in cameras)) < 0:
+    if float(sum(c.right @ across for c in cameras)) < 0:
         across = -across
     return np.stack([across, np.cross(up, across), up])
 
 
 def _nearby_points(
-    capture: Capture, axes_of_view: Floats, middle: Floats, extent: float
-) -> tuple[Floats, Floats]:
+    capture: Capture, axes_of_view: Doubles, middle: Doubles, extent: float
+) -> tuple[Doubles, Doubles]:
     """(P, 3) points to draw, level, and their (P, 3) colours 0..1."""
     if capture.points is None:
         return np.zeros((0, 3)), np.zeros((0, 3))
@@ -214,20 +210,13 @@ def _nearby_points(
 
 
 def _draw_cameras(
-    axes: Axes, capture: Capture, axes_of_view: Floats, shown: tuple[int, int], length_m: float
+    axes: Axes, capture: Capture, axes_of_view: Doubles, shown: tuple[int, int], length_m: float
 ) -> None:
     """Draws frusta: a pyramid from each camera's centre to its picture `length_m` ahead."""
     for entry in capture.cameras:
         camera = entry.camera
         corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * (camera.width_px, camera.height_px)
-        rays = np.column_stack(
-            [
-                (corners[:, 0] - camera.cx_px) / camera.fx_px,
-                (corners[:, 1] - camera.cy_px) / camera.fy_px,
-                np.ones(4),
-            ]
-        )
-        ends = camera.position + length_m * rays @ camera.w2c[:3, :3]
+        ends = camera.unproject(corners[:, 0], corners[:, 1], np.full(4, length_m))
         flat = (np.vstack([ends, camera.position]) @ axes_of_view.T)[:, list(shown)]
         edges = [(i, (i + 1) % 4) for i in range(4)] + [(i, 4) for i in range(4)]
         colour = HELD_OUT_COLOUR if entry.held_out else TRAINING_COLOUR

@@ -36,7 +36,7 @@ from .colmap_model import (
     read_model_points,
     read_optics,
     read_posed,
-    rotation_of,
+    rotation_of_posed,
 )
 from .dynerf import read_held_out
 from .lens import Lens, check_optics
@@ -153,7 +153,7 @@ def _camera(
         )
     (fx, fy, cx, cy), lens = read
     w2c = np.eye(4)
-    w2c[:3, :3] = rotation_of(image.quaternion, posed_path, image.name)
+    w2c[:3, :3] = rotation_of_posed(image, posed_path)
     w2c[:3, 3] = image.translation
     try:
         camera = Camera(name, optics.width_px, optics.height_px, fx, fy, cx, cy, w2c)

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.pose import Doubles, rotation_of
 from trainer.errors import CaptureError
 
 from .capture import InitialPoints
@@ -110,19 +110,13 @@ def read_model_points(folder: Path) -> InitialPoints | None:
     return checked_points(path, table[:, :3], table[:, 3:].astype(np.uint8))
 
 
-def rotation_of(quaternion: tuple[float, ...], path: Path, name: str) -> npt.NDArray[np.float64]:
-    """(3, 3) the rotation of a unit quaternion (w, x, y, z). Raises CaptureError for another."""
-    norm = math.hypot(*quaternion)
+def rotation_of_posed(posed: Posed, path: Path) -> Doubles:
+    """(3, 3) the rotation from world to camera. Raises CaptureError, naming `path`, where the
+    quaternion is not of unit length."""
+    norm = math.hypot(*posed.quaternion)
     if not abs(norm - 1) < 1e-2:
-        raise CaptureError(f"{path}: image {name}: its quaternion has length {norm:g}, not 1")
-    w, x, y, z = np.asarray(quaternion) / norm
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+        raise CaptureError(f"{path}: image {posed.name}: its quaternion has length {norm:g}, not 1")
+    return rotation_of(np.asarray(posed.quaternion) / norm)
 
 
 def _choose(folder: Path, stem: str) -> Path:

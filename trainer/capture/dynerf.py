@@ -23,6 +23,7 @@ import numpy.typing as npt
 
 from codec.camera import Camera
 from codec.errors import InvalidError
+from codec.pose import world_to_camera
 from trainer.errors import CaptureError
 
 from .capture import Capture, CaptureCamera, PictureSource
@@ -117,9 +118,7 @@ def decode_pose(row: npt.NDArray[np.float64], name: str, path: Path) -> Camera:
     if width != int(width) or height != int(height):
         raise CaptureError(f"{path}: {name}: size {width:g}x{height:g} px is not whole")
     rotation = matrix[:, :3] @ _LLFF_FROM_OPENCV
-    w2c = np.eye(4)
-    w2c[:3, :3] = rotation.T
-    w2c[:3, 3] = -rotation.T @ matrix[:, 3]
+    w2c = world_to_camera(rotation.T, matrix[:, 3])
     try:
         return Camera(
             name, int(width), int(height), focal, focal, width / 2, height / 2, w2c

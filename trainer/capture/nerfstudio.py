@@ -39,6 +39,7 @@ import numpy as np
 
 from codec.camera import Camera
 from codec.errors import InvalidError
+from codec.pose import world_to_camera
 from trainer.errors import CaptureError
 
 from .capture import Capture, CaptureCamera, InitialPoints, PictureSource
@@ -216,10 +217,7 @@ def _read_entry(path: Path, value: Mapping[str, Any]) -> Entry:
         raise CaptureError(f"{path}: {below}: transform_matrix is not a 4x4 matrix of numbers")
     if not (np.abs(matrix) <= MAX_COORDINATE_M).all():
         raise CaptureError(f"{path}: {below}: transform_matrix has a number over 1e9, or none")
-    rotation = (matrix[:3, :3] * _OPENCV_FROM_OPENGL).T
-    w2c = np.eye(4)
-    w2c[:3, :3] = rotation
-    w2c[:3, 3] = -rotation @ matrix[:3, 3]
+    w2c = world_to_camera((matrix[:3, :3] * _OPENCV_FROM_OPENGL).T, matrix[:3, 3])
     width, height = _number(path, value, "w"), _number(path, value, "h")
     if not (width.is_integer() and height.is_integer()):
         raise CaptureError(f"{path}: {below}: size {width:g}x{height:g} px is not whole")

@@ -140,12 +140,10 @@ def points_evenness(points: InitialPoints, cameras: Sequence[Camera]) -> float:
     ratios = []
     cells = EVENNESS_CELLS
     for camera in cameras:
-        x, y, z = (points.xyz @ camera.w2c[:3, :3].T + camera.w2c[:3, 3]).T
-        front = z > 0
-        x, y, z = x[front], y[front], z[front]
-        column = np.floor((camera.fx_px * x / z + camera.cx_px) / camera.width_px * cells)
-        row = np.floor((camera.fy_px * y / z + camera.cy_px) / camera.height_px * cells)
-        inside = (column >= 0) & (column < cells) & (row >= 0) & (row < cells)
+        u_px, v_px, depths = camera.project(points.xyz.astype(np.float64))
+        column = np.floor(u_px / camera.width_px * cells)
+        row = np.floor(v_px / camera.height_px * cells)
+        inside = (depths > 0) & (column >= 0) & (column < cells) & (row >= 0) & (row < cells)
         cell = (row[inside] * cells + column[inside]).astype(np.int64)
         counts = np.bincount(cell, minlength=cells**2).astype(np.float64)
         ratios.append(counts.sum() ** 2 / (cells**2 * max(float(counts @ counts), 1.0)))
@@ -160,12 +158,9 @@ def points_depths(points: InitialPoints, cameras: Sequence[Camera]) -> tuple[flo
     """
     bounds = []
     for camera in cameras:
-        x, y, z = (points.xyz @ camera.w2c[:3, :3].T + camera.w2c[:3, 3]).T
-        front = z > 0
-        x, y, z = x[front], y[front], z[front]
-        u = camera.fx_px * x / z + camera.cx_px
-        v = camera.fy_px * y / z + camera.cy_px
-        seen = z[(u >= 0) & (u < camera.width_px) & (v >= 0) & (v < camera.height_px)]
+        u, v, depths = camera.project(points.xyz.astype(np.float64))
+        inside = (u >= 0) & (u < camera.width_px) & (v >= 0) & (v < camera.height_px)
+        seen = depths[(depths > 0) & inside]
         if len(seen):
             bounds.append(np.percentile(seen, (0.1, 99.9)))
     if not bounds:

@@ -5,13 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from codec.camera import Camera
+from codec.pose import Doubles
+from codec.rig import closest_point
 
 FORWARD_FACING_RAD = np.radians(30)
 """Axes that all lie within this angle of their mean belong to a forward-facing rig: they hardly
 cross, so their crossing says nothing about the scene."""
+
+LEAST_SPREAD = 1e-6
+"""See `closest_point`. Forward-facing rigs are out before it counts; what it still stops is a rig
+whose cameras face each other along one line."""
 
 NEAR_FRACTION = 0.35
 """Near plane of an inward rig, in distances from its nearest camera to the centre. Cameras of a
@@ -19,29 +24,17 @@ dome sit in its wall, so Gaussians of the wall would stand right before a held-o
 the scene."""
 
 
-def rig_centre(cameras: Sequence[Camera]) -> npt.NDArray[np.float64] | None:
-    """(3,) the point closest to all optical axes, metres; None unless all cameras face it.
-
-    Least squares: the squared distance of x to the axis (c, d) is |(I - d d^T)(x - c)|^2, so x
-    solves sum(I - d d^T) x = sum((I - d d^T) c).
-    """
+def rig_centre(cameras: Sequence[Camera]) -> Doubles | None:
+    """(3,) the point closest to all viewing axes, metres; None for a forward-facing rig, and where
+    that point is not in front of every camera."""
     if not cameras:
         return None
-    positions = np.array([camera.position for camera in cameras])  # (C, 3)
     axes = np.array([camera.forward for camera in cameras])  # (C, 3)
     mean = axes.mean(axis=0)
     norm = float(np.linalg.norm(mean))
     if norm > 0 and float((axes @ mean).min()) >= norm * np.cos(FORWARD_FACING_RAD):
         return None
-    projectors = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # (C, 3, 3)
-    system = projectors.sum(axis=0)
-    if np.linalg.cond(system) > 1e6:
-        return None
-    centre: npt.NDArray[np.float64] = np.linalg.solve(
-        system, np.einsum("cij,cj->i", projectors, positions)
-    )
-    depths = ((centre - positions) * axes).sum(axis=1)
-    return centre if float(depths.min()) > 0 else None
+    return closest_point(cameras, LEAST_SPREAD)
 
 
 def rig_depths(

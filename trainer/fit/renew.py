@@ -22,7 +22,7 @@ from codec.splats import Splats
 from trainer.pictures.feed import Pictures
 from trainer.pictures.scale import scaled_mask
 from trainer.seed.gaussians import initial_splats
-from trainer.seed.stereo import pair_cameras, small_camera, warped, world_points
+from trainer.seed.stereo import pair_cameras, small_camera, warped
 from trainer.step.raster import Parameters, View, render
 from trainer.step.weights import contribution
 
@@ -208,7 +208,7 @@ def missing_splats(
     pixel_m = np.zeros(len(kept), np.float32)
     for i, camera in enumerate(cameras):
         own = which == i
-        positions[own] = world_points(camera, xs[own] + 0.5, ys[own] + 0.5, depths[own])
+        positions[own] = camera.unproject(xs[own] + 0.5, ys[own] + 0.5, depths[own])
         pixel_m[own] = depths[own] / np.float32(camera.fx_px)
     colours = np.clip(seen.pictures[which, ys, xs] * 255, 0, 255).astype(np.uint8)
     splats = initial_splats(positions, colours, sh_degree)

@@ -22,7 +22,6 @@ from trainer.pictures.feed import Pictures
 from trainer.pictures.scale import half_mask
 from trainer.step.backend import Backend, BackendName, make_backend
 from trainer.step.raster import Parameters, View
-from trainer.step.target import half_camera
 
 from .colour import CameraColour
 from .lifespans import Lifespans
@@ -134,7 +133,7 @@ class Trainer:
         # Below this the windows of SSIM would see little but the border.
         self.coarse_share = config.coarse_share if smallest_px >= 64 else 0.0
         self.coarse_views = [
-            View.prepare(half_camera(c), near_m) for c in pictures.cameras if self.coarse_share
+            View.prepare(c.halved(), near_m) for c in pictures.cameras if self.coarse_share
         ]
         self.lifespans = Lifespans(config.num_gs, config.swin_size)
         self.adam = Adam(config.num_gs, config.sh_degree, config.optimiser)

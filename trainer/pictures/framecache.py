@@ -100,7 +100,7 @@ class FrameCache:
         self.capture = capture
         self.frames = frames
         if cameras is None:
-            cameras = [scaled_camera(c.camera, scale) for c in capture.cameras]
+            cameras = [c.camera.scaled(scale) for c in capture.cameras]
         self._cameras = tuple(cameras)
         largest_bytes = max(3 * c.width_px * c.height_px for c in self._cameras)
         if max_bytes < largest_bytes:
@@ -275,13 +275,6 @@ class FrameCache:
         """Needs the lock."""
         self._held[key] = read
         self._held_bytes += read.nbytes
-
-
-def scaled_camera(camera: Camera, scale: float) -> Camera:
-    """The camera of pictures scaled by `scale`, their sides rounded to whole pixels."""
-    return camera.resized(
-        max(1, round(camera.width_px * scale)), max(1, round(camera.height_px * scale))
-    )
 
 
 def scaled_picture(picture: Picture, camera: Camera) -> Picture:

@@ -12,7 +12,7 @@ from codec.camera import Camera
 from codec.kernel import kernel
 from codec.splats import SH_C0, Splats, sh_count
 
-from .stereo import completed, depth_maps, world_points
+from .stereo import completed, depth_maps
 
 Floats = npt.NDArray[np.float32]
 
@@ -71,7 +71,7 @@ def stereo_seeds(
         behind = depths[
             (y * height / camera.height_px).astype(int), (x * width / camera.width_px).astype(int)
         ]
-        positions.append(world_points(camera, x, y, behind))
+        positions.append(camera.unproject(x, y, behind).astype(np.float32))
         colours.append(pictures[i][y.astype(int), x.astype(int)])
     return np.concatenate(positions), np.concatenate(colours)
 

@@ -216,18 +216,14 @@ def _count_agreeing(depths, sizes, warps, offsets, neighbours, tolerance, agreei
 def small_camera(camera: Camera) -> Camera:
     """The camera at the size that depths are found at."""
     shrink = min(1.0, MAX_SIDE_PX / max(camera.width_px, camera.height_px))
-    return camera.resized(
-        max(1, round(shrink * camera.width_px)), max(1, round(shrink * camera.height_px))
-    )
+    return camera.scaled(shrink)
 
 
 def pair_cameras(cameras: Sequence[Camera]) -> tuple[Ints, Floats, Floats]:
     """(C, N) int32 each camera's neighbours, those that look in the most similar direction first;
     (C, N, 3, 3) and (C, N, 3) float32: at depth d, pixel (u, v) of camera c lies in its n-th
     neighbour at d * warps[c, n] (u, v, 1) + offsets[c, n], homogeneous."""
-    intrinsics = np.array(
-        [[[c.fx_px, 0, c.cx_px], [0, c.fy_px, c.cy_px], [0, 0, 1]] for c in cameras], np.float64
-    )
+    intrinsics = np.stack([c.intrinsics for c in cameras])
     to_pixel = intrinsics @ np.stack([c.w2c[:3, :3] for c in cameras])
     to_ray = np.linalg.inv(to_pixel)
     positions = np.stack([c.position for c in cameras])
@@ -274,12 +270,9 @@ def depth_maps(
 
 def _nearest_depths(points: Floats, camera: Camera) -> Floats:
     """(h, w) depth of the nearest of `points` (N, 3) behind every pixel; inf where none is."""
-    local = points @ camera.w2c[:3, :3].T.astype(np.float32) + camera.w2c[:3, 3].astype(np.float32)
-    local = local[local[:, 2] > 0]
-    depths = local[:, 2]
-    x = np.floor(camera.fx_px * local[:, 0] / depths + camera.cx_px)
-    y = np.floor(camera.fy_px * local[:, 1] / depths + camera.cy_px)
-    inside = (x >= 0) & (x < camera.width_px) & (y >= 0) & (y < camera.height_px)
+    u_px, v_px, depths = camera.project(points)
+    x, y = np.floor(u_px), np.floor(v_px)
+    inside = (depths > 0) & (x >= 0) & (x < camera.width_px) & (y >= 0) & (y < camera.height_px)
     nearest = np.full((camera.height_px, camera.width_px), np.inf, np.float32)
     places = y[inside].astype(np.int64), x[inside].astype(np.int64)
     np.minimum.at(nearest, places, depths[inside])
@@ -306,25 +299,6 @@ def _filled(inverse: Floats, known: npt.NDArray[np.bool_]) -> Floats:
     return np.where(known, inverse, above).astype(np.float32)
 
 
-def world_points(
-    camera: Camera,
-    u_px: npt.NDArray[np.floating],
-    v_px: npt.NDArray[np.floating],
-    depths: Floats,
-) -> Floats:
-    """(N, 3) float32, metres, world: what lies at `depths` behind the pixels (u, v)."""
-    local = np.stack(
-        [
-            (u_px - camera.cx_px) / camera.fx_px * depths,
-            (v_px - camera.cy_px) / camera.fy_px * depths,
-            depths,
-        ],
-        axis=1,
-    )
-    points: Floats = (local @ camera.w2c[:3, :3] + camera.position).astype(np.float32)
-    return points
-
-
 def completed(maps: DepthMaps) -> list[Floats]:
     """For every camera (h, w) float32 depths without holes, metres.
 
@@ -335,7 +309,7 @@ def completed(maps: DepthMaps) -> list[Floats]:
     for camera, depths, agreeing in zip(maps.cameras, maps.depths, maps.agreeing, strict=True):
         v, u = np.nonzero(agreeing[: camera.height_px, : camera.width_px] >= 3)
         places = u.astype(np.float32) + 0.5, v.astype(np.float32) + 0.5
-        kept.append(world_points(camera, *places, depths[v, u]))
+        kept.append(camera.unproject(*places, depths[v, u]).astype(np.float32))
     everywhere = np.concatenate(kept)
     result = []
     for camera, depths, agreeing in zip(maps.cameras, maps.depths, maps.agreeing, strict=True):

@@ -118,9 +118,6 @@ class CudaBackend:
         """(3, H, W) of means, log_scales, quats, logit_opacities, sh as `view` sees them."""
         camera = view.camera
         means, log_scales, quats, logits, sh = leaves
-        intrinsics = np.array(
-            [[camera.fx_px, 0, camera.cx_px], [0, camera.fy_px, camera.cy_px], [0, 0, 1]]
-        )
         pictures, _, _ = self._rasterise(
             means=means,
             quats=torch.nn.functional.normalize(quats, dim=1),
@@ -128,7 +125,7 @@ class CudaBackend:
             opacities=torch.sigmoid(logits),
             colors=_colours(means, sh, self._sent(camera.position)),
             viewmats=self._sent(camera.w2c)[None],
-            Ks=self._sent(intrinsics)[None],
+            Ks=self._sent(camera.intrinsics)[None],
             width=camera.width_px,
             height=camera.height_px,
             near_plane=view.near_m,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import numpy.typing as npt
 from numba import prange
@@ -37,19 +35,6 @@ def _planar_half(picture, out):  # type: ignore[no-untyped-def]
                 total += np.int32(picture[2 * y + 1, 2 * x, c])
                 total += np.int32(picture[2 * y + 1, 2 * x + 1, c])
                 out[c, y, x] = unit * np.float32(total)
-
-
-def half_camera(camera: Camera) -> Camera:
-    """The camera of a picture's 2x2 means; an odd last row or column is left out."""
-    return replace(
-        camera,
-        width_px=camera.width_px // 2,
-        height_px=camera.height_px // 2,
-        fx_px=camera.fx_px / 2,
-        fy_px=camera.fy_px / 2,
-        cx_px=camera.cx_px / 2,
-        cy_px=camera.cy_px / 2,
-    )
 
 
 class Targets:

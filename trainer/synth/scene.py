@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.camera import Camera
+from codec.pose import look_at
 
 from .paint import (
     ARCHES,
@@ -47,6 +48,7 @@ CAMERA_HEIGHTS_M = (1.05, 2.05)
 """Taken in turn along the arc."""
 CAMERA_TARGET = np.array([0.0, -1.0, 0.15])
 """What every camera looks at, metres."""
+UP = np.array([0.0, -1.0, 0.0])
 FIELD_OF_VIEW_RAD = np.radians(74.0)
 """Horizontal."""
 
@@ -192,18 +194,6 @@ def pictures() -> Table:
     )
 
 
-def look_at(position: Table, target: Table) -> Table:
-    """(4, 4) the world-to-camera pose of an upright camera."""
-    forward = (target - position) / np.linalg.norm(target - position)
-    right = np.cross((0.0, 1.0, 0.0), forward)
-    right /= np.linalg.norm(right)
-    rotation = np.stack([right, np.cross(forward, right), forward])
-    w2c = np.eye(4)
-    w2c[:3, :3] = rotation
-    w2c[:3, 3] = -rotation @ position
-    return w2c
-
-
 def camera_rig(num_cameras: int, width_px: int, height_px: int, arc_rad: float) -> list[Camera]:
     """Cameras cam00, cam01, ... evenly on an arc around the room's middle, all looking inward."""
     focal = width_px / 2 / np.tan(FIELD_OF_VIEW_RAD / 2)
@@ -221,7 +211,7 @@ def camera_rig(num_cameras: int, width_px: int, height_px: int, arc_rad: float) 
                 fy_px=float(focal),
                 cx_px=width_px / 2,
                 cy_px=height_px / 2,
-                w2c=look_at(position, CAMERA_TARGET),
+                w2c=look_at(position, CAMERA_TARGET, UP),
             )
         )
     return cameras

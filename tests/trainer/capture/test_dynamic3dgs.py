@@ -15,13 +15,11 @@ from PIL import Image
 
 from codec.camera import Camera
 from codec.errors import InvalidError
-from tests.support.tiny_capture import picture_of, tiny_rig, write_dynamic3dgs
+from tests.support.tiny_capture import picture_of, write_dynamic3dgs
 from trainer.capture.capture import Capture, InitialPoints
 from trainer.capture.layout import open_capture
 from trainer.capture.points import points_evenness, read_points_file
-from trainer.capture.rig import rig_centre, rig_depths
 from trainer.errors import CaptureError
-from trainer.synth.scene import CAMERA_RADIUS_M, CAMERA_TARGET
 
 DATA = Path(os.environ.get("SWINGS_DATA", Path(__file__).parents[3] / ".." / "shared" / "data"))
 BASKETBALL = DATA / "panoptic_basketball"
@@ -217,28 +215,6 @@ def test_bad_points_are_refused(tmp_path: Path) -> None:
     assert "rgb is" in refusal(tmp_path / "c")
     np.savez(path, xyz=np.array([None, 1]), rgb=np.ones((3, 3)), allow_pickle=True)
     assert "init_pt_cld.npz" in refusal(tmp_path / "c")
-
-
-def test_rig_depths_of_an_inward_rig() -> None:
-    cameras = tiny_rig(9)
-    centre = rig_centre(cameras)
-    assert centre is not None
-    assert np.allclose(centre, CAMERA_TARGET, atol=1e-9)
-    depths = rig_depths(cameras, (0.1, 99.0))
-    assert depths is not None
-    distances = [float(np.linalg.norm(c.position - centre)) for c in cameras]
-    assert depths[0] == pytest.approx(0.35 * min(distances))
-    assert depths[1] >= 2 * max(distances) - 1e-9
-    assert depths[1] >= 1.2 * 2 * CAMERA_RADIUS_M * np.sin(np.radians(79))
-
-
-def test_rig_depths_of_a_forward_facing_rig() -> None:
-    cameras = tiny_rig(6, arc_deg=20)
-    assert rig_centre(cameras) is None
-    assert rig_depths(cameras, (1.2, 34.0)) == (1.2, 34.0)
-    assert rig_depths(cameras) is None
-    assert rig_depths([]) is None
-    assert rig_depths(cameras[:1]) is None
 
 
 def test_points_come_from_a_ply_as_from_an_npz(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from codec.camera import Camera
 from codec.errors import InvalidError
+from codec.pose import rotation_of, world_to_camera
 from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, picture_of, write_dynerf, write_video
 from trainer.capture.dynerf import decode_pose, encode_pose
 from trainer.capture.layout import open_capture
@@ -107,17 +108,8 @@ def test_llff_axes() -> None:
 def test_poses_come_back(
     quat: tuple[float, ...], centre: tuple[float, ...], focal_px: float
 ) -> None:
-    w, x, y, z = np.array(quat) / np.linalg.norm(quat)
-    rotation = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    w2c = np.eye(4)
-    w2c[:3, :3] = rotation
-    w2c[:3, 3] = -rotation @ np.array(centre)
+    rotation = rotation_of(np.array(quat) / np.linalg.norm(quat))
+    w2c = world_to_camera(rotation, np.array(centre))
     camera = Camera("cam00", 64, 36, focal_px, focal_px, 32.0, 18.0, w2c)
     row = encode_pose(camera, 0.5, 7.0)
     back = decode_pose(row, "cam00", Path("poses"))

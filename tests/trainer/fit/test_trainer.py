@@ -18,7 +18,7 @@ from trainer.fit.trainer import FitConfig, Progress, Trainer
 from trainer.seed.gaussians import initial_splats
 from trainer.step.backend import CpuBackend
 from trainer.step.loss import Floats, Workspace, psnr_db
-from trainer.step.target import Targets, half_camera
+from trainer.step.target import Targets
 
 NEAR_M = 0.2
 FRAMES = 5
@@ -286,7 +286,7 @@ def test_a_half_picture_is_the_mean_and_its_camera_sees_the_same() -> None:
     rng = np.random.default_rng(0)
     picture = rng.integers(0, 256, (33, 50, 3), dtype=np.uint8)
     camera = ring_camera(0.2, "odd").resized(50, 33)
-    half = half_camera(camera)
+    half = camera.halved()
     target, _ = Targets().take(picture, half)
     mean = picture[:32].reshape(16, 2, 25, 2, 3).mean(axis=(1, 3)) / 255
     np.testing.assert_allclose(target, mean.transpose(2, 0, 1), atol=1e-6)

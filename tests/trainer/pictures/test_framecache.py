@@ -15,7 +15,7 @@ from codec.errors import InvalidError
 from tests.support.tiny_capture import picture_of, write_dynamic3dgs, write_dynerf
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
-from trainer.pictures.framecache import FrameCache, scaled_camera, scaled_picture
+from trainer.pictures.framecache import FrameCache, scaled_picture
 
 PICTURE_BYTES = 3 * 32 * 18
 
@@ -53,7 +53,7 @@ def test_camera_and_picture_agree_in_size(capture: Capture, scale: float) -> Non
 
 def test_area_mean_keeps_a_ramp_in_place(capture: Capture) -> None:
     # Along a ramp over x, every new pixel must show the value at its middle.
-    camera = scaled_camera(capture.cameras[0].camera, 0.37)
+    camera = capture.cameras[0].camera.scaled(0.37)
     ramp = np.repeat((np.arange(64, dtype=np.uint8) * 4)[None, :, None], 36, axis=0)
     got = scaled_picture(np.ascontiguousarray(np.repeat(ramp, 3, axis=2)), camera)
     middles = (np.arange(camera.width_px) + 0.5) * 64 / camera.width_px - 0.5

@@ -13,7 +13,7 @@ from tests.support.tiny_capture import write_dynamic3dgs
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError
-from trainer.pictures.framecache import FrameCache, scaled_camera
+from trainer.pictures.framecache import FrameCache
 from trainer.score.evaluate import stream_cameras
 
 SCALE = 0.3
@@ -34,7 +34,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
 
 
 def trained(capture: Capture) -> Manifest:
-    cameras = tuple(scaled_camera(c.camera, SCALE) for c in capture.cameras)
+    cameras = tuple(c.camera.scaled(SCALE) for c in capture.cameras)
     return replace(tiny_manifest(), cameras=cameras, default_camera=cameras[0].name)
 
 
