@@ -36,7 +36,8 @@ from rich.table import Table
 
 from codec.console import run_command
 from codec.errors import SwingsError
-from trainer.capture.dynerf import HELD_OUT_NAME, POINTS_NAME, POSES_NAME
+from trainer.capture.dynerf import POINTS_NAME, POSES_NAME
+from trainer.capture.held_out import HELD_OUT_NAME
 from trainer.capture.layout import open_capture
 from trainer.fit.trainer import FitConfig
 from trainer.run.checkpoint import save_checkpoint

@@ -38,7 +38,7 @@ from .colmap_model import (
     read_posed,
     rotation_of_posed,
 )
-from .dynerf import read_held_out
+from .held_out import read_held_out
 from .lens import Lens, check_optics
 from .masks import MASKS_NAME, mask_source, mirrored_masks
 from .picturefiles import (

@@ -2,8 +2,7 @@
 
     camNN.mp4          a video per camera, in order of file name
     poses_bounds.npy   (V, 17) float64, one row per video, see `decode_pose`
-    held_out.txt       optional, names of held-out cameras, one a line ("cam00"); without it the
-                       first camera is held out, as the data set's authors do
+    held_out.txt       optional, see held_out.py
     points.npz         optional initial points in the poses' world, see points.py
 
 Videos all have the same number of frames; the frame rate is that of their containers. The unit of
@@ -14,8 +13,6 @@ already.
 from __future__ import annotations
 
 import re
-from collections import Counter
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -27,17 +24,14 @@ from codec.pose import world_to_camera
 from trainer.errors import CaptureError
 
 from .capture import Capture, CaptureCamera, PictureSource
+from .held_out import read_held_out
 from .points import read_points
 from .rig import rig_depths
-from .video import VideoFacts, VideoSource, probe_video
+from .video import VideoSource, check_synchronised, probe_video
 
 POSES_NAME = "poses_bounds.npy"
-HELD_OUT_NAME = "held_out.txt"
 POINTS_NAME = "points.npz"
 VIDEO_PATTERN = re.compile(r"cam\d+\.mp4")
-
-FPS_TOLERANCE = 1e-3
-"""Largest relative difference of two cameras' frame rates: containers round their time base."""
 
 _LLFF_FROM_OPENCV = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """Camera axes: (down, right, backwards) = M (right, down, forward). M is symmetric and its own
@@ -56,7 +50,7 @@ def open_dynerf(root: Path) -> Capture:
             "there must be one row per camNN.mp4"
         )
     facts = [probe_video(path) for path in videos]
-    check_equal(videos, facts)
+    check_synchronised(videos, facts)
     cameras = []
     for path, row, fact in zip(videos, rows, facts, strict=True):
         camera = decode_pose(row, path.stem, root / POSES_NAME)
@@ -142,39 +136,3 @@ def encode_pose(camera: Camera, near_m: float, far_m: float) -> npt.NDArray[np.f
     size = np.array([camera.height_px, camera.width_px, camera.fx_px])
     matrix = np.column_stack([rotation, camera.position, size])
     return np.concatenate([matrix.ravel(), [near_m, far_m]])
-
-
-def check_equal(videos: Sequence[Path], facts: Sequence[VideoFacts]) -> None:
-    usual, _ = Counter(fact.num_frames for fact in facts).most_common(1)[0]
-    odd = [
-        f"{path.name} has {fact.num_frames}"
-        for path, fact in zip(videos, facts, strict=True)
-        if fact.num_frames != usual
-    ]
-    if odd:
-        raise CaptureError(
-            f"{videos[0].parent}: the videos differ in length: {', '.join(odd)}, "
-            f"the others {usual} frames; cut them to the same frames"
-        )
-    for path, fact in zip(videos, facts, strict=True):
-        if abs(fact.fps - facts[0].fps) > FPS_TOLERANCE * facts[0].fps:
-            raise CaptureError(
-                f"{path}: {fact.fps:.3f} frames per second, "
-                f"{videos[0].name} {facts[0].fps:.3f}; they must agree"
-            )
-
-
-def read_held_out(root: Path, names: Sequence[str]) -> frozenset[str]:
-    path = root / HELD_OUT_NAME
-    if not path.is_file():
-        return frozenset(names[:1])
-    try:
-        listed = path.read_text(encoding="utf-8").split()
-    except UnicodeDecodeError as error:
-        raise CaptureError(f"{path}: not text: {error}") from error
-    for name in listed:
-        if name not in names:
-            raise CaptureError(
-                f"{path}: {name!r} is no camera of this capture, such as {names[0]!r}"
-            )
-    return frozenset(listed)

@@ -44,7 +44,8 @@ from trainer.errors import CaptureError
 
 from .capture import Capture, CaptureCamera, InitialPoints, PictureSource
 from .dynamic3dgs import STILL_TOLERANCE
-from .dynerf import HELD_OUT_NAME, POINTS_NAME, check_equal, read_held_out
+from .dynerf import POINTS_NAME
+from .held_out import HELD_OUT_NAME, read_held_out
 from .lens import Lens, check_optics, straight_source
 from .masks import mask_source
 from .picturefiles import (
@@ -61,7 +62,7 @@ from .picturefiles import (
 )
 from .points import MAX_COORDINATE_M, points_depths, read_ply, read_points
 from .rig import rig_depths
-from .video import VideoSource, probe_video
+from .video import VideoSource, check_synchronised, probe_video
 
 TRANSFORMS_NAME = "transforms.json"
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".mkv", ".webm", ".avi"})
@@ -127,7 +128,7 @@ def open_nerfstudio(root: Path) -> Capture:
     fps = _number(path, value, "fps", 0.0)
     if True in are_videos:
         facts = [probe_video(p.files[0]) for p in posed]
-        check_equal([p.files[0] for p in posed], facts)
+        check_synchronised([p.files[0] for p in posed], facts)
         for p, camera, fact in zip(posed, cameras, facts, strict=True):
             if (fact.width_px, fact.height_px) != (camera.width_px, camera.height_px):
                 raise CaptureError(

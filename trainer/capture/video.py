@@ -8,7 +8,8 @@ whichever way one comes to it.
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -27,6 +28,10 @@ from .capture import Picture, check_frame
 MAX_SKIP_FRAMES = 12
 """Frames decoded and dropped rather than looking for a nearer key frame: about as dear as a
 seek."""
+
+
+FPS_TOLERANCE = 1e-3
+"""Largest relative difference of two cameras' frame rates: containers round their time base."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +80,27 @@ def probe_video(path: Path) -> VideoFacts:
     if num_frames == 0:
         raise CaptureError(f"{path}: the video has no frames")
     return VideoFacts(*size, num_frames, fps)
+
+
+def check_synchronised(videos: Sequence[Path], facts: Sequence[VideoFacts]) -> None:
+    """Raises CaptureError unless all videos have as many frames and the same frame rate."""
+    usual, _ = Counter(fact.num_frames for fact in facts).most_common(1)[0]
+    odd = [
+        f"{path.name} has {fact.num_frames}"
+        for path, fact in zip(videos, facts, strict=True)
+        if fact.num_frames != usual
+    ]
+    if odd:
+        raise CaptureError(
+            f"{videos[0].parent}: the videos differ in length: {', '.join(odd)}, "
+            f"the others {usual} frames; cut them to the same frames"
+        )
+    for path, fact in zip(videos, facts, strict=True):
+        if abs(fact.fps - facts[0].fps) > FPS_TOLERANCE * facts[0].fps:
+            raise CaptureError(
+                f"{path}: {fact.fps:.3f} frames per second, "
+                f"{videos[0].name} {facts[0].fps:.3f}; they must agree"
+            )
 
 
 class VideoSource:

@@ -27,7 +27,8 @@ from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 
 from codec.camera import Camera
 from codec.errors import InvalidError
-from trainer.capture.dynerf import HELD_OUT_NAME, POINTS_NAME, POSES_NAME, encode_pose
+from trainer.capture.dynerf import POINTS_NAME, POSES_NAME, encode_pose
+from trainer.capture.held_out import HELD_OUT_NAME
 from trainer.errors import CaptureError
 
 from .motion import Moving, moving_parts

@@ -80,7 +80,7 @@ def test_held_out_and_rate_files(tmp_path: Path) -> None:
         assert "fps.txt" in refusal(tmp_path)
     (tmp_path / "fps.txt").unlink()
     (tmp_path / "held_out.txt").write_text("cam07")
-    assert "'cam07' is no camera" in refusal(tmp_path)
+    assert "'cam07' is not a camera" in refusal(tmp_path)
 
 
 def test_cameras_of_different_sizes(tmp_path: Path) -> None:

@@ -81,7 +81,7 @@ def test_held_out_and_points_files(capture_path: Path) -> None:
     (capture_path / "held_out.txt").write_text("")
     assert open_capture(capture_path).held_out == ()
     (capture_path / "held_out.txt").write_text("cam07")
-    assert "'cam07' is no camera" in refusal(capture_path)
+    assert "'cam07' is not a camera" in refusal(capture_path)
     (capture_path / "held_out.txt").write_bytes(b"\xff\xfe")
     assert "not text" in refusal(capture_path)
 
