@@ -28,6 +28,14 @@ Mask = npt.NDArray[np.uint8]
 """(H, W): 1 where a picture's pixel counts, 0 where it is ignored."""
 
 
+DEFAULT_FPS = 30.0
+"""Frames per second of a capture that does not tell."""
+
+STILL_TOLERANCE = 1e-6
+"""Largest change of a number of a pose or a lens at which the camera still stands still: printed
+numbers are rounded."""
+
+
 class PictureSource(Protocol):
     """The pictures of one camera, frame by frame.
 
@@ -142,6 +150,12 @@ def check_trainable(capture: Capture) -> None:
             f"{capture.root}: {len(capture.training)} training cameras, needs "
             f"{MIN_TRAINING_CAMERAS}"
         )
+
+
+def check_fps(fps: float, path: Path) -> None:
+    """Raises CaptureError, naming the file that tells it, for an impossible frame rate."""
+    if not 0 < fps <= 1000:
+        raise CaptureError(f"{path}: fps is {fps:g}; must be above 0, at most 1000")
 
 
 def check_frame(frame: int, num_frames: int, name: str) -> None:

@@ -28,7 +28,7 @@ from codec.camera import Camera
 from codec.errors import InvalidError
 from trainer.errors import CaptureError
 
-from .capture import Capture, CaptureCamera, PictureSource
+from .capture import DEFAULT_FPS, Capture, CaptureCamera, PictureSource, check_fps
 from .colmap_model import (
     Optics,
     Posed,
@@ -55,8 +55,6 @@ from .rig import rig_depths
 
 MODEL_NAME = "sparse"
 FPS_NAME = "fps.txt"
-DEFAULT_FPS = 30.0
-"""Frames per second of a capture that does not tell: the layout has no place for it."""
 
 
 def open_colmap(root: Path) -> Capture:
@@ -179,6 +177,5 @@ def _read_fps(path: Path) -> float:
         fps = float(path.read_text(encoding="utf-8"))
     except ValueError as error:
         raise CaptureError(f"{path}: not a number of frames per second") from error
-    if not 0 < fps <= 1000:
-        raise CaptureError(f"{path}: {fps:g} frames per second; must be above 0, at most 1000")
+    check_fps(fps, path)
     return fps

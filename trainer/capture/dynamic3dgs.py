@@ -20,13 +20,13 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, UnidentifiedImageError
 
 from codec.camera import Camera
 from codec.errors import InvalidError
 from trainer.errors import CaptureError
 
-from .capture import Capture, CaptureCamera, Picture, PictureSource, check_frame
+from .capture import STILL_TOLERANCE, Capture, CaptureCamera, PictureSource
+from .picturefiles import FileSource
 from .points import read_points
 from .rig import rig_depths
 
@@ -36,31 +36,6 @@ POINTS_NAMES = ("init_pt_cld.npz", "derived_init_points_frame0.npz")
 
 FRAMES_PER_S = 30.0
 """The layout does not store its frame rate; PanopticSports was recorded at 30 frames per second."""
-
-STILL_TOLERANCE = 1e-6
-"""Largest change of a pose or intrinsics entry that still counts as the same camera: rounding of
-printed JSON."""
-
-
-@dataclass(frozen=True, slots=True)
-class FileSource:
-    """Pictures of one camera, a file per frame. Holds nothing open: any thread may read."""
-
-    camera: Camera
-    files: tuple[Path, ...]
-
-    def read(self, frame: int) -> Picture:
-        check_frame(frame, len(self.files), self.camera.name)
-        path = self.files[frame]
-        try:
-            with Image.open(path) as image:
-                _check_size(path, image.size, self.camera.width_px, self.camera.height_px)
-                return np.array(image.convert("RGB"))
-        except (OSError, UnidentifiedImageError, ValueError, SyntaxError) as error:
-            raise CaptureError(f"{path}: not a picture that can be read: {error}") from error
-
-    def close(self) -> None:
-        """Nothing to free."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,15 +59,15 @@ def open_dynamic3dgs(root: Path) -> Capture:
             f"{root}: {META_NAMES[0]} has {metas[0].num_frames} frames, "
             f"{META_NAMES[1]} {metas[1].num_frames}; they must agree"
         )
-    found: dict[str, tuple[CaptureCamera, tuple[str, ...]]] = {}
+    found: dict[str, tuple[CaptureCamera, tuple[str, ...], Path]] = {}
     for held_out, meta in enumerate(metas):
         for camera, names in zip(meta.cameras, meta.names, strict=True):
             if camera.name in found:
                 raise CaptureError(f"{meta.path}: camera {camera.name} is listed twice")
-            found[camera.name] = CaptureCamera(camera, bool(held_out)), names
+            found[camera.name] = CaptureCamera(camera, bool(held_out)), names, meta.path
     ordered = [found[name] for name in sorted(found, key=lambda name: (len(name), name))]
-    cameras = tuple(camera for camera, _ in ordered)
-    sources = _sources(root, [c.camera for c in cameras], [names for _, names in ordered])
+    cameras = tuple(camera for camera, _, _ in ordered)
+    sources = _sources(root, [(c.camera, names, path) for c, names, path in ordered])
     depths = rig_depths([c.camera for c in cameras])
     points = next((root / name for name in POINTS_NAMES if (root / name).is_file()), None)
 
@@ -216,17 +191,18 @@ def _still_camera(
 
 
 def _sources(
-    root: Path, cameras: Sequence[Camera], names: Sequence[tuple[str, ...]]
+    root: Path, cameras: Sequence[tuple[Camera, Sequence[str], Path]]
 ) -> tuple[FileSource, ...]:
-    """A source for each camera, after one listing per folder has shown that each file is there."""
+    """A source for each camera with its paths below ims/ and the file that tells them. Each folder
+    is listed once to see that every file is there."""
     folder = root / "ims"
     if not folder.is_dir():
         raise CaptureError(f"{folder}: is missing; the pictures belong there")
     listed: dict[Path, frozenset[str]] = {}
     sources = []
-    for camera, below in zip(cameras, names, strict=True):
+    for camera, names, declared_in in cameras:
         files = []
-        for frame, name in enumerate(below):
+        for frame, name in enumerate(names):
             parts = PurePosixPath(name)
             if parts.is_absolute() or ".." in parts.parts or not parts.parts:
                 raise CaptureError(
@@ -238,8 +214,8 @@ def _sources(
             if file.name not in listed[file.parent]:
                 raise CaptureError(f"{file}: is missing; {camera.name} lacks frame {frame}")
             files.append(file)
-        source = FileSource(camera, tuple(files))
-        _check_header(source)
+        source = FileSource(camera, tuple(files), declared_in)
+        source.check_header()
         sources.append(source)
     return tuple(sources)
 
@@ -250,20 +226,3 @@ def _list_files(folder: Path) -> frozenset[str]:
             return frozenset(entry.name for entry in entries)
     except (FileNotFoundError, NotADirectoryError):
         return frozenset()
-
-
-def _check_header(source: FileSource) -> None:
-    """Compares the declared size with the first picture's; later ones are checked when read."""
-    path = source.files[0]
-    try:
-        with Image.open(path) as image:
-            _check_size(path, image.size, source.camera.width_px, source.camera.height_px)
-    except (OSError, UnidentifiedImageError) as error:
-        raise CaptureError(f"{path}: not a picture that can be read") from error
-
-
-def _check_size(path: Path, size: tuple[int, int], width_px: int, height_px: int) -> None:
-    if size != (width_px, height_px):
-        raise CaptureError(
-            f"{path}: is {size[0]}x{size[1]} px; the meta file declares {width_px}x{height_px} px"
-        )

@@ -42,8 +42,15 @@ from codec.errors import InvalidError
 from codec.pose import world_to_camera
 from trainer.errors import CaptureError
 
-from .capture import Capture, CaptureCamera, InitialPoints, PictureSource
-from .dynamic3dgs import STILL_TOLERANCE
+from .capture import (
+    DEFAULT_FPS,
+    STILL_TOLERANCE,
+    Capture,
+    CaptureCamera,
+    InitialPoints,
+    PictureSource,
+    check_fps,
+)
 from .dynerf import POINTS_NAME
 from .held_out import HELD_OUT_NAME, read_held_out
 from .lens import Lens, check_optics, straight_source
@@ -67,8 +74,6 @@ from .video import VideoSource, check_synchronised, probe_video
 TRANSFORMS_NAME = "transforms.json"
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".mkv", ".webm", ".avi"})
 CAMERA_MODELS = frozenset({"SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"})
-DEFAULT_FPS = 30.0
-"""Frames per second of pictures whose transforms.json does not tell."""
 
 _OPENCV_FROM_OPENGL = np.array([1.0, -1.0, -1.0])
 """Signs of the camera's axes x, y, z."""
@@ -132,7 +137,8 @@ def open_nerfstudio(root: Path) -> Capture:
         for p, camera, fact in zip(posed, cameras, facts, strict=True):
             if (fact.width_px, fact.height_px) != (camera.width_px, camera.height_px):
                 raise CaptureError(
-                    f"{p.files[0]}: is {fact.width_px}x{fact.height_px} px; {path} declares "
+                    f"{p.files[0]}: is {fact.width_px}x{fact.height_px} px; "
+                    f"{TRANSFORMS_NAME} declares "
                     f"{camera.width_px}x{camera.height_px} px"
                 )
         num_frames, fps = facts[0].num_frames, fps or facts[0].fps
@@ -142,8 +148,7 @@ def open_nerfstudio(root: Path) -> Capture:
             picture_source(camera, p.entry.lens, p.files, path)
             for p, camera in zip(posed, cameras, strict=True)
         ]
-    if not 0 < fps <= 1000:
-        raise CaptureError(f"{path}: fps is {fps:g}; must be above 0, at most 1000")
+    check_fps(fps, path)
     require_files([p.masks for p in posed], f"a mask_path of {TRANSFORMS_NAME} names it")
     masks = [
         mask_source(camera, p.entry.lens, p.masks) for p, camera in zip(posed, cameras, strict=True)

@@ -12,15 +12,16 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
+import numpy as np
 from PIL import Image, UnidentifiedImageError
 
 from codec.camera import Camera
 from trainer.errors import CaptureError
 
-from .capture import PictureSource
-from .dynamic3dgs import FileSource
+from .capture import Picture, PictureSource, check_frame
 from .lens import Lens, straight_source
 
 FRAMES_NAME = "frames"
@@ -116,21 +117,54 @@ def check_without_gap(numbers: Collection[int], place: Path) -> None:
             raise CaptureError(f"{place}: frame {expected} is missing before frame {number}")
 
 
+@dataclass(frozen=True, slots=True)
+class FileSource:
+    """Pictures of one camera, a file per frame. Holds nothing open: any thread may read."""
+
+    camera: Camera
+    files: tuple[Path, ...]
+    declared_in: Path
+    """The file that tells the pictures' size."""
+
+    def read(self, frame: int) -> Picture:
+        check_frame(frame, len(self.files), self.camera.name)
+        path = self.files[frame]
+        try:
+            with Image.open(path) as image:
+                self._check_size(path, image.size)
+                return np.array(image.convert("RGB"))
+        except (OSError, UnidentifiedImageError, ValueError, SyntaxError) as error:
+            raise CaptureError(f"{path}: not a picture that can be read: {error}") from error
+
+    def close(self) -> None:
+        """Nothing to free."""
+
+    def check_header(self) -> None:
+        """Raises CaptureError if the first picture has another size than declared; later ones are
+        checked when they are read."""
+        path = self.files[0]
+        try:
+            with Image.open(path) as image:
+                self._check_size(path, image.size)
+        except (OSError, UnidentifiedImageError) as error:
+            raise CaptureError(f"{path}: not a picture that can be read") from error
+
+    def _check_size(self, path: Path, size: tuple[int, int]) -> None:
+        if size != (self.camera.width_px, self.camera.height_px):
+            raise CaptureError(
+                f"{path}: is {size[0]}x{size[1]} px; {self.declared_in.name} declares "
+                f"{self.camera.width_px}x{self.camera.height_px} px"
+            )
+
+
 def picture_source(
     camera: Camera, lens: Lens, files: tuple[Path, ...], declared_in: Path
 ) -> PictureSource:
-    """The source of one camera. Raises CaptureError if the first picture has another size."""
-    try:
-        with Image.open(files[0]) as image:
-            size = image.size
-    except (OSError, UnidentifiedImageError) as error:
-        raise CaptureError(f"{files[0]}: not a picture that can be read") from error
-    if size != (camera.width_px, camera.height_px):
-        raise CaptureError(
-            f"{files[0]}: is {size[0]}x{size[1]} px; {declared_in} declares "
-            f"{camera.width_px}x{camera.height_px} px"
-        )
-    return straight_source(FileSource(camera, files), camera, lens)
+    """The source of one camera. Raises CaptureError if the first picture has another size than
+    `declared_in` says."""
+    source = FileSource(camera, files, declared_in)
+    source.check_header()
+    return straight_source(source, camera, lens)
 
 
 def folder_names(folder: Path) -> frozenset[str]:

@@ -144,7 +144,7 @@ def drop_frame(meta: dict[str, Any]) -> None:
         (lambda m: m.update(k=[[1, 2], [3]]), "k is not a table of 3x3"),
         (lambda m: m.update(w2c=[]), "w2c has shape (0,)"),
         (lambda m: m.update(w="wide"), "not whole numbers"),
-        (lambda m: m.update(w=65), "is 64x36 px; the meta file declares 65x36 px"),
+        (lambda m: m.update(w=65), "is 64x36 px; train_meta.json declares 65x36 px"),
         (lambda m: m.update(cam_id=[[0, 1, 3]] * 3), "camera cam01 is listed twice"),
     ],
 )
