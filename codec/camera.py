@@ -19,7 +19,7 @@ MAX_IMAGE_PX = 16384
 """Largest width or height accepted, in pixels: the texture limit of common GPUs."""
 
 MAX_NAME_CHARS = 2000
-"""Longest name of a camera, as of any text in a manifest."""
+"""Longest name of a camera; no text in a manifest may be longer."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,8 +3,9 @@
     [{"frame": 0, "position": [0, 1, -3], "look_at": [0, 1, 0], "fov_deg": 50},
      {"frame": 90, "w2c": [16 numbers, row by row]}]
 
-`position` with `look_at` (and `up` if wanted), or `w2c`, a world-to-camera matrix (x right, y down,
-z forward). `fov_deg` is the vertical field of view; without it the default camera's stays.
+A key frame has `position` with `look_at` (and `up` if wanted), or `w2c`, a world-to-camera matrix
+(x right, y down, z forward). `fov_deg` is the vertical field of view; without it the default
+camera's stays.
 """
 
 from __future__ import annotations
@@ -49,9 +50,9 @@ def read_keyframes(path: Path, camera: Camera, up: Doubles) -> Callable[[int], C
     except OSError as error:
         raise InvalidError(f"camera path {path}: {error.strerror}") from error
     except (ValueError, RecursionError) as error:
-        raise InvalidError(f"camera path {path} is no JSON: {error}") from error
+        raise InvalidError(f"camera path {path} is not JSON: {error}") from error
     if not isinstance(value, list) or not value:
-        raise InvalidError(f"camera path {path} is no list of key frames")
+        raise InvalidError(f"camera path {path} is not a list of key frames")
     keyframes: list[Keyframe] = []
     for number, entry in enumerate(value):
         try:
@@ -76,7 +77,7 @@ def _numbers(entry: Mapping[str, Any], key: str, count: int) -> Doubles:
 
 def _keyframe(entry: Any, camera: Camera, up: Doubles) -> Keyframe:
     if not isinstance(entry, dict):
-        raise InvalidError("it is no JSON object")
+        raise InvalidError("it is not a JSON object")
     unknown = set(entry) - KEYS
     if unknown:
         raise InvalidError(f"{min(unknown)!r} is none of {', '.join(sorted(KEYS))}")

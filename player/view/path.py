@@ -87,7 +87,7 @@ def orbit(manifest: Manifest, start: Camera, frames: FrameRange, arc_rad: float)
 
 
 def check_path(text: str) -> None:
-    """Raises InvalidError when `text` can be no camera path of any stream."""
+    """Raises InvalidError for a text that is not a camera path, whatever the stream."""
     kind, colon, rest = text.partition(":")
     if kind == "orbit" and colon:
         _degrees(rest)

@@ -112,13 +112,14 @@ class Capture:
     fps: float
     """Frames per second."""
     points: InitialPoints | None
-    """What the capture's folder offers; None when it has no points."""
+    """Those in the capture's folder; None when it has none."""
     near_m: float | None
-    """Depth before which nothing of the scene stands, metres; None if the rig does not tell."""
+    """Depth in front of which nothing of the scene stands, metres; None if the rig does not
+    tell."""
     far_m: float | None
     """Depth behind which nothing of the scene stands, metres; None if the rig does not tell."""
     opener: Callable[[int], PictureSource]
-    """Makes the source of a camera index; `open_images` is its checked face."""
+    """Makes the source of the camera of this index; `open_images` checks the index first."""
 
     def open_images(self, camera_index: int) -> PictureSource:
         """A new source of one camera's pictures; nothing is read before its first `read`."""
@@ -140,7 +141,7 @@ class Capture:
 
 
 MIN_TRAINING_CAMERAS = 3
-"""Fewer do not tell what is where."""
+"""With fewer there is no telling how deep things are."""
 
 
 def check_trainable(capture: Capture) -> None:

@@ -46,8 +46,8 @@ def check_capture(path: Path, picture: Path | None = None, points: Path | None =
     """Opens a capture, reads the first and the last frame of each camera with its mask, and
     describes it.
 
-    picture: where to draw it as a PNG, if anywhere. points: a file of points in the place of the
-    capture's own. Raises CaptureError for what would stop a training.
+    picture: where to draw it as a PNG, if anywhere. points: a file of points in place of the
+    capture's own. Raises CaptureError for what would stop training.
     """
     capture = open_capture(path)
     if points is not None:
@@ -117,8 +117,7 @@ def _describe_masks(capture: Capture) -> str:
 
 
 def draw_capture(capture: Capture, path: Path) -> None:
-    """Draws cameras and points from above and from the side to a PNG, which appears at once and
-    whole."""
+    """Draws cameras and points, from above and from the side, into a PNG that appears whole."""
     cameras = [c.camera for c in capture.cameras]
     axes_of_view = level_axes(cameras)
     positions = np.array([c.position for c in cameras]) @ axes_of_view.T

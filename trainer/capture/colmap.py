@@ -8,14 +8,15 @@
                            named <camera>.png or, as COLMAP names it itself, <camera>/<frame>.png
     masks/                 optional, see masks.py; mirrors frames/ or images/ as COLMAP has it: the
                            mask of <frame>/<image name> is masks/<frame>/<image name>.png, or has
-                           .png in place of the picture's suffix. Cameras without masks count whole
-    held_out.txt           as in the DyNeRF layout; without it the first camera is held out
+                           .png in place of the picture's suffix. Without a mask every pixel of a
+                           camera counts
+    held_out.txt           optional, see held_out.py
     fps.txt                optional, the frames per second; without it 30
 
-How frames are numbered stands in pictures.py. Pictures of cameras that the model does not have are
+picturefiles.py says how frames are numbered. Pictures of cameras that the model does not have are
 left out. Pinhole models are taken as they are; pictures of SIMPLE_RADIAL, RADIAL and OPENCV cameras
-are straightened as they are read; others are refused. COLMAP's unit is taken as a metre, its points
-are the initial points.
+are straightened as they are read; other models are refused. COLMAP's unit is taken as a metre, and
+its points are the initial points.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """COLMAP's sparse models: the three files in which it writes cameras, images and points.
 
 Each file is binary (.bin, little endian) or text (.txt); the binary one is read if there are both.
-What COLMAP knows of matches (2D points, tracks) is passed over.
+What it says of matches (2D points, tracks) is passed over.
 """
 
 from __future__ import annotations
@@ -94,10 +94,8 @@ def read_posed(folder: Path) -> tuple[Path, list[Posed]]:
 
 
 def read_model_points(folder: Path) -> InitialPoints | None:
-    """The points of a model folder; None without a file of them or any in it.
-
-    Raises CaptureError.
-    """
+    """The points of a model folder; None without a file of points or if it is empty. Raises
+    CaptureError."""
     if not any((folder / f"points3D{suffix}").is_file() for suffix in (".bin", ".txt")):
         return None
     path = _choose(folder, "points3D")
@@ -143,7 +141,7 @@ class _Bytes:
         return layout.unpack_from(self._data, start)
 
     def pass_over(self, count: int, size: int) -> None:
-        """Leaves out `count` rows of `size` bytes."""
+        """Skips `count` rows of `size` bytes."""
         self._skip(count * size)
 
     def name(self) -> str:
@@ -211,7 +209,8 @@ def _points_of_binary(path: Path) -> Iterator[tuple[float, ...]]:
 
 
 class _Lines:
-    """A text file's lines with their numbers; a wrong count in its header is refused at the end."""
+    """A text file's lines with their numbers. At the end it is checked that there were as many rows
+    as the header declares."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -221,8 +220,8 @@ class _Lines:
             raise CaptureError(f"{path}: not text: {error}") from error
 
     def rows(self, with_second: bool = False) -> Iterator[tuple[int, str]]:
-        """Lines that say something. with_second: each row has a second line, passed over even if
-        it is empty."""
+        """The lines that are neither empty nor comments. with_second: each of them has a second
+        line, which is passed over even if it is empty."""
         declared, count, number = None, 0, 0
         while number < len(self._lines):
             line = self._lines[number].strip()

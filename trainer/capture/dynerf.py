@@ -5,9 +5,9 @@
     held_out.txt       optional, see held_out.py
     points.npz         optional initial points in the poses' world, see points.py
 
-Videos all have the same number of frames; the frame rate is that of their containers. The unit of
-the poses is taken as a metre. Lens distortion is not described, so the videos must be undistorted
-already.
+All videos have the same number of frames; the frame rate is that of their containers. The unit of
+the poses is taken as a metre. The layout cannot describe lens distortion, so the videos must be
+undistorted already.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from .capture import Capture, CaptureCamera, PictureSource
 from .held_out import read_held_out
 from .points import read_points
 from .rig import rig_depths
-from .video import VideoSource, check_synchronised, probe_video
+from .video import VideoSource, check_synchronised, check_video_size, probe_video
 
 POSES_NAME = "poses_bounds.npy"
 POINTS_NAME = "points.npz"
@@ -54,11 +54,7 @@ def open_dynerf(root: Path) -> Capture:
     cameras = []
     for path, row, fact in zip(videos, rows, facts, strict=True):
         camera = decode_pose(row, path.stem, root / POSES_NAME)
-        if (fact.width_px, fact.height_px) != (camera.width_px, camera.height_px):
-            raise CaptureError(
-                f"{path}: is {fact.width_px}x{fact.height_px} px; {POSES_NAME} declares "
-                f"{camera.width_px}x{camera.height_px} px"
-            )
+        check_video_size(path, fact, camera, root / POSES_NAME)
         cameras.append(camera)
     held_out = read_held_out(root, [camera.name for camera in cameras])
     depths = rig_depths(cameras, (float(rows[:, 15].min()), float(rows[:, 16].max())))
@@ -93,7 +89,7 @@ def read_poses_bounds(path: Path) -> npt.NDArray[np.float64]:
     if rows.dtype.kind not in "fiu" or not np.isfinite(rows).all():
         raise CaptureError(f"{path}: holds values that are not finite numbers")
     if not ((rows[:, 15] > 0) & (rows[:, 16] > rows[:, 15])).all():
-        raise CaptureError(f"{path}: a row has no 0 < near < far in its last two columns")
+        raise CaptureError(f"{path}: the last two columns of a row are not 0 < near < far")
     return rows.astype(np.float64)
 
 

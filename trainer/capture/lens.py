@@ -41,7 +41,7 @@ class Lens:
 
 
 class StraightSource:
-    """The pictures of a bent source, straightened. As thread-safe as that source.
+    """The pictures of a bent source, straightened. It is as thread-safe as that source.
 
     The bent positions are computed anew for each picture: that costs less than reading them from
     memory, where a camera's map would take four times the bytes of its picture.
@@ -74,10 +74,11 @@ def straightened(picture: Picture, camera: Camera, lens: Lens) -> Picture:
 
 
 def check_optics(camera: Camera, lens: Lens, path: Path) -> None:
-    """Raises CaptureError, naming `path`, for a camera that nobody has or a lens that is none.
+    """Raises CaptureError, naming `path`, for numbers that cannot be right.
 
-    Where the bent radius shrinks as the straight one grows, the lens shows parts of the scene
-    twice; calibrations with too few points near the corners do that.
+    Those are intrinsics that no real camera has, a place too far away, and a lens that folds the
+    picture over. Where the bent radius shrinks as the straight one grows, a lens would show parts
+    of the scene twice; calibrations with too few points near the corners say so.
     """
     for focal_px, middle_px, side_px in (
         (camera.fx_px, camera.cx_px, camera.width_px),

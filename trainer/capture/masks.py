@@ -1,6 +1,7 @@
 """Mask files: which pixels of a camera's pictures count, white, and which are ignored, black.
 
-A mask has the size of its picture, before any straightening. A grey of 128 or more is white.
+A mask has the size of its picture as it is on disk, before straightening. A grey of 128 or more
+counts as white.
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ class MaskFiles:
 
 def mask_source(camera: Camera, lens: Lens, files: tuple[Path, ...]) -> MaskFiles | None:
     """The masks of one camera from a file per frame, or one for all; None without files. Raises
-    CaptureError if the first is none or has another size than the pictures."""
+    CaptureError if the first cannot be read or has another size than the pictures."""
     if not files:
         return None
     masks = MaskFiles(camera, lens, files if len(set(files)) > 1 else files[:1])
@@ -92,8 +93,9 @@ def mirrored_masks(
 ) -> list[tuple[Path, ...]]:
     """For each camera's picture files, below `pictures`, the mask files below `masks`.
 
-    The mask of a/b.jpg is a/b.jpg.png or a/b.png. A camera of which no picture has a mask gets ();
-    if only some have one, CaptureError is raised, and if a folder `masks` has none at all.
+    The mask of a/b.jpg is a/b.jpg.png or a/b.png. A camera without masks gets (). Raises
+    CaptureError if only some of a camera's pictures have a mask, or if the folder `masks` exists
+    and has none for any camera.
     """
     if not masks.is_dir():
         return [() for _ in files]

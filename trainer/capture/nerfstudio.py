@@ -4,24 +4,24 @@
                            for all or in each entry of `frames`; each entry has file_path and
                            transform_matrix, 4x4 camera to world with OpenGL axes (x right, y up,
                            z backwards)
-    held_out.txt           as in the DyNeRF layout; without it the cameras of the `test_filenames`
-                           of transforms.json are held out, and without those the first camera
+    held_out.txt           optional, see held_out.py; where it is missing, `test_filenames` in
+                           transforms.json may tell the held-out cameras instead
     points.npz             optional initial points, see points.py; without it those of ply_file_path
 
 An entry's file_path has one of these forms, the same for all entries:
 
     <anything>.mp4                         a video, one entry per camera, which is named like it
-    <anything>/images/<camera>/<frame>.jpg see pictures.py; either one entry per camera, then all
-    <anything>/frames/<frame>/<camera>.jpg its frames on disk are taken, or an entry for each of
-                                           the frames to take
+    <anything>/images/<camera>/<frame>.jpg see picturefiles.py; either one entry per camera, which
+    <anything>/frames/<frame>/<camera>.jpg stands for all its frames on disk, or one entry for each
+                                           frame to take
     any picture, with a `time`             an entry for each camera and time; entries of equal pose
                                            and lens are a camera, cam00 for the first in the file
 
 An entry's mask_path, optional, is the mask of its picture (see masks.py), or of all frames of the
 camera that the entry stands for. A camera has one in each of its entries or in none.
 
-`fps` tells the frames per second; without it the videos do, and without those it is 30. Cameras
-whose lens bends are straightened as they are read; fisheye models are refused.
+`fps` tells the frames per second; without it the videos do, and without videos it is 30. Pictures
+of lenses that bend are straightened as they are read; fisheye models are refused.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ from .picturefiles import (
 )
 from .points import MAX_COORDINATE_M, points_depths, read_ply, read_points
 from .rig import rig_depths
-from .video import VideoSource, check_synchronised, probe_video
+from .video import VideoSource, check_synchronised, check_video_size, probe_video
 
 TRANSFORMS_NAME = "transforms.json"
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".mkv", ".webm", ".avi"})
@@ -135,12 +135,7 @@ def open_nerfstudio(root: Path) -> Capture:
         facts = [probe_video(p.files[0]) for p in posed]
         check_synchronised([p.files[0] for p in posed], facts)
         for p, camera, fact in zip(posed, cameras, facts, strict=True):
-            if (fact.width_px, fact.height_px) != (camera.width_px, camera.height_px):
-                raise CaptureError(
-                    f"{p.files[0]}: is {fact.width_px}x{fact.height_px} px; "
-                    f"{TRANSFORMS_NAME} declares "
-                    f"{camera.width_px}x{camera.height_px} px"
-                )
+            check_video_size(p.files[0], fact, camera, path)
         num_frames, fps = facts[0].num_frames, fps or facts[0].fps
     else:
         num_frames, fps = len(posed[0].files), fps or DEFAULT_FPS
@@ -192,7 +187,7 @@ def _read_object(path: Path) -> dict[str, Any]:
 def _read_entries(path: Path, value: dict[str, Any]) -> list[Entry]:
     frames = value.get("frames")
     if not isinstance(frames, list) or not frames:
-        raise CaptureError(f"{path}: `frames` is no list of entries")
+        raise CaptureError(f"{path}: `frames` is not a list of entries")
     entries: dict[PurePosixPath, Entry] = {}
     for number, frame in enumerate(frames):
         if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
@@ -205,7 +200,7 @@ def _read_entries(path: Path, value: dict[str, Any]) -> list[Entry]:
 
 
 def _read_entry(path: Path, value: Mapping[str, Any]) -> Entry:
-    """An entry, what stands for all merged into it."""
+    """One entry, merged with what the file says for all of them."""
     below = safe_path(value["file_path"], path)
     model = value.get("camera_model", "OPENCV")
     if model not in CAMERA_MODELS or value.get("is_fisheye"):
@@ -222,7 +217,9 @@ def _read_entry(path: Path, value: Mapping[str, Any]) -> Entry:
     if matrix.shape not in ((4, 4), (3, 4)):
         raise CaptureError(f"{path}: {below}: transform_matrix is not a 4x4 matrix of numbers")
     if not (np.abs(matrix) <= MAX_COORDINATE_M).all():
-        raise CaptureError(f"{path}: {below}: transform_matrix has a number over 1e9, or none")
+        raise CaptureError(
+            f"{path}: {below}: transform_matrix has a number over 1e9 or one that is not finite"
+        )
     w2c = world_to_camera((matrix[:3, :3] * _OPENCV_FROM_OPENGL).T, matrix[:3, 3])
     width, height = _number(path, value, "w"), _number(path, value, "h")
     if not (width.is_integer() and height.is_integer()):
@@ -262,7 +259,7 @@ def _number(path: Path, value: Mapping[str, Any], key: str, default: float | Non
 
 
 def _kind(path: PurePosixPath) -> str | None:
-    """Which layout of pictures.py a path is in."""
+    """Which layout of picturefiles.py a path is in."""
     name = path.parts[-3] if len(path.parts) >= 3 else ""
     return name if name in (FRAMES_NAME, IMAGES_NAME) else None
 
@@ -300,7 +297,7 @@ def _numbered(root: Path, entries: Sequence[Entry]) -> dict[str, Posed]:
             camera, frame = frame, camera
         number = frame_number(frame)
         if number is None:
-            raise CaptureError(f"{path}: {entry.path}: {frame!r} ends in no frame number")
+            raise CaptureError(f"{path}: {entry.path}: {frame!r} does not end in a frame number")
         group = groups.setdefault(camera, {})
         if number in group:
             raise CaptureError(
@@ -324,14 +321,14 @@ def _numbered(root: Path, entries: Sequence[Entry]) -> dict[str, Posed]:
 
 
 def _timed(root: Path, entries: Sequence[Entry]) -> dict[str, Posed]:
-    """The cameras of entries that only tell their time: one for each pose."""
+    """The cameras of entries that tell nothing but their time: one for each pose."""
     path = root / TRANSFORMS_NAME
     by_pose: dict[object, dict[float, Entry]] = {}
     for entry in entries:
         c = entry.camera
         key = (c.w2c.tobytes(), c.fx_px, c.fy_px, c.cx_px, c.cy_px, c.width_px, c.height_px)
         group = by_pose.setdefault((key, entry.lens), {})
-        assert entry.time is not None  # the caller asked
+        assert entry.time is not None  # the caller made sure
         if entry.time in group:
             raise CaptureError(
                 f"{path}: {group[entry.time].path} and {entry.path} have the same pose and time"
@@ -382,12 +379,13 @@ def _listed(root: Path, groups: Mapping[str, Mapping[_Key, Entry]]) -> dict[str,
 
 
 def _masks(root: Path, entries: Sequence[Entry]) -> tuple[Path, ...]:
-    """The mask files of a camera's entries; all have one or none."""
+    """The mask files of a camera's entries: all of them have one, or none has."""
     masks = tuple(root / entry.mask for entry in entries if entry.mask is not None)
     if 0 < len(masks) < len(entries):
         lacking = next(entry.path for entry in entries if entry.mask is None)
         raise CaptureError(
-            f"{root / TRANSFORMS_NAME}: {lacking} has no mask_path, other frames of its camera have"
+            f"{root / TRANSFORMS_NAME}: {lacking} has no mask_path, but other frames of its camera "
+            "have one"
         )
     return masks
 
@@ -414,11 +412,11 @@ def _held_out(
     if listed is None or (root / HELD_OUT_NAME).is_file():
         return read_held_out(root, names)
     if not isinstance(listed, list) or not all(isinstance(name, str) for name in listed):
-        raise CaptureError(f"{path}: test_filenames is no list of file_path")
+        raise CaptureError(f"{path}: test_filenames is not a list of file_path")
     tests = {safe_path(name, path) for name in listed}
     unknown = tests - frozenset().union(*(p.paths for p in posed))
     if unknown:
-        raise CaptureError(f"{path}: test_filenames has {min(unknown)}, which `frames` has not")
+        raise CaptureError(f"{path}: test_filenames has {min(unknown)}, which is not in `frames`")
     held_out = set()
     for name, p in zip(names, posed, strict=True):
         if p.paths <= tests:

@@ -3,8 +3,8 @@
     frames/<frame>/<picture>        a folder per frame; a camera's picture has one name in all
     images/<camera>/<frame>.jpg     a folder per camera; also .jpeg and .png
 
-<frame> ends in a number ("000012", "frame_12"). The numbers may start anywhere but have no gap, and
-every camera has the same ones; the first is frame 0 of the capture.
+<frame> ends in a number ("000012", "frame_12"). The numbers may start anywhere but must not have a
+gap, and every camera has the same ones; the first is frame 0 of the capture.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _LAST_NUMBER = re.compile(r"(?:.*\D)?(\d{1,18})")
 
 
 def frame_number(stem: str) -> int | None:
-    """The number that a name without suffix ends in."""
+    """The number that a name without suffix ends in; None if it does not end in one."""
     found = _LAST_NUMBER.fullmatch(stem)
     return int(found[1]) if found else None
 
@@ -99,8 +99,8 @@ def pictures_by_camera(folders: Sequence[Path]) -> list[tuple[Path, ...]]:
 def require_files(
     pictures: Sequence[Sequence[Path]], reason: str = "every frame needs a picture per camera"
 ) -> None:
-    """Raises CaptureError with the reason for the first file that is missing; lists each folder
-    once."""
+    """Raises CaptureError, giving the reason, for the first file that is missing. Each folder is
+    listed once."""
     listed: dict[Path, dict[str, bool]] = {}
     for file in (file for files in pictures for file in files):
         if file.parent not in listed:
@@ -110,7 +110,7 @@ def require_files(
 
 
 def check_without_gap(numbers: Collection[int], place: Path) -> None:
-    """Raises CaptureError, naming `place`, for frame numbers of which one is left out."""
+    """Raises CaptureError, naming `place`, if a number between first and last is missing."""
     ordered = sorted(numbers)
     for number, expected in zip(ordered, range(ordered[0], ordered[-1] + 1), strict=False):
         if number != expected:
@@ -168,12 +168,13 @@ def picture_source(
 
 
 def folder_names(folder: Path) -> frozenset[str]:
-    """The names in a folder but hidden ones; empty without a folder."""
+    """The names in a folder, hidden ones left out; empty if there is no such folder."""
     return frozenset(_listing(folder))
 
 
 def _listing(folder: Path) -> dict[str, bool]:
-    """The names in a folder but hidden ones, and whether each is a folder; empty without one."""
+    """The names in a folder, hidden ones left out, and whether each is a folder; empty if there is
+    no such folder."""
     try:
         with os.scandir(folder) as entries:
             return {e.name: e.is_dir() for e in entries if not e.name.startswith(".")}

@@ -2,7 +2,7 @@
 
 Reading forward decodes each frame once. Any other frame is reached from the key frame before it,
 found by the time stamps of the file's packets, so that a frame number means the same picture
-whichever way one comes to it.
+however one comes to it.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class _TimeTable:
 
 
 def probe_video(path: Path) -> VideoFacts:
-    """The facts of a video file. Raises CaptureError when it is none.
+    """The facts of a video file. Raises CaptureError for a file that is not a video.
 
     The frame count comes from the sample table of an MP4 file, unless the file's duration
     contradicts it (an edit list hides frames); then, and for other containers, the packets are
@@ -68,7 +68,7 @@ def probe_video(path: Path) -> VideoFacts:
                 raise CaptureError(f"{path}: a still picture, not a video")
             rate = stream.average_rate or stream.guessed_rate
             if not rate:
-                raise CaptureError(f"{path}: the video tells no frame rate")
+                raise CaptureError(f"{path}: the video does not tell its frame rate")
             fps = float(rate)
             num_frames = stream.frames if "mp4" in container.format.name else 0
             shown = float(container.duration or 0) / 1e6 * fps
@@ -101,6 +101,15 @@ def check_synchronised(videos: Sequence[Path], facts: Sequence[VideoFacts]) -> N
                 f"{path}: {fact.fps:.3f} frames per second, "
                 f"{videos[0].name} {facts[0].fps:.3f}; they must agree"
             )
+
+
+def check_video_size(path: Path, facts: VideoFacts, camera: Camera, declared_in: Path) -> None:
+    """Raises CaptureError unless the video has the size of its camera, told by `declared_in`."""
+    if (facts.width_px, facts.height_px) != (camera.width_px, camera.height_px):
+        raise CaptureError(
+            f"{path}: is {facts.width_px}x{facts.height_px} px; {declared_in.name} declares "
+            f"{camera.width_px}x{camera.height_px} px"
+        )
 
 
 class VideoSource:
@@ -146,7 +155,7 @@ class VideoSource:
             self._decoded = iter(())
 
     def _approach(self, frame: int) -> None:
-        """Lets _decoded stand at the frame, or before it with no key frame in between."""
+        """Brings _decoded to the frame, or before it with no key frame in between."""
         opened = self._container is not None
         if opened and self._next <= frame <= self._next + MAX_SKIP_FRAMES:
             return
@@ -219,7 +228,7 @@ def _video_stream(
 def _read_times(
     path: Path, container: av.container.InputContainer, stream: av.video.stream.VideoStream
 ) -> _TimeTable:
-    """Reads every packet, decoding none."""
+    """Reads every packet and decodes none."""
     frames: list[int] = []
     keys: list[int] = []
     for packet in container.demux(stream):

@@ -103,9 +103,9 @@ def test_key_frames_are_met_and_joined(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("{", "no JSON"),
-        ("[]", "no list"),
-        ("[3]", "key frame 0: it is no JSON object"),
+        ("{", "is not JSON"),
+        ("[]", "is not a list"),
+        ("[3]", "key frame 0: it is not a JSON object"),
         ('[{"frame": 0}]', "neither w2c nor position"),
         ('[{"frame": -1, "w2c": []}]', "frame is missing"),
         ('[{"frame": 0, "w2c": [1]}]', "w2c is not 16 numbers"),

@@ -159,7 +159,7 @@ def test_held_out_cameras_and_rate(tmp_path: Path) -> None:
     edit(tmp_path, lambda v: v.update(test_filenames=["images/cam09/0007.png"]))
     assert "test_filenames has images/cam09/0007.png" in refusal(tmp_path)
     edit(tmp_path, lambda v: v.update(test_filenames="cam01"))
-    assert "test_filenames is no list" in refusal(tmp_path)
+    assert "test_filenames is not a list" in refusal(tmp_path)
     (tmp_path / "held_out.txt").write_text("cam02")
     assert open_capture(tmp_path).held_out == (2,)
     edit(tmp_path, lambda v: v.update(fps=-1))
@@ -219,7 +219,7 @@ def turn(entry: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("form", "change", "said"),
     [
-        ("frames", lambda v: v.pop("frames"), "`frames` is no list"),
+        ("frames", lambda v: v.pop("frames"), "`frames` is not a list"),
         ("frames", lambda v: v.update(frames=[{}]), "entry 0 of `frames` has no file_path"),
         ("frames", lambda v: v.update(frames=["x"]), "entry 0 of `frames` has no file_path"),
         ("frames", lambda v: v.pop("fl_x"), "lacks fl_x"),
@@ -243,7 +243,7 @@ def turn(entry: dict[str, Any]) -> None:
         ("frames", lambda v: v["frames"][1].update(file_path="a.mp4"), "some file_path are videos"),
         ("frames", lambda v: v["frames"][1].update(file_path="a.png"), "tells neither camera nor"),
         ("frames", lambda v: v["frames"][1].update(file_path="b/frames/1/a.png"), "use one folder"),
-        ("images", lambda v: v["frames"][1].update(file_path="images/a/b.png"), "no frame number"),
+        ("images", lambda v: v["frames"][1].update(file_path="images/a/b.png"), "end in a frame "),
         ("images", lambda v: v["frames"][1].update(file_path="images/a/1.png"), "images/a: is mis"),
         ("images listed", lambda v: v["frames"].pop(4), "camera cam01 lacks frame 8, which"),
         ("images listed", lambda v: v["frames"].pop(1), "frame 8 is missing before frame 9"),
