@@ -9,7 +9,6 @@ from __future__ import annotations
 import ctypes
 import logging
 import sys
-import time
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
@@ -141,7 +140,6 @@ class GlRenderer:
         self._arrivals: Arrivals[PackedSlice] = Arrivals()
         self._closed = False
         self._uploaded_bytes = 0
-        self._upload_s = 0.0
         self._unlocked = _Unlocked(self._context)
         self._framebuffer: moderngl.Framebuffer | None = None
         try:
@@ -201,11 +199,6 @@ class GlRenderer:
     def uploaded_bytes(self) -> int:
         return self._uploaded_bytes
 
-    @property
-    def upload_s(self) -> float:
-        """Time spent in handing slices to OpenGL, so far."""
-        return self._upload_s
-
     def put(self, slice: Slice) -> None:
         """Packs the slice for the GPU; the next `render` of a frame >= its birth uploads it."""
         manifest = self._manifest
@@ -227,14 +220,12 @@ class GlRenderer:
     def upload(self, frame: int) -> None:
         """Brings the slices born up to `frame` into their lanes; nothing else is touched."""
         for packed in self._arrivals.take(frame):
-            began_s = time.perf_counter()
             self._order.put(packed.lane, packed.expire, packed.means, packed.starts)
             rows, width_px, _ = packed.texels.shape
             if rows:
                 area = (0, packed.lane * self._lane_rows, width_px, rows)
                 self._texture.write(packed.texels, viewport=area)
             self._uploaded_bytes += packed.texels.nbytes
-            self._upload_s += time.perf_counter() - began_s
 
     def draw(self, frame: int, camera: Camera, framebuffer: moderngl.Framebuffer) -> None:
         """Draws `frame` over a black `framebuffer`, without waiting for the GPU.

@@ -7,7 +7,6 @@ import numpy.typing as npt
 
 from codec.kernel import kernel
 
-Keys = npt.NDArray[np.uint32]
 Ints = npt.NDArray[np.int32]
 
 
