@@ -18,8 +18,9 @@ from rich.console import Console
 from rich.table import Table
 
 from codec.camera import Camera
+from player.render.blend import blend_tiles
 from player.render.project import Projection, project_kernel
-from player.render.tiles import blend_tiles, list_tiles
+from player.render.tiles import list_tiles
 from trainer.fit.optimiser import Adam, OptimiserConfig, add_noise
 from trainer.step.blend_backward import PAIR_GRADIENT, blend_tiles_backward
 from trainer.step.loss import Workspace, photometric_loss

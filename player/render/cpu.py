@@ -8,9 +8,10 @@ import numpy.typing as npt
 from codec.camera import Camera
 from codec.splats import Splats
 
+from .blend import blend_tiles
 from .project import Projection, camera_vector, project_kernel
 from .recipe import TILE_PX
-from .tiles import blend_tiles, list_tiles, tile_grid
+from .tiles import list_tiles, tile_grid
 
 Floats = npt.NDArray[np.float32]
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import ctypes
 import logging
 import sys
-from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from enum import Enum
@@ -30,7 +29,7 @@ from .arrivals import Arrivals
 from .lane import check_slice
 from .order import Order
 from .pack import TEXTURE_WIDTH_PX, pack_slice, texels_per_gaussian
-from .project import camera_vector
+from .project import jacobian_limits
 
 log = logging.getLogger(__name__)
 
@@ -261,14 +260,13 @@ class GlRenderer:
             self._copy.render(moderngl.TRIANGLES, vertices=3)
 
     def _set_camera(self, camera: Camera) -> None:
-        view = camera_vector(camera, self._manifest.near_m)
-        values: dict[str, Sequence[float] | Floats] = {
-            "rotation": view[:9].reshape(3, 3).T,
-            "translation": view[9:12],
-            "position": view[12:15],
-            "focal_px": view[15:17],
-            "centre_px": view[17:19],
-            "limit": view[19:21],
+        values: dict[str, npt.ArrayLike] = {
+            "rotation": camera.w2c[:3, :3].T,  # OpenGL stores columns
+            "translation": camera.w2c[:3, 3],
+            "position": camera.position,
+            "focal_px": (camera.fx_px, camera.fy_px),
+            "centre_px": (camera.cx_px, camera.cy_px),
+            "limit": jacobian_limits(camera),
             "size_px": (camera.width_px, camera.height_px),
         }
         for name, value in values.items():

@@ -30,51 +30,50 @@ PROJECTED = 10
 """Floats per projected Gaussian: centre (px), conic, opacity, colour, largest q that still
 shows."""
 
-# Places in the camera vector that the kernels take.
-_R, _T, _POSITION, _FX, _FY, _CX, _CY, _LIMIT_X, _LIMIT_Y, _NEAR = (
-    0,
-    9,
-    12,
-    15,
-    16,
-    17,
-    18,
-    19,
-    20,
-    21,
-)
+# Columns of a tile box: first tile and the one after the last, in x and in y.
+FIRST_X, END_X, FIRST_Y, END_Y = range(4)
+TILE_BOX = 4
+
+# Places in the camera vector: the rotation takes nine, row by row, the next two take three each.
+CAM_ROTATION, CAM_TRANSLATION, CAM_POSITION = 0, 9, 12
+CAM_FX, CAM_FY, CAM_CX, CAM_CY, CAM_LIMIT_X, CAM_LIMIT_Y, CAM_NEAR = range(15, 22)
+
+
+def jacobian_limits(camera: Camera) -> tuple[float, float]:
+    """Largest |x/z| and |y/z| that the Jacobian of the projection is taken at."""
+    tan_x = 0.5 * camera.width_px / camera.fx_px
+    tan_y = 0.5 * camera.height_px / camera.fy_px
+    return JACOBIAN_CLAMP * tan_x, JACOBIAN_CLAMP * tan_y
 
 
 def camera_vector(camera: Camera, near_m: float) -> Floats:
-    """(22,) float32: rotation, translation, position, intrinsics (px), Jacobian limits, near
-    plane."""
-    tan_x = 0.5 * camera.width_px / camera.fx_px
-    tan_y = 0.5 * camera.height_px / camera.fy_px
+    """(22,) float32, places as named above: world to camera, position in the world and near plane
+    in metres, intrinsics in pixels, Jacobian limits."""
     return np.concatenate(
         [
             camera.w2c[:3, :3].ravel(),
             camera.w2c[:3, 3],
             camera.position,
             [camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px],
-            [JACOBIAN_CLAMP * tan_x, JACOBIAN_CLAMP * tan_y, near_m],
+            [*jacobian_limits(camera), near_m],
         ]
     ).astype(np.float32)
 
 
 @dataclass(slots=True)
 class Projection:
-    """M Gaussians on the pixel grid; buffers are reused when they are large enough."""
+    """M Gaussians on the pixel grid."""
 
     projected: Floats  # (M, 10) float32, columns as named above
     depths: Floats  # (M,) float32, metres along the viewing axis; +inf where nothing shows
-    tile_boxes: Ints  # (M, 4) int32: first and end tile in x, first and end tile in y
+    tile_boxes: Ints  # (M, 4) int32, columns as named above
 
     @staticmethod
     def allocate(count: int) -> Projection:
         return Projection(
             np.empty((count, PROJECTED), np.float32),
             np.empty(count, np.float32),
-            np.empty((count, 4), np.int32),
+            np.empty((count, TILE_BOX), np.int32),
         )
 
 
@@ -96,41 +95,50 @@ def rotation_of(qw, qx, qy, qz):  # type: ignore[no-untyped-def]
     )
 
 
+@kernel(inline="always")
+def camera_rotation(camera):  # type: ignore[no-untyped-def]
+    """The nine entries, row by row, of the camera vector's rotation."""
+    r = CAM_ROTATION
+    return (
+        camera[r], camera[r + 1], camera[r + 2],
+        camera[r + 3], camera[r + 4], camera[r + 5],
+        camera[r + 6], camera[r + 7], camera[r + 8],
+    )  # fmt: skip
+
+
 @kernel(fastmath=True, parallel=True, nogil=True)
 def project_kernel(  # type: ignore[no-untyped-def]
     means, log_scales, quats, logit_opacities, sh, rows, camera, tiles_x, tiles_y,
     projected, depths, tile_boxes,
 ):  # fmt: skip
-    """Projects the Gaussians `rows` of the parameter arrays; see `project`."""
+    """Fills row i of `projected`, `depths` and `tile_boxes` (see Projection) from row `rows[i]` of
+    the parameter arrays, for the camera vector `camera`."""
     zero, half, one = np.float32(0), np.float32(0.5), np.float32(1)
     low_pass = np.float32(LOW_PASS_PX2)
     alpha_min = np.float32(ALPHA_MIN)
     max_extent = np.float32(MAX_EXTENT_SIGMA)
     c0, c1 = np.float32(SH_C0), np.float32(SH_C1)
     tile = np.float32(TILE_PX)
-    r00, r01, r02, r10, r11, r12, r20, r21, r22 = (
-        camera[0], camera[1], camera[2], camera[3], camera[4], camera[5], camera[6], camera[7],
-        camera[8]
-    )  # fmt: skip
+    r00, r01, r02, r10, r11, r12, r20, r21, r22 = camera_rotation(camera)
     for i in prange(rows.shape[0]):
         row = rows[i]
         depths[i] = np.float32(np.inf)
-        tile_boxes[i, 0] = 0
-        tile_boxes[i, 1] = 0
-        tile_boxes[i, 2] = 0
-        tile_boxes[i, 3] = 0
+        tile_boxes[i, FIRST_X] = 0
+        tile_boxes[i, END_X] = 0
+        tile_boxes[i, FIRST_Y] = 0
+        tile_boxes[i, END_Y] = 0
         mx, my, mz = means[row, 0], means[row, 1], means[row, 2]
-        z = r20 * mx + r21 * my + r22 * mz + camera[_T + 2]
+        z = r20 * mx + r21 * my + r22 * mz + camera[CAM_TRANSLATION + 2]
         opacity = one / (one + np.exp(-logit_opacities[row]))
-        if z <= camera[_NEAR] or opacity < alpha_min:
+        if z <= camera[CAM_NEAR] or opacity < alpha_min:
             continue
-        x = r00 * mx + r01 * my + r02 * mz + camera[_T]
-        y = r10 * mx + r11 * my + r12 * mz + camera[_T + 1]
-        fx, fy = camera[_FX], camera[_FY]
+        x = r00 * mx + r01 * my + r02 * mz + camera[CAM_TRANSLATION]
+        y = r10 * mx + r11 * my + r12 * mz + camera[CAM_TRANSLATION + 1]
+        fx, fy = camera[CAM_FX], camera[CAM_FY]
         inv_z = one / z
         u, v = x * inv_z, y * inv_z
-        tx = min(max(u, -camera[_LIMIT_X]), camera[_LIMIT_X])
-        ty = min(max(v, -camera[_LIMIT_Y]), camera[_LIMIT_Y])
+        tx = min(max(u, -camera[CAM_LIMIT_X]), camera[CAM_LIMIT_X])
+        ty = min(max(v, -camera[CAM_LIMIT_Y]), camera[CAM_LIMIT_Y])
         # (2, 3) Jacobian times the camera's rotation.
         jx, jy = fx * inv_z, fy * inv_z
         a0, a1, a2 = jx * (r00 - tx * r20), jx * (r01 - tx * r21), jx * (r02 - tx * r22)
@@ -158,8 +166,8 @@ def project_kernel(  # type: ignore[no-untyped-def]
         if not det > zero:
             continue
         inv_det = one / det
-        centre_x = fx * u + camera[_CX]
-        centre_y = fy * v + camera[_CY]
+        centre_x = fx * u + camera[CAM_CX]
+        centre_y = fy * v + camera[CAM_CY]
         q_max = np.log(opacity / alpha_min)
         extent = min(max_extent, np.sqrt(np.float32(2) * q_max))
         half_x, half_y = extent * np.sqrt(cov_a), extent * np.sqrt(cov_c)
@@ -176,9 +184,9 @@ def project_kernel(  # type: ignore[no-untyped-def]
         blue = half + c0 * sh[row, 0, 2]
         if sh.shape[1] >= 4:
             dx, dy, dz = (
-                mx - camera[_POSITION],
-                my - camera[_POSITION + 1],
-                mz - camera[_POSITION + 2],
+                mx - camera[CAM_POSITION],
+                my - camera[CAM_POSITION + 1],
+                mz - camera[CAM_POSITION + 2],
             )
             inv = c1 / np.sqrt(dx * dx + dy * dy + dz * dz)
             dx, dy, dz = dx * inv, dy * inv, dz * inv
@@ -196,7 +204,7 @@ def project_kernel(  # type: ignore[no-untyped-def]
         projected[i, BLUE] = max(blue, zero)
         projected[i, Q_MAX] = q_max
         depths[i] = z
-        tile_boxes[i, 0] = np.int32(x0)
-        tile_boxes[i, 1] = np.int32(x1)
-        tile_boxes[i, 2] = np.int32(y0)
-        tile_boxes[i, 3] = np.int32(y1)
+        tile_boxes[i, FIRST_X] = np.int32(x0)
+        tile_boxes[i, END_X] = np.int32(x1)
+        tile_boxes[i, FIRST_Y] = np.int32(y0)
+        tile_boxes[i, END_Y] = np.int32(y1)

@@ -1,4 +1,4 @@
-"""Which Gaussians touch which tile, front to back, and the blending of a tile's pixels."""
+"""Which Gaussians touch which tile, front to back."""
 
 from __future__ import annotations
 
@@ -10,8 +10,20 @@ from numba import prange
 
 from codec.kernel import kernel
 
-from .project import CONIC_A, CONIC_B, CONIC_C, Q_MAX, Projection, X, Y
-from .recipe import ALPHA_MAX, ALPHA_MIN, TILE_PX, TRANSMITTANCE_MIN
+from .project import (
+    CONIC_A,
+    CONIC_B,
+    CONIC_C,
+    END_X,
+    END_Y,
+    FIRST_X,
+    FIRST_Y,
+    Q_MAX,
+    Projection,
+    X,
+    Y,
+)
+from .recipe import TILE_PX
 from .sort import near_first
 
 Floats = npt.NDArray[np.float32]
@@ -53,7 +65,7 @@ def _row_span(projected, box, i, y):  # type: ignore[no-untyped-def]
     tallest = np.sqrt(a * reach / det)
     top, bottom = max(top, -tallest), min(bottom, tallest)
     if top > bottom:
-        return box[0], box[0]
+        return box[FIRST_X], box[FIRST_X]
     # The rightmost point lies at height `turn`, the leftmost at -turn.
     turn = -b * np.sqrt(reach / (c * det))
     right_y = min(max(turn, top), bottom)
@@ -65,8 +77,8 @@ def _row_span(projected, box, i, y):  # type: ignore[no-untyped-def]
     # A tile's pixel centres begin half a pixel inside it and end half a pixel before the next.
     first = np.int32(np.ceil((left + np.float32(0.5)) / np.float32(TILE_PX))) - 1
     end = np.int32(np.floor((right - np.float32(0.5)) / np.float32(TILE_PX))) + 1
-    end = max(box[0], min(box[1], end))
-    return min(max(box[0], first), end), end
+    end = max(box[FIRST_X], min(box[END_X], end))
+    return min(max(box[FIRST_X], first), end), end
 
 
 @kernel(nogil=True, parallel=True)
@@ -74,9 +86,9 @@ def _row_spans(projected, boxes, row_starts, spans, pair_starts):  # type: ignor
     """Fills spans (R, 2), Gaussian by Gaussian, row by row; pair_starts[i + 1]: pairs of i."""
     for i in prange(boxes.shape[0]):
         count = 0
-        for y in range(boxes[i, 2], boxes[i, 3]):
+        for y in range(boxes[i, FIRST_Y], boxes[i, END_Y]):
             first, end = _row_span(projected, boxes[i], i, y)
-            at = row_starts[i] + y - boxes[i, 2]
+            at = row_starts[i] + y - boxes[i, FIRST_Y]
             spans[at, 0] = first
             spans[at, 1] = end
             count += end - first
@@ -88,7 +100,7 @@ def _count_pairs(boxes, row_starts, spans, tiles_x, starts):  # type: ignore[no-
     """Fills starts (tiles + 1,) from the spans."""
     for i in range(boxes.shape[0]):
         at = row_starts[i]
-        for y in range(boxes[i, 2], boxes[i, 3]):
+        for y in range(boxes[i, FIRST_Y], boxes[i, END_Y]):
             for x in range(spans[at, 0], spans[at, 1]):
                 starts[y * tiles_x + x + 1] += 1
             at += 1
@@ -104,7 +116,7 @@ def _fill_pairs(  # type: ignore[no-untyped-def]
     for i in order:
         pair = pair_starts[i]
         at = row_starts[i]
-        for y in range(boxes[i, 2], boxes[i, 3]):
+        for y in range(boxes[i, FIRST_Y], boxes[i, END_Y]):
             for x in range(spans[at, 0], spans[at, 1]):
                 place = cursor[y * tiles_x + x]
                 gaussians[place] = i
@@ -123,7 +135,7 @@ def list_tiles(projection: Projection, tiles_x: int, tiles_y: int) -> TileLists:
     """Sorts the projected Gaussians by depth into the tiles that they reach."""
     boxes = projection.tile_boxes
     row_starts = np.zeros(len(boxes) + 1, np.int32)
-    np.cumsum(boxes[:, 3] - boxes[:, 2], out=row_starts[1:])
+    np.cumsum(boxes[:, END_Y] - boxes[:, FIRST_Y], out=row_starts[1:])
     spans = np.empty((row_starts[-1], 2), np.int32)
     pair_starts = np.zeros(len(boxes) + 1, np.int32)
     _row_spans(projection.projected, boxes, row_starts, spans, pair_starts)
@@ -138,104 +150,3 @@ def list_tiles(projection: Projection, tiles_x: int, tiles_y: int) -> TileLists:
     shares = 8
     order = np.concatenate([heavy_first[s::shares] for s in range(shares)])
     return TileLists(starts, gaussians, pairs, pair_starts, order)
-
-
-@kernel(fastmath=True, inline="always")
-def exp_minus(q):  # type: ignore[no-untyped-def]
-    """exp(-q) for 0 <= q <= 6, relative error below 1e-6; constant beyond, where nothing shows.
-
-    A polynomial of q / 8, then three squarings: no table and no branch, so it stays in vectors.
-    """
-    t = min(q, np.float32(6)) * np.float32(-0.125)
-    p = np.float32(9.49784813e-04)
-    p = p * t + np.float32(7.89773333e-03)
-    p = p * t + np.float32(4.14434430e-02)
-    p = p * t + np.float32(1.66606608e-01)
-    p = p * t + np.float32(4.99992159e-01)
-    p = p * t + np.float32(9.99999608e-01)
-    p = p * t + np.float32(1)
-    p = p * p
-    p = p * p
-    return p * p
-
-
-@kernel(fastmath=True, inline="always")
-def row_misses(a, b, c, q_max, dy, left):  # type: ignore[no-untyped-def]
-    """Whether the ellipse q <= q_max misses the 16 pixel centres of a row.
-
-    dy: row centre minus Gaussian centre; left: first pixel centre minus Gaussian centre, px.
-    """
-    # a dx^2 + 2 b dx dy + c dy^2 <= 2 q_max, solved for dx
-    root = b * b * dy * dy - a * (c * dy * dy - np.float32(2) * q_max)
-    if root <= 0:
-        return True
-    root = np.sqrt(root)
-    middle = -b * dy
-    return (middle + root) < left * a or (middle - root) > (left + np.float32(15)) * a
-
-
-@kernel(fastmath=True, parallel=True, nogil=True)
-def blend_tiles(  # type: ignore[no-untyped-def]
-    projected, starts, gaussians, order, tiles_x, picture
-):
-    """Blends every tile front to back into `picture` (3, tiles_y * 16, tiles_x * 16) float32."""
-    size = TILE_PX
-    alpha_min, alpha_max = np.float32(ALPHA_MIN), np.float32(ALPHA_MAX)
-    stop = np.float32(TRANSMITTANCE_MIN)
-    zero, half, one = np.float32(0), np.float32(0.5), np.float32(1)
-    for k in prange(order.shape[0]):
-        tile = order[k]
-        x_px = (tile % tiles_x) * size
-        y_px = (tile // tiles_x) * size
-        # Per row of the tile: transmittance, red, green, blue, 16 pixels each. One buffer, so that
-        # the compiler sees that the parts of a row do not overlap.
-        pixels = np.zeros(size * 4 * size, np.float32)
-        open_rows = size
-        row_open = np.ones(size, np.bool_)
-        for row in range(size):
-            for x in range(size):
-                pixels[row * 64 + x] = one
-        for entry in range(starts[tile], starts[tile + 1]):
-            g = gaussians[entry]
-            cx, cy = projected[g, 0], projected[g, 1]
-            a, b, c = projected[g, 2], projected[g, 3], projected[g, 4]
-            opacity, q_max = projected[g, 5], projected[g, 9]
-            red, green, blue = projected[g, 6], projected[g, 7], projected[g, 8]
-            left = np.float32(x_px) + half - cx
-            for row in range(size):
-                dy = np.float32(y_px + row) + half - cy
-                if not row_open[row] or row_misses(a, b, c, q_max, dy, left):
-                    continue
-                base = row * 64
-                b_dy = b * dy
-                c_dy = half * c * dy * dy
-                half_a = half * a
-                light = zero
-                for x in range(16):
-                    dx = left + np.float32(x)
-                    q = (half_a * dx + b_dy) * dx + c_dy
-                    alpha = min(alpha_max, opacity * exp_minus(q))
-                    seen = pixels[base + x]
-                    weight = seen * alpha
-                    weight = weight if alpha >= alpha_min else zero
-                    after = seen - weight
-                    # A pixel that would pass the threshold ends here: zero transmittance marks it.
-                    if after < stop:
-                        weight = zero
-                        after = zero
-                    pixels[base + x] = after
-                    pixels[base + 16 + x] += weight * red
-                    pixels[base + 32 + x] += weight * green
-                    pixels[base + 48 + x] += weight * blue
-                    light += after  # a sum: a maximum would keep this loop out of vectors
-                if light == zero:
-                    row_open[row] = False
-                    open_rows -= 1
-            if open_rows == 0:
-                break
-        for row in range(size):
-            for channel in range(3):
-                for x in range(size):
-                    picture[channel, y_px + row, x_px + x] = pixels[
-                        row * 64 + 16 * (channel + 1) + x
-                    ]

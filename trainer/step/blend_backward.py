@@ -1,8 +1,8 @@
 """Gradients of the blended picture with respect to the projected Gaussians.
 
-The forward pass is repeated front to back, so nothing per pixel has to be kept from it. With g the
+The forward pass is repeated front to back, so nothing per pixel has to be kept from it. With d the
 gradient of the loss for a pixel's colour, what lies behind a Gaussian enters through one number per
-pixel, the remaining sum of weight * (colour . g), which starts at picture . g and shrinks on the
+pixel, the remaining sum of weight * (colour . d), which starts at picture . d and shrinks on the
 way.
 """
 
@@ -12,49 +12,70 @@ import numpy as np
 from numba import prange
 
 from codec.kernel import kernel
-from player.render.recipe import ALPHA_MAX, ALPHA_MIN, TILE_PX, TRANSMITTANCE_MIN
-from player.render.tiles import exp_minus, row_misses
+from player.render.blend import (
+    blend_pixel,
+    from_centre,
+    row_misses,
+    tile_corner,
+    unclamped_alpha,
+)
+from player.render.project import (
+    BLUE,
+    CONIC_A,
+    CONIC_B,
+    CONIC_C,
+    GREEN,
+    OPACITY,
+    Q_MAX,
+    RED,
+    X,
+    Y,
+)
+from player.render.recipe import ALPHA_MAX, TILE_PX
 
-# Columns of a pair's gradient.
+# Columns of a pair's gradient, named after what it is for.
 G_X, G_Y, G_CONIC_A, G_CONIC_B, G_CONIC_C, G_LOGIT, G_RED, G_GREEN, G_BLUE = range(9)
 PAIR_GRADIENT = 9
 
-_ROW = 5 * TILE_PX  # per row of a tile: transmittance, remaining sum, g red, g green, g blue
-_SUMS = TILE_PX * _ROW  # where the nine sums of 16 lanes each begin
+# Planes of a row's pixels: transmittance, remaining sum, d.
+SEEN, BEHIND, D_RED, D_GREEN, D_BLUE = range(5)
+PLANES = 5
+
+# Sums over the rows of a tile for one pair, a lane for each column of pixels: `flow` times powers
+# of the offset from the Gaussian's centre, weight times d.
+FLOW, FLOW_X, FLOW_Y, FLOW_XX, FLOW_XY, FLOW_YY, SUM_RED, SUM_GREEN, SUM_BLUE = range(9)
+SUMS = 9
 
 
 @kernel(fastmath=True, parallel=True)
 def blend_tiles_backward(  # type: ignore[no-untyped-def]
     projected, starts, gaussians, pairs, order, tiles_x, picture, picture_grad, pair_grads
 ):
-    """Fills `pair_grads` (P, 9) float32 from `picture` and `picture_grad`, both (3, H16, W16)."""
-    size = TILE_PX
-    alpha_min, alpha_max = np.float32(ALPHA_MIN), np.float32(ALPHA_MAX)
-    stop = np.float32(TRANSMITTANCE_MIN)
+    """Fills `pair_grads` (P, 9) float32 from `picture` and `picture_grad`, both
+    (3, tiles_y * TILE_PX, tiles_x * TILE_PX)."""
+    alpha_max = np.float32(ALPHA_MAX)
     zero, half, one = np.float32(0), np.float32(0.5), np.float32(1)
     for k in prange(order.shape[0]):
         tile = order[k]
-        x_px = (tile % tiles_x) * size
-        y_px = (tile // tiles_x) * size
-        # One buffer for pixels and sums, so that the compiler sees that its parts do not overlap.
-        buf = np.empty(_SUMS + 9 * 16, np.float32)
-        for row in range(size):
-            base = row * _ROW
-            for x in range(size):
+        x_px, y_px = tile_corner(tile, tiles_x)
+        pixels = np.empty((TILE_PX, PLANES, TILE_PX), np.float32)
+        sums = np.empty((SUMS, TILE_PX), np.float32)
+        for row in range(TILE_PX):
+            for x in range(TILE_PX):
                 red = picture_grad[0, y_px + row, x_px + x]
                 green = picture_grad[1, y_px + row, x_px + x]
                 blue = picture_grad[2, y_px + row, x_px + x]
-                buf[base + x] = one
-                buf[base + 16 + x] = (
+                pixels[row, SEEN, x] = one
+                pixels[row, BEHIND, x] = (
                     red * picture[0, y_px + row, x_px + x]
                     + green * picture[1, y_px + row, x_px + x]
                     + blue * picture[2, y_px + row, x_px + x]
                 )
-                buf[base + 32 + x] = red
-                buf[base + 48 + x] = green
-                buf[base + 64 + x] = blue
-        open_rows = size
-        row_open = np.ones(size, np.bool_)
+                pixels[row, D_RED, x] = red
+                pixels[row, D_GREEN, x] = green
+                pixels[row, D_BLUE, x] = blue
+        open_rows = TILE_PX
+        row_open = np.ones(TILE_PX, np.bool_)
         for entry in range(starts[tile], starts[tile + 1]):
             pair = pairs[entry]
             if open_rows == 0:
@@ -62,80 +83,67 @@ def blend_tiles_backward(  # type: ignore[no-untyped-def]
                     pair_grads[pair, column] = zero
                 continue
             g = gaussians[entry]
-            cx, cy = projected[g, 0], projected[g, 1]
-            a, b, c = projected[g, 2], projected[g, 3], projected[g, 4]
-            opacity, q_max = projected[g, 5], projected[g, 9]
-            red, green, blue = projected[g, 6], projected[g, 7], projected[g, 8]
-            left = np.float32(x_px) + half - cx
-            for x in range(9 * 16):
-                buf[_SUMS + x] = zero
-            for row in range(size):
-                dy = np.float32(y_px + row) + half - cy
+            a, b, c = projected[g, CONIC_A], projected[g, CONIC_B], projected[g, CONIC_C]
+            opacity, q_max = projected[g, OPACITY], projected[g, Q_MAX]
+            red, green, blue = projected[g, RED], projected[g, GREEN], projected[g, BLUE]
+            left, cy = from_centre(x_px, projected[g, X]), projected[g, Y]
+            for plane in range(SUMS):
+                for x in range(TILE_PX):
+                    sums[plane, x] = zero
+            for row in range(TILE_PX):
+                dy = from_centre(y_px + row, cy)
                 if not row_open[row] or row_misses(a, b, c, q_max, dy, left):
                     continue
-                base = row * _ROW
-                b_dy = b * dy
-                c_dy = half * c * dy * dy
-                half_a = half * a
                 light = zero
-                for x in range(16):
+                for x in range(TILE_PX):
                     dx = left + np.float32(x)
-                    q = (half_a * dx + b_dy) * dx + c_dy
-                    free = opacity * exp_minus(q)
-                    alpha = min(alpha_max, free)
-                    seen = buf[base + x]
-                    weight = seen * alpha
-                    weight = weight if alpha >= alpha_min else zero
-                    after = seen - weight
-                    if after < stop:
-                        weight = zero
-                        after = zero
-                    g_red, g_green, g_blue = (
-                        buf[base + 32 + x],
-                        buf[base + 48 + x],
-                        buf[base + 64 + x],
-                    )
-                    along = red * g_red + green * g_green + blue * g_blue
-                    behind = buf[base + 16 + x] - weight * along
+                    unclamped = unclamped_alpha(a, b, c, opacity, dx, dy)
+                    seen = pixels[row, SEEN, x]
+                    alpha, weight, after = blend_pixel(seen, unclamped)
+                    d_red = pixels[row, D_RED, x]
+                    d_green = pixels[row, D_GREEN, x]
+                    d_blue = pixels[row, D_BLUE, x]
+                    along = red * d_red + green * d_green + blue * d_blue
+                    behind = pixels[row, BEHIND, x] - weight * along
                     # d loss / d alpha times alpha; none where alpha is cut or clamped
                     flow = (seen * along - behind / (one - alpha)) * alpha
                     flow = flow if weight > zero else zero
-                    flow = flow if free <= alpha_max else zero
-                    buf[base + x] = after
-                    buf[base + 16 + x] = behind
+                    flow = flow if unclamped <= alpha_max else zero
+                    pixels[row, SEEN, x] = after
+                    pixels[row, BEHIND, x] = behind
                     light += after
                     flow_x = flow * dx
                     flow_y = flow * dy
-                    buf[_SUMS + x] += flow
-                    buf[_SUMS + 16 + x] += flow_x
-                    buf[_SUMS + 32 + x] += flow_y
-                    buf[_SUMS + 48 + x] += flow_x * dx
-                    buf[_SUMS + 64 + x] += flow_x * dy
-                    buf[_SUMS + 80 + x] += flow_y * dy
-                    buf[_SUMS + 96 + x] += weight * g_red
-                    buf[_SUMS + 112 + x] += weight * g_green
-                    buf[_SUMS + 128 + x] += weight * g_blue
+                    sums[FLOW, x] += flow
+                    sums[FLOW_X, x] += flow_x
+                    sums[FLOW_Y, x] += flow_y
+                    sums[FLOW_XX, x] += flow_x * dx
+                    sums[FLOW_XY, x] += flow_x * dy
+                    sums[FLOW_YY, x] += flow_y * dy
+                    sums[SUM_RED, x] += weight * d_red
+                    sums[SUM_GREEN, x] += weight * d_green
+                    sums[SUM_BLUE, x] += weight * d_blue
                 if light == zero:
                     row_open[row] = False
                     open_rows -= 1
             flow, flow_x, flow_y, flow_xx, flow_xy, flow_yy = zero, zero, zero, zero, zero, zero
             sum_red, sum_green, sum_blue = zero, zero, zero
-            for x in range(16):
-                flow += buf[_SUMS + x]
-                flow_x += buf[_SUMS + 16 + x]
-                flow_y += buf[_SUMS + 32 + x]
-                flow_xx += buf[_SUMS + 48 + x]
-                flow_xy += buf[_SUMS + 64 + x]
-                flow_yy += buf[_SUMS + 80 + x]
-                sum_red += buf[_SUMS + 96 + x]
-                sum_green += buf[_SUMS + 112 + x]
-                sum_blue += buf[_SUMS + 128 + x]
-            pair_grads[pair, 0] = a * flow_x + b * flow_y
-            pair_grads[pair, 1] = b * flow_x + c * flow_y
-            pair_grads[pair, 2] = -half * flow_xx
-            pair_grads[pair, 3] = -flow_xy
-            pair_grads[pair, 4] = -half * flow_yy
-            pair_grads[pair, 5] = flow * (one - opacity)
-            pair_grads[pair, 6] = sum_red
-            pair_grads[pair, 7] = sum_green
-            pair_grads[pair, 8] = sum_blue
+            for x in range(TILE_PX):
+                flow += sums[FLOW, x]
+                flow_x += sums[FLOW_X, x]
+                flow_y += sums[FLOW_Y, x]
+                flow_xx += sums[FLOW_XX, x]
+                flow_xy += sums[FLOW_XY, x]
+                flow_yy += sums[FLOW_YY, x]
+                sum_red += sums[SUM_RED, x]
+                sum_green += sums[SUM_GREEN, x]
+                sum_blue += sums[SUM_BLUE, x]
+            pair_grads[pair, G_X] = a * flow_x + b * flow_y
+            pair_grads[pair, G_Y] = b * flow_x + c * flow_y
+            pair_grads[pair, G_CONIC_A] = -half * flow_xx
+            pair_grads[pair, G_CONIC_B] = -flow_xy
+            pair_grads[pair, G_CONIC_C] = -half * flow_yy
+            pair_grads[pair, G_LOGIT] = flow * (one - opacity)
+            pair_grads[pair, G_RED] = sum_red
+            pair_grads[pair, G_GREEN] = sum_green
+            pair_grads[pair, G_BLUE] = sum_blue

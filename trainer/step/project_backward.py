@@ -7,8 +7,35 @@ from numba import prange
 
 from codec.kernel import kernel
 from codec.splats import SH_C0
-from player.render.project import rotation_of
+from player.render.project import (
+    BLUE,
+    CAM_FX,
+    CAM_FY,
+    CAM_LIMIT_X,
+    CAM_LIMIT_Y,
+    CAM_POSITION,
+    CAM_TRANSLATION,
+    CONIC_A,
+    CONIC_B,
+    CONIC_C,
+    GREEN,
+    RED,
+    camera_rotation,
+    rotation_of,
+)
 from player.render.recipe import SH_C1
+
+from .blend_backward import (
+    G_BLUE,
+    G_CONIC_A,
+    G_CONIC_B,
+    G_CONIC_C,
+    G_GREEN,
+    G_LOGIT,
+    G_RED,
+    G_X,
+    G_Y,
+)
 
 
 @kernel(fastmath=True, parallel=True)
@@ -26,10 +53,7 @@ def project_backward_kernel(  # type: ignore[no-untyped-def]
     half, one, two = np.float32(0.5), np.float32(1), np.float32(2)
     zero = np.float32(0)
     c0, c1 = np.float32(SH_C0), np.float32(SH_C1)
-    r00, r01, r02, r10, r11, r12, r20, r21, r22 = (
-        camera[0], camera[1], camera[2], camera[3], camera[4], camera[5], camera[6], camera[7],
-        camera[8]
-    )  # fmt: skip
+    r00, r01, r02, r10, r11, r12, r20, r21, r22 = camera_rotation(camera)
     linear = sh.shape[1] >= 4
     for i in prange(rows.shape[0]):
         row = rows[i]
@@ -58,22 +82,23 @@ def project_backward_kernel(  # type: ignore[no-untyped-def]
         gx, gy, ga, gb, gc, g_logit = zero, zero, zero, zero, zero, zero
         g_red, g_green, g_blue = zero, zero, zero
         for pair in range(pair_starts[i], pair_starts[i + 1]):
-            gx += pair_grads[pair, 0]
-            gy += pair_grads[pair, 1]
-            ga += pair_grads[pair, 2]
-            gb += pair_grads[pair, 3]
-            gc += pair_grads[pair, 4]
-            g_logit += pair_grads[pair, 5]
-            g_red += pair_grads[pair, 6]
-            g_green += pair_grads[pair, 7]
-            g_blue += pair_grads[pair, 8]
+            gx += pair_grads[pair, G_X]
+            gy += pair_grads[pair, G_Y]
+            ga += pair_grads[pair, G_CONIC_A]
+            gb += pair_grads[pair, G_CONIC_B]
+            gc += pair_grads[pair, G_CONIC_C]
+            g_logit += pair_grads[pair, G_LOGIT]
+            g_red += pair_grads[pair, G_RED]
+            g_green += pair_grads[pair, G_GREEN]
+            g_blue += pair_grads[pair, G_BLUE]
         g_logits[row] += g_logit
         # The forward pass once more, up to the covariance's two factors.
         mx, my, mz = means[row, 0], means[row, 1], means[row, 2]
-        x = r00 * mx + r01 * my + r02 * mz + camera[9]
-        y = r10 * mx + r11 * my + r12 * mz + camera[10]
-        z = r20 * mx + r21 * my + r22 * mz + camera[11]
-        fx, fy, limit_x, limit_y = camera[15], camera[16], camera[19], camera[20]
+        x = r00 * mx + r01 * my + r02 * mz + camera[CAM_TRANSLATION]
+        y = r10 * mx + r11 * my + r12 * mz + camera[CAM_TRANSLATION + 1]
+        z = r20 * mx + r21 * my + r22 * mz + camera[CAM_TRANSLATION + 2]
+        fx, fy = camera[CAM_FX], camera[CAM_FY]
+        limit_x, limit_y = camera[CAM_LIMIT_X], camera[CAM_LIMIT_Y]
         inv_z = one / z
         u, v = x * inv_z, y * inv_z
         tx, ty = min(max(u, -limit_x), limit_x), min(max(v, -limit_y), limit_y)
@@ -93,7 +118,7 @@ def project_backward_kernel(  # type: ignore[no-untyped-def]
         vb1 = (b0 * g01 + b1 * g11 + b2 * g21) * s1
         vb2 = (b0 * g02 + b1 * g12 + b2 * g22) * s2
         # conic = inverse(covariance): d covariance = -conic G conic
-        ca, cb, cc = projected[i, 2], projected[i, 3], projected[i, 4]
+        ca, cb, cc = projected[i, CONIC_A], projected[i, CONIC_B], projected[i, CONIC_C]
         gb = half * gb
         m00, m01 = ga * ca + gb * cb, ga * cb + gb * cc
         m10, m11 = gb * ca + gc * cb, gb * cb + gc * cc
@@ -145,14 +170,18 @@ def project_backward_kernel(  # type: ignore[no-untyped-def]
         dmy = r01 * d_x + r11 * d_y + r21 * d_z
         dmz = r02 * d_x + r12 * d_y + r22 * d_z
         # colour; a channel cut at zero has no gradient
-        g_red = g_red if projected[i, 6] > zero else zero
-        g_green = g_green if projected[i, 7] > zero else zero
-        g_blue = g_blue if projected[i, 8] > zero else zero
+        g_red = g_red if projected[i, RED] > zero else zero
+        g_green = g_green if projected[i, GREEN] > zero else zero
+        g_blue = g_blue if projected[i, BLUE] > zero else zero
         g_sh[row, 0, 0] = c0 * g_red
         g_sh[row, 0, 1] = c0 * g_green
         g_sh[row, 0, 2] = c0 * g_blue
         if linear:
-            ox, oy, oz = mx - camera[12], my - camera[13], mz - camera[14]
+            ox, oy, oz = (
+                mx - camera[CAM_POSITION],
+                my - camera[CAM_POSITION + 1],
+                mz - camera[CAM_POSITION + 2],
+            )
             inv = one / np.sqrt(ox * ox + oy * oy + oz * oz)
             ox, oy, oz = ox * inv, oy * inv, oz * inv
             g_sh[row, 1, 0] = -c1 * oy * g_red

@@ -10,9 +10,10 @@ import numpy.typing as npt
 
 from codec.camera import Camera
 from codec.splats import sh_count
+from player.render.blend import blend_tiles
 from player.render.project import PROJECTED, Projection, camera_vector, project_kernel
 from player.render.recipe import TILE_PX
-from player.render.tiles import TileLists, blend_tiles, list_tiles, tile_grid
+from player.render.tiles import TileLists, list_tiles, tile_grid
 
 from .blend_backward import PAIR_GRADIENT, blend_tiles_backward
 from .project_backward import project_backward_kernel
@@ -50,7 +51,7 @@ class View:
     """A camera prepared for the kernels, once per training camera."""
 
     camera: Camera
-    vector: Floats  # (22,) float32
+    vector: Floats  # see camera_vector
     near_m: float
     tiles_x: int
     tiles_y: int
@@ -88,7 +89,7 @@ class Rendered:
     rows: Ints
     projection: Projection
     lists: TileLists
-    picture: Floats  # (3, tiles_y * 16, tiles_x * 16) float32, planar, padded to whole tiles
+    picture: Floats  # (3, tiles_y * TILE_PX, tiles_x * TILE_PX) float32, padded to whole tiles
     scratch: Scratch
 
 

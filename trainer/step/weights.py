@@ -7,14 +7,19 @@ import numpy.typing as npt
 from numba import prange
 
 from codec.kernel import kernel
-from player.render.recipe import ALPHA_MAX, ALPHA_MIN, TILE_PX, TRANSMITTANCE_MIN
-from player.render.tiles import exp_minus, row_misses
+from player.render.blend import (
+    blend_pixel,
+    from_centre,
+    row_misses,
+    tile_corner,
+    unclamped_alpha,
+)
+from player.render.project import CONIC_A, CONIC_B, CONIC_C, OPACITY, Q_MAX, X, Y
+from player.render.recipe import TILE_PX
 
 from .raster import Rendered
 
 Floats = npt.NDArray[np.float32]
-
-_SUMS = TILE_PX * TILE_PX  # where the 16 lanes of a pair's sum begin, after the transmittances
 
 
 @kernel(fastmath=True, parallel=True)
@@ -24,68 +29,52 @@ def sum_weights(  # type: ignore[no-untyped-def]
     """Fills `pair_weights` (P,) float32 with the sum of transmittance * alpha over the pixels of
     each pair's tile that lie in the picture and count: counts (H, W) uint8, above 0."""
     height_px, width_px = counts.shape
-    size = TILE_PX
-    alpha_min, alpha_max = np.float32(ALPHA_MIN), np.float32(ALPHA_MAX)
-    stop = np.float32(TRANSMITTANCE_MIN)
-    zero, half, one = np.float32(0), np.float32(0.5), np.float32(1)
+    zero, one = np.float32(0), np.float32(1)
     for k in prange(order.shape[0]):
         tile = order[k]
-        x_px = (tile % tiles_x) * size
-        y_px = (tile // tiles_x) * size
-        buf = np.zeros(_SUMS + size, np.float32)
-        row_open = np.zeros(size, np.bool_)
+        x_px, y_px = tile_corner(tile, tiles_x)
+        seen = np.zeros((TILE_PX, TILE_PX), np.float32)
+        sums = np.empty(TILE_PX, np.float32)
+        row_open = np.zeros(TILE_PX, np.bool_)
         open_rows = 0
-        for row in range(size):
+        for row in range(TILE_PX):
             if y_px + row >= height_px:
                 continue
             row_open[row] = True
             open_rows += 1
-            for x in range(16):
+            for x in range(TILE_PX):
                 # Pixels beside the picture and ignored ones are closed from the start, so nothing
                 # counts there.
                 inside = x_px + x < width_px and counts[y_px + row, x_px + x] > 0
-                buf[row * 16 + x] = one if inside else zero
+                seen[row, x] = one if inside else zero
         for entry in range(starts[tile], starts[tile + 1]):
             pair = pairs[entry]
             if open_rows == 0:
                 pair_weights[pair] = zero
                 continue
             g = gaussians[entry]
-            cx, cy = projected[g, 0], projected[g, 1]
-            a, b, c = projected[g, 2], projected[g, 3], projected[g, 4]
-            opacity, q_max = projected[g, 5], projected[g, 9]
-            left = np.float32(x_px) + half - cx
-            for x in range(16):
-                buf[_SUMS + x] = zero
-            for row in range(size):
-                dy = np.float32(y_px + row) + half - cy
+            a, b, c = projected[g, CONIC_A], projected[g, CONIC_B], projected[g, CONIC_C]
+            opacity, q_max = projected[g, OPACITY], projected[g, Q_MAX]
+            left, cy = from_centre(x_px, projected[g, X]), projected[g, Y]
+            for x in range(TILE_PX):
+                sums[x] = zero
+            for row in range(TILE_PX):
+                dy = from_centre(y_px + row, cy)
                 if not row_open[row] or row_misses(a, b, c, q_max, dy, left):
                     continue
-                base = row * 16
-                b_dy = b * dy
-                c_dy = half * c * dy * dy
-                half_a = half * a
                 light = zero
-                for x in range(16):
-                    dx = left + np.float32(x)
-                    q = (half_a * dx + b_dy) * dx + c_dy
-                    alpha = min(alpha_max, opacity * exp_minus(q))
-                    seen = buf[base + x]
-                    weight = seen * alpha
-                    weight = weight if alpha >= alpha_min else zero
-                    after = seen - weight
-                    if after < stop:
-                        weight = zero
-                        after = zero
-                    buf[base + x] = after
-                    buf[_SUMS + x] += weight
+                for x in range(TILE_PX):
+                    unclamped = unclamped_alpha(a, b, c, opacity, left + np.float32(x), dy)
+                    _, weight, after = blend_pixel(seen[row, x], unclamped)
+                    seen[row, x] = after
+                    sums[x] += weight
                     light += after
                 if light == zero:
                     row_open[row] = False
                     open_rows -= 1
             total = zero
-            for x in range(16):
-                total += buf[_SUMS + x]
+            for x in range(TILE_PX):
+                total += sums[x]
             pair_weights[pair] = total
 
 
