@@ -12,8 +12,8 @@ Item = TypeVar("Item")
 class Arrivals(Generic[Item]):
     """Holds each slice until a frame at or after its birth is drawn.
 
-    Until then its lane belongs to a slice that still shows. Its length is bounded by who puts: an
-    update thread waits for the render thread when it is a few frames ahead (update.py).
+    Until then its lane belongs to a slice that still shows. Whoever puts must keep the queue short:
+    the update thread waits for the render thread when it is a few frames ahead.
     """
 
     def __init__(self) -> None:
@@ -21,7 +21,7 @@ class Arrivals(Generic[Item]):
         self._waiting: deque[tuple[int, Item]] = deque()
 
     def put(self, birth: int, item: Item) -> None:
-        """Adds the slice born at `birth`; births rise."""
+        """Adds the slice born at `birth`; births must ascend."""
         with self._lock:
             self._waiting.append((birth, item))
 

@@ -114,7 +114,7 @@ class PackedSlice:
 
 
 class GlRenderer:
-    """Draws a stream in recipe v1; see player.renderer.Renderer."""
+    """Draws a stream in recipe v1; see renderer.Renderer."""
 
     def __init__(
         self,
@@ -252,7 +252,7 @@ class GlRenderer:
         """Draws `frame` onto the lower left of a window, as large as `camera` says."""
         with self._current:
             self.draw(frame, camera, self._offscreen(camera.width_px, camera.height_px))
-            # A window's framebuffer still says the size that it was opened with.
+            # A window's framebuffer keeps the size that the window was opened with.
             screen.viewport = (0, 0, camera.width_px, camera.height_px)
             screen.use()
             self._context.enable_only(moderngl.NOTHING)

@@ -21,7 +21,7 @@ def check_slice(slice: Slice, slice_size: int, sh_degree: int) -> None:
 
 
 def slice_bytes(slice: Slice) -> int:
-    """What `slice` takes in memory."""
+    """Bytes that `slice` takes in memory."""
     splats = slice.splats
     arrays = (splats.means, splats.log_scales, splats.quats, splats.logit_opacities, splats.sh)
     return sum(array.nbytes for array in arrays) + slice.start_offsets.nbytes

@@ -21,7 +21,10 @@ class Ring:
 
     def __init__(self, swin_size: int, slice_size: int, sh_degree: int) -> None:
         if swin_size < 1 or slice_size < 1:
-            raise InvalidError(f"ring: {swin_size} lanes of {slice_size} Gaussians")
+            raise InvalidError(
+                f"a ring needs at least one lane of one Gaussian, "
+                f"not {swin_size} lanes of {slice_size}"
+            )
         self.swin_size = swin_size
         self.slice_size = slice_size
         self.sh_degree = sh_degree

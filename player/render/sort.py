@@ -1,4 +1,4 @@
-"""Sorting by depth: a radix sort, stable, so that equal depths fall alike on every machine."""
+"""Sorting by depth: a stable radix sort, so equal depths have the same order on every machine."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ Ints = npt.NDArray[np.int32]
 
 @kernel(nogil=True)
 def radix_sort(keys, values, spare_keys, spare_values):  # type: ignore[no-untyped-def]
-    """Sorts uint32 keys, and values with them, rising, in three passes of 11 bits.
+    """Sorts uint32 keys, and values with them, in ascending order, in three passes of 11 bits.
 
-    The result lies in the spare arrays; the others are overwritten. The bits of positive floats
-    rise with their value, so that their view as uint32 is a key that loses nothing.
+    The result is in the spare arrays; the others are overwritten. The bits of positive floats
+    grow with their value, so their view as uint32 is an exact key.
     """
     counts = np.zeros((3, 2048), np.int32)
     for i in range(keys.shape[0]):
@@ -42,7 +42,7 @@ def radix_sort(keys, values, spare_keys, spare_values):  # type: ignore[no-untyp
 
 
 def near_first(depths: npt.NDArray[np.float32]) -> Ints:
-    """(M,) int32: the order of rising depth (M,) float32; those below zero come last."""
+    """(M,) int32: the order of ascending depths (M,) float32; those below zero come last."""
     keys, order = depths.view(np.uint32).copy(), np.arange(len(depths), dtype=np.int32)
     spare_keys, spare_order = np.empty_like(keys), np.empty_like(order)
     radix_sort(keys, order, spare_keys, spare_order)

@@ -3,7 +3,7 @@
 loss = (1 - lambda) L1 + lambda (1 - SSIM), the mean over pixels and channels, as in 3D Gaussian
 splatting; SSIM with an 11-tap Gaussian window (sigma 1.5 px), zero beyond the border. Pixels that a
 mask ignores are the same grey on both sides, so that nothing there pulls and whatever the capture
-shows there is of no effect.
+shows there has no effect.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def _blur_products_rows(pred, target, taps, out):  # type: ignore[no-untyped-def
 
 @kernel(fastmath=True, parallel=True)
 def _ssim_columns(blurred, taps, partials, row_sums):  # type: ignore[no-untyped-def]
-    """Ends the blur along y; SSIM's sum per row, and its partial derivatives (3, C, H, W)."""
+    """Finishes the blur along y; SSIM's sum per row, and its partial derivatives (3, C, H, W)."""
     _, channels, height, width = blurred.shape
     radius = taps.shape[0] // 2
     c1, c2, two = np.float32(C1), np.float32(C2), np.float32(2)
@@ -114,7 +114,7 @@ def _blur_rows(maps, taps, out):  # type: ignore[no-untyped-def]
 def _gradient_columns(  # type: ignore[no-untyped-def]
     pred, target, blurred, taps, l1_weight, ssim_weight, gradient, l1_sums
 ):
-    """Ends the blur of the partials along y and adds the gradient of L1."""
+    """Finishes the blur of the partials along y and adds the gradient of L1."""
     channels, height, width = target.shape
     radius = taps.shape[0] // 2
     two, zero = np.float32(2), np.float32(0)
@@ -199,7 +199,7 @@ class Loss:
 class Workspace:
     """Planes that the loss of pictures of one size writes to.
 
-    A step that allocates them anew spends more time in the kernel's page faults than in the loss.
+    A step that allocates new ones spends more time in page faults than in the loss.
     """
 
     def __init__(self, shape: tuple[int, ...]) -> None:

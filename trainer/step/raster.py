@@ -65,16 +65,16 @@ class View:
 class Scratch:
     """Memory that the steps of a training run use again and again.
 
-    Megabytes that are taken anew in every step cost more in page faults than some kernels take.
-    What a call gives lives in here until the next call with the same scratch.
+    Allocating megabytes in every step costs more in page faults than some kernels take. What a
+    call returns lives in here until the next call with the same scratch.
     """
 
     def __init__(self) -> None:
         self._held: dict[str, Floats] = {}
 
     def take(self, name: str, *shape: int) -> Floats:
-        """float32 of this shape with any content; of the memory that `name` had before, if it
-        suffices."""
+        """A float32 array of this shape with any content, in the memory that `name` had before if
+        that is large enough."""
         size = math.prod(shape)
         if name not in self._held or len(self._held[name]) < size:
             self._held[name] = np.empty(size + size // 4, np.float32)
@@ -127,7 +127,7 @@ def backward(
 ) -> None:
     """Writes the gradients of the rendered rows below `trainable` into `gradients`.
 
-    picture_grad: d loss / d picture, (3, tiles_y * 16, tiles_x * 16) float32, zero in the padding.
+    picture_grad: d loss / d picture, float32, of the picture's shape, zero in the padding.
     opacity_reg, scale_reg: weights of the mean opacity and the mean scale (metres) over the
     rendered rows in the loss (3DGS-MCMC, section 3.4).
     """

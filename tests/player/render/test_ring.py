@@ -54,5 +54,5 @@ def test_what_does_not_fit_is_refused() -> None:
         ring.put(random_slice(0, 4, 0))
     with pytest.raises(InvalidError, match="SH degree 1"):
         ring.put(random_slice(0, 3, 1))
-    with pytest.raises(InvalidError):
+    with pytest.raises(InvalidError, match="at least one lane"):
         Ring(0, 3, 0)

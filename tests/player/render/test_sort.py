@@ -13,7 +13,7 @@ depth = st.floats(0, 2.0**90, width=32)
 
 
 @given(st.lists(st.one_of(depth, st.sampled_from([0.0, 1.5, 2.5])), max_size=60))
-def test_rising_and_equal_depths_keep_their_order(values: list[float]) -> None:
+def test_ascending_and_equal_depths_keep_their_order(values: list[float]) -> None:
     depths = np.array(values, np.float32)
     before = depths.copy()
     assert near_first(depths).tolist() == np.argsort(before, kind="stable").tolist()
