@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,11 @@ def median_ms(work: Callable[[], object]) -> float:
     return 1e3 * float(np.median(times))
 
 
+def each(work: Callable[[bytes], object], parts: list[bytes]) -> None:
+    for part in parts:
+        work(part)
+
+
 def synthetic_slices(count: int) -> list[Slice]:
     """`count` slices of a trained-like scene of NUM_GS Gaussians, dealt at random as slots are."""
     splats = trained_like_splats(NUM_GS)
@@ -68,16 +74,16 @@ def table_of_cases() -> Table:
         for count, fractions in CASES:
             slices = synthetic_slices(count)
             chunks = [c for s in slices for c in encode_slice(s, fractions, profile)]
-            frames = [encode_packet(chunk) for chunk in chunks]
-            one, inflated = chunks[: len(fractions)], frames[: len(fractions)]
+            packets = [encode_packet(chunk) for chunk in chunks]
+            one, coded = chunks[: len(fractions)], packets[: len(fractions)]
             total = sum(len(s.splats) for s in slices)
             times = (
-                median_ms(lambda s=slices[0], f=fractions, p=profile: encode_slice(s, f, p)),
-                median_ms(lambda o=one: [encode_packet(chunk) for chunk in o]),
-                median_ms(lambda o=one: [decode_chunk(chunk) for chunk in o]),
-                median_ms(lambda o=inflated: [decode_packet(frame) for frame in o]),
+                median_ms(partial(encode_slice, slices[0], fractions, profile)),
+                median_ms(partial(each, encode_packet, one)),
+                median_ms(partial(each, decode_chunk, one)),
+                median_ms(partial(each, decode_packet, coded)),
             )
-            size = sum(map(len, frames)) / total
+            size = sum(map(len, packets)) / total
             row = (profile.value, str(len(slices)), str(len(fractions)), f"{size:.2f}")
             table.add_row(*row, *(f"{ms:.2f}" for ms in times))
     return table
@@ -91,12 +97,12 @@ def table_of_attributes(slice: Slice) -> Table:
     sizes = dict.fromkeys([*groups, "escapes, offsets"], 0)
     for chunk in encode_slice(slice, (0.25,) * 4, Profile.COMPACT):
         edges, at = plane_edges(chunk), 0
-        frame_bytes = len(compress(b"\0", [0, 1]))
+        empty_bytes = len(compress(b"\0", [0, 1]))
         for name, planes in groups.items():
             last = min(at + planes, len(edges) - 1)
             start, end = edges[at], edges[last]
             inner = [edge - start for edge in edges[at : last + 1]]
-            sizes[name] += len(compress(chunk[start:end], inner)) - frame_bytes + 4
+            sizes[name] += len(compress(chunk[start:end], inner)) - empty_bytes + 4
             at = last
         sizes["escapes, offsets"] += edges[-1] - edges[at]
     table = Table(title=f"compact, {len(slice.splats)} Gaussians in 4 layers: bits a Gaussian")
