@@ -1,7 +1,8 @@
 """The text header of a PLY file: which elements follow, and how their rows are laid out.
 
-Source: "The PLY Polygon File Format" (G. Turk, 1994). Only `binary_little_endian` with scalar
-properties is read, which is what every writer of Gaussians gives.
+Source: "The PLY Polygon File Format" (G. Turk, 1994). Every writer of Gaussians gives rows of
+numbers in `binary_little_endian`, and these are read here. A caller that also takes text or meshes
+reads their rows itself, as trainer/capture/points.py does.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ _TYPES = {
     **dict.fromkeys(("double", "float64"), "<f8"),
 }
 _END = b"end_header"
+BINARY, TEXT = "binary_little_endian", "ascii"
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,79 +46,113 @@ class PlyElement:
     def properties(self) -> tuple[str, ...]:
         return self.dtype.names or ()
 
+    @property
+    def end(self) -> int:
+        """Where the rows end, as an offset into the file."""
+        return self.offset + self.count * self.dtype.itemsize
+
+    def check_size(self, file_bytes: int) -> None:
+        """Raises CorruptError if a file of `file_bytes` ends before the rows do."""
+        if file_bytes < self.end:
+            raise CorruptError(
+                f"PLY: ends after {file_bytes} bytes; the {self.count} rows of {self.name[:40]} "
+                f"need {self.end}"
+            )
+
     def rows(self, data: bytes) -> npt.NDArray[np.void]:
         """(count,) structured rows, a view into `data`. Raises CorruptError if they are cut off."""
         if not self.properties:
             raise CorruptError(f"PLY: element {self.name[:40]} has no properties")
-        end = self.offset + self.count * self.dtype.itemsize
-        if len(data) < end:
-            raise CorruptError(
-                f"PLY: ends after {len(data)} bytes; the {self.count} rows of {self.name[:40]} "
-                f"need {end}"
-            )
+        self.check_size(len(data))
         return np.frombuffer(data, self.dtype, self.count, self.offset)
+
+
+@dataclass(frozen=True, slots=True)
+class PlyHeader:
+    """What the header says; the counts are claims."""
+
+    layout: str
+    """How the rows are written: BINARY, TEXT, or what else it says."""
+    tables: dict[str, PlyElement]
+    """The elements before the first with a list, by name and in order. Where they begin is right
+    for binary rows, and for the first of all in any layout."""
+    has_list: bool
+    """Whether there is a list. Only its rows tell how long they are, and so what begins where."""
 
 
 def _header_lines(data: bytes) -> tuple[list[str], int]:
     """The lines up to end_header, and how many bytes they take."""
     head = data[:MAX_HEADER_BYTES]
-    if not head.startswith((b"ply\n", b"ply\r\n")):
+    # Old programs end lines with \r alone.
+    newline = b"\n" if b"\n" in head.partition(_END)[0] else b"\r"
+    if head.partition(newline)[0].split() != [b"ply"]:
         raise CorruptError("PLY: does not start with a line `ply`")
-    at = head.find(b"\n" + _END)
-    newline = head.find(b"\n", at + 1) if at >= 0 else -1
-    if newline < 0:
+    at = head.find(newline + _END)
+    end = head.find(newline, at + 1) if at >= 0 else -1
+    if end < 0:
         raise CorruptError(f"PLY: no end_header in the first {len(head)} bytes")
     try:
-        text = head[:newline].decode("utf-8")
+        lines = head[:end].decode("utf-8").split(newline.decode())
     except UnicodeDecodeError as error:
-        raise CorruptError("PLY: the header is no text") from error
-    lines = [line.rstrip("\r") for line in text.split("\n")]
+        raise CorruptError("PLY: the header is not text") from error
     if lines[-1].strip() != _END.decode():
         raise CorruptError(f"PLY: header line {lines[-1][:40]!r}")
-    return lines[1:-1], newline + 1
+    return lines[1:-1], end + 1
 
 
 def _count(text: str, name: str) -> int:
     if not (text.isascii() and text.isdigit() and len(text) <= 18):
-        raise CorruptError(f"PLY: element {name[:40]} of {text[:40]!r} rows")
-    return check_count("PLY", int(text))
+        raise CorruptError(f"PLY: element {name[:40]} has {text[:40]!r} rows; not a count")
+    return int(text)
 
 
-def read_ply_elements(data: bytes) -> dict[str, PlyElement]:
-    """The elements of the PLY file `data` by name, in the order of the file.
+def read_ply_header(data: bytes) -> PlyHeader:
+    """The header of the PLY file that begins with `data`, of which MAX_HEADER_BYTES are looked at.
 
-    Raises CorruptError, or UnsupportedError for text, big-endian, or a list among the properties.
+    Raises CorruptError.
     """
     lines, offset = _header_lines(data)
-    found: list[tuple[str, int, list[tuple[str, str]]]] = []
     layout = "none"
+    first_list: int | None = None
+    found: list[tuple[str, int, list[tuple[str, str]]]] = []
     for line in lines:
-        words = line.split()
-        match words:
+        match line.split():
             case [] | ["comment" | "obj_info", *_]:
                 pass
-            case ["format", kind, _]:
+            case ["format", kind, *_]:
                 layout = kind
             case ["element", name, rows]:
                 found.append((name, _count(rows, name), []))
-            case ["property", "list", *_]:
-                raise UnsupportedError("PLY: a list among the properties; this is a mesh")
+            case ["property", "list", *_] if found:
+                first_list = len(found) - 1 if first_list is None else first_list
             case ["property", kind, name] if found and kind in _TYPES:
                 found[-1][2].append((name, _TYPES[kind]))
             case _:
                 raise CorruptError(f"PLY: header line {line[:40]!r}")
-    if layout != "binary_little_endian":
-        raise UnsupportedError(
-            f"PLY: format {layout[:40]!r}; this program reads binary_little_endian"
-        )
-    elements: dict[str, PlyElement] = {}
+    tables: dict[str, PlyElement] = {}
     for name, count, properties in found:
         try:
             dtype = np.dtype(properties)
         except ValueError as error:
             raise CorruptError(f"PLY: element {name[:40]} names a property twice") from error
-        if name in elements:
+        if name in tables:
             raise CorruptError(f"PLY: two elements are called {name[:40]}")
-        elements[name] = PlyElement(name, count, offset, dtype)
+        tables[name] = PlyElement(name, count, offset, dtype)
         offset += count * dtype.itemsize
-    return elements
+    before_list = dict(list(tables.items())[:first_list])
+    return PlyHeader(layout, before_list, first_list is not None)
+
+
+def read_ply_elements(data: bytes) -> dict[str, PlyElement]:
+    """The elements of the PLY file that begins with `data`, by name and in the order of the file.
+
+    Raises CorruptError, or UnsupportedError for text, big-endian, or a list among the properties.
+    """
+    header = read_ply_header(data)
+    for element in header.tables.values():
+        check_count("PLY", element.count)
+    if header.has_list:
+        raise UnsupportedError("PLY: a list among the properties; this is a mesh")
+    if header.layout != BINARY:
+        raise UnsupportedError(f"PLY: format {header.layout[:40]!r}; this program reads {BINARY}")
+    return header.tables

@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import os
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import numpy.typing as npt
 
 from codec.camera import Camera
-from codec.errors import InvalidError
+from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
+from codec.interop.plyheader import (
+    BINARY,
+    MAX_HEADER_BYTES,
+    TEXT,
+    PlyElement,
+    PlyHeader,
+    read_ply_header,
+)
 from trainer.errors import CaptureError
 
 from .capture import InitialPoints
@@ -25,9 +35,9 @@ EVENNESS_CELLS = 16
 def checked_points(
     path: Path, xyz: npt.NDArray[np.float64], rgb: npt.NDArray[np.uint8]
 ) -> InitialPoints:
-    """The points that a file holds. Raises CaptureError, naming the file, for what are none."""
+    """The points that the file at `path` holds. Raises CaptureError if they cannot be used."""
     if not len(xyz):
-        raise CaptureError(f"{path}: holds no point")
+        raise CaptureError(f"{path}: holds no points")
     if (np.abs(xyz) > MAX_COORDINATE_M).any():
         raise CaptureError(f"{path}: a point is over {MAX_COORDINATE_M:g} m away")
     try:
@@ -61,15 +71,13 @@ def read_points(path: Path) -> InitialPoints:
     return checked_points(path, xyz, np.rint(shares * 255).astype(np.uint8))
 
 
-_PLY_TYPES = {
-    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
-    "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
-    "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
-    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
-}  # fmt: skip
 _PLY_COLUMNS = ("x", "y", "z", "red", "green", "blue")
 MAX_PLY_POINTS = 1 << 26
 """Most points of a .ply file."""
+TEXT_BLOCK_BYTES = 1 << 20
+"""Text that is parsed at a time."""
+
+Columns = npt.NDArray[np.float64]  # (P, 6) x, y, z, red, green, blue
 
 
 def read_ply(path: Path) -> InitialPoints:
@@ -79,47 +87,77 @@ def read_ply(path: Path) -> InitialPoints:
     properties and elements are left out.
     """
     try:
-        header, end, body = path.read_bytes().partition(b"end_header")
-        lines = [line.split() for line in header.decode("ascii").splitlines()]
-    except (OSError, UnicodeDecodeError) as error:
-        raise CaptureError(f"{path}: not a .ply file of points: {error}") from error
-    formats = [words[1] for words in lines if words[:1] == ["format"] and len(words) > 1]
-    places = [i for i, words in enumerate(lines) if words[:1] == ["element"]]
-    if not end or lines[:1] != [["ply"]] or not formats or not places:
-        raise CaptureError(f"{path}: not a .ply file of points: no header of one")
-    element, *properties = lines[places[0] : places[1] if len(places) > 1 else None]
-    properties = [words for words in properties if words[:1] == ["property"]]
-    if (
-        element[1:2] != ["vertex"]
-        or len(element) != 3
-        or not element[2].isdecimal()
-        or int(element[2]) > MAX_PLY_POINTS
-        or any(len(words) != 3 or words[1] not in _PLY_TYPES for words in properties)
-        or len({words[2] for words in properties}) != len(properties)
+        with open(path, "rb") as file:
+            header = read_ply_header(file.read(MAX_HEADER_BYTES))
+            vertex = _vertices(header)
+            columns = (_text_columns if header.layout == TEXT else _binary_columns)(file, vertex)
+    except OSError as error:
+        raise CaptureError(f"{path} cannot be read: {error.strerror}") from error
+    except CodecError as error:
+        raise CaptureError(f"{path}: {error}") from error
+    rgb = np.clip(np.nan_to_num(columns[:, 3:]), 0, 255).astype(np.uint8)
+    return checked_points(path, columns[:, :3], rgb)
+
+
+def _vertices(header: PlyHeader) -> PlyElement:
+    """The first element. Raises a CodecError unless it holds coloured points, in a known layout."""
+    vertex = next(iter(header.tables.values()), None)
+    if vertex is None or vertex.name != "vertex" or vertex.count > MAX_PLY_POINTS:
+        raise CorruptError(
+            f"PLY: its first element is not a list of vertices, {MAX_PLY_POINTS} at most"
+        )
+    kinds = {name: vertex.dtype[name] for name in vertex.properties}
+    if any(name not in kinds for name in _PLY_COLUMNS) or any(
+        kinds[name] != np.uint8 for name in _PLY_COLUMNS[3:]
     ):
-        raise CaptureError(f"{path}: its first element is no list of vertices")
-    kinds = {words[2]: _PLY_TYPES[words[1]] for words in properties}
-    if any(name not in kinds for name in _PLY_COLUMNS) or {
-        kinds[name] for name in _PLY_COLUMNS[3:]
-    } != {"u1"}:
-        raise CaptureError(f"{path}: its vertices lack x, y, z or red, green, blue as uchar")
-    count, body = int(element[2]), body.removeprefix(b"\r").removeprefix(b"\n")
+        raise CorruptError("PLY: its vertices lack x, y, z or red, green, blue as uchar")
+    if header.layout not in (TEXT, BINARY):
+        raise UnsupportedError(f"PLY: format {header.layout[:40]}; write it as {BINARY}")
+    return vertex
+
+
+def _binary_columns(file: BinaryIO, vertex: PlyElement) -> Columns:
+    vertex.check_size(os.fstat(file.fileno()).st_size)
+    file.seek(0)
+    rows = vertex.rows(file.read(vertex.end))
+    with np.errstate(invalid="ignore"):  # NaN is refused later
+        return np.stack([rows[name].astype(np.float64) for name in _PLY_COLUMNS], axis=1)
+
+
+def _text_columns(file: BinaryIO, vertex: PlyElement) -> Columns:
+    width = len(vertex.properties)
+    count, filled = vertex.count * width, 0
+    what = f"PLY: does not hold the {vertex.count} vertices that it counts"
+    if 2 * count - 1 > os.fstat(file.fileno()).st_size:  # a digit and a space for each number
+        raise CorruptError(what)
+    file.seek(vertex.offset)
+    numbers = np.empty(count)
     try:
-        if formats[0] == "binary_little_endian":
-            rows = np.frombuffer(
-                body, np.dtype([(name, "<" + kind) for name, kind in kinds.items()]), count
-            )
-            columns = [rows[name].astype(np.float64) for name in _PLY_COLUMNS]
-        elif formats[0] == "ascii":
-            table = np.array(body.split()[: count * len(kinds)], np.float64)
-            table = table.reshape(count, len(kinds))
-            columns = [table[:, list(kinds).index(name)] for name in _PLY_COLUMNS]
-        else:
-            raise CaptureError(f"{path}: format {formats[0]}; write it as binary_little_endian")
+        for words in _words(file):
+            part = words[: count - filled]
+            numbers[filled : filled + len(part)] = np.array(part, np.float64)
+            filled += len(part)
+            if filled == count:
+                break
     except ValueError as error:
-        raise CaptureError(f"{path}: does not hold the {count} vertices that it counts") from error
-    rgb = np.clip(np.nan_to_num(np.stack(columns[3:], axis=1)), 0, 255).astype(np.uint8)
-    return checked_points(path, np.stack(columns[:3], axis=1), rgb)
+        raise CorruptError(what) from error
+    if filled < count:
+        raise CorruptError(what)
+    return numbers.reshape(-1, width)[:, [vertex.properties.index(name) for name in _PLY_COLUMNS]]
+
+
+def _words(file: BinaryIO) -> Iterator[list[bytes]]:
+    """The words of the rest of `file`, block by block. Raises ValueError for one longer than a
+    block."""
+    rest = b""
+    while block := file.read(TEXT_BLOCK_BYTES):
+        text = rest + block
+        words = text.split()
+        rest = b"" if text[-1:].isspace() else words.pop()
+        if len(rest) > TEXT_BLOCK_BYTES:
+            raise ValueError("a word longer than a block")
+        yield words
+    yield rest.split()
 
 
 def read_points_file(path: Path) -> InitialPoints:

@@ -119,5 +119,5 @@ def test_points_of_a_file_stand_in_for_the_captures(tmp_path: Path) -> None:
     lines = check_capture(tmp_path / "c", points=points)
     assert [line.split() for line in lines if line.startswith("points")] == [["points", "7"]]
     np.savez(points, xyz=np.zeros((0, 3)), rgb=np.zeros((0, 3), np.uint8))
-    with pytest.raises(CaptureError, match="holds no point"):
+    with pytest.raises(CaptureError, match="holds no points"):
         check_capture(tmp_path / "c", points=points)

@@ -185,7 +185,7 @@ def ply_of(binary: bool) -> bytes:
 def test_points_of_a_ply_file(tmp_path: Path, binary: bool) -> None:
     write_nerfstudio(tmp_path)
     edit(tmp_path, lambda v: v.update(ply_file_path="points.ply"))
-    assert "points.ply: not a .ply file" in refusal(tmp_path)
+    assert "points.ply cannot be read: No such file" in refusal(tmp_path)
     whole = ply_of(binary)
     path = tmp_path / "points.ply"
     path.write_bytes(whole)
@@ -197,12 +197,12 @@ def test_points_of_a_ply_file(tmp_path: Path, binary: bool) -> None:
         path.write_bytes(whole[:size])
         assert "points.ply" in refusal(tmp_path)
     for before, after, said in (
-        (b"element vertex", b"element edge", "no list of vertices"),
-        (b"vertex 3", b"vertex 99999999999", "no list of vertices"),
+        (b"element vertex", b"element edge", "not a list of vertices"),
+        (b"vertex 3", b"vertex 99999999999", "not a list of vertices"),
         (b"uchar red", b"float red", "red, green, blue as uchar"),
         (b" z\n", b" w\n", "lack x, y, z"),
         (b"format ", b"format big_", "format big_"),
-        (b"float nx", b"list int x", "no list of vertices"),
+        (b"float nx", b"list int x", "not a list of vertices"),
     ):
         path.write_bytes(whole.replace(before, after))
         assert said in refusal(tmp_path)

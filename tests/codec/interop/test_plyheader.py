@@ -1,0 +1,78 @@
+"""The header of a PLY in every flavour that some program writes."""
+
+from __future__ import annotations
+
+import pytest
+
+from codec.errors import CorruptError
+from codec.interop.plyheader import (
+    BINARY,
+    MAX_HEADER_BYTES,
+    TEXT,
+    read_ply_elements,
+    read_ply_header,
+)
+from tests.support.hostile import flips, survives, truncations
+
+MESH = (
+    "ply",
+    f"format {TEXT} 1.0",
+    "comment caf\u00e9",
+    "element vertex 70000000",
+    "property double x",
+    "property uchar red",
+    "element edge 5",
+    "element face 2",
+    "property uchar material",
+    "property list uchar int vertex_indices",
+    "element more 1",
+    "property float quality",
+    "end_header",
+    "",
+)
+
+
+@pytest.mark.parametrize("newline", ["\n", "\r\n", "\r"])
+def test_a_mesh_has_tables_up_to_its_first_list(newline: str) -> None:
+    data = newline.join(MESH).encode()
+    header = read_ply_header(data + b"1 2\n3\n")
+    assert (header.layout, header.has_list) == (TEXT, True)
+    assert list(header.tables) == ["vertex", "edge"]
+    vertex = header.tables["vertex"]
+    assert vertex.properties == ("x", "red")
+    assert (vertex.count, vertex.dtype.itemsize, vertex.offset) == (70_000_000, 9, len(data))
+    assert header.tables["edge"].offset == vertex.end == len(data) + 9 * vertex.count
+
+
+def test_a_format_may_come_without_a_version() -> None:
+    assert read_ply_header(f"ply\nformat {BINARY}\nend_header\n".encode()).layout == BINARY
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "says"),
+    [
+        ("ply", "plY", "does not start with a line `ply`"),
+        ("caf\u00e9", "\udce9", "the header is not text"),
+        ("vertex 7", "vertex 7e", "has '7e0000000' rows; not a count"),
+        ("double x", "quad x", "header line 'property quad x'"),
+        ("double x", "double x y", "header line 'property double x y'"),
+        ("uchar red", "uchar x", "element vertex names a property twice"),
+        ("element more", "element edge", "two elements are called edge"),
+        ("element vertex 70000000\n", "", "header line 'property double x'"),
+        ("comment", "remark", "header line 'remark"),
+        ("end_header", "end_headers", "header line 'end_headers'"),
+        ("comment", "comment " + MAX_HEADER_BYTES * "x", "no end_header in the first 65536 bytes"),
+    ],
+)
+def test_a_bad_header_is_refused_with_the_reason(before: str, after: str, says: str) -> None:
+    text = "\n".join(MESH).replace(before, after, 1)
+    with pytest.raises(CorruptError, match=says):
+        read_ply_header(text.encode("utf-8", "surrogateescape"))
+
+
+def test_any_bytes_give_a_header_or_one_clear_error() -> None:
+    data = "\n".join(MESH).encode()
+    assert not any(survives(read_ply_header, part) for part in truncations(data))
+    for part in flips(data):
+        survives(read_ply_header, part)
+        survives(read_ply_elements, part)

@@ -1,0 +1,142 @@
+"""Initial points of .ply files: the flavours that programs write, and hostile bytes."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.hostile import flips, truncations
+from trainer.capture import points as module
+from trainer.capture.points import MAX_PLY_POINTS, read_ply
+from trainer.errors import CaptureError
+
+XYZ = ((0.5, -1.0, 0.25), (0.0, -0.5, 0.0), (-0.25, -1.5, 1.0))
+RGB = ((255, 0, 7), (1, 2, 3), (40, 200, 90))
+ROW = np.dtype([("alpha", "u1"), ("rgb", "u1", 3), ("xyz", "<f8", 3), ("n", "<i2")])
+
+
+def header(
+    layout: str, newline: str = "\n", version: str = " 1.0", count: int = 3, faces: bool = True
+) -> bytes:
+    lines = ["ply", f"format {layout}{version}", "comment by hand", f"element vertex {count}"]
+    lines += [f"property uchar {name}" for name in ("alpha", "red", "green", "blue")]
+    lines += [f"property double {name}" for name in "xyz"] + ["property short n"]
+    if faces:
+        lines += ["element face 1", "property list uchar int vertex_indices"]
+    return newline.join([*lines, "end_header", ""]).encode()
+
+
+def binary() -> bytes:
+    rows = np.zeros(3, ROW)
+    rows["rgb"], rows["xyz"] = RGB, XYZ
+    return rows.tobytes()
+
+
+def text() -> bytes:
+    rows = [(9, *rgb, *xyz, -3) for rgb, xyz in zip(RGB, XYZ, strict=True)]
+    return "\n".join(" ".join(map(str, row)) for row in rows).encode()
+
+
+WHOLE = {
+    "ascii": header("ascii") + text() + b"\n3 0 1 2\n",
+    "binary": header("binary_little_endian") + binary() + bytes(13),
+}
+
+
+def accepts(path: Path, data: bytes) -> bool:
+    """Whether `data` are points; anything but points or a CaptureError rises."""
+    path.write_bytes(data)
+    with contextlib.suppress(CaptureError):
+        read_ply(path)
+        return True
+    return False
+
+
+@pytest.mark.parametrize("faces", [True, False])
+@pytest.mark.parametrize("version", [" 1.0", ""])
+@pytest.mark.parametrize("newline", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("layout", ["ascii", "binary_little_endian"])
+def test_every_flavour_gives_the_same_points(
+    layout: str, newline: str, version: str, faces: bool, tmp_path: Path
+) -> None:
+    body = text() if layout == "ascii" else binary()
+    path = tmp_path / "points.ply"
+    path.write_bytes(header(layout, newline, version, faces=faces) + body)
+    points = read_ply(path)
+    assert np.array_equal(points.xyz, np.array(XYZ, np.float32))
+    assert np.array_equal(points.rgb, RGB)
+
+
+@pytest.mark.parametrize("block_bytes", [7, 8, 40])
+def test_text_is_the_same_however_the_blocks_fall(
+    block_bytes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "TEXT_BLOCK_BYTES", block_bytes)
+    path = tmp_path / "points.ply"
+    path.write_bytes(WHOLE["ascii"])
+    assert np.array_equal(read_ply(path).xyz, np.array(XYZ, np.float32))
+
+
+@pytest.mark.parametrize("layout", WHOLE)
+def test_any_bytes_give_points_or_one_clear_error(layout: str, tmp_path: Path) -> None:
+    data, path = WHOLE[layout], tmp_path / "points.ply"
+    assert accepts(path, data)
+    needed = len(data) - len(b"\n3 0 1 2\n") - 2 if layout == "ascii" else len(data) - 13
+    for part in truncations(data[:needed]):
+        assert not accepts(path, part)
+    for part in flips(data):
+        accepts(path, part)
+
+
+def test_what_is_not_a_coordinate_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "points.ply"
+    for word in (b"one", b"nan", b"inf", b"1e300", b"\xff", b"0x1"):
+        assert not accepts(path, WHOLE["ascii"].replace(b"0.25 ", word + b" ", 1))
+    nan = np.zeros(3, ROW)
+    nan["xyz"] = np.nan
+    assert not accepts(path, header("binary_little_endian") + nan.tobytes())
+
+
+def short(data: bytes) -> Callable[[Path], object]:
+    return lambda path: path.write_bytes(data)
+
+
+def sparse(data: bytes) -> Callable[[Path], object]:
+    def write(path: Path) -> None:
+        path.write_bytes(data)
+        os.truncate(path, 4 << 30)
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("write", "says"),
+    [
+        (short(header("ascii", count=MAX_PLY_POINTS)), "does not hold the 67108864 vertices"),
+        (short(header("binary_little_endian", count=MAX_PLY_POINTS)), "ends after"),
+        (short(header("ascii", count=MAX_PLY_POINTS + 1)), "67108864 at most"),
+        (sparse(b"ply\n"), "no end_header"),
+        (sparse(header("binary_big_endian")), "format binary_big_endian; write it as"),
+        (sparse(header("ascii")), "does not hold the 3 vertices"),
+        (sparse(header("binary_little_endian", count=1 << 40)), "not a list of vertices"),
+    ],
+)
+def test_a_false_claim_costs_little_memory(
+    write: Callable[[Path], object], says: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "points.ply"
+    write(path)
+    tracemalloc.start()
+    try:
+        with pytest.raises(CaptureError, match=rf"points\.ply: .*{says}"):
+            read_ply(path)
+        peak_bytes = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak_bytes < 8 << 20
