@@ -10,6 +10,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 from .errors import CorruptError, InvalidError
 
@@ -80,21 +81,37 @@ def append_durably(path: Path, size_bytes: int, data: bytes) -> None:
             raise
 
 
+@contextmanager
+def _opened(path: Path) -> Iterator[BinaryIO]:
+    """The file at `path`, to be read. Raises CorruptError if it cannot be."""
+    try:
+        with open(path, "rb") as file:
+            yield file
+    except FileNotFoundError as error:
+        raise CorruptError(f"{path} is missing") from error
+    except OSError as error:
+        raise CorruptError(f"{path} cannot be read: {error.strerror}") from error
+
+
 def read_bounded(path: Path, limit_bytes: int, offset: int = 0) -> bytes:
     """The file at `path` from `offset` on.
 
     Raises CorruptError if it cannot be read, or if that is more than `limit_bytes`.
     """
-    try:
-        with open(path, "rb") as file:
-            # Python takes at once what it is told to read, however short the file is.
-            size = max(os.fstat(file.fileno()).st_size - offset, 0)
-            file.seek(offset)
-            data = file.read(size + 1) if size <= limit_bytes else None
-    except FileNotFoundError as error:
-        raise CorruptError(f"{path} is missing") from error
-    except OSError as error:
-        raise CorruptError(f"{path} cannot be read: {error.strerror}") from error
+    with _opened(path) as file:
+        # Python takes at once what it is told to read, however short the file is.
+        size = max(os.fstat(file.fileno()).st_size - offset, 0)
+        file.seek(offset)
+        data = file.read(size + 1) if size <= limit_bytes else None
     if data is None or len(data) > limit_bytes:
         raise CorruptError(f"{path} is longer than {limit_bytes} bytes")
     return data
+
+
+def read_head(path: Path, head_bytes: int) -> tuple[bytes, int]:
+    """The first bytes of the file at `path`, `head_bytes` at most, and how many it has in all.
+
+    Raises CorruptError if it cannot be read.
+    """
+    with _opened(path) as file:
+        return file.read(head_bytes), os.fstat(file.fileno()).st_size

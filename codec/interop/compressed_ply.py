@@ -17,6 +17,8 @@ Frame RDF as in the PLY; colour is 0.5 + SH_C0 f_dc.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 
@@ -29,6 +31,7 @@ from .ply import REST_COUNTS, rest_names
 from .plyheader import PlyElement, read_ply_elements
 
 CHUNK_GAUSSIANS = 256
+AXES, SCALES, COLOURS = ("x", "y", "z"), ("scale_x", "scale_y", "scale_z"), ("r", "g", "b")
 PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 
 Doubles = npt.NDArray[np.float64]
@@ -79,53 +82,74 @@ def _rest_names(sh: PlyElement | None, count: int) -> list[str]:
     return names
 
 
-def decode_compressed_ply(
-    data: bytes, max_gaussians: int = MAX_GAUSSIANS, elements: dict[str, PlyElement] | None = None
-) -> Splats:
-    """The Gaussians of a compressed PLY, whose `elements` may be known already.
+@dataclass(frozen=True, slots=True)
+class CompressedLayout:
+    """Where in a compressed PLY the Gaussians are."""
+
+    chunk: PlyElement
+    vertex: PlyElement
+    sh: PlyElement | None
+    rest: list[str]
+    """The properties of `sh`, in order."""
+
+
+def compressed_layout(
+    head: bytes, file_bytes: int, max_gaussians: int = MAX_GAUSSIANS
+) -> CompressedLayout:
+    """What the header says of the Gaussians of a compressed PLY of `file_bytes` in all.
 
     Raises CorruptError, or UnsupportedError, also for more than `max_gaussians`.
     """
-    elements = read_ply_elements(data) if elements is None else elements
+    elements = read_ply_elements(head)
     if not is_compressed(elements):
-        raise UnsupportedError("PLY: no compressed PLY, which has chunk and packed_position")
-    chunk, vertex = elements["chunk"], elements["vertex"]
+        raise UnsupportedError("PLY: not compressed; that has elements chunk and packed_position")
+    chunk, vertex, sh = elements["chunk"], elements["vertex"], elements.get("sh")
     count = check_count("PLY", vertex.count, max_gaussians)
     if chunk.count != -(-count // CHUNK_GAUSSIANS):
         raise CorruptError(f"PLY: {chunk.count} chunks for {count} Gaussians")
-    axes, scales, colours = ("x", "y", "z"), ("scale_x", "scale_y", "scale_z"), ("r", "g", "b")
-    wanted = [f"{end}_{suffix}" for end in ("min", "max") for suffix in (*axes, *scales)]
+    wanted = [f"{end}_{suffix}" for end in ("min", "max") for suffix in (*AXES, *SCALES)]
     missing = [name for name in wanted if name not in chunk.properties]
     missing += [name for name in PACKED if name not in vertex.properties]
     if missing:
         raise CorruptError(f"PLY: no property {', '.join(missing[:4])}")
     if any(vertex.dtype[name] != np.uint32 for name in PACKED):
         raise CorruptError("PLY: a packed property is not uint")
-    sh = elements.get("sh")
-    names = _rest_names(sh, count)
-    chunks, packed = chunk.rows(data), vertex.rows(data)
-    made = Decoded.empty(count, REST_COUNTS[len(names)])
-    tinted = all(f"{end}_{c}" in chunk.properties for end in ("min", "max") for c in colours)
+    rest = _rest_names(sh, count)
+    for element in (chunk, vertex, *([] if sh is None else [sh])):
+        element.check_size(file_bytes)
+    return CompressedLayout(chunk, vertex, sh, rest)
+
+
+def decode_compressed_ply(data: bytes, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
+    """The Gaussians of a compressed PLY.
+
+    Raises CorruptError, or UnsupportedError, also for more than `max_gaussians`.
+    """
+    layout = compressed_layout(data, len(data), max_gaussians)
+    chunks, packed = layout.chunk.rows(data), layout.vertex.rows(data)
+    made = Decoded.empty(layout.vertex.count, REST_COUNTS[len(layout.rest)])
+    tints = [f"{end}_{colour}" for end in ("min", "max") for colour in COLOURS]
+    tinted = all(name in layout.chunk.properties for name in tints)
     for block in made.blocks():
         rows, size = packed[block], block.stop - block.start
         bounds = chunks[block.start // CHUNK_GAUSSIANS : -(-block.stop // CHUNK_GAUSSIANS)]
         position, rotation, scale, colour = (rows[name].astype(np.uint32) for name in PACKED)
         rgb = _unpack(colour, 8, 8, 8, 8)[:, :3]
         three = (_unpack(rotation, 2, 10, 10, 10)[:, 1:] - 0.5) * np.sqrt(2.0)
-        with np.errstate(all="ignore"):  # what overflows or is no number is refused below
+        with np.errstate(all="ignore"):  # infinities and NaN are refused below
             if tinted:
-                rgb = _between(_bounds(bounds, size, colours), rgb)
-            made.means[block] = _between(_bounds(bounds, size, axes), _unpack(position, 11, 10, 11))
+                rgb = _between(_bounds(bounds, size, COLOURS), rgb)
+            made.means[block] = _between(_bounds(bounds, size, AXES), _unpack(position, 11, 10, 11))
             made.log_scales[block] = _between(
-                _bounds(bounds, size, scales), _unpack(scale, 11, 10, 11)
+                _bounds(bounds, size, SCALES), _unpack(scale, 11, 10, 11)
             )
             made.sh[block, 0] = (rgb - 0.5) / SH_C0
             made.quats[block] = restore_largest(three, rotation >> np.uint32(30))
         made.logit_opacities[block] = byte_logits((colour & np.uint32(255)).astype(np.uint8))
-    if sh is not None:
-        rest = sh.rows(data)
-        for i, name in enumerate(names):
-            channel, coefficient = divmod(i, len(names) // 3)
-            levels = rest[name] * np.float32(8 / 255) - np.float32(4)
+    if layout.sh is not None:
+        harmonics = layout.sh.rows(data)
+        for i, name in enumerate(layout.rest):
+            channel, coefficient = divmod(i, len(layout.rest) // 3)
+            levels = harmonics[name] * np.float32(8 / 255) - np.float32(4)
             made.sh[:, 1 + coefficient, channel] = levels
     return made.checked("PLY")

@@ -16,8 +16,7 @@ MAX_RATIO = 1000
 """Decompressed bytes for each byte of a file; real models stay below 20."""
 
 RATIO_SLACK_BYTES = 1 << 20
-"""Decompressed bytes that need no justification, so that tiny uniform models pass."""
-
+"""Decompressed bytes that any file may have, so that tiny uniform models pass."""
 
 BLOCK_GAUSSIANS = 1 << 16
 """Gaussians decoded at a time, a multiple of 256: wider numbers on the way to float32 cost memory
@@ -37,9 +36,11 @@ def check_count(what: str, count: int, limit: int = MAX_GAUSSIANS) -> int:
 
 
 def check_ratio(what: str, raw_bytes: int, file_bytes: int) -> None:
-    """Raises CorruptError when `file_bytes` cannot honestly hold `raw_bytes`."""
+    """Raises CorruptError if `raw_bytes` are more than a file of `file_bytes` can decompress to."""
     if raw_bytes > MAX_RATIO * file_bytes + RATIO_SLACK_BYTES:
-        raise CorruptError(f"{what}: {file_bytes} bytes claim to hold {raw_bytes}; a bomb")
+        raise CorruptError(
+            f"{what}: a file of {file_bytes} bytes claims to decompress to {raw_bytes}"
+        )
 
 
 @dataclass(frozen=True, slots=True)

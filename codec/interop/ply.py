@@ -14,6 +14,7 @@ is the world of a swings stream. A reader goes by name: any order and any other 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -48,17 +49,25 @@ def rest_names(properties: tuple[str, ...]) -> list[str]:
     return names
 
 
-def decode_ply(
-    data: bytes, max_gaussians: int = MAX_GAUSSIANS, elements: dict[str, PlyElement] | None = None
-) -> Splats:
-    """The Gaussians of an uncompressed PLY, whose `elements` may be known already.
+@dataclass(frozen=True, slots=True)
+class PlyLayout:
+    """Where in a PLY the Gaussians are."""
+
+    vertex: PlyElement
+    names: dict[str, list[str]]
+    """The properties of each array of a Splats."""
+    sh_degree: int
+
+
+def ply_layout(head: bytes, file_bytes: int, max_gaussians: int = MAX_GAUSSIANS) -> PlyLayout:
+    """What the header says of the Gaussians of an uncompressed PLY of `file_bytes` in all.
 
     Raises CorruptError, or UnsupportedError, also for more than `max_gaussians`.
     """
-    vertex = (read_ply_elements(data) if elements is None else elements).get("vertex")
+    vertex = read_ply_elements(head).get("vertex")
     if vertex is None:
         raise CorruptError("PLY: no element vertex")
-    groups = {
+    names = {
         "means": ["x", "y", "z"],
         "dc": _names("f_dc", 3),
         "rest": rest_names(vertex.properties),
@@ -66,14 +75,24 @@ def decode_ply(
         "scale": _names("scale", 3),
         "rot": _names("rot", 4),
     }
-    missing = [n for names in groups.values() for n in names if n not in vertex.properties]
+    missing = [n for group in names.values() for n in group if n not in vertex.properties]
     if missing:
         raise CorruptError(
             f"PLY: no property {', '.join(missing[:4])}; these are points, not Gaussians"
         )
     check_count("PLY", vertex.count, max_gaussians)
-    rows = vertex.rows(data)
-    made = Decoded.empty(vertex.count, REST_COUNTS[len(groups["rest"])])
+    vertex.check_size(file_bytes)
+    return PlyLayout(vertex, names, REST_COUNTS[len(names["rest"])])
+
+
+def decode_ply(data: bytes, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
+    """The Gaussians of an uncompressed PLY.
+
+    Raises CorruptError, or UnsupportedError, also for more than `max_gaussians`.
+    """
+    layout = ply_layout(data, len(data), max_gaussians)
+    rows = layout.vertex.rows(data)
+    made = Decoded.empty(layout.vertex.count, layout.sh_degree)
     places: dict[str, Iterable[Floats]] = {
         "means": made.means.T,
         "dc": made.sh[:, 0].T,
@@ -84,7 +103,7 @@ def decode_ply(
         "rot": made.quats.T,
     }
     with np.errstate(all="ignore"):  # a double beyond float32 becomes inf, which is refused below
-        for key, names in groups.items():
+        for key, names in layout.names.items():
             for name, column in zip(names, places[key], strict=True):
                 column[:] = rows[name]
     logits = made.logit_opacities

@@ -8,7 +8,7 @@ Layout (antimatter15/splat, `convert.py`), record after record, without a header
     28  u8 x 4    quaternion w, x, y, z as q * 128 + 128
 
 Records come in order of falling volume times opacity, so that a viewer can show a part of the file.
-There is no magic: every file of a whole number of records is one, if its values are finite.
+There is no magic: any file of a whole number of records can be one, if its values are finite.
 """
 
 from __future__ import annotations
@@ -28,21 +28,28 @@ SMALLEST_SCALE = float(np.finfo(np.float32).tiny)
 LARGEST_SCALE = float(np.finfo(np.float32).max)
 
 
+def splat_count(file_bytes: int, max_gaussians: int = MAX_GAUSSIANS) -> int:
+    """The Gaussians of a .splat file of `file_bytes`. Raises CorruptError, or UnsupportedError for
+    more than `max_gaussians`."""
+    if file_bytes % RECORD.itemsize:
+        raise CorruptError(
+            f".splat: {file_bytes} bytes are not a whole number of records of {RECORD.itemsize}"
+        )
+    return check_count(".splat", file_bytes // RECORD.itemsize, max_gaussians)
+
+
 def decode_splat(data: bytes, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
     """The Gaussians of a .splat file, SH degree 0. Raises CorruptError, or UnsupportedError for
     more than `max_gaussians`."""
-    if len(data) % RECORD.itemsize:
-        raise CorruptError(f".splat: {len(data)} bytes are no whole records of {RECORD.itemsize}")
-    count = check_count(".splat", len(data) // RECORD.itemsize, max_gaussians)
+    made = Decoded.empty(splat_count(len(data), max_gaussians), 0)
     records = np.frombuffer(data, RECORD)
-    made = Decoded.empty(count, 0)
     for block in made.blocks():
         rows = records[block]
-        with np.errstate(invalid="ignore"):  # what is no number is refused, here or below
+        with np.errstate(invalid="ignore"):  # NaN is refused, here or below
             scales = rows["scale"].astype(np.float64)
             made.means[block] = rows["xyz"]
             if not (scales >= 0).all():
-                raise CorruptError(".splat: a standard deviation is negative or no number")
+                raise CorruptError(".splat: a standard deviation is negative or not a number")
         # A flat Gaussian may have a scale of exactly 0, which has no logarithm.
         made.log_scales[block] = np.log(np.maximum(scales, SMALLEST_SCALE))
         made.quats[block] = (rows["rot"].astype(np.float32) - 128) / 128

@@ -87,7 +87,10 @@ class SpzHeader:
         return tuple(self.count * row for row in rows)
 
 
-def _header(data: bytes, versions: tuple[int, ...], max_gaussians: int) -> SpzHeader:
+def _header(
+    data: bytes, versions: tuple[int, ...], file_bytes: int, max_gaussians: int
+) -> SpzHeader:
+    """What a header says that may lie in a file of `file_bytes`."""
     magic, version, count, sh_degree, fractional_bits, flags, _ = HEADER.unpack_from(data)
     if magic != MAGIC:
         raise CorruptError("SPZ: does not start with NGSP")
@@ -99,7 +102,9 @@ def _header(data: bytes, versions: tuple[int, ...], max_gaussians: int) -> SpzHe
     if fractional_bits > MAX_FRACTIONAL_BITS:
         raise CorruptError(f"SPZ: {fractional_bits} fractional bits of 24")
     check_count("SPZ", count, max_gaussians)
-    return SpzHeader(version, count, sh_degree, fractional_bits, flags)
+    header = SpzHeader(version, count, sh_degree, fractional_bits, flags)
+    check_ratio("SPZ", sum(header.array_bytes), file_bytes)
+    return header
 
 
 def _gunzip(stream: zlib._Decompress, data: bytes, limit_bytes: int) -> bytes:
@@ -109,23 +114,36 @@ def _gunzip(stream: zlib._Decompress, data: bytes, limit_bytes: int) -> bytes:
         raise CorruptError(f"SPZ: {error}") from error
 
 
-def _gzip_arrays(data: bytes, max_gaussians: int) -> tuple[SpzHeader, list[memoryview]]:
-    """Header and arrays of versions 2 and 3."""
+def _is_gzip(data: bytes) -> bool:
+    return data.startswith(b"\x1f\x8b")
+
+
+def spz_header(head: bytes, file_bytes: int, max_gaussians: int = MAX_GAUSSIANS) -> SpzHeader:
+    """The header of an SPZ file of `file_bytes` that begins with `head`.
+
+    Raises CorruptError, or UnsupportedError, also for more than `max_gaussians`.
+    """
+    is_gzip = _is_gzip(head)
+    if is_gzip:
+        head = _gunzip(zlib.decompressobj(wbits=31), head, HEADER.size)
+    size_bytes = HEADER.size if is_gzip else HEADER_V4.size
+    if len(head) < size_bytes:
+        raise CorruptError(f"SPZ: ends inside its header of {size_bytes} bytes")
+    return _header(head, (2, 3) if is_gzip else (4,), file_bytes, max_gaussians)
+
+
+def _gzip_arrays(data: bytes, header: SpzHeader) -> list[memoryview]:
+    """The arrays of versions 2 and 3."""
     stream = zlib.decompressobj(wbits=31)
-    head = _gunzip(stream, data, HEADER.size)
-    if len(head) < HEADER.size:
-        raise CorruptError(f"SPZ: ends inside its header of {HEADER.size} bytes")
-    header = _header(head, (2, 3), max_gaussians)
     wanted = sum(header.array_bytes)
-    check_ratio("SPZ", wanted, len(data))
-    body = memoryview(_gunzip(stream, stream.unconsumed_tail, wanted + EXTENSION_BYTES))
+    body = memoryview(_gunzip(stream, data, HEADER.size + wanted + EXTENSION_BYTES))[HEADER.size :]
     if len(body) < wanted or not stream.eof:
         raise CorruptError(f"SPZ: not the {wanted} bytes that {header.count} Gaussians need")
     arrays, offset = [], 0
     for size in header.array_bytes:
         arrays.append(body[offset : offset + size])
         offset += size
-    return header, arrays
+    return arrays
 
 
 def _zstd_frame(frame: bytes, raw_bytes: int) -> bytes:
@@ -144,14 +162,10 @@ def _zstd_frame(frame: bytes, raw_bytes: int) -> bytes:
     return content
 
 
-def _zstd_arrays(data: bytes, max_gaussians: int) -> tuple[SpzHeader, list[memoryview]]:
-    """Header and arrays of version 4."""
-    if len(data) < HEADER_V4.size:
-        raise CorruptError(f"SPZ: ends inside its header of {HEADER_V4.size} bytes")
-    header = _header(data, (4,), max_gaussians)
+def _zstd_arrays(data: bytes, header: SpzHeader) -> list[memoryview]:
+    """The arrays of version 4."""
     num_arrays, table_offset = HEADER_V4.unpack_from(data)[6:8]
     wanted = header.array_bytes if header.count else ()
-    check_ratio("SPZ", sum(wanted), len(data))
     if num_arrays != len(wanted) and header.count:
         raise CorruptError(f"SPZ: {num_arrays} arrays, not {len(wanted)}")
     offset = table_offset + ENTRY.size * num_arrays
@@ -166,7 +180,7 @@ def _zstd_arrays(data: bytes, max_gaussians: int) -> tuple[SpzHeader, list[memor
             raise CorruptError(f"SPZ: ends inside an array: {len(data)} bytes of {offset + size}")
         arrays.append(memoryview(_zstd_frame(data[offset : offset + size], expected)))
         offset += size
-    return header, arrays or [memoryview(b"")] * len(header.array_bytes)
+    return arrays or [memoryview(b"")] * len(header.array_bytes)
 
 
 def _rows(array: memoryview, width: int) -> Bytes:
@@ -200,8 +214,8 @@ def decode_spz(data: bytes, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
     Raises CorruptError, or UnsupportedError, also for more than `max_gaussians`. The flag for
     opacity compensation is only logged: a Splats has no place for it.
     """
-    is_gzip = data.startswith(b"\x1f\x8b")
-    header, arrays = (_gzip_arrays if is_gzip else _zstd_arrays)(data, max_gaussians)
+    header = spz_header(data, len(data), max_gaussians)
+    arrays = (_gzip_arrays if _is_gzip(data) else _zstd_arrays)(data, header)
     if header.flags & FLAG_ANTIALIAS:
         _log.warning(
             "the SPZ was trained with opacity compensation, which is left out: "

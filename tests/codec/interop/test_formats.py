@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import gzip
 import os
+import struct
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from codec.errors import CorruptError, UnsupportedError
-from codec.interop.formats import SplatFormat, read_splats, write_splats
+from codec.errors import CodecError, CorruptError, UnsupportedError
+from codec.interop.formats import MAX_FILE_BYTES, SplatFormat, read_splats, write_splats
+from codec.interop.limits import MAX_GAUSSIANS
 from codec.splats import SH_C0
 from tests.support.drawn_splats import angles_rad, same
 from tests.support.trained_like import trained_like_splats
@@ -37,7 +41,7 @@ def test_the_first_bytes_count_more_than_a_wrong_name(tmp_path: Path) -> None:
 
 def test_an_unreadable_file_is_named(tmp_path: Path) -> None:
     path = tmp_path / "model.ply"
-    with pytest.raises(CorruptError, match=r"model\.ply cannot be read: No such file"):
+    with pytest.raises(CorruptError, match=r"model\.ply is missing"):
         read_splats(path)
     with pytest.raises(CorruptError, match="cannot be read: Is a directory"):
         read_splats(tmp_path)
@@ -84,3 +88,55 @@ def test_one_model_from_two_formats_is_the_same_within_their_precision() -> None
     assert packed.means[:, 1].min() < -1.5
     assert abs(packed.means[:, 1].max()) < 0.01
     assert 0 < np.median(0.5 + SH_C0 * packed.sh) < 1
+
+
+HUGE_BYTES = 4_000_000_000
+"""Of a sparse file, which takes no space; MAX_FILE_BYTES is more."""
+FLOATS = [*"xyz", *(f"f_dc_{i}" for i in range(3)), *(f"f_rest_{i}" for i in range(45))]
+FLOATS += ["opacity", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
+
+
+def ply_head(count: int, layout: str = "binary_little_endian") -> bytes:
+    lines = ["ply", f"format {layout} 1.0", f"element vertex {count}"]
+    return "\n".join([*lines, *(f"property float {n}" for n in FLOATS), "end_header\n"]).encode()
+
+
+def spz_head(count: int, version: int = 4) -> bytes:
+    return struct.pack("<4sIIBBBBI12x", b"NGSP", version, count, 0, 12, 0, 5, 32)
+
+
+@pytest.mark.parametrize(
+    ("name", "head", "file_bytes", "says"),
+    [
+        ("a.ply", b"glTF", HUGE_BYTES, "starts with b'glTF'"),
+        ("a.ply", b"ply\n", HUGE_BYTES, "no end_header"),
+        ("a.ply", ply_head(9, "ascii"), HUGE_BYTES, "format 'ascii'"),
+        ("a.ply", ply_head(MAX_GAUSSIANS + 1), HUGE_BYTES, "claims 16777217 Gaussians"),
+        ("a.ply", ply_head(99_999_999), HUGE_BYTES, "claims 99999999 Gaussians"),
+        ("a.ply", ply_head(9_999), HUGE_BYTES, "9999 Gaussians in a frame, at most 999"),
+        ("a.ply", ply_head(999), 200_000, "ends after 200000 bytes"),
+        ("a.ply", ply_head(9).replace(b"opacity", b"sureness"), HUGE_BYTES, "no property opacity"),
+        ("a.ply", ply_head(9), MAX_FILE_BYTES + 1, "longer than"),
+        ("a.splat", b"", HUGE_BYTES, "claims 125000000 Gaussians"),
+        ("a.splat", b"", HUGE_BYTES + 1, "not a whole number of records"),
+        ("a.spz", spz_head(9, 5), HUGE_BYTES, "version 5"),
+        ("a.spz", spz_head(MAX_GAUSSIANS + 1), HUGE_BYTES, "claims 16777217 Gaussians"),
+        ("a.spz", spz_head(9_999), HUGE_BYTES, "at most 999"),
+        ("a.spz", gzip.compress(spz_head(9_999, 3)), HUGE_BYTES, "at most 999"),
+        ("a.spz", b"\x1f\x8bno", HUGE_BYTES, "SPZ: "),
+    ],
+)
+def test_a_huge_file_is_refused_by_its_first_bytes(
+    name: str, head: bytes, file_bytes: int, says: str, tmp_path: Path
+) -> None:
+    path = tmp_path / name
+    path.write_bytes(head)
+    os.truncate(path, file_bytes)
+    tracemalloc.start()
+    try:
+        with pytest.raises(CodecError, match=rf"a\.\w+:? .*{says}"):
+            read_splats(path, 999)
+        peak_bytes = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak_bytes < 1 << 20

@@ -89,7 +89,7 @@ def test_extreme_gaussians_stay_readable() -> None:
     ("place", "value", "says"),
     [
         (12, struct.pack("<f", -1), "negative"),
-        (16, struct.pack("<f", np.nan), "no number"),
+        (16, struct.pack("<f", np.nan), "not a number"),
         (0, struct.pack("<f", np.inf), "not finite"),
         (28, bytes([128] * 4), "zero quaternion"),
     ],
