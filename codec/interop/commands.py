@@ -18,7 +18,8 @@ from .importing import ImportOptions, import_stream
 
 @dataclass(frozen=True, slots=True)
 class Import:
-    """Make a stream of a file of Gaussians, or of a folder with one numbered file a frame."""
+    """Make a stream from a file of Gaussians, or from a folder with a numbered file for each
+    frame."""
 
     input: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="INPUT")]]
     """A .ply, compressed .ply, .spz or .splat file, or a folder of them, sorted by number."""
@@ -35,8 +36,8 @@ class Export:
     stream: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="STREAM")]]
     """Folder of the stream."""
     out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
-    """The file; with --frames the name of the sequence: `name.ply` gives name_0001.ply ...; with
-    --static the folder."""
+    """The file; with --frames the name of the sequence, to which each frame's number is added:
+    `name.ply` gives name_0000.ply ...; with --static the folder."""
     frame: int | None = None
     """The frame, from 0 on."""
     frames: str | None = None

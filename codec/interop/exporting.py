@@ -11,7 +11,7 @@ from codec.stream.reader import StreamReader
 from .formats import SplatFormat, write_splats
 
 NUMBER_DIGITS = 4
-"""Least digits of a frame number in a file name: `name_0001.ply`."""
+"""Least digits of a frame number in a file name: `name_0000.ply`."""
 
 
 def chosen_format(out: Path, format: SplatFormat | None) -> SplatFormat:
@@ -28,7 +28,7 @@ def chosen_format(out: Path, format: SplatFormat | None) -> SplatFormat:
 def numbered(out: Path, frame: int, format: SplatFormat) -> Path:
     """The file of `frame` in the sequence that `out` names, with or without its suffix.
 
-    Raises InvalidError for an `out` that ends in no name, such as `.` or `/`.
+    Raises InvalidError for an `out` that does not end in a name, such as `.` or `/`.
     """
     if not out.name:
         raise InvalidError(f"{out} names no file to number; give it a name, such as frame.{format}")
@@ -46,8 +46,8 @@ def export_stream(
 ) -> list[Path]:
     """Writes what shows at `frame` to `out`, or each of `frames` to `out`_NNNN.
 
-    `layers` counts from the most important one; all by default. A file that is there is replaced.
-    Raises a SwingsError; the files before the one at fault stay.
+    `layers` counts from the most important one; all by default. Existing files are replaced.
+    Raises a SwingsError; the files written before it stay.
     """
     if (frame is None) == (frames is None):
         raise InvalidError("say either --frame F or --frames A:B")
@@ -63,9 +63,10 @@ def export_stream(
     written = []
     for number in wanted:
         path = out if frames is None else numbered(out, number, format)
+        splats = reader.active_splats(number, layers)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_splats(path, reader.active_splats(number, layers), format)
+            write_splats(path, splats, format)
         except OSError as error:
             raise InvalidError(f"{path} cannot be written: {error.strerror}") from error
         written.append(path)

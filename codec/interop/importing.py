@@ -1,8 +1,8 @@
 """A stream made of files of Gaussians: one still model, or a numbered sequence.
 
-Every file becomes a slice of its own that lives for one frame (swin_size 1): independent frames,
-with nothing to know of what came before. A still model is a stream of one frame. Nothing in
-that frame ever expires: a player that holds or repeats it shows the model for as long as it likes.
+Every file becomes a slice that lives for one frame (swin_size 1), so that each frame stands by
+itself. A still model is a stream of one frame. Nothing in that frame ever expires, so a player may
+hold or repeat it for as long as it likes.
 """
 
 from __future__ import annotations
@@ -85,8 +85,8 @@ class Survey:
 def find_files(source: Path) -> list[Path]:
     """The file `source`, or those of the folder `source` by the last number in their names.
 
-    Numbers need not begin at 0 or be without gaps. Raises InvalidError for a folder without files
-    of Gaussians, a name without a number, or two names with the same one.
+    Numbers may begin anywhere and have gaps. Raises InvalidError for a folder without files of
+    Gaussians, a name without a number, or two names with the same number.
     """
     if not source.is_dir():
         return [source]
@@ -106,8 +106,8 @@ def find_files(source: Path) -> list[Path]:
 
 
 def facing_camera(lower: npt.NDArray[np.float64], upper: npt.NDArray[np.float64]) -> Camera:
-    """A camera in front of a box that sees all of it: it looks along +z with y down, the PLY's
-    convention."""
+    """A camera in front of a box that sees all of it. It looks along +z with y down, as is the
+    convention in a PLY."""
     radius = float(np.linalg.norm(upper - lower)) / 2
     centre = (lower + upper) / 2
     focal_px = HEIGHT_PX / 2 / math.tan(VERTICAL_FOV_RAD / 2)
@@ -161,8 +161,8 @@ def _with_degree(splats: Splats, sh_degree: int) -> Splats:
 def import_stream(source: Path, stream: Path, options: ImportOptions) -> Manifest:
     """Writes a finished stream at `stream` of the file or numbered folder `source`.
 
-    Each file of a sequence is read twice, for the manifest holds what is true of all of them, and
-    at most one is in memory. Raises a SwingsError that names the file at fault before anything is
+    Each file of a sequence is read twice: the manifest comes first and describes them all, and only
+    one is in memory at a time. Raises a SwingsError that names the file at fault before anything is
     written.
     """
     files = find_files(source)
