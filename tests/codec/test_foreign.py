@@ -19,7 +19,7 @@ from codec.tools.audit import verify_stream
 from codec.tools.plot import draw_stream
 from codec.tools.static import export_static
 from tests.support.commands import run
-from tests.support.slow_writer import write_tiny
+from tests.support.tiny_stream import write_tiny
 from tests.support.trained_like import trained_like_splats
 
 MANY_DIGITS = "9" * 5000

@@ -24,7 +24,7 @@ from codec.tools.audit import verify_stream
 from player.source.fetch import Fetcher, FetchError
 from player.source.locate import open_source
 from server.library import Library, ServedStream
-from tests.support.slow_writer import tiny_slice, write_tiny
+from tests.support.tiny_stream import tiny_slice, write_tiny
 
 
 @pytest.fixture(params=["../secret", "{root}/secret", "file://{root}/secret", "x/../../secret"])

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.commands import run, run_ok
-from tests.support.slow_writer import write_tiny
+from tests.support.tiny_stream import write_tiny
 
 
 @pytest.fixture(scope="module")

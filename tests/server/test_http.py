@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from codec.stream import StreamReader, StreamWriter
 from server.config import ServerConfig
-from tests.support.served import (
+from tests.support.running_server import (
     SEGMENT_FRAMES,
     Running,
     births_of,

@@ -15,7 +15,7 @@ from codec.stream.index import record_bytes
 from server.cache import ObjectCache
 from server.library import Library
 from server.metrics import Metrics
-from tests.support.served import (
+from tests.support.running_server import (
     SEGMENT_FRAMES,
     births_of,
     make_stream,

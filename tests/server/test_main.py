@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from codec.stream.playrecord import ErrorRecord, SliceRecord
-from tests.support.served import make_stream, parse_records
+from tests.support.running_server import make_stream, parse_records
 
 REPO = Path(__file__).parents[2]
 

@@ -29,7 +29,7 @@ from server.config import ServerConfig
 from server.connection import PIECE_BYTES
 from server.play import parse_query
 from server.state import RequestError
-from tests.support.served import (
+from tests.support.running_server import (
     SEGMENT_FRAMES,
     SWIN_SIZE,
     Running,

@@ -1,5 +1,6 @@
-"""A decoder that may not take more memory than it should: `python -m tests.bounded_decoder CASE`.
+"""A decoder that may not take more memory than it should.
 
+It is a process of its own: `python -m tests.support.bounded_decoder CASE`.
 The process takes the hostile input of a case, notes how much data memory it has (VmData: heap and
 private mappings, so what zstd and numpy allocate too), forbids itself more than the declared bytes
 and SLACK_BYTES beyond that, decodes, and prints how that went: `value`, or the error.
@@ -34,7 +35,7 @@ from codec.stream.manifest import Manifest
 from codec.stream.object import HEAD, decode_object, decode_packet, join_packets
 from codec.stream.playrecord import LENGTH, MAX_RECORD_BYTES, RecordParser
 from codec.stream.reader import StreamReader
-from tests.support.slow_writer import tiny_manifest, write_tiny
+from tests.support.tiny_stream import tiny_manifest, write_tiny
 
 SLACK_BYTES = 64 << 20
 N = MAX_SPLATS_PER_CHUNK

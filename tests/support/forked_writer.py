@@ -1,4 +1,4 @@
-"""A warm process that forks stream writers to be killed: `python -m tests.forked_writer`.
+"""A warm process that forks stream writers to be killed: `python -m tests.support.forked_writer`.
 
 A line on its standard input is the folder to write to: the writer says its pid when it is about to
 begin, creates or resumes the stream there, and finishes it. An empty line waits for that writer and
@@ -16,7 +16,7 @@ from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.stream import StreamWriter
 from codec.stream.manifest import Manifest
-from tests.support.slow_writer import tiny_manifest, tiny_slice
+from tests.support.tiny_stream import tiny_manifest, tiny_slice
 
 NUM_FRAMES = 31
 """The last segment is a short one."""

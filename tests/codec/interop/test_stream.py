@@ -24,7 +24,7 @@ from codec.splats import Splats
 from codec.stream import StreamReader
 from tests.support.commands import run, run_ok
 from tests.support.drawn_splats import same
-from tests.support.slow_writer import write_tiny
+from tests.support.tiny_stream import write_tiny
 from tests.support.trained_like import trained_like_splats
 
 RAW = ImportOptions(profile=Profile.RAW)

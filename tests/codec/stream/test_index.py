@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 from codec.errors import CorruptError, InvalidError
 from codec.stream.index import SegmentRecord, pack_record, parse_index, record_bytes
-from tests.support.forged import forged_record
-from tests.support.hostile import flips, survives
+from tests.support.hostile import flips, forged_record, survives
 
 LAYERS = 3
 

@@ -10,7 +10,13 @@ import pytest
 
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.chunk import Chunk
-from tests.support.served import SEGMENT_FRAMES, SWIN_SIZE, births_of, random_slice, small_manifest
+from tests.support.running_server import (
+    SEGMENT_FRAMES,
+    SWIN_SIZE,
+    births_of,
+    random_slice,
+    small_manifest,
+)
 
 
 def test_the_index_holds_the_mean_of_every_segment(tmp_path: Path) -> None:

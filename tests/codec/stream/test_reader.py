@@ -26,7 +26,7 @@ from codec.stream.chunk import Chunk, encode_chunk
 from codec.stream.index import pack_record, record_bytes
 from codec.stream.object import encode_object
 from codec.tools.audit import summarize, verify_stream
-from tests.support.slow_writer import SLICE_SIZE, tiny_manifest, tiny_slice, write_tiny
+from tests.support.tiny_stream import SLICE_SIZE, tiny_manifest, tiny_slice, write_tiny
 
 ROOT = Path(__file__).parents[3]
 NUM_FRAMES = 10
@@ -293,7 +293,7 @@ def test_killed_at_any_instant(tmp_path: Path, finished: Path) -> None:
     lengths = [0]
     for round_ in range(5):
         process = subprocess.Popen(
-            [sys.executable, "-m", "tests.support.slow_writer", str(path), str(num_frames)],
+            [sys.executable, "-m", "tests.support.tiny_stream", str(path), str(num_frames)],
             cwd=ROOT,
             stdout=subprocess.PIPE,
             text=True,

@@ -22,7 +22,7 @@ from codec.stream import writer as writer_module
 from codec.stream.chunk import Chunk
 from codec.stream.index import record_bytes
 from codec.tools.audit import verify_stream
-from tests.support.slow_writer import tiny_manifest, tiny_slice, write_tiny
+from tests.support.tiny_stream import tiny_manifest, tiny_slice, write_tiny
 
 ROOT = Path(__file__).parents[3]
 NUM_FRAMES = 10
@@ -53,7 +53,7 @@ from pathlib import Path
 from codec.tools.audit import verify_stream
 from codec.stream.index import record_bytes
 from codec.stream import StreamWriter
-from tests.support.slow_writer import tiny_manifest, tiny_slice
+from tests.support.tiny_stream import tiny_manifest, tiny_slice
 
 path, room = Path(sys.argv[1]), int(sys.argv[2])
 manifest = tiny_manifest(segment_frames=1)

@@ -25,9 +25,8 @@ from codec.stream.object import (
 )
 from codec.stream.reader import StreamReader
 from codec.tools.audit import verify_stream
-from tests.support.forged import forged_record
-from tests.support.hostile import flips
-from tests.support.slow_writer import tiny_slice, write_tiny
+from tests.support.hostile import flips, forged_record
+from tests.support.tiny_stream import tiny_slice, write_tiny
 
 NUM_FRAMES = 6
 RECORD_BYTES = record_bytes(2)

@@ -18,7 +18,7 @@ from codec.stream.index import SegmentRecord
 from codec.stream.manifest import Manifest
 from codec.tools.plot import LAYER_COLOURS, bitrates_bps, draw_stream
 from tests.support.commands import run, run_ok
-from tests.support.slow_writer import tiny_manifest, tiny_slice, write_tiny
+from tests.support.tiny_stream import tiny_manifest, tiny_slice, write_tiny
 
 WHITE = (255, 255, 255)
 

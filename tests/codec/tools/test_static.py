@@ -31,8 +31,8 @@ from player.source.locate import open_source
 from tests.goldens.format_decoder import decode_object as decode_plain_object
 from tests.support.commands import run, run_ok
 from tests.support.drawn_splats import same
-from tests.support.played import served, write_stream
-from tests.support.slow_writer import tiny_manifest, tiny_slice, write_tiny
+from tests.support.hosted_streams import served, write_stream
+from tests.support.tiny_stream import tiny_manifest, tiny_slice, write_tiny
 
 PARTS = ("manifest.json", "index.bin", "segments")
 

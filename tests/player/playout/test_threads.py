@@ -19,7 +19,7 @@ from player.playout.clock import Clock
 from player.playout.threads import EmptyStreamError, Events, Handoff, Threads, render_thread
 from player.playout.timeline import FrameRecord, Playout, PlayoutConfig, ReceivedSlice
 from player.source.fetch import StoppedError
-from tests.support.played import SWIN_SIZE, random_slice, small_manifest
+from tests.support.hosted_streams import SWIN_SIZE, random_slice, small_manifest
 
 CAMERA = small_manifest().camera()
 

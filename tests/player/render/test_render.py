@@ -26,7 +26,13 @@ from player.render.gl import GlError, GlRenderer, Target, open_context
 from player.render.order import Order
 from player.render.renderer import CpuRenderer, RendererKind, check_drawable, create_renderer
 from player.render.ring import Ring
-from tests.support.played import ROOT, SWIN_SIZE, random_slice, random_splats, small_manifest
+from tests.support.hosted_streams import (
+    ROOT,
+    SWIN_SIZE,
+    random_slice,
+    random_splats,
+    small_manifest,
+)
 
 Floats = npt.NDArray[np.float32]
 
@@ -321,7 +327,7 @@ WITHOUT_GL = {**os.environ, "__EGL_VENDOR_LIBRARY_FILENAMES": "/nonexistent"}
 CHOOSE = """
 import logging, sys
 from player.render.renderer import RendererKind, create_renderer
-from tests.support.played import small_manifest
+from tests.support.hosted_streams import small_manifest
 logging.basicConfig(level=logging.WARNING)
 try:
     print(create_renderer(RendererKind(sys.argv[1]), small_manifest()).name)

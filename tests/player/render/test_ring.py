@@ -11,7 +11,7 @@ from codec.errors import InvalidError
 from codec.splats import Splats
 from codec.stream import StreamReader
 from player.render.ring import Ring
-from tests.support.played import SLICE_SIZE, SWIN_SIZE, random_slice, write_stream
+from tests.support.hosted_streams import SLICE_SIZE, SWIN_SIZE, random_slice, write_stream
 
 
 def same(a: Splats, b: Splats) -> bool:

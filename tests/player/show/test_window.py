@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.played import ROOT, write_stream
+from tests.support.hosted_streams import ROOT, write_stream
 
 XVFB = shutil.which("Xvfb")
 

@@ -37,7 +37,7 @@ from player.source.locate import open_source
 from player.source.retry import Retry, RetryConfig
 from player.source.served import HttpPlaySource
 from player.source.source import Source
-from tests.support.played import (
+from tests.support.hosted_streams import (
     SWIN_SIZE,
     ServerProcess,
     random_slice,

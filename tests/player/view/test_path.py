@@ -16,7 +16,7 @@ from codec.framerange import FrameRange
 from codec.pose import Doubles, look_at
 from player.view.mouse import view_of
 from player.view.path import Size, camera_path, scene_centre, turned
-from tests.support.played import ring_of_cameras, small_manifest
+from tests.support.hosted_streams import ring_of_cameras, small_manifest
 
 MANIFEST = small_manifest()
 CENTRE = np.array([0.0, 0.0, 4.0])

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from codec.stream.manifest import Manifest
-from tests.support.slow_writer import tiny_manifest
 from tests.support.tiny_capture import write_dynamic3dgs
+from tests.support.tiny_stream import tiny_manifest
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError

@@ -1,7 +1,8 @@
-"""A stream writer as a process to be killed: `python -m tests.slow_writer FOLDER FRAMES`.
+"""A tiny stream of trained-like Gaussians.
 
-It creates or resumes the stream in FOLDER, prints a line when it is about to append, and appends
-until the stream has FRAMES frames.
+`python -m tests.support.tiny_stream FOLDER FRAMES` writes one as a process to be killed: it creates
+or resumes the stream in FOLDER, prints a line when it is about to append, and appends until the
+stream has FRAMES frames.
 """
 
 from __future__ import annotations
