@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+from tests.support.commands import ROOT
+
 HOUSE = ("codec", "trainer", "server", "player")
 
 # Which of our packages each folder may import, besides itself; longest match of a prefix.

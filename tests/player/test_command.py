@@ -20,8 +20,8 @@ from player.render.cpu import render_splats
 from player.render.renderer import RendererKind
 from player.show.sink import to_bytes
 from player.show.window import WindowError, window_system
+from tests.support.commands import ROOT
 from tests.support.hosted_streams import (
-    ROOT,
     SWIN_SIZE,
     ServerProcess,
     served,

@@ -15,9 +15,8 @@ from pathlib import Path
 import pytest
 
 from codec.stream.playrecord import ErrorRecord, SliceRecord
+from tests.support.commands import ROOT
 from tests.support.running_server import make_stream, parse_records
-
-REPO = Path(__file__).parents[2]
 
 
 @contextmanager
@@ -25,7 +24,7 @@ def serving(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """A `python -m server` that is ready, and its URL."""
     process = subprocess.Popen(
         [sys.executable, "-m", "server", *arguments],
-        cwd=REPO,
+        cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -45,7 +44,7 @@ def failing(*arguments: str) -> tuple[int, str]:
     """Exit code and stderr of a server that must not start."""
     done = subprocess.run(
         [sys.executable, "-m", "server", *arguments],
-        cwd=REPO,
+        cwd=ROOT,
         capture_output=True,
         text=True,
         timeout=60,

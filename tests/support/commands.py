@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
+"""The root of the repository."""
 ENTRY = {
     "swings-synth": "trainer.__main__:synth",
     "swings-train": "trainer.__main__:train",

@@ -20,8 +20,8 @@ from codec.slice import Slice
 from codec.splats import Splats, sh_count
 from codec.stream import StreamWriter
 from codec.stream.manifest import Manifest
+from tests.support.commands import ROOT
 
-ROOT = Path(__file__).parents[2]
 SWIN_SIZE = 4
 SEGMENT_FRAMES = 5
 SLICE_SIZE = 40

@@ -15,10 +15,10 @@ from codec.errors import CodecError, CorruptError, UnsupportedError
 from codec.interop.formats import MAX_FILE_BYTES, SplatFormat, read_splats, write_splats
 from codec.interop.limits import MAX_GAUSSIANS
 from codec.splats import SH_C0
+from tests.support.commands import ROOT
 from tests.support.drawn_splats import angles_rad, same
 from tests.support.trained_like import trained_like_splats
 
-ROOT = Path(__file__).parents[3]
 MODELS = Path(os.environ.get("SWINGS_DATA", ROOT / ".." / "shared" / "data")) / "splats"
 
 

@@ -29,9 +29,9 @@ import pytest
 from codec.stream.index import record_bytes
 from codec.stream.reader import StreamReader
 from codec.tools.audit import verify_stream
+from tests.support.commands import ROOT
 from tests.support.forked_writer import NUM_FRAMES, forked_manifest, forked_slices, write
 
-ROOT = Path(__file__).parents[3]
 KILLS = 200
 NUM_LAYERS = 2
 

@@ -17,9 +17,8 @@ from codec.profiles.profile import Profile
 from codec.stream.chunk import encode_chunk
 from codec.stream.object import decode_object, encode_object
 from tests.support.bounded_decoder import CASES
+from tests.support.commands import ROOT
 from tests.support.tiny_stream import SLICE_SIZE, tiny_slice
-
-ROOT = Path(__file__).parents[3]
 
 # `value`, or what the error says. An allocation that failed inside zstd says neither.
 OUTCOMES = {

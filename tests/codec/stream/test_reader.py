@@ -26,9 +26,9 @@ from codec.stream.chunk import Chunk, encode_chunk
 from codec.stream.index import pack_record, record_bytes
 from codec.stream.object import encode_object
 from codec.tools.audit import summarize, verify_stream
+from tests.support.commands import ROOT
 from tests.support.tiny_stream import SLICE_SIZE, tiny_manifest, tiny_slice, write_tiny
 
-ROOT = Path(__file__).parents[3]
 NUM_FRAMES = 10
 
 

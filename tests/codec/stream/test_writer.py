@@ -22,9 +22,9 @@ from codec.stream import writer as writer_module
 from codec.stream.chunk import Chunk
 from codec.stream.index import record_bytes
 from codec.tools.audit import verify_stream
+from tests.support.commands import ROOT
 from tests.support.tiny_stream import tiny_manifest, tiny_slice, write_tiny
 
-ROOT = Path(__file__).parents[3]
 NUM_FRAMES = 10
 
 

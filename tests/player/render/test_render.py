@@ -26,8 +26,8 @@ from player.render.gl import GlError, GlRenderer, Target, open_context
 from player.render.order import Order
 from player.render.renderer import CpuRenderer, RendererKind, check_drawable, create_renderer
 from player.render.ring import Ring
+from tests.support.commands import ROOT
 from tests.support.hosted_streams import (
-    ROOT,
     SWIN_SIZE,
     random_slice,
     random_splats,

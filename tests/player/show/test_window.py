@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.hosted_streams import ROOT, write_stream
+from tests.support.commands import ROOT
+from tests.support.hosted_streams import write_stream
 
 XVFB = shutil.which("Xvfb")
 

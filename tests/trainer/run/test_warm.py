@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.commands import ROOT
 from tests.support.tiny_capture import write_dynerf
-
-ROOT = Path(__file__).parents[3]
 
 # A process of its own, as other tests compile kernels too.
 PROGRAM = """
