@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from codec.camera import Camera, Floating
 from codec.pose import Doubles, look_at
-from tests.support.posed_cameras import posed_cameras
+from tests.support.drawn import posed_cameras
 
 sides_px = st.integers(1, 2000)
 shares = st.tuples(st.floats(-0.5, 1.5), st.floats(-0.5, 1.5), st.floats(0.1, 100))

@@ -19,10 +19,10 @@ from codec.pose import (
     slerp,
     world_to_camera,
 )
-from tests.support.posed_cameras import angles_rad, directions, places, rotations
+from tests.support.drawn import directions, places, rotations, turns_rad
 
 
-@given(directions, angles_rad)
+@given(directions, turns_rad)
 def test_quaternions_and_rotations_are_the_same(axis: Doubles, angle_rad: float) -> None:
     rotation = rotation_about(axis, angle_rad)
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
@@ -30,7 +30,7 @@ def test_quaternions_and_rotations_are_the_same(axis: Doubles, angle_rad: float)
     np.testing.assert_allclose(rotation_of(quat_of(rotation)), rotation, atol=1e-9)
 
 
-@given(directions, angles_rad)
+@given(directions, turns_rad)
 def test_a_quaternion_is_the_cosine_of_half_the_angle_and_then_the_axis(
     axis: Doubles, angle_rad: float
 ) -> None:

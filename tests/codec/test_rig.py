@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from codec.camera import Camera
 from codec.pose import Doubles, look_at, rotation_about, world_to_camera
 from codec.rig import closest_point, mean_up
+from tests.support.drawn import directions, places, rotations
 from tests.support.hosted_streams import ring_of_cameras
-from tests.support.posed_cameras import directions, places, rotations
 
 
 def camera_at(w2c: Doubles) -> Camera:

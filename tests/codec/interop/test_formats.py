@@ -16,7 +16,7 @@ from codec.interop.formats import MAX_FILE_BYTES, SplatFormat, read_splats, writ
 from codec.interop.limits import MAX_GAUSSIANS
 from codec.splats import SH_C0
 from tests.support.commands import ROOT
-from tests.support.drawn_splats import angles_rad, same
+from tests.support.drawn import angles_rad, same
 from tests.support.trained_like import trained_like_splats
 
 MODELS = Path(os.environ.get("SWINGS_DATA", ROOT / ".." / "shared" / "data")) / "splats"

@@ -23,7 +23,7 @@ from codec.interop.ply import encode_ply
 from codec.profiles.profile import Profile
 from codec.splats import SH_C0, Splats
 from codec.stream import StreamReader
-from tests.support.drawn_splats import angles_rad, same
+from tests.support.drawn import angles_rad, same
 from tests.support.trained_like import trained_like_splats
 
 SPLAT_TRANSFORM = shutil.which("splat-transform")

@@ -14,7 +14,7 @@ from codec.interop.compressed_ply import decode_compressed_ply
 from codec.interop.formats import decode_any
 from codec.interop.ply import decode_ply, encode_ply
 from codec.splats import SH_C0, Splats
-from tests.support.drawn_splats import drawn_splats, same
+from tests.support.drawn import drawn_splats, same
 from tests.support.hostile import flips, survives, truncations
 from tests.support.trained_like import trained_like_splats
 

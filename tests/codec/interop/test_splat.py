@@ -14,7 +14,7 @@ from codec.errors import CorruptError
 from codec.interop.formats import decode_any
 from codec.interop.splat import decode_splat, encode_splat
 from codec.splats import SH_C0, Splats
-from tests.support.drawn_splats import angles_rad, drawn_splats
+from tests.support.drawn import angles_rad, drawn_splats
 from tests.support.hostile import flips, survives
 from tests.support.trained_like import trained_like_splats
 

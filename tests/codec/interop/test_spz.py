@@ -18,7 +18,7 @@ from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedErro
 from codec.interop.formats import decode_any
 from codec.interop.spz import decode_spz, encode_spz
 from codec.splats import Splats
-from tests.support.drawn_splats import angles_rad, drawn_splats
+from tests.support.drawn import angles_rad, drawn_splats
 from tests.support.hostile import flips, survives, truncations
 from tests.support.trained_like import trained_like_splats
 

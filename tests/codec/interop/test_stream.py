@@ -23,7 +23,7 @@ from codec.profiles.profile import Profile
 from codec.splats import Splats
 from codec.stream import StreamReader
 from tests.support.commands import run, run_ok
-from tests.support.drawn_splats import same
+from tests.support.drawn import same
 from tests.support.tiny_stream import write_tiny
 from tests.support.trained_like import trained_like_splats
 

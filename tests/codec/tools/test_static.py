@@ -30,7 +30,7 @@ from player.render.renderer import RendererKind
 from player.source.locate import open_source
 from tests.goldens.format_decoder import decode_object as decode_plain_object
 from tests.support.commands import run, run_ok
-from tests.support.drawn_splats import same
+from tests.support.drawn import same
 from tests.support.hosted_streams import served, write_stream
 from tests.support.tiny_stream import tiny_manifest, tiny_slice, write_tiny
 

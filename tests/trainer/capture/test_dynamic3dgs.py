@@ -16,7 +16,7 @@ from PIL import Image
 from codec.camera import Camera
 from codec.errors import InvalidError
 from tests.support.commands import ROOT
-from tests.support.tiny_capture import picture_of, tiny_rig, write_dynamic3dgs
+from tests.support.tiny_capture import picture_of, write_dynamic3dgs
 from trainer.capture.capture import Capture, InitialPoints
 from trainer.capture.layout import open_capture
 from trainer.capture.points import points_evenness, read_points_file
