@@ -12,7 +12,7 @@ import tyro
 from codec.tools.audit import describe, summarize, verify_stream
 
 from .console import run_command
-from .interop.commands import Export, Import, export_files, import_files
+from .tools.commands import Export, Import, export_files, import_files
 
 Folder = Annotated[Path, tyro.conf.arg(metavar="STREAM")]
 

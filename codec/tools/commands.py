@@ -9,11 +9,11 @@ from typing import Annotated
 import tyro
 
 from codec.errors import InvalidError
-from codec.tools.static import export_static
+from codec.interop.exporting import export_stream
+from codec.interop.formats import SplatFormat
+from codec.interop.importing import ImportOptions, import_stream
 
-from .exporting import export_stream
-from .formats import SplatFormat
-from .importing import ImportOptions, import_stream
+from .static import export_static
 
 
 @dataclass(frozen=True, slots=True)
