@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from codec.errors import InvalidError
-
-from .abr.session import SessionConfig
+from server.abr.session import SessionConfig
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from codec.stream.writer import INDEX_NAME, MANIFEST_NAME
 
 from .errors import ServerError
 
-LOG = logging.getLogger(__name__)
+log = logging.getLogger(__name__)
 
 STREAM_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
 """What a stream may be called: it needs no quoting in a URL, a metric or a page."""
@@ -181,7 +181,7 @@ class Library:
                 except (SwingsError, OSError) as error:
                     # What was there before it broke can still be served.
                     if str(error) != stream.trouble:
-                        LOG.warning("%s grows no more: %s", stream.name, error)
+                        log.warning("%s grows no more: %s", stream.name, error)
                     stream.trouble = str(error)
 
     async def rescan(self, now_s: float) -> None:
@@ -200,7 +200,7 @@ class Library:
                 opened[folder.name] = _open(folder)
             except (SwingsError, OSError) as error:
                 self._refused.add(folder.name)
-                LOG.warning("not served: %s", error)
+                log.warning("not served: %s", error)
         return opened
 
 

@@ -13,9 +13,10 @@ from aiohttp import web
 from codec.errors import SwingsError
 
 from .connection import Connection, StalledError
-from .state import STATE, RequestError
+from .errors import RequestError
+from .state import STATE
 
-LOG = logging.getLogger(__name__)
+log = logging.getLogger(__name__)
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
@@ -74,10 +75,10 @@ async def _answer(request: web.Request, handler: Handler) -> web.StreamResponse:
         raise
     except (SwingsError, OSError) as error:
         # Where the files lie is the operator's business, not the client's.
-        LOG.error("%s: %s", request.path, error)
+        log.error("%s: %s", request.path, error)
         return _failure(request, "this stream is damaged on the server")
     except Exception:
-        LOG.exception("%s failed", request.path)
+        log.exception("%s failed", request.path)
         return _failure(request, "the server has a bug; its log says more")
 
 

@@ -13,7 +13,9 @@ from aiohttp import web
 
 from .byterange import ByteRange, Unsatisfiable, parse_range
 from .connection import PIECE_BYTES, Connection
-from .state import STATE, RequestError, find_stream
+from .errors import RequestError
+from .lookup import find_stream
+from .state import STATE
 
 IMMUTABLE = "public, max-age=31536000, immutable"
 """For objects: what a segment's URL gives never changes."""

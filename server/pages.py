@@ -7,9 +7,10 @@ from html import escape
 
 from aiohttp import web
 
+from .errors import RequestError
 from .library import ServedStream
 from .metrics import CONTENT_TYPE
-from .state import STATE, RequestError
+from .state import STATE
 
 _PAGE = """<!doctype html>
 <html lang="en">

@@ -21,15 +21,17 @@ from codec.stream.playrecord import (
     StartRecord,
     encode_record,
 )
+from server.abr.policy import FixedPolicy, LayerPolicy, Policy
 from server.abr.session import Finished, PlaySession, SendSlice, WaitForFrames, WaitUntil
 
-from .abr.policy import FixedPolicy, LayerPolicy, Policy
 from .cache import LoadedObject
 from .connection import Connection, StalledError
+from .errors import RequestError
 from .library import ServedStream
-from .state import STATE, RequestError, ServerState, find_stream
+from .lookup import find_stream
+from .state import STATE, ServerState
 
-LOG = logging.getLogger(__name__)
+log = logging.getLogger(__name__)
 
 CONTENT_TYPE = "application/x-swings-play"
 
@@ -149,7 +151,7 @@ class _Play:
         except (SwingsError, OSError) as error:
             if isinstance(error, ConnectionError):
                 raise
-            LOG.error("play of %s ended: %s", self._stream.name, error)
+            log.error("play of %s ended: %s", self._stream.name, error)
             outcome, last = "damaged", ErrorRecord("this stream is damaged on the server")
         await self._send(last)
         return outcome

@@ -9,7 +9,7 @@ from aiohttp import web
 
 from .cache import ObjectCache
 from .config import ServerConfig
-from .library import Library, ServedStream
+from .library import Library
 from .metrics import Metrics
 
 
@@ -30,22 +30,3 @@ class ServerState:
 
 
 STATE = web.AppKey("state", ServerState)
-
-
-class RequestError(Exception):
-    """A request that gets an error status and one line that says why."""
-
-    def __init__(self, status: int, message: str, headers: dict[str, str] | None = None) -> None:
-        super().__init__(message)
-        self.status = status
-        self.headers = headers or {}
-
-
-async def find_stream(request: web.Request) -> ServedStream:
-    """The stream that the URL names, as it is now; 404 where there is none."""
-    name = request.match_info["stream"]
-    now_s = asyncio.get_running_loop().time()
-    stream = await request.app[STATE].library.find(name, now_s)
-    if stream is None:
-        raise RequestError(404, f"no stream is called {name[:80]!r}; /v1/streams lists them")
-    return stream

@@ -27,8 +27,8 @@ from codec.stream.playrecord import (
 )
 from server.config import ServerConfig
 from server.connection import PIECE_BYTES
+from server.errors import RequestError
 from server.play import parse_query
-from server.state import RequestError
 from tests.support.running_server import (
     SEGMENT_FRAMES,
     SWIN_SIZE,
