@@ -24,6 +24,7 @@ def make_app(library: Library, config: ServerConfig) -> web.Application:
     app.add_routes(
         [
             web.get("/", pages.front),
+            web.get("/watch/{stream}", pages.watch),
             web.get("/healthz", pages.healthz),
             web.get("/readyz", pages.readyz),
             web.get("/metrics", pages.metrics),

@@ -1,14 +1,16 @@
-"""What is not a stream's own: the front page, the list of streams, health and metrics."""
+"""What is not a stream's own data: pages for people, the list of streams, health and metrics."""
 
 from __future__ import annotations
 
 import asyncio
+import re
 from html import escape
 
 from aiohttp import web
 
 from .errors import RequestError
 from .library import ServedStream
+from .lookup import find_stream
 from .metrics import CONTENT_TYPE
 from .state import STATE
 
@@ -16,17 +18,59 @@ _PAGE = """<!doctype html>
 <html lang="en">
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width">
-<title>swings</title>
+<title>{title}</title>
 <style>body {{ font: 16px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 40rem }}</style>
-<h1>Streams</h1>
-<ul>
-{items}
-</ul>
-<p>Play one with <code>swings-play {origin}/v1/streams/NAME</code>.</p>
+{body}
 </html>
 """
 
-_ITEM = '<li><a href="/v1/streams/{name}/manifest.json">{title}</a>: {facts}</li>'
+_FRONT = """<h1>Streams</h1>
+<ul>
+{items}
+</ul>
+<p>Play one with <code>swings-play {origin}/watch/NAME</code>.</p>"""
+
+_ITEM = '<li><a href="/watch/{name}">{title}</a>: {length}</li>'
+
+_WATCH = """<h1>{title}</h1>
+<p>{length}; {num_gs} Gaussians in a frame, {num_layers} layers.</p>
+<p>Play it with <code>swings-play {origin}/watch/{name}</code>.</p>
+<p><a href="/v1/streams/{name}/manifest.json">Its manifest</a>, <a href="/">all streams</a></p>"""
+
+_MISSING = """<h1>There is no such stream</h1>
+<p>See <a href="/">all streams</a>.</p>"""
+
+_POLICY = "default-src 'none'; style-src 'unsafe-inline'"
+
+_HOST = re.compile(r"([A-Za-z0-9._-]+|\[[0-9A-Fa-f:.]+\])(:[0-9]{1,5})?")
+
+
+def _page(title: str, body: str, status: int = 200) -> web.Response:
+    """An HTML page that may load nothing. title: plain text; body: HTML."""
+    return web.Response(
+        text=_PAGE.format(title=escape(title), body=body),
+        status=status,
+        content_type="text/html",
+        headers={"Content-Security-Policy": _POLICY, "Cache-Control": "no-cache"},
+    )
+
+
+def _origin(request: web.Request) -> str:
+    """scheme://host of this server as the client calls it."""
+    if not _HOST.fullmatch(request.host):
+        raise RequestError(400, f"Host {request.host[:80]!a} is not HOST or HOST:PORT")
+    return f"{request.scheme}://{request.host}"
+
+
+def _title(stream: ServedStream) -> str:
+    return stream.view.manifest.title or stream.name
+
+
+def _length(stream: ServedStream) -> str:
+    """How long the stream is, for people."""
+    seconds = stream.num_frames / stream.fps
+    length = f"{stream.num_frames} frames, {seconds:.1f} s at {stream.fps:g} fps"
+    return f"live, {length} so far" if stream.live else length
 
 
 async def _streams(request: web.Request) -> list[ServedStream]:
@@ -36,17 +80,29 @@ async def _streams(request: web.Request) -> list[ServedStream]:
 
 
 async def front(request: web.Request) -> web.StreamResponse:
-    items = []
-    for stream in await _streams(request):
-        seconds = stream.num_frames / stream.fps
-        length = f"{stream.num_frames} frames, {seconds:.1f} s at {stream.fps:g} fps"
-        facts = f"live, {length} so far" if stream.live else length
-        title = escape(stream.view.manifest.title or stream.name)
-        items.append(_ITEM.format(name=stream.name, title=title, facts=facts))
-    page = _PAGE.format(items="\n".join(items), origin=escape(str(request.url.origin())))
-    policy = "default-src 'none'; style-src 'unsafe-inline'"
-    headers = {"Content-Security-Policy": policy, "Cache-Control": "no-cache"}
-    return web.Response(text=page, content_type="text/html", headers=headers)
+    items = [
+        _ITEM.format(name=stream.name, title=escape(_title(stream)), length=_length(stream))
+        for stream in await _streams(request)
+    ]
+    return _page("swings", _FRONT.format(items="\n".join(items), origin=_origin(request)))
+
+
+async def watch(request: web.Request) -> web.StreamResponse:
+    """The page of one stream, under the address that the player takes too."""
+    try:
+        stream = await find_stream(request)
+    except RequestError as error:
+        return _page("swings", _MISSING, error.status)
+    manifest = stream.view.manifest
+    body = _WATCH.format(
+        name=stream.name,
+        title=escape(_title(stream)),
+        length=_length(stream),
+        num_gs=manifest.num_gs,
+        num_layers=manifest.num_layers,
+        origin=_origin(request),
+    )
+    return _page(_title(stream), body)
 
 
 async def streams(request: web.Request) -> web.StreamResponse:

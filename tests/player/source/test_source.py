@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import socket
 import threading
 import time
+import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -122,6 +124,14 @@ def test_all_forms_of_a_server_s_url(server: ServerProcess) -> None:
         assert {r.layers for r in got} <= {1, 2, 3}
     # The server's objects are also a static stream.
     assert len(read_all(f"{server.url}/v1/streams/one/manifest.json")) == 16
+
+
+def test_the_addresses_on_the_server_s_pages_can_be_played(server: ServerProcess) -> None:
+    with urllib.request.urlopen(f"{server.url}/watch/one", timeout=10) as response:
+        page = response.read().decode()
+    (told,) = re.findall(r"swings-play (\S+?)<", page)
+    assert told == f"{server.url}/watch/one"
+    assert len(read_all(told)) == 16
 
 
 def test_what_a_source_says_before_its_slices(library: Path, server: ServerProcess) -> None:
