@@ -24,7 +24,8 @@ from codec.framerange import FrameRange
 from player.link.link import Link
 from player.link.relay import Relay
 from player.playout.clock import Clock
-from player.playout.threads import Events, Threads, render_thread
+from player.playout.queues import Events
+from player.playout.threads import Threads, render_thread
 from player.playout.timeline import FrameRecord, Playout, PlayoutConfig, PlayoutTotals
 from player.render.renderer import Renderer, RendererKind, create_renderer
 from player.show.sink import check_capture, open_sink, to_bytes

@@ -8,178 +8,21 @@ runs in the caller's thread, as windows and OpenGL want it.
 
 from __future__ import annotations
 
-import logging
 import threading
-from collections import deque
 from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
 
-from codec.errors import SwingsError
 from player.render.renderer import Renderer
 from player.source.fetch import StoppedError
 from player.source.source import Source
 from player.view.path import CameraPath
 
-from .clock import Clock
-from .timeline import DueFrame, FrameRecord, Playout, PlayoutTotals, ReceivedSlice
-
-log = logging.getLogger(__name__)
+from .queues import Events, Handoff
+from .timeline import FrameRecord
 
 Floats = npt.NDArray[np.float32]
-
-MAX_FRAMES_AHEAD = 2
-"""Frames whose slices wait in the renderer to be drawn: one is packed while one is drawn."""
-
-
-class EmptyStreamError(SwingsError):
-    """The stream ended before its first frame was complete."""
-
-
-class Events:
-    """The queue between the stream and the playout: a Playout that threads can wait on."""
-
-    def __init__(self, playout: Playout, clock: Clock) -> None:
-        self._playout = playout
-        self._clock = clock
-        self._changed = threading.Condition()
-        self._finished = False
-        self._stopped = False
-        self._failure: BaseException | None = None
-
-    @property
-    def totals(self) -> PlayoutTotals:
-        return self._playout.totals
-
-    def append(self, received: ReceivedSlice) -> None:
-        """Adds a slice that arrived now; waits for room first. Raises StoppedError."""
-        with self._changed:
-            # A capture draws at its own pace. While it holds the stream back no time passes, so
-            # that a slow machine is not taken for a slow link.
-            holds = not self._playout.has_room and not self._clock.real
-            if holds:
-                self._clock.stop()
-            self._changed.wait_for(lambda: self._playout.has_room or self._stopped)
-            if holds:
-                self._clock.start()
-            if self._stopped:
-                raise StoppedError("the player stopped")
-            self._playout.push(received, self._clock.now_s())
-            self._changed.notify_all()
-
-    def finish(self) -> None:
-        """No slice will follow."""
-        with self._changed:
-            self._finished = True
-            self._changed.notify_all()
-
-    def fail(self, error: BaseException) -> None:
-        """The stream broke: `take` raises `error`."""
-        with self._changed:
-            self._failure = error
-            self._changed.notify_all()
-
-    def stop(self) -> None:
-        """Wakes everybody who waits."""
-        with self._changed:
-            self._stopped = True
-            self._changed.notify_all()
-
-    def toggle_pause(self) -> None:
-        """Lets the time stand still, or go on."""
-        with self._changed:
-            if self._clock.running:
-                self._clock.stop()
-            else:
-                self._clock.start()
-            self._changed.notify_all()
-
-    def take(self) -> DueFrame | None:
-        """The next frame, once it is due; None after the last one. Raises StoppedError."""
-        with self._changed:
-            while True:
-                if self._stopped:
-                    raise StoppedError("the player stopped")
-                if self._failure is not None:
-                    raise self._failure
-                shown_s = self._playout.next_shown_s
-                if shown_s is None:
-                    if self._finished:
-                        if not self.totals.frames:
-                            raise EmptyStreamError("the stream ended before its first frame")
-                        return None
-                    self._changed.wait()
-                    continue
-                wait_s = self._clock.until_s(shown_s)
-                if wait_s <= 0:
-                    due = self._playout.take()
-                    assert due is not None
-                    self._changed.notify_all()
-                    return due
-                self._changed.wait(wait_s)
-
-
-class Handoff:
-    """Frames whose slices are in the renderer, on their way to be drawn."""
-
-    def __init__(self, max_frames: int = MAX_FRAMES_AHEAD) -> None:
-        self._max_frames = max_frames
-        self._changed = threading.Condition()
-        self._frames: deque[FrameRecord] = deque()
-        self._finished = False
-        self._stopped = False
-        self._failure: BaseException | None = None
-
-    def wait_for_room(self) -> None:
-        """Returns when a frame may be added. Raises StoppedError."""
-        with self._changed:
-            self._changed.wait_for(lambda: len(self._frames) < self._max_frames or self._stopped)
-            if self._stopped:
-                raise StoppedError("the player stopped")
-
-    def put(self, record: FrameRecord) -> None:
-        with self._changed:
-            self._frames.append(record)
-            self._changed.notify_all()
-
-    def finish(self, failure: BaseException | None = None) -> None:
-        """Nothing will follow; `failure` is raised by whoever asks for more."""
-        with self._changed:
-            self._finished = True
-            self._failure = failure
-            self._changed.notify_all()
-
-    def stop(self) -> None:
-        """Wakes everybody who waits."""
-        with self._changed:
-            self._stopped = True
-            self._changed.notify_all()
-
-    def get(self) -> FrameRecord | None:
-        """The next frame; None after the last one."""
-        with self._changed:
-            self._changed.wait_for(lambda: bool(self._frames) or self._finished)
-            return self._pop()
-
-    def poll(self) -> list[FrameRecord]:
-        """All frames that are there now, without waiting."""
-        with self._changed:
-            records = []
-            while self._frames or self._failure is not None:
-                record = self._pop()
-                assert record is not None
-                records.append(record)
-            return records
-
-    def _pop(self) -> FrameRecord | None:
-        if self._failure is not None:
-            raise self._failure
-        if not self._frames:
-            return None
-        record = self._frames.popleft()
-        self._changed.notify_all()
-        return record
 
 
 def receive_thread(source: Source, events: Events) -> None:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 from codec.errors import CorruptError, InvalidError
 from codec.slice import Slice
-from player.render.lane import slice_bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +27,7 @@ class ReceivedSlice:
     @property
     def memory_bytes(self) -> int:
         """What it takes decoded, bytes."""
-        return slice_bytes(self.slice)
+        return self.slice.num_bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,19 +121,9 @@ class Playout:
         return self._next_birth
 
     @property
-    def next_frame(self) -> int:
-        """The frame that `take` gives next."""
-        return self._next_frame
-
-    @property
     def frames_waiting(self) -> int:
         """Frames that are complete in the queue."""
         return self._next_birth - self._next_frame if self._ready else 0
-
-    @property
-    def bytes_waiting(self) -> int:
-        """Decoded bytes in the queue."""
-        return self._queue_bytes
 
     @property
     def _needed(self) -> int:

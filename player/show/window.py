@@ -14,7 +14,8 @@ from typing import Any
 import moderngl
 
 from codec.errors import SwingsError
-from player.playout.threads import Events, Threads
+from player.playout.queues import Events
+from player.playout.threads import Threads
 from player.playout.timeline import FrameRecord
 from player.render.gl import MIN_VERSION, GlError, GlRenderer, Target
 from player.render.renderer import check_drawable

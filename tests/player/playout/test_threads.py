@@ -16,7 +16,8 @@ from codec.framerange import FrameRange
 from codec.slice import Slice
 from codec.stream.manifest import Manifest
 from player.playout.clock import Clock
-from player.playout.threads import EmptyStreamError, Events, Handoff, Threads, render_thread
+from player.playout.queues import EmptyStreamError, Events, Handoff
+from player.playout.threads import Threads, render_thread
 from player.playout.timeline import FrameRecord, Playout, PlayoutConfig, ReceivedSlice
 from player.source.fetch import StoppedError
 from tests.support.hosted_streams import SWIN_SIZE, random_slice, small_manifest

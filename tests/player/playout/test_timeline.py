@@ -97,7 +97,7 @@ def test_a_full_queue_refuses_and_counts_bytes() -> None:
     playout = Playout(0, 1, 30, PlayoutConfig(max_bytes=2 * one_bytes))
     playout.push(slices[0], 0.0)
     playout.push(slices[1], 0.0)
-    assert playout.bytes_waiting == 2 * one_bytes
+    assert playout.totals.most_bytes_waiting == 2 * one_bytes
     assert not playout.has_room
     with pytest.raises(InvalidError, match="full"):
         playout.push(slices[2], 0.0)
