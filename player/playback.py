@@ -29,7 +29,6 @@ from player.playout.threads import Threads, render_thread
 from player.playout.timeline import FrameRecord, Playout, PlayoutConfig, PlayoutTotals
 from player.render.renderer import Renderer, RendererKind, create_renderer
 from player.show.sink import check_capture, open_sink, to_bytes
-from player.show.window import show_window, window_system
 from player.source.locate import is_url, open_source
 from player.source.source import Source
 from player.view.path import CameraPath, Size, camera_path, check_path
@@ -162,7 +161,11 @@ def play(config: PlayConfig) -> PlaySummary:
     """Plays the stream to its end, or until the window is closed."""
     clock = Clock(real=config.capture is None)
     with ExitStack() as stack:
-        glfw = stack.enter_context(window_system()) if config.capture is None else None
+        if config.capture is None:
+            # Finds and loads the system's library for windows, which a capture does without.
+            from player.show.window import show_window, window_system
+
+            stack.enter_context(window_system())
         relay = _start_relay(config)
         if relay is not None:
             stack.enter_context(relay)
@@ -186,7 +189,7 @@ def play(config: PlayConfig) -> PlaySummary:
         if config.capture is not None:
             renderer = _capture(config, config.capture, source, events, keep)
         else:
-            renderer = show_window(glfw, _path(config, source), source, events, keep)
+            renderer = show_window(_path(config, source), source, events, keep)
         summary = PlaySummary(
             source.name,
             renderer.name,

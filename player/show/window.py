@@ -1,7 +1,7 @@
 """The interactive window: the mouse moves the camera while the stream plays.
 
 Left button turns around the scene, right button moves it, the wheel comes nearer, space pauses, R
-goes back to the path's camera, Escape closes. Needs the extra `window` (glfw).
+goes back to the path's camera, Escape closes.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import glfw
 import moderngl
 
 from codec.errors import SwingsError
@@ -32,31 +33,23 @@ class WindowError(SwingsError):
 
 
 @contextmanager
-def window_system() -> Iterator[Any]:
-    """The glfw module, ready to open windows. Raises WindowError where there can be none."""
-    try:
-        import glfw
-    except ImportError as error:
-        raise WindowError(
-            "a window needs the extra `window` (pip install 'swings[window]'); "
-            "without it use --capture OUT.mp4"
-        ) from error
+def window_system() -> Iterator[None]:
+    """Makes glfw ready to open windows. Raises WindowError where there can be none."""
     glfw.ERROR_REPORTING = "ignore"  # asked for below instead of warned about
     if not glfw.init():
-        raise WindowError(f"no window can be opened here ({_reason(glfw)}); use --capture OUT.mp4")
+        raise WindowError(f"no window can be opened here ({_reason()}); use --capture OUT.mp4")
     try:
-        yield glfw
+        yield
     finally:
         glfw.terminate()
 
 
-def _reason(glfw: Any) -> str:
-    _, text = glfw.get_error()
+def _reason() -> str:
+    text: Any = glfw.get_error()[1]  # bytes or None, whatever its annotation says
     return text.decode(errors="replace") if text else "glfw does not say why"
 
 
 def show_window(
-    glfw: Any,
     path: CameraPath,
     source: Source,
     events: Events,
@@ -66,14 +59,14 @@ def show_window(
     check_drawable(source.manifest)
     first = path(source.frames.first)
     with Threads(source, events) as threads:
-        window = _open(glfw, Size(first.width_px, first.height_px), source.name)
+        window = _open(Size(first.width_px, first.height_px), source.name)
         try:
             context = moderngl.create_context(require=MIN_VERSION)
         except Exception as error:  # moderngl and glcontext raise bare Exception
             raise GlError(f"OpenGL 3.3 cannot start in a window: {error}") from error
         renderer = GlRenderer(source.manifest, Target.FLOAT16, context)
         view = view_of(source.manifest)
-        controls = _Controls(glfw, window, view, events, first.fy_px)
+        controls = _Controls(window, view, events, first.fy_px)
         handoff = threads.update(renderer)
         frame, drawn = None, None
         try:
@@ -95,14 +88,14 @@ def show_window(
     return renderer
 
 
-def _open(glfw: Any, size: Size, title: str) -> Any:
+def _open(size: Size, title: str) -> Any:
     glfw.window_hint(glfw.CONTEXT_VERSION_MAJOR, 3)
     glfw.window_hint(glfw.CONTEXT_VERSION_MINOR, 3)
     glfw.window_hint(glfw.OPENGL_PROFILE, glfw.OPENGL_CORE_PROFILE)
     glfw.window_hint(glfw.OPENGL_FORWARD_COMPAT, True)
     window = glfw.create_window(size.width_px, size.height_px, f"swings: {title}", None, None)
     if not window:
-        raise WindowError(f"no window can be opened here ({_reason(glfw)}); use --capture OUT.mp4")
+        raise WindowError(f"no window can be opened here ({_reason()}); use --capture OUT.mp4")
     glfw.make_context_current(window)
     glfw.swap_interval(1)
     return window
@@ -111,8 +104,8 @@ def _open(glfw: Any, size: Size, title: str) -> Any:
 class _Controls:
     """Mouse and keys to a View. `changes` rises with whatever makes the picture another one."""
 
-    def __init__(self, glfw: Any, window: Any, view: View, events: Events, focal_px: float) -> None:
-        self._glfw, self._view, self._events, self._focal_px = glfw, view, events, focal_px
+    def __init__(self, window: Any, view: View, events: Events, focal_px: float) -> None:
+        self._view, self._events, self._focal_px = view, events, focal_px
         self._at_px = (0.0, 0.0)
         self.changes = 0
         glfw.set_cursor_pos_callback(window, self._moved)
@@ -121,7 +114,6 @@ class _Controls:
         glfw.set_window_refresh_callback(window, self._damaged)
 
     def _moved(self, window: Any, x_px: float, y_px: float) -> None:
-        glfw = self._glfw
         right_px, down_px = x_px - self._at_px[0], y_px - self._at_px[1]
         self._at_px = (x_px, y_px)
         if glfw.get_mouse_button(window, glfw.MOUSE_BUTTON_LEFT) == glfw.PRESS:
@@ -137,7 +129,6 @@ class _Controls:
         self.changes += 1
 
     def _pressed(self, window: Any, key: int, code: int, action: int, modifiers: int) -> None:
-        glfw = self._glfw
         if action != glfw.PRESS:
             return
         if key == glfw.KEY_ESCAPE:

@@ -19,7 +19,6 @@ from player.playback import PlayConfig, play
 from player.render.cpu import render_splats
 from player.render.renderer import RendererKind
 from player.show.sink import to_bytes
-from player.show.window import WindowError, window_system
 from tests.support.commands import ROOT
 from tests.support.hosted_streams import (
     SWIN_SIZE,
@@ -179,12 +178,6 @@ def test_exit_codes(library: Path, tmp_path: Path) -> None:
         assert message in done.stderr
         assert done.stderr.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
-
-
-def test_without_glfw_a_window_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "glfw", None)
-    with pytest.raises(WindowError, match=r"extra `window`.*--capture"), window_system():
-        pass
 
 
 def test_what_the_stream_does_not_have_leaves_nothing(library: Path, tmp_path: Path) -> None:
