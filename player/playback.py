@@ -7,7 +7,7 @@ import logging
 import os
 import sys
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -231,26 +231,21 @@ def _capture(
     """Draws every frame into files; gives the renderer, closed, for its name and counters."""
     path = _path(config, source)
     first = path(source.frames.first)
-    with Threads(source, events) as threads:
-        renderer = create_renderer(config.renderer, source.manifest)
-        try:
-            sink = open_sink(output, source.manifest.fps, Size(first.width_px, first.height_px))
-            try:
-                with _progress() as progress:
-                    task = progress.add_task("drawing", total=source.frames.count)
+    size = Size(first.width_px, first.height_px)
+    with (
+        Threads(source, events) as threads,
+        closing(create_renderer(config.renderer, source.manifest)) as renderer,
+        open_sink(output, source.manifest.fps, size) as sink,
+        _progress() as progress,
+    ):
+        task = progress.add_task("drawing", total=source.frames.count)
 
-                    def show(record: FrameRecord, picture: Floats) -> None:
-                        sink.write(record.frame, to_bytes(picture))
-                        keep(record)
-                        progress.advance(task)
+        def show(record: FrameRecord, picture: Floats) -> None:
+            sink.write(record.frame, to_bytes(picture))
+            keep(record)
+            progress.advance(task)
 
-                    render_thread(threads.update(renderer), renderer, path, show)
-                sink.finish()
-            except BaseException:
-                sink.abort()
-                raise
-        finally:
-            renderer.close()
+        render_thread(threads.update(renderer), renderer, path, show)
     return renderer
 
 

@@ -5,7 +5,8 @@ Rule: a file under its final name is whole. What is being written has a temporar
 
 from __future__ import annotations
 
-import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from fractions import Fraction
 from pathlib import Path
 from typing import Protocol
@@ -16,6 +17,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from codec.errors import InvalidError, SwingsError
+from codec.files import replacing
 from player.view.path import Size
 
 Bytes = npt.NDArray[np.uint8]
@@ -25,29 +27,21 @@ VIDEO_CRF = 16
 """Constant rate factor of libx264: visually lossless."""
 
 OTHER_SUFFIXES = {".avi", ".gif", ".jpeg", ".jpg", ".m4v", ".mkv", ".mov", ".png", ".webm"}
-"""Names that ask for something else than a folder."""
+"""Names that ask for something other than a folder."""
 
 _BT709 = 1
 _LIMITED_RANGE = 1
 
 
-class CaptureError(SwingsError):
+class SinkError(SwingsError):
     """The pictures cannot be written."""
 
 
 class FrameSink(Protocol):
-    """Takes pictures in frame order; then `finish` or `abort`."""
+    """Takes pictures in frame order."""
 
     def write(self, frame: int, picture: Bytes) -> None:
         """picture: (H, W, 3) uint8 RGB, row 0 on top."""
-        ...
-
-    def finish(self) -> None:
-        """Gives the result its final name."""
-        ...
-
-    def abort(self) -> None:
-        """Leaves nothing half-written behind."""
         ...
 
 
@@ -73,12 +67,23 @@ def check_capture(path: Path) -> None:
         )
 
 
-def open_sink(path: Path, fps: float, size: Size) -> FrameSink:
-    """What writes pictures of `size` to `path`, by its suffix."""
+@contextmanager
+def open_sink(path: Path, fps: float, size: Size) -> Iterator[FrameSink]:
+    """Gives what writes pictures of `size` to `path`, by its suffix.
+
+    Leaving by an exception leaves no video; PNGs that are written stay.
+    """
     check_capture(path)
-    if path.suffix.lower() == ".mp4":
-        return VideoSink(path, fps, size)
-    return PngSink(path)
+    if path.suffix.lower() != ".mp4":
+        yield PngSink(path)
+        return
+    with replacing(path) as temporary:
+        video = VideoSink(path, temporary, fps, size)
+        try:
+            yield video
+            video.finish()
+        finally:
+            video.close()
 
 
 class PngSink:
@@ -89,30 +94,19 @@ class PngSink:
         self._folder = folder
 
     def write(self, frame: int, picture: Bytes) -> None:
-        temporary = self._folder / ".frame.png.partial"
-        try:
+        with replacing(self._folder / f"frame_{frame:05d}.png") as temporary:
             Image.fromarray(picture).save(temporary, "PNG", compress_level=4)
-            os.replace(temporary, self._folder / f"frame_{frame:05d}.png")
-        except OSError:
-            temporary.unlink(missing_ok=True)
-            raise
-
-    def finish(self) -> None:
-        pass
-
-    def abort(self) -> None:
-        """Frames that are written are whole; they stay."""
 
 
 class VideoSink:
-    """H.264 in an .mp4, 8 bits, 4:2:0, BT.709."""
+    """H.264 in an .mp4, 8 bits, 4:2:0, BT.709. `finish` makes it whole; `close` in any case."""
 
-    def __init__(self, path: Path, fps: float, size: Size) -> None:
+    def __init__(self, path: Path, temporary: Path, fps: float, size: Size) -> None:
+        """path: what errors call it. temporary: what is written."""
         self._path = path
-        self._temporary = path.with_name(f".{path.name}.partial")
         # 4:2:0 wants even sizes: the last column or row is repeated.
         self._padding = ((0, size.height_px % 2), (0, size.width_px % 2), (0, 0))
-        self._container = av.open(str(self._temporary), "w", format="mp4")
+        self._container = av.open(str(temporary), "w", format="mp4")
         try:
             stream = self._container.add_stream(
                 "libx264", rate=Fraction(fps).limit_denominator(1001)
@@ -132,8 +126,8 @@ class VideoSink:
             stream.codec_context.color_trc = _BT709
             stream.codec_context.color_range = _LIMITED_RANGE
         except Exception as error:  # PyAV knows no libx264: ValueError, or an FFmpeg error
-            self.abort()
-            raise CaptureError(f"capture {path}: this PyAV cannot encode H.264: {error}") from error
+            self.close()
+            raise SinkError(f"capture {path}: this PyAV cannot encode H.264: {error}") from error
         self._stream = stream
         self._written = 0
 
@@ -146,16 +140,15 @@ class VideoSink:
         try:
             self._container.mux(self._stream.encode(image))
         except av.error.FFmpegError as error:
-            raise CaptureError(f"capture {self._path}: frame {frame}: {error}") from error
+            raise SinkError(f"capture {self._path}: frame {frame}: {error}") from error
 
     def finish(self) -> None:
         try:
             self._container.mux(self._stream.encode(None))
             self._container.close()
         except av.error.FFmpegError as error:
-            raise CaptureError(f"capture {self._path}: {error}") from error
-        os.replace(self._temporary, self._path)
+            raise SinkError(f"capture {self._path}: {error}") from error
 
-    def abort(self) -> None:
-        self._container.close()
-        self._temporary.unlink(missing_ok=True)
+    def close(self) -> None:
+        with suppress(av.error.FFmpegError):  # a full disk takes no trailer, and has been reported
+            self._container.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 from pathlib import Path
 
 import av
@@ -10,7 +11,7 @@ import pytest
 from PIL import Image
 
 from codec.errors import InvalidError
-from player.show.sink import Bytes, PngSink, VideoSink, check_capture, open_sink, to_bytes
+from player.show.sink import Bytes, PngSink, SinkError, check_capture, open_sink, to_bytes
 from player.view.path import Size
 
 
@@ -25,15 +26,23 @@ def psnr_db(a: Bytes, b: Bytes) -> float:
     return float(-10 * np.log10(((a.astype(np.float64) - b) ** 2).mean() / 255**2))
 
 
+def break_off(path: Path, pictures: dict[int, Bytes]) -> None:
+    """Writes `pictures`, by frame, and then fails before the end."""
+    height_px, width_px, _ = next(iter(pictures.values())).shape
+    with open_sink(path, 30.0, Size(width_px, height_px)) as sink:
+        for frame, image in pictures.items():
+            sink.write(frame, image)
+        raise RuntimeError("the drawing broke")
+
+
 @pytest.mark.parametrize(("width_px", "height_px"), [(64, 48), (63, 47)])
 def test_a_video_holds_every_frame_in_order(tmp_path: Path, width_px: int, height_px: int) -> None:
     path = tmp_path / "out.mp4"
-    sink = open_sink(path, 25.0, Size(width_px, height_px))
     pictures = [picture(n, width_px, height_px) for n in range(12)]
-    for frame, image in enumerate(pictures, 30):
-        sink.write(frame, image)
-        assert not path.exists()
-    sink.finish()
+    with open_sink(path, 25.0, Size(width_px, height_px)) as sink:
+        for frame, image in enumerate(pictures, 30):
+            sink.write(frame, image)
+            assert not path.exists()
     assert list(tmp_path.iterdir()) == [path]
     with av.open(str(path)) as container:
         stream = container.streams.video[0]
@@ -48,19 +57,29 @@ def test_a_video_holds_every_frame_in_order(tmp_path: Path, width_px: int, heigh
 def test_an_aborted_video_leaves_nothing(tmp_path: Path) -> None:
     path = tmp_path / "out.mp4"
     path.write_bytes(b"what was there before")
-    sink = VideoSink(path, 30.0, Size(32, 32))
-    sink.write(0, picture(0, 32, 32))
-    sink.abort()
+    with pytest.raises(RuntimeError, match="the drawing broke"):
+        break_off(path, {0: picture(0, 32, 32)})
     assert [p.name for p in tmp_path.iterdir()] == ["out.mp4"]
     assert path.read_bytes() == b"what was there before"
 
 
+def test_a_full_disk_leaves_nothing_and_is_told(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    noise = {n: rng.integers(0, 256, (120, 160, 3)).astype(np.uint8) for n in range(99)}
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, hard))
+    try:
+        with pytest.raises(SinkError, match=r"out.mp4: .*File too large"):
+            break_off(tmp_path / "out.mp4", noise)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_pngs_are_exact_and_named_by_frame(tmp_path: Path) -> None:
     folder = tmp_path / "a" / "b"
-    sink = open_sink(folder, 30.0, Size(9, 7))
-    sink.write(7, picture(1, 9, 7))
-    sink.write(123456, picture(2, 9, 7))
-    sink.abort()
+    with pytest.raises(RuntimeError, match="the drawing broke"):
+        break_off(folder, {7: picture(1, 9, 7), 123456: picture(2, 9, 7)})
     assert sorted(p.name for p in folder.iterdir()) == ["frame_00007.png", "frame_123456.png"]
     np.testing.assert_array_equal(
         np.asarray(Image.open(folder / "frame_00007.png")), picture(1, 9, 7)
