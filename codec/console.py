@@ -8,10 +8,28 @@ from collections.abc import Callable
 from typing import NoReturn, TypeVar
 
 import tyro
+from tyro.constructors import PrimitiveConstructorSpec
 
 from .errors import SwingsError
 
 Config = TypeVar("Config")
+Value = TypeVar("Value")
+
+
+def option(
+    metavar: str, parse: Callable[[str], Value], show: Callable[[Value], str] = str
+) -> PrimitiveConstructorSpec[Value]:
+    """Stands in the Annotated of a field whose value `parse` makes of one word.
+
+    An InvalidError from `parse` is bad usage. show: the word of a default, for the help.
+    """
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar=metavar,
+        instance_from_str=lambda words: parse(words[0]),
+        is_instance=lambda value: not isinstance(value, str),
+        str_from_instance=lambda value: [show(value)],
+    )
 
 
 def run_command(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from .console import option
 from .errors import InvalidError
 
 MAX_DIGITS = 18
@@ -47,3 +48,7 @@ class FrameRange:
         if not frames or frames[0] < 0 or frames[-1] >= num_frames:
             raise InvalidError(f"frames {self}: {name} has frames 0:{num_frames}")
         return frames
+
+
+FRAMES = option("A:B", FrameRange.parse)
+"""For options that take a FrameRange: Annotated[FrameRange, FRAMES]."""

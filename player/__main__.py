@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from codec.console import run_command
 
-from .playback import PlayConfig, play
+from .config import PlayConfig
+from .playback import play
 
 
 def run(config: PlayConfig) -> None:

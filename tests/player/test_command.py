@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import av
@@ -14,11 +15,16 @@ import pytest
 from PIL import Image
 
 from codec.errors import InvalidError, SwingsError
+from codec.framerange import FrameRange
 from codec.stream import StreamReader
-from player.playback import PlayConfig, play
+from player.__main__ import main
+from player.config import CameraPathName, PlayConfig
+from player.link.link import Link, LinkStep
+from player.playback import play
 from player.render.cpu import render_splats
 from player.render.renderer import RendererKind
 from player.show.sink import to_bytes
+from player.view.path import Size
 from tests.support.commands import ROOT
 from tests.support.hosted_streams import (
     SWIN_SIZE,
@@ -86,15 +92,15 @@ def test_every_source_draws_the_same_frames(
     with static_host(library) as host:
         sources = [str(library / "one"), f"{host}/one", server.url]
         for number, source in enumerate(sources):
-            link = None if number == 0 else "20M,2ms"
+            link = None if number == 0 else Link.parse("20M,2ms")
             play(
                 PlayConfig(
                     source,
                     capture=tmp_path / str(number),
-                    layers="2",
-                    camera="camera:c1",
+                    layers=2,
+                    camera=CameraPathName("camera:c1"),
                     renderer=CPU,
-                    frames="3:9",
+                    frames=FrameRange(3, 9),
                     link=link,
                 )
             )
@@ -110,8 +116,8 @@ def test_every_source_draws_the_same_frames(
 def test_a_slow_link_stalls_and_is_counted(library: Path, tmp_path: Path) -> None:
     with static_host(library) as host:
         source = f"{host}/one"
-        config = PlayConfig(source, capture=tmp_path / "out", renderer=CPU, link="400k")
-        summary = play(config)
+        link = Link.parse("400k")
+        summary = play(PlayConfig(source, capture=tmp_path / "out", renderer=CPU, link=link))
     totals = summary.totals
     assert totals.frames == 13
     # Two segments and a half of about 20 kB each, at 50 kB/s, for half a second of frames.
@@ -150,15 +156,68 @@ def test_a_server_that_dies_leaves_no_half_video(library: Path, tmp_path: Path) 
         (("--renderer", "cpu"), "goes with --capture"),
         (("--capture", "x.gif"), "name an .mp4"),
         (("--capture", "x.mp4", "--link", "8M"), "slows down http"),
+        (("--capture", "x.mp4", "--link", "fast"), "neither a rate"),
+        (("--link", "absent.json"), "link: trace absent.json: No such file"),
+        (("--camera", "absent.json"), "there is no file absent.json"),
         (("--capture", "x.mp4", "--report", "/absent/r.json"), "there is no folder"),
     ],
 )
-def test_options_that_are_wrong_for_any_stream(arguments: tuple[str, ...], message: str) -> None:
-    values = dict(zip([a[2:] for a in arguments[::2]], arguments[1::2], strict=True))
-    types = {"capture": Path, "report": Path, "renderer": RendererKind}
-    typed = {key: types.get(key, str)(value) for key, value in values.items()}
-    with pytest.raises(InvalidError, match=message):
-        PlayConfig("somewhere", **typed)
+def test_options_that_are_wrong_for_any_stream(
+    arguments: tuple[str, ...],
+    message: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr(sys, "argv", ["swings-play", "somewhere", *arguments])
+    with pytest.raises(SystemExit) as exit:
+        main()
+    assert exit.value.code == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert len([line for line in err.splitlines() if message in line]) == 1
+
+
+def parsed(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> PlayConfig:
+    """What swings-play would play."""
+    configs: list[PlayConfig] = []
+    monkeypatch.setattr(sys, "argv", ["swings-play", *arguments])
+    monkeypatch.setattr("player.__main__.run", configs.append)
+    main()
+    return configs[0]
+
+
+def test_words_become_values(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    words = "--layers 2 --frames 3:9 --size 80x60 --camera orbit:30 --link 8M,20ms --renderer gl"
+    config = parsed(monkeypatch, "http://host", *words.split(), "--capture", str(tmp_path / "o"))
+    assert config.link is not None
+    assert config.link.at(0) == LinkStep(3600.0, 8e6, 0.02)
+    assert config == PlayConfig(
+        "http://host",
+        layers=2,
+        frames=FrameRange(3, 9),
+        size=Size(80, 60),
+        camera=CameraPathName("orbit:30"),
+        link=config.link,
+        renderer=RendererKind.GL,
+        capture=tmp_path / "o",
+    )
+    assert parsed(monkeypatch, "folder") == PlayConfig("folder")
+    assert parsed(monkeypatch, "folder", "--layers", "auto") == PlayConfig("folder")
+
+
+def test_the_help_says_what_each_option_takes(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    with pytest.raises(SystemExit, match="0"):
+        parsed(monkeypatch, "--help")
+    told = capsys.readouterr().out
+    for option in (
+        "--layers auto|N", "--camera PATH", "--size WxH", "--frames A:B", "--link RATE|TRACE",
+        "(default: auto)", "(default: default)",
+    ):  # fmt: skip
+        assert option in told
 
 
 def test_exit_codes(library: Path, tmp_path: Path) -> None:
@@ -182,13 +241,14 @@ def test_exit_codes(library: Path, tmp_path: Path) -> None:
 
 def test_what_the_stream_does_not_have_leaves_nothing(library: Path, tmp_path: Path) -> None:
     stream, out = str(library / "one"), tmp_path / "out.mp4"
-    for options, message in (
-        ({"frames": "13:"}, "there is no frame 13"),
-        ({"layers": "4"}, "--layers 4"),
-        ({"camera": "camera:nobody"}, "no camera is called"),
+    config = PlayConfig(stream, capture=out, renderer=CPU)
+    for asked, message in (
+        (replace(config, frames=FrameRange(13)), "there is no frame 13"),
+        (replace(config, layers=4), "--layers 4"),
+        (replace(config, camera=CameraPathName("camera:nobody")), "no camera is called"),
     ):
         with pytest.raises(InvalidError, match=message):
-            play(PlayConfig(stream, capture=out, renderer=CPU, **options))  # type: ignore[arg-type]
+            play(asked)
     assert list(tmp_path.iterdir()) == []
 
 

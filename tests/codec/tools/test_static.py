@@ -25,7 +25,8 @@ from codec.stream.object import HEAD, decode_object
 from codec.stream.writer import write_atomic
 from codec.tools.audit import verify_stream
 from codec.tools.static import export_static
-from player.playback import PlayConfig, play
+from player.config import CameraPathName, PlayConfig
+from player.playback import play
 from player.render.renderer import RendererKind
 from player.source.locate import open_source
 from tests.goldens.format_decoder import decode_object as decode_plain_object
@@ -113,9 +114,9 @@ def test_a_plain_web_server_plays_the_same_pictures(folder: Path, tmp_path: Path
             config = PlayConfig(
                 source,
                 capture=tmp_path / str(number),
-                camera="camera:c1",
+                camera=CameraPathName("camera:c1"),
                 renderer=RendererKind.CPU,
-                frames="7:9",
+                frames=FrameRange(7, 9),
             )
             play(config)
     for frame in (7, 8):

@@ -26,7 +26,8 @@ import glfw
 import moderngl
 import numpy as np
 
-from player.playback import PlayConfig, play
+from player.config import PlayConfig
+from player.playback import play
 
 shown = []
 swap = glfw.swap_buffers

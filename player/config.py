@@ -1,0 +1,89 @@
+"""What to play and how to show it: the words of the command line, parsed once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from codec.console import option
+from codec.errors import InvalidError
+from codec.framerange import FRAMES, FrameRange
+from codec.stream.manifest import Manifest
+from player.link.link import Link
+from player.render.renderer import RendererKind
+from player.show.sink import check_capture
+from player.view.path import CameraPath, Size, camera_path, check_path
+
+
+@dataclass(frozen=True, slots=True)
+class CameraPathName:
+    """A camera path as the user writes it; view/path.py says how.
+
+    Raises InvalidError for a text that is not a path in any stream.
+    """
+
+    text: str
+
+    def __post_init__(self) -> None:
+        check_path(self.text)
+
+    def __str__(self) -> str:
+        return self.text
+
+    def of(self, manifest: Manifest, size: Size | None, frames: FrameRange) -> CameraPath:
+        """The path in the stream of `manifest`; see `camera_path`."""
+        return camera_path(self.text, manifest, size, frames)
+
+
+def parse_layers(text: str) -> int | None:
+    """A number of layers; None for `auto`. Raises InvalidError."""
+    if text == "auto":
+        return None
+    if not (text.isdecimal() and int(text) >= 1):
+        raise InvalidError(f"layers {text!r} are neither auto nor a number from 1 on")
+    return int(text)
+
+
+LAYERS = option("auto|N", parse_layers, lambda layers: "auto" if layers is None else str(layers))
+CAMERA = option("PATH", CameraPathName)
+SIZE = option("WxH", Size.parse)
+LINK = option("RATE|TRACE", Link.parse)
+
+
+@dataclass(frozen=True, slots=True)
+class PlayConfig:
+    """What to play, and how to show it."""
+
+    source: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="SOURCE")]]
+    """Folder of a stream, URL of a served stream (http://HOST:PORT, .../watch/NAME), or any URL
+    under which a stream's files lie."""
+    capture: Annotated[Path | None, tyro.conf.arg(metavar="OUT")] = None
+    """Write every frame, exactly once, to this .mp4 or folder of PNGs. Without it: a window."""
+    layers: Annotated[int | None, LAYERS] = None
+    """Layers of each slice, 1 to all; auto lets a server choose, and takes all elsewhere."""
+    camera: Annotated[CameraPathName, CAMERA] = CameraPathName("default")
+    """default, camera:NAME, orbit, orbit:DEGREES, or a .json file of key frames."""
+    size: Annotated[Size | None, SIZE] = None
+    """Size of the picture, as 1280x720; without it that of the camera."""
+    frames: Annotated[FrameRange, FRAMES] = field(default_factory=FrameRange)
+    """Frames to show, as 30:60 (without 60), 30: or :60."""
+    renderer: RendererKind = RendererKind.AUTO
+    """auto takes OpenGL where it works, and says so where it does not."""
+    link: Annotated[Link | None, LINK] = None
+    """Play over a slower link: a rate (8M), a rate and a latency (8M,20ms), or a .json trace."""
+    report: Annotated[Path | None, tyro.conf.arg(metavar="JSON")] = None
+    """Write what became of each frame, and the totals, to this JSON file."""
+
+    def __post_init__(self) -> None:
+        """Raises InvalidError for options that do not go together, whatever the stream is."""
+        if self.link is not None and not self.source.lower().startswith("http://"):
+            raise InvalidError(f"--link slows down http:// URLs; {self.source} is not one")
+        if self.capture is not None:
+            check_capture(self.capture)
+        elif self.renderer is RendererKind.CPU:
+            raise InvalidError("a window is drawn by OpenGL; --renderer cpu goes with --capture")
+        if self.report is not None and not self.report.parent.is_dir():
+            raise InvalidError(f"report {self.report}: there is no folder {self.report.parent}")
