@@ -17,7 +17,7 @@ class ServerConfig:
     max_plays: int = 256
     """Plays at the same time; one more is answered 503."""
     write_timeout_s: float = 20.0
-    """Seconds without progress after which a client that does not read is cut."""
+    """Seconds without progress after which a client that does not read is cut off."""
     keepalive_timeout_s: float = 15.0
     """Seconds that an idle connection, or an unfinished request head, is kept."""
     shutdown_timeout_s: float = 10.0
@@ -48,4 +48,4 @@ class ServerConfig:
         if self.cache_bytes < 0:
             raise InvalidError(f"cache_bytes is {self.cache_bytes}; it must not be negative")
         if any(not 0x20 < ord(c) < 0x7F for c in self.cors_origin):
-            raise InvalidError("cors_origin is no web origin; give *, an origin or nothing")
+            raise InvalidError("cors_origin is not a web origin; give *, an origin or nothing")

@@ -56,7 +56,7 @@ class Connection:
         return transport is None or transport.is_closing()
 
     def keep_queue_short(self, queue_bytes: int) -> None:
-        """Lets about `queue_bytes` wait unsent, in the process and in the kernel each."""
+        """Lets about `queue_bytes` wait unsent in the process, and as many in the kernel."""
         transport = self._request.transport
         if transport is None:
             return

@@ -47,7 +47,7 @@ class ServedStream:
         self.refreshed_s = 0.0
         self.lock = asyncio.Lock()
         self.trouble = ""
-        """Why the last refresh that failed did so; told once."""
+        """Why the last refresh that failed did so; logged once."""
         self._folder = folder
         self._index_hash = hashlib.sha256()
         self._num_hashed = 0
@@ -146,7 +146,7 @@ class Library:
         self._lock = asyncio.Lock()
         self._refused: set[str] = set()
         if not self._root.is_dir():
-            raise ServerError(f"{root} is no folder; name a stream or a folder of streams")
+            raise ServerError(f"{root} is not a folder; name a stream or a folder of streams")
         self._single = (self._root / MANIFEST_NAME).exists()
         folders = [self._root] if self._single else self._folders()
         if not folders:

@@ -92,7 +92,7 @@ async def run_until_stopped(
 
 
 def _quiet_logger() -> logging.Logger:
-    """aiohttp's log without the tracebacks of requests that are no HTTP."""
+    """aiohttp's log without the tracebacks of requests that are not HTTP."""
     logger = logging.getLogger("server.http")
     logger.addFilter(_is_our_fault)
     return logger

@@ -117,7 +117,7 @@ async def _send(request: web.Request, content: Content) -> web.StreamResponse:
 
 
 def _wanted(request: web.Request, size: int, etag: str) -> ByteRange | Unsatisfiable | None:
-    """The range to send. One that is bound to another version of the content is not heeded."""
+    """The range to send. One that is bound to another version of the content is ignored."""
     if request.headers.get("If-Range", etag) != etag:
         return None
     return parse_range(request.headers.get("Range"), size)

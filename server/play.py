@@ -81,7 +81,7 @@ def parse_query(
 
 def _number(key: str, text: str) -> int:
     if not (text.isascii() and text.isdigit() and len(text) <= 10 and int(text) <= MAX_FRAME):
-        raise RequestError(400, f"{key}={text[:40]!r} is no number from 0 to {MAX_FRAME}")
+        raise RequestError(400, f"{key}={text[:40]!r} is not a number from 0 to {MAX_FRAME}")
     return int(text)
 
 
@@ -174,7 +174,7 @@ class _Play:
                 case WaitForFrames():
                     waiting_since_s = now_s if waiting_since_s is None else waiting_since_s
                     if now_s - waiting_since_s > self._state.config.live_idle_s:
-                        return "idle", self._broken_off("no new frames have come for long")
+                        return "idle", self._broken_off("no new frames have come for a long time")
                     await self._pause(self._state.config.refresh_s)
                     await self._state.library.refresh(self._stream, self._clock())
                 case Finished():

@@ -44,8 +44,10 @@ class Link:
         self.steps = steps
         self._ends_s = list(accumulate(step.duration_s for step in steps))
         self._round_bits = sum(step.duration_s * step.rate_bps for step in steps)
-        if not 0 < self._round_bits < math.inf:
-            raise InvalidError("link: nothing ever passes, or everything at once")
+        if self._round_bits == 0:
+            raise InvalidError("link: nothing ever passes; every rate is 0")
+        if self._round_bits == math.inf:
+            raise InvalidError("link: the rates and durations are too large")
 
     @staticmethod
     def parse(text: str) -> Link:
@@ -93,9 +95,9 @@ def _read_trace(path: Path) -> Link:
     except OSError as error:
         raise InvalidError(f"link: trace {path}: {error.strerror}") from error
     except (ValueError, RecursionError) as error:
-        raise InvalidError(f"link: trace {path} is no JSON: {error}") from error
+        raise InvalidError(f"link: trace {path} is not JSON: {error}") from error
     if not isinstance(value, list) or not value:
-        raise InvalidError(f"link: trace {path} is no list of steps")
+        raise InvalidError(f"link: trace {path} is not a list of steps")
     try:
         return Link([_step(entry, number) for number, entry in enumerate(value)])
     except InvalidError as error:

@@ -28,13 +28,13 @@ PIECE_S = 0.004
 """Time on the link of what is moved in one go, seconds."""
 
 LOOKAHEAD_S = 0.004
-"""How long before the link is free the next piece is fetched: wakings are late."""
+"""The next piece is fetched this long before the link is free, seconds: tasks wake up late."""
 
 MAX_CREDIT_S = 0.25
-"""Most lateness that is made good when bytes were waiting all the time, seconds."""
+"""The most lateness, in seconds, that is made up for when bytes were waiting all the time."""
 
 AT_ONCE_S = 0.001
-"""A read that took no longer found bytes waiting."""
+"""A read that took less time than this, in seconds, found bytes that were waiting already."""
 
 
 class RelayError(SwingsError):
@@ -91,7 +91,6 @@ class Relay:
         """Where to connect instead of to the server."""
         self.down_bytes = 0
         """Bytes passed from the server to the player."""
-        self.up_bytes = 0
         self._thread = threading.Thread(target=self._run, name="link", daemon=True)
         self._thread.start()
         self._started.wait()
@@ -201,7 +200,6 @@ class Relay:
     async def _pass_up(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Requests are small: they pass at once."""
         while data := await reader.read(MAX_PIECE_BYTES):
-            self.up_bytes += len(data)
             writer.write(data)
             await writer.drain()
         # The player closed its side: nobody is left to take what the server still sends.

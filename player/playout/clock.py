@@ -11,7 +11,7 @@ import time
 
 
 class Clock:
-    """A clock that can be stopped: monotonic seconds since it was made, less the time it stood.
+    """A clock that can be stopped: seconds since it was made, without the time it was stopped.
 
     `real` says what a due time means. With True a frame waits until it is due (a window). With
     False it never waits (a capture): every frame comes as soon as it can be drawn, exactly once,
@@ -34,7 +34,7 @@ class Clock:
         return self._stopped_at_s is None
 
     def stop(self) -> None:
-        """Holds the time where it is; does nothing when it stands already."""
+        """Holds the time where it is; does nothing when it is stopped already."""
         with self._lock:
             if self._stopped_at_s is None:
                 self._stopped_at_s = time.monotonic()

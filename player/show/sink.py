@@ -114,7 +114,7 @@ class VideoSink:
             stream.width = size.width_px + size.width_px % 2
             stream.height = size.height_px + size.height_px % 2
             stream.pix_fmt = "yuv420p"
-            # Equal pictures shall give equal files. x264's macroblock tree does not: with AVX-512
+            # Equal pictures should give equal files. x264's macroblock tree does not: with AVX-512
             # its bytes differ from run to run.
             stream.options = {
                 "crf": str(VIDEO_CRF),

@@ -25,7 +25,7 @@ from player.view.mouse import View, view_of
 from player.view.path import CameraPath, Size
 
 IDLE_S = 0.005
-"""Between two looks at the keyboard while there is nothing new to draw, seconds."""
+"""Seconds between two looks at the keyboard while there is nothing new to draw."""
 
 
 class WindowError(SwingsError):
@@ -102,7 +102,7 @@ def _open(size: Size, title: str) -> Any:
 
 
 class _Controls:
-    """Mouse and keys to a View. `changes` rises with whatever makes the picture another one."""
+    """Turns mouse and keys into a View. `changes` goes up with whatever changes the picture."""
 
     def __init__(self, window: Any, view: View, events: Events, focal_px: float) -> None:
         self._view, self._events, self._focal_px = view, events, focal_px

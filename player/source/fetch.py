@@ -41,9 +41,9 @@ class FetchConfig:
     """Patience with a server."""
 
     connect_timeout_s: float = 10.0
-    """To be connected, seconds."""
+    """Seconds to wait for a connection."""
     read_timeout_s: float = 75.0
-    """Without a byte, seconds: longer than a server of a live stream waits for its next segment."""
+    """Seconds to wait for a byte: longer than a server of a live stream waits for a segment."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +118,7 @@ class Fetcher:
         except asyncio.CancelledError as error:
             raise StoppedError(f"{url}: stopped") from error
         except aiohttp.InvalidURL as error:
-            raise FetchError(f"{url} is no URL") from error
+            raise FetchError(f"{url} is not a URL") from error
         except aiohttp.ClientConnectorError as error:
             number = error.os_error.errno
             reason = os.strerror(number) if number and number > 0 else str(error.os_error)

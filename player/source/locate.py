@@ -49,7 +49,7 @@ def open_source(
 def _open_url(source: str, fetcher: Fetcher, frames: FrameRange, layers: int | None) -> Source:
     parts = urlsplit(source)
     if not parts.hostname:
-        raise InvalidError(f"{source} is no URL: it names no host")
+        raise InvalidError(f"{source} is not a URL: it names no host")
     path = parts.path.rstrip("/")
     for prefix in SERVED:
         before, found, stream = path.rpartition(prefix)
@@ -104,7 +104,7 @@ def _only_stream(source: str, fetcher: Fetcher, frames: FrameRange, layers: int 
 
 
 def _stream_names(body: bytes) -> list[str] | None:
-    """The names in a server's list of streams; None when it is no such list."""
+    """The names in a server's list of streams; None when it is not one."""
     try:
         value = json.loads(body)
     except (ValueError, RecursionError):

@@ -31,7 +31,7 @@ class Retry:
         self._failures = 0
 
     def delay_s(self, error: BrokenError) -> float:
-        """How long to wait before the next try. Raises BrokenError when there shall be none."""
+        """How long to wait before the next try. Raises BrokenError when no try is left."""
         self._failures += 1
         if self._failures > self._config.attempts:
             raise BrokenError(f"{error} (given up after {self._config.attempts} new tries)")

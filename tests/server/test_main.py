@@ -92,8 +92,8 @@ def test_mistakes_are_one_clear_line(tmp_path: Path) -> None:
         taken.listen()
         port = str(taken.getsockname()[1])
         cases = [
-            ([str(tmp_path / "absent")], "no folder"),
-            ([str(good / "manifest.json")], "no folder"),
+            ([str(tmp_path / "absent")], "is not a folder"),
+            ([str(good / "manifest.json")], "is not a folder"),
             ([str(empty)], "holds no stream"),
             ([str(bad)], "manifest.json"),
             ([str(good), "--port", port], f"port {port}"),

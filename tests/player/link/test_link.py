@@ -97,12 +97,13 @@ def test_bad_links(text: str, message: str) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[", "no JSON"),
-        ("{}", "no list of steps"),
+        ("[", "not JSON"),
+        ("{}", "not a list of steps"),
         ('[{"duration_ms": 5}]', "step 0 does not hold"),
         ('[{"duration_ms": 0, "bandwidth_kbps": 5, "latency_ms": 5}]', "step 0"),
         ('[{"duration_ms": 5, "bandwidth_kbps": NaN, "latency_ms": 5}]', "step 0"),
         ('[{"duration_ms": 5, "bandwidth_kbps": 0, "latency_ms": 5}]', "nothing ever passes"),
+        ('[{"duration_ms": 1e300, "bandwidth_kbps": 1e300, "latency_ms": 5}]', "too large"),
     ],
 )
 def test_bad_traces(tmp_path: Path, text: str, message: str) -> None:
