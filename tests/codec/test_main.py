@@ -48,7 +48,7 @@ def test_verify_names_the_altered_file(stream: Path) -> None:
     path.write_bytes(data)
     assert done.returncode == 1
     assert done.stderr.startswith(f"swings-stream: {path}: byte ")
-    assert "was altered: frame: " in done.stderr
+    assert "was altered: packet: " in done.stderr
     assert done.stderr.count("\n") == 1
 
 
