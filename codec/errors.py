@@ -25,11 +25,19 @@ class CodecError(SwingsError):
         super().__init__(message)
         self.at = at
 
+    def reworded(self, message: str, at: int | None) -> Self:
+        """An error of the same kind with another message and place."""
+        return type(self)(message, at)
+
+    def moved(self, begin: int) -> Self:
+        """This error as one of longer bytes, in which the parsed ones begin at `begin`."""
+        return self.reworded(str(self), None if self.at is None else begin + self.at)
+
     def within(self, name: object, begin: int = 0) -> Self:
         """This error as one of the file `name`, in which the parsed bytes begin at `begin`."""
-        if self.at is None:
-            return type(self)(f"{name}: {self}")
-        return type(self)(f"{name}: byte {begin + self.at}: {self}", begin + self.at)
+        moved = self.moved(begin)
+        place = "" if moved.at is None else f"byte {moved.at}: "
+        return moved.reworded(f"{name}: {place}{self}", moved.at)
 
 
 class CorruptError(CodecError):

@@ -219,4 +219,4 @@ def _read_manifest(folder: Path) -> tuple[Manifest, bytes]:
     try:
         return Manifest.from_json(data), data
     except CodecError as error:
-        raise type(error)(f"{path}: {error}") from error
+        raise error.within(path) from error

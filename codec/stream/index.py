@@ -104,7 +104,7 @@ def parse_index(data: bytes, num_layers: int, first_segment: int = 0) -> list[Se
         try:
             record = _unpack(view[n * size : (n + 1) * size], first_segment + n)
         except CorruptError as error:
-            raise CorruptError(str(error), n * size + (error.at or 0)) from error
+            raise error.moved(n * size) from error
         if records and record.first_frame != records[-1].first_frame + records[-1].num_frames:
             raise CorruptError(
                 f"index: segment {record.segment} starts at {record.first_frame}", n * size + 4

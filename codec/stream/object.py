@@ -159,7 +159,7 @@ def decode_object_chunk(
         chunk = decode_packet(packet, bounds)
     except CodecError as error:
         place = "" if error.at is None else f", byte {error.at} in it"
-        raise type(error)(
+        raise error.reworded(
             f"{error} (chunk of birth {entry.birth}, {entry.size} bytes{place})", entry.offset
         ) from error
     if chunk.birth != entry.birth:

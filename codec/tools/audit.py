@@ -187,7 +187,7 @@ def _verify_object(reader: StreamReader, record: SegmentRecord, layer: int) -> l
         if not as_written:
             raise CorruptError("its hash differs from the index, though every chunk can be decoded")
     except CodecError as error:
-        told = error if as_written else type(error)(f"was altered: {error}", error.at)
+        told = error if as_written else error.reworded(f"was altered: {error}", error.at)
         raise told.within(path) from error
     return counts
 

@@ -45,7 +45,7 @@ def decode_segment(
         try:
             table = read_object_table(data)
         except CodecError as error:
-            raise type(error)(f"{name}: {error}") from error
+            raise error.within(name) from error
         if [entry.birth for entry in table] != list(births):
             raise CorruptError(f"{name}: its births are not {births[0]}..{births[-1]}")
         tables.append(table)
@@ -56,9 +56,9 @@ def decode_segment(
             try:
                 chunks.append(decode_object_chunk(data, entry, manifest.chunk_bounds))
             except CodecError as error:
-                raise type(error)(f"{name}: {error}") from error
+                raise error.within(name) from error
             wire_bytes += entry.size
         try:
             yield merge_chunks(chunks, manifest, wire_bytes)
         except CodecError as error:
-            raise type(error)(f"{names[0]}: {error}") from error
+            raise error.within(names[0]) from error

@@ -70,7 +70,7 @@ class StaticHttpSource:
         try:
             records = parse_index(data, num_layers)
         except CodecError as error:
-            raise CorruptError(f"{url}: {error}") from error
+            raise error.within(url) from error
         length = self._manifest.segment_frames
         for record in records:
             if record.first_frame != record.segment * length or record.num_frames > length:

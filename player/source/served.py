@@ -121,7 +121,7 @@ class HttpPlaySource:
         try:
             return Manifest.from_json(start.manifest)
         except CodecError as error:
-            raise type(error)(f"{self._name}: {error}") from error
+            raise error.within(self._name) from error
 
     def _next_record(self) -> Record:
         """The next record. Raises BrokenError when the response ends before it."""
@@ -133,7 +133,7 @@ class HttpPlaySource:
             try:
                 self._waiting = self._parser.feed(piece)
             except CodecError as error:
-                raise type(error)(f"{self._name}: {error}") from error
+                raise error.within(self._name) from error
         return self._waiting.pop(0)
 
     def slices(self) -> Iterator[ReceivedSlice]:
@@ -195,7 +195,7 @@ class HttpPlaySource:
             wire_bytes = sum(len(packet) for packet in record.packets)
             return merge_chunks(chunks, self._manifest, wire_bytes)
         except CodecError as error:
-            raise type(error)(f"{self._name}: {error}") from error
+            raise error.within(self._name) from error
 
     def _disconnect(self) -> None:
         if self._response is not None:
