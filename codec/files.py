@@ -82,23 +82,27 @@ def append_durably(path: Path, size_bytes: int, data: bytes) -> None:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[BinaryIO]:
+def _opened(path: Path, if_missing: str | None = None) -> Iterator[BinaryIO]:
     """The file at `path`, to be read. Raises CorruptError if it cannot be."""
     try:
         with open(path, "rb") as file:
             yield file
     except FileNotFoundError as error:
-        raise CorruptError(f"{path} is missing") from error
+        meaning = "" if if_missing is None else f"; {if_missing}"
+        raise CorruptError(f"{path} is missing{meaning}") from error
     except OSError as error:
         raise CorruptError(f"{path} cannot be read: {error.strerror}") from error
 
 
-def read_bounded(path: Path, limit_bytes: int, offset: int = 0) -> bytes:
+def read_bounded(
+    path: Path, limit_bytes: int, offset: int = 0, *, if_missing: str | None = None
+) -> bytes:
     """The file at `path` from `offset` on.
 
-    Raises CorruptError if it cannot be read, or if that is more than `limit_bytes`.
+    Raises CorruptError if it cannot be read, or if that is more than `limit_bytes`. `if_missing`
+    tells the user what it means that there is no such file.
     """
-    with _opened(path) as file:
+    with _opened(path, if_missing) as file:
         # Python takes at once what it is told to read, however short the file is.
         size = max(os.fstat(file.fileno()).st_size - offset, 0)
         file.seek(offset)

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from codec.errors import CodecError, SwingsError
-from codec.stream.index import pack_record, record_bytes
-from codec.stream.manifest import Manifest
+from codec.stream.index import INDEX_NAME, pack_record, record_bytes
+from codec.stream.manifest import MANIFEST_NAME, Manifest
 from codec.stream.reader import StreamReader
-from codec.stream.writer import INDEX_NAME, MANIFEST_NAME
 
 from .errors import ServerError
 

@@ -14,6 +14,8 @@ from codec.errors import CorruptError, InvalidError
 
 from .layers import MAX_LAYERS
 
+INDEX_NAME = "index.bin"
+
 # segment, first frame, frames, zero
 HEAD = struct.Struct("<IIII")
 # object bytes, object sha256, PSNR in dB of layers 0..this (NaN: unknown)

@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,13 @@ from .layers import check_fractions
 
 VERSION = 1
 
+MANIFEST_NAME = "manifest.json"
+SEGMENTS_NAME = "segments"
+"""The folder of the objects."""
+
+OBJECT_URL = f"{SEGMENTS_NAME}/{{segment}}/{{layer}}"
+"""Where whoever fetches a stream by URL finds its objects, if its manifest names no other place."""
+
 MAX_MANIFEST_BYTES = 1 << 20
 """Longest manifest.json read, in bytes; 256 cameras need about 200 KB."""
 
@@ -39,6 +47,14 @@ MAX_POSTER_BYTES = 255
 """Longest path of a poster, in UTF-8: what file systems take as one name."""
 
 Point = tuple[float, float, float]
+
+
+def object_file(stream: Path, segment: int, layer: int) -> Path:
+    """Where the object of (segment, layer) lies in the folder `stream`.
+
+    What the manifest says of that is for those who fetch by URL, see `Manifest.object_path`.
+    """
+    return stream / SEGMENTS_NAME / str(segment) / str(layer)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +92,8 @@ class Manifest:
     """Whether more segments may still come."""
     poster: str | None = None
     """Relative path of a still picture, if there is one."""
-    object_url: str = "segments/{segment}/{layer}"
-    """Where an object lies, relative to the manifest."""
+    object_url: str = OBJECT_URL
+    """Where an object lies for those who fetch it, relative to the manifest."""
     title: str = ""
     """A name for people."""
     capture_frame: int = 0
@@ -169,7 +185,7 @@ class Manifest:
         )
 
     def object_path(self, segment: int, layer: int) -> str:
-        """Where the object of (segment, layer) lies, relative to the manifest."""
+        """Where the object of (segment, layer) is fetched, relative to the manifest."""
         path = self.object_url.replace("{segment}", str(segment))
         return path.replace("{layer}", str(layer))
 

@@ -6,20 +6,20 @@ Rule: every file is checked against the index before it is decoded, and an error
 from __future__ import annotations
 
 import hashlib
-import os
 from collections import OrderedDict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from codec.errors import CodecError, CorruptError, InvalidError
+from codec.files import read_bounded
 from codec.slice import Slice, active_splats
 from codec.splats import Splats
 
 from .chunk import Chunk
-from .index import SegmentRecord, parse_index, record_bytes, size_offset
+from .index import INDEX_NAME, SegmentRecord, parse_index, record_bytes, size_offset
 from .layers import merge_layers
-from .manifest import MAX_MANIFEST_BYTES, Manifest
+from .manifest import MANIFEST_NAME, MAX_MANIFEST_BYTES, Manifest, object_file
 from .object import (
     COUNT_OFFSET,
     MAX_OBJECT_BYTES,
@@ -28,27 +28,15 @@ from .object import (
     entry_offset,
     read_object_table,
 )
-from .writer import INDEX_NAME, MANIFEST_NAME
 
 MAX_INDEX_BYTES = 1 << 28
 """Longest index read at once; 100 hours of four layers in segments of a second take 71 MB."""
 
 
-def read_file(path: Path, limit_bytes: int, offset: int = 0) -> bytes:
-    """The file at `path` from `offset` on. Raises CorruptError if that is over `limit_bytes`."""
-    try:
-        with open(path, "rb") as file:
-            # A claim of the index must not cost memory that the file does not fill.
-            size = max(os.fstat(file.fileno()).st_size - offset, 0)
-            file.seek(offset)
-            data = file.read(size + 1) if size <= limit_bytes else None
-    except FileNotFoundError as error:
-        raise CorruptError(f"{path} is missing; this is no whole swings stream") from error
-    except OSError as error:
-        raise CorruptError(f"{path} cannot be read: {error.strerror}") from error
-    if data is None or len(data) > limit_bytes:
-        raise CorruptError(f"{path} is longer than {limit_bytes} bytes")
-    return data
+def read_stream_file(path: Path, limit_bytes: int, offset: int = 0) -> bytes:
+    """A file of a stream from `offset` on. Raises CorruptError, see `read_bounded`."""
+    meaning = "this is not a whole swings stream"
+    return read_bounded(path, limit_bytes, offset, if_missing=meaning)
 
 
 def check_births(entries: list[ChunkEntry], births: range) -> None:
@@ -104,7 +92,7 @@ class StreamReader:
         path = self.path / MANIFEST_NAME
         if not self.path.is_dir():
             raise CorruptError(f"{self.path} is no folder; name the folder of a stream")
-        data = read_file(path, MAX_MANIFEST_BYTES)
+        data = read_stream_file(path, MAX_MANIFEST_BYTES)
         try:
             self.manifest = Manifest.from_json(data)
         except CodecError as error:
@@ -136,7 +124,7 @@ class StreamReader:
         path = self.path / INDEX_NAME
         known = len(self.records)
         begin = known * record_bytes(self.manifest.num_layers)
-        data = read_file(path, MAX_INDEX_BYTES, begin)
+        data = read_stream_file(path, MAX_INDEX_BYTES, begin)
         try:
             fresh = parse_index(data, self.manifest.num_layers, known)
             self._check(fresh)
@@ -165,8 +153,8 @@ class StreamReader:
             previous = [record]
 
     def object_path(self, segment: int, layer: int) -> Path:
-        """Where the object lies; what the manifest says of that is for those who fetch by URL."""
-        return self.path / "segments" / str(segment) / str(layer)
+        """Where the object of (segment, layer) lies."""
+        return object_file(self.path, segment, layer)
 
     def read_object(self, segment: int, layer: int) -> bytes:
         """The object of (segment, layer) as it lies on disk, its size and hash checked."""
@@ -177,7 +165,7 @@ class StreamReader:
             )
         record = self.records[segment]
         path = self.object_path(segment, layer)
-        data = read_file(path, record.object_bytes[layer])
+        data = read_stream_file(path, record.object_bytes[layer])
         if len(data) != record.object_bytes[layer]:
             raise CorruptError(
                 f"{path} has {len(data)} bytes, the index says {record.object_bytes[layer]}"

@@ -11,82 +11,33 @@ import hashlib
 import math
 import os
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
 from codec.errors import CorruptError, InvalidError
+from codec.files import append_durably, sync_folder, temporary_beside, write_atomic
 from codec.profiles.profile import Profile
 from codec.profiles.quantise import Steps, layer_steps
 from codec.slice import Slice
 
 from .chunk import Chunk, encode_chunk
-from .index import SegmentRecord, pack_record, parse_index, record_bytes
+from .index import INDEX_NAME, SegmentRecord, pack_record, parse_index, record_bytes
 from .layers import RANKS, split_layers
-from .manifest import Manifest
+from .manifest import MANIFEST_NAME, SEGMENTS_NAME, Manifest, object_file
 from .object import decode_packet, encode_packet, join_packets
-
-MANIFEST_NAME = "manifest.json"
-INDEX_NAME = "index.bin"
 
 Quality = Callable[[Sequence[Chunk]], Sequence[float] | None]
 """Given the decoded chunks of a slice, layer 0 first: the PSNR in dB of the frame that it is born
 in, with 1, 2, ... layers; None for a slice born before frame 0."""
 
 
-def sync_folder(path: Path) -> None:
-    """Makes the names in the folder `path` last through a power cut."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def temporary_beside(path: Path) -> Path:
-    """Where to make what is to be renamed to `path`. Raises InvalidError if that names nothing."""
-    try:
-        return path.with_name(f".{path.name}.tmp")
-    except ValueError as error:
-        raise InvalidError(f"{path} names no file or folder to write; give it a name") from error
-
-
-def write_atomic(path: Path, data: bytes) -> None:
-    """Puts `data` at `path`: a reader sees all of it or what was there before."""
-    temporary = temporary_beside(path)
-    with open(temporary, "wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
-    sync_folder(path.parent)
-
-
-def _append_durably(path: Path, size_bytes: int, data: bytes) -> None:
-    """Appends `data` to the file at `path`, which has `size_bytes`: all of it, or it raises."""
-    with open(path, "ab", buffering=0) as file:
-        found_bytes = os.fstat(file.fileno()).st_size
-        if found_bytes < size_bytes:
-            raise CorruptError(f"{path} has {found_bytes} bytes, not the {size_bytes} written")
-        try:
-            # A failed call before may have been unable to take back what it wrote.
-            file.truncate(size_bytes)
-            rest = memoryview(data)
-            while rest:  # a full disk takes a part and fails only when asked again
-                rest = rest[file.write(rest) :]
-            os.fsync(file.fileno())
-        except BaseException:
-            with suppress(OSError):
-                file.truncate(size_bytes)
-            raise
-
-
 def _is_unused(path: Path) -> bool:
     """Whether the folder `path` holds nothing but what a killed `create` may have left."""
+    leftovers = [temporary_beside(path / name) for name in (INDEX_NAME, MANIFEST_NAME)]
     return all(
         (entry.name == INDEX_NAME and not entry.stat().st_size)
-        or (entry.name == "segments" and entry.is_dir() and not any(entry.iterdir()))
-        or entry.name in (f".{INDEX_NAME}.tmp", f".{MANIFEST_NAME}.tmp")
+        or (entry.name == SEGMENTS_NAME and entry.is_dir() and not any(entry.iterdir()))
+        or entry in leftovers
         for entry in path.iterdir()
     )
 
@@ -147,7 +98,7 @@ class StreamWriter:
         writer = cls(path, manifest.with_live(True), [], rank, coarseness, quality)
         described = writer.manifest.to_json()  # before anything is written: it may be refused
         path.mkdir(parents=True, exist_ok=True)
-        (path / "segments").mkdir(exist_ok=True)
+        (path / SEGMENTS_NAME).mkdir(exist_ok=True)
         write_atomic(path / INDEX_NAME, b"")
         # Last, because a folder is a stream from the moment that it has a manifest.
         write_atomic(path / MANIFEST_NAME, described)
@@ -173,7 +124,7 @@ class StreamWriter:
         whole_bytes = len(records) * record_bytes(manifest.num_layers)
         if whole_bytes < len(index):
             os.truncate(path / INDEX_NAME, whole_bytes)
-        for leftover in (*path.glob(".*.tmp"), *(path / "segments").glob("*/.*.tmp")):
+        for leftover in (*path.glob(".*.tmp"), *(path / SEGMENTS_NAME).glob("*/.*.tmp")):
             leftover.unlink()
         return cls(path, manifest, records, rank, coarseness, quality)
 
@@ -253,12 +204,12 @@ class StreamWriter:
         """Writes the segment of `packets`; only then takes note of it, so that it may fail."""
         segment = self._num_segments
         first_frame = segment * self.manifest.segment_frames
-        folder = self.path / "segments" / str(segment)
-        folder.mkdir(exist_ok=True)
         objects = [join_packets(of_layer) for of_layer in packets]
         for layer, data in enumerate(objects):
-            write_atomic(folder / str(layer), data)
-        sync_folder(folder.parent)
+            path = object_file(self.path, segment, layer)
+            path.parent.mkdir(exist_ok=True)
+            write_atomic(path, data)
+        sync_folder(self.path / SEGMENTS_NAME)
         record = SegmentRecord(
             segment,
             first_frame,
@@ -268,7 +219,7 @@ class StreamWriter:
             self._mean(scores_db),
         )
         index_bytes = segment * record_bytes(self.manifest.num_layers)
-        _append_durably(self.path / INDEX_NAME, index_bytes, pack_record(record))
+        append_durably(self.path / INDEX_NAME, index_bytes, pack_record(record))
         self._num_segments += 1
         self.next_birth = next_birth
         self.bytes_written += sum(record.object_bytes)

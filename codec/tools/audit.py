@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from codec.errors import CodecError, CorruptError
-from codec.stream.index import SegmentRecord, record_bytes
+from codec.stream.index import INDEX_NAME, SegmentRecord, record_bytes
 from codec.stream.object import MAX_OBJECT_BYTES, entry_offset, read_object_table
-from codec.stream.reader import StreamReader, check_births, decode_fitting_chunk, read_file
-from codec.stream.writer import INDEX_NAME
+from codec.stream.reader import StreamReader, check_births, decode_fitting_chunk, read_stream_file
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +176,7 @@ def _verify_object(reader: StreamReader, record: SegmentRecord, layer: int) -> l
     """How many Gaussians each chunk of an object has. Raises a CodecError that says the place."""
     path = reader.object_path(record.segment, layer)
     size_bytes = record.object_bytes[layer]
-    data = read_file(path, MAX_OBJECT_BYTES)
+    data = read_stream_file(path, MAX_OBJECT_BYTES)
     as_written = hashlib.sha256(data).digest() == record.object_sha256[layer]
     try:
         counts = _decode_all(reader, record, layer, data)

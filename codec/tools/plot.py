@@ -13,9 +13,9 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 
 from codec.errors import InvalidError
+from codec.files import write_atomic
 from codec.stream.index import SegmentRecord
 from codec.stream.reader import StreamReader
-from codec.stream.writer import write_atomic
 
 LAYER_COLOURS = ("#33307a", "#2a78b5", "#2fa58a", "#e3a72f")
 """Of layers 0, 1, ...: the most important is the darkest. More layers take steps between."""

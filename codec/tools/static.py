@@ -12,13 +12,11 @@ from pathlib import Path
 
 from codec.coders.coder import Coder, decompress
 from codec.errors import InvalidError
-from codec.stream.index import SegmentRecord, pack_record
+from codec.files import temporary_beside, write_atomic
+from codec.stream.index import INDEX_NAME, SegmentRecord, pack_record
+from codec.stream.manifest import MANIFEST_NAME, OBJECT_URL, object_file
 from codec.stream.object import encode_packet, join_packets, object_packets
 from codec.stream.reader import StreamReader
-from codec.stream.writer import INDEX_NAME, MANIFEST_NAME, temporary_beside, write_atomic
-
-OBJECT_URL = "segments/{segment}/{layer}"
-"""Where the objects lie, whatever other place the manifest of the source names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +64,8 @@ def export_static(stream: Path, out: Path) -> StaticExport:
 
 def _write(reader: StreamReader, folder: Path) -> int:
     """Writes all files; gives their bytes, less those of a poster."""
-    (folder / "segments").mkdir(parents=True)
+    folder.mkdir()
+    # The objects lie here now, whatever other place the manifest of the source names.
     manifest = replace(reader.manifest, live=False, object_url=OBJECT_URL)
     records = [_write_segment(reader, record, folder) for record in reader.records]
     index = b"".join(map(pack_record, records))
@@ -82,7 +81,6 @@ def _write_segment(reader: StreamReader, record: SegmentRecord, folder: Path) ->
     manifest, segment = reader.manifest, record.segment
     for birth in manifest.births(segment, record.num_frames):
         reader.slice(birth, manifest.num_layers)  # only to refuse what is wrong
-    (folder / "segments" / str(segment)).mkdir()
     limit_bytes = manifest.chunk_bounds.max_bytes
     sizes, hashes = [], []
     for layer in range(manifest.num_layers):
@@ -91,7 +89,9 @@ def _write_segment(reader: StreamReader, record: SegmentRecord, folder: Path) ->
             for birth, packet in object_packets(reader.read_object(segment, layer))
         ]
         data = join_packets(packets, Coder.GZIP)
-        write_atomic(folder / "segments" / str(segment) / str(layer), data)
+        path = object_file(folder, segment, layer)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomic(path, data)
         sizes.append(len(data))
         hashes.append(hashlib.sha256(data).digest())
     return replace(record, object_bytes=tuple(sizes), object_sha256=tuple(hashes))

@@ -8,7 +8,7 @@ from urllib.parse import urljoin
 
 from codec.errors import CodecError, CorruptError
 from codec.framerange import FrameRange
-from codec.stream.index import SegmentRecord, parse_index, record_bytes
+from codec.stream.index import INDEX_NAME, SegmentRecord, parse_index, record_bytes
 from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest
 from codec.stream.object import MAX_OBJECT_BYTES
 from player.playout.timeline import ReceivedSlice
@@ -65,7 +65,7 @@ class StaticHttpSource:
         self._frames = check_frames(frames, finished, num_frames, name)
 
     def _read_index(self) -> list[SegmentRecord]:
-        url, num_layers = urljoin(self._base, "index.bin"), self._manifest.num_layers
+        url, num_layers = urljoin(self._base, INDEX_NAME), self._manifest.num_layers
         data = self._get(url, MAX_INDEX_BYTES)
         try:
             records = parse_index(data, num_layers)

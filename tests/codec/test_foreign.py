@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 
 from codec.errors import CorruptError, InvalidError
+from codec.files import write_atomic
 from codec.framerange import FrameRange
 from codec.interop.exporting import export_stream, numbered
 from codec.interop.formats import SplatFormat, write_splats
 from codec.stream import StreamReader
-from codec.stream.writer import write_atomic
 from codec.tools.audit import verify_stream
 from codec.tools.plot import draw_stream
 from codec.tools.static import export_static

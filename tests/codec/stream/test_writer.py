@@ -18,7 +18,6 @@ from codec.errors import CorruptError, InvalidError
 from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.stream import StreamReader, StreamWriter
-from codec.stream import writer as writer_module
 from codec.stream.chunk import Chunk
 from codec.stream.index import record_bytes
 from codec.tools.audit import verify_stream
@@ -123,7 +122,7 @@ def grudge(monkeypatch: pytest.MonkeyPatch) -> None:
     def opened(path: Path, mode: str, **options: Any) -> object:
         return Grudging(open(path, mode, **options)) if "a" in mode else open(path, mode, **options)
 
-    monkeypatch.setattr(writer_module, "open", opened, raising=False)
+    monkeypatch.setattr("codec.files.open", opened, raising=False)
 
 
 def test_short_writes_that_go_on_are_no_failure(

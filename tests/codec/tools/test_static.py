@@ -17,12 +17,12 @@ from PIL import Image
 
 from codec.coders.coder import Coder
 from codec.errors import CorruptError, InvalidError
+from codec.files import write_atomic
 from codec.framerange import FrameRange
 from codec.profiles.profile import Profile
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import Manifest
 from codec.stream.object import HEAD, decode_object
-from codec.stream.writer import write_atomic
 from codec.tools.audit import verify_stream
 from codec.tools.static import export_static
 from player.config import CameraPathName, PlayConfig
