@@ -17,10 +17,9 @@ from rich.table import Table
 
 from codec.coders.coder import compress
 from codec.profiles.profile import Profile
-from codec.profiles.quantise import layer_steps
 from codec.slice import Slice
 from codec.stream import StreamReader
-from codec.stream.chunk import decode_chunk, encode_chunk, plane_edges
+from codec.stream.chunk import EncodedChunk, decode_chunk, encode_chunk
 from codec.stream.layers import opacity_rank, split_layers
 from codec.stream.object import decode_packet, encode_packet
 from tests.support.trained_like import trained_like_splats
@@ -55,12 +54,12 @@ def synthetic_slices(count: int) -> list[Slice]:
     ]
 
 
-def encode_slice(slice: Slice, fractions: tuple[float, ...], profile: Profile) -> list[bytes]:
+def encode_slice(
+    slice: Slice, fractions: tuple[float, ...], profile: Profile
+) -> list[EncodedChunk]:
     """The chunks of the layers of `slice`, as the writer makes them."""
     parts = split_layers(slice, fractions, opacity_rank)
-    if profile is Profile.RAW:
-        return [encode_chunk(part, n, profile) for n, part in enumerate(parts)]
-    steps = layer_steps([part.splats for part in parts])
+    steps = profile.coding.layer_steps([part.splats for part in parts])
     return [encode_chunk(part, n, profile, steps[n]) for n, part in enumerate(parts)]
 
 
@@ -80,7 +79,7 @@ def table_of_cases() -> Table:
             times = (
                 median_ms(partial(encode_slice, slices[0], fractions, profile)),
                 median_ms(partial(each, encode_packet, one)),
-                median_ms(partial(each, decode_chunk, one)),
+                median_ms(partial(each, decode_chunk, [chunk.data for chunk in one])),
                 median_ms(partial(each, decode_packet, coded)),
             )
             size = sum(map(len, packets)) / total
@@ -96,13 +95,13 @@ def table_of_attributes(slice: Slice) -> Table:
     groups |= {"luma": coefficients, "chroma": 2 * coefficients, "position (low bits)": 1}
     sizes = dict.fromkeys([*groups, "escapes, offsets"], 0)
     for chunk in encode_slice(slice, (0.25,) * 4, Profile.COMPACT):
-        edges, at = plane_edges(chunk), 0
+        edges, at = chunk.edges, 0
         empty_bytes = len(compress(b"\0", [0, 1]))
         for name, planes in groups.items():
             last = min(at + planes, len(edges) - 1)
             start, end = edges[at], edges[last]
             inner = [edge - start for edge in edges[at : last + 1]]
-            sizes[name] += len(compress(chunk[start:end], inner)) - empty_bytes + 4
+            sizes[name] += len(compress(chunk.data[start:end], inner)) - empty_bytes + 4
             at = last
         sizes["escapes, offsets"] += edges[-1] - edges[at]
     table = Table(title=f"compact, {len(slice.splats)} Gaussians in 4 layers: bits a Gaussian")

@@ -52,7 +52,7 @@ def same(a: Splats, b: Splats) -> bool:
 def fuzz_chunk(data: bytes) -> None:
     """A chunk as it is before the entropy coder; what it holds goes through `raw` unchanged."""
     chunk = decode_chunk(data)
-    again = decode_chunk(encode_chunk(chunk.slice, chunk.layer, Profile.RAW))
+    again = decode_chunk(encode_chunk(chunk.slice, chunk.layer, Profile.RAW).data)
     assert same(again.slice.splats, chunk.slice.splats)
     assert (again.slice.start_offsets == chunk.slice.start_offsets).all()
 

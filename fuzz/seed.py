@@ -141,8 +141,8 @@ def seeds() -> Iterator[tuple[str, str, bytes]]:
     for profile in Profile:
         for degree in (0, 1, 3):
             made = made_slice(degree - 2, 9, degree, late=degree == 1)
-            yield "chunk", f"{profile}-{degree}", encode_chunk(made, 1, profile)
-        yield "chunk", f"{profile}-empty", encode_chunk(made_slice(0, 0, 0), 0, profile)
+            yield "chunk", f"{profile}-{degree}", encode_chunk(made, 1, profile).data
+        yield "chunk", f"{profile}-empty", encode_chunk(made_slice(0, 0, 0), 0, profile).data
         chunks = [encode_chunk(made_slice(birth, 5, 0), 0, profile) for birth in (-1, 0, 4)]
         for coder in Coder:
             name = f"{profile}-{coder.name.lower()}"
@@ -166,7 +166,7 @@ def seeds() -> Iterator[tuple[str, str, bytes]]:
         content = inflated_spz(version, 3, version - 2)
         yield "import", f"spz-v{version}", gzip.compress(content, mtime=0)
         yield "inflated_spz", str(version), content
-    chunk = encode_chunk(made_slice(3, 5, 0), 0, Profile.COMPACT)
+    chunk = encode_chunk(made_slice(3, 5, 0), 0, Profile.COMPACT).data
     yield "sealed_gzip", "compact", len(chunk).to_bytes(4, "little") + chunk
     yield "splat", "six", encode_splat(made_splats(6, 0))
 

@@ -7,6 +7,7 @@ the error of every stored value is bounded whatever the input.
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace
 
 import numpy as np
@@ -16,7 +17,8 @@ from codec.errors import CorruptError
 from codec.kernel import kernel
 from codec.splats import SH_C0, Floats, Splats, sh_count
 
-from . import raw
+from . import quantise, raw
+from .coding import Body
 from .morton import BITS_PER_AXIS, decode_gaps, encode_gaps, gather, interleave
 from .orientation import canonical
 from .quantise import (
@@ -30,6 +32,8 @@ from .quantise import (
     opacity_logits,
     to_luma,
 )
+
+CODE = 2
 
 # origin x y z, position step, log-scale base and step, rotation step, colour base and step;
 # opacity levels, rotation half, escapes, bytes of low bits
@@ -51,9 +55,9 @@ Flags = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class Quantised:
-    """The integers of N Gaussians and which of them say the truth."""
+    """N Gaussians as integers, clipped for those that do not fit: they must escape."""
 
-    planes: npt.NDArray[np.int64]  # (P, N); right where `fits`
+    planes: npt.NDArray[np.int64]  # (P, N)
     positions: npt.NDArray[np.int64]  # (N, 3)
     fits: Flags  # (N,)
 
@@ -90,7 +94,7 @@ class Head:
     @staticmethod
     def unpack(body: memoryview) -> Head:
         if len(body) < HEAD.size:
-            raise CorruptError(f"compact: {len(body)} bytes are no head of {HEAD.size}")
+            raise CorruptError(f"compact: {len(body)} bytes are too few for a head of {HEAD.size}")
         head = Head(*HEAD.unpack_from(body))
         if not np.isfinite(astuple(head)).all():
             raise CorruptError("compact: a number in the head is not finite")
@@ -216,8 +220,7 @@ def _quantise(splats: Splats, steps: Steps) -> tuple[Head, Quantised]:
     return head, Quantised(clipped, reachable, fits)
 
 
-def encode_body(splats: Splats, steps: Steps | None = None) -> tuple[bytes, npt.NDArray[np.int64]]:
-    """The body, and the (N,) order in which it holds the Gaussians."""
+def encode(splats: Splats, steps: Steps | None) -> Body:
     tame = np.flatnonzero(_is_tame(splats))
     head, quantised = _quantise(splats.take(tame), choose_steps(splats) if steps is None else steps)
     fitting = np.flatnonzero(quantised.fits)
@@ -230,12 +233,13 @@ def encode_body(splats: Splats, steps: Steps | None = None) -> tuple[bytes, npt.
     inside = tame[fitting]
     escaped = np.setdiff1d(np.arange(len(splats)), inside, assume_unique=True)
     head = replace(head, escapes=len(escaped), low_bit_bytes=len(low_bits))
-    tail = raw.encode_body(splats.take(escaped))
-    return head.pack() + planes.tobytes() + low_bits + tail, np.concatenate([inside, escaped])
+    tail = raw.pack_arrays(splats.take(escaped))
+    data = head.pack() + planes.tobytes() + low_bits + tail
+    order = np.concatenate([inside, escaped])
+    return Body(data, _edges(head, len(splats), splats.sh_degree, len(data)), order)
 
 
-def decode_body(body: memoryview, count: int, sh_degree: int) -> Splats:
-    """The Splats in `body`. Raises CorruptError (format) or InvalidError (values)."""
+def decode(body: memoryview, count: int, sh_degree: int) -> Splats:
     head = Head.unpack(body)
     if head.escapes > count:
         raise CorruptError(f"compact: {head.escapes} escapes among {count} Gaussians")
@@ -301,9 +305,16 @@ def _dequantise(  # type: ignore[no-untyped-def]
             )
 
 
-def plane_edges(body: memoryview, count: int, sh_degree: int) -> list[int]:
-    """Offsets in `body` between its head, its planes, the low bits and the escapes."""
-    head = Head.unpack(body)
+def edges(body: memoryview, count: int, sh_degree: int) -> list[int]:
+    return _edges(Head.unpack(body), count, sh_degree, len(body))
+
+
+def _edges(head: Head, count: int, sh_degree: int, body_bytes: int) -> list[int]:
+    """Offsets in a body between its head, its planes, the low bits and the escapes."""
     inside = count - head.escapes
-    edges = [HEAD.size + plane * inside for plane in range(num_planes(sh_degree) + 1)]
-    return [0, *edges, edges[-1] + head.low_bit_bytes, len(body)]
+    planes = [HEAD.size + plane * inside for plane in range(num_planes(sh_degree) + 1)]
+    return [0, *planes, planes[-1] + head.low_bit_bytes, body_bytes]
+
+
+def layer_steps(layers: Sequence[Splats]) -> Sequence[Steps | None]:
+    return quantise.layer_steps(layers)

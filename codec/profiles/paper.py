@@ -7,7 +7,7 @@ moved without a word is worse than an error, and `compact` and `raw` hold it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -17,8 +17,11 @@ import numpy.typing as npt
 from codec.errors import CorruptError, InvalidError
 from codec.splats import Floats, Splats, sh_count
 
-from .quantise import MIDDLE, Bytes, opacity_logits
+from .coding import Body
+from .quantise import MIDDLE, Bytes, Steps, opacity_logits
 from .raw import FLOAT32
+
+CODE = 1
 
 FLOAT16 = np.dtype("<f2")
 MAX_HALF = 65504
@@ -73,10 +76,11 @@ def _opacity_bytes(splats: Splats) -> Bytes:
     return levels.astype(np.uint8)
 
 
-def encode_body(splats: Splats) -> bytes:
+def encode(splats: Splats, steps: Steps | None) -> Body:
     """means, log_scales (fp16), quats, opacities (bytes), sh (float32), row after row.
 
-    Raises InvalidError for a mean or log-scale that fp16 cannot hold.
+    The steps are the paper's own. Raises InvalidError for a mean or log-scale that fp16 cannot
+    hold.
     """
     parts = (
         _halves(splats.means, "position"),
@@ -85,15 +89,15 @@ def encode_body(splats: Splats) -> bytes:
         _opacity_bytes(splats),
         splats.sh.astype(FLOAT32, copy=False),
     )
-    return b"".join(part.tobytes() for part in parts)
+    data = b"".join(part.tobytes() for part in parts)
+    return Body(data, _edges(len(splats), splats.sh_degree))
 
 
-def decode_body(body: memoryview, count: int, sh_degree: int) -> Splats:
-    """The Splats in `body`. Raises CorruptError (length) or InvalidError (values)."""
+def decode(body: memoryview, count: int, sh_degree: int) -> Splats:
     if len(body) != count * bytes_per_gaussian(sh_degree):
         raise CorruptError(f"paper: a body of {len(body)} bytes for {count} Gaussians")
-    edges = plane_edges(count, sh_degree)
-    means, scales, turns, levels, sh = (body[start:end] for start, end in pairwise(edges))
+    parts = pairwise(_edges(count, sh_degree))
+    means, scales, turns, levels, sh = (body[start:end] for start, end in parts)
     with np.errstate(invalid="ignore"):  # a NaN among hostile bytes; Splats refuses it
         return Splats(
             np.frombuffer(means, FLOAT16).astype(np.float32).reshape(count, 3),
@@ -104,12 +108,20 @@ def decode_body(body: memoryview, count: int, sh_degree: int) -> Splats:
         )
 
 
-def plane_edges(count: int, sh_degree: int) -> list[int]:
+def edges(body: memoryview, count: int, sh_degree: int) -> list[int]:
+    return _edges(count, sh_degree)
+
+
+def _edges(count: int, sh_degree: int) -> list[int]:
     """Offsets in a body, from 0 to its end, between its attributes."""
-    edges = [0]
+    found = [0]
     for size in _part_sizes(sh_degree):
-        edges.append(edges[-1] + size * count)
-    return edges
+        found.append(found[-1] + size * count)
+    return found
+
+
+def layer_steps(layers: Sequence[Splats]) -> Sequence[Steps | None]:
+    return [None] * len(layers)
 
 
 def _with_means(splats: Splats) -> Splats:

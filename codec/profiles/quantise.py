@@ -76,7 +76,7 @@ def _log_radius(splats: Splats) -> Doubles:
     return radius
 
 
-def choose_steps(splats: Splats, coarseness: float = 1.0) -> Steps:
+def choose_steps(splats: Splats) -> Steps:
     """The steps for a slice; positions go by the Gaussians' own sizes, as scenes have any scale."""
     if len(splats):
         weights = splats.opacities.astype(np.float64) + 1e-6
@@ -85,17 +85,16 @@ def choose_steps(splats: Splats, coarseness: float = 1.0) -> Steps:
         log_size = 0.0
     # A step as small as 1e-6 m keeps hostile or broken input from dividing by zero.
     position_m = max(POSITION_PER_SIZE * float(np.exp(np.clip(log_size, -30, 30))), 1e-6)
-    base = Steps(position_m, BASE_LOG_SCALE, BASE_ROTATION, BASE_OPACITY, BASE_COLOUR)
-    return base.coarser(coarseness)
+    return Steps(position_m, BASE_LOG_SCALE, BASE_ROTATION, BASE_OPACITY, BASE_COLOUR)
 
 
-def layer_steps(layers: Sequence[Splats], coarseness: float = 1.0) -> list[Steps]:
+def layer_steps(layers: Sequence[Splats]) -> list[Steps]:
     """The steps for each layer of one slice: the less its Gaussians paint, the coarser.
 
     The error that the picture takes from a layer then is about the same for all of them, which is
     worth 5 % of the bytes at equal quality.
     """
-    whole = choose_steps(Splats.concatenate(layers), coarseness)
+    whole = choose_steps(Splats.concatenate(layers))
     paint = [np.exp(np.clip(_log_paint(layer), -60, 60)) for layer in layers]
     mean = np.concatenate(paint).mean() if any(map(len, paint)) else 1.0
     factors = [np.sqrt(mean / values.mean()) if len(values) else 1.0 for values in paint]

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from codec.errors import CorruptError
 from codec.splats import Floats, Splats, sh_count
 
+from .coding import Body
+from .quantise import Steps
+
+CODE = 0
+
 FLOAT32 = np.dtype("<f4")
 
 
-def encode_body(splats: Splats) -> bytes:
+def pack_arrays(splats: Splats) -> bytes:
     """means, log_scales, quats, logit_opacities, sh: float32 little-endian, row after row."""
     return b"".join(array.astype(FLOAT32, copy=False).tobytes() for array in splats.arrays)
 
@@ -35,9 +42,21 @@ def read_arrays(body: memoryview, count: int, sh_degree: int) -> tuple[Floats, .
     )
 
 
-def decode_body(body: memoryview, count: int, sh_degree: int) -> Splats:
-    """The Splats in `body`. Raises CorruptError (length) or InvalidError (values)."""
+def encode(splats: Splats, steps: Steps | None) -> Body:
+    """Every bit is kept, so there are no steps to choose."""
+    return Body(pack_arrays(splats), ())
+
+
+def decode(body: memoryview, count: int, sh_degree: int) -> Splats:
     means, log_scales, quats, opacities, sh = (
         array.astype(np.float32) for array in read_arrays(body, count, sh_degree)
     )
     return Splats(means, log_scales, quats, opacities, sh)
+
+
+def edges(body: memoryview, count: int, sh_degree: int) -> list[int]:
+    return []
+
+
+def layer_steps(layers: Sequence[Splats]) -> Sequence[Steps | None]:
+    return [None] * len(layers)

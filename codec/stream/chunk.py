@@ -6,26 +6,23 @@ Rule: any bytes give a Chunk or a CodecError, and nothing is allocated before it
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from codec.errors import CorruptError, InvalidError, UnsupportedError
-from codec.profiles import compact, paper, raw
-from codec.profiles.profile import Profile
+from codec.profiles import compact
+from codec.profiles.profile import PROFILE_OF_CODE, Profile
 from codec.profiles.quantise import Steps
 from codec.slice import Slice
-from codec.splats import MAX_SH_DEGREE, Splats, sh_count
+from codec.splats import MAX_SH_DEGREE, sh_count
 
 MAGIC = b"SWGC"
 VERSION = 1
 
 MODE_INTRA = 0
 """Coding mode: the chunk needs nothing but itself. 1..255 are free for predicted modes."""
-
-PROFILE_CODES = {Profile.RAW: 0, Profile.PAPER: 1, Profile.COMPACT: 2}
-"""The number of a profile in the header."""
 
 FLAG_START_OFFSETS = 1
 """Set when start offsets are stored; clear when all are zero."""
@@ -37,6 +34,13 @@ MAX_SPLATS_PER_CHUNK = 1 << 20
 HEADER = struct.Struct("<4sBBBBiIBBHI")
 HEADER_BYTES = HEADER.size
 assert HEADER_BYTES == 24
+
+PROFILE_OFFSET = 6
+BIRTH_OFFSET = 8
+COUNT_OFFSET = 12
+LAYER_OFFSET = 16
+SH_DEGREE_OFFSET = 17
+"""Where in a chunk these fields lie."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,14 +61,6 @@ ANY_CHUNK = ChunkBounds()
 MAX_CHUNK_BYTES = ANY_CHUNK.max_bytes
 """The largest chunk there can be."""
 assert MAX_CHUNK_BYTES == 248_512_584
-
-_PROFILES = {code: profile for profile, code in PROFILE_CODES.items()}
-
-_DECODERS: dict[Profile, Callable[[memoryview, int, int], Splats]] = {
-    Profile.RAW: raw.decode_body,
-    Profile.PAPER: paper.decode_body,
-    Profile.COMPACT: compact.decode_body,
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,11 +86,24 @@ class ChunkHeader:
     body_bytes: int
 
 
-def encode_chunk(slice: Slice, layer: int, profile: Profile, steps: Steps | None = None) -> bytes:
+@dataclass(frozen=True, slots=True)
+class EncodedChunk:
+    """The bytes of a chunk, and what an entropy coder should know of them."""
+
+    birth: int
+    data: bytes
+    edges: Sequence[int]
+    """Offsets in `data`, from 0 to its end, between planes or attributes; none if all of it is
+    float32."""
+
+
+def encode_chunk(
+    slice: Slice, layer: int, profile: Profile, steps: Steps | None = None
+) -> EncodedChunk:
     """The chunk of `slice`, not entropy-coded.
 
     `compact` permutes the Gaussians and their axes, and quantises by `steps`, or by steps that suit
-    the slice alone; `paper` keeps the order and refuses what fp16 cannot hold; `raw` keeps
+    these Gaussians. `paper` keeps the order and refuses what fp16 cannot hold. `raw` keeps
     everything as it is.
     """
     count = len(slice.splats)
@@ -106,29 +115,43 @@ def encode_chunk(slice: Slice, layer: int, profile: Profile, steps: Steps | None
         raise InvalidError(f"chunk: birth {slice.birth} does not fit 32 bits")
     offsets = slice.start_offsets
     flags = FLAG_START_OFFSETS if offsets.any() else 0
-    if profile is Profile.RAW:
-        body = raw.encode_body(slice.splats)
-    elif profile is Profile.PAPER:
-        body = paper.encode_body(slice.splats)
-    else:
-        body, order = compact.encode_body(slice.splats, steps)
-        offsets = offsets[order]
-    if flags:
-        body += offsets.tobytes()
+    body = profile.coding.encode(slice.splats, steps)
+    if body.order is not None:
+        offsets = offsets[body.order]
+    tail = offsets.tobytes() if flags else b""
     head = HEADER.pack(
         MAGIC,
         VERSION,
         MODE_INTRA,
-        PROFILE_CODES[profile],
+        profile.coding.CODE,
         flags,
         slice.birth,
         count,
         layer,
         slice.splats.sh_degree,
         0,
-        len(body),
+        len(body.data) + len(tail),
     )
-    return head + body
+    data = head + body.data + tail
+    return EncodedChunk(slice.birth, data, _chunk_edges(body.edges, len(data)))
+
+
+def encoded_elsewhere(data: bytes) -> EncodedChunk:
+    """The chunk in `data`, which can be decoded, to be compressed once more."""
+    header = read_header(data)
+    end = len(data) - (header.count if header.has_start_offsets else 0)
+    body = memoryview(data)[HEADER_BYTES:end]
+    edges = header.profile.coding.edges(body, header.count, header.sh_degree)
+    return EncodedChunk(header.birth, data, _chunk_edges(edges, len(data)))
+
+
+def _chunk_edges(body_edges: Sequence[int], chunk_bytes: int) -> Sequence[int]:
+    """The edges of a chunk of `chunk_bytes`, given those of its body."""
+    if not body_edges:
+        return ()
+    # The header of the chunk and the first part of the body are one part.
+    inner = {HEADER_BYTES + edge for edge in body_edges} - {HEADER_BYTES}
+    return sorted({0, *inner, chunk_bytes})
 
 
 def read_header(data: bytes | memoryview) -> ChunkHeader:
@@ -137,7 +160,7 @@ def read_header(data: bytes | memoryview) -> ChunkHeader:
     A CodecError says the place of the field that is wrong.
     """
     if len(data) < HEADER_BYTES:
-        raise CorruptError(f"chunk: {len(data)} bytes are no header of {HEADER_BYTES}")
+        raise CorruptError(f"chunk: {len(data)} bytes are too few for a header of {HEADER_BYTES}")
     magic, version, mode, profile, flags, birth, count, layer, sh_degree, zero, body_bytes = (
         HEADER.unpack_from(data)
     )
@@ -147,17 +170,24 @@ def read_header(data: bytes | memoryview) -> ChunkHeader:
         raise UnsupportedError(f"chunk: version {version}; this program reads {VERSION}", 4)
     if mode != MODE_INTRA:
         raise UnsupportedError(f"chunk: coding mode {mode}; this program reads {MODE_INTRA}", 5)
-    if profile not in _PROFILES:
-        raise UnsupportedError(f"chunk: profile {profile}; this program reads 0, 1 and 2", 6)
+    if profile not in PROFILE_OF_CODE:
+        known = ", ".join(f"{code} ({known.value})" for code, known in PROFILE_OF_CODE.items())
+        message = f"chunk: profile {profile}; this program reads {known}"
+        raise UnsupportedError(message, PROFILE_OFFSET)
     if flags & ~FLAG_START_OFFSETS or zero:
         raise UnsupportedError("chunk: a reserved bit is set", 18 if zero else 7)
     if count > MAX_SPLATS_PER_CHUNK:
-        raise CorruptError(f"chunk: {count} Gaussians, at most {MAX_SPLATS_PER_CHUNK}", 12)
+        raise CorruptError(
+            f"chunk: {count} Gaussians, at most {MAX_SPLATS_PER_CHUNK}", COUNT_OFFSET
+        )
     if sh_degree > MAX_SH_DEGREE:
-        raise UnsupportedError(f"chunk: SH degree {sh_degree}, at most {MAX_SH_DEGREE}", 17)
+        message = f"chunk: SH degree {sh_degree}, at most {MAX_SH_DEGREE}"
+        raise UnsupportedError(message, SH_DEGREE_OFFSET)
     if HEADER_BYTES + body_bytes > MAX_CHUNK_BYTES:
         raise CorruptError(f"chunk: a body of {body_bytes} bytes", 20)
-    return ChunkHeader(birth, layer, _PROFILES[profile], count, sh_degree, bool(flags), body_bytes)
+    return ChunkHeader(
+        birth, layer, PROFILE_OF_CODE[profile], count, sh_degree, bool(flags), body_bytes
+    )
 
 
 def decode_chunk(data: bytes | memoryview, bounds: ChunkBounds = ANY_CHUNK) -> Chunk:
@@ -169,11 +199,13 @@ def decode_chunk(data: bytes | memoryview, bounds: ChunkBounds = ANY_CHUNK) -> C
     header = read_header(data)
     if header.count > bounds.max_splats:
         raise CorruptError(
-            f"chunk: {header.count} Gaussians, where at most {bounds.max_splats} may be", 12
+            f"chunk: {header.count} Gaussians, where at most {bounds.max_splats} may be",
+            COUNT_OFFSET,
         )
     if header.sh_degree > bounds.max_sh_degree:
         raise CorruptError(
-            f"chunk: SH degree {header.sh_degree}, where at most {bounds.max_sh_degree} may be", 17
+            f"chunk: SH degree {header.sh_degree}, where at most {bounds.max_sh_degree} may be",
+            SH_DEGREE_OFFSET,
         )
     body = memoryview(data)[HEADER_BYTES:]
     if len(body) != header.body_bytes:
@@ -183,7 +215,7 @@ def decode_chunk(data: bytes | memoryview, bounds: ChunkBounds = ANY_CHUNK) -> C
         raise CorruptError("chunk: too short for its start offsets")
     attributes, tail = body[: len(body) - offset_bytes], body[len(body) - offset_bytes :]
     try:
-        splats = _DECODERS[header.profile](attributes, header.count, header.sh_degree)
+        splats = header.profile.coding.decode(attributes, header.count, header.sh_degree)
     except InvalidError as error:
         raise CorruptError(f"chunk: {error}") from error
     offsets = (
@@ -192,19 +224,3 @@ def decode_chunk(data: bytes | memoryview, bounds: ChunkBounds = ANY_CHUNK) -> C
         else np.zeros(header.count, np.uint8)
     )
     return Chunk(header.birth, header.layer, header.profile, Slice(header.birth, splats, offsets))
-
-
-def plane_edges(chunk: bytes) -> list[int]:
-    """Offsets in `chunk`, from 0 to its end, between planes or attributes; none for `raw`."""
-    header = read_header(chunk)
-    if header.profile is Profile.RAW:
-        return []
-    body_end = len(chunk) - (header.count if header.has_start_offsets else 0)
-    body = memoryview(chunk)[HEADER_BYTES:body_end]
-    if header.profile is Profile.PAPER:
-        inner = paper.plane_edges(header.count, header.sh_degree)
-    else:
-        inner = compact.plane_edges(body, header.count, header.sh_degree)
-    # What the body begins with goes with the header of the chunk, which may be all there is.
-    edges = {HEADER_BYTES + edge for edge in inner} - {HEADER_BYTES}
-    return sorted({0, *edges, len(chunk)})

@@ -15,7 +15,7 @@ from itertools import pairwise
 from codec.coders.coder import Coder, coder_of, compress, decompress
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
 
-from .chunk import ANY_CHUNK, Chunk, ChunkBounds, decode_chunk, plane_edges, read_header
+from .chunk import ANY_CHUNK, Chunk, ChunkBounds, EncodedChunk, decode_chunk
 
 SKIPPABLE_MAGIC = 0x184D2A50
 TABLE_MAGIC = b"SWGO"
@@ -53,9 +53,9 @@ class ChunkEntry:
     size: int  # bytes
 
 
-def encode_packet(chunk: bytes, coder: Coder = Coder.ZSTD) -> bytes:
+def encode_packet(chunk: EncodedChunk, coder: Coder = Coder.ZSTD) -> bytes:
     """`chunk` as one packet with content size and checksum."""
-    return compress(chunk, plane_edges(chunk), coder)
+    return compress(chunk.data, chunk.edges, coder)
 
 
 def decode_packet(data: bytes | memoryview, bounds: ChunkBounds = ANY_CHUNK) -> Chunk:
@@ -84,10 +84,9 @@ def join_packets(packets: Sequence[tuple[int, bytes]], coder: Coder = Coder.ZSTD
     return b"".join((*parts, *(packet for _, packet in packets)))
 
 
-def encode_object(chunks: Sequence[bytes], coder: Coder = Coder.ZSTD) -> bytes:
+def encode_object(chunks: Sequence[EncodedChunk], coder: Coder = Coder.ZSTD) -> bytes:
     """The object of `chunks`, which come in order of birth."""
-    packets = [(read_header(chunk).birth, encode_packet(chunk, coder)) for chunk in chunks]
-    return join_packets(packets, coder)
+    return join_packets([(chunk.birth, encode_packet(chunk, coder)) for chunk in chunks], coder)
 
 
 def entry_offset(number: int) -> int:

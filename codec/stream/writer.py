@@ -16,8 +16,6 @@ from types import TracebackType
 
 from codec.errors import CorruptError, InvalidError
 from codec.files import append_durably, sync_folder, temporary_beside, write_atomic
-from codec.profiles.profile import Profile
-from codec.profiles.quantise import Steps, layer_steps
 from codec.slice import Slice
 
 from .chunk import Chunk, encode_chunk
@@ -55,7 +53,6 @@ class StreamWriter:
         manifest: Manifest,
         records: list[SegmentRecord],
         rank: str,
-        coarseness: float,
         quality: Quality | None,
     ) -> None:
         """Use `create` or `resume`."""
@@ -64,7 +61,6 @@ class StreamWriter:
         self.path = path
         self.manifest = manifest
         self._rank = RANKS[rank]
-        self._coarseness = coarseness
         self._quality = quality
         self._scores_db: list[tuple[float, ...]] = []
         self._num_segments = len(records)
@@ -83,19 +79,17 @@ class StreamWriter:
         path: Path,
         manifest: Manifest,
         rank: str = "opacity",
-        coarseness: float = 1.0,
         quality: Quality | None = None,
     ) -> StreamWriter:
         """A writer of a new stream at `path`, which is absent, an empty folder, or one where a
         writer was killed before it was a stream.
 
-        `rank` names one of RANKS (layers.py); `coarseness` multiplies the quantisation steps of
-        profile `compact`: 2 saves about a quarter of the bytes. `quality` scores every frame; the
-        index holds its mean over each segment, or NaN without it.
+        `rank` names one of RANKS (layers.py). `quality` scores every frame; the index holds its
+        mean over each segment, or NaN without it.
         """
         if path.exists() and not (path.is_dir() and _is_unused(path)):
             raise InvalidError(f"{path} is not empty; remove it or name another folder")
-        writer = cls(path, manifest.with_live(True), [], rank, coarseness, quality)
+        writer = cls(path, manifest.with_live(True), [], rank, quality)
         described = writer.manifest.to_json()  # before anything is written: it may be refused
         path.mkdir(parents=True, exist_ok=True)
         (path / SEGMENTS_NAME).mkdir(exist_ok=True)
@@ -109,7 +103,6 @@ class StreamWriter:
         cls,
         path: Path,
         rank: str = "opacity",
-        coarseness: float = 1.0,
         quality: Quality | None = None,
     ) -> StreamWriter:
         """A writer that goes on after `path`'s last finished segment; `next_birth` says where."""
@@ -126,7 +119,7 @@ class StreamWriter:
             os.truncate(path / INDEX_NAME, whole_bytes)
         for leftover in (*path.glob(".*.tmp"), *(path / SEGMENTS_NAME).glob("*/.*.tmp")):
             leftover.unlink()
-        return cls(path, manifest, records, rank, coarseness, quality)
+        return cls(path, manifest, records, rank, quality)
 
     @property
     def complete(self) -> bool:
@@ -163,9 +156,7 @@ class StreamWriter:
                 f"{self.path}: SH degree {slice.splats.sh_degree}, not {manifest.sh_degree}"
             )
         parts = split_layers(slice, manifest.layers, self._rank)
-        steps: Sequence[Steps | None] = [None] * len(parts)
-        if manifest.profile is Profile.COMPACT:
-            steps = layer_steps([part.splats for part in parts], self._coarseness)
+        steps = manifest.profile.coding.layer_steps([part.splats for part in parts])
         encoded = [
             encode_packet(encode_chunk(part, layer, manifest.profile, steps[layer]))
             for layer, part in enumerate(parts)

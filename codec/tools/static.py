@@ -13,6 +13,7 @@ from pathlib import Path
 from codec.coders.coder import Coder, decompress
 from codec.errors import InvalidError
 from codec.files import temporary_beside, write_atomic
+from codec.stream.chunk import encoded_elsewhere
 from codec.stream.index import INDEX_NAME, SegmentRecord, pack_record
 from codec.stream.manifest import MANIFEST_NAME, OBJECT_URL, object_file
 from codec.stream.object import encode_packet, join_packets, object_packets
@@ -85,7 +86,7 @@ def _write_segment(reader: StreamReader, record: SegmentRecord, folder: Path) ->
     sizes, hashes = [], []
     for layer in range(manifest.num_layers):
         packets = [
-            (birth, encode_packet(decompress(packet, limit_bytes), Coder.GZIP))
+            (birth, encode_packet(encoded_elsewhere(decompress(packet, limit_bytes)), Coder.GZIP))
             for birth, packet in object_packets(reader.read_object(segment, layer))
         ]
         data = join_packets(packets, Coder.GZIP)

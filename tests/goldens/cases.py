@@ -17,7 +17,7 @@ from codec.profiles.profile import Profile
 from codec.profiles.quantise import Steps
 from codec.slice import Slice
 from codec.splats import Splats, sh_count
-from codec.stream.chunk import Chunk, decode_chunk, encode_chunk
+from codec.stream.chunk import Chunk, EncodedChunk, decode_chunk, encode_chunk
 from codec.stream.object import encode_object
 
 FILE = Path(__file__).parent / "chunks.json"
@@ -104,7 +104,7 @@ def make_slice(case: Case) -> Slice:
     )
 
 
-def encode(case: Case) -> bytes:
+def encode(case: Case) -> EncodedChunk:
     return encode_chunk(make_slice(case), case.layer, case.profile, STEPS)
 
 
@@ -121,7 +121,7 @@ def decoded_sha256(chunk: Chunk) -> str:
 
 def record(case: Case) -> dict[str, object]:
     """What is pinned of `case`: the chunk, and what it decodes to."""
-    data = encode(case)
+    data = encode(case).data
     chunk = decode_chunk(data)
     return {
         "name": case.name,

@@ -85,7 +85,7 @@ def compile_kernels(sh_degree: int) -> bool:
     straightened(pictures.picture(0, 0), pictures.cameras[0], Lens(k1=0.01))
     for parts in trainer.windows():
         for part in matured_by_contribution(trainer, parts):
-            decode_chunk(encode_chunk(part, 0, Profile.COMPACT))
+            decode_chunk(encode_chunk(part, 0, Profile.COMPACT).data)
     render_splats(trainer.shown(1), pictures.cameras[0], 0.2)
     return _misses() > 0
 

@@ -21,7 +21,7 @@ from codec.coders import gzip as gzipframe
 from codec.coders.coder import Coder, coder_of, compress, decompress
 from codec.errors import CorruptError
 from codec.profiles.profile import Profile
-from codec.stream.chunk import MAX_CHUNK_BYTES, encode_chunk
+from codec.stream.chunk import MAX_CHUNK_BYTES, EncodedChunk, encode_chunk
 from codec.stream.object import (
     HEAD,
     decode_object,
@@ -39,7 +39,7 @@ BIRTHS = (-2, -1, 0, 1, 5)
 NODE = shutil.which("node")
 
 
-def encoded(profile: Profile = Profile.COMPACT, count: int = 12) -> list[bytes]:
+def encoded(profile: Profile = Profile.COMPACT, count: int = 12) -> list[EncodedChunk]:
     return [encode_chunk(trained_like_slice(birth, count), 1, profile) for birth in BIRTHS]
 
 
@@ -50,9 +50,10 @@ def test_a_packet_is_one_gzip_member_for_anyone(profile: Profile) -> None:
         object_packets(encode_object(chunks, Coder.GZIP)), chunks, BIRTHS, strict=True
     ):
         assert birth == wanted
-        assert gzip.decompress(packet) == chunk == decompress(packet, len(chunk))
+        content = chunk.data
+        assert gzip.decompress(packet) == content == decompress(packet, len(content))
         assert packet[:10] == b"\x1f\x8b\x08\0\0\0\0\0\x02\xff"
-        assert packet[-8:] == struct.pack("<II", zlib.crc32(chunk), len(chunk))
+        assert packet[-8:] == struct.pack("<II", zlib.crc32(content), len(content))
         assert coder_of(packet) is Coder.GZIP
 
 
@@ -106,7 +107,7 @@ def test_an_altered_byte_never_passes() -> None:
     chunk = encoded(count=5)[0]
     packet = encode_packet(chunk, Coder.GZIP)
     passed = [altered for altered in flips(packet) if survives(decode_packet, altered)]
-    assert all(decompress(altered, len(chunk)) == chunk for altered in passed)
+    assert all(decompress(altered, len(chunk.data)) == chunk.data for altered in passed)
     assert len(passed) <= 3 * (6 + 1)
 
 
@@ -212,7 +213,7 @@ def test_the_coder_keeps_content_wherever_blocks_end(planes: list[bytes]) -> Non
 def test_ending_blocks_between_planes_makes_gzip_as_small_as_zstd() -> None:
     chunk = encode_chunk(trained_like_slice(0, 4000), 0, Profile.COMPACT)
     packet = encode_packet(chunk, Coder.GZIP)
-    assert len(packet) < 0.95 * len(gzip.compress(chunk, 9))
+    assert len(packet) < 0.95 * len(gzip.compress(chunk.data, 9))
     assert len(packet) < 1.02 * len(encode_packet(chunk))
 
 
@@ -244,4 +245,4 @@ def test_a_browser_s_decompression_stream_gives_the_chunks(tmp_path: Path) -> No
         [NODE, "-e", SCRIPT, str(tmp_path / "object")], capture_output=True, text=True, timeout=60
     )
     assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == [chunk.hex() for chunk in chunks]
+    assert json.loads(done.stdout) == [chunk.data.hex() for chunk in chunks]

@@ -24,7 +24,6 @@ from codec.stream.chunk import (
     MAX_CHUNK_BYTES,
     decode_chunk,
     encode_chunk,
-    plane_edges,
 )
 from codec.stream.object import decode_packet, encode_packet
 from tests.goldens.format_decoder import decode
@@ -94,7 +93,7 @@ def same(a: Splats, b: Splats, but: str = "") -> bool:
 @given(slices(), st.integers(0, 255))
 @settings(max_examples=80, deadline=None)
 def test_every_value_is_within_its_bit_depth(slice: Slice, layer: int) -> None:
-    chunk = decode_chunk(encode_chunk(slice, layer, Profile.PAPER))
+    chunk = decode_chunk(encode_chunk(slice, layer, Profile.PAPER).data)
     assert (chunk.birth, chunk.layer, chunk.profile) == (slice.birth, layer, Profile.PAPER)
     assert (chunk.slice.start_offsets == slice.start_offsets).all()
     found, given_ = chunk.slice.splats, slice.splats
@@ -111,8 +110,8 @@ def test_every_value_is_within_its_bit_depth(slice: Slice, layer: int) -> None:
 @given(slices())
 @settings(max_examples=30, deadline=None)
 def test_a_second_time_changes_nothing_but_lengths_of_quaternions(slice: Slice) -> None:
-    once = decode_chunk(encode_chunk(slice, 0, Profile.PAPER)).slice
-    twice = decode_chunk(encode_chunk(once, 0, Profile.PAPER)).slice
+    once = decode_chunk(encode_chunk(slice, 0, Profile.PAPER).data).slice
+    twice = decode_chunk(encode_chunk(once, 0, Profile.PAPER).data).slice
     assert same(once.splats, twice.splats, but="quats")
     assert (np.abs(unit(once.splats.quats) - twice.splats.quats) <= 1 / 128 + 1e-12).all()
 
@@ -122,7 +121,7 @@ def test_bytes_per_gaussian_are_pinned(sh_degree: int, expected: int) -> None:
     assert paper.bytes_per_gaussian(sh_degree) == expected
     slice = trained_like_slice(0, 100, sh_degree)
     on_time = Slice(0, slice.splats, np.zeros(100, np.uint8))
-    assert len(encode_chunk(on_time, 0, Profile.PAPER)) == HEADER_BYTES + 100 * expected
+    assert len(encode_chunk(on_time, 0, Profile.PAPER).data) == HEADER_BYTES + 100 * expected
 
 
 def test_zstd_takes_no_more_than_27_bytes_of_a_trained_like_gaussian() -> None:
@@ -139,7 +138,9 @@ def test_the_layout_is_pinned() -> None:
         np.array([0], np.float32),
         np.array([[[0.1, 0.2, 0.3]]], np.float32),
     )
-    body = encode_chunk(Slice(0, splats, np.zeros(1, np.uint8)), 0, Profile.PAPER)[HEADER_BYTES:]
+    body = encode_chunk(Slice(0, splats, np.zeros(1, np.uint8)), 0, Profile.PAPER).data[
+        HEADER_BYTES:
+    ]
     assert struct.unpack("<6e4BB3f", body) == pytest.approx(
         (1, -2, 0.1, -4, -5.5, -8.01, 230, 128, 51, 128, 128, 0.1, 0.2, 0.3), rel=2**-11
     )
@@ -150,10 +151,9 @@ def test_the_layout_is_pinned() -> None:
 def test_a_packet_holds_the_chunk_whatever_its_size(count: int, late: bool) -> None:
     splats = trained_like_splats(count, sh_degree=1)
     chunk = encode_chunk(Slice(5, splats, np.full(count, late, np.uint8)), 1, Profile.PAPER)
-    edges = plane_edges(chunk)
-    assert (edges[0], edges[-1]) == (0, len(chunk))
+    assert (chunk.edges[0], chunk.edges[-1]) == (0, len(chunk.data))
     packet = encode_packet(chunk)
-    assert decompress(packet, MAX_CHUNK_BYTES) == chunk
+    assert decompress(packet, MAX_CHUNK_BYTES) == chunk.data
     assert len(decode_packet(packet).slice.splats) == count
 
 
@@ -169,7 +169,7 @@ def test_what_fp16_cannot_hold_is_refused_in_one_line(field: str, what: str, val
     with pytest.raises(InvalidError, match=rf"^paper: a {what} of .* does not fit fp16.*raw$"):
         quantise_attribute(splats, attribute)
     if field == "sh":
-        found = decode_chunk(encode_chunk(slice, 0, Profile.PAPER)).slice.splats.sh
+        found = decode_chunk(encode_chunk(slice, 0, Profile.PAPER).data).slice.splats.sh
         assert found.tobytes() == splats.sh.tobytes()
         return
     with pytest.raises(InvalidError, match=f"a {what} of"):
@@ -223,7 +223,7 @@ def test_the_columns_are_those_of_table_6() -> None:
 def test_a_chunk_is_all_attributes_but_feat(slice: Slice) -> None:
     names = [name for name in ATTRIBUTES if name != "feat"]
     expected = reduce(quantise_attribute, names, slice.splats)
-    found = decode_chunk(encode_chunk(slice, 0, Profile.PAPER)).slice.splats
+    found = decode_chunk(encode_chunk(slice, 0, Profile.PAPER).data).slice.splats
     assert same(found, expected)
 
 
@@ -237,7 +237,7 @@ def test_feat_is_within_its_bit_depth(slice: Slice) -> None:
 @given(slices())
 @settings(max_examples=30, deadline=None)
 def test_the_decoder_of_the_format_agrees(slice: Slice) -> None:
-    data = encode_chunk(slice, 3, Profile.PAPER)
+    data = encode_chunk(slice, 3, Profile.PAPER).data
     plain, found = decode(data), decode_chunk(data).slice.splats
     for name in FIELDS.values():
         array = getattr(found, name)
@@ -247,7 +247,7 @@ def test_the_decoder_of_the_format_agrees(slice: Slice) -> None:
 
 @pytest.mark.parametrize("sh_degree", [0, 1])
 def test_hostile_bytes(sh_degree: int) -> None:
-    data = encode_chunk(trained_like_slice(1, 9, sh_degree), 0, Profile.PAPER)
+    data = encode_chunk(trained_like_slice(1, 9, sh_degree), 0, Profile.PAPER).data
     for cut in truncations(data):
         assert not survives(decode_chunk, cut)
     assert not survives(decode_chunk, data + b"\0")
@@ -259,9 +259,8 @@ def test_hostile_bytes(sh_degree: int) -> None:
 @given(st.binary(min_size=58, max_size=58))
 @settings(max_examples=200, deadline=None)
 def test_noise_of_the_right_length(noise: bytes) -> None:
-    head = encode_chunk(Slice(0, trained_like_splats(2), np.zeros(2, np.uint8)), 0, Profile.PAPER)[
-        :HEADER_BYTES
-    ]
+    two = Slice(0, trained_like_splats(2), np.zeros(2, np.uint8))
+    head = encode_chunk(two, 0, Profile.PAPER).data[:HEADER_BYTES]
     survives(decode_chunk, head + noise)
 
 
@@ -278,7 +277,7 @@ def test_noise_of_the_right_length(noise: bytes) -> None:
 )
 def test_values_that_no_gaussian_has(place: int, value: bytes, message: str) -> None:
     splats = trained_like_splats(1)
-    data = bytearray(encode_chunk(Slice(0, splats, np.zeros(1, np.uint8)), 0, Profile.PAPER))
+    data = bytearray(encode_chunk(Slice(0, splats, np.zeros(1, np.uint8)), 0, Profile.PAPER).data)
     data[HEADER_BYTES + place : HEADER_BYTES + place + len(value)] = value
     with pytest.raises(CorruptError, match=message):
         decode_chunk(bytes(data))

@@ -58,7 +58,7 @@ def slices(draw: st.DrawFn, limit: float = 1e3) -> Slice:
 @given(slices(limit=1e30), st.integers(0, 255))
 @settings(max_examples=60, deadline=None)
 def test_raw_keeps_every_bit(slice: Slice, layer: int) -> None:
-    chunk = decode_chunk(encode_chunk(slice, layer, Profile.RAW))
+    chunk = decode_chunk(encode_chunk(slice, layer, Profile.RAW).data)
     assert (chunk.birth, chunk.layer, chunk.profile) == (slice.birth, layer, Profile.RAW)
     for name in ("means", "log_scales", "quats", "logit_opacities", "sh"):
         found, given_ = getattr(chunk.slice.splats, name), getattr(slice.splats, name)
@@ -78,7 +78,8 @@ def assert_within_steps(slice: Slice, data: bytes) -> None:
         1 / (head.opacity_levels - 1),
         head.colour_step,
     )
-    _, order = compact.encode_body(slice.splats, steps)
+    order = compact.encode(slice.splats, steps).order
+    assert order is not None
     given_, found = slice.splats.take(order), chunk.slice.splats
     inside = len(given_) - head.escapes
     assert (chunk.slice.start_offsets == slice.start_offsets[order]).all()
@@ -108,13 +109,13 @@ def assert_within_steps(slice: Slice, data: bytes) -> None:
 @given(slices())
 @settings(max_examples=60, deadline=None)
 def test_compact_stays_within_its_steps(slice: Slice) -> None:
-    assert_within_steps(slice, encode_chunk(slice, 0, Profile.COMPACT))
+    assert_within_steps(slice, encode_chunk(slice, 0, Profile.COMPACT).data)
 
 
 @pytest.mark.parametrize("sh_degree", [0, 1, 2, 3])
 def test_compact_of_a_trained_like_slice(sh_degree: int) -> None:
     slice = trained_like_slice(7, 2000, sh_degree)
-    data = encode_chunk(slice, 1, Profile.COMPACT)
+    data = encode_chunk(slice, 1, Profile.COMPACT).data
     assert_within_steps(slice, data)
     assert Head.unpack(memoryview(data)[HEADER_BYTES:]).escapes < 20
 
@@ -122,9 +123,10 @@ def test_compact_of_a_trained_like_slice(sh_degree: int) -> None:
 def test_compact_keeps_the_shape_of_a_gaussian() -> None:
     splats = trained_like_splats(500)
     steps = Steps(1e-3, 1e-3, 1e-2, 1e-2, 1e-2)
-    body, order = compact.encode_body(splats, steps)
-    found = compact.decode_body(memoryview(body), len(splats), 0)
-    given_ = splats.take(order)
+    body = compact.encode(splats, steps)
+    found = compact.decode(memoryview(body.data), len(splats), 0)
+    assert body.order is not None
+    given_ = splats.take(body.order)
     expected = covariances(given_.log_scales.astype(float), given_.quats.astype(float))
     actual = covariances(found.log_scales.astype(float), found.quats.astype(float))
     # Half a step of each of x, y, z turns by at most 2 * sqrt(3) / 2 of one, and w adds its share.
@@ -137,7 +139,7 @@ def test_coarser_steps_give_fewer_bytes() -> None:
     slice = trained_like_slice(0, 3000)
     steps = choose_steps(slice.splats)
     sizes = [
-        len(encode_chunk(slice, 0, Profile.COMPACT, steps.coarser(f))) for f in (0.5, 1.0, 2.0)
+        len(encode_chunk(slice, 0, Profile.COMPACT, steps.coarser(f)).data) for f in (0.5, 1.0, 2.0)
     ]
     # Only the low bits of positions shrink before the entropy coder: 3 bits each time.
     assert sizes == sorted(sizes, reverse=True)
@@ -154,7 +156,7 @@ def test_outliers_escape_and_harm_nobody() -> None:
     sh[7] = -1e20, 4e6, 1e33
     splats = Splats(means, log_scales, slice.splats.quats, slice.splats.logit_opacities, sh)
     wild = Slice(0, splats, slice.start_offsets)
-    data = encode_chunk(wild, 0, Profile.COMPACT)
+    data = encode_chunk(wild, 0, Profile.COMPACT).data
     assert_within_steps(wild, data)
     head = Head.unpack(memoryview(data)[HEADER_BYTES:])
     assert head.escapes == 3
@@ -163,19 +165,19 @@ def test_outliers_escape_and_harm_nobody() -> None:
 
 def test_the_header_is_pinned() -> None:
     slice = trained_like_slice(-3, 10, sh_degree=1)
-    data = encode_chunk(slice, 2, Profile.RAW)
+    data = encode_chunk(slice, 2, Profile.RAW).data
     assert struct.unpack_from("<4sBBBBiIBBHI", data) == (
         *(b"SWGC", 1, 0, 0, int(slice.start_offsets.any())),
         *(-3, 10, 2, 1, 0, len(data) - 24),
     )
     assert compact.HEAD.size == 48
     on_time = Slice(0, slice.splats, np.zeros(10, np.uint8))
-    assert not read_header(encode_chunk(on_time, 0, Profile.RAW)).has_start_offsets
+    assert not read_header(encode_chunk(on_time, 0, Profile.RAW).data).has_start_offsets
 
 
 @pytest.mark.parametrize("profile", list(Profile))
 def test_every_truncation_is_refused(profile: Profile) -> None:
-    data = encode_chunk(trained_like_slice(1, 9, sh_degree=1), 0, profile)
+    data = encode_chunk(trained_like_slice(1, 9, sh_degree=1), 0, profile).data
     for cut in truncations(data):
         assert not survives(decode_chunk, cut)
     assert not survives(decode_chunk, data + b"\0")
@@ -183,7 +185,7 @@ def test_every_truncation_is_refused(profile: Profile) -> None:
 
 @pytest.mark.parametrize("profile", list(Profile))
 def test_any_altered_byte_gives_a_value_or_our_error(profile: Profile) -> None:
-    data = encode_chunk(trained_like_slice(1, 30), 0, profile)
+    data = encode_chunk(trained_like_slice(1, 30), 0, profile).data
     kept = [survives(decode_chunk, altered) for altered in flips(data)]
     assert any(kept)
     assert not all(kept)
@@ -192,7 +194,7 @@ def test_any_altered_byte_gives_a_value_or_our_error(profile: Profile) -> None:
 @given(st.binary(max_size=300), st.sampled_from(list(Profile)))
 @settings(max_examples=200, deadline=None)
 def test_noise_after_a_good_header(noise: bytes, profile: Profile) -> None:
-    good = bytearray(encode_chunk(trained_like_slice(0, 3), 0, profile)[:HEADER_BYTES])
+    good = bytearray(encode_chunk(trained_like_slice(0, 3), 0, profile).data[:HEADER_BYTES])
     good[20:24] = struct.pack("<I", len(noise))
     survives(decode_chunk, bytes(good) + noise)
     survives(decode_chunk, noise)
@@ -214,7 +216,7 @@ def test_noise_after_a_good_header(noise: bytes, profile: Profile) -> None:
     ],
 )
 def test_a_header_out_of_bounds(place: int, value: bytes, error: type[Exception]) -> None:
-    data = bytearray(encode_chunk(trained_like_slice(0, 4), 0, Profile.COMPACT))
+    data = bytearray(encode_chunk(trained_like_slice(0, 4), 0, Profile.COMPACT).data)
     data[place : place + len(value)] = value
     with pytest.raises(error):
         decode_chunk(bytes(data))
@@ -222,7 +224,7 @@ def test_a_header_out_of_bounds(place: int, value: bytes, error: type[Exception]
 
 def altered_head(place: int, layout: str, value: float) -> bytes:
     """A compact chunk of 50 Gaussians with another number at `place` of its head."""
-    data = bytearray(encode_chunk(trained_like_slice(0, 50), 0, Profile.COMPACT))
+    data = bytearray(encode_chunk(trained_like_slice(0, 50), 0, Profile.COMPACT).data)
     struct.pack_into(layout, data, HEADER_BYTES + place, value)
     return bytes(data)
 
@@ -276,16 +278,16 @@ def test_an_opacity_that_has_no_level(levels: int) -> None:
     for opacity in (levels - 1, levels, 255):
         body = head.pack() + bytes(7) + bytes([opacity]) + bytes(3)
         if opacity < levels:
-            assert len(compact.decode_body(memoryview(body), 1, 0)) == 1
+            assert len(compact.decode(memoryview(body), 1, 0)) == 1
         else:
             with pytest.raises(CorruptError, match=f"opacity {opacity} of {levels} levels"):
-                compact.decode_body(memoryview(body), 1, 0)
+                compact.decode(memoryview(body), 1, 0)
 
 
 def test_a_chunk_of_nobody_still_has_a_head() -> None:
     """No value shows that its bounds are broken, so only the bounds can refuse."""
     good = Head(0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.1, 0.0, 1.0, 2, 1)
-    assert len(compact.decode_body(memoryview(good.pack()), 0, 0)) == 0
+    assert len(compact.decode(memoryview(good.pack()), 0, 0)) == 0
     for change in (
         {"opacity_levels": 1},
         {"opacity_levels": 257},
@@ -295,18 +297,18 @@ def test_a_chunk_of_nobody_still_has_a_head() -> None:
     ):
         bad = replace(good, **change)
         with pytest.raises(CorruptError, match="compact"):
-            compact.decode_body(memoryview(bad.pack()), 0, 0)
+            compact.decode(memoryview(bad.pack()), 0, 0)
 
 
 def test_numbers_that_are_not_finite() -> None:
-    raw = bytearray(encode_chunk(trained_like_slice(0, 5), 0, Profile.RAW))
+    raw = bytearray(encode_chunk(trained_like_slice(0, 5), 0, Profile.RAW).data)
     struct.pack_into("<f", raw, HEADER_BYTES + 8, float("nan"))
     with pytest.raises(CorruptError, match="not finite"):
         decode_chunk(bytes(raw))
 
 
 def test_a_zero_quaternion_is_refused() -> None:
-    raw = bytearray(encode_chunk(trained_like_slice(0, 1), 0, Profile.RAW))
+    raw = bytearray(encode_chunk(trained_like_slice(0, 1), 0, Profile.RAW).data)
     raw[HEADER_BYTES + 24 : HEADER_BYTES + 40] = bytes(16)
     with pytest.raises(CorruptError, match="zero quaternion"):
         decode_chunk(bytes(raw))

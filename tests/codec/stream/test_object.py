@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from codec.coders.coder import compress, decompress
 from codec.errors import CorruptError, InvalidError, UnsupportedError
 from codec.profiles.profile import Profile
-from codec.stream.chunk import MAX_CHUNK_BYTES, encode_chunk
+from codec.stream.chunk import MAX_CHUNK_BYTES, EncodedChunk, encode_chunk
 from codec.stream.object import (
     ENTRY,
     HEAD,
@@ -34,7 +34,7 @@ from tests.support.trained_like import trained_like_slice
 BIRTHS = (-2, -1, 0, 1, 5)
 
 
-def encoded(profile: Profile = Profile.COMPACT, count: int = 12) -> list[bytes]:
+def encoded(profile: Profile = Profile.COMPACT, count: int = 12) -> list[EncodedChunk]:
     return [encode_chunk(trained_like_slice(birth, count), 1, profile) for birth in BIRTHS]
 
 
@@ -56,10 +56,10 @@ def test_an_object_is_one_valid_zstd_stream(profile: Profile) -> None:
     chunks = encoded(profile, 3000)
     data = encode_object(chunks)
     reader = zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True)
-    assert reader.read() == b"".join(chunks)
+    assert reader.read() == b"".join(chunk.data for chunk in chunks)
     for (_, packet), chunk in zip(object_packets(data), chunks, strict=True):
         parameters = zstandard.get_frame_parameters(packet)
-        assert parameters.content_size == len(chunk)
+        assert parameters.content_size == len(chunk.data)
         assert parameters.has_checksum
 
 
@@ -208,5 +208,5 @@ def test_the_coder_keeps_content_wherever_blocks_end(planes: list[bytes]) -> Non
 
 def test_ending_blocks_between_planes_pays() -> None:
     chunk = encode_chunk(trained_like_slice(0, 4000), 0, Profile.COMPACT)
-    plain = zstandard.ZstdCompressor(level=19, write_checksum=True).compress(chunk)
+    plain = zstandard.ZstdCompressor(level=19, write_checksum=True).compress(chunk.data)
     assert len(encode_packet(chunk)) < 0.97 * len(plain)
