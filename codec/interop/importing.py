@@ -21,6 +21,7 @@ from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.splats import Splats, sh_count
 from codec.stream.chunk import MAX_SPLATS_PER_CHUNK
+from codec.stream.layers import Rank
 from codec.stream.manifest import Manifest
 from codec.stream.writer import StreamWriter
 
@@ -46,7 +47,7 @@ class ImportOptions:
     """Frames shown in a second."""
     profile: Profile = Profile.COMPACT
     """Precision: compact is small, raw keeps every float as it is in the file."""
-    rank: str = "coverage"
+    rank: Rank = Rank.COVERAGE
     """Importance that orders Gaussians into layers: coverage, opacity, or given (as in the
     file)."""
     title: str | None = None

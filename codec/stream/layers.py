@@ -6,6 +6,7 @@ Rule: layers 0..n are always usable together, for any n; a layer alone is of no 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from enum import StrEnum
 from itertools import pairwise
 
 import numpy as np
@@ -43,13 +44,23 @@ def given_rank(splats: Splats) -> Floats:
     return places
 
 
-RANKS: dict[str, RankFunction] = {
-    "opacity": opacity_rank,
-    "coverage": coverage_rank,
-    "given": given_rank,
+class Rank(StrEnum):
+    """What orders a slice into layers; RANKS says how.
+
+    An importance that Gaussians alone do not tell (what they add to pictures, say) comes in as the
+    order of the slice, with `given`.
+    """
+
+    OPACITY = "opacity"
+    COVERAGE = "coverage"
+    GIVEN = "given"
+
+
+RANKS: dict[Rank, RankFunction] = {
+    Rank.OPACITY: opacity_rank,
+    Rank.COVERAGE: coverage_rank,
+    Rank.GIVEN: given_rank,
 }
-"""What orders a slice into layers. An importance that Gaussians alone do not tell (what they add to
-pictures, say) comes in as the order of the slice, with `given`."""
 
 
 def check_fractions(fractions: Sequence[float]) -> None:

@@ -20,7 +20,7 @@ from codec.slice import Slice
 
 from .chunk import Chunk, encode_chunk
 from .index import INDEX_NAME, SegmentRecord, pack_record, parse_index, record_bytes
-from .layers import RANKS, split_layers
+from .layers import RANKS, Rank, split_layers
 from .manifest import MANIFEST_NAME, SEGMENTS_NAME, Manifest, object_file
 from .object import decode_packet, encode_packet, join_packets
 
@@ -52,11 +52,11 @@ class StreamWriter:
         path: Path,
         manifest: Manifest,
         records: list[SegmentRecord],
-        rank: str,
+        rank: Rank,
         quality: Quality | None,
     ) -> None:
         """Use `create` or `resume`."""
-        if rank not in RANKS:
+        if rank not in RANKS:  # a string of a caller whose types nobody checks
             raise InvalidError(f"no rank is called {rank!r}; there are {', '.join(RANKS)}")
         self.path = path
         self.manifest = manifest
@@ -78,14 +78,14 @@ class StreamWriter:
         cls,
         path: Path,
         manifest: Manifest,
-        rank: str = "opacity",
+        rank: Rank = Rank.OPACITY,
         quality: Quality | None = None,
     ) -> StreamWriter:
         """A writer of a new stream at `path`, which is absent, an empty folder, or one where a
         writer was killed before it was a stream.
 
-        `rank` names one of RANKS (layers.py). `quality` scores every frame; the index holds its
-        mean over each segment, or NaN without it.
+        `rank` orders the Gaussians of each slice into layers. `quality` scores every frame; the
+        index holds its mean over each segment, or NaN without it.
         """
         if path.exists() and not (path.is_dir() and _is_unused(path)):
             raise InvalidError(f"{path} is not empty; remove it or name another folder")
@@ -102,7 +102,7 @@ class StreamWriter:
     def resume(
         cls,
         path: Path,
-        rank: str = "opacity",
+        rank: Rank = Rank.OPACITY,
         quality: Quality | None = None,
     ) -> StreamWriter:
         """A writer that goes on after `path`'s last finished segment; `next_birth` says where."""

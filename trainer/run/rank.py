@@ -15,6 +15,7 @@ import numpy.typing as npt
 from codec.errors import InvalidError
 from codec.slice import Slice, active_splats
 from codec.stream import StreamReader
+from codec.stream.layers import Rank
 from trainer.fit.trainer import Trainer
 from trainer.step.raster import Parameters, View, render
 from trainer.step.weights import contribution
@@ -27,9 +28,9 @@ CONTRIBUTION = "contribution"
 """The name of this rank in options."""
 
 
-def writer_rank(rank: str) -> str:
+def writer_rank(rank: str) -> Rank:
     """What a StreamWriter of slices ordered by `rank` must be told."""
-    return "given" if rank == CONTRIBUTION else rank
+    return Rank.GIVEN if rank == CONTRIBUTION else Rank(rank)
 
 
 def _most_first(part: Slice, importance: Doubles) -> Slice:

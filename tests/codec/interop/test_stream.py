@@ -22,6 +22,7 @@ from codec.interop.importing import (
 from codec.profiles.profile import Profile
 from codec.splats import Splats
 from codec.stream import StreamReader
+from codec.stream.layers import Rank
 from tests.support.commands import run, run_ok
 from tests.support.drawn import same
 from tests.support.tiny_stream import write_tiny
@@ -123,7 +124,7 @@ def test_a_bad_folder_or_file_is_named_before_anything_is_written(tmp_path: Path
     with pytest.raises(InvalidError, match="fps 0"):
         import_stream(folder, stream, ImportOptions(fps=0))
     with pytest.raises(InvalidError, match="no rank is called"):
-        import_stream(folder, stream, ImportOptions(rank="beauty"))
+        import_stream(folder, stream, ImportOptions(rank="beauty"))  # type: ignore[arg-type]
     assert not stream.exists()
     save(stream, trained_like_splats(1))
     with pytest.raises(InvalidError, match="not empty"):
@@ -245,3 +246,11 @@ def test_the_commands(tmp_path: Path) -> None:
     done = run("swings-stream", "import", tmp_path / "none.ply", tmp_path / "other")
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr == f"swings-stream: {tmp_path}/none.ply is missing\n"
+
+
+def test_a_rank_that_there_is_not_is_bad_usage_and_no_file_is_opened(tmp_path: Path) -> None:
+    done = run("swings-stream", "import", tmp_path / "none.ply", tmp_path / "out", "--rank", "typo")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "none.ply" not in done.stderr
+    for name in Rank:
+        assert name in done.stderr

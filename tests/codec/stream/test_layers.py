@@ -13,7 +13,14 @@ from codec.errors import CorruptError, InvalidError
 from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.stream.chunk import Chunk
-from codec.stream.layers import RANKS, check_fractions, merge_layers, opacity_rank, split_layers
+from codec.stream.layers import (
+    RANKS,
+    Rank,
+    check_fractions,
+    merge_layers,
+    opacity_rank,
+    split_layers,
+)
 from tests.support.trained_like import trained_like_slice
 
 QUARTERS = (0.25, 0.25, 0.25, 0.25)
@@ -43,11 +50,15 @@ def test_merge_of_split_is_a_permutation(count: int, weights: list[int]) -> None
         assert abs(len(part.slice.splats) - fraction * count) <= 1
 
 
-@pytest.mark.parametrize("name", sorted(RANKS))
-def test_an_earlier_layer_ranks_higher(name: str) -> None:
+def test_every_rank_has_its_function() -> None:
+    assert list(RANKS) == list(Rank)
+
+
+@pytest.mark.parametrize("rank", list(Rank))
+def test_an_earlier_layer_ranks_higher(rank: Rank) -> None:
     slice = trained_like_slice(0, 1000)
-    layers = split_layers(slice, QUARTERS, RANKS[name])
-    rank_of = dict(zip(rows(slice), RANKS[name](slice.splats).tolist(), strict=True))
+    layers = split_layers(slice, QUARTERS, RANKS[rank])
+    rank_of = dict(zip(rows(slice), RANKS[rank](slice.splats).tolist(), strict=True))
     ranks = [[rank_of[row] for row in rows(layer)] for layer in layers]
     for high, low in pairwise(ranks):
         assert min(high) >= max(low)
@@ -55,7 +66,7 @@ def test_an_earlier_layer_ranks_higher(name: str) -> None:
 
 def test_rank_given_cuts_the_slice_as_it_stands() -> None:
     slice = trained_like_slice(0, 1000)
-    layers = split_layers(slice, QUARTERS, RANKS["given"])
+    layers = split_layers(slice, QUARTERS, RANKS[Rank.GIVEN])
     assert [row for layer in layers for row in rows(layer)] == rows(slice)
     assert [len(layer.splats) for layer in layers] == [250] * 4
 

@@ -164,7 +164,7 @@ def test_arguments_out_of_range(finished: Path) -> None:
 def test_what_the_writer_refuses(tmp_path: Path) -> None:
     manifest = tiny_manifest()
     with pytest.raises(InvalidError, match="no rank is called 'size'"):
-        StreamWriter.create(tmp_path / "s", manifest, rank="size")
+        StreamWriter.create(tmp_path / "s", manifest, rank="size")  # type: ignore[arg-type]
     writer = StreamWriter.create(tmp_path / "s", manifest)
     with pytest.raises(InvalidError, match="not empty"):
         StreamWriter.create(tmp_path / "s", manifest)

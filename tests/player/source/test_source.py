@@ -20,7 +20,7 @@ from codec.framerange import FrameRange
 from codec.slice import Slice
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.chunk import encode_chunk
-from codec.stream.layers import RANKS, split_layers
+from codec.stream.layers import opacity_rank, split_layers
 from codec.stream.manifest import Manifest
 from codec.stream.object import encode_packet
 from codec.stream.playrecord import (
@@ -363,7 +363,7 @@ def start(num_frames: int = 3, manifest: Manifest = MANIFEST) -> StartRecord:
 
 
 def record_of(birth: int, change: Callable[[Slice], Slice] = lambda s: s) -> SliceRecord:
-    layers = split_layers(change(random_slice(birth)), MANIFEST.layers, RANKS["opacity"])
+    layers = split_layers(change(random_slice(birth)), MANIFEST.layers, opacity_rank)
     chunks = [encode_chunk(part, n, MANIFEST.profile) for n, part in enumerate(layers)]
     return SliceRecord(birth, tuple(map(encode_packet, chunks)))
 

@@ -17,6 +17,7 @@ from codec.profiles.profile import Profile
 from codec.slice import Slice, active_splats
 from codec.splats import SH_C0, Splats
 from codec.stream import StreamReader, StreamWriter
+from codec.stream.layers import Rank
 from codec.stream.manifest import Manifest
 from player.render.cpu import render_splats
 from player.render.recipe import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
@@ -245,7 +246,7 @@ def test_a_stream_written_as_given_keeps_the_order_in_its_layers(
     stream: StreamReader, tmp_path: Path
 ) -> None:
     slices = list(slices_by_contribution(stream, [View.prepare(CAMERAS[0], NEAR_M)]))
-    with StreamWriter.create(tmp_path / "again", stream.manifest, "given") as writer:
+    with StreamWriter.create(tmp_path / "again", stream.manifest, Rank.GIVEN) as writer:
         for part in slices:
             writer.append(part)
     again = StreamReader(tmp_path / "again")
