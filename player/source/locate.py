@@ -9,10 +9,11 @@ from urllib.parse import quote, unquote, urlsplit, urlunsplit
 from codec.errors import InvalidError
 from codec.framerange import FrameRange
 
+from .directory import DirectorySource
 from .fetch import Fetcher, FetchError
 from .hosted import StaticHttpSource, fetch_manifest
 from .served import HttpPlaySource
-from .source import DirectorySource, Source
+from .source import Source
 
 MAX_LIST_BYTES = 16 << 20
 """Longest list of streams read, bytes."""
