@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import re
 import shutil
-import socket
 import threading
-import time
 import urllib.request
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -19,26 +17,13 @@ from codec.errors import CorruptError, InvalidError, SwingsError
 from codec.framerange import FrameRange
 from codec.slice import Slice
 from codec.stream import StreamReader, StreamWriter
-from codec.stream.chunk import encode_chunk
-from codec.stream.layers import opacity_rank, split_layers
-from codec.stream.manifest import Manifest
-from codec.stream.object import encode_packet
-from codec.stream.playrecord import (
-    EndRecord,
-    ErrorRecord,
-    Record,
-    SliceRecord,
-    StartRecord,
-    encode_record,
-)
 from player.link.link import Link
 from player.link.relay import Relay
 from player.playout.timeline import ReceivedSlice
-from player.source.fetch import BrokenError, FetchConfig, Fetcher, FetchError, StoppedError
+from player.source.fetch import BrokenError, Fetcher, FetchError
 from player.source.locate import open_source
 from player.source.retry import Retry, RetryConfig
 from player.source.served import HttpPlaySource
-from player.source.source import Source
 from tests.support.hosted_streams import (
     SWIN_SIZE,
     ServerProcess,
@@ -297,209 +282,6 @@ def test_a_server_that_stays_away_ends_in_one_line(endless: Path) -> None:
     with pytest.raises(BrokenError, match=r"given up after 2 new tries"):
         list(slices)
     source.close()
-
-
-class Script:
-    """A host that answers each connection with the next of `answers`, whatever is asked."""
-
-    def __init__(self, answers: list[bytes]) -> None:
-        self._answers = answers
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.url = f"http://127.0.0.1:{self._listener.getsockname()[1]}"
-        self.asked: list[str] = []
-        self._held: list[socket.socket] = []
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
-
-    def _run(self) -> None:
-        for answer in self._answers:
-            try:
-                connection, _ = self._listener.accept()
-            except OSError:
-                return
-            request = b""
-            while b"\r\n\r\n" not in request:
-                request += connection.recv(65536)
-            self.asked.append(request.split()[1].decode())
-            connection.sendall(answer)
-            if answer.endswith(HOLD):
-                self._held.append(connection)
-            else:
-                connection.close()
-
-    def close(self) -> None:
-        self._listener.shutdown(socket.SHUT_RDWR)
-        self._listener.close()
-        self._thread.join()
-        for connection in self._held:
-            connection.close()
-
-
-HOLD = b"\r\n"
-"""An answer that ends so leaves the connection open."""
-
-
-@contextmanager
-def script(*answers: bytes) -> Iterator[Script]:
-    host = Script(list(answers))
-    try:
-        yield host
-    finally:
-        host.close()
-
-
-HEAD = b"HTTP/1.1 200 OK\r\nContent-Type: application/x-swings-play\r\nConnection: close\r\n\r\n"
-
-
-def answer(*records: Record) -> bytes:
-    return HEAD + b"".join(map(encode_record, records))
-
-
-MANIFEST = small_manifest()
-
-
-def start(num_frames: int = 3, manifest: Manifest = MANIFEST) -> StartRecord:
-    return StartRecord(0, num_frames, manifest.to_json())
-
-
-def record_of(birth: int, change: Callable[[Slice], Slice] = lambda s: s) -> SliceRecord:
-    layers = split_layers(change(random_slice(birth)), MANIFEST.layers, opacity_rank)
-    chunks = [encode_chunk(part, n, MANIFEST.profile) for n, part in enumerate(layers)]
-    return SliceRecord(birth, tuple(map(encode_packet, chunks)))
-
-
-ALL = [record_of(birth) for birth in range(-3, 3)]
-
-
-def open_play(url: str, retry: RetryConfig = QUICK) -> Source:
-    fetcher = Fetcher(config=FetchConfig(read_timeout_s=0.3))
-    try:
-        return HttpPlaySource("S", f"{url}/v1/streams/s", fetcher, FrameRange(), None, retry)
-    except BaseException:
-        fetcher.close()
-        raise
-
-
-def births_from(*answers: bytes) -> tuple[list[int], list[str]]:
-    with script(*answers) as host:
-        source = open_play(host.url)
-        try:
-            return [received.slice.birth for received in source.slices()], host.asked
-        finally:
-            source.close()
-
-
-def test_a_response_cut_anywhere_is_taken_up_again() -> None:
-    whole = answer(start(), *ALL, EndRecord(3))
-    first = len(answer(start()))
-    for cut in (first, first + 1, first + 200, len(whole) - 3):
-        births, asked = births_from(whole[:cut], whole)
-        assert births == [-3, -2, -1, 0, 1, 2]
-        assert len(asked) == 2
-
-
-def test_a_new_connection_asks_for_what_is_missing_only() -> None:
-    resumed = answer(StartRecord(2, 3, MANIFEST.to_json()), *ALL[2:], EndRecord(3))
-    births, asked = births_from(answer(start(), *ALL[:3]), resumed)
-    assert births == [-3, -2, -1, 0, 1, 2]
-    # Slice 0 is missing, first of the window of frame 3; the last frame is 2, whose window has -1.
-    assert asked == [
-        "/v1/streams/s/play?from=0&layers=auto",
-        "/v1/streams/s/play?from=2&layers=auto",
-    ]
-
-
-def test_at_the_edge_of_a_live_stream_only_the_last_window_comes_again() -> None:
-    live = MANIFEST.with_live(True)
-    later = StartRecord(5, 6, live.to_json())
-    births, asked = births_from(
-        answer(start(1, live), *map(record_of, range(-3, 6))),
-        answer(later, *map(record_of, range(2, 7)), EndRecord(7)),
-    )
-    assert births == list(range(-3, 7))
-    assert asked[1] == "/v1/streams/s/play?from=5&layers=auto"
-
-
-def test_a_server_that_stops_is_asked_again() -> None:
-    stopping = answer(start(), *ALL[:4], ErrorRecord("the server is stopping"))
-    unavailable = b"HTTP/1.1 503 Busy\r\nContent-Length: 0\r\nConnection: close\r\n\r\n\r"
-    births, _ = births_from(stopping, unavailable, answer(start(), *ALL, EndRecord(3)))
-    assert births == [-3, -2, -1, 0, 1, 2]
-
-
-@pytest.mark.parametrize(
-    ("answers", "error", "message"),
-    [
-        ([b"garbage"], BrokenError, "S/|v1/streams/s/play.*broke"),
-        ([HEAD + b"\xff\xff\xff\xff"], CorruptError, "record of 4294967295 bytes"),
-        ([HEAD + b"\x01\0\0\0\xc0"], CorruptError, "S: play"),
-        ([answer(EndRecord(3))], CorruptError, "does not begin with a start record"),
-        ([answer(StartRecord(0, 3, b"{}"))], CorruptError, "S: manifest"),
-        ([answer(start(), start())], CorruptError, "second start"),
-        ([answer(start(), *ALL[1:])], CorruptError, "born at -2 came before -3"),
-        ([answer(start(), *ALL[:3], EndRecord(3))], CorruptError, "ended before frame 0"),
-        (
-            [answer(start(), SliceRecord(-3, ALL[1].packets))],
-            CorruptError,
-            "has another birth",
-        ),
-        ([answer(start(), SliceRecord(-3, (b"zz",)))], CorruptError, "S: packet"),
-        (
-            [answer(start(), record_of(-3, lambda s: random_slice(-3, 41)))],
-            CorruptError,
-            "does not fit the manifest",
-        ),
-        (
-            [answer(start(), *ALL[:2]), answer(start(3, small_manifest(num_gs=4)))],
-            CorruptError,
-            "replaced by another",
-        ),
-        ([answer(start(), *ALL[:2])] * 9, BrokenError, "ended early .given up after 2"),
-        ([answer(start(), *ALL[:2]), HOLD, HOLD, HOLD], BrokenError, "given up after 2"),
-        (
-            [answer(start()), *[answer(ErrorRecord("it is damaged"))] * 3],
-            BrokenError,
-            "the server says: it is damaged",
-        ),
-        ([HEAD.replace(b"x-swings-play", b"json") + b"{}"], FetchError, "S is not a stream"),
-        (
-            [b'HTTP/1.1 400 No\r\nConnection: close\r\n\r\n{"error": "from=0: no"}'],
-            FetchError,
-            "S: HTTP 400, from=0: no",
-        ),
-        (
-            [b"HTTP/1.1 404 No\r\nContent-Length: 3\r\n\r\n[1]"],
-            FetchError,
-            "S is not a stream: HTTP 404",
-        ),
-    ],
-)
-def test_hostile_servers(answers: list[bytes], error: type[SwingsError], message: str) -> None:
-    with pytest.raises(error, match=message) as caught:
-        births_from(*answers)
-    assert "\n" not in str(caught.value)
-
-
-def test_waiting_for_a_slice_can_be_stopped() -> None:
-    with script(answer(start(), ALL[0]) + HOLD) as host:
-        source = HttpPlaySource("S", host.url, Fetcher(), FrameRange(), None)
-        slices = source.slices()
-        next(slices)
-        began_s = time.monotonic()
-        threading.Timer(0.1, source.interrupt).start()
-        with pytest.raises(StoppedError):
-            next(slices)
-        assert time.monotonic() - began_s < 5
-        source.close()
-        source.close()
-
-
-def test_a_body_longer_than_allowed_is_not_read() -> None:
-    with script(b"HTTP/1.1 200 OK\r\nConnection: close\r\n\r\n" + bytes(5000)) as host:
-        fetcher = Fetcher()
-        with pytest.raises(FetchError, match="longer than 100 bytes"):
-            fetcher.get(host.url, 100)
-        fetcher.close()
 
 
 def test_retries_wait_longer_and_are_bounded() -> None:
