@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from rich.console import Console
@@ -39,7 +40,10 @@ def median_ms(work: Callable[[], object]) -> float:
     return 1e3 * float(np.median(times))
 
 
-def each(work: Callable[[bytes], object], parts: list[bytes]) -> None:
+Part = TypeVar("Part")
+
+
+def each(work: Callable[[Part], object], parts: list[Part]) -> None:
     for part in parts:
         work(part)
 

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import asyncio
 from collections import OrderedDict
-from dataclasses import dataclass
 
-from codec.errors import CorruptError
-from codec.stream.object import ChunkEntry, read_object_table
+from codec.stream.integrity import CheckedObject
 
 from .library import ServedStream
 from .metrics import Metrics
@@ -15,31 +13,20 @@ from .metrics import Metrics
 Key = tuple[str, int, int]
 
 
-@dataclass(frozen=True, slots=True)
-class LoadedObject:
-    """An object's bytes and where its chunks lie in them."""
-
-    data: bytes
-    entries: tuple[ChunkEntry, ...]
-    first_birth: int
-
-    def packet(self, birth: int) -> bytes:
-        """The packet of the slice born at `birth`."""
-        entry = self.entries[birth - self.first_birth]
-        return self.data[entry.offset : entry.offset + entry.size]
-
-
 class ObjectCache:
-    """At most `capacity_bytes` of objects; those in use by a play or a response count only here."""
+    """Holds at most `capacity_bytes` of objects.
+
+    A play or a response keeps the objects that it is sending, even those that were dropped here.
+    """
 
     def __init__(self, capacity_bytes: int, metrics: Metrics) -> None:
         self._capacity_bytes = capacity_bytes
         self._metrics = metrics
-        self._objects: OrderedDict[Key, LoadedObject] = OrderedDict()
-        self._loading: dict[Key, asyncio.Task[LoadedObject]] = {}
+        self._objects: OrderedDict[Key, CheckedObject] = OrderedDict()
+        self._loading: dict[Key, asyncio.Task[CheckedObject]] = {}
         self.size_bytes = 0
 
-    async def load(self, stream: ServedStream, segment: int, layer: int) -> LoadedObject:
+    async def load(self, stream: ServedStream, segment: int, layer: int) -> CheckedObject:
         """The object of (segment, layer), which `stream` has. Raises CodecError for a bad file."""
         key = (stream.name, segment, layer)
         found = self._objects.get(key)
@@ -57,9 +44,9 @@ class ObjectCache:
         # A client that goes away must not break the load for the others that wait for it.
         return await asyncio.shield(task)
 
-    async def _load(self, key: Key, stream: ServedStream) -> LoadedObject:
+    async def _load(self, key: Key, stream: ServedStream) -> CheckedObject:
         try:
-            loaded = await asyncio.to_thread(_read, stream, *key[1:])
+            loaded = await asyncio.to_thread(stream.read_object, *key[1:])
         finally:
             del self._loading[key]
         if len(loaded.data) <= self._capacity_bytes:
@@ -70,16 +57,3 @@ class ObjectCache:
             self.size_bytes -= len(dropped.data)
         self._metrics.cache_bytes.set(self.size_bytes)
         return loaded
-
-
-def _read(stream: ServedStream, segment: int, layer: int) -> LoadedObject:
-    data = stream.read_object(segment, layer)
-    entries = read_object_table(data)
-    births = stream.births(segment)
-    end = entries[-1].offset + entries[-1].size
-    if [entry.birth for entry in entries] != list(births) or end != len(data):
-        raise CorruptError(
-            f"{stream.name}: segment {segment} layer {layer} does not hold births "
-            f"{births[0]}..{births[-1]}"
-        )
-    return LoadedObject(data, tuple(entries), births[0])

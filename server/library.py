@@ -12,8 +12,9 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from codec.errors import CodecError, SwingsError
+from codec.errors import SwingsError
 from codec.stream.index import INDEX_NAME, pack_record, record_bytes
+from codec.stream.integrity import CheckedObject
 from codec.stream.manifest import MANIFEST_NAME, Manifest
 from codec.stream.reader import StreamReader
 
@@ -50,12 +51,11 @@ class ServedStream:
         self._folder = folder
         self._index_hash = hashlib.sha256()
         self._num_hashed = 0
-        # Before the index: a manifest that says finished then goes with a whole index.
-        manifest, manifest_json = _read_manifest(folder)
         self._reader = StreamReader(folder)
-        self.view = self._look(manifest, manifest_json)
+        self.view = self._look()
 
-    def _look(self, manifest: Manifest, manifest_json: bytes) -> StreamView:
+    def _look(self) -> StreamView:
+        manifest, manifest_json = self._reader.manifest, self._reader.manifest_json
         records = self._reader.records
         for record in records[self._num_hashed :]:
             self._index_hash.update(pack_record(record))
@@ -72,9 +72,8 @@ class ServedStream:
 
     def refresh(self) -> None:
         """Takes in what was appended. Blocks; where it raises the view stays the last good one."""
-        manifest, manifest_json = _read_manifest(self._folder)
         self._reader.refresh()
-        self.view = self._look(manifest, manifest_json)
+        self.view = self._look()
 
     @property
     def fps(self) -> float:
@@ -117,8 +116,8 @@ class ServedStream:
         count = len(self.births(segment))
         return tuple(sum(sizes[:n]) / count for n in range(1, len(sizes) + 1))
 
-    def read_object(self, segment: int, layer: int) -> bytes:
-        """The object's bytes, checked against the index. Blocks."""
+    def read_object(self, segment: int, layer: int) -> CheckedObject:
+        """The object, checked against the index. Blocks."""
         return self._reader.read_object(segment, layer)
 
     def read_index(self, start: int, stop: int) -> bytes:
@@ -209,13 +208,3 @@ def _open(folder: Path) -> ServedStream:
             f"{folder}: a stream's folder is called by letters, digits, '.', '_' and '-'; rename it"
         )
     return ServedStream(folder)
-
-
-def _read_manifest(folder: Path) -> tuple[Manifest, bytes]:
-    """The manifest, and its bytes as they lie on disk."""
-    path = folder / MANIFEST_NAME
-    data = path.read_bytes()
-    try:
-        return Manifest.from_json(data), data
-    except CodecError as error:
-        raise error.within(path) from error

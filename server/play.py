@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from aiohttp import web
 
 from codec.errors import SwingsError
+from codec.stream.integrity import CheckedObject
 from codec.stream.playrecord import (
     EndRecord,
     ErrorRecord,
@@ -24,7 +25,6 @@ from codec.stream.playrecord import (
 from server.abr.policy import FixedPolicy, LayerPolicy, Policy
 from server.abr.session import Finished, PlaySession, SendSlice, WaitForFrames, WaitUntil
 
-from .cache import LoadedObject
 from .connection import Connection, StalledError
 from .errors import RequestError
 from .library import ServedStream
@@ -138,7 +138,7 @@ class _Play:
             query.until_frame,
         )
         self._segment = -1
-        self._objects: list[LoadedObject] = []
+        self._objects: list[CheckedObject] = []
 
     async def run(self) -> str:
         """Sends the whole play; gives how it ended."""

@@ -145,6 +145,13 @@ def _whole_table(data: bytes | memoryview) -> list[ChunkEntry]:
     return entries
 
 
+def error_in_object(error: CodecError, entry: ChunkEntry) -> CodecError:
+    """`error`, whose place is one in the decompressed chunk of `entry`, as one of the object."""
+    place = "" if error.at is None else f", byte {error.at} in it"
+    message = f"{error} (chunk of birth {entry.birth}, {entry.size} bytes{place})"
+    return error.reworded(message, entry.offset)
+
+
 def decode_object_chunk(
     data: bytes | memoryview, entry: ChunkEntry, bounds: ChunkBounds = ANY_CHUNK
 ) -> Chunk:
@@ -157,10 +164,7 @@ def decode_object_chunk(
             raise CorruptError(f"packet: not of the object's coder, {data[CODER_OFFSET]}")
         chunk = decode_packet(packet, bounds)
     except CodecError as error:
-        place = "" if error.at is None else f", byte {error.at} in it"
-        raise error.reworded(
-            f"{error} (chunk of birth {entry.birth}, {entry.size} bytes{place})", entry.offset
-        ) from error
+        raise error_in_object(error, entry) from error
     if chunk.birth != entry.birth:
         raise CorruptError(
             f"object: birth {chunk.birth} where the table says {entry.birth}", entry.offset

@@ -5,10 +5,8 @@ Rule: every file is checked against the index before it is decoded, and an error
 
 from __future__ import annotations
 
-import hashlib
 from collections import OrderedDict
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from codec.errors import CodecError, CorruptError, InvalidError
@@ -17,62 +15,15 @@ from codec.slice import Slice, active_splats
 from codec.splats import Splats
 
 from .chunk import Chunk
-from .index import INDEX_NAME, SegmentRecord, parse_index, record_bytes, size_offset
-from .layers import merge_layers
+from .index import INDEX_NAME, SegmentRecord, record_bytes
+from .integrity import MAX_INDEX_BYTES, CheckedObject, fitting_slice, read_index
 from .manifest import MANIFEST_NAME, MAX_MANIFEST_BYTES, Manifest, object_file
-from .object import (
-    COUNT_OFFSET,
-    MAX_OBJECT_BYTES,
-    ChunkEntry,
-    decode_object_chunk,
-    entry_offset,
-    read_object_table,
-)
-
-MAX_INDEX_BYTES = 1 << 28
-"""Longest index read at once; 100 hours of four layers in segments of a second take 71 MB."""
 
 
 def read_stream_file(path: Path, limit_bytes: int, offset: int = 0) -> bytes:
     """A file of a stream from `offset` on. Raises CorruptError, see `read_bounded`."""
     meaning = "this is not a whole swings stream"
     return read_bounded(path, limit_bytes, offset, if_missing=meaning)
-
-
-def check_births(entries: list[ChunkEntry], births: range) -> None:
-    """Raises CorruptError, with its place in the object, unless `entries` are of `births`."""
-    for n, (entry, birth) in enumerate(zip(entries, births, strict=False)):
-        if entry.birth != birth:
-            raise CorruptError(
-                f"object: its births are not {births[0]}..{births[-1]}", entry_offset(n)
-            )
-    if len(entries) != len(births):
-        raise CorruptError(f"object: its births are not {births[0]}..{births[-1]}", COUNT_OFFSET)
-
-
-def decode_fitting_chunk(data: bytes, entry: ChunkEntry, manifest: Manifest, layer: int) -> Chunk:
-    """The chunk of an entry of the object `data`, of layer `layer` of a stream with `manifest`.
-
-    Raises a CodecError that says where the chunk's frame begins.
-    """
-    chunk = decode_object_chunk(data, entry, manifest.chunk_bounds)
-    found = (chunk.layer, chunk.profile, chunk.slice.splats.sh_degree)
-    if found != (layer, manifest.profile, manifest.sh_degree):
-        raise CorruptError(
-            f"object: birth {entry.birth} does not fit the manifest: layer {chunk.layer}, "
-            f"profile {chunk.profile}, SH degree {found[2]}",
-            entry.offset,
-        )
-    return chunk
-
-
-@dataclass(frozen=True, slots=True)
-class _Object:
-    """An object in the cache: still compressed, its table read and checked."""
-
-    path: Path
-    data: bytes
-    entries: list[ChunkEntry]
 
 
 class StreamReader:
@@ -82,7 +33,7 @@ class StreamReader:
         self.path = path
         self.records: list[SegmentRecord] = []
         """One record for each finished segment."""
-        self._objects: OrderedDict[tuple[int, int], _Object] = OrderedDict()
+        self._objects: OrderedDict[tuple[int, int], CheckedObject] = OrderedDict()
         self._chunks: OrderedDict[tuple[int, int], Chunk] = OrderedDict()
         self._chunk_splats = 0  # in all of _chunks
         self._read_manifest()
@@ -91,13 +42,13 @@ class StreamReader:
     def _read_manifest(self) -> None:
         path = self.path / MANIFEST_NAME
         if not self.path.is_dir():
-            raise CorruptError(f"{self.path} is no folder; name the folder of a stream")
+            raise CorruptError(f"{self.path} is not a folder; name the folder of a stream")
         data = read_stream_file(path, MAX_MANIFEST_BYTES)
         try:
             self.manifest = Manifest.from_json(data)
         except CodecError as error:
             raise error.within(path) from error
-        self._manifest_bytes = len(data)
+        self.manifest_json = data
 
     @property
     def num_frames(self) -> int:
@@ -114,50 +65,29 @@ class StreamReader:
     def overhead_bytes(self) -> int:
         """Size of the manifest and of the index's whole records."""
         index_bytes = len(self.records) * record_bytes(self.manifest.num_layers)
-        return self._manifest_bytes + index_bytes
+        return len(self.manifest_json) + index_bytes
 
     def refresh(self) -> int:
         """Takes in what was appended since; gives how many segments are new."""
         if self.manifest.live:
-            # Before the index: a stream that is finished now has its last record already.
+            # Before the index: a manifest that says finished then goes with a whole index.
             self._read_manifest()
         path = self.path / INDEX_NAME
-        known = len(self.records)
-        begin = known * record_bytes(self.manifest.num_layers)
+        begin = len(self.records) * record_bytes(self.manifest.num_layers)
         data = read_stream_file(path, MAX_INDEX_BYTES, begin)
         try:
-            fresh = parse_index(data, self.manifest.num_layers, known)
-            self._check(fresh)
+            fresh = read_index(data, self.manifest, self.records)
         except CodecError as error:
             raise error.within(path, begin) from error
         self.records += fresh
         return len(fresh)
 
-    def _check(self, fresh: list[SegmentRecord]) -> None:
-        """Raises CorruptError, with the place among the records in `fresh`."""
-        length = self.manifest.segment_frames
-        previous = self.records[-1:]
-        for n, record in enumerate(fresh):
-            at = n * record_bytes(self.manifest.num_layers)
-            if any(before.num_frames != length for before in previous):
-                raise CorruptError("index: a segment follows a short one", at)
-            if record.first_frame != record.segment * length or record.num_frames > length:
-                at += 8 if record.num_frames > length else 4
-                raise CorruptError(f"index: segment {record.segment} does not fit the manifest", at)
-            for layer, size in enumerate(record.object_bytes):
-                if size > MAX_OBJECT_BYTES:
-                    raise CorruptError(
-                        f"index: segment {record.segment} names too large an object",
-                        at + size_offset(layer),
-                    )
-            previous = [record]
-
     def object_path(self, segment: int, layer: int) -> Path:
         """Where the object of (segment, layer) lies."""
         return object_file(self.path, segment, layer)
 
-    def read_object(self, segment: int, layer: int) -> bytes:
-        """The object of (segment, layer) as it lies on disk, its size and hash checked."""
+    def read_object(self, segment: int, layer: int) -> CheckedObject:
+        """The object of (segment, layer), read and checked now."""
         if not 0 <= segment < len(self.records) or not 0 <= layer < self.manifest.num_layers:
             raise InvalidError(
                 f"{self.path} has no segment {segment} layer {layer}: it has "
@@ -166,35 +96,18 @@ class StreamReader:
         record = self.records[segment]
         path = self.object_path(segment, layer)
         data = read_stream_file(path, record.object_bytes[layer])
-        if len(data) != record.object_bytes[layer]:
-            raise CorruptError(
-                f"{path} has {len(data)} bytes, the index says {record.object_bytes[layer]}"
-            )
-        if hashlib.sha256(data).digest() != record.object_sha256[layer]:
-            raise CorruptError(f"{path} was altered: its hash differs from the index")
-        return data
+        return CheckedObject.check(str(path), data, self.manifest, record, layer)
 
-    def _object(self, segment: int, layer: int) -> _Object:
+    def _object(self, segment: int, layer: int) -> CheckedObject:
         key = (segment, layer)
         if key not in self._objects:
-            self._objects[key] = self._load(segment, layer)
+            self._objects[key] = self.read_object(segment, layer)
             # All that a window can touch, and the segment after it.
             segments = 2 + self.manifest.swin_size // self.manifest.segment_frames
             while len(self._objects) > segments * self.manifest.num_layers:
                 self._objects.popitem(last=False)
         self._objects.move_to_end(key)
         return self._objects[key]
-
-    def _load(self, segment: int, layer: int) -> _Object:
-        path = self.object_path(segment, layer)
-        data = self.read_object(segment, layer)
-        births = self.manifest.births(segment, self.records[segment].num_frames)
-        try:
-            entries = read_object_table(data)
-            check_births(entries, births)
-        except CodecError as error:
-            raise error.within(path) from error
-        return _Object(path, data, entries)
 
     def chunk(self, birth: int, layer: int) -> Chunk:
         """The chunk of one layer of the slice born at `birth`."""
@@ -218,13 +131,7 @@ class StreamReader:
         self._chunk_splats += len(chunk.slice.splats)
 
     def _decode(self, birth: int, layer: int) -> Chunk:
-        manifest = self.manifest
-        found = self._object(manifest.segment_of(birth), layer)
-        try:
-            entry = found.entries[birth - found.entries[0].birth]
-            return decode_fitting_chunk(found.data, entry, manifest, layer)
-        except CodecError as error:
-            raise error.within(found.path) from error
+        return self._object(self.manifest.segment_of(birth), layer).chunk(birth)
 
     def slice(self, birth: int, num_layers: int) -> Slice:
         """The slice born at `birth`, of its layers 0..num_layers-1."""
@@ -235,18 +142,12 @@ class StreamReader:
                 f"{self.path} has no slice born at {birth}; it has {len(self.births)} slices "
                 f"from {self.manifest.first_birth} on"
             )
-        chunks: list[Chunk] = []
-        count = 0
-        for layer in range(num_layers):
-            chunks.append(self.chunk(birth, layer))
-            count += len(chunks[-1].slice.splats)
-            if count > self.manifest.slice_size:
-                path = self.object_path(self.manifest.segment_of(birth), layer)
-                raise CorruptError(
-                    f"{path}: the slice born at {birth} has {count} Gaussians, "
-                    f"the manifest allows {self.manifest.slice_size}"
-                )
-        return merge_layers(chunks)
+        segment = self.manifest.segment_of(birth)
+        return fitting_slice(
+            (self.chunk(birth, layer) for layer in range(num_layers)),
+            self.manifest,
+            lambda layer: self.object_path(segment, layer),
+        )
 
     def slices(self, first_birth: int, num_layers: int) -> Iterator[Slice]:
         """The slices from `first_birth` to the last one there is when it is reached."""

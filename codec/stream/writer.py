@@ -14,15 +14,16 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
 
-from codec.errors import CorruptError, InvalidError
+from codec.errors import InvalidError
 from codec.files import append_durably, sync_folder, temporary_beside, write_atomic
 from codec.slice import Slice
 
 from .chunk import Chunk, encode_chunk
-from .index import INDEX_NAME, SegmentRecord, pack_record, parse_index, record_bytes
+from .index import INDEX_NAME, SegmentRecord, pack_record, record_bytes
 from .layers import RANKS, Rank, split_layers
 from .manifest import MANIFEST_NAME, SEGMENTS_NAME, Manifest, object_file
 from .object import decode_packet, encode_packet, join_packets
+from .reader import StreamReader
 
 Quality = Callable[[Sequence[Chunk]], Sequence[float] | None]
 """Given the decoded chunks of a slice, layer 0 first: the PSNR in dB of the frame that it is born
@@ -106,17 +107,12 @@ class StreamWriter:
         quality: Quality | None = None,
     ) -> StreamWriter:
         """A writer that goes on after `path`'s last finished segment; `next_birth` says where."""
-        try:
-            manifest = Manifest.from_json((path / MANIFEST_NAME).read_bytes())
-            index = (path / INDEX_NAME).read_bytes()
-        except FileNotFoundError as error:
-            raise CorruptError(f"{path} is no stream: {error.filename} is missing") from error
+        reader = StreamReader(path)
+        manifest, records = reader.manifest, reader.records
         if not manifest.live:
             raise InvalidError(f"{path} is finished; write to another folder")
-        records = parse_index(index, manifest.num_layers)
-        whole_bytes = len(records) * record_bytes(manifest.num_layers)
-        if whole_bytes < len(index):
-            os.truncate(path / INDEX_NAME, whole_bytes)
+        # Takes off what a killed writer left after the last whole record.
+        os.truncate(path / INDEX_NAME, len(records) * record_bytes(manifest.num_layers))
         for leftover in (*path.glob(".*.tmp"), *(path / SEGMENTS_NAME).glob("*/.*.tmp")):
             leftover.unlink()
         return cls(path, manifest, records, rank, quality)

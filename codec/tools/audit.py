@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from codec.errors import CodecError, CorruptError
-from codec.stream.index import INDEX_NAME, SegmentRecord, record_bytes
-from codec.stream.object import MAX_OBJECT_BYTES, entry_offset, read_object_table
-from codec.stream.reader import StreamReader, check_births, decode_fitting_chunk, read_stream_file
+from codec.errors import CodecError
+from codec.stream.index import INDEX_NAME, SegmentRecord
+from codec.stream.integrity import (
+    check_index_end,
+    check_object_bytes,
+    check_slice_size,
+    decode_fitting_chunk,
+    object_table,
+)
+from codec.stream.object import MAX_OBJECT_BYTES
+from codec.stream.reader import StreamReader, read_stream_file
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,66 +147,49 @@ def verify_stream(path: Path) -> StreamSummary:
     """
     reader = StreamReader(path)
     manifest = reader.manifest
-    if not manifest.live:
-        _verify_end_of_index(reader)
+    index = path / INDEX_NAME
+    try:
+        check_index_end(index.stat().st_size, manifest, len(reader.records))
+    except CodecError as error:
+        raise error.within(index) from error
     for record in reader.records:
         births = manifest.births(record.segment, record.num_frames)
         totals = [0] * len(births)
         for layer in range(manifest.num_layers):
             counts = _verify_object(reader, record, layer)
             totals = [total + count for total, count in zip(totals, counts, strict=True)]
-            if max(totals) > manifest.slice_size:
-                raise CorruptError(
-                    f"{reader.object_path(record.segment, layer)}: the slice born at "
-                    f"{births[totals.index(max(totals))]} has {max(totals)} Gaussians, "
-                    f"the manifest allows {manifest.slice_size}"
-                )
+            try:
+                for birth, total in zip(births, totals, strict=True):
+                    check_slice_size(birth, total, manifest)
+            except CodecError as error:
+                raise error.within(reader.object_path(record.segment, layer)) from error
     return _summary(reader)
-
-
-def _verify_end_of_index(reader: StreamReader) -> None:
-    """Raises CorruptError if the index of a finished stream has a torn tail, which a reader leaves
-    out: the writer may have been cut off in it only as long as the stream is live."""
-    path = reader.path / INDEX_NAME
-    whole_bytes = len(reader.records) * record_bytes(reader.manifest.num_layers)
-    size_bytes = path.stat().st_size
-    if size_bytes != whole_bytes:
-        raise CorruptError(
-            f"index: {size_bytes - whole_bytes} bytes after the last whole record "
-            "of a finished stream",
-            whole_bytes,
-        ).within(path)
 
 
 def _verify_object(reader: StreamReader, record: SegmentRecord, layer: int) -> list[int]:
     """How many Gaussians each chunk of an object has. Raises a CodecError that says the place."""
     path = reader.object_path(record.segment, layer)
-    size_bytes = record.object_bytes[layer]
     data = read_stream_file(path, MAX_OBJECT_BYTES)
-    as_written = hashlib.sha256(data).digest() == record.object_sha256[layer]
+    damage: CodecError | None = None
+    try:
+        check_object_bytes(data, record, layer)
+    except CodecError as error:
+        damage = error
     try:
         counts = _decode_all(reader, record, layer, data)
-        if len(data) != size_bytes:
-            where = min(len(data), size_bytes)
-            raise CorruptError(f"{len(data)} bytes, the index says {size_bytes}", where)
-        if not as_written:
-            raise CorruptError("its hash differs from the index, though every chunk can be decoded")
     except CodecError as error:
-        told = error if as_written else error.reworded(f"was altered: {error}", error.at)
+        # What was altered is told by its table or its chunks: a hash does not say where.
+        told = error if damage is None else error.reworded(f"was altered: {error}", error.at)
         raise told.within(path) from error
+    if damage is not None:
+        raise damage.within(path)
     return counts
 
 
 def _decode_all(reader: StreamReader, record: SegmentRecord, layer: int, data: bytes) -> list[int]:
+    """How many Gaussians each chunk of the object `data` has."""
     manifest = reader.manifest
-    entries = read_object_table(data)
-    check_births(entries, manifest.births(record.segment, record.num_frames))
-    end = entries[-1].offset + entries[-1].size
-    if end != record.object_bytes[layer]:
-        raise CorruptError(
-            f"object: its table says {end} bytes, the index {record.object_bytes[layer]}",
-            entry_offset(len(entries)) - 4,  # the last size
-        )
     return [
-        len(decode_fitting_chunk(data, entry, manifest, layer).slice.splats) for entry in entries
+        len(decode_fitting_chunk(data, entry, manifest, layer).slice.splats)
+        for entry in object_table(data, manifest, record, layer)
     ]

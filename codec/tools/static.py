@@ -16,7 +16,7 @@ from codec.files import temporary_beside, write_atomic
 from codec.stream.chunk import encoded_elsewhere
 from codec.stream.index import INDEX_NAME, SegmentRecord, pack_record
 from codec.stream.manifest import MANIFEST_NAME, OBJECT_URL, object_file
-from codec.stream.object import encode_packet, join_packets, object_packets
+from codec.stream.object import encode_packet, join_packets
 from codec.stream.reader import StreamReader
 
 
@@ -85,9 +85,10 @@ def _write_segment(reader: StreamReader, record: SegmentRecord, folder: Path) ->
     limit_bytes = manifest.chunk_bounds.max_bytes
     sizes, hashes = [], []
     for layer in range(manifest.num_layers):
+        source = reader.read_object(segment, layer)
         packets = [
-            (birth, encode_packet(encoded_elsewhere(decompress(packet, limit_bytes)), Coder.GZIP))
-            for birth, packet in object_packets(reader.read_object(segment, layer))
+            (entry.birth, _recoded(source.packet(entry.birth), limit_bytes))
+            for entry in source.entries
         ]
         data = join_packets(packets, Coder.GZIP)
         path = object_file(folder, segment, layer)
@@ -96,6 +97,10 @@ def _write_segment(reader: StreamReader, record: SegmentRecord, folder: Path) ->
         sizes.append(len(data))
         hashes.append(hashlib.sha256(data).digest())
     return replace(record, object_bytes=tuple(sizes), object_sha256=tuple(hashes))
+
+
+def _recoded(packet: bytes, limit_bytes: int) -> bytes:
+    return encode_packet(encoded_elsewhere(decompress(packet, limit_bytes)), Coder.GZIP)
 
 
 def _copy_poster(reader: StreamReader, folder: Path) -> None:

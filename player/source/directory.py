@@ -10,8 +10,7 @@ from codec.stream import StreamReader
 from codec.stream.manifest import Manifest
 from player.playout.timeline import ReceivedSlice
 
-from .decode import decode_segment
-from .source import check_frames, check_layers
+from .source import check_frames, check_layers, segment_slices
 
 
 class DirectorySource:
@@ -51,13 +50,8 @@ class DirectorySource:
                     continue
                 return
             objects = [reader.read_object(segment, layer) for layer in range(self._layers)]
-            self._received_bytes += sum(len(data) for data in objects)
-            names = [
-                str(self._path / self.manifest.object_path(segment, layer))
-                for layer in range(self._layers)
-            ]
-            record = reader.records[segment]
-            for received in decode_segment(self.manifest, record, objects, names, birth):
+            self._received_bytes += sum(len(layer.data) for layer in objects)
+            for received in segment_slices(objects, birth):
                 if self._frames.end is not None and received.slice.birth >= self._frames.end:
                     return
                 yield received

@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator
 from urllib.parse import urljoin
 
-from codec.errors import CodecError, CorruptError
+from codec.errors import CodecError
 from codec.framerange import FrameRange
-from codec.stream.index import INDEX_NAME, SegmentRecord, parse_index, record_bytes
+from codec.stream.index import INDEX_NAME, SegmentRecord
+from codec.stream.integrity import MAX_INDEX_BYTES, CheckedObject, read_index
 from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest
-from codec.stream.object import MAX_OBJECT_BYTES
 from player.playout.timeline import ReceivedSlice
 
-from .decode import decode_segment
 from .fetch import BrokenError, Fetcher, FetchError
 from .retry import Retry, RetryConfig
-from .source import check_frames, check_layers
-
-MAX_INDEX_BYTES = 256 << 20
-"""Longest index.bin read, bytes; that of a 100-hour stream has about 40 MB."""
+from .source import check_frames, check_layers, segment_slices
 
 
 def fetch_manifest(fetcher: Fetcher, url: str) -> Manifest | None:
-    """The manifest at `url`; None when there is none. Raises FetchError when it is no manifest."""
+    """The manifest at `url`; None if there is nothing. Raises FetchError for anything else."""
     response = fetcher.get(url, MAX_MANIFEST_BYTES)
     if response.status in (404, 410):
         return None
@@ -32,7 +27,7 @@ def fetch_manifest(fetcher: Fetcher, url: str) -> Manifest | None:
     try:
         return Manifest.from_json(response.body)
     except CodecError as error:
-        raise FetchError(f"{url} is not a stream: {error}") from error
+        raise FetchError(f"{error.within(url)}; this is not a stream") from error
 
 
 class StaticHttpSource:
@@ -65,19 +60,11 @@ class StaticHttpSource:
         self._frames = check_frames(frames, finished, num_frames, name)
 
     def _read_index(self) -> list[SegmentRecord]:
-        url, num_layers = urljoin(self._base, INDEX_NAME), self._manifest.num_layers
-        data = self._get(url, MAX_INDEX_BYTES)
+        url = urljoin(self._base, INDEX_NAME)
         try:
-            records = parse_index(data, num_layers)
+            return read_index(self._get(url, MAX_INDEX_BYTES), self._manifest)
         except CodecError as error:
             raise error.within(url) from error
-        length = self._manifest.segment_frames
-        for record in records:
-            if record.first_frame != record.segment * length or record.num_frames > length:
-                raise CorruptError(f"{url}: segment {record.segment} does not fit the manifest")
-        if not records and len(data) >= record_bytes(num_layers):
-            raise CorruptError(f"{url} holds no record")
-        return records
 
     def _get(self, url: str, limit_bytes: int) -> bytes:
         """The body at `url`, asked for again while the connection breaks."""
@@ -109,17 +96,10 @@ class StaticHttpSource:
     def received_bytes(self) -> int:
         return self._fetcher.received_bytes
 
-    def _object(self, record: SegmentRecord, layer: int) -> bytes:
+    def _object(self, record: SegmentRecord, layer: int) -> CheckedObject:
         url = urljoin(self._base, self._manifest.object_path(record.segment, layer))
-        size = record.object_bytes[layer]
-        if size > MAX_OBJECT_BYTES:
-            raise CorruptError(f"{url}: the index says it has {size} bytes")
-        data = self._get(url, size)
-        if len(data) != size:
-            raise CorruptError(f"{url} has {len(data)} bytes, the index says {size}")
-        if hashlib.sha256(data).digest() != record.object_sha256[layer]:
-            raise CorruptError(f"{url} was altered: its hash differs from the index")
-        return data
+        data = self._get(url, record.object_bytes[layer])
+        return CheckedObject.check(url, data, self._manifest, record, layer)
 
     def slices(self) -> Iterator[ReceivedSlice]:
         manifest, end = self._manifest, self._frames.end
@@ -127,12 +107,8 @@ class StaticHttpSource:
         birth = self._frames.first - manifest.swin_size + 1
         while birth < end:
             record = self._records[manifest.segment_of(birth)]
-            layers = range(self._layers)
-            objects = [self._object(record, layer) for layer in layers]
-            names = [
-                urljoin(self._base, manifest.object_path(record.segment, layer)) for layer in layers
-            ]
-            for received in decode_segment(manifest, record, objects, names, birth):
+            objects = [self._object(record, layer) for layer in range(self._layers)]
+            for received in segment_slices(objects, birth):
                 if received.slice.birth >= end:
                     return
                 yield received

@@ -10,8 +10,9 @@ from collections.abc import Iterator
 
 from codec.errors import CodecError, CorruptError
 from codec.framerange import FrameRange
+from codec.stream.chunk import Chunk
+from codec.stream.integrity import decode_fitting_packet, fitting_slice
 from codec.stream.manifest import Manifest
-from codec.stream.object import decode_packet
 from codec.stream.playrecord import (
     EndRecord,
     ErrorRecord,
@@ -22,7 +23,6 @@ from codec.stream.playrecord import (
 )
 from player.playout.timeline import ReceivedSlice
 
-from .decode import merge_chunks
 from .fetch import BrokenError, Fetcher, FetchError, OpenResponse
 from .retry import Retry, RetryConfig
 from .source import check_frames, check_layers
@@ -184,18 +184,24 @@ class HttpPlaySource:
         self._num_frames = max(self._num_frames, start.num_frames)
 
     def _decode(self, record: SliceRecord, birth: int) -> ReceivedSlice:
-        try:
-            if record.birth != birth:
-                raise CorruptError(f"the slice born at {record.birth} came before {birth}")
-            chunks = [
-                decode_packet(packet, self._manifest.chunk_bounds) for packet in record.packets
-            ]
-            if any(chunk.birth != birth for chunk in chunks):
-                raise CorruptError(f"a chunk in the record of birth {birth} has another birth")
-            wire_bytes = sum(len(packet) for packet in record.packets)
-            return merge_chunks(chunks, self._manifest, wire_bytes)
-        except CodecError as error:
-            raise error.within(self._name) from error
+        if record.birth != birth:
+            message = f"the slice born at {record.birth} came before {birth}"
+            raise CorruptError(f"{self._name}: {message}")
+        slice = fitting_slice(
+            self._chunks(record), self._manifest, lambda layer: self._name_of(record, layer)
+        )
+        return ReceivedSlice(slice, len(record.packets), sum(map(len, record.packets)))
+
+    def _chunks(self, record: SliceRecord) -> Iterator[Chunk]:
+        for layer, packet in enumerate(record.packets):
+            try:
+                chunk = decode_fitting_packet(packet, self._manifest, record.birth, layer)
+            except CodecError as error:
+                raise error.within(self._name_of(record, layer)) from error
+            yield chunk
+
+    def _name_of(self, record: SliceRecord, layer: int) -> str:
+        return f"{self._name}: layer {layer} of the slice born at {record.birth}"
 
     def _disconnect(self) -> None:
         if self._response is not None:

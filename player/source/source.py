@@ -5,11 +5,12 @@ Every source gives a manifest at once and then slices in birth order, each with 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Protocol
 
 from codec.errors import InvalidError
 from codec.framerange import FrameRange
+from codec.stream.integrity import CheckedObject, fitting_slice
 from codec.stream.manifest import Manifest
 from player.playout.timeline import ReceivedSlice
 
@@ -68,3 +69,16 @@ def check_frames(frames: FrameRange, manifest: Manifest, num_frames: int, name: 
     if frames.end is not None or manifest.live:
         return frames
     return FrameRange(frames.first, num_frames)
+
+
+def segment_slices(objects: Sequence[CheckedObject], first_birth: int) -> Iterator[ReceivedSlice]:
+    """The slices of a segment born at `first_birth` or later, decoded as they are asked for.
+
+    objects: those of its layers 0, 1, ...
+    """
+    manifest = objects[0].manifest
+    for birth in (entry.birth for entry in objects[0].entries if entry.birth >= first_birth):
+        chunks = (layer.chunk(birth) for layer in objects)
+        slice = fitting_slice(chunks, manifest, lambda layer: objects[layer].name)
+        wire_bytes = sum(layer.entry(birth).size for layer in objects)
+        yield ReceivedSlice(slice, len(objects), wire_bytes)

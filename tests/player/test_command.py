@@ -227,7 +227,7 @@ def test_exit_codes(library: Path, tmp_path: Path) -> None:
         assert (done.returncode, done.stdout) == (2, "")
         assert "Traceback" not in done.stderr
     for source, message in (
-        ("absent", "absent is no folder"),
+        ("absent", "absent is not a folder"),
         ("http://127.0.0.1:9/s", "cannot connect"),
         (str(tmp_path), "manifest.json is missing"),
     ):

@@ -84,7 +84,7 @@ def packets_on_disk(path: Path) -> dict[tuple[int, int], bytes]:
         (birth, layer): packet
         for record in reader.records
         for layer in range(reader.manifest.num_layers)
-        for birth, packet in object_packets(reader.read_object(record.segment, layer))
+        for birth, packet in object_packets(reader.read_object(record.segment, layer).data)
     }
 
 

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import math
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
 
 from codec.errors import CodecError
-from codec.stream.index import CHECKSUM, HEAD, LAYER, SegmentRecord
+from codec.stream.index import CHECKSUM, HEAD, LAYER, SegmentRecord, pack_record
+from codec.stream.reader import StreamReader
 
 
 def survives(decode: Callable[[bytes], object], data: bytes) -> bool:
@@ -37,3 +42,27 @@ def forged_record(record: SegmentRecord) -> bytes:
         for layer in zip(record.object_bytes, record.object_sha256, record.psnr_db, strict=True)
     )
     return body + CHECKSUM.pack(zlib.crc32(body))
+
+
+def record_of(segment: int, num_frames: int, objects: Sequence[bytes]) -> SegmentRecord:
+    """The record of a segment, of segments of 4 frames, with `objects` as its layers."""
+    return SegmentRecord(
+        segment,
+        4 * segment,
+        num_frames,
+        tuple(map(len, objects)),
+        tuple(hashlib.sha256(data).digest() for data in objects),
+        (math.nan,) * len(objects),
+    )
+
+
+def put_object(stream: Path, segment: int, layer: int, data: bytes) -> None:
+    """Replaces an object and says so in the index, as a faulty writer would."""
+    (stream / "segments" / str(segment) / str(layer)).write_bytes(data)
+    records = list(StreamReader(stream).records)
+    sizes, hashes = list(records[segment].object_bytes), list(records[segment].object_sha256)
+    sizes[layer], hashes[layer] = len(data), hashlib.sha256(data).digest()
+    records[segment] = replace(
+        records[segment], object_bytes=tuple(sizes), object_sha256=tuple(hashes)
+    )
+    (stream / "index.bin").write_bytes(b"".join(map(pack_record, records)))

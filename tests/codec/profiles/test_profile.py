@@ -8,7 +8,7 @@ import pytest
 from codec.profiles.profile import PROFILE_OF_CODE, Profile
 from codec.stream.chunk import encode_chunk, encoded_elsewhere, read_header
 from codec.stream.object import encode_packet
-from tests.support.drawn_splats import same
+from tests.support.drawn import same
 from tests.support.trained_like import trained_like_slice, trained_like_splats
 
 

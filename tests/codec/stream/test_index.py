@@ -81,7 +81,6 @@ def test_noise(noise: bytes, layers: int, first: int) -> None:
     "wrong",
     [
         replace(RECORDS[1], segment=5),
-        replace(RECORDS[1], first_frame=31),
         replace(RECORDS[1], num_frames=0),
         replace(RECORDS[1], psnr_db=(1.0, math.inf, 1.0)),
     ],

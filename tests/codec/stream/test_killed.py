@@ -99,7 +99,7 @@ class Follower:
             assert self._whole["index.bin"].startswith(self._index())
             for layer in range(NUM_LAYERS):
                 found = self._reader.read_object(record.segment, layer)
-                assert found == self._whole[f"segments/{record.segment}/{layer}"]
+                assert found.data == self._whole[f"segments/{record.segment}/{layer}"]
             birth = record.first_frame + record.num_frames - 1
             assert self._reader.slice(birth, NUM_LAYERS).birth == birth
 

@@ -39,7 +39,7 @@ OUTCOMES = {
     "higher degree than the manifest": "of content, at most 59768904",
     "table": "CorruptError: object: 196628 bytes, its table says 1065156628",
     "chunks in a stream": "segments/0/0: byte 92: packet: 11534408 bytes of content, at most 2352",
-    "size in an index": "segments/0/0 has 5 bytes, the index says 1073741824",
+    "size in an index": "segments/0/0: byte 5: object: 5 bytes, the index says 1073741824",
     "index": "index.bin is longer than",
     "manifest": "CorruptError: manifest: no JSON object",
     "texts in a manifest": "a name of 60000 characters, at most 2000",

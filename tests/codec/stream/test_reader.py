@@ -421,5 +421,5 @@ def test_what_is_no_stream(tmp_path: Path, path: str) -> None:
         StreamReader(tmp_path / path)
     with pytest.raises(CodecError, match=r"manifest\.json"):
         StreamReader(tmp_path)
-    with pytest.raises(CodecError, match="no stream"):
+    with pytest.raises(CodecError, match="missing; this is not a whole swings stream"):
         StreamWriter.resume(tmp_path)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 import shutil
 from collections.abc import Callable
@@ -15,7 +14,7 @@ import pytest
 from codec.errors import CodecError
 from codec.profiles.profile import Profile
 from codec.stream.chunk import encode_chunk
-from codec.stream.index import pack_record, record_bytes
+from codec.stream.index import record_bytes
 from codec.stream.object import (
     encode_object,
     encode_packet,
@@ -25,7 +24,7 @@ from codec.stream.object import (
 )
 from codec.stream.reader import StreamReader
 from codec.tools.audit import verify_stream
-from tests.support.hostile import flips, forged_record
+from tests.support.hostile import flips, forged_record, put_object
 from tests.support.tiny_stream import tiny_slice, write_tiny
 
 NUM_FRAMES = 6
@@ -194,35 +193,23 @@ def test_a_key_of_the_manifest_is_named(stream: Path) -> None:
     assert "fps is missing or of the wrong type" in str(found(stream, "manifest.json"))
 
 
-def put(stream: Path, segment: int, layer: int, data: bytes) -> None:
-    """Replaces an object and says so in the index, as a faulty writer would."""
-    (stream / "segments" / str(segment) / str(layer)).write_bytes(data)
-    records = list(StreamReader(stream).records)
-    sizes, hashes = list(records[segment].object_bytes), list(records[segment].object_sha256)
-    sizes[layer], hashes[layer] = len(data), hashlib.sha256(data).digest()
-    records[segment] = replace(
-        records[segment], object_bytes=tuple(sizes), object_sha256=tuple(hashes)
-    )
-    (stream / "index.bin").write_bytes(b"".join(map(pack_record, records)))
-
-
 def test_a_wrong_chunk_with_a_right_hash(stream: Path) -> None:
     packets = object_packets((stream / "segments/1/1").read_bytes())
     wrong = encode_chunk(tiny_slice(5), 0, Profile.COMPACT)
-    put(stream, 1, 1, join_packets([packets[0], (5, encode_packet(wrong))]))
+    put_object(stream, 1, 1, join_packets([packets[0], (5, encode_packet(wrong))]))
     error = found(stream, "segments/1/1")
     assert error.at == 20 + 12 * 2 + len(packets[0][1])
     assert "altered" not in str(error)
-    assert "birth 5 does not fit the manifest: layer 0" in str(error)
+    assert "chunk: layer 0 where layer 1 belongs (chunk of birth 5, " in str(error)
 
 
 def test_what_hides_behind_the_last_chunk(stream: Path) -> None:
-    put(stream, 1, 1, (stream / "segments/1/1").read_bytes() + b"hidden")
+    put_object(stream, 1, 1, (stream / "segments/1/1").read_bytes() + b"hidden")
     assert found(stream, "segments/1/1").at == 20 + 12 + 8
 
 
 def test_more_gaussians_than_the_manifest_allows(stream: Path) -> None:
     chunks = [encode_chunk(tiny_slice(birth), 1, Profile.COMPACT) for birth in (4, 5)]
-    put(stream, 1, 1, encode_object(chunks))
+    put_object(stream, 1, 1, encode_object(chunks))
     error = found(stream, "segments/1/1")
     assert "the slice born at 4 has 60 Gaussians, the manifest allows 40" in str(error)

@@ -113,7 +113,7 @@ def test_nothing_to_draw_and_nothing_half_drawn(tmp_path: Path) -> None:
     StreamWriter.create(tmp_path / "empty", tiny_manifest()).abort()
     with pytest.raises(InvalidError, match="has no frames yet; there is nothing to draw"):
         draw_stream(tmp_path / "empty", tmp_path / "drawn.png")
-    with pytest.raises(CorruptError, match="is no folder"):
+    with pytest.raises(CorruptError, match="is not a folder"):
         draw_stream(tmp_path / "none", tmp_path / "drawn.png")
     assert [path.name for path in tmp_path.iterdir()] == ["empty"]
 

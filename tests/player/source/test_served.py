@@ -29,7 +29,7 @@ from player.source.fetch import BrokenError, FetchConfig, Fetcher, FetchError, S
 from player.source.retry import RetryConfig
 from player.source.served import HttpPlaySource
 from player.source.source import Source
-from tests.support.played import random_slice, small_manifest
+from tests.support.hosted_streams import random_slice, small_manifest
 
 QUICK = RetryConfig(attempts=2, first_delay_s=0.01, max_delay_s=0.01)
 
@@ -176,13 +176,13 @@ def test_a_server_that_stops_is_asked_again() -> None:
         (
             [answer(start(), SliceRecord(-3, ALL[1].packets))],
             CorruptError,
-            "has another birth",
+            "S: layer 0 of the slice born at -3: byte 8: chunk: birth -2 where birth -3 belongs",
         ),
-        ([answer(start(), SliceRecord(-3, (b"zz",)))], CorruptError, "S: packet"),
+        ([answer(start(), SliceRecord(-3, (b"zz",)))], CorruptError, "born at -3: packet"),
         (
             [answer(start(), record_of(-3, lambda s: random_slice(-3, 41)))],
             CorruptError,
-            "does not fit the manifest",
+            "the slice born at -3 has 41 Gaussians, the manifest allows 40",
         ),
         (
             [answer(start(), *ALL[:2]), answer(start(3, small_manifest(num_gs=4)))],

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 import shutil
 import threading
-import urllib.request
 import time
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -168,7 +168,7 @@ def test_what_is_no_stream(tmp_path: Path, server: ServerProcess) -> None:
     for nonsense in ("ftp://host/x", "http:///x", "http://host:port/x"):
         with pytest.raises(SwingsError):
             read_all(nonsense)
-    with pytest.raises(CorruptError, match="is no folder"):
+    with pytest.raises(CorruptError, match="is not a folder"):
         read_all(str(tmp_path / "absent"))
 
 

@@ -1,0 +1,210 @@
+"""How the parts of a stream must agree: manifest, index, objects, chunks and slices.
+
+Rule: whoever reads a stream, wherever it comes from, checks it by the functions here and by no
+others. They take bytes and give values or a CodecError, whose place is one in the bytes given, as
+exactly as the format tells.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+from codec.errors import CodecError, CorruptError
+from codec.slice import Slice
+
+from .chunk import BIRTH_OFFSET, LAYER_OFFSET, PROFILE_OFFSET, SH_DEGREE_OFFSET, Chunk
+from .index import SegmentRecord, parse_index, record_bytes, size_offset
+from .layers import merge_layers
+from .manifest import Manifest
+from .object import (
+    COUNT_OFFSET,
+    MAX_OBJECT_BYTES,
+    ChunkEntry,
+    decode_object_chunk,
+    decode_packet,
+    entry_offset,
+    error_in_object,
+    read_object_table,
+)
+
+MAX_INDEX_BYTES = 1 << 28
+"""Longest index read at once; 100 hours of four layers in segments of a second take 71 MB."""
+
+
+def read_index(
+    data: bytes, manifest: Manifest, before: Sequence[SegmentRecord] = ()
+) -> list[SegmentRecord]:
+    """The records in `data`, which follows the records `before` in index.bin.
+
+    A torn last record is left out, see `parse_index`.
+    """
+    records = parse_index(data, manifest.num_layers, len(before))
+    length = manifest.segment_frames
+    previous = before[-1] if before else None
+    for n, record in enumerate(records):
+        at = n * record_bytes(manifest.num_layers)
+        if previous is not None and previous.num_frames != length:
+            raise CorruptError("index: a segment follows a short one", at)
+        if record.first_frame != record.segment * length or record.num_frames > length:
+            at += 8 if record.num_frames > length else 4
+            raise CorruptError(f"index: segment {record.segment} does not fit the manifest", at)
+        for layer, size in enumerate(record.object_bytes):
+            if size > MAX_OBJECT_BYTES:
+                raise CorruptError(
+                    f"index: segment {record.segment} names too large an object",
+                    at + size_offset(layer),
+                )
+        previous = record
+    return records
+
+
+def check_index_end(index_bytes: int, manifest: Manifest, num_records: int) -> None:
+    """Raises CorruptError unless the index of a finished stream ends with its last whole record.
+
+    A reader leaves out what follows: a writer may have been cut off there, or may still be at it,
+    but only as long as the stream is live.
+    """
+    whole_bytes = num_records * record_bytes(manifest.num_layers)
+    if not manifest.live and index_bytes != whole_bytes:
+        raise CorruptError(
+            f"index: {index_bytes - whole_bytes} bytes after the last whole record "
+            "of a finished stream",
+            whole_bytes,
+        )
+
+
+def check_object_bytes(data: bytes, record: SegmentRecord, layer: int) -> None:
+    """Raises CorruptError unless the object `data` has the size and the hash that `record` says."""
+    size = record.object_bytes[layer]
+    if len(data) != size:
+        message = f"object: {len(data)} bytes, the index says {size}"
+        raise CorruptError(message, min(len(data), size))
+    if hashlib.sha256(data).digest() != record.object_sha256[layer]:
+        raise CorruptError("object: was altered: its hash differs from the index")
+
+
+def object_table(
+    data: bytes, manifest: Manifest, record: SegmentRecord, layer: int
+) -> tuple[ChunkEntry, ...]:
+    """The table of the object `data`, of which the packets may be cut short.
+
+    Its births are those of the segment, and it ends where `record` says that the object ends.
+    """
+    entries = read_object_table(data)
+    births = manifest.births(record.segment, record.num_frames)
+    message = f"object: its births are not {births[0]}..{births[-1]}"
+    for n, (entry, birth) in enumerate(zip(entries, births, strict=False)):
+        if entry.birth != birth:
+            raise CorruptError(message, entry_offset(n))
+    if len(entries) != len(births):
+        raise CorruptError(message, COUNT_OFFSET)
+    end = entries[-1].offset + entries[-1].size
+    if end != record.object_bytes[layer]:
+        raise CorruptError(
+            f"object: its table says {end} bytes, the index {record.object_bytes[layer]}",
+            entry_offset(len(entries)) - 4,  # the last size
+        )
+    return tuple(entries)
+
+
+def check_chunk(chunk: Chunk, manifest: Manifest, birth: int, layer: int) -> None:
+    """Raises CorruptError, with its place in the chunk, unless `chunk` is that of `birth` and
+    `layer` in a stream with `manifest`."""
+    for what, at, found, expected in (
+        ("birth", BIRTH_OFFSET, chunk.birth, birth),
+        ("layer", LAYER_OFFSET, chunk.layer, layer),
+        ("profile", PROFILE_OFFSET, chunk.profile, manifest.profile),
+        ("SH degree", SH_DEGREE_OFFSET, chunk.slice.splats.sh_degree, manifest.sh_degree),
+    ):
+        if found != expected:
+            raise CorruptError(f"chunk: {what} {found} where {what} {expected} belongs", at)
+
+
+def decode_fitting_packet(
+    packet: bytes | memoryview, manifest: Manifest, birth: int, layer: int
+) -> Chunk:
+    """The chunk in a packet that travelled alone; places are those in the decompressed chunk."""
+    chunk = decode_packet(packet, manifest.chunk_bounds)
+    check_chunk(chunk, manifest, birth, layer)
+    return chunk
+
+
+def decode_fitting_chunk(data: bytes, entry: ChunkEntry, manifest: Manifest, layer: int) -> Chunk:
+    """The chunk of an entry of the object `data`; a CodecError says where its packet begins."""
+    chunk = decode_object_chunk(data, entry, manifest.chunk_bounds)
+    try:
+        check_chunk(chunk, manifest, entry.birth, layer)
+    except CodecError as error:
+        raise error_in_object(error, entry) from error
+    return chunk
+
+
+def check_slice_size(birth: int, count: int, manifest: Manifest) -> None:
+    """Raises CorruptError if the slice born at `birth` has too many Gaussians with `count`."""
+    if count > manifest.slice_size:
+        raise CorruptError(
+            f"the slice born at {birth} has {count} Gaussians, "
+            f"the manifest allows {manifest.slice_size}"
+        )
+
+
+def fitting_slice(
+    chunks: Iterable[Chunk], manifest: Manifest, name_of: Callable[[int], object]
+) -> Slice:
+    """The slice that `chunks` make together: its layers 0, 1, ..., which `check_chunk` passes.
+
+    They are taken one by one, so that no more are decoded than the manifest has room for. name_of:
+    where a layer came from, for an error.
+    """
+    taken: list[Chunk] = []
+    count = 0
+    for layer, chunk in enumerate(chunks):
+        taken.append(chunk)
+        count += len(chunk.slice.splats)
+        try:
+            check_slice_size(chunk.birth, count, manifest)
+        except CodecError as error:
+            raise error.within(name_of(layer)) from error
+    return merge_layers(taken)
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedObject:
+    """An object that is as the index says, still compressed; its table is read and checked."""
+
+    name: str
+    """Where the bytes came from: what errors name."""
+    data: bytes
+    entries: tuple[ChunkEntry, ...]
+    manifest: Manifest
+    layer: int
+
+    @staticmethod
+    def check(
+        name: str, data: bytes, manifest: Manifest, record: SegmentRecord, layer: int
+    ) -> CheckedObject:
+        """The object `data` of a segment, found at `name`. Raises a CodecError that names it."""
+        try:
+            check_object_bytes(data, record, layer)
+            entries = object_table(data, manifest, record, layer)
+        except CodecError as error:
+            raise error.within(name) from error
+        return CheckedObject(name, data, entries, manifest, layer)
+
+    def entry(self, birth: int) -> ChunkEntry:
+        """Where the packet of the slice born at `birth`, one of this segment, lies."""
+        return self.entries[birth - self.entries[0].birth]
+
+    def packet(self, birth: int) -> bytes:
+        """The packet of the slice born at `birth`, as it is."""
+        entry = self.entry(birth)
+        return self.data[entry.offset : entry.offset + entry.size]
+
+    def chunk(self, birth: int) -> Chunk:
+        """The chunk of the slice born at `birth`. Raises a CodecError that names the object."""
+        try:
+            return decode_fitting_chunk(self.data, self.entry(birth), self.manifest, self.layer)
+        except CodecError as error:
+            raise error.within(self.name) from error

@@ -1,0 +1,37 @@
+"""A stream directory as a source: an error names the file that was read."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from codec.errors import CorruptError
+from codec.framerange import FrameRange
+from codec.stream import StreamReader
+from codec.stream.chunk import encode_chunk
+from codec.stream.object import encode_object
+from player.source.locate import open_source
+from tests.support.hosted_streams import random_slice, write_stream
+from tests.support.hostile import put_object
+
+
+@pytest.mark.parametrize("births", [[5, 6, 7, 8, 9], [5, 6, 7, 8], [5, 6, 7, 8, 10]])
+def test_a_wrong_object_is_named_by_its_file_not_by_its_url(
+    tmp_path: Path, births: list[int]
+) -> None:
+    """The index has the right size and hash of it: what is wrong is a chunk, or the table."""
+    stream = write_stream(tmp_path / "s", 13)
+    manifest = StreamReader(stream).manifest
+    elsewhere = replace(manifest, object_url="https://cdn.example/{layer}/{segment}")
+    (stream / "manifest.json").write_bytes(elsewhere.to_json())
+    # Chunks of layer 1 where layer 0 belongs.
+    chunks = [encode_chunk(random_slice(birth, 10), 1, manifest.profile) for birth in births]
+    put_object(stream, 1, 0, encode_object(chunks))
+    source = open_source(str(stream), FrameRange(), None)
+    with pytest.raises(CorruptError) as caught:
+        list(source.slices())
+    assert str(caught.value).startswith(f"{stream / 'segments' / '1' / '0'}: byte ")
+    assert "cdn.example" not in str(caught.value)
+    assert caught.value.at is not None
