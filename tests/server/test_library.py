@@ -15,6 +15,7 @@ from codec.stream.index import record_bytes
 from server.cache import ObjectCache
 from server.library import Library
 from server.metrics import Metrics
+from tests.support.hostile import put_object
 from tests.support.running_server import (
     SEGMENT_FRAMES,
     births_of,
@@ -64,8 +65,9 @@ def test_a_damaged_stream_names_its_file(tmp_path: Path, name: str) -> None:
     data = bytearray(path.read_bytes())
     data[10] ^= 0xFF
     path.write_bytes(data)
-    with pytest.raises(CodecError, match=name):
+    with pytest.raises(CodecError, match=rf"{name}: byte \d+: ") as caught:
         Library(tmp_path, 1.0)
+    assert caught.value.at is not None
 
 
 def test_it_follows_a_live_stream_but_not_all_the_time(tmp_path: Path) -> None:
@@ -190,5 +192,19 @@ def test_an_altered_object_is_never_loaded(tmp_path: Path) -> None:
         with pytest.raises(CodecError):
             await cache.load(stream, 1, 2)
         assert cache.size_bytes == 0
+
+    asyncio.run(check())
+
+
+def test_an_object_with_the_wrong_births_is_named_with_the_byte(tmp_path: Path) -> None:
+    root = make_stream(tmp_path / "s", 12)
+    data = (root / "segments" / "1" / "2").read_bytes()
+    put_object(root, 1, 2, data[:20] + bytes([4, 0, 0, 0]) + data[24:])
+
+    async def check() -> None:
+        stream = Library(root, 1.0).streams["s"]
+        with pytest.raises(CodecError, match=r"segments/1/2: byte 20: .* not 5\.\.9") as caught:
+            await ObjectCache(1 << 20, Metrics()).load(stream, 1, 2)
+        assert caught.value.at == 20
 
     asyncio.run(check())

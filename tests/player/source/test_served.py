@@ -215,6 +215,25 @@ def test_hostile_servers(answers: list[bytes], error: type[SwingsError], message
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("records", "name", "at"),
+    [
+        ([StartRecord(0, 3, b'{"version"; 1}')], "S", 10),
+        ([start(), SliceRecord(-3, ALL[1].packets)], "S: layer 0 of the slice born at -3", 8),
+        (
+            [start(), SliceRecord(-3, ALL[0].packets[:1] * 2)],
+            "S: layer 1 of the slice born at -3",
+            16,
+        ),
+    ],
+)
+def test_an_error_keeps_its_place(records: list[Record], name: str, at: int) -> None:
+    with pytest.raises(CorruptError) as caught:
+        births_from(answer(*records))
+    assert str(caught.value).startswith(f"{name}: byte {at}: ")
+    assert caught.value.at == at
+
+
 def test_waiting_for_a_slice_can_be_stopped() -> None:
     with script(answer(start(), ALL[0]) + HOLD) as host:
         source = HttpPlaySource("S", host.url, Fetcher(), FrameRange(), None)

@@ -1,0 +1,69 @@
+"""A stream on a static host as a source: an error names the URL and the byte."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from codec.errors import CorruptError
+from codec.framerange import FrameRange
+from codec.stream import StreamReader
+from codec.stream.chunk import encode_chunk
+from codec.stream.object import encode_object
+from player.source.fetch import FetchError
+from player.source.locate import open_source
+from tests.support.forged import put_object
+from tests.support.played import random_slice, static_host, write_stream
+
+
+@pytest.fixture
+def stream(tmp_path: Path) -> Path:
+    return write_stream(tmp_path / "s", 13)
+
+
+def play(url: str) -> None:
+    source = open_source(url, FrameRange(), None)
+    try:
+        list(source.slices())
+    finally:
+        source.close()
+
+
+def told(stream: Path) -> tuple[str, int | None]:
+    """What playing all of `stream` from a host raises, from the folder on, and its place."""
+    with static_host(stream.parent) as host, pytest.raises(CorruptError) as caught:
+        play(f"{host}/s")
+    message = str(caught.value)
+    assert message.startswith(f"{host}/s/")
+    return message.removeprefix(f"{host}/s/"), caught.value.at
+
+
+def test_a_wrong_record_of_the_index(stream: Path) -> None:
+    index = bytearray((stream / "index.bin").read_bytes())
+    size = len(index) // 3
+    index[size + 20] ^= 1
+    (stream / "index.bin").write_bytes(index)
+    message, at = told(stream)
+    assert at == size
+    assert message.startswith(f"index.bin: byte {size}: index: the record of segment 1")
+
+
+def test_a_wrong_table_and_a_wrong_chunk(stream: Path) -> None:
+    profile = StreamReader(stream).manifest.profile
+    for births, layer, place in (([5, 6, 7, 8, 10], 0, 20 + 4 * 12), (range(5, 10), 2, 20 + 60)):
+        chunks = [encode_chunk(random_slice(birth, 10), layer, profile) for birth in births]
+        put_object(stream, 1, 0, encode_object(chunks))
+        message, at = told(stream)
+        assert at == place
+        assert re.match(rf"segments/1/0: byte {place}: (object|chunk): ", message)
+
+
+def test_a_wrong_manifest_is_no_stream(stream: Path) -> None:
+    (stream / "manifest.json").write_text("<html>")
+    with (
+        static_host(stream.parent) as host,
+        pytest.raises(FetchError, match=r"s/manifest\.json: byte 0: .*; this is not a stream$"),
+    ):
+        open_source(f"{host}/s", FrameRange(), None)
