@@ -16,11 +16,12 @@ MAX_JOINED_PLANES = 8
 
 TABLE_BYTES = 12.0
 TABLE_BYTES_PER_VALUE = 0.25
-"""What a block with its Huffman table costs by reckoning: fixed, and per value up to the last."""
+"""Estimated size of the Huffman table of a block: a fixed part, and one for each byte value up to
+the largest in the block."""
 
 
 def join_planes(content: memoryview, edges: Sequence[int]) -> list[int]:
-    """Those of `edges` between which blocks cost least, by their entropy and their tables."""
+    """Those of `edges` where blocks should end to cost least, by their entropy and their tables."""
     planes = [
         np.bincount(np.frombuffer(content[a:b], np.uint8), minlength=256)
         for a, b in pairwise(edges)

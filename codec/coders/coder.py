@@ -28,7 +28,7 @@ def coder_of(packet: bytes | memoryview) -> Coder:
         return Coder.ZSTD
     if start == gzipframe.MAGIC:
         return Coder.GZIP
-    raise CorruptError("packet: neither a zstd frame nor a gzip member")
+    raise CorruptError("packet: is neither a zstd frame nor a gzip member")
 
 
 def compress(content: bytes, edges: Sequence[int] = (), coder: Coder = Coder.ZSTD) -> bytes:

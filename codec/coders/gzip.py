@@ -64,7 +64,7 @@ def compress(content: bytes, edges: Sequence[int] = ()) -> bytes:
 def content_bytes(packet: bytes | memoryview, limit_bytes: int) -> int:
     """What `packet` says it inflates to. Raises CorruptError if it cannot, or over the limit."""
     if len(packet) < len(HEAD) + TRAILER.size or packet[: len(MAGIC)] != MAGIC:
-        raise CorruptError("packet: no gzip member without flags")
+        raise CorruptError("packet: is not a gzip member without flags")
     size = int(TRAILER.unpack_from(packet, len(packet) - TRAILER.size)[1])
     if size > MAX_EXPANSION * len(packet):
         raise CorruptError(f"packet: {size} bytes of content cannot come from {len(packet)}")

@@ -53,7 +53,7 @@ def content_bytes(packet: bytes | memoryview, limit_bytes: int) -> int:
     try:
         parameters = zstandard.get_frame_parameters(packet)
     except zstandard.ZstdError as error:
-        raise CorruptError("packet: no zstd frame") from error
+        raise CorruptError("packet: is not a zstd frame") from error
     size = int(parameters.content_size)
     if parameters.content_size in (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR):
         raise CorruptError("packet: does not say its content size")
@@ -62,7 +62,7 @@ def content_bytes(packet: bytes | memoryview, limit_bytes: int) -> int:
     if size > limit_bytes:
         raise CorruptError(f"packet: {size} bytes of content, at most {limit_bytes}")
     if not parameters.has_checksum or parameters.dict_id:
-        raise CorruptError("packet: no checksum, or a dictionary")
+        raise CorruptError("packet: has no checksum, or needs a dictionary")
     return size
 
 

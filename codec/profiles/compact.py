@@ -1,7 +1,7 @@
 """Profile `compact`: the body of a chunk is quantised, sorted and laid out as byte planes.
 
-Rule: what fits no quantiser (a far outlier, an enormous scale) escapes and is stored as float32, so
-the error of every stored value is bounded whatever the input.
+Rule: a Gaussian that the quantisers cannot hold (a far outlier, an enormous scale) escapes: it is
+stored as float32. So the error of every value is bounded, whatever the input.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ HEAD = struct.Struct("<9fHHII")
 assert HEAD.size == 48
 
 GEOMETRY_PLANES = 8
-"""Gap lengths, three scales, three of rotation, opacity; then three for each SH coefficient."""
+"""Planes of gap lengths, three scales, three of rotation, opacity. Those of colour come behind."""
 
 TAME = 1e30
 """Magnitude from which a value escapes, so that no dequantised one overflows float32."""
 
 MAX_ESCAPE_SHARE = 0.005
 MIN_ESCAPES = 4
-"""A step grows until at most this share, or this many, lie outside what the integers reach."""
+"""A step grows until the integers reach all values but this share, or all but this many."""
 
 Flags = npt.NDArray[np.bool_]
 
@@ -111,7 +111,7 @@ def num_planes(sh_degree: int) -> int:
 
 
 def _single(value: float) -> float:
-    """`value` as float32 holds it: the encoder must reckon with what the decoder will read."""
+    """`value` rounded to float32, for the encoder must calculate with what the decoder reads."""
     return float(np.float32(np.clip(value, -TAME, TAME)))
 
 
@@ -121,9 +121,9 @@ def _spare(count: int) -> int:
 
 
 def _fit(values: Doubles, step: float, levels: int) -> tuple[float, float]:
-    """Where a range of `levels` steps starts that holds `values`, and a step, grown if it must.
+    """The start of a range of `levels` steps that holds `values`, and the step, grown if need be.
 
-    What lies outside the range escapes, which is little: see `_spare`.
+    A few values may lie outside the range, see `_spare`; they escape.
     """
     if not len(values):
         return 0.0, step
@@ -140,10 +140,10 @@ def _fit(values: Doubles, step: float, levels: int) -> tuple[float, float]:
 
 
 def _colour_step(sh: Doubles, step: float) -> float:
-    """`step`, or as much more as the coefficients that lie around zero need."""
+    """`step`, or a larger one if the coefficients that lie around zero need it."""
     if not len(sh):
         return step
-    # All but the luma of the first one, which has a base of its own.
+    # All but the luma of the first coefficient, which has a base of its own.
     farthest = np.zeros(len(sh))
     for column in sh.reshape(len(sh), 3 * sh.shape[1]).T[1:]:
         np.maximum(farthest, np.abs(column), out=farthest)
@@ -259,7 +259,8 @@ def decode(body: memoryview, count: int, sh_degree: int) -> Splats:
     )
     arrays = means, log_scales, quats, opacities, sh
     logits = opacity_logits(head.opacity_levels)
-    # Where NUMBA_DISABLE_JIT makes numpy of it; what overflows is not finite, which Splats refuses.
+    # With NUMBA_DISABLE_JIT the kernel is numpy, which warns of an overflow. Splats refuses the
+    # result, which is not finite.
     with np.errstate(over="ignore", invalid="ignore"):
         _dequantise(codes, planes, head.floats(), head.rotation_half, logits, *arrays)
     for array, part in zip(arrays, escaped, strict=True):

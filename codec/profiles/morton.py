@@ -116,7 +116,7 @@ def _decode_gaps(lengths, packed, codes):  # type: ignore[no-untyped-def]
             leading = np.uint64(1) << np.uint64(width)
             code += leading | (low & (leading - np.uint64(1)))
             bit += width
-        # A sum cannot jump over what this sees, for every gap is below 2**CODE_BITS.
+        # Seen before the sum can wrap around, because every gap is below 2**CODE_BITS.
         if code >> np.uint64(CODE_BITS):
             return False
         codes[i] = code

@@ -77,13 +77,14 @@ def _log_radius(splats: Splats) -> Doubles:
 
 
 def choose_steps(splats: Splats) -> Steps:
-    """The steps for a slice; positions go by the Gaussians' own sizes, as scenes have any scale."""
+    """The steps for a slice. That of positions follows the sizes of the Gaussians, for a scene may
+    have any scale."""
     if len(splats):
         weights = splats.opacities.astype(np.float64) + 1e-6
         log_size = (weights * _log_radius(splats)).sum() / weights.sum()
     else:
         log_size = 0.0
-    # A step as small as 1e-6 m keeps hostile or broken input from dividing by zero.
+    # At least 1e-6 m, so that hostile or broken input never divides by zero.
     position_m = max(POSITION_PER_SIZE * float(np.exp(np.clip(log_size, -30, 30))), 1e-6)
     return Steps(position_m, BASE_LOG_SCALE, BASE_ROTATION, BASE_OPACITY, BASE_COLOUR)
 
@@ -91,8 +92,8 @@ def choose_steps(splats: Splats) -> Steps:
 def layer_steps(layers: Sequence[Splats]) -> list[Steps]:
     """The steps for each layer of one slice: the less its Gaussians paint, the coarser.
 
-    The error that the picture takes from a layer then is about the same for all of them, which is
-    worth 5 % of the bytes at equal quality.
+    Each layer then adds about the same error to the picture, which saves 5 % of the bytes at equal
+    quality.
     """
     whole = choose_steps(Splats.concatenate(layers))
     paint = [np.exp(np.clip(_log_paint(layer), -60, 60)) for layer in layers]

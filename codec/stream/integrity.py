@@ -1,7 +1,7 @@
 """How the parts of a stream must agree: manifest, index, objects, chunks and slices.
 
-Rule: whoever reads a stream, wherever it comes from, checks it by the functions here and by no
-others. They take bytes and give values or a CodecError, whose place is one in the bytes given, as
+Rule: every reader of a stream, wherever it comes from, checks it with these functions and with
+nothing else. They take bytes and give values or a CodecError, whose place is one in those bytes, as
 exactly as the format tells.
 """
 

@@ -31,7 +31,7 @@ SEGMENTS_NAME = "segments"
 """The folder of the objects."""
 
 OBJECT_URL = f"{SEGMENTS_NAME}/{{segment}}/{{layer}}"
-"""Where whoever fetches a stream by URL finds its objects, if its manifest names no other place."""
+"""Where the objects are fetched by URL unless the manifest names another place."""
 
 MAX_MANIFEST_BYTES = 1 << 20
 """Longest manifest.json read, in bytes; 256 cameras need about 200 KB."""
@@ -52,7 +52,7 @@ Point = tuple[float, float, float]
 def object_file(stream: Path, segment: int, layer: int) -> Path:
     """Where the object of (segment, layer) lies in the folder `stream`.
 
-    What the manifest says of that is for those who fetch by URL, see `Manifest.object_path`.
+    Always there: the `object_url` of a manifest is only for those who fetch by URL.
     """
     return stream / SEGMENTS_NAME / str(segment) / str(layer)
 
@@ -243,17 +243,17 @@ class Manifest:
         try:
             value = json.loads(data.decode(), parse_constant=_no_constant)
         except UnicodeDecodeError as error:
-            raise CorruptError("manifest: no UTF-8", error.start) from error
+            raise CorruptError("manifest: is not UTF-8", error.start) from error
         except json.JSONDecodeError as error:
             at = len(error.doc[: error.pos].encode())
-            raise CorruptError(f"manifest: no JSON: {error}", at) from error
+            raise CorruptError(f"manifest: is not JSON: {error}", at) from error
         except (ValueError, RecursionError) as error:
-            raise CorruptError(f"manifest: no JSON: {error}") from error
+            raise CorruptError(f"manifest: is not JSON: {error}") from error
         if not isinstance(value, dict):
-            raise CorruptError("manifest: no JSON object")
+            raise CorruptError("manifest: is not a JSON object")
         version = value.get("version")
         if type(version) is not int:
-            raise CorruptError("manifest: no version; this is no swings stream")
+            raise CorruptError("manifest: has no version; this is not a swings stream")
         if version != VERSION:
             raise UnsupportedError(f"manifest: version {version}; this program reads {VERSION}")
         try:
@@ -273,7 +273,7 @@ def _is_unicode(text: str) -> bool:
 
 
 def _no_constant(name: str) -> Any:
-    raise ValueError(f"{name} is no number")
+    raise ValueError(f"{name} is not a number")
 
 
 def _typed(value: Mapping[str, Any], key: str, *kinds: type) -> Any:
@@ -285,7 +285,7 @@ def _typed(value: Mapping[str, Any], key: str, *kinds: type) -> Any:
 
 def _number(value: Any, key: str) -> float:
     if type(value) not in (int, float):
-        raise CorruptError(f"manifest: {key} holds something that is no number")
+        raise CorruptError(f"manifest: {key} holds something that is not a number")
     try:
         return float(value)
     except OverflowError as error:

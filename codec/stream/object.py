@@ -101,7 +101,9 @@ def read_object_table(data: bytes | memoryview) -> list[ChunkEntry]:
     says the place of the field that is wrong, or of the first of two that contradict each other.
     """
     if len(data) < HEAD.size:
-        raise CorruptError(f"object: {len(data)} bytes are no head of {HEAD.size}", len(data))
+        raise CorruptError(
+            f"object: {len(data)} bytes are too few for a head of {HEAD.size}", len(data)
+        )
     skippable, following, magic, version, coder, zero, count = HEAD.unpack_from(data)
     if skippable != SKIPPABLE_MAGIC or magic != TABLE_MAGIC:
         at = 0 if skippable != SKIPPABLE_MAGIC else 8

@@ -82,7 +82,7 @@ def encode_record(record: Record) -> bytes:
         case EndRecord():
             value = {"kind": "end", "num_frames": record.num_frames}
         case ErrorRecord():
-            # A path in a message may hold bytes that are no UTF-8.
+            # A path in a message may hold bytes that are not UTF-8.
             message = record.message[:MAX_MESSAGE_CHARS].encode(errors="replace").decode()
             value = {"kind": "error", "message": message}
     body: bytes = msgpack.packb(value, use_bin_type=True)
@@ -108,7 +108,7 @@ def _count(value: dict[str, Any], key: str) -> int:
 def _flat_list(items: list[Any]) -> list[Any]:
     """Refuses lists in lists as soon as one is built: a tree of them grows 64-fold in memory."""
     if any(type(item) is not bytes for item in items):
-        raise ValueError("a list of something else than bin")
+        raise ValueError("a list holds something else than bin")
     return items
 
 
@@ -133,9 +133,9 @@ def decode_record(body: bytes | memoryview) -> Record:
             max_ext_len=0,
         )
     except (ValueError, TypeError, RecursionError, msgpack.UnpackException) as error:
-        raise CorruptError(f"play: no msgpack record ({type(error).__name__})") from error
+        raise CorruptError(f"play: a record is not msgpack ({type(error).__name__})") from error
     if type(value) is not dict:
-        raise CorruptError("play: a record that is no map")
+        raise CorruptError("play: a record is not a map")
     match value.get("kind"):
         case "start":
             return StartRecord(

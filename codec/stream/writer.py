@@ -26,8 +26,8 @@ from .object import decode_packet, encode_packet, join_packets
 from .reader import StreamReader
 
 Quality = Callable[[Sequence[Chunk]], Sequence[float] | None]
-"""Given the decoded chunks of a slice, layer 0 first: the PSNR in dB of the frame that it is born
-in, with 1, 2, ... layers; None for a slice born before frame 0."""
+"""Takes the decoded chunks of a slice, layer 0 first. Gives the PSNR in dB of the frame that the
+slice is born in, with 1, 2, ... layers; None for a slice born before frame 0."""
 
 
 def _is_unused(path: Path) -> bool:

@@ -113,6 +113,6 @@ def _copy_poster(reader: StreamReader, folder: Path) -> None:
     except (OSError, RuntimeError):  # links in a circle, or a path too long for this system
         return
     copy = folder / poster.relative_to(root)
-    if not copy.exists():  # else it is no picture but a part of the stream
+    if not copy.exists():  # else the poster is a part of the stream
         copy.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(poster, copy)

@@ -126,6 +126,6 @@ def test_a_long_text_in_a_record() -> None:
 
 
 def test_what_went_wrong_can_always_be_sent() -> None:
-    """A message may name a path whose bytes are no UTF-8."""
+    """A message may name a path whose bytes are not UTF-8."""
     body = encode_record(ErrorRecord("lost: \udcff" + "x" * 999))[4:]
     assert decode_record(body) == ErrorRecord("lost: ?" + "x" * 493)

@@ -163,7 +163,7 @@ def with_name(packet: bytes) -> bytes:
         (with_name(bomb(100)), "neither a zstd frame nor a gzip member"),
         # zlib's and no container at all.
         (zlib.compress(bytes(100)), "neither"),
-        (b"\x1f\x8b\x08\0", "no gzip member"),
+        (b"\x1f\x8b\x08\0", "is not a gzip member"),
         (gzipframe.HEAD + struct.pack("<II", 0, 0), "packet: "),
     ],
 )
