@@ -41,7 +41,7 @@ def test_the_first_bytes_count_more_than_a_wrong_name(tmp_path: Path) -> None:
 
 def test_an_unreadable_file_is_named(tmp_path: Path) -> None:
     path = tmp_path / "model.ply"
-    with pytest.raises(CorruptError, match=r"model\.ply is missing"):
+    with pytest.raises(CorruptError, match=r"model\.ply is missing$"):
         read_splats(path)
     with pytest.raises(CorruptError, match="cannot be read: Is a directory"):
         read_splats(tmp_path)

@@ -14,8 +14,8 @@ from codec.stream.chunk import encode_chunk
 from codec.stream.object import encode_object
 from player.source.fetch import FetchError
 from player.source.locate import open_source
-from tests.support.forged import put_object
-from tests.support.played import random_slice, static_host, write_stream
+from tests.support.hosted_streams import random_slice, static_host, write_stream
+from tests.support.hostile import put_object
 
 
 @pytest.fixture
