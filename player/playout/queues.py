@@ -7,9 +7,10 @@ from collections import deque
 
 from codec.errors import SwingsError
 from player.source.fetch import StoppedError
+from player.source.source import ReceivedSlice
 
 from .clock import Clock
-from .timeline import DueFrame, FrameRecord, Playout, PlayoutTotals, ReceivedSlice
+from .timeline import DueFrame, FrameRecord, Playout, PlayoutTotals
 
 MAX_FRAMES_AHEAD = 2
 """Frames whose slices wait in the renderer to be drawn: one is packed while one is drawn."""

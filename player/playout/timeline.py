@@ -12,22 +12,7 @@ from dataclasses import dataclass
 
 from codec.errors import CorruptError, InvalidError
 from codec.slice import Slice
-
-
-@dataclass(frozen=True, slots=True)
-class ReceivedSlice:
-    """A decoded slice as a source hands it out."""
-
-    slice: Slice
-    layers: int
-    """Layers 0..layers-1 are in it."""
-    wire_bytes: int
-    """What it took on the wire or on disk, bytes."""
-
-    @property
-    def memory_bytes(self) -> int:
-        """What it takes decoded, bytes."""
-        return self.slice.num_bytes
+from player.source.source import ReceivedSlice
 
 
 @dataclass(frozen=True, slots=True)

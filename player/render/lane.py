@@ -18,10 +18,3 @@ def check_slice(slice: Slice, slice_size: int, sh_degree: int) -> None:
             f"the slice born at {slice.birth} has SH degree {slice.splats.sh_degree}, "
             f"the stream {sh_degree}"
         )
-
-
-def slice_bytes(slice: Slice) -> int:
-    """Bytes that `slice` takes in memory."""
-    splats = slice.splats
-    arrays = (splats.means, splats.log_scales, splats.quats, splats.logit_opacities, splats.sh)
-    return sum(array.nbytes for array in arrays) + slice.start_offsets.nbytes

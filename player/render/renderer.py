@@ -21,7 +21,6 @@ from codec.stream.manifest import Manifest
 from .arrivals import Arrivals
 from .cpu import render_splats
 from .gl import GlError, GlRenderer
-from .lane import slice_bytes
 from .ring import Ring
 
 log = logging.getLogger(__name__)
@@ -86,7 +85,7 @@ class CpuRenderer:
     def render(self, frame: int, camera: Camera) -> Floats:
         for slice in self._arrivals.take(frame):
             self._ring.put(slice)
-            self._uploaded_bytes += slice_bytes(slice)
+            self._uploaded_bytes += slice.num_bytes
         return render_splats(self._ring.active(frame), camera, self._near_m)
 
     def close(self) -> None:

@@ -8,9 +8,8 @@ from pathlib import Path
 from codec.framerange import FrameRange
 from codec.stream import StreamReader
 from codec.stream.manifest import Manifest
-from player.playout.timeline import ReceivedSlice
 
-from .source import check_frames, check_layers, segment_slices
+from .source import ReceivedSlice, check_frames, check_layers, segment_slices
 
 
 class DirectorySource:

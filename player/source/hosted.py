@@ -10,11 +10,10 @@ from codec.framerange import FrameRange
 from codec.stream.index import INDEX_NAME, SegmentRecord
 from codec.stream.integrity import MAX_INDEX_BYTES, CheckedObject, read_index
 from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest
-from player.playout.timeline import ReceivedSlice
 
 from .fetch import BrokenError, Fetcher, FetchError
 from .retry import Retry, RetryConfig
-from .source import check_frames, check_layers, segment_slices
+from .source import ReceivedSlice, check_frames, check_layers, segment_slices
 
 
 def fetch_manifest(fetcher: Fetcher, url: str) -> Manifest | None:

@@ -21,11 +21,10 @@ from codec.stream.playrecord import (
     SliceRecord,
     StartRecord,
 )
-from player.playout.timeline import ReceivedSlice
 
 from .fetch import BrokenError, Fetcher, FetchError, OpenResponse
 from .retry import Retry, RetryConfig
-from .source import check_frames, check_layers
+from .source import ReceivedSlice, check_frames, check_layers
 
 CONTENT_TYPE = "application/x-swings-play"
 

@@ -6,13 +6,30 @@ Every source gives a manifest at once and then slices in birth order, each with 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 from codec.errors import InvalidError
 from codec.framerange import FrameRange
+from codec.slice import Slice
 from codec.stream.integrity import CheckedObject, fitting_slice
 from codec.stream.manifest import Manifest
-from player.playout.timeline import ReceivedSlice
+
+
+@dataclass(frozen=True, slots=True)
+class ReceivedSlice:
+    """A decoded slice as a source hands it out."""
+
+    slice: Slice
+    layers: int
+    """Layers 0..layers-1 are in it."""
+    wire_bytes: int
+    """What it took on the wire or on disk, bytes."""
+
+    @property
+    def memory_bytes(self) -> int:
+        """What it takes decoded, bytes."""
+        return self.slice.num_bytes
 
 
 class Source(Protocol):

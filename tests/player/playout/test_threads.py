@@ -18,8 +18,9 @@ from codec.stream.manifest import Manifest
 from player.playout.clock import Clock
 from player.playout.queues import EmptyStreamError, Events, Handoff
 from player.playout.threads import Threads, render_thread
-from player.playout.timeline import FrameRecord, Playout, PlayoutConfig, ReceivedSlice
+from player.playout.timeline import FrameRecord, Playout, PlayoutConfig
 from player.source.fetch import StoppedError
+from player.source.source import ReceivedSlice
 from tests.support.hosted_streams import SWIN_SIZE, random_slice, small_manifest
 
 CAMERA = small_manifest().camera()

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from codec.errors import CorruptError, InvalidError
 from codec.slice import Slice
 from codec.splats import Splats
-from player.playout.timeline import FrameRecord, Playout, PlayoutConfig, ReceivedSlice
+from player.playout.timeline import FrameRecord, Playout, PlayoutConfig
+from player.source.source import ReceivedSlice
 
 EPSILON_S = 1e-9
 

@@ -19,11 +19,11 @@ from codec.slice import Slice
 from codec.stream import StreamReader, StreamWriter
 from player.link.link import Link
 from player.link.relay import Relay
-from player.playout.timeline import ReceivedSlice
 from player.source.fetch import BrokenError, Fetcher, FetchError
 from player.source.locate import open_source
 from player.source.retry import Retry, RetryConfig
 from player.source.served import HttpPlaySource
+from player.source.source import ReceivedSlice
 from tests.support.hosted_streams import (
     SWIN_SIZE,
     ServerProcess,
