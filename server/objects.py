@@ -14,8 +14,7 @@ from aiohttp import web
 from .byterange import ByteRange, Unsatisfiable, parse_range
 from .connection import PIECE_BYTES, Connection
 from .errors import RequestError
-from .lookup import find_stream
-from .state import STATE
+from .state import STATE, find_stream
 
 IMMUTABLE = "public, max-age=31536000, immutable"
 """For objects: what a segment's URL gives never changes."""

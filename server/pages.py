@@ -10,9 +10,8 @@ from aiohttp import web
 
 from .errors import RequestError
 from .library import ServedStream
-from .lookup import find_stream
 from .metrics import CONTENT_TYPE
-from .state import STATE
+from .state import STATE, find_stream
 
 _PAGE = """<!doctype html>
 <html lang="en">

@@ -28,8 +28,7 @@ from server.abr.session import Finished, PlaySession, SendSlice, WaitForFrames, 
 from .connection import Connection, StalledError
 from .errors import RequestError
 from .library import ServedStream
-from .lookup import find_stream
-from .state import STATE, ServerState
+from .state import STATE, ServerState, find_stream
 
 log = logging.getLogger(__name__)
 

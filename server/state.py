@@ -1,4 +1,4 @@
-"""What the handlers of one running server share."""
+"""What the handlers of one running server share, and how they find the stream of a request."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from aiohttp import web
 
 from .cache import ObjectCache
 from .config import ServerConfig
-from .library import Library
+from .errors import RequestError
+from .library import Library, ServedStream
 from .metrics import Metrics
 
 
@@ -30,3 +31,13 @@ class ServerState:
 
 
 STATE = web.AppKey("state", ServerState)
+
+
+async def find_stream(request: web.Request) -> ServedStream:
+    """The stream that the URL names, as it is now. Raises RequestError 404 where there is none."""
+    name = request.match_info["stream"]
+    now_s = asyncio.get_running_loop().time()
+    stream = await request.app[STATE].library.find(name, now_s)
+    if stream is None:
+        raise RequestError(404, f"no stream is called {name[:80]!r}; /v1/streams lists them")
+    return stream

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import aiohttp
 import numpy as np
 from aiohttp import web
 
@@ -156,3 +157,16 @@ async def eventually(condition: Callable[[], object], timeout_s: float = 5.0) ->
             return
         await asyncio.sleep(0.01)
     raise AssertionError(f"still not so after {timeout_s} s")
+
+
+Check = Callable[[Running, aiohttp.ClientSession], Awaitable[None]]
+
+
+def on_server(root: Path, check: Check, config: ServerConfig | None = None) -> None:
+    """Runs `check` against a server of `root`."""
+
+    async def run() -> None:
+        async with running(root, config) as server, aiohttp.ClientSession(server.url) as client:
+            await check(server, client)
+
+    asyncio.run(run())

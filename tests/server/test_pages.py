@@ -1,0 +1,119 @@
+"""Pages for people: the list of streams, and one for each; no client can bend them."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+from pathlib import Path
+
+import aiohttp
+import pytest
+
+from codec.stream import StreamWriter
+from tests.support.running_server import (
+    SEGMENT_FRAMES,
+    Running,
+    births_of,
+    make_stream,
+    on_server,
+    random_slice,
+    raw_request,
+    small_manifest,
+)
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("root")
+    make_stream(folder / "walk", 12, title="A <walk> & back")
+    make_stream(folder / "dance.2", 3)
+    return folder
+
+
+def test_the_list_and_the_front_page_name_every_stream(root: Path) -> None:
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        async with client.get("/v1/streams") as response:
+            listed = (await response.json())["streams"]
+        assert [one["name"] for one in listed] == ["dance.2", "walk"]
+        assert listed[1]["num_frames"] == 12
+        assert listed[1]["num_layers"] == 4
+        async with client.get(listed[1]["manifest"]) as response:
+            assert (await response.json())["title"] == "A <walk> & back"
+        async with client.get("/") as response:
+            page = await response.text()
+            assert response.content_type == "text/html"
+        assert re.findall('href="([^"]*)"', page) == ["/watch/dance.2", "/watch/walk"]
+        assert "A &lt;walk&gt; &amp; back" in page
+        assert "<walk>" not in page
+        assert server.url in page
+
+    on_server(root, check)
+
+
+def test_every_stream_has_a_page_for_people(root: Path) -> None:
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        async with client.get("/watch/walk") as response:
+            page = await response.text()
+            assert (response.status, response.content_type) == (200, "text/html")
+            assert response.headers["Content-Security-Policy"].startswith("default-src 'none'")
+        assert page.count("A &lt;walk&gt; &amp; back") == 2
+        assert "<walk>" not in page
+        assert "12 frames, 0.4 s at 30 fps; 32 Gaussians in a frame, 4 layers" in page
+        assert f"swings-play {server.url}/watch/walk<" in page
+        links = re.findall('href="([^"]*)"', page)
+        assert links == ["/v1/streams/walk/manifest.json", "/"]
+        for link in links:
+            async with client.get(link) as response:
+                assert response.status == 200
+        async with client.head("/watch/walk") as head:
+            assert (head.status, int(head.headers["Content-Length"])) == (200, len(page))
+
+    on_server(root, check)
+
+
+def test_a_live_stream_says_so_on_its_page(tmp_path: Path) -> None:
+    writer = StreamWriter.create(tmp_path / "live", small_manifest())
+
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        async with client.get("/watch/live") as response:
+            assert "live, 0 frames" in await response.text()
+        for birth in births_of(SEGMENT_FRAMES):
+            writer.append(random_slice(birth, 8))
+        await asyncio.sleep(0.05)
+        async with client.get("/watch/live") as response:
+            assert "live, 5 frames" in await response.text()
+        writer.close()
+
+    on_server(tmp_path, check)
+
+
+@pytest.mark.parametrize("name", ["nobody", "..", "%2e%2e", "walk%2f..", "<script>", "a" * 3000])
+def test_a_stream_that_is_not_there_has_a_page_that_says_so(root: Path, name: str) -> None:
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        # Raw, because a client would tidy the path up.
+        request = f"GET /watch/{name} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n"
+        answer = await raw_request(server.port, request.encode())
+        head, _, body = answer.partition(b"\r\n\r\n")
+        assert head.startswith(b"HTTP/1.1 404 "), head
+        assert b"Content-Type: text/html" in head
+        assert b"Content-Security-Policy: default-src 'none'" in head
+        assert b'<a href="/">' in body
+        assert name.encode() not in body
+
+    on_server(root, check)
+
+
+@pytest.mark.parametrize("host", ["", "a:99999999", "a:b", "a b", "<script>", "\xff", "x/../y"])
+@pytest.mark.parametrize("path", ["/", "/watch/walk"])
+def test_a_malformed_host_is_the_client_s_fault(
+    root: Path, path: str, host: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        request = f"GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n"
+        answer = await raw_request(server.port, request.encode("latin-1"))
+        assert answer.startswith(b"HTTP/1.1 400 "), answer
+        assert "is not HOST" in json.loads(answer.partition(b"\r\n\r\n")[2])["error"]
+
+    on_server(root, check)
+    assert not caplog.records
