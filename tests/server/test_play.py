@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import socket
 import time
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,7 +25,6 @@ from codec.stream.playrecord import (
     SliceRecord,
     StartRecord,
 )
-from server.config import ServerConfig
 from server.connection import PIECE_BYTES
 from server.errors import RequestError
 from server.play import parse_query
@@ -36,14 +35,12 @@ from tests.support.running_server import (
     births_of,
     eventually,
     make_stream,
+    on_server,
     parse_records,
     quick_config,
     random_slice,
-    running,
     small_manifest,
 )
-
-Check = Callable[[Running, aiohttp.ClientSession], Awaitable[None]]
 
 
 @pytest.fixture(scope="module")
@@ -52,17 +49,8 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     make_stream(folder / "walk", 23, fps=300)
     # 240 frames in 4 s; 170 KB a second with one layer, 680 with all.
     make_stream(folder / "long", 240, slice_size=200, fps=60)
-    # More than sockets hold.
-    make_stream(folder / "wide", 9, slice_size=10_000, fps=30)
+    make_stream(folder / "wide", 9, slice_size=10_000, fps=30)  # more than sockets hold
     return folder
-
-
-def on_server(root: Path, check: Check, config: ServerConfig | None = None) -> None:
-    async def run() -> None:
-        async with running(root, config) as server, aiohttp.ClientSession(server.url) as client:
-            await check(server, client)
-
-    asyncio.run(run())
 
 
 async def play(client: aiohttp.ClientSession, stream: str, query: str = "") -> list[Record]:
