@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,6 +18,7 @@ from matplotlib.patheffects import withStroke
 from codec.camera import Camera
 from codec.pose import Doubles
 from codec.rig import mean_up
+from codec.files import replacing
 
 from .capture import Capture, check_trainable
 from .layout import open_capture
@@ -169,10 +169,8 @@ def draw_capture(capture: Capture, path: Path) -> None:
     )
     figure.tight_layout(rect=(0, 0.04, 1, 0.99))
     path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
-        drawn = Path(folder) / "drawn.png"
-        figure.savefig(drawn, format="png")
-        drawn.replace(path)
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format="png")
 
 
 def level_axes(cameras: Sequence[Camera]) -> Doubles:

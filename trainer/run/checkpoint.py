@@ -1,13 +1,12 @@
 """Everything that a training run needs to go on where it was killed.
 
-Rule: a checkpoint is written whole (temporary name, rename) after each window, so the newest one is
-always usable; a run that resumes from it makes the same bytes as one that was never stopped.
+Rule: a checkpoint is replaced as a whole after each window, so the newest one is always usable; a
+run that resumes from it makes the same bytes as one that was never stopped.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.errors import InvalidError
+from codec.files import replacing
 from codec.slice import Slice
 from codec.splats import ARRAY_NAMES, Splats
 from trainer.errors import CheckpointError
@@ -51,12 +51,9 @@ def save_checkpoint(
         for name in ARRAY_NAMES:
             arrays[f"pending.{name}"] = np.stack([getattr(s.splats, name) for s in pending])
         arrays["pending.start_offsets"] = np.stack([s.start_offsets for s in pending])
-    temporary = path.with_name(f"{path.name}.tmp")
-    with open(temporary, "wb") as file:
+    # Opened here, because numpy would add .npz to the temporary name.
+    with replacing(path) as temporary, open(temporary, "wb") as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]  # its stub takes the names for options
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
 
 
 def load_checkpoint(path: Path, settings: Mapping[str, Any]) -> Checkpoint:

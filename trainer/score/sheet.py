@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageDraw
 
+from codec.files import replacing
 from codec.stream import StreamReader
 from player.render.cpu import render_splats
 from trainer.capture.layout import open_capture
@@ -37,9 +38,8 @@ def comparison(shown: Floats, truth: Floats) -> npt.NDArray[np.uint8]:
 def save_png(picture: Image.Image, target: Path) -> None:
     """Puts the picture at `target`, folders included: all of it or nothing."""
     target.parent.mkdir(parents=True, exist_ok=True)
-    temporary = target.with_name(f".{target.name}.tmp")
-    picture.save(temporary, format="PNG")
-    temporary.replace(target)
+    with replacing(target) as temporary:
+        picture.save(temporary, format="PNG")
 
 
 def write_sheet(stream: Path, capture_path: Path, target: Path) -> None:
