@@ -16,9 +16,9 @@ import os
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Literal, get_args
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
@@ -33,9 +33,9 @@ from rich.table import Table
 
 from codec.console import run_command
 from codec.errors import InvalidError
+from codec.files import write_atomic
 from codec.framerange import FrameRange
 from trainer.capture.layout import open_capture
-from trainer.fit.optimiser import OptimiserConfig
 from trainer.fit.trainer import FitConfig
 from trainer.run.job import TrainConfig, train_stream
 from trainer.score.evaluate import EvaluateConfig, evaluate_stream
@@ -88,7 +88,7 @@ class Setting:
     @property
     def carried(self) -> bool:
         """Whether Adam's history goes from window to window."""
-        return bool(getattr(self.fit.optimiser, "carry_adam", True))
+        return self.fit.optimiser.carry_adam
 
     @property
     def name(self) -> str:
@@ -114,11 +114,6 @@ Outcomes = Mapping[Setting, Sequence[Outcome]]
 """Of each setting, one for each seed."""
 
 
-def can_start_afresh() -> bool:
-    """Whether this trainer can forget Adam's history between windows."""
-    return "carry_adam" in {f.name for f in fields(OptimiserConfig)}
-
-
 def settings(config: AblateConfig) -> list[Setting]:
     base = FitConfig(
         num_gs=config.age_num_gs,
@@ -127,11 +122,9 @@ def settings(config: AblateConfig) -> list[Setting]:
         window_iterations=config.window_iterations,
     )
     found = []
-    for carried in (True, False) if can_start_afresh() else (True,):
-        # By name, because a trainer without the switch knows no such argument.
-        changes: dict[str, Any] = {} if carried else {"carry_adam": False}
+    for carried in CARRIED:
         for age_scaling in AGE_SCALINGS:
-            optimiser = replace(base.optimiser, age_scaling=age_scaling, **changes)
+            optimiser = replace(base.optimiser, age_scaling=age_scaling, carry_adam=carried)
             found.append(Setting(replace(base, optimiser=optimiser), compares_age=True))
     for swin_size in config.swin_sizes:
         fit = replace(base, swin_size=swin_size, num_gs=swin_size * config.slice_size)
@@ -164,9 +157,7 @@ def kept_path(config: AblateConfig, fit: FitConfig) -> Path:
 
 
 def keep(path: Path, outcome: Outcome) -> None:
-    temporary = path.with_suffix(".tmp")
-    temporary.write_text(json.dumps(asdict(outcome), indent=1))
-    temporary.replace(path)
+    write_atomic(path, json.dumps(asdict(outcome), indent=1).encode())
 
 
 def relative_cost(fit: FitConfig, num_frames: int) -> float:
@@ -278,10 +269,8 @@ def draw(outcomes: Outcomes, config: AblateConfig) -> None:
     ages, sizes = figure.subplots(1, 2)
     for shift, carried in enumerate(CARRIED):
         found = [o for s, o in outcomes.items() if s.compares_age and s.carried == carried]
-        if found:
-            x = [i + 0.08 * (2 * shift - 1) for i in range(len(found))]
-            label = f"Adam's history {CARRIED[carried]}"
-            draw_points(ages, x, found, COLOURS[carried], label)
+        x = [i + 0.08 * (2 * shift - 1) for i in range(len(found))]
+        draw_points(ages, x, found, COLOURS[carried], f"Adam's history {CARRIED[carried]}")
     ages.set_xticks(range(len(AGE_SCALINGS)), AGE_SCALINGS)
     ages.set_xlim(-0.5, len(AGE_SCALINGS) - 0.5)
     ages.set_xlabel("age scaling of positions: what 1 / (1 + age) multiplies")
