@@ -86,10 +86,10 @@ class Comparer:
         weights = np.zeros(len(rows), np.float32)
         for i, view in enumerate(self.views):
             width, height = size = view.camera.width_px, view.camera.height_px
-            small = Image.fromarray(pictures.picture(i, frame)).resize(size, Image.Resampling.BOX)
+            shot = pictures.shot(i, frame)
+            small = Image.fromarray(shot.picture).resize(size, Image.Resampling.BOX)
             truth = np.asarray(small, np.float32) / np.float32(255)
-            mask = pictures.mask(i, frame)
-            small_mask = None if mask is None else scaled_mask(mask, width, height)
+            small_mask = None if shot.mask is None else scaled_mask(shot.mask, width, height)
             rendered = render(values, rows, view)
             weights += contribution(rendered, small_mask)
             # Compared as this camera would show it, matched with others in the stream's colours.

@@ -19,7 +19,7 @@ from codec.errors import InvalidError
 from codec.slice import MAX_SWIN_SIZE, Slice
 from codec.splats import Splats
 from trainer.pictures.feed import Pictures
-from trainer.pictures.scale import half_mask
+from trainer.pictures.shot import Shot
 from trainer.step.backend import Backend, BackendName, make_backend
 from trainer.step.raster import Parameters, View
 
@@ -256,8 +256,10 @@ class Trainer:
             camera = int(self.rng.integers(len(self.views)))
             means_lr = self._means_lr(genesis, iteration / iterations)
             coarse = genesis and iteration < self.coarse_share * iterations
-            view = (self.coarse_views if coarse else self.views)[camera]
-            loss = self._step(camera, view, frame, active[frame], means_lr, ages, genesis)
+            view, shot = self.views[camera], self.pictures.shot(camera, frame)
+            if coarse:
+                view, shot = self.coarse_views[camera], shot.half()
+            loss = self._step(camera, view, shot, active[frame], means_lr, ages, genesis)
             done = iteration + 1
             period = config.mcmc.relocate_period
             if done % period == 0 and done <= config.mcmc.relocate_until * iterations:
@@ -277,19 +279,16 @@ class Trainer:
         self,
         camera: int,
         view: View,
-        frame: int,
+        shot: Shot,
         rows: Ints,
         means_lr: float,
         ages: Floats,
         genesis: bool,
     ) -> float:
         config, mcmc = self.config, self.config.mcmc
-        mask = self.pictures.mask(camera, frame)
-        if mask is not None and mask.shape != (view.camera.height_px, view.camera.width_px):
-            mask = half_mask(mask)
         loss = self.backend.step(
-            self.values, rows, view, self.pictures.picture(camera, frame),
-            self.colour.gain(camera), self.colour.bias(camera), config.num_gs, self.gradients, mask,
+            self.values, rows, view, shot, self.colour.gain(camera), self.colour.bias(camera),
+            config.num_gs, self.gradients,
         )  # fmt: skip
         trainable = rows[rows < config.num_gs]
         self.adam.step(self.values, self.gradients, trainable, means_lr, ages)

@@ -16,14 +16,14 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image
 
 from codec.camera import Camera
 from codec.errors import InvalidError
 from trainer.capture.capture import Capture, Mask, Picture
 
 from .prefetch import Prefetcher
-from .scale import scaled_mask
+from .scale import scaled_mask, scaled_picture
+from .shot import Shot
 
 DEFAULT_MAX_BYTES = 1 << 30
 """Bytes of pictures kept: 30 cameras x 200 frames at 320x180, or 30 x 8 at 1352x1014."""
@@ -118,6 +118,11 @@ class FrameCache:
     def camera(self, camera_index: int) -> Camera:
         """The camera at the size of the pictures handed out."""
         return self._cameras[camera_index]
+
+    def shot(self, camera_index: int, frame: int) -> Shot:
+        """The picture and its mask, read-only. Raises CaptureError when the capture cannot be
+        read."""
+        return Shot(self.image(camera_index, frame), self.mask(camera_index, frame))
 
     def image(self, camera_index: int, frame: int) -> Picture:
         """(h, w, 3) uint8 RGB, read-only. Raises CaptureError when the capture cannot be read."""
@@ -275,18 +280,3 @@ class FrameCache:
         """Needs the lock."""
         self._held[key] = read
         self._held_bytes += read.nbytes
-
-
-def scaled_picture(picture: Picture, camera: Camera) -> Picture:
-    """The picture on the pixel grid of a scaled camera; every new pixel is the mean of the area it
-    covers.
-
-    With sides that divide evenly (scale 0.5: 2x2) the mean is over whole pixels, rounded once.
-    """
-    height_px, width_px = picture.shape[:2]
-    if (width_px, height_px) == (camera.width_px, camera.height_px):
-        return picture
-    image = Image.fromarray(picture)
-    if width_px % camera.width_px == 0 and height_px % camera.height_px == 0:
-        return np.array(image.reduce((width_px // camera.width_px, height_px // camera.height_px)))
-    return np.array(image.resize((camera.width_px, camera.height_px), Image.Resampling.BOX))

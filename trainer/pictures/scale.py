@@ -1,15 +1,37 @@
-"""Masks of smaller pictures: a pixel counts only when all that it covers counts."""
+"""Smaller pictures and their masks.
+
+A pixel of a smaller picture is the mean of the area that it covers, and counts only when all of
+that area counts.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from numba import prange
+from PIL import Image
 
-from trainer.capture.capture import Mask
+from codec.camera import Camera
+from codec.kernel import kernel
+from trainer.capture.capture import Mask, Picture
+
+
+def scaled_picture(picture: Picture, camera: Camera) -> Picture:
+    """The picture at the size of `camera`, which is at most its own.
+
+    With sides that divide evenly (scale 0.5: 2x2) the mean is over whole pixels, rounded once.
+    """
+    height_px, width_px = picture.shape[:2]
+    if (width_px, height_px) == (camera.width_px, camera.height_px):
+        return picture
+    image = Image.fromarray(picture)
+    if width_px % camera.width_px == 0 and height_px % camera.height_px == 0:
+        return np.array(image.reduce((width_px // camera.width_px, height_px // camera.height_px)))
+    return np.array(image.resize((camera.width_px, camera.height_px), Image.Resampling.BOX))
 
 
 def scaled_mask(mask: Mask, width_px: int, height_px: int) -> Mask:
-    """The (H, W) mask of a picture scaled to `width_px` x `height_px`, at most its size."""
+    """The mask of a picture scaled to `width_px` x `height_px`, which is at most its own size."""
     if mask.shape == (height_px, width_px):
         return mask
     # How many ignored pixels are above and to the left.
@@ -28,7 +50,7 @@ def scaled_mask(mask: Mask, width_px: int, height_px: int) -> Mask:
 
 
 def half_mask(mask: Mask) -> Mask:
-    """The (H, W) mask of the picture's 2x2 means; an odd last row or column is left out."""
+    """The mask of the picture's 2x2 means; an odd last row or column is left out."""
     even = mask[: mask.shape[0] // 2 * 2, : mask.shape[1] // 2 * 2]
     half: Mask = even[::2, ::2] & even[::2, 1::2] & even[1::2, ::2] & even[1::2, 1::2]
     return half
@@ -39,3 +61,28 @@ def _covered(full_px: int, small_px: int) -> tuple[npt.NDArray[np.int64], npt.ND
     after the last."""
     edges = np.arange(small_px + 1, dtype=np.int64) * full_px
     return edges[:-1] // small_px, -(-edges[1:] // small_px)
+
+
+@kernel(parallel=True)
+def fill_planes(picture, planes):  # type: ignore[no-untyped-def]
+    """The picture (H, W, 3) uint8 as planes (3, H, W) float32 in 0..1."""
+    height, width, _ = picture.shape
+    unit = np.float32(1 / 255)
+    for y in prange(height):
+        for c in range(3):
+            for x in range(width):
+                planes[c, y, x] = unit * np.float32(picture[y, x, c])
+
+
+@kernel(parallel=True)
+def fill_half_planes(picture, planes):  # type: ignore[no-untyped-def]
+    """The picture's 2x2 means, not rounded, as planes (3, H // 2, W // 2) float32 in 0..1."""
+    _, height, width = planes.shape
+    unit = np.float32(0.25 / 255)
+    for y in prange(height):
+        for c in range(3):
+            for x in range(width):
+                total = np.int32(picture[2 * y, 2 * x, c]) + np.int32(picture[2 * y, 2 * x + 1, c])
+                total += np.int32(picture[2 * y + 1, 2 * x, c])
+                total += np.int32(picture[2 * y + 1, 2 * x + 1, c])
+                planes[c, y, x] = unit * np.float32(total)

@@ -12,12 +12,10 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 import tyro
 from PIL import Image
 from rich.console import Console
 
-from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.framerange import FrameRange
 from codec.profiles.profile import Profile
@@ -31,6 +29,7 @@ from trainer.capture.layout import open_capture
 from trainer.capture.points import points_evenness, read_points_file
 from trainer.errors import CaptureError, InterruptedRunError
 from trainer.fit.trainer import FALLBACK_FAR_M, FitConfig, Trainer
+from trainer.pictures.feed import CapturePictures
 from trainer.pictures.framecache import DEFAULT_MAX_BYTES, FrameCache
 from trainer.score.evaluate import displayed
 from trainer.score.quality import QualityMeter
@@ -131,34 +130,6 @@ class TrainConfig:
         return self.stream
 
 
-class CapturePictures:
-    """The training cameras of a cache, as the trainer wants them: frames from 0."""
-
-    def __init__(self, cache: FrameCache, indices: tuple[int, ...]) -> None:
-        self._cache, self._indices = cache, indices
-        self._cameras = [cache.camera(i) for i in indices]
-
-    @property
-    def num_frames(self) -> int:
-        return len(self._cache.frames)
-
-    @property
-    def cameras(self) -> list[Camera]:
-        return self._cameras
-
-    def picture(self, camera: int, frame: int) -> npt.NDArray[np.uint8]:
-        return self._cache.image(self._indices[camera], self._cache.frames[frame])
-
-    def mask(self, camera: int, frame: int) -> npt.NDArray[np.uint8] | None:
-        return self._cache.mask(self._indices[camera], self._cache.frames[frame])
-
-    def prefetch(self, frame: int, needed_from: int) -> None:
-        """Has a frame read ahead, if there is one; frames before `needed_from` may go for it."""
-        if frame < self.num_frames:
-            frames = self._cache.frames
-            self._cache.prefetch(self._indices, frames[frame], frames[needed_from])
-
-
 def depths(capture: Capture, config: TrainConfig) -> tuple[float, float]:
     """Near and far depth in metres: as configured, else the capture's, else the fallbacks."""
     near_m = config.near_m
@@ -189,9 +160,11 @@ def first_gaussians(
     missing = fit.num_gs - len(positions)
     if missing > 0:
         cameras = pictures.cameras
-        first = [pictures.picture(c, 0) for c in range(len(cameras))]
-        masks = [pictures.mask(c, 0) for c in range(len(cameras))]
-        seeds, seed_colours = stereo_seeds(cameras, first, missing, near_m, far_m, rng, masks)
+        shots = [pictures.shot(c, 0) for c in range(len(cameras))]
+        seeds, seed_colours = stereo_seeds(
+            cameras, [s.picture for s in shots], missing, near_m, far_m, rng,
+            [s.mask for s in shots],
+        )  # fmt: skip
         if len(seeds) < missing:
             raise CaptureError(
                 f"{capture.root}: no three training cameras see the same place between "

@@ -11,7 +11,6 @@ import os
 import sys
 
 import numpy as np
-import numpy.typing as npt
 from numba.core.dispatcher import Dispatcher
 from rich.console import Console
 
@@ -19,9 +18,11 @@ from codec.camera import Camera
 from codec.profiles.profile import Profile
 from codec.stream.chunk import decode_chunk, encode_chunk
 from player.render.cpu import render_splats
+from trainer.capture.capture import Mask
 from trainer.capture.lens import Lens, straightened
 from trainer.fit.mcmc import McmcConfig
 from trainer.fit.trainer import FitConfig, Trainer
+from trainer.pictures.shot import Shot
 from trainer.seed.gaussians import initial_splats, stereo_seeds
 
 from .rank import matured_by_contribution
@@ -41,17 +42,18 @@ class _Noise:
             w2c = np.eye(4)
             w2c[0, 3] = 0.2 * i
             self.cameras.append(Camera(f"{i}", 64, 64, 60.0, 60.0, 32.0, 32.0, w2c))
-        self._picture = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
-        self._mask = np.ones((64, 64), np.uint8)
+        picture = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
+        mask = np.ones((64, 64), np.uint8)
         # Like those of a FrameCache: numba compiles anew for arrays that may be written to.
-        self._picture.setflags(write=False)
-        self._mask.setflags(write=False)
+        picture.setflags(write=False)
+        mask.setflags(write=False)
+        self._shot = Shot(picture, mask)
 
-    def picture(self, camera: int, frame: int) -> npt.NDArray[np.uint8]:
-        return self._picture
+    def shot(self, camera: int, frame: int) -> Shot:
+        return self._shot
 
-    def mask(self, camera: int, frame: int) -> npt.NDArray[np.uint8]:
-        return self._mask
+    def mask(self, camera: int, frame: int) -> Mask | None:
+        return self._shot.mask
 
 
 def _misses() -> int:
@@ -69,7 +71,8 @@ def compile_kernels(sh_degree: int) -> bool:
     """Runs every kernel that training with `sh_degree` runs; whether any had to be compiled."""
     pictures = _Noise()
     rng = np.random.default_rng(0)
-    stereo_seeds(pictures.cameras, [pictures.picture(0, 0)] * 3, 8, 1.0, 10.0, rng)
+    picture = pictures.shot(0, 0).picture
+    stereo_seeds(pictures.cameras, [picture] * 3, 8, 1.0, 10.0, rng)
     points = rng.uniform((-1, -1, 2), (1, 1, 4), (8, 3)).astype(np.float32)
     initial = initial_splats(points, np.full((8, 3), 128, np.uint8), sh_degree)
     config = FitConfig(
@@ -82,7 +85,7 @@ def compile_kernels(sh_degree: int) -> bool:
         mcmc=McmcConfig(relocate_period=1, renew_share=0.5),
     )
     trainer = Trainer(config, pictures, initial, 0.2)
-    straightened(pictures.picture(0, 0), pictures.cameras[0], Lens(k1=0.01))
+    straightened(picture, pictures.cameras[0], Lens(k1=0.01))
     for parts in trainer.windows():
         for part in matured_by_contribution(trainer, parts):
             decode_chunk(encode_chunk(part, 0, Profile.COMPACT).data)

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.errors import InvalidError
+from trainer.pictures.shot import Shot
 
 from .loss import Loss, photometric_loss
 from .raster import Ints, Parameters, Scratch, View, backward, render
@@ -31,18 +32,16 @@ class Backend(Protocol):
         values: Parameters,
         rows: Ints,
         view: View,
-        picture: npt.NDArray[np.uint8],
+        shot: Shot,
         gain: Floats,
         bias: Floats,
         trainable: int,
         gradients: Parameters,
-        mask: npt.NDArray[np.uint8] | None = None,
     ) -> Loss:
-        """The loss of the Gaussians `rows` seen by `view` against `picture`.
+        """The loss of the Gaussians `rows` seen by `view` against `shot`.
 
-        picture: (H, W, 3) uint8, of the view's size or twice that; gain, bias: (3,) of its camera.
-        mask: (h, w) of the view's size, above 0 where a pixel counts; None: all count.
-        Writes the gradients of those rows that are below `trainable` into `gradients`.
+        shot: of the view's size; gain, bias: (3,) of its camera. Writes the gradients of those rows
+        that are below `trainable` into `gradients`.
         """
         ...
 
@@ -61,18 +60,17 @@ class CpuBackend:
         values: Parameters,
         rows: Ints,
         view: View,
-        picture: npt.NDArray[np.uint8],
+        shot: Shot,
         gain: Floats,
         bias: Floats,
         trainable: int,
         gradients: Parameters,
-        mask: npt.NDArray[np.uint8] | None = None,
     ) -> Loss:
         """See `Backend.step`."""
-        target, workspace = self._targets.take(picture, view.camera)
+        target, workspace = self._targets.take(shot)
         rendered = render(values, rows, view, self._scratch)
         loss = photometric_loss(
-            rendered.picture, target, self._dssim_weight, gain, bias, workspace, mask
+            rendered.picture, target, self._dssim_weight, gain, bias, workspace, shot.mask
         )
         backward(
             rendered, values, loss.picture_grad, trainable, gradients, self._opacity_reg,
@@ -100,8 +98,7 @@ def make_backend(
         return CpuBackend(dssim_weight, opacity_reg, scale_reg)
     if not _cuda_is_there():
         raise InvalidError(
-            "--backend cuda needs an NVIDIA GPU, torch with CUDA and gsplat: "
-            "pip install 'swings[cuda]'"
+            "--backend cuda needs an NVIDIA GPU, torch with CUDA and gsplat: pip install '.[cuda]'"
         )
     from gsplat import rasterization
 

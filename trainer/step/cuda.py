@@ -13,9 +13,9 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from codec.camera import Camera
 from codec.splats import SH_C0
 from player.render.recipe import LOW_PASS_PX2, SH_C1, TILE_PX
+from trainer.pictures.shot import Shot
 
 from .loss import C1, C2, IGNORED, RADIUS_PX, TAPS, Loss
 from .raster import Ints, Parameters, View
@@ -81,12 +81,11 @@ class CudaBackend:
         values: Parameters,
         rows: Ints,
         view: View,
-        picture: npt.NDArray[np.uint8],
+        shot: Shot,
         gain: Floats,
         bias: Floats,
         trainable: int,
         gradients: Parameters,
-        mask: npt.NDArray[np.uint8] | None = None,
     ) -> Loss:
         """See `Backend.step`."""
         leaves = [self._sent(array[rows]).requires_grad_() for array in values.arrays()]
@@ -94,9 +93,9 @@ class CudaBackend:
         rendered = self.render(leaves, view)
         rendered.retain_grad()
         pred = correction[0][:, None, None] * rendered + correction[1][:, None, None]
-        target = self._target(picture, view.camera)
-        if mask is not None:
-            counts, grey = self._sent(mask) > 0, pred.new_tensor(IGNORED)
+        target = self._target(shot)
+        if shot.mask is not None:
+            counts, grey = self._sent(shot.mask) > 0, pred.new_tensor(IGNORED)
             pred, target = torch.where(counts, pred, grey), torch.where(counts, target, grey)
         l1 = (pred - target).abs().mean()
         dssim = _dissimilarity(pred, target, self._taps)
@@ -136,12 +135,12 @@ class CudaBackend:
         )
         return pictures[0].permute(2, 0, 1)
 
-    def _target(self, picture: npt.NDArray[np.uint8], camera: Camera) -> Tensor:
-        """(3, h, w) in 0..1, of the camera's size: the picture or its 2x2 means."""
-        planes = torch.from_numpy(picture.copy()).to(self._device).permute(2, 0, 1).float() / 255
-        if planes.shape[1:] != (camera.height_px, camera.width_px):
-            planes = torch.nn.functional.avg_pool2d(planes, 2)
-        return planes
+    def _target(self, shot: Shot) -> Tensor:
+        """(3, h, w) in 0..1: the shot's picture. Sent as bytes, a quarter of the floats."""
+        # Copied, because torch warns of what cannot be written to.
+        pixels = torch.from_numpy(shot.picture.copy()).to(self._device)
+        planes = pixels.permute(2, 0, 1).float() / 255
+        return torch.nn.functional.avg_pool2d(planes, 2) if shot.is_half else planes
 
 
 def _received(leaf: Tensor) -> Floats:

@@ -13,10 +13,12 @@ from codec.camera import Camera
 from codec.splats import Splats
 from player.render.cpu import render_splats
 from tests.support.tiny_capture import tiny_rig
+from trainer.capture.capture import Mask
 from trainer.fit.colour import CameraColour
 from trainer.fit.mcmc import McmcConfig
 from trainer.fit.renew import Comparer, Comparison, missing_splats
 from trainer.fit.trainer import FitConfig, Trainer
+from trainer.pictures.shot import Shot
 from trainer.seed.gaussians import initial_splats
 from trainer.step.raster import Parameters
 from trainer.synth.scene import CAMERA_RADIUS_M
@@ -79,12 +81,12 @@ class Film:
             [seen(splats, camera, gain) for camera, gain in zip(self.cameras, gains, strict=True)]
             for splats in frames
         ]
-        self.masks: list[npt.NDArray[np.uint8] | None] = [None] * len(self.cameras)
+        self.masks: list[Mask | None] = [None] * len(self.cameras)
 
-    def picture(self, camera: int, frame: int) -> npt.NDArray[np.uint8]:
-        return self._pictures[frame][camera]
+    def shot(self, camera: int, frame: int) -> Shot:
+        return Shot(self._pictures[frame][camera], self.masks[camera])
 
-    def mask(self, camera: int, frame: int) -> npt.NDArray[np.uint8] | None:
+    def mask(self, camera: int, frame: int) -> Mask | None:
         return self.masks[camera]
 
 
@@ -129,7 +131,7 @@ def test_placed_gaussians_bring_the_picture_nearer_in_a_camera_that_was_not_aske
 def test_nothing_is_found_where_all_is_rendered_or_one_camera_alone_differs() -> None:
     film = Film([room()])
     assert len(find(compare(film, room()))) == 0
-    film.picture(3, 0)[20:40, 50:90] = 255
+    film.shot(3, 0).picture[20:40, 50:90] = 255
     assert len(find(compare(film, room()))) == 0
     assert len(find(compare(film, room()), count=0)) == 0
 
@@ -141,7 +143,7 @@ def test_a_cameras_own_colour_is_no_error_and_masked_pixels_do_not_count() -> No
     assert compare(film, room(), colour).errors.max() > 0.08
     colour.values[:, :3] = gains[:, None]
     assert compare(film, room(), colour).errors.max() < 0.02
-    film.picture(2, 0)[10:30, 10:30] = 255
+    film.shot(2, 0).picture[10:30, 10:30] = 255
     mask = np.ones((90, 160), np.uint8)
     mask[10:30, 10:30] = 0
     film.masks[2] = mask
@@ -165,7 +167,7 @@ def test_what_a_camera_cannot_show_is_no_error() -> None:
     bright = room()
     bright.sh[:] += 1.5
     film = Film([bright], np.linspace(0.6, 1.0, 8))
-    assert film.picture(7, 0).max() == 255
+    assert film.shot(7, 0).picture.max() == 255
     colour = CameraColour(8, 0)
     colour.values[:, :3] = np.linspace(0.6, 1.0, 8)[:, None]
     assert compare(film, bright, colour).errors.max() < 0.02
@@ -254,7 +256,7 @@ def test_what_jumps_is_followed() -> None:
         trainer = trained(share, 3)  # the last window shows frames 2, 3 and, for the first time, 4
         camera = film.cameras[4]
         shown = render_splats(trainer.shown(4), camera, NEAR_M)
-        errors.append(float(np.square(shown - film.picture(4, 4) / 255).mean()))
+        errors.append(float(np.square(shown - film.shot(4, 4).picture / 255).mean()))
     assert errors[1] < 0.5 * errors[0]
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from codec.camera import Camera
@@ -13,11 +13,14 @@ from codec.errors import InvalidError
 from codec.slice import Slice, active_splats
 from codec.splats import Splats
 from player.render.cpu import render_splats
+from trainer.capture.capture import Mask
 from trainer.fit.mcmc import McmcConfig
 from trainer.fit.trainer import FitConfig, Progress, Trainer
+from trainer.pictures.shot import Shot
 from trainer.seed.gaussians import initial_splats
 from trainer.step.backend import CpuBackend
-from trainer.step.loss import Floats, Workspace, psnr_db
+from trainer.step.loss import Loss, psnr_db
+from trainer.step.raster import Ints, Parameters, View
 from trainer.step.target import Targets
 
 NEAR_M = 0.2
@@ -60,12 +63,12 @@ class Rendered:
         self.cameras = [ring_camera(0.5 * i - 1.2, f"c{i}") for i in range(6)]
         self.asked: list[int] = []
 
-    def picture(self, camera: int, frame: int) -> npt.NDArray[np.uint8]:
+    def shot(self, camera: int, frame: int) -> Shot:
         self.asked.append(frame)
         shown = np.clip(render_splats(truth(frame), self.cameras[camera], NEAR_M), 0, 1)
-        return np.rint(shown * 255).astype(np.uint8)
+        return Shot(np.rint(shown * 255).astype(np.uint8), self.mask(camera, frame))
 
-    def mask(self, camera: int, frame: int) -> npt.NDArray[np.uint8] | None:
+    def mask(self, camera: int, frame: int) -> Mask | None:
         return None
 
 
@@ -77,13 +80,13 @@ class Masked(Rendered):
         self.cameras = [c.resized(96, 64) for c in self.cameras]  # genesis takes half of it
         self.garbage = garbage
 
-    def picture(self, camera: int, frame: int) -> npt.NDArray[np.uint8]:
-        shown, mask = super().picture(camera, frame), self.mask(camera, frame)
-        if mask is not None:
-            shown[mask == 0] = self.garbage
-        return shown
+    def shot(self, camera: int, frame: int) -> Shot:
+        shot = super().shot(camera, frame)
+        if shot.mask is not None:
+            shot.picture[shot.mask == 0] = self.garbage
+        return shot
 
-    def mask(self, camera: int, frame: int) -> npt.NDArray[np.uint8] | None:
+    def mask(self, camera: int, frame: int) -> Mask | None:
         mask = np.ones((64, 96), np.uint8)
         mask[:, 61:] = 0
         return None if camera % 2 else mask
@@ -263,20 +266,21 @@ def test_genesis_begins_with_pictures_of_half_the_size() -> None:
             self.cameras = [c.resized(97, 66) for c in self.cameras]
             self.cameras[0] = self.cameras[0].resized(128, 64)  # sizes may differ
 
+    class Watched(CpuBackend):
+        def step(
+            self, values: Parameters, rows: Ints, view: View, shot: Shot, *others: Any
+        ) -> Loss:
+            camera = view.camera
+            assert shot.shape == (camera.height_px, camera.width_px)
+            sizes.append((camera.width_px, camera.height_px))
+            return super().step(values, rows, view, shot, *others)
+
     sizes = list[tuple[int, int]]()
-    pictures = Large()
-    config = replace(CONFIG, coarse_share=0.5)
-    backend = CpuBackend(config.dssim_weight, 0, 0)
-    trainer = Trainer(config, pictures, start(), NEAR_M, backend=backend)
-    take = backend._targets.take
-
-    def watched(picture: npt.NDArray[np.uint8], camera: Camera) -> tuple[Floats, Workspace]:
-        sizes.append((camera.width_px, camera.height_px))
-        return take(picture, camera)
-
-    backend._targets.take = watched  # type: ignore[method-assign]
-    trainer.train_window(0, 20)
-    trainer.train_window(1, 10)
+    config = replace(CONFIG, coarse_share=0.5, genesis_iterations=20, window_iterations=10)
+    backend = Watched(config.dssim_weight, 0, 0)
+    windows = Trainer(config, Large(), start(), NEAR_M, backend=backend).windows()
+    next(windows)
+    next(windows)
     halves = [width < 97 for width, _ in sizes]
     assert halves == [True] * 10 + [False] * 20
     assert set(sizes) <= {(48, 33), (64, 32), (97, 66), (128, 64)}
@@ -287,10 +291,11 @@ def test_a_half_picture_is_the_mean_and_its_camera_sees_the_same() -> None:
     picture = rng.integers(0, 256, (33, 50, 3), dtype=np.uint8)
     camera = ring_camera(0.2, "odd").resized(50, 33)
     half = camera.halved()
-    target, _ = Targets().take(picture, half)
+    target, _ = Targets().take(Shot(picture).half())
     mean = picture[:32].reshape(16, 2, 25, 2, 3).mean(axis=(1, 3)) / 255
     np.testing.assert_allclose(target, mean.transpose(2, 0, 1), atol=1e-6)
-    whole, _ = Targets().take(picture, camera)
+    assert target.shape == (3, half.height_px, half.width_px)
+    whole, _ = Targets().take(Shot(picture))
     np.testing.assert_allclose(whole, picture.transpose(2, 0, 1) / 255, atol=1e-6)
     # A point on the whole picture's pixel (x, y) is on (x / 2, y / 2) of the half.
     assert (half.fx_px / half.fy_px, half.cx_px * 2) == (camera.fx_px / camera.fy_px, camera.cx_px)

@@ -15,7 +15,8 @@ from codec.errors import InvalidError
 from tests.support.tiny_capture import picture_of, write_dynamic3dgs, write_dynerf
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
-from trainer.pictures.framecache import FrameCache, scaled_picture
+from trainer.pictures.framecache import FrameCache
+from trainer.pictures.scale import scaled_picture
 
 PICTURE_BYTES = 3 * 32 * 18
 

@@ -23,6 +23,7 @@ from player.render.cpu import render_splats
 from player.render.recipe import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from tests.support.reference_render import render_reference
 from trainer.fit.trainer import FitConfig, Trainer
+from trainer.pictures.shot import Shot
 from trainer.run.rank import matured_by_contribution, slices_by_contribution
 from trainer.seed.gaussians import initial_splats
 from trainer.step.raster import Parameters, Rendered, View, render
@@ -268,11 +269,11 @@ class Grey:
     num_frames = FRAMES
     cameras = CAMERAS
 
+    def shot(self, camera: int, frame: int) -> Shot:
+        return Shot(np.full((37, 45, 3), 60 + 30 * frame + 9 * camera, np.uint8))
+
     def mask(self, camera: int, frame: int) -> None:
         return None
-
-    def picture(self, camera: int, frame: int) -> npt.NDArray[np.uint8]:
-        return np.full((37, 45, 3), 60 + 30 * frame + 9 * camera, np.uint8)
 
 
 @pytest.mark.parametrize("swin_size", [1, 2])

@@ -18,6 +18,7 @@ from codec.errors import InvalidError
 from codec.splats import SH_C0
 from player.render.recipe import LOW_PASS_PX2, TILE_PX
 from tests.support.reference_render import render_reference
+from trainer.pictures.shot import Shot
 from trainer.step import backend as backends
 from trainer.step.backend import Backend, make_backend
 from trainer.step.cuda import CudaBackend, Rasterise
@@ -57,32 +58,32 @@ def scene(sh_degree: int) -> Parameters:
     return values
 
 
-def stepped(
-    backend: Backend, values: Parameters, picture: np.ndarray, mask: np.ndarray | None
-) -> tuple[Loss, Parameters]:
-    half = picture.shape[0] == 2 * CAMERA.height_px
+def stepped(backend: Backend, values: Parameters, shot: Shot) -> tuple[Loss, Parameters]:
     gradients = Parameters.zeros(COUNT, 1 if values.sh.shape[1] > 1 else 0)
     rows = np.random.default_rng(4).permutation(COUNT)[: COUNT - 5].astype(np.int32)
     gain = np.array([1.1, 0.9, 1.0], np.float32)
     bias = np.array([0.02, -0.01, 0.0], np.float32)
     view = View.prepare(CAMERA, 0.2)
-    assert half or picture.shape == (CAMERA.height_px, CAMERA.width_px, 3)
-    loss = backend.step(values, rows, view, picture, gain, bias, TRAINABLE, gradients, mask)
+    loss = backend.step(values, rows, view, shot, gain, bias, TRAINABLE, gradients)
     return loss, gradients
 
 
+def random_shot(half: bool, masked: bool) -> Shot:
+    """Of the camera's size, whole or as the half of a picture of twice that."""
+    factor = 2 if half else 1
+    size = factor * CAMERA.height_px, factor * CAMERA.width_px
+    picture = np.random.default_rng(3).integers(0, 256, (*size, 3), dtype=np.uint8)
+    mask = (np.random.default_rng(8).random(size) > 0.3).astype(np.uint8) if masked else None
+    shot = Shot(picture, mask)
+    return shot.half() if half else shot
+
+
 def check(
-    rasterise: Rasterise, device: str, sh_degree: int, factor: int, masked: bool = False
+    rasterise: Rasterise, device: str, sh_degree: int, half: bool, masked: bool = False
 ) -> None:
-    picture = np.random.default_rng(3).integers(
-        0, 256, (factor * CAMERA.height_px, factor * CAMERA.width_px, 3), dtype=np.uint8
-    )
-    values = scene(sh_degree)
-    mask = None
-    if masked:
-        mask = (np.random.default_rng(8).random((40, 48)) > 0.3).astype(np.uint8)
-    wanted, expected = stepped(make_backend("cpu", *WEIGHTS), values, picture, mask)
-    found, got = stepped(CudaBackend(*WEIGHTS, rasterise, device), values, picture, mask)
+    shot, values = random_shot(half, masked), scene(sh_degree)
+    wanted, expected = stepped(make_backend("cpu", *WEIGHTS), values, shot)
+    found, got = stepped(CudaBackend(*WEIGHTS, rasterise, device), values, shot)
     assert found.value == pytest.approx(wanted.value, rel=1e-4)
     np.testing.assert_allclose(found.gain_grad, wanted.gain_grad, rtol=1e-3, atol=1e-6)
     np.testing.assert_allclose(found.bias_grad, wanted.bias_grad, rtol=1e-3, atol=1e-6)
@@ -93,22 +94,23 @@ def check(
 
 
 @pytest.mark.parametrize("sh_degree", [0, 1])
-@pytest.mark.parametrize("factor", [1, 2])
+@pytest.mark.parametrize("half", [False, True])
 def test_what_surrounds_the_rasteriser_gives_the_cpu_s_gradients(
-    sh_degree: int, factor: int
+    sh_degree: int, half: bool
 ) -> None:
-    check(stand_in, "cpu", sh_degree, factor)
+    check(stand_in, "cpu", sh_degree, half)
 
 
-def test_a_mask_ignores_the_same_on_both() -> None:
-    check(stand_in, "cpu", 0, 1, masked=True)
+@pytest.mark.parametrize("half", [False, True])
+def test_a_mask_ignores_the_same_on_both(half: bool) -> None:
+    check(stand_in, "cpu", 0, half, masked=True)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs an NVIDIA GPU and gsplat")
 @pytest.mark.parametrize("sh_degree", [0, 1])
 def test_gsplat_gives_the_cpu_s_gradients(sh_degree: int) -> None:
     gsplat = pytest.importorskip("gsplat")
-    check(gsplat.rasterization, "cuda", sh_degree, 1)
+    check(gsplat.rasterization, "cuda", sh_degree, half=False)
 
 
 def test_cuda_that_is_missing_is_said_and_auto_takes_the_cpu(
