@@ -36,8 +36,9 @@ from codec.errors import InvalidError
 from codec.files import write_atomic
 from codec.framerange import FrameRange
 from trainer.capture.layout import open_capture
-from trainer.fit.trainer import FitConfig
-from trainer.run.job import TrainConfig, train_stream
+from trainer.fit.config import FitConfig
+from trainer.run.config import TrainConfig
+from trainer.run.job import train_stream
 from trainer.score.evaluate import EvaluateConfig, evaluate_stream
 
 AgeScaling = Literal["off", "gradient", "update"]

@@ -20,8 +20,9 @@ from rich.console import Console
 from rich.table import Table
 
 from codec.console import run_command
-from trainer.fit.trainer import FitConfig
-from trainer.run.job import TrainConfig, train_stream
+from trainer.fit.config import FitConfig
+from trainer.run.config import TrainConfig
+from trainer.run.job import train_stream
 from trainer.run.preset import PRESETS
 from trainer.score.evaluate import EvaluateConfig, evaluate_stream
 

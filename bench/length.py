@@ -21,8 +21,6 @@ from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-from unittest.mock import patch
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
@@ -39,9 +37,10 @@ from codec.errors import SwingsError
 from trainer.capture.dynerf import POINTS_NAME, POSES_NAME
 from trainer.capture.held_out import HELD_OUT_NAME
 from trainer.capture.layout import open_capture
-from trainer.fit.trainer import FitConfig
-from trainer.run.checkpoint import save_checkpoint
-from trainer.run.job import TrainConfig, train_stream
+from trainer.fit.config import FitConfig
+from trainer.fit.trainer import Observer
+from trainer.run.config import TrainConfig
+from trainer.run.job import train_stream
 from trainer.synth.film import SynthConfig, VideoWriter, synthesise
 
 LOOP_FRAMES = 10
@@ -155,16 +154,24 @@ def write_looped(loop: Path, path: Path, num_frames: int) -> None:
                 video.write(pictures[frame % len(pictures)])
 
 
+class Recorder(Observer):
+    """Time and memory at the end of every window, and the time at which the first one begins."""
+
+    def __init__(self) -> None:
+        self.times_s: list[float] = []
+        self.memory_bytes: list[int] = []
+
+    def window_begun(self, first_frame: int) -> None:
+        if not self.times_s:
+            self.times_s.append(time.perf_counter())
+
+    def window_ended(self, first_frame: int) -> None:
+        self.times_s.append(time.perf_counter())
+        self.memory_bytes.append(own_memory_bytes("VmRSS"))
+
+
 def train(config: LengthConfig, capture: Path, stream: Path) -> Track:
     """Trains `capture` in this process and records every window."""
-    times_s: list[float] = []
-    memory_bytes: list[int] = []
-
-    def save_and_record(*arguments: Any) -> None:
-        save_checkpoint(*arguments)
-        times_s.append(time.perf_counter())
-        memory_bytes.append(own_memory_bytes("VmRSS"))
-
     fit = FitConfig(
         num_gs=config.num_gs,
         swin_size=config.swin_size,
@@ -174,14 +181,12 @@ def train(config: LengthConfig, capture: Path, stream: Path) -> Track:
     # Bound so that the cache is full within the first tenth of any run: else it would grow.
     picture_bytes = 3 * config.width_px * config.height_px
     cache_bytes = 2 * config.swin_size * config.cameras * picture_bytes
-    # A checkpoint is what ends a window; one more is written before the first window.
-    with patch("trainer.run.job.save_checkpoint", save_and_record):
-        train_stream(
-            TrainConfig(capture, stream, cache_bytes=cache_bytes, fit=fit), Console(quiet=True)
-        )
+    job = TrainConfig(capture, stream, cache_bytes=cache_bytes, fit=fit)
+    recorder = Recorder()
+    train_stream(job, Console(quiet=True), observers=[recorder])
     # The kernel's two counters are read apart and may differ by a few pages.
-    peak_bytes = max(*memory_bytes, own_memory_bytes("VmHWM"))
-    return Track(np.diff(times_s).tolist(), memory_bytes[1:], peak_bytes)
+    peak_bytes = max(*recorder.memory_bytes, own_memory_bytes("VmHWM"))
+    return Track(np.diff(recorder.times_s).tolist(), recorder.memory_bytes, peak_bytes)
 
 
 def measure(config: LengthConfig) -> list[Track]:

@@ -16,7 +16,8 @@ from codec.console import run_command
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 from trainer.capture.check import check_capture
-from trainer.run.job import TrainConfig, train_stream
+from trainer.run.config import TrainConfig
+from trainer.run.job import train_stream
 from trainer.run.preset import config_type
 from trainer.run.warm import start_over_if_compiled
 from trainer.score.ablation import ablate_quantisation

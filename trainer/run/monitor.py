@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from trainer.fit.trainer import FitConfig
+from trainer.fit.config import FitConfig
+from trainer.fit.trainer import Observer
 from trainer.fit.trainer import Progress as FitProgress
 from trainer.score.quality import QualityMeter
 
@@ -37,7 +38,7 @@ class _Mark:
     iterations: int
 
 
-class Monitor:
+class Monitor(Observer):
     """The progress bar over all iterations of the run, and one record per finished frame."""
 
     def __init__(
@@ -46,18 +47,15 @@ class Monitor:
         log: RunLog,
         config: FitConfig,
         num_frames: int,
-        first_window: int,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        """first_window: the frame that training begins with, above 0 when resumed."""
         self._bar, self._log, self._config, self._now_s = bar, log, config, now_s
         self._num_frames = num_frames
-        total = config.genesis_iterations + (num_frames - 1) * config.window_iterations
-        done = self._before(first_window)
-        self._begin = self._last = _Mark(now_s(), done)
-        self._total = total
+        self._total = self._before(num_frames)
         self._loss = 0.0
-        self._task = bar.add_task("genesis", total=total, completed=done, score="")
+        self._has_begun = False
+        self._begin = self._last = _Mark(now_s(), 0)
+        self._task = bar.add_task("genesis", start=False, total=self._total, score="")
 
     def _before(self, window: int) -> int:
         """Iterations of the windows before `window`."""
@@ -65,7 +63,13 @@ class Monitor:
             return 0
         return self._config.genesis_iterations + (window - 1) * self._config.window_iterations
 
-    def on_progress(self, progress: FitProgress) -> None:
+    def window_begun(self, first_frame: int) -> None:
+        if not self._has_begun:  # what a resumed run has behind it took none of its time
+            self._has_begun = True
+            self._begin = self._last = _Mark(self._now_s(), self._before(first_frame))
+            self._bar.reset(self._task, completed=self._begin.iterations)
+
+    def progressed(self, progress: FitProgress) -> None:
         last = min(progress.first_frame + self._config.swin_size, self._num_frames) - 1
         name = "genesis" if progress.first_frame == 0 else "frames"
         self._loss = progress.loss
@@ -75,11 +79,11 @@ class Monitor:
             completed=self._before(progress.first_frame) + progress.iteration,
         )
 
-    def on_frame(self, frame: int, gaussians: int, bytes_written: int, meter: QualityMeter) -> None:
-        """Frame `frame` is done: `gaussians` show in it, the stream takes `bytes_written` so far.
-
-        bytes_written is 0 until the first segment is on disk.
-        """
+    def frame_finished(
+        self, frame: int, gaussians: int, bytes_written: int, meter: QualityMeter
+    ) -> None:
+        """`gaussians` show in the frame; the stream takes `bytes_written` so far, 0 until the first
+        segment is on disk."""
         now = _Mark(self._now_s(), self._before(frame + 1))
         rate = (now.iterations - self._last.iterations) / max(now.time_s - self._last.time_s, 1e-9)
         pace_s = (now.time_s - self._begin.time_s) / (now.iterations - self._begin.iterations)

@@ -7,11 +7,11 @@ from dataclasses import field, make_dataclass
 from typing import Any, get_args, get_type_hints
 
 from codec.profiles.profile import Profile
+from trainer.fit.config import FitConfig
 from trainer.fit.mcmc import McmcConfig
 from trainer.fit.optimiser import OptimiserConfig
-from trainer.fit.trainer import FitConfig
 
-from .job import Preset, TrainConfig
+from .config import Preset, TrainConfig
 
 PRESETS: Mapping[Preset, Mapping[str, Any]] = {
     # The defaults: what two cores train in minutes. Measured in docs/RESULTS.md.

@@ -16,13 +16,11 @@ from codec.errors import InvalidError
 from codec.slice import Slice, active_splats
 from codec.stream import StreamReader
 from codec.stream.layers import Rank
-from trainer.fit.trainer import Trainer
-from trainer.step.raster import Parameters, View, render
-from trainer.step.weights import contribution
+from trainer.fit.contribution import summed_contribution
+from trainer.fit.trainer import Trainer, Window
+from trainer.step.raster import Parameters, View
 
 Doubles = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int32]
-
 
 CONTRIBUTION = "contribution"
 """The name of this rank in options."""
@@ -37,20 +35,6 @@ def _most_first(part: Slice, importance: Doubles) -> Slice:
     """`part` with its Gaussians by falling importance; equal ones keep their order."""
     order = np.argsort(-importance, kind="stable")
     return Slice(part.birth, part.splats.take(order), part.start_offsets[order])
-
-
-def _summed(
-    values: Parameters,
-    rows: Ints,
-    views: Sequence[View],
-    masks: Sequence[npt.NDArray[np.uint8] | None],
-) -> Doubles:
-    """(M,) contribution of the Gaussians `rows`, alone in the scene, over all `views`, where their
-    masks count."""
-    sums = np.zeros(len(rows), np.float64)
-    for view, mask in zip(views, masks, strict=True):
-        sums += contribution(render(values, rows, view), mask)
-    return sums
 
 
 def slices_by_contribution(reader: StreamReader, views: Sequence[View]) -> Iterator[Slice]:
@@ -68,7 +52,7 @@ def slices_by_contribution(reader: StreamReader, views: Sequence[View]) -> Itera
         splats = active_splats(window, frame, manifest.swin_size)
         values = Parameters(*splats.arrays)
         rows = np.arange(len(splats), dtype=np.int32)
-        weights = _summed(values, rows, views, [None] * len(views))
+        weights = summed_contribution(values, rows, views, [None] * len(views))
         first = 0
         for part in window:
             shown = np.flatnonzero(part.active(frame, manifest.swin_size))
@@ -81,22 +65,8 @@ def slices_by_contribution(reader: StreamReader, views: Sequence[View]) -> Itera
         yield _most_first(part, sums[part.birth])
 
 
-def matured_by_contribution(trainer: Trainer, parts: Sequence[Slice]) -> list[Slice]:
-    """`parts`, which `trainer.windows` has just given, the Gaussians that contribute most first.
-
-    Counted over the window that was just trained and all training views. Gaussians that mature
-    later stand in the way as they are trained so far.
-    """
-    config, lifespans = trainer.config, trainer.lifespans
-    first = trainer.next_window - 1
-    sums = np.zeros(2 * config.num_gs, np.float64)
-    for frame in range(first, min(first + config.swin_size, trainer.pictures.num_frames)):
-        rows = lifespans.active_rows(frame)
-        masks = [trainer.pictures.mask(c, frame) for c in range(len(trainer.views))]
-        sums[rows] += _summed(trainer.values, rows, trainer.views, masks)
-    # The matured generation of a slot lies num_gs rows behind the one being optimised.
-    matured = sums[config.num_gs :]
-    return [
-        _most_first(part, matured[lifespans.lane_rows(part.birth % config.swin_size)])
-        for part in parts
-    ]
+def matured_by_contribution(trainer: Trainer, window: Window) -> tuple[Slice, ...]:
+    """The slices of `window`, which `trainer` has just given, the Gaussians that contribute most
+    first."""
+    contributions = trainer.contributions(window)
+    return tuple(_most_first(*pair) for pair in zip(window.slices, contributions, strict=True))

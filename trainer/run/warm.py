@@ -20,8 +20,9 @@ from codec.stream.chunk import decode_chunk, encode_chunk
 from player.render.cpu import render_splats
 from trainer.capture.capture import Mask
 from trainer.capture.lens import Lens, straightened
+from trainer.fit.config import FitConfig
 from trainer.fit.mcmc import McmcConfig
-from trainer.fit.trainer import FitConfig, Trainer
+from trainer.fit.trainer import Trainer
 from trainer.pictures.shot import Shot
 from trainer.seed.gaussians import initial_splats, stereo_seeds
 
@@ -86,8 +87,8 @@ def compile_kernels(sh_degree: int) -> bool:
     )
     trainer = Trainer(config, pictures, initial, 0.2)
     straightened(picture, pictures.cameras[0], Lens(k1=0.01))
-    for parts in trainer.windows():
-        for part in matured_by_contribution(trainer, parts):
+    for window in trainer.windows():
+        for part in matured_by_contribution(trainer, window):
             decode_chunk(encode_chunk(part, 0, Profile.COMPACT).data)
     render_splats(trainer.shown(1), pictures.cameras[0], 0.2)
     return _misses() > 0

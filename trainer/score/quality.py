@@ -10,7 +10,6 @@ from codec.stream import StreamReader
 from codec.stream.chunk import Chunk
 from codec.stream.layers import merge_layers
 from codec.stream.manifest import Manifest
-from trainer.capture.capture import Capture
 from trainer.pictures.framecache import FrameCache
 
 from .evaluate import score_picture
@@ -22,10 +21,10 @@ class QualityMeter:
     Held-out cameras take turns, one for a frame; without any, training cameras do.
     """
 
-    def __init__(self, capture: Capture, cache: FrameCache, manifest: Manifest) -> None:
+    def __init__(self, cache: FrameCache, manifest: Manifest) -> None:
         self._cache = cache
         self._manifest = manifest
-        self._cameras = capture.held_out or capture.training
+        self._cameras = cache.capture.held_out or cache.capture.training
         # One window for each number of layers.
         self._windows: list[deque[Slice]] = [
             deque(maxlen=manifest.swin_size) for _ in manifest.layers

@@ -15,9 +15,11 @@ from player.render.cpu import render_splats
 from tests.support.tiny_capture import tiny_rig
 from trainer.capture.capture import Mask
 from trainer.fit.colour import CameraColour
+from trainer.fit.config import FitConfig
+from trainer.fit.generations import Generations
 from trainer.fit.mcmc import McmcConfig
 from trainer.fit.renew import Comparer, Comparison, missing_splats
-from trainer.fit.trainer import FitConfig, Trainer
+from trainer.fit.trainer import Trainer
 from trainer.pictures.shot import Shot
 from trainer.seed.gaussians import initial_splats
 from trainer.step.raster import Parameters
@@ -264,23 +266,30 @@ def test_what_jumps_is_followed() -> None:
 def test_only_the_least_of_each_slice_are_placed_and_they_show_from_the_frame_on(
     frame: int,
 ) -> None:
-    trainer = trained(0.0, frame - 2)
-    trainer.config = CONFIG
-    lifespans, num_gs = trainer.lifespans, CONFIG.num_gs
-    before = [array.copy() for array in trainer.values.arrays()]
+    # With what a trainer holds before the window that brings the frame.
+    state, film = trained(0.0, frame - 2).state(), jumping()
+    generations, colour = Generations(CONFIG, None), CameraColour(len(film.cameras), 0)
+    for part in (generations, colour):
+        for name, array in part.state().items():
+            array[...] = state[name]
+    lifespans, num_gs = generations.lifespans, CONFIG.num_gs
+    before = [array.copy() for array in generations.values.arrays()]
     starts = lifespans.starts.copy()
     rows = lifespans.active_rows(frame)
-    _, weights = trainer.comparer.compare(
-        trainer.values, rows, trainer.pictures, frame, trainer.colour
+    compared, weights = Comparer(film.cameras, NEAR_M).compare(
+        generations.values, rows, film, frame, colour
     )
-    renewed = trainer._renew(frame)
+    least = generations.least(rows, weights, round(0.2 * lifespans.slice_size))
+    found = find(compared, len(least))
+    renewed = least[: len(found)]
+    generations.place(renewed, found, frame)
     for lane in range(CONFIG.swin_size):
         own = rows // lifespans.slice_size == lane
         chosen = np.isin(rows, renewed) & own
         if chosen.any():
             assert weights[chosen].max() <= weights[own & ~chosen].min()
     changed = np.zeros(2 * num_gs, bool)
-    for array, old in zip(trainer.values.arrays(), before, strict=True):
+    for array, old in zip(generations.values.arrays(), before, strict=True):
         changed |= (array != old).reshape(len(array), -1).any(axis=1)
     assert set(np.flatnonzero(changed)) <= set(renewed.tolist())
     assert (renewed < num_gs).all()  # never what has matured

@@ -11,11 +11,13 @@ import pytest
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.slice import Slice, active_splats
-from codec.splats import Splats
+from codec.splats import ARRAY_NAMES, Splats
 from player.render.cpu import render_splats
 from trainer.capture.capture import Mask
+from trainer.fit.config import FitConfig
+from trainer.fit.generations import Generations
 from trainer.fit.mcmc import McmcConfig
-from trainer.fit.trainer import FitConfig, Progress, Trainer
+from trainer.fit.trainer import Observer, Progress, Trainer
 from trainer.pictures.shot import Shot
 from trainer.seed.gaussians import initial_splats
 from trainer.step.backend import CpuBackend
@@ -108,11 +110,15 @@ def start() -> Splats:
 
 
 def test_a_whole_run_is_algorithm_one() -> None:
-    pictures, seen = Rendered(), list[Progress]()
-    trainer = Trainer(CONFIG, pictures, start(), NEAR_M, on_progress=seen.append)
+    class Watching(Observer):
+        def progressed(self, progress: Progress) -> None:
+            seen.append(progress)
+
+    pictures, seen, watching = Rendered(), list[Progress](), Watching()
+    trainer = Trainer(CONFIG, pictures, start(), NEAR_M, observers=[watching])
     slices: list[Slice] = []
     asked_before: list[int] = []
-    for part in (part for window in trainer.windows() for part in window):
+    for part in (part for window in trainer.windows() for part in window.slices):
         slices.append(part)
         if part.birth >= 0:
             # A slice matures when its last window is trained, not before.
@@ -138,20 +144,47 @@ def test_a_whole_run_is_algorithm_one() -> None:
 
 
 def test_matured_rows_never_change_and_parameters_carry_over() -> None:
-    trainer = Trainer(CONFIG, Rendered(), start(), NEAR_M)
-    trainer.train_window(0, 40)
-    trainer._stagger()
-    current = [a[:90].copy() for a in trainer.values.arrays()]
-    matured = list(trainer._mature(1))
-    assert [s.birth for s in matured] == [-2, -1, 0]
-    for array, before in zip(trainer.values.arrays(), current, strict=True):
-        assert (array[:90] == before).all()  # the next generation starts where this one ended
-        assert (array[90:] == before).all()
-    frozen = [a[90:].copy() for a in trainer.values.arrays()]
-    trainer.train_window(1, 60)
-    for array, before in zip(trainer.values.arrays(), frozen, strict=True):
-        assert (array[90:] == before).all()
-    assert (trainer.values.means[:90] != frozen[0]).any()
+    config = replace(CONFIG, genesis_iterations=40, window_iterations=60)
+    trainer = Trainer(config, Rendered(), start(), NEAR_M)
+    windows = trainer.windows()
+    arrays = [array for name, array in trainer.state().items() if name.startswith("values")]
+    assert len(arrays) == len(ARRAY_NAMES)
+    genesis = next(windows)
+    assert [s.birth for s in genesis.slices] == [-2, -1, 0]
+    for array in arrays:
+        assert (array[:90] == array[90:]).all()  # the next generation starts where this one ended
+    frozen = [array[90:].copy() for array in arrays]
+    (second,) = next(windows).slices
+    lane = slice(90 + 30 * (second.birth % SWIN), 90 + 30 * (second.birth % SWIN) + 30)
+    others = np.setdiff1d(np.arange(90), np.arange(lane.start, lane.stop) - 90)
+    for array, before, matured in zip(arrays, frozen, second.splats.arrays, strict=True):
+        assert (array[90:][others] == before[others]).all()
+        assert (array[lane] == matured).all()
+    assert (arrays[0][:90] != frozen[0]).any()
+
+
+def test_observers_are_told_of_each_window_once_its_slices_are_taken() -> None:
+    class Telling(Observer):
+        def window_begun(self, first_frame: int) -> None:
+            told.append(f"begun {first_frame}")
+
+        def progressed(self, progress: Progress) -> None:
+            told.append(f"{progress.iteration} of {progress.iterations}")
+
+        def window_ended(self, first_frame: int) -> None:
+            told.append(f"ended {first_frame}")
+
+    told = list[str]()
+    config = replace(CONFIG, genesis_iterations=30, window_iterations=20)
+    trainer = Trainer(config, Rendered(), start(), NEAR_M, observers=[Observer(), Telling()])
+    for window in trainer.windows():
+        told.append(f"taken {window.first_frame} of {list(window.frames)}")
+        assert trainer.next_window == window.first_frame + 1
+    assert told[:9] == [
+        "begun 0", "20 of 30", "30 of 30", "taken 0 of [0, 1, 2]", "ended 0",
+        "begun 1", "20 of 20", "taken 1 of [1, 2, 3]", "ended 1",
+    ]  # fmt: skip
+    assert told[-2:] == ["taken 4 of [4]", "ended 4"]
 
 
 def test_the_same_seed_gives_the_same_slices_and_another_does_not() -> None:
@@ -159,7 +192,7 @@ def test_the_same_seed_gives_the_same_slices_and_another_does_not() -> None:
 
     def run(seed: int) -> list[Slice]:
         trainer = Trainer(replace(config, seed=seed), Rendered(), start(), NEAR_M)
-        return [part for window in trainer.windows() for part in window]
+        return [part for window in trainer.windows() for part in window.slices]
 
     first, again, other = run(1), run(1), run(2)
     for a, b in zip(first, again, strict=True):
@@ -173,7 +206,7 @@ def test_ignored_pixels_do_not_change_the_slices() -> None:
 
     def run(pictures: Rendered) -> list[Slice]:
         trainer = Trainer(config, pictures, start(), NEAR_M)
-        return [part for window in trainer.windows() for part in window]
+        return [part for window in trainer.windows() for part in window.slices]
 
     black, white, grey = run(Masked(0)), run(Masked(255)), Masked(128)
     for a, b in zip(black, white, strict=True):
@@ -184,27 +217,30 @@ def test_ignored_pixels_do_not_change_the_slices() -> None:
 
 
 def test_relocation_lets_the_dead_start_with_their_targets_and_never_early() -> None:
-    trainer = Trainer(CONFIG, Rendered(), start(), NEAR_M)
-    trainer.train_window(0, 20)
-    trainer._stagger()
-    list(trainer._mature(1))
-    lifespans = trainer.lifespans
+    rng = np.random.default_rng(0)
+    generations = Generations(CONFIG, start())
+    generations.stagger(rng)
+    generations.mature(1)
+    generations.adam.steps[:] = 20
+    lifespans = generations.lifespans
     dead = lifespans.births == 1
-    trainer.values.logit_opacities[:90][dead] = -9
-    trainer._relocate(last_frame=3)
+    generations.values.logit_opacities[:90][dead] = -9
+    generations.relocate(3, CONFIG.mcmc.dead_opacity, rng)
     assert (lifespans.starts >= lifespans.births).all()
     assert (lifespans.expires == lifespans.births + SWIN).all()  # each keeps its own end
     assert (lifespans.starts[dead] > 1).any()  # some moved to a later slice
-    assert (trainer.values.logit_opacities[:90] > -6).all()
-    assert (trainer.adam.steps[dead] == 0).all()
+    assert (generations.values.logit_opacities[:90] > -6).all()
+    assert (generations.adam.steps[dead] == 0).all()
+    assert (generations.adam.steps == 20).any()
 
 
 def test_the_colour_of_the_cameras_stays_identity_in_the_mean() -> None:
-    trainer = Trainer(CONFIG, Rendered(), start(), NEAR_M)
-    trainer.train_window(0, 50)
-    mean = trainer.colour.values.mean(axis=0)
+    trainer = Trainer(replace(CONFIG, genesis_iterations=50), Rendered(), start(), NEAR_M)
+    next(trainer.windows())
+    values = trainer.state()["colour"]
+    mean = values.mean(axis=0)
     np.testing.assert_allclose(mean, [1, 1, 1, 0, 0, 0], atol=1e-5)
-    assert np.abs(trainer.colour.values - mean).max() > 0
+    assert np.abs(values - mean).max() > 0
 
 
 @pytest.mark.parametrize(
@@ -253,7 +289,7 @@ def test_fresh_adam_forgets_at_every_window_and_carried_adam_does_not() -> None:
         windows = trainer.windows()
         next(windows)
         next(windows)
-        return int(trainer.adam.steps.max())
+        return int(trainer.state()["adam_steps"].max())
 
     assert steps(False) <= 10
     assert steps(True) > 30

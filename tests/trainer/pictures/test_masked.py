@@ -163,7 +163,7 @@ def write_stream(path: Path, capture_path: Path) -> tuple[float, ...]:
         default_camera=cameras[0].name, live=False,
     )  # fmt: skip
     with FrameCache(capture, range(FRAMES)) as cache:
-        meter = QualityMeter(capture, cache, manifest)
+        meter = QualityMeter(cache, manifest)
         with StreamWriter.create(path, manifest, quality=meter) as writer:
             for birth in range(1 - SWIN, FRAMES):
                 rng = np.random.default_rng(birth + 9)

@@ -22,7 +22,8 @@ from codec.stream.manifest import Manifest
 from player.render.cpu import render_splats
 from player.render.recipe import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from tests.support.reference_render import render_reference
-from trainer.fit.trainer import FitConfig, Trainer
+from trainer.fit.config import FitConfig
+from trainer.fit.trainer import Trainer
 from trainer.pictures.shot import Shot
 from trainer.run.rank import matured_by_contribution, slices_by_contribution
 from trainer.seed.gaussians import initial_splats
@@ -284,9 +285,9 @@ def test_a_trainers_slices_fall_by_what_they_show(swin_size: int) -> None:
     config = FitConfig(num_gs=24, swin_size=swin_size, genesis_iterations=40, window_iterations=10)
     trainer = Trainer(config, Grey(), initial, NEAR_M)
     found: list[Slice] = []
-    for parts in trainer.windows():
-        ordered = matured_by_contribution(trainer, parts)
-        for part, before in zip(ordered, parts, strict=True):
+    for window in trainer.windows():
+        ordered = matured_by_contribution(trainer, window)
+        for part, before in zip(ordered, window.slices, strict=True):
             assert part.birth == before.birth
             assert sorted(rows_of(part)) == sorted(rows_of(before))
         found += ordered

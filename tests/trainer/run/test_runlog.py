@@ -17,10 +17,10 @@ from codec.errors import InvalidError
 from codec.profiles.profile import Profile
 from tests.support.commands import run, run_ok
 from tests.support.tiny_capture import write_dynerf
-from trainer.fit.trainer import FitConfig
+from trainer.fit.config import FitConfig
 from trainer.fit.trainer import Progress as FitProgress
 from trainer.run import runlog
-from trainer.run.job import TrainConfig
+from trainer.run.config import TrainConfig
 from trainer.run.monitor import Monitor, progress_bar
 from trainer.run.preset import PRESETS, config_type
 from trainer.run.runlog import RunLog
@@ -64,7 +64,7 @@ def test_a_log_without_a_place_is_refused_before_training(tmp_path: Path) -> Non
     log = tmp_path / "nowhere" / "log.jsonl"
     done = run("swings-train", tmp_path / "capture", tmp_path / "out", "--log", log)
     assert done.returncode == 1
-    assert "nowhere is no folder" in done.stderr
+    assert "nowhere is not a folder" in done.stderr
     assert not (tmp_path / "out").exists()
 
 
@@ -106,12 +106,15 @@ def test_time_left_is_that_of_the_iterations_left(tmp_path: Path) -> None:
     now_s = [100.0]
     config = FitConfig(num_gs=10, genesis_iterations=200, window_iterations=50)
     with RunLog(tmp_path / "log") as log, progress_bar(Console(quiet=True)) as bar:
-        monitor = Monitor(bar, log, config, 5, 0, lambda: now_s[0])
-        monitor.on_progress(FitProgress(0, 200, 200, 0.25))
+        monitor = Monitor(bar, log, config, 5, lambda: now_s[0])
+        now_s[0] += 7  # before training begins
+        monitor.window_begun(0)
+        monitor.progressed(FitProgress(0, 200, 200, 0.25))
         now_s[0] += 20  # 200 iterations in 20 s; 200 are left
-        monitor.on_frame(0, 10, 0, Meter())
+        monitor.frame_finished(0, 10, 0, Meter())
+        monitor.window_begun(1)
         now_s[0] += 10  # 50 in 10 s; 250 in 30 s so far; 150 are left
-        monitor.on_frame(1, 10, 4000, Meter())
+        monitor.frame_finished(1, 10, 4000, Meter())
         bar_text = bar.tasks[0].fields["score"]
     first, second = (json.loads(line) for line in (tmp_path / "log").read_text().splitlines())
     assert (first["left_s"], first["iterations_per_s"], first["loss"]) == (20, 10, 0.25)

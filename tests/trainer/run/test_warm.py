@@ -17,8 +17,9 @@ import sys
 from pathlib import Path
 from numba.core.dispatcher import Dispatcher
 from rich.console import Console
-from trainer.fit.trainer import FitConfig
-from trainer.run.job import TrainConfig, train_stream
+from trainer.fit.config import FitConfig
+from trainer.run.config import TrainConfig
+from trainer.run.job import train_stream
 from trainer.run.warm import compile_kernels
 
 def known():

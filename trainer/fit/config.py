@@ -1,0 +1,65 @@
+"""The settings of the sliding-window training."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from codec.errors import InvalidError
+from codec.slice import MAX_SWIN_SIZE
+from trainer.step.backend import Backend, BackendName, make_backend
+
+from .mcmc import McmcConfig
+from .optimiser import OptimiserConfig
+
+
+@dataclass(frozen=True)
+class FitConfig:
+    """What the sliding-window training does; times are frames, sizes Gaussians."""
+
+    num_gs: int = 20_000
+    """Gaussians active in a frame. Paper: 200,000 on a GPU; 20,000 suits two CPU cores."""
+    swin_size: int = 5
+    """Frames a Gaussian lives. Paper, section 8.1."""
+    sh_degree: int = 0
+    """Degree of the colour's spherical harmonics, 0 or 1. The paper trains 1 and streams 0."""
+    genesis_iterations: int = 5_000
+    """Iterations of the first window. Paper: 30,000 on a GPU."""
+    coarse_share: float = 0.6
+    """Share of genesis, its beginning, that sees pictures of half the size: shapes settle where the
+    cameras agree before detail can be learned by heart. 0 to switch it off."""
+    window_iterations: int = 800
+    """Iterations of every later window. Paper: 2,000 on a GPU."""
+    newest_share: float = 0.5
+    """Share of a window's iterations spent on its newest frame, if no earlier window has seen
+    it."""
+    dssim_weight: float = 0.2
+    """Weight of 1 - SSIM beside L1. 3DGS."""
+    colour_lr: float = 1e-3
+    """Learning rate of the per-camera colour correction; 0 switches it off."""
+    seed: int = 0
+    """Of every random choice."""
+    optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
+    """Learning rates."""
+    mcmc: McmcConfig = field(default_factory=McmcConfig)
+    """Relocation, noise, regularisers."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.swin_size <= MAX_SWIN_SIZE:
+            raise InvalidError(f"swin_size {self.swin_size}: choose 1 to {MAX_SWIN_SIZE}")
+        if self.seed < 0:
+            raise InvalidError(f"seed {self.seed}: choose 0 or more")
+        if self.num_gs < self.swin_size or self.num_gs % self.swin_size:
+            raise InvalidError(
+                f"num_gs {self.num_gs} is not a multiple of swin_size {self.swin_size}"
+            )
+        if self.sh_degree not in (0, 1):
+            raise InvalidError(f"sh_degree {self.sh_degree}: choose 0 or 1")
+        if self.genesis_iterations < 1 or self.window_iterations < 1:
+            raise InvalidError("genesis_iterations and window_iterations must be at least 1")
+        for name in ("coarse_share", "newest_share", "dssim_weight"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise InvalidError(f"{name} {getattr(self, name):g}: choose 0 to 1")
+
+    def backend(self, name: BackendName) -> Backend:
+        """The backend `name` for this loss. Raises InvalidError where it cannot run."""
+        return make_backend(name, self.dssim_weight, self.mcmc.opacity_reg, self.mcmc.scale_reg)

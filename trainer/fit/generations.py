@@ -1,0 +1,137 @@
+"""The Gaussians in training: both generations of every slot, and how one follows the other.
+
+Rule: a matured generation is written by `mature` alone, so what has left the trainer as a slice
+never changes in its later pictures.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from codec.slice import Slice
+from codec.splats import Splats
+from trainer.step.raster import Parameters
+
+from .config import FitConfig
+from .lifespans import Lifespans
+from .mcmc import relocate
+from .optimiser import Adam
+
+Floats = npt.NDArray[np.float32]
+Ints = npt.NDArray[np.int32]
+
+
+class Generations:
+    """Parameters, lifespans and Adam's histories of num_gs slots.
+
+    Rows 0..num_gs-1 are the generation being optimised, rows num_gs..2 num_gs-1 the matured
+    generation before it in the same slots. Only the first has histories.
+    """
+
+    def __init__(self, config: FitConfig, initial: Splats | None) -> None:
+        """initial: num_gs Gaussians; None leaves them to whoever fills the arrays of `state`."""
+        self.num_gs = config.num_gs
+        self.lifespans = Lifespans(config.num_gs, config.swin_size)
+        self.adam = Adam(config.num_gs, config.sh_degree, config.optimiser)
+        self.values = Parameters.zeros(2 * config.num_gs, config.sh_degree)
+        self.values.quats[:, 0] = 1
+        if initial is not None:
+            self._write(slice(config.num_gs), initial)
+
+    def state(self) -> dict[str, npt.NDArray[Any]]:
+        """Everything that changes while training. Views, not copies."""
+        lifespans = self.lifespans
+        arrays: dict[str, npt.NDArray[Any]] = {
+            "adam_steps": self.adam.steps,
+            "births": lifespans.births,
+            "starts": lifespans.starts,
+            "expires": lifespans.expires,
+            "matured_starts": lifespans.matured_starts,
+            "matured_expires": lifespans.matured_expires,
+        }
+        for name, parameters in (
+            ("values", self.values),
+            ("first", self.adam.first),
+            ("second", self.adam.second),
+        ):
+            for i, array in enumerate(parameters.arrays()):
+                arrays[f"{name}{i}"] = array
+        return arrays
+
+    def shown(self, frame: int) -> Splats:
+        """A copy of what shows at `frame`."""
+        return self._read(self.lifespans.active_rows(frame))
+
+    def stagger(self, rng: np.random.Generator) -> None:
+        """Ends genesis: deals the Gaussians out to slices that expire one after another."""
+        # At random: slots hand their Gaussians on for the whole video, so slices that are unequal
+        # now would stay so, and frames alternate in quality and layers in worth.
+        order = self.lifespans.stagger(rng.permutation(self.num_gs))
+        for array in self.values.arrays():
+            array[: self.num_gs] = array[: self.num_gs][order]
+        self.adam.permute(order)
+
+    def mature(self, first_frame: int) -> list[Slice]:
+        """Freezes what no frame from `first_frame` on may change, and gives it in the order of
+        birth. The next generation of these slots begins with the same parameters."""
+        matured = []
+        for birth in self.lifespans.due(first_frame):
+            rows = self.lifespans.mature(birth)
+            frozen = self.matured_rows(birth)
+            for array in self.values.arrays():
+                array[frozen] = array[rows]
+            offsets = self.lifespans.matured_starts[rows] - birth
+            matured.append(Slice(birth, self._read(frozen), offsets.astype(np.uint8)))
+        return matured
+
+    def matured_rows(self, birth: int) -> slice:
+        """The rows of the slice born at `birth` from its maturing until the next of its lane."""
+        rows = self.lifespans.lane_rows(birth % self.lifespans.swin_size)
+        return slice(rows.start + self.num_gs, rows.stop + self.num_gs)
+
+    def relocate(self, last_frame: int, dead_opacity: float, rng: np.random.Generator) -> None:
+        """Moves dead Gaussians of every slice in the window that ends with `last_frame` to living
+        ones born no earlier.
+
+        A dead one keeps its expiry and takes over its target's start, so it may show later than its
+        slice is due (the paper's "birth" and "start").
+        """
+        lifespans = self.lifespans
+        births = np.unique(lifespans.births)
+        for birth in births[births <= last_frame]:
+            logits = self.values.logit_opacities[: self.num_gs]
+            is_dead = logits <= np.log(dead_opacity / (1 - dead_opacity))
+            dead = np.flatnonzero(is_dead & (lifespans.births == birth))
+            # Slices that no frame of the video shows yet must not attract any.
+            alive = np.flatnonzero(
+                ~is_dead & (lifespans.births >= birth) & (lifespans.starts <= last_frame)
+            )
+            targets = relocate(self.values, dead, alive, dead_opacity, rng)
+            if len(targets):
+                lifespans.starts[dead] = lifespans.starts[targets]
+                self.adam.reset(dead)
+                self.adam.reset(np.unique(targets))
+
+    def least(self, rows: Ints, weights: Floats, each: int) -> Ints:
+        """Of `rows`, all being optimised, the `each` of lowest weight of every slice, slice by
+        slice in turn."""
+        by_weight = rows[np.argsort(weights, kind="stable")]
+        births = self.lifespans.births[by_weight]
+        slices = [by_weight[births == birth][:each] for birth in np.unique(births)]
+        return np.array([row for turn in zip(*slices, strict=True) for row in turn], np.int32)
+
+    def place(self, rows: Ints, splats: Splats, start: int) -> None:
+        """Puts `splats` in the place of the Gaussians `rows`; they show from frame `start` on."""
+        self._write(rows, splats)
+        self.lifespans.starts[rows] = start
+        self.adam.reset(rows)
+
+    def _read(self, rows: slice | Ints) -> Splats:
+        return Splats(*(array[rows].copy() for array in self.values.arrays()))
+
+    def _write(self, rows: slice | Ints, splats: Splats) -> None:
+        for array, given in zip(self.values.arrays(), splats.arrays, strict=True):
+            array[rows] = given

@@ -1,0 +1,94 @@
+"""The settings of a training run; its `--help` is made of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from codec.errors import InvalidError
+from codec.profiles.profile import Profile
+from trainer.fit.config import FitConfig
+from trainer.pictures.framecache import DEFAULT_MAX_BYTES
+from trainer.step.backend import BackendName
+
+Preset = Literal["cpu", "fast", "paper"]
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Trains a capture into a stream."""
+
+    capture: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="CAPTURE")]
+    """Folder of the recording: Dynamic 3D Gaussians, DyNeRF, COLMAP or nerfstudio layout."""
+    stream: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="STREAM")] = None
+    """Folder to write, new or empty. Left out only with --check."""
+    check: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
+    """Train nothing: read the ends of every camera, say what was understood, and draw
+    its cameras and points to this PNG."""
+    preset: Preset = "cpu"
+    """Defaults to start from: cpu (minutes on two cores), fast (a first look), or paper (its
+    settings, made for a GPU); other options override them."""
+    frames: str = ":"
+    """Frames of the capture to train, A:B; A included, B not."""
+    scale: float = 1.0
+    """Size of the training pictures over the capture's, above 0 to 1."""
+    near_m: float | None = None
+    """Nearest depth drawn, metres; by default 0.35 of the cameras' distance to what they look
+    at."""
+    far_m: float | None = None
+    """Depth that seeding reaches to, metres; by default from the rig."""
+    points: Path | None = None
+    """File of initial points, .ply or .npz, in the place of the capture's own."""
+    point_share: float | None = None
+    """Share of the first Gaussians taken from the capture's points, if it has any; seeds fill the
+    rest. By default how evenly the points lie over the pictures (0 to 1), but 0.3 at least."""
+    layers: tuple[float, ...] = (0.35, 0.15, 0.2, 0.3)
+    """Share of a slice's Gaussians in each layer, most important first; the sum is 1. A smaller
+    first layer leaves holes, and the last third of the Gaussians adds little."""
+    rank: Literal["opacity", "coverage", "contribution"] = "contribution"
+    """Importance that orders Gaussians into layers: contribution (blending weight summed over the
+    training cameras; a first layer without holes), opacity (paper, section 5.5), or coverage
+    (opacity times size)."""
+    profile: Profile = Profile.COMPACT
+    """Precision of the stream."""
+    raw_stream: Path | None = None
+    """Also write the same Gaussians with profile raw to this folder, to see what `profile`
+    costs."""
+    segment_frames: int = 15
+    """Frames in a segment: what a writer can lose, and the unit of caching."""
+    backend: BackendName = "cpu"
+    """Where the steps of training are computed: cpu, cuda (gsplat on an NVIDIA GPU), or auto, which
+    is cuda if it can. Ranks and scores are computed on the CPU."""
+    resume: bool = False
+    """Go on where a run of the same settings was stopped or killed."""
+    log: Path | None = None
+    """File that gets one JSON object per frame; by default training.jsonl in the stream folder."""
+    tensorboard: Path | None = None
+    """Also write the log's numbers as TensorBoard scalars to this folder."""
+    snapshot_every: int = 30
+    """Frames between pictures of a held-out view (capture, rendered, error), in snapshots/ in the
+    stream's folder; 0 for none."""
+    title: str = ""
+    """Name of the stream for people; by default the capture folder's."""
+    cache_bytes: int = DEFAULT_MAX_BYTES
+    """Bytes of decoded pictures held in memory."""
+    fit: Annotated[FitConfig, tyro.conf.arg(name="")] = field(default_factory=FitConfig)
+    """The sliding-window training itself."""
+
+    def __post_init__(self) -> None:
+        if self.stream is None and self.check is None:
+            raise InvalidError("name the folder to write the stream to, or --check PNG")
+        if self.point_share is not None and not 0 <= self.point_share <= 1:
+            raise InvalidError(f"point_share {self.point_share:g}: choose 0 to 1")
+        if self.snapshot_every < 0:
+            raise InvalidError(f"snapshot_every {self.snapshot_every}: choose 0 or more")
+
+    @property
+    def target(self) -> Path:
+        """The folder to write."""
+        if self.stream is None:
+            raise InvalidError("no folder to write the stream to")
+        return self.stream

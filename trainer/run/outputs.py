@@ -1,0 +1,109 @@
+"""What a run writes beside its log and its checkpoint: streams and snapshots."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from codec.errors import InvalidError
+from codec.profiles.profile import Profile
+from codec.slice import Slice
+from codec.splats import Splats
+from codec.stream import StreamReader, StreamWriter
+from codec.stream.manifest import Manifest
+from player.render.cpu import render_splats
+from trainer.pictures.framecache import FrameCache
+from trainer.score.evaluate import displayed
+from trainer.score.quality import QualityMeter
+from trainer.score.sheet import comparison, save_png
+
+from .config import TrainConfig
+from .rank import writer_rank
+
+
+def check_targets(config: TrainConfig) -> list[Path]:
+    """The folders to write. Raises InvalidError for one that holds something else, and for a log
+    that has no place."""
+    if config.log is not None and not config.log.parent.is_dir():
+        raise InvalidError(f"{config.log.parent} is not a folder; the log cannot be written there")
+    targets = [config.target] + ([config.raw_stream] if config.raw_stream else [])
+    for target in targets:
+        if config.resume:
+            continue
+        if target.exists() and (not target.is_dir() or any(target.iterdir())):
+            raise InvalidError(
+                f"{target} exists and is not empty; remove it, name another folder, or --resume"
+            )
+    return targets
+
+
+class Outputs:
+    """The streams of a run; all of them get the same slices."""
+
+    def __init__(self, writers: Sequence[StreamWriter], quality: QualityMeter) -> None:
+        """quality: of the first stream."""
+        self._writers = writers
+        self.quality = quality
+        self.pending: list[Slice] = []
+        """Slices that may not be in a finished segment of every stream yet, in order of birth."""
+
+    @property
+    def bytes_written(self) -> int:
+        """Of the first stream, to disk."""
+        return self._writers[0].bytes_written
+
+    def deliver(self, slices: Sequence[Slice]) -> None:
+        """Appends `slices` to the streams that lack them."""
+        for part in slices:
+            for writer in self._writers:
+                if part.birth >= writer.next_birth:
+                    writer.append(part)
+            self.pending.append(part)
+        self.pending = [
+            p for p in self.pending if any(p.birth >= w.durable_birth for w in self._writers)
+        ]
+
+
+@contextmanager
+def open_outputs(
+    config: TrainConfig, targets: Sequence[Path], manifest: Manifest, cache: FrameCache
+) -> Iterator[Outputs]:
+    """A stream in each of the folders; a resumed run leaves out those that are finished.
+
+    Leaving finishes the streams; leaving by an exception keeps what is in finished segments.
+    """
+    with ExitStack() as stack:
+        writers, meters = [], []
+        for target, profile in zip(targets, (manifest.profile, Profile.RAW), strict=False):
+            quality = QualityMeter(cache, manifest)
+            rank = writer_rank(config.rank)
+            if not config.resume:
+                wanted = manifest.with_profile(profile)
+                writer = StreamWriter.create(target, wanted, rank, quality=quality)
+            else:
+                reader = StreamReader(target)
+                if not reader.manifest.live:
+                    continue
+                writer = StreamWriter.resume(target, rank, quality=quality)
+                quality.recall(reader, writer.next_birth)
+            writers.append(stack.enter_context(writer))
+            meters.append(quality)
+        if not writers:
+            raise InvalidError(f"{config.target} is finished; there is nothing to resume")
+        yield Outputs(writers, meters[0])
+
+
+def write_snapshot(
+    splats: Splats, frame: int, cache: FrameCache, near_m: float, folder: Path
+) -> None:
+    """Draws what shows in a frame of the stream, as the first held-out camera sees it, to a PNG in
+    `folder`."""
+    capture = cache.capture
+    index = (capture.held_out or capture.training)[0]
+    truth = cache.image(index, cache.frames[frame]).astype(np.float32) / np.float32(255)
+    seen = displayed(render_splats(splats, cache.camera(index), near_m))
+    save_png(Image.fromarray(comparison(seen, truth)), folder / f"{frame:06d}.png")

@@ -1,0 +1,157 @@
+"""What a run begins with: a capture and settings that were found good, first Gaussians, a manifest.
+
+Nothing is written here.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from codec.errors import InvalidError
+from codec.framerange import FrameRange
+from codec.splats import Splats
+from codec.stream.manifest import Manifest
+from trainer.capture.capture import Capture, check_trainable
+from trainer.capture.layout import open_capture
+from trainer.capture.points import points_evenness, read_points_file
+from trainer.errors import CaptureError
+from trainer.fit.trainer import FALLBACK_FAR_M
+from trainer.pictures.feed import Pictures
+from trainer.pictures.framecache import FrameCache
+from trainer.seed.gaussians import initial_splats, stereo_seeds
+from trainer.step.backend import Backend
+
+from .config import TrainConfig
+
+FALLBACK_NEAR_M = 0.2
+"""Near plane where a rig does not tell. 3DGS."""
+
+LEAST_POINT_SHARE = 0.3
+"""Of the first Gaussians, where points lie in a few spots only: those are what matters most."""
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """What is trained."""
+
+    capture: Capture
+    frames: range
+    """Of the capture."""
+    near_m: float
+    far_m: float
+    """Depths between which the scene lies."""
+    backend: Backend
+
+
+def check_start(config: TrainConfig) -> Start:
+    """Opens the capture. Raises SwingsError where capture or settings cannot work."""
+    capture = open_capture(config.capture)
+    if config.points is not None:
+        capture = replace(capture, points=read_points_file(config.points))
+    check_trainable(capture)
+    frames = FrameRange.parse(config.frames).of(capture.num_frames, capture.root)
+    near_m, far_m = _depths(capture, config)
+    return Start(capture, frames, near_m, far_m, config.fit.backend(config.backend))
+
+
+def _depths(capture: Capture, config: TrainConfig) -> tuple[float, float]:
+    """Near and far depth in metres: as configured, else the capture's, else the fallbacks."""
+    near_m = config.near_m
+    if near_m is None:
+        near_m = FALLBACK_NEAR_M if capture.near_m is None else capture.near_m
+    far_m = config.far_m
+    if far_m is None:
+        far_m = max(FALLBACK_FAR_M, 10 * near_m) if capture.far_m is None else capture.far_m
+    if not 0 < near_m < far_m:
+        raise InvalidError(f"near_m {near_m:g} and far_m {far_m:g}: choose 0 < near_m < far_m")
+    return near_m, far_m
+
+
+def shared_settings(config: TrainConfig, start: Start) -> dict[str, Any]:
+    """What a resumed run must share with the run that it continues."""
+    return {
+        **asdict(config.fit),
+        "frames": [start.frames.start, start.frames.stop],
+        "near_m": start.near_m,
+        "far_m": start.far_m,
+        **{
+            name: getattr(config, name)
+            for name in ("scale", "point_share", "layers", "rank", "profile", "segment_frames")
+        },
+        "raw_stream": config.raw_stream is not None,
+        "backend": type(start.backend).__name__,
+        "first_picture": _fingerprint(start.capture, start.frames.start),
+    }
+
+
+def _fingerprint(capture: Capture, frame: int) -> str:
+    """Of one picture: tells the takes of one rig apart."""
+    source = capture.open_images(capture.training[0])
+    try:
+        return hashlib.sha256(source.read(frame).tobytes()).hexdigest()
+    finally:
+        source.close()
+
+
+def first_gaussians(config: TrainConfig, start: Start, pictures: Pictures) -> Splats:
+    """num_gs Gaussians: of the capture's points, the rest seeded where the cameras agree."""
+    fit, points, cameras = config.fit, start.capture.points, pictures.cameras
+    rng = np.random.default_rng(fit.seed)
+    positions, colours = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8)
+    if points is not None:
+        share = config.point_share
+        if share is None:
+            share = max(LEAST_POINT_SHARE, points_evenness(points, cameras))
+        count = min(len(points), round(share * fit.num_gs))
+        chosen = rng.choice(len(points), count, replace=False)
+        positions, colours = points.xyz[chosen], points.rgb[chosen]
+    missing = fit.num_gs - len(positions)
+    if missing > 0:
+        shots = [pictures.shot(c, 0) for c in range(len(cameras))]
+        seeds, seed_colours = stereo_seeds(
+            cameras, [s.picture for s in shots], missing, start.near_m, start.far_m, rng,
+            [s.mask for s in shots],
+        )  # fmt: skip
+        if len(seeds) < missing:
+            raise CaptureError(
+                f"{start.capture.root}: no three training cameras see the same place between "
+                f"{start.near_m:g} m and {start.far_m:g} m; set --near-m and --far-m"
+            )
+        positions = np.concatenate([positions, seeds])
+        colours = np.concatenate([colours, seed_colours])
+    return initial_splats(positions, colours, fit.sh_degree)
+
+
+def make_manifest(
+    config: TrainConfig, start: Start, cache: FrameCache, initial: Splats
+) -> Manifest:
+    """The manifest of the stream about to be trained."""
+    capture = start.capture
+    cameras = tuple(cache.camera(i) for i in range(len(capture.cameras)))
+    default = (capture.held_out or capture.training)[0]
+    points = capture.points.xyz if capture.points is not None else initial.means
+    low, high = np.percentile(points, 5, axis=0), np.percentile(points, 95, axis=0)
+    return Manifest(
+        fps=capture.fps,
+        swin_size=config.fit.swin_size,
+        num_gs=config.fit.num_gs,
+        layers=config.layers,
+        segment_frames=config.segment_frames,
+        sh_degree=config.fit.sh_degree,
+        profile=config.profile,
+        antialias=False,
+        near_m=start.near_m,
+        bounds=(
+            (float(low[0]), float(low[1]), float(low[2])),
+            (float(high[0]), float(high[1]), float(high[2])),
+        ),
+        cameras=cameras,
+        default_camera=cameras[default].name,
+        live=True,
+        title=config.title or capture.root.resolve().name,
+        capture_frame=start.frames.start,
+    )
