@@ -20,7 +20,6 @@ from rich.console import Console
 from rich.table import Table
 
 from codec.console import run_command
-from trainer.fit.config import FitConfig
 from trainer.run.config import TrainConfig
 from trainer.run.job import train_stream
 from trainer.run.preset import PRESETS
@@ -43,14 +42,21 @@ class CudaConfig:
     """Iterations of every later window. Paper, section 8.1."""
 
 
-def run(config: CudaConfig) -> None:
-    paper = dict(PRESETS["paper"])
-    base: FitConfig = paper.pop("fit")
+def training(config: CudaConfig, num_frames: int, stream: Path) -> TrainConfig:
+    """Preset paper on the first `num_frames` frames."""
+    paper = PRESETS["paper"](
+        config.capture, stream, frames=f"0:{num_frames}", scale=config.scale, backend="cuda"
+    )
     fit = replace(
-        base,
+        paper.fit,
         genesis_iterations=config.genesis_iterations,
         window_iterations=config.window_iterations,
     )
+    return replace(paper, fit=fit)
+
+
+def run(config: CudaConfig) -> None:
+    fit = training(config, 1, Path("stream")).fit
     fit.backend("cuda")  # to refuse a machine without one before anything is read
     import torch
 
@@ -61,14 +67,11 @@ def run(config: CudaConfig) -> None:
     for length in config.frames:
         torch.cuda.reset_peak_memory_stats()
         with tempfile.TemporaryDirectory() as folder:
-            job = TrainConfig(
-                config.capture, Path(folder) / "stream", frames=f"0:{length}", backend="cuda",
-                scale=config.scale, fit=fit, **paper,
-            )  # fmt: skip
+            stream = Path(folder) / "stream"
             begin_s = time.monotonic()
-            train_stream(job, console)
+            train_stream(training(config, length, stream), console)
             took_s = time.monotonic() - begin_s
-            score = evaluate_stream(EvaluateConfig(job.target, config.capture)).layers[-1]
+            score = evaluate_stream(EvaluateConfig(stream, config.capture)).layers[-1]
         table.add_row(
             str(length),
             f"{took_s / length:.1f}",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import logging
 import sys
 from collections.abc import Callable
@@ -33,16 +34,18 @@ def option(
 
 
 def run_command(
-    config_type: type[Config], run: Callable[[Config], None], prog: str, description: str
+    config_type: type[Config],
+    run: Callable[[Config], None],
+    prog: str,
+    description: str,
+    parse: Callable[..., Config] = tyro.cli,
 ) -> None:
-    """Parses argv into `config_type` and runs it.
+    """Parses the command line into `config_type` and runs it. parse: called like tyro.cli.
 
     Exits with 0 when done, 1 with one line on stderr for a SwingsError or an OSError, 2 for bad
     usage. A `--verbose` anywhere among the arguments shows the traceback and debug logs.
     """
-    arguments = sys.argv[1:]
-    verbose = "--verbose" in arguments
-    arguments = [a for a in arguments if a != "--verbose"]
+    verbose, arguments = _split_verbose(prog)
     logging.basicConfig(
         level=logging.DEBUG if verbose else logging.WARNING,
         format=f"{prog}: %(levelname)s %(name)s: %(message)s",
@@ -59,7 +62,7 @@ def run_command(
         sys.exit(status)
 
     try:
-        config = tyro.cli(
+        config = parse(
             config_type,
             prog=prog,
             description=f"{description}\n\n{epilogue}",
@@ -74,3 +77,16 @@ def run_command(
         sys.exit(130)
     except (SwingsError, OSError) as error:
         fail(error, 1)
+
+
+def _split_verbose(prog: str) -> tuple[bool, list[str]]:
+    """Whether the command line says --verbose, and its other arguments.
+
+    It is not a field of the configs, because it may stand before a subcommand and after it.
+    """
+    # Not tyro.cli(return_unknown_args=True): it would write the shell completion of this one
+    # option in the place of the command's.
+    first = argparse.ArgumentParser(prog, add_help=False, allow_abbrev=False)
+    first.add_argument("--verbose", action="store_true")
+    known, others = first.parse_known_args()
+    return known.verbose, others

@@ -18,7 +18,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 from trainer.capture.check import check_capture
 from trainer.run.config import TrainConfig
 from trainer.run.job import train_stream
-from trainer.run.preset import config_type
+from trainer.run.preset import parse_with_preset
 from trainer.run.warm import start_over_if_compiled
 from trainer.score.ablation import ablate_quantisation
 from trainer.score.evaluate import EvaluateConfig, evaluate_stream
@@ -56,7 +56,7 @@ def synth() -> None:
 
 def train() -> None:
     run_command(
-        config_type(sys.argv[1:]), _train, "swings-train", "Trains a capture into a stream."
+        TrainConfig, _train, "swings-train", "Trains a capture into a stream.", parse_with_preset
     )
 
 

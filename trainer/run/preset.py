@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import field, make_dataclass
-from typing import Any, get_args, get_type_hints
+import argparse
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import tyro
 
 from codec.profiles.profile import Profile
 from trainer.fit.config import FitConfig
@@ -13,17 +16,21 @@ from trainer.fit.optimiser import OptimiserConfig
 
 from .config import Preset, TrainConfig
 
-PRESETS: Mapping[Preset, Mapping[str, Any]] = {
+PRESETS: Mapping[Preset, Callable[..., TrainConfig]] = {
     # The defaults: what two cores train in minutes. Measured in docs/RESULTS.md.
-    "cpu": {},
+    "cpu": TrainConfig,
     # A first look at a capture: a third of the iterations and half of the Gaussians of `cpu`.
-    "fast": {
-        "fit": FitConfig(num_gs=10_000, genesis_iterations=1_600, window_iterations=250),
-    },
+    "fast": partial(
+        TrainConfig,
+        preset="fast",
+        fit=FitConfig(num_gs=10_000, genesis_iterations=1_600, window_iterations=250),
+    ),
     # The paper's setting, made for a GPU: section 8.1 and, where it is silent, 3DGS-MCMC, on which
     # it builds.
-    "paper": {
-        "fit": FitConfig(
+    "paper": partial(
+        TrainConfig,
+        preset="paper",
+        fit=FitConfig(
             num_gs=200_000,  # 8.1
             swin_size=5,  # 8.1
             sh_degree=1,  # 8.1
@@ -43,37 +50,25 @@ PRESETS: Mapping[Preset, Mapping[str, Any]] = {
                 scale_reg=0.01,  # 8.1
             ),
         ),
-        "point_share": 1.0,  # 3DGS: a capture's points and nothing else, as far as they go
-        "rank": "opacity",  # 5.5
-        "profile": Profile.PAPER,  # 5.6.2
-    },
+        point_share=1.0,  # 3DGS: a capture's points and nothing else, as far as they go
+        rank="opacity",  # 5.5
+        profile=Profile.PAPER,  # 5.6.2
+    ),
 }
+"""TrainConfig with other defaults."""
 
 
-def config_type(arguments: Sequence[str]) -> type[TrainConfig]:
-    """TrainConfig with the defaults of the preset that the command line names, if any.
+def parse_with_preset(
+    config_type: Callable[..., TrainConfig], args: Sequence[str], **options: Any
+) -> TrainConfig:
+    """`tyro.cli`, with the defaults of the preset that `args` name, if any.
 
-    An unknown name is left to the parser to refuse.
+    A name that is not a preset is left to tyro to refuse.
     """
-    for at, argument in enumerate(arguments):
-        name, equals, value = argument.partition("=")
-        if name == "--preset":
-            value = value if equals else "".join(arguments[at + 1 : at + 2])
-            for preset in get_args(Preset):
-                if value == preset:
-                    return _with_defaults(preset)
-    return TrainConfig
-
-
-def _with_defaults(preset: Preset) -> type[TrainConfig]:
-    hints = get_type_hints(TrainConfig, include_extras=True)
-    defaults = {"preset": preset, **PRESETS[preset]}
-    # Frozen dataclasses of plain values: one instance may serve all, but a field's default must be
-    # hashable or come from a factory.
-    fields = [
-        (name, hints[name], field(default_factory=lambda value=value: value))  # type: ignore[misc]
-        for name, value in defaults.items()
-    ]
-    made = make_dataclass("TrainConfig", fields, bases=(TrainConfig,), frozen=True)
-    made.__doc__ = TrainConfig.__doc__
-    return made
+    # Not tyro.cli(return_unknown_args=True): it would write the shell completion of this one
+    # option in the place of the command's.
+    first = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    first.add_argument("--preset", nargs="?")
+    chosen, _ = first.parse_known_args(args)
+    config: TrainConfig = tyro.cli(PRESETS.get(chosen.preset, config_type), args=args, **options)
+    return config

@@ -18,7 +18,7 @@ def _tensorboard(folder: Path) -> Any:
         from tensorboardX import SummaryWriter
     except ImportError as error:
         raise InvalidError(
-            "--tensorboard needs the package tensorboardX: pip install 'swings[tensorboard]'"
+            "--tensorboard needs the package tensorboardX: pip install '.[tensorboard]'"
         ) from error
     return SummaryWriter(str(folder))
 

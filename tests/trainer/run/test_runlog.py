@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import tyro
 from PIL import Image
 from rich.console import Console
 
@@ -22,7 +21,7 @@ from trainer.fit.trainer import Progress as FitProgress
 from trainer.run import runlog
 from trainer.run.config import TrainConfig
 from trainer.run.monitor import Monitor, progress_bar
-from trainer.run.preset import PRESETS, config_type
+from trainer.run.preset import PRESETS, parse_with_preset
 from trainer.run.runlog import RunLog
 from trainer.score.quality import QualityMeter
 
@@ -30,15 +29,18 @@ FRAMES = 5
 
 
 def parse(*arguments: str) -> TrainConfig:
-    return tyro.cli(config_type(arguments), args=["capture", "stream", *arguments])
+    return parse_with_preset(TrainConfig, args=["capture", "stream", *arguments])
 
 
-@pytest.mark.parametrize("spelling", [["--preset", "paper"], ["--preset=paper"]])
+@pytest.mark.parametrize(
+    "spelling",
+    [["--preset", "paper"], ["--preset=paper"], ["--preset", "fast", "--preset", "paper"]],
+)
 def test_a_preset_gives_the_defaults_and_options_override_them(spelling: Sequence[str]) -> None:
     config = parse(*spelling, "--window-iterations", "77", "--mcmc.scale-reg", "0.5")
     assert config.preset == "paper"
     assert config.profile is Profile.PAPER
-    wanted = PRESETS["paper"]["fit"]
+    wanted = PRESETS["paper"](Path("capture"), Path("stream")).fit
     assert config.fit == replace(
         wanted, window_iterations=77, mcmc=replace(wanted.mcmc, scale_reg=0.5)
     )
@@ -57,6 +59,15 @@ def test_an_unknown_preset_is_refused(tmp_path: Path) -> None:
     assert "cpu" in done.stderr
     assert "paper" in done.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_help_shows_the_preset_s_defaults_and_completion_knows_every_option() -> None:
+    for arguments, default in (((), 20_000), (("--preset", "paper"), 200_000)):
+        told = run_ok("swings-train", *arguments, "--help")
+        assert f"default: {default})" in told
+        assert "(default: paper)" in told or not arguments
+    completion = run_ok("swings-train", "--tyro-print-completion", "bash", "--preset", "paper")
+    assert "--genesis-iterations" in completion
 
 
 def test_a_log_without_a_place_is_refused_before_training(tmp_path: Path) -> None:
@@ -128,7 +139,7 @@ def test_tensorboard_gets_the_scalars_or_says_what_to_install(tmp_path: Path) ->
     try:
         import tensorboardX
     except ImportError:
-        with pytest.raises(InvalidError, match="pip install"):
+        with pytest.raises(InvalidError, match=r"pip install '\.\[tensorboard\]'"):
             RunLog(tmp_path / "log", tmp_path / "board")
         return
     assert tensorboardX.__version__

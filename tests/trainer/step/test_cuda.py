@@ -117,6 +117,6 @@ def test_cuda_that_is_missing_is_said_and_auto_takes_the_cpu(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(backends, "_cuda_is_there", lambda: False)
-    with pytest.raises(InvalidError, match="pip install"):
+    with pytest.raises(InvalidError, match=r"pip install '\.\[cuda\]'"):
         make_backend("cuda", *WEIGHTS)
     assert isinstance(make_backend("auto", *WEIGHTS), backends.CpuBackend)
