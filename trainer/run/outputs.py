@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-import numpy as np
 from PIL import Image
 
 from codec.errors import InvalidError
@@ -15,9 +14,8 @@ from codec.slice import Slice
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import Manifest
-from player.render.cpu import render_splats
 from trainer.pictures.framecache import FrameCache
-from trainer.score.evaluate import displayed
+from trainer.score.picture import captured, displayed
 from trainer.score.quality import QualityMeter
 from trainer.score.sheet import comparison, save_png
 
@@ -104,6 +102,6 @@ def write_snapshot(
     `folder`."""
     capture = cache.capture
     index = (capture.held_out or capture.training)[0]
-    truth = cache.image(index, cache.frames[frame]).astype(np.float32) / np.float32(255)
-    seen = displayed(render_splats(splats, cache.camera(index), near_m))
-    save_png(Image.fromarray(comparison(seen, truth)), folder / f"{frame:06d}.png")
+    truth = captured(cache.image(index, cache.frames[frame]))
+    shown = displayed(splats, cache.camera(index), near_m)
+    save_png(Image.fromarray(comparison(shown, truth)), folder / f"{frame:06d}.png")

@@ -15,7 +15,9 @@ from codec.profiles.paper import ATTRIBUTES, quantise_attribute
 from codec.profiles.profile import Profile
 from codec.splats import Splats, sh_count
 
-from .evaluate import EvaluateConfig, Score, open_held_out, score_picture
+from .evaluate import EvaluateConfig
+from .heldout import open_held_out
+from .picture import Score, score_splats
 
 FULL_BYTES = 4
 """Of a float32, which every attribute of a raw stream is made of."""
@@ -133,12 +135,12 @@ def ablate_quantisation(
         chosen = held_out.every(config.every)
         done, total = 0, len(chosen) * len(CASES) * len(held_out.cameras)
         for frame in chosen:
-            pictures, masks = held_out.pictures(frame), held_out.masks(frame)
+            shots = held_out.shots(frame)
             exact = reader.active_splats(frame, manifest.num_layers)
             for case, found in scores.items():
                 splats = quantise_case(exact, case)
-                for camera, truth, mask in zip(held_out.cameras, pictures, masks, strict=True):
-                    found.append(score_picture(splats, camera, truth, manifest.near_m, mask))
+                for camera, shot in zip(held_out.cameras, shots, strict=True):
+                    found.append(score_splats(splats, camera, shot, manifest.near_m))
                     done += 1
                     on_progress(done, total)
     psnr = {case: float(np.mean([s.psnr_db for s in found])) for case, found in scores.items()}

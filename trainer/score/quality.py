@@ -12,7 +12,7 @@ from codec.stream.layers import merge_layers
 from codec.stream.manifest import Manifest
 from trainer.pictures.framecache import FrameCache
 
-from .evaluate import score_picture
+from .picture import score_splats
 
 
 class QualityMeter:
@@ -49,18 +49,12 @@ class QualityMeter:
         if frame < 0:
             return None
         camera = self._cameras[frame % len(self._cameras)]
-        truth = self._cache.image(camera, self._cache.frames[frame])
-        mask = self._cache.mask(camera, self._cache.frames[frame])
-        if mask is not None and not mask.any():
+        shot = self._cache.shot(camera, self._cache.frames[frame])
+        if shot.mask is not None and not shot.mask.any():
             return None
         self.last_db = []
         for window in self._windows:
-            score = score_picture(
-                active_splats(window, frame, self._manifest.swin_size),
-                self._cache.camera(camera),
-                truth,
-                self._manifest.near_m,
-                mask,
-            )
+            splats = active_splats(window, frame, self._manifest.swin_size)
+            score = score_splats(splats, self._cache.camera(camera), shot, self._manifest.near_m)
             self.last_db.append(score.psnr_db)
         return self.last_db

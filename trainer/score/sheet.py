@@ -3,6 +3,7 @@ cameras."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,20 +11,16 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw
 
 from codec.files import replacing
-from codec.stream import StreamReader
-from player.render.cpu import render_splats
-from trainer.capture.layout import open_capture
-from trainer.errors import CaptureError
-from trainer.pictures.framecache import FrameCache
 from trainer.step.loss import psnr_db
 
-from .evaluate import displayed, stream_cameras
-
-Floats = npt.NDArray[np.float32]
+from .heldout import open_held_out
+from .picture import Floats, captured, displayed
 
 MAX_ROWS = 6
 ERROR_GAIN = 4
 """The error is drawn this many times brighter."""
+HEADER_PX = 16
+"""Height of a label."""
 
 
 def comparison(shown: Floats, truth: Floats) -> npt.NDArray[np.uint8]:
@@ -44,34 +41,31 @@ def save_png(picture: Image.Image, target: Path) -> None:
 
 def write_sheet(stream: Path, capture_path: Path, target: Path) -> None:
     """Draws up to MAX_ROWS rows (frames spread over the stream, held-out cameras in turn) to a
-    PNG."""
-    reader = StreamReader(stream)
-    manifest = reader.manifest
-    capture = open_capture(capture_path)
-    if not capture.held_out:
-        raise CaptureError(f"{capture.root}: no held-out camera to compare with")
-    cameras = stream_cameras(manifest, capture, str(stream))
-    frames = range(manifest.capture_frame, manifest.capture_frame + reader.num_frames)
-    rows = min(MAX_ROWS, reader.num_frames)
+    PNG. Raises what `open_held_out` raises."""
     lines: list[npt.NDArray[np.uint8]] = []
     labels: list[str] = []
-    with FrameCache(capture, frames, cameras=cameras) as cache:
+    with open_held_out(stream, capture_path) as held_out:
+        reader, manifest = held_out.reader, held_out.reader.manifest
+        rows = min(MAX_ROWS, reader.num_frames)
         for row in range(rows):
             frame = round(row * (reader.num_frames - 1) / max(rows - 1, 1))
-            index = capture.held_out[row % len(capture.held_out)]
-            camera = cache.camera(index)
-            truth = cache.image(index, frames[frame]).astype(np.float32) / np.float32(255)
+            which = row % len(held_out.cameras)
+            camera, shot = held_out.cameras[which], held_out.shot(which, frame)
             splats = reader.active_splats(frame, manifest.num_layers)
-            shown = displayed(render_splats(splats, camera, manifest.near_m))
+            shown, truth = displayed(splats, camera, manifest.near_m), captured(shot.picture)
             lines.append(comparison(shown, truth))
-            score_db = psnr_db(shown, truth, cache.mask(index, frames[frame]))
+            score_db = psnr_db(shown, truth, shot.mask)
             labels.append(f"frame {frame}, camera {camera.name}: {score_db:.2f} dB")
+    save_png(_labelled(lines, labels), target)
+
+
+def _labelled(lines: Sequence[npt.NDArray[np.uint8]], labels: Sequence[str]) -> Image.Image:
+    """The lines below each other, each below its label."""
     height_px, width_px = lines[0].shape[:2]
-    header_px = 16
-    sheet = Image.new("RGB", (width_px, len(lines) * (height_px + header_px)), "black")
+    sheet = Image.new("RGB", (width_px, len(lines) * (height_px + HEADER_PX)), "black")
     draw = ImageDraw.Draw(sheet)
     for row, (line, label) in enumerate(zip(lines, labels, strict=True)):
-        top = row * (height_px + header_px)
+        top = row * (height_px + HEADER_PX)
         draw.text((4, top + 2), f"{label}   |   capture, rendered, error x{ERROR_GAIN}", "white")
-        sheet.paste(Image.fromarray(line), (0, top + header_px))
-    save_png(sheet, target)
+        sheet.paste(Image.fromarray(line), (0, top + HEADER_PX))
+    return sheet
