@@ -84,8 +84,8 @@ def _split_verbose(prog: str) -> tuple[bool, list[str]]:
 
     It is not a field of the configs, because it may stand before a subcommand and after it.
     """
-    # Not tyro.cli(return_unknown_args=True): it would write the shell completion of this one
-    # option in the place of the command's.
+    # Not tyro.cli(return_unknown_args=True): asked for shell completion, it would complete this
+    # one option only.
     first = argparse.ArgumentParser(prog, add_help=False, allow_abbrev=False)
     first.add_argument("--verbose", action="store_true")
     known, others = first.parse_known_args()

@@ -25,19 +25,19 @@ class FitConfig:
     genesis_iterations: int = 5_000
     """Iterations of the first window. Paper: 30,000 on a GPU."""
     coarse_share: float = 0.6
-    """Share of genesis, its beginning, that sees pictures of half the size: shapes settle where the
-    cameras agree before detail can be learned by heart. 0 to switch it off."""
+    """Share of genesis, from its beginning, that sees pictures of half the size, so that shapes
+    settle where the cameras agree before detail is learned by heart; 0 switches it off."""
     window_iterations: int = 800
     """Iterations of every later window. Paper: 2,000 on a GPU."""
     newest_share: float = 0.5
-    """Share of a window's iterations spent on its newest frame, if no earlier window has seen
-    it."""
+    """Share of a window's iterations that is spent on its newest frame, where no earlier window has
+    seen it."""
     dssim_weight: float = 0.2
     """Weight of 1 - SSIM beside L1. 3DGS."""
     colour_lr: float = 1e-3
     """Learning rate of the per-camera colour correction; 0 switches it off."""
     seed: int = 0
-    """Of every random choice."""
+    """Seed of every random choice."""
     optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
     """Learning rates."""
     mcmc: McmcConfig = field(default_factory=McmcConfig)

@@ -28,11 +28,11 @@ class Generations:
     """Parameters, lifespans and Adam's histories of num_gs slots.
 
     Rows 0..num_gs-1 are the generation being optimised, rows num_gs..2 num_gs-1 the matured
-    generation before it in the same slots. Only the first has histories.
+    generation before it in the same slots, which has no history.
     """
 
     def __init__(self, config: FitConfig, initial: Splats | None) -> None:
-        """initial: num_gs Gaussians; None leaves them to whoever fills the arrays of `state`."""
+        """initial: num_gs Gaussians; None when the arrays of `state` will be filled."""
         self.num_gs = config.num_gs
         self.lifespans = Lifespans(config.num_gs, config.swin_size)
         self.adam = Adam(config.num_gs, config.sh_degree, config.optimiser)
@@ -124,7 +124,7 @@ class Generations:
         return np.array([row for turn in zip(*slices, strict=True) for row in turn], np.int32)
 
     def place(self, rows: Ints, splats: Splats, start: int) -> None:
-        """Puts `splats` in the place of the Gaussians `rows`; they show from frame `start` on."""
+        """Replaces the Gaussians `rows` by `splats`, which show from frame `start` on."""
         self._write(rows, splats)
         self.lifespans.starts[rows] = start
         self.adam.reset(rows)

@@ -18,7 +18,7 @@ from trainer.step.raster import Parameters
 Floats = npt.NDArray[np.float32]
 
 MAX_COPIES = 51
-"""Gaussians that may share one place, the one there included. 3DGS-MCMC."""
+"""Gaussians that may share one place, with the one that is there. 3DGS-MCMC."""
 
 
 @dataclass(frozen=True)
@@ -28,17 +28,17 @@ class McmcConfig:
     relocate_period: int = 100
     """Iterations between relocations. 3DGS-MCMC."""
     relocate_until: float = 0.8
-    """Share of a window's iterations after which none is relocated, so that all settle. 3DGS-MCMC:
-    25K of 30K."""
+    """Share of a window's iterations after which no Gaussian is relocated, so that all settle.
+    3DGS-MCMC: 25K of 30K."""
     dead_opacity: float = 0.005
-    """A Gaussian at or below is dead. 3DGS-MCMC."""
+    """A Gaussian of this opacity or less is dead. 3DGS-MCMC."""
     noise_lr: float = 5e5
     """Noise of genesis, times the positions' learning rate. 3DGS-MCMC."""
     window_noise_lr: float = 5e4
     """Noise of later windows, whose learning rate restarts higher. Paper, section 8.1."""
     renew_share: float = 0.1
-    """Share of every slice, those that contribute least, that may be placed at a window's start
-    where its newest frame shows what is not rendered; 0 to switch it off."""
+    """Share of every slice, the Gaussians that contribute least, that may be moved at a window's
+    start to where its newest frame shows what is not rendered; 0 switches it off."""
     opacity_reg: float = 1e-3
     """Weight of the mean opacity in the loss. 3DGS-MCMC for indoor scenes; its usual 0.01 (paper,
     8.1: 0.02) makes haze of a scene that is trained for thousands of iterations, not tens of

@@ -30,7 +30,7 @@ class OptimiserConfig:
     """Learning rates, per Adam step."""
 
     means_lr: float = 1.6e-4
-    """Of positions at the start of genesis, times the scene's extent (metres). 3DGS."""
+    """For positions at the start of genesis, times the scene's extent (metres). 3DGS."""
     means_lr_end: float = 1.6e-6
     """The same at the end of genesis, reached log-linearly. 3DGS."""
     window_means_lr: float = 1e-3
@@ -39,17 +39,17 @@ class OptimiserConfig:
     window_means_lr_end: float = 1.6e-5
     """The same at the end of a window."""
     log_scales_lr: float = 5e-3
-    """Of log-scales. 3DGS."""
+    """For log-scales. 3DGS."""
     quats_lr: float = 1e-3
-    """Of quaternions. 3DGS."""
+    """For quaternions. 3DGS."""
     logit_opacities_lr: float = 5e-2
-    """Of logit opacities. 3DGS."""
+    """For logit opacities. 3DGS."""
     sh_lr: float = 2.5e-3
-    """Of the constant colour; the linear terms take a twentieth. 3DGS."""
+    """For the constant colour; the linear terms take a twentieth. 3DGS."""
     eps: float = 1e-15
     """Adam's epsilon. 3DGS."""
     carry_adam: bool = True
-    """Keep Adam's history from window to window; off: every window starts it afresh."""
+    """Keep Adam's history from window to window; if off, every window starts it afresh."""
     age_scaling: Literal["off", "gradient", "update"] = "update"
     """What 1 / (1 + windows trained) multiplies for positions: nothing, the gradient (paper, 4.5.1;
     nearly no effect under Adam), or Adam's update, which is what the paper means by a decaying

@@ -29,7 +29,7 @@ DEFAULT_MAX_BYTES = 1 << 30
 """Bytes of pictures kept: 30 cameras x 200 frames at 320x180, or 30 x 8 at 1352x1014."""
 
 DEFAULT_MAX_REQUESTS = 256
-"""Pictures that may wait to be read ahead: two frames of over a hundred cameras."""
+"""Pictures that may wait to be read ahead: two frames of more than a hundred cameras."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,10 +85,10 @@ class FrameCache:
         """Opens nothing yet.
 
         frames: the frames that may be asked for, by their number in the capture, step 1. scale:
-        size of the pictures handed out over the size of the capture's, in (0, 1]; or, in its place,
-        cameras: all of the capture's at the sizes wanted. max_requests: pictures that may wait to
-        be read ahead. Raises InvalidError for frames outside the
-        capture, a scale outside (0, 1], or a bound that cannot hold one picture.
+        size of the pictures handed out over the size of the capture's, in (0, 1]. cameras: instead
+        of a scale, all of the capture's cameras at the sizes wanted. max_requests: pictures that
+        may wait to be read ahead. Raises InvalidError for frames outside the capture, a scale
+        outside (0, 1], or a bound that cannot hold one picture.
         """
         if not 0 < scale <= 1:
             raise InvalidError(f"scale {scale}: must be above 0 and at most 1")
@@ -139,9 +139,10 @@ class FrameCache:
     def prefetch(self, camera_indices: Iterable[int], frame: int, needed_from: int) -> None:
         """Asks for the pictures and masks of `frame` to be read ahead, and does not wait.
 
-        needed_from: the first frame that will be asked for again; what is held of frames before it
-        may go to make room, nothing else. What finds no room, or too many waiting, is left out,
-        and so is what cannot be read: `image` will read it and raise.
+        needed_from: the first frame that will be asked for again; only what is held of frames
+        before it may be dropped to make room. Where there is no room, or too many requests wait,
+        nothing is read ahead. What cannot be read is left out too: `image` will try again and
+        raise.
         """
         self._check_frame(frame)
         for camera_index in camera_indices:

@@ -1,4 +1,4 @@
-"""One thread that does small jobs ahead of time, a bounded line of them waiting."""
+"""One thread that does small jobs ahead of time; a bounded number of them may wait."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _Job = TypeVar("_Job")
 
 
 class Prefetcher(Generic[_Job]):
-    """Does jobs in the order of asking; what finds the line full is turned away.
+    """Does jobs in the order in which they were asked for; refuses one when too many wait.
 
     Any thread may ask. The thread starts with the first job and ends with `close`.
     """
@@ -25,7 +25,7 @@ class Prefetcher(Generic[_Job]):
         self._thread: threading.Thread | None = None
 
     def ask(self, job: _Job) -> bool:
-        """Lines a job up; False if the line is full."""
+        """Queues a job; False if too many wait."""
         with self._changed:
             if len(self._waiting) >= self._max_waiting:
                 return False

@@ -26,8 +26,8 @@ class TrainConfig:
     stream: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="STREAM")] = None
     """Folder to write, new or empty. Left out only with --check."""
     check: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
-    """Train nothing: read the ends of every camera, say what was understood, and draw
-    its cameras and points to this PNG."""
+    """Train nothing: read the first and the last frame of every camera, say what was understood,
+    and draw cameras and points to this PNG."""
     preset: Preset = "cpu"
     """Defaults to start from: cpu (minutes on two cores), fast (a first look), or paper (its
     settings, made for a GPU); other options override them."""
@@ -41,7 +41,7 @@ class TrainConfig:
     far_m: float | None = None
     """Depth that seeding reaches to, metres; by default from the rig."""
     points: Path | None = None
-    """File of initial points, .ply or .npz, in the place of the capture's own."""
+    """File of initial points, .ply or .npz, in place of the capture's own."""
     point_share: float | None = None
     """Share of the first Gaussians taken from the capture's points, if it has any; seeds fill the
     rest. By default how evenly the points lie over the pictures (0 to 1), but 0.3 at least."""
@@ -55,7 +55,7 @@ class TrainConfig:
     profile: Profile = Profile.COMPACT
     """Precision of the stream."""
     raw_stream: Path | None = None
-    """Also write the same Gaussians with profile raw to this folder, to see what `profile`
+    """Folder for a second stream, of the same Gaussians with profile raw: shows what `profile`
     costs."""
     segment_frames: int = 15
     """Frames in a segment: what a writer can lose, and the unit of caching."""

@@ -61,12 +61,12 @@ PRESETS: Mapping[Preset, Callable[..., TrainConfig]] = {
 def parse_with_preset(
     config_type: Callable[..., TrainConfig], args: Sequence[str], **options: Any
 ) -> TrainConfig:
-    """`tyro.cli`, with the defaults of the preset that `args` name, if any.
+    """Calls `tyro.cli` with the defaults of the preset that `args` name, if any.
 
-    A name that is not a preset is left to tyro to refuse.
+    An unknown name is left to tyro to refuse.
     """
-    # Not tyro.cli(return_unknown_args=True): it would write the shell completion of this one
-    # option in the place of the command's.
+    # Not tyro.cli(return_unknown_args=True): asked for shell completion, it would complete this
+    # one option only.
     first = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     first.add_argument("--preset", nargs="?")
     chosen, _ = first.parse_known_args(args)

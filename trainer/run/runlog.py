@@ -24,8 +24,8 @@ def _tensorboard(folder: Path) -> Any:
 
 
 class RunLog:
-    """Appends records; a resumed run goes on in the same file. Lines are whole when the process
-    dies."""
+    """Appends records; a resumed run goes on in the same file. Every line is whole even when the
+    process dies."""
 
     def __init__(self, path: Path, tensorboard: Path | None = None) -> None:
         """Opens nothing before the first record, so that a refused run leaves no file. Raises

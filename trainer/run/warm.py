@@ -22,7 +22,7 @@ from trainer.capture.capture import Mask
 from trainer.capture.lens import Lens, straightened
 from trainer.fit.config import FitConfig
 from trainer.fit.mcmc import McmcConfig
-from trainer.fit.trainer import Trainer
+from trainer.fit.trainer import SMALLEST_HALVED_PX, Trainer
 from trainer.pictures.shot import Shot
 from trainer.seed.gaussians import initial_splats, stereo_seeds
 
@@ -33,18 +33,22 @@ _STARTED_OVER = "SWINGS_STARTED_OVER"
 
 
 class _Noise:
-    """Three cameras of which two look alike; the smallest that genesis halves."""
+    """What three cameras in a row see, at the smallest size that genesis halves."""
 
     num_frames = 3  # so that a window brings a new frame
 
     def __init__(self) -> None:
+        side_px = SMALLEST_HALVED_PX
         self.cameras = []
         for i in range(3):
             w2c = np.eye(4)
             w2c[0, 3] = 0.2 * i
-            self.cameras.append(Camera(f"{i}", 64, 64, 60.0, 60.0, 32.0, 32.0, w2c))
-        picture = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
-        mask = np.ones((64, 64), np.uint8)
+            middle_px = side_px / 2
+            self.cameras.append(
+                Camera(f"{i}", side_px, side_px, 60.0, 60.0, middle_px, middle_px, w2c)
+            )
+        picture = np.random.default_rng(0).integers(0, 256, (side_px, side_px, 3), dtype=np.uint8)
+        mask = np.ones((side_px, side_px), np.uint8)
         # Like those of a FrameCache: numba compiles anew for arrays that may be written to.
         picture.setflags(write=False)
         mask.setflags(write=False)

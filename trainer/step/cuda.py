@@ -1,4 +1,4 @@
-"""A training step on a GPU: gsplat's rasteriser in the place of ours, torch for the loss.
+"""A training step on a GPU: gsplat's rasteriser in place of ours, torch for the loss.
 
 gsplat cuts alpha at 0.999 where recipe v1 cuts at 0.99; everything else of the recipe is the same.
 """
