@@ -16,9 +16,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 
 from codec.camera import Camera
+from codec.files import replacing
 from codec.pose import Doubles
 from codec.rig import mean_up
-from codec.files import replacing
 
 from .capture import Capture, check_trainable
 from .layout import open_capture

@@ -135,9 +135,7 @@ class Trainer:
         self._views = [View.prepare(c, near_m) for c in cameras]
         smallest_px = min(min(c.width_px, c.height_px) for c in cameras)
         self._coarse_share = config.coarse_share if smallest_px >= SMALLEST_HALVED_PX else 0.0
-        self._half_views = [
-            View.prepare(c.halved(), near_m) for c in cameras if self._coarse_share
-        ]
+        self._half_views = [View.prepare(c.halved(), near_m) for c in cameras if self._coarse_share]
         self._near_m, self._far_m = near_m, far_m
         self._extent_m = scene_extent_m(cameras)
         self._comparer = Comparer(cameras, near_m)

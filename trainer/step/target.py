@@ -5,14 +5,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from codec.camera import Camera
 from trainer.pictures.shot import Shot
 
 from .loss import Workspace
 
 Floats = npt.NDArray[np.float32]
-
-
 
 
 class Targets:
