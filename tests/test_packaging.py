@@ -1,16 +1,17 @@
-"""The house rules as tests: who may import whom, what stays pure, what ships."""
+"""The house rules as tests: who may import whom, what stays pure, what things are called."""
 
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import pytest
 
-from tests.support.commands import ROOT
-
+ROOT = Path(__file__).parents[1]
 HOUSE = ("codec", "trainer", "server", "player")
 
 # Which of our packages each folder may import, besides itself; longest match of a prefix.
@@ -22,6 +23,37 @@ MAY_USE: dict[str, tuple[str, ...]] = {
     "server/abr": ("codec.errors", "codec.stream.manifest", "codec.stream.index"),
     "player/render": ("codec",),
 }
+# The folders of each package from the ground up: a folder imports only from the rows before its
+# own. A package's own files are named by the package.
+FLOORS: dict[str, tuple[set[str], ...]] = {
+    "codec": (
+        {"codec"},
+        {"codec/coders", "codec/profiles"},
+        {"codec/stream"},
+        {"codec/interop"},
+        {"codec/tools"},
+    ),
+    "server": ({"server/abr"}, {"server"}),
+    "player": (
+        {"player/render", "player/source", "player/view", "player/link"},
+        {"player/playout"},
+        {"player/show"},
+        {"player"},
+    ),
+    "trainer": (
+        {"trainer"},
+        {"trainer/capture"},
+        {"trainer/pictures", "trainer/seed", "trainer/synth"},
+        {"trainer/step"},
+        {"trainer/fit", "trainer/score"},
+        {"trainer/run"},
+    ),
+}
+MAX_FILES = 14
+"""Files in a folder, `__init__` and `__main__` aside: more than one can overlook."""
+
+MAX_LINES = 450
+
 NO_IO = {"asyncio", "aiohttp", "os", "pathlib", "socket", "threading", "time", "datetime", "random"}
 
 
@@ -61,6 +93,66 @@ def test_imports_run_downhill(folder: str) -> None:
                 # `from codec import x` names both codec and codec.x
                 ok = any(is_within(module, a) or is_within(a, module) for a in allowed)
                 assert ok, f"{file.relative_to(ROOT)} imports {module}"
+
+
+def folder_of(module: str) -> str:
+    """The folder of our module `module`, or of what one of its names stands for."""
+    path = ROOT.joinpath(*module.split("."))
+    while not (path.is_dir() or path.with_suffix(".py").is_file()):
+        path = path.parent
+    folder = path if path.is_dir() else path.parent
+    return folder.relative_to(ROOT).as_posix()
+
+
+@pytest.mark.parametrize("package", HOUSE)
+def test_folders_import_from_the_floors_below(package: str) -> None:
+    floors = {folder: n for n, row in enumerate(FLOORS[package]) for folder in row}
+    for file in python_files(package):
+        folder = file.parent.relative_to(ROOT).as_posix()
+        assert folder in floors, f"{folder} has no floor"
+        if file.name in ("__init__.py", "__main__.py"):
+            continue  # a package's face names what is inside; a command starts above all
+        for module in imported_modules(file):
+            if module.split(".")[0] == package and module != package:
+                other = folder_of(module)
+                below = other == folder or floors[other] < floors[folder]
+                assert below, f"{file.relative_to(ROOT)} imports {module}"
+
+
+def test_a_file_is_found_by_its_name() -> None:
+    """No two files of the house share a name, but those that mean the same in every package."""
+    stems = Counter(
+        file.stem
+        for folder in HOUSE
+        for file in python_files(folder)
+        if file.stem not in ("__init__", "__main__", "errors", "config")
+    )
+    assert not {stem: count for stem, count in stems.items() if count > 1}
+
+
+def test_no_two_errors_share_a_name() -> None:
+    names = Counter(
+        node.name
+        for folder in HOUSE
+        for file in python_files(folder)
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ClassDef) and node.name.endswith("Error")
+    )
+    assert not {name: count for name, count in names.items() if count > 1}
+
+
+def test_messages_say_is_not_a() -> None:
+    """ "is not a number", not "is no number": what a person reads is plain English."""
+    wrong = re.compile(r"(?<![Tt]here )\b(is|are) no (?!longer\b|more\b)|: no (JSON|UTF-8)\b")
+    found = [
+        f"{file.relative_to(ROOT)}:{node.lineno}: {node.value}"
+        for folder in (*HOUSE, "bench", "fuzz")
+        for file in python_files(folder)
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+        if wrong.search(node.value)
+    ]
+    assert not found, "\n".join(found)
 
 
 def test_only_the_gpu_backend_imports_torch() -> None:
@@ -105,9 +197,21 @@ def test_no_catch_all_modules_and_no_god_files() -> None:
     for folder in HOUSE:
         for file in python_files(folder):
             assert file.stem not in {"utils", "util", "common", "helpers", "misc"}, file
+    for folder in (*HOUSE, "bench", "fuzz", "tests"):
+        for file in python_files(folder):
             lines = len(file.read_text(encoding="utf-8").splitlines())
-            limit = 80 if file.name == "__main__.py" else 500
+            limit = 80 if file.name == "__main__.py" else MAX_LINES
             assert lines <= limit, f"{file.relative_to(ROOT)} has {lines} lines"
+
+
+def test_no_folder_holds_more_than_one_can_overlook() -> None:
+    counts = Counter(
+        file.parent.relative_to(ROOT).as_posix()
+        for folder in (*HOUSE, "bench", "fuzz", "tests")
+        for file in python_files(folder)
+        if file.name not in ("__init__.py", "__main__.py")
+    )
+    assert not {folder: count for folder, count in counts.items() if count > MAX_FILES}
 
 
 def test_no_test_folder_wears_a_package_name() -> None:

@@ -15,7 +15,7 @@ from codec.console import run_command
 # It has to be said before the first parallel kernel runs.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-from trainer.capture.check import check_capture
+from trainer.run.check import check_capture
 from trainer.run.config import TrainConfig
 from trainer.run.job import train_stream
 from trainer.run.preset import parse_with_preset

@@ -39,6 +39,7 @@ from .colmap_model import (
     read_posed,
     rotation_of_posed,
 )
+from .depths import rig_depths
 from .held_out import read_held_out
 from .lens import Lens, check_optics
 from .masks import MASKS_NAME, mask_source, mirrored_masks
@@ -52,7 +53,6 @@ from .picturefiles import (
     safe_path,
 )
 from .points import points_depths
-from .rig import rig_depths
 
 MODEL_NAME = "sparse"
 FPS_NAME = "fps.txt"

@@ -26,9 +26,9 @@ from codec.errors import InvalidError
 from trainer.errors import CaptureError
 
 from .capture import STILL_TOLERANCE, Capture, CaptureCamera, PictureSource
+from .depths import rig_depths
 from .picturefiles import FileSource
 from .points import read_points
-from .rig import rig_depths
 
 META_NAMES = ("train_meta.json", "test_meta.json")
 POINTS_NAMES = ("init_pt_cld.npz", "derived_init_points_frame0.npz")

@@ -24,9 +24,9 @@ from codec.pose import world_to_camera
 from trainer.errors import CaptureError
 
 from .capture import Capture, CaptureCamera, PictureSource
+from .depths import rig_depths
 from .held_out import read_held_out
 from .points import read_points
-from .rig import rig_depths
 from .video import VideoSource, check_synchronised, check_video_size, probe_video
 
 POSES_NAME = "poses_bounds.npy"

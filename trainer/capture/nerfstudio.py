@@ -51,6 +51,7 @@ from .capture import (
     PictureSource,
     check_fps,
 )
+from .depths import rig_depths
 from .dynerf import POINTS_NAME
 from .held_out import HELD_OUT_NAME, read_held_out
 from .lens import Lens, check_optics, straight_source
@@ -68,7 +69,6 @@ from .picturefiles import (
     safe_path,
 )
 from .points import MAX_COORDINATE_M, points_depths, read_ply, read_points
-from .rig import rig_depths
 from .video import VideoSource, check_synchronised, check_video_size, probe_video
 
 TRANSFORMS_NAME = "transforms.json"

@@ -16,8 +16,8 @@ from codec.profiles.profile import Profile
 from codec.splats import Splats, sh_count
 
 from .evaluate import EvaluateConfig
-from .heldout import open_held_out
 from .picture import Score, score_splats
+from .truth import open_held_out
 
 FULL_BYTES = 4
 """Of a float32, which every attribute of a raw stream is made of."""

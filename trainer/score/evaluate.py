@@ -14,8 +14,8 @@ from rich.table import Table
 
 from trainer.capture.capture import Mask
 
-from .heldout import HeldOut, open_held_out
 from .picture import Floats, Score, captured, displayed, score_picture
+from .truth import HeldOut, open_held_out
 
 STILL = 4 / 255
 """Largest change of a capture's pixel, in any channel, that counts as standing still."""

@@ -13,8 +13,8 @@ from PIL import Image, ImageDraw
 from codec.files import replacing
 from trainer.step.loss import psnr_db
 
-from .heldout import open_held_out
 from .picture import Floats, captured, displayed
+from .truth import open_held_out
 
 MAX_ROWS = 6
 ERROR_GAIN = 4

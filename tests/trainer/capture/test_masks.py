@@ -27,9 +27,9 @@ from tests.support.tiny_models import (
     write_videos,
 )
 from trainer.capture.capture import Capture
-from trainer.capture.check import check_capture, describe_capture
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError
+from trainer.run.check import check_capture, describe_capture
 
 NUM_FRAMES = 3
 

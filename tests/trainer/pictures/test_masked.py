@@ -20,8 +20,8 @@ from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import Manifest
 from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, picture_of, tiny_rig
 from tests.support.tiny_models import transforms_of, write_pictures, write_transforms
+from trainer.capture.depths import rig_centre
 from trainer.capture.layout import open_capture
-from trainer.capture.rig import rig_centre
 from trainer.errors import CaptureError
 from trainer.fit.optimiser import Adam, OptimiserConfig
 from trainer.pictures.framecache import FrameCache

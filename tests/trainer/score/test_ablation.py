@@ -17,8 +17,8 @@ from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import Manifest
 from tests.support.commands import run, run_ok
 from tests.support.tiny_capture import write_dynamic3dgs
+from trainer.capture.depths import rig_centre
 from trainer.capture.layout import open_capture
-from trainer.capture.rig import rig_centre
 from trainer.score.ablation import CASES, Ablation, ablate_quantisation
 from trainer.score.evaluate import EvaluateConfig, evaluate_stream
 

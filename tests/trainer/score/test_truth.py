@@ -14,7 +14,7 @@ from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError
 from trainer.pictures.framecache import FrameCache
-from trainer.score.heldout import stream_cameras
+from trainer.score.truth import stream_cameras
 
 SCALE = 0.3
 

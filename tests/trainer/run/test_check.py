@@ -13,9 +13,9 @@ from PIL import Image
 from codec.camera import Camera
 from tests.support.tiny_capture import picture_of, tiny_rig, write_dynamic3dgs, write_dynerf
 from tests.support.tiny_models import write_model, write_pictures
-from trainer.capture.check import check_capture, describe_capture, draw_capture, level_axes
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError
+from trainer.run.check import check_capture, describe_capture, draw_capture, level_axes
 
 
 def test_description(tmp_path: Path) -> None:

@@ -19,11 +19,10 @@ from codec.camera import Camera
 from codec.files import replacing
 from codec.pose import Doubles
 from codec.rig import mean_up
-
-from .capture import Capture, check_trainable
-from .layout import open_capture
-from .points import read_points_file
-from .rig import rig_centre
+from trainer.capture.capture import Capture, check_trainable
+from trainer.capture.depths import rig_centre
+from trainer.capture.layout import open_capture
+from trainer.capture.points import read_points_file
 
 LAYOUT_NAMES = {
     "dynamic3dgs": "Dynamic 3D Gaussians",
