@@ -1,7 +1,8 @@
-"""The codec's kernels, each in a process of its own: within bounds, kept on disk, or not kept."""
+"""Kernels, each time in a new process: within bounds, compiled once, usable without a cache."""
 
 from __future__ import annotations
 
+import ast
 import os
 import subprocess
 import sys
@@ -20,7 +21,7 @@ kept = [survives(decode_chunk, chunk) for chunk in hostile_chunks(int(sys.argv[1
 print(sum(kept))
 """
 
-# Decoding is enough: all kernels are made at import, in the same way.
+# The codec's are enough: every kernel is made by the same decorator.
 KERNELS = """
 from numba.core.dispatcher import Dispatcher
 from codec.profiles import compact, morton, orientation, quantise as quantize
@@ -46,6 +47,16 @@ from numba.core import caching
 def refuse(locator):
     raise PermissionError(13, "nowhere")
 caching._CacheLocator.ensure_cache_path = refuse
+"""
+
+SYNTH = """
+import sys
+from pathlib import Path
+import trainer.__main__
+from trainer.synth.film import SynthConfig, synthesise
+out = Path(sys.argv[1])
+synthesise(SynthConfig(out, frames=1, cameras=2, held_out=0, width_px=16, height_px=16, points=8))
+print(len(list(out.glob("*.mp4"))))
 """
 
 
@@ -90,3 +101,31 @@ def test_kernels_work_where_nothing_can_be_kept() -> None:
     _, compiled, loaded = output_of(NO_PLACE + KERNELS)
     assert compiled > 0
     assert loaded == 0
+
+
+def test_a_capture_is_made_where_nothing_can_be_kept(tmp_path: Path) -> None:
+    """At import, every module of the trainer's commands makes its kernels."""
+    assert output_of(NO_PLACE + SYNTH, str(tmp_path / "made")) == [2]
+
+
+def names(file: Path) -> set[str]:
+    """Every name that the module `file` imports or uses."""
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    return {
+        getattr(node, kind)
+        for node in ast.walk(tree)
+        for kind in ("name", "attr", "id")
+        if isinstance(getattr(node, kind, None), str)
+    }
+
+
+def test_only_one_module_names_numbas_compiler() -> None:
+    """All others use its decorator, which works where no kernel can be kept."""
+    modules = [
+        file
+        for folder in ("codec", "trainer", "server", "player", "bench", "fuzz", "tests")
+        for file in sorted((ROOT / folder).rglob("*.py"))
+    ]
+    assert len(modules) > 100
+    naming = [str(m.relative_to(ROOT)) for m in modules if names(m) & {"jit", "njit"}]
+    assert naming == ["codec/kernel.py"]

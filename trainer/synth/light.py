@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
+from codec.kernel import kernel
 
 from .paint import LAMP, Rgb
 from .solid import Vector, ahead, dot, hit_box
@@ -30,7 +30,7 @@ _FILL_TO: Vector = (-0.64, -0.45, -0.62)
 _EXPOSURE = 1.25
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def light_of_lamp(p: Vector, n: Vector, lamp: Any) -> float:
     """The unshadowed lamp's light on a surface, in its nominal strength."""
     v = (lamp[0] - p[0], lamp[1] - p[1], lamp[2] - p[2])
@@ -39,7 +39,7 @@ def light_of_lamp(p: Vector, n: Vector, lamp: Any) -> float:
     return max(0.0, cosine) * min(2.0, LAMP_FULL_M * LAMP_FULL_M / (d2 + 0.5))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def shadow_of_parts(
     p: Vector, lamp: Any, parts: Any, patterns: Any, first: int, last: int, skip: int
 ) -> float:
@@ -85,7 +85,7 @@ def shadow_of_parts(
     return seen
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def ambient_of_parts(p: Vector, n: Vector, parts: Any, first: int, last: int, skip: int) -> float:
     """How much ambient light the parts first..last - 1 leave at p, 0..1."""
     left = 1.0
@@ -113,7 +113,7 @@ def ambient_of_parts(p: Vector, n: Vector, parts: Any, first: int, last: int, sk
     return left
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def ambient_of_room(p: Vector, n: Vector, boxes: Any, half_m: float, height_m: float) -> float:
     """How much ambient light the room's corners and boxes leave at p, 0..1."""
     left = 1.0
@@ -137,7 +137,7 @@ def ambient_of_room(p: Vector, n: Vector, boxes: Any, half_m: float, height_m: f
     return left
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def lamp_past_boxes(p: Vector, n: Vector, lamp: Any, boxes: Any) -> float:
     """The part of the lamp that the boxes leave in sight, of 4 x 4 places on its disc."""
     o = ahead(p, n, 1e-4)
@@ -167,7 +167,7 @@ def lamp_past_boxes(p: Vector, n: Vector, lamp: Any, boxes: Any) -> float:
     return seen / 16.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def light_past_groups(
     p: Vector, n: Vector, lamp: Any, parts: Any, patterns: Any, groups: Any, skip: int
 ) -> tuple[float, float]:
@@ -186,7 +186,7 @@ def light_past_groups(
     return ambient, key
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def ambient_light(n: Vector) -> Rgb:
     """Light from everywhere but the lamp on a free surface."""
     up = 0.5 - 0.5 * n[1]
@@ -198,7 +198,7 @@ def ambient_light(n: Vector) -> Rgb:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def encode(light: float) -> int:
     """The 8-bit sRGB value of linear light, rolled off towards white."""
     v = 1.0 - math.exp(-_EXPOSURE * light)

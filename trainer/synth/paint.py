@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from codec.kernel import kernel
 
 Rgb = tuple[float, float, float]
 Table = npt.NDArray[np.float64]
@@ -58,20 +59,20 @@ _ORANGE, _SKIN, _HAIR, _BLUSH = (
 )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def mix(a: Rgb, b: Rgb, t: float) -> Rgb:
     """a at t = 0, b at t = 1."""
     return a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t, a[2] + (b[2] - a[2]) * t
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def step(low: float, high: float, x: float) -> float:
     """0 below low, 1 above high, smooth between."""
     t = min(1.0, max(0.0, (x - low) / (high - low)))
     return t * t * (3.0 - 2.0 * t)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def lattice(ix: int, iy: int, iz: int, seed: int) -> float:
     """A fixed random number in [0, 1) for each lattice point."""
     mask = 0xFFFFFFFF
@@ -82,7 +83,7 @@ def lattice(ix: int, iy: int, iz: int, seed: int) -> float:
     return ((h ^ (h >> 15)) & 0xFFFFFF) / 16777216.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def noise(x: float, y: float, z: float, seed: int) -> float:
     """Smooth random values 0..1 with one feature per unit."""
     ix, iy, iz = math.floor(x), math.floor(y), math.floor(z)
@@ -97,7 +98,7 @@ def noise(x: float, y: float, z: float, seed: int) -> float:
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def grain(colour: Rgb, x: float, y: float, z: float, strength: float, seed: int) -> Rgb:
     """The colour made lighter and darker by two octaves of noise."""
     n = 0.65 * noise(x, y, z, seed) + 0.35 * noise(2.7 * x, 2.7 * y, 2.7 * z, seed + 1)
@@ -105,7 +106,7 @@ def grain(colour: Rgb, x: float, y: float, z: float, strength: float, seed: int)
     return colour[0] * f, colour[1] * f, colour[2] * f
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def paint_floor(x: float, z: float, seed: int) -> Rgb:
     """Oak boards, and in the middle a round rug with checks and two rings."""
     r = math.sqrt(x * x + z * z)
@@ -131,7 +132,7 @@ def paint_floor(x: float, z: float, seed: int) -> Rgb:
     return mix(colour, mix(colour, _INK, 0.7), seam)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def paint_picture(kind: int, u: float, v: float, seed: int) -> Rgb:
     """A picture at u (left to right) and v (top to bottom), both 0..1, its frame included."""
     if kind == WINDOW:
@@ -198,7 +199,7 @@ def paint_picture(kind: int, u: float, v: float, seed: int) -> Rgb:
     return colour
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def paint_room(face: int, x: float, y: float, z: float, pictures: Any, seed: int) -> Rgb:
     """The colour of a face of the room; y is minus the height above the floor."""
     if face == FLOOR:
@@ -234,7 +235,7 @@ def paint_room(face: int, x: float, y: float, z: float, pictures: Any, seed: int
     return grain(wall, 1.7 * u, 1.7 * h, 3.1 * face, 0.2, seed + 5)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def paint_box(
     pattern: int,
     colours: Any,
@@ -290,7 +291,7 @@ def paint_box(
     return grain(a, 6 * x, 6 * y, 6 * z, 0.1, seed + row)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def paint_part(
     pattern: int, colours: Any, row: int, x: float, y: float, z: float, along_m: float, seed: int
 ) -> Rgb:

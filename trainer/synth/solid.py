@@ -11,29 +11,29 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
+from codec.kernel import kernel
 
 Vector = tuple[float, float, float]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def dot(a: Vector, b: Vector) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def ahead(o: Vector, d: Vector, t: float) -> Vector:
     """The place t further along d."""
     return o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def unit(v: Vector) -> Vector:
     n = 1.0 / math.sqrt(max(1e-30, dot(v, v)))
     return v[0] * n, v[1] * n, v[2] * n
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def hit_sphere(o: Vector, d: Vector, c: Vector, radius: float) -> float:
     """Distance to the first crossing ahead, or inf."""
     m = (o[0] - c[0], o[1] - c[1], o[2] - c[2])
@@ -45,7 +45,7 @@ def hit_sphere(o: Vector, d: Vector, c: Vector, radius: float) -> float:
     return t if t > 0 else math.inf
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def hit_part(o: Vector, d: Vector, parts: Any, i: int) -> float:
     """Distance to the hull of the part's two spheres, or inf; o lies outside.
 
@@ -87,7 +87,7 @@ def hit_part(o: Vector, d: Vector, parts: Any, i: int) -> float:
     return t
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def part_foot(p: Vector, parts: Any, i: int) -> float:
     """Where on the axis, 0..1, the normal through a surface point starts."""
     ra, rb = parts[i, 3], parts[i, 7]
@@ -103,7 +103,7 @@ def part_foot(p: Vector, parts: Any, i: int) -> float:
     return float(min(1.0, max(0.0, h)))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def hit_box(o: Vector, d: Vector, boxes: Any, i: int) -> tuple[float, int]:
     """(distance, axis of the face) of the first crossing from outside, or inf."""
     cos, sin = boxes[i, 6], boxes[i, 7]

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from codec.kernel import kernel
 
 from .light import (
     LAMP_LIGHT,
@@ -58,7 +59,7 @@ SAME_SURFACE = 0.98
 normals agree; soft light is then worked out once for both."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def part_surface(
     p: Vector, parts: Any, frames: Any, patterns: Any, colours: Any, i: int, seed: int
 ) -> tuple[Vector, Rgb]:
@@ -77,7 +78,7 @@ def part_surface(
     return n, paint_part(patterns[i], colours, i, local[0], local[1], local[2], along, seed)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def room_hit(
     c: Vector, d: Vector, room: Any, boxes: Any, parts: Any
 ) -> tuple[float, Vector, int, int, int]:
@@ -125,7 +126,7 @@ def room_hit(
     return t, n, face, box, part
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def trace_room(
     camera: Table,
     room: Table,
@@ -198,7 +199,7 @@ def trace_room(
             out_picture[row, column, 2] = encode(blue / RAYS_PER_PIXEL)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def trace_frame(
     centre: Table,
     lamp: Table,
@@ -288,7 +289,7 @@ def trace_frame(
                     out_picture[row, column, k] = room_picture[row, column, k]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def same_surface(buffer: Any, row: int, column: int, first: int, second: int) -> bool:
     """Whether two rays of a pixel see one surface."""
     a, b = buffer[row, column, first, T], buffer[row, column, second, T]
