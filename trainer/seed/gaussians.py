@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
+from scipy.spatial import cKDTree
 
 from codec.camera import Camera
 from codec.kernel import kernel
@@ -21,6 +21,12 @@ INITIAL_OPACITY = 0.5
 
 SPACING_SCALE = 0.5
 """Initial standard deviation over the distance to the nearest neighbours."""
+
+FIRST_CANDIDATES = 8
+"""How many of the nearest places the tree is asked for at first; the point's own is one of them."""
+
+ROUNDING = 1e-6
+"""More than the relative error of a squared distance in float32, unless that underflows."""
 
 
 def stereo_seeds(
@@ -76,35 +82,62 @@ def stereo_seeds(
     return np.concatenate(positions), np.concatenate(colours)
 
 
-@kernel(parallel=True)
-def _spacings(points, out):  # type: ignore[no-untyped-def]
-    """Root mean square distance of every point to its three nearest others."""
-    for i in prange(len(points)):
+@kernel()
+def _three_least(places, copies, rows, candidates):  # type: ignore[no-untyped-def]
+    """(R, 3) float32, ascending: squared distances of a point at each of the places `rows` to the
+    three nearest other points.
+
+    places (P, 3) float32, with copies[i] points at the i-th; candidates (R, K): the places to look
+    at for each row, its own among them.
+    """
+    least = np.empty((len(rows), 3), np.float32)
+    for r in range(len(rows)):
+        i = rows[r]
         a = b = c = np.float32(np.inf)
-        for j in range(len(points)):
-            if i == j:
-                continue
-            dx = points[i, 0] - points[j, 0]
-            dy = points[i, 1] - points[j, 1]
-            dz = points[i, 2] - points[j, 2]
+        for j in candidates[r]:
+            dx = places[i, 0] - places[j, 0]
+            dy = places[i, 1] - places[j, 1]
+            dz = places[i, 2] - places[j, 2]
             d = dx * dx + dy * dy + dz * dz
-            if d < c:
+            others = copies[j] - 1 if i == j else copies[j]
+            for _ in range(min(3, others)):
                 if d < a:
                     a, b, c = d, a, b
                 elif d < b:
                     b, c = d, b
-                else:
+                elif d < c:
                     c = d
-        out[i] = np.sqrt((a + b + c) / np.float32(3))
+        least[r] = a, b, c
+    return least
+
+
+def spacings(points: Floats) -> Floats:
+    """(N,) float32: the root mean square distance of every point to its three nearest others.
+
+    points: (N, 3) float32, N at least 4. The result is bit for bit that of comparing all pairs in
+    float32. A tree finds the candidates, in float64. Where rounding to float32 could make a place
+    beyond them one of the three nearest, the tree is asked for twice as many.
+    """
+    # Points that coincide are one place in the tree, which is slow where it holds many of them.
+    places, which, copies = np.unique(points, axis=0, return_inverse=True, return_counts=True)
+    tree = cKDTree(places)
+    result = np.empty(len(places), np.float32)
+    rows, count = np.arange(len(places)), FIRST_CANDIDATES
+    while len(rows):
+        count = min(count, len(places))
+        distances, candidates = tree.query(places[rows], np.arange(1, count + 1))
+        least = _three_least(places, copies, rows, candidates)
+        result[rows] = np.sqrt((least[:, 0] + least[:, 1] + least[:, 2]) / np.float32(3))
+        doubtful = least[:, 2] > (1 - ROUNDING) * np.square(distances[:, -1])
+        rows = rows[doubtful & (count < len(places))]
+        count *= 2
+    return result[which.reshape(-1)]  # NumPy 2.0 gives it as (N, 1)
 
 
 def initial_splats(points: Floats, colours: npt.NDArray[np.uint8], sh_degree: int) -> Splats:
-    """Round Gaussians at `points` (N, 3), sized by their neighbours, coloured by `colours` (N,
-    3)."""
+    """Round Gaussians at `points` (N, 3), coloured by `colours` (N, 3), sized by their spacing."""
     count = len(points)
-    spacing = np.full(count, 0.1, np.float32)
-    if count > 3:
-        _spacings(points, spacing)
+    spacing = spacings(points) if count > 3 else np.full(count, 0.1, np.float32)
     # Points that coincide, and points far from all others, must not start as specks or as fog.
     middle = float(np.median(spacing)) if count else 0.0
     spacing = np.clip(spacing, 0.1 * middle + 1e-6, 10 * middle + 1e-6)

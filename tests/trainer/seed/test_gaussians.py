@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
+import numpy.typing as npt
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
 
 from codec.camera import Camera
 from codec.splats import SH_C0
 from tests.support.tiny_capture import tiny_rig
-from trainer.seed.gaussians import SPACING_SCALE, initial_splats, stereo_seeds
+from trainer.seed.gaussians import SPACING_SCALE, initial_splats, spacings, stereo_seeds
 from trainer.seed.stereo import depth_maps
+
+Floats = npt.NDArray[np.float32]
 
 FLOOR_Y_M = 0.0
 
@@ -146,3 +154,52 @@ def test_points_that_coincide_still_make_gaussians(count: int) -> None:
     splats = initial_splats(np.zeros((count, 3), np.float32), np.zeros((count, 3), np.uint8), 0)
     assert len(splats) == count
     assert np.isfinite(splats.log_scales).all()
+
+
+def spacings_by_all_pairs(points: Floats) -> Floats:
+    """The definition of `spacings`, every step in float32."""
+    dx, dy, dz = (points[:, None] - points[None]).transpose(2, 0, 1)
+    squares = dx * dx + dy * dy + dz * dz
+    np.fill_diagonal(squares, np.inf)
+    a, b, c = np.sort(squares, axis=1)[:, :3].T
+    result: Floats = np.sqrt((a + b + c) / np.float32(3))
+    return result
+
+
+def coordinates(limit: float) -> st.SearchStrategy[float]:
+    """Of points in metres: none so near 0 that its square is 0 in float32."""
+    return st.floats(-limit, limit, width=32).filter(lambda x: x == 0 or abs(x) > 1e-9)
+
+
+@given(
+    # Ties and duplicates; places near and far; places that float32 can hardly tell apart.
+    st.sampled_from(
+        [st.integers(0, 2), coordinates(10), coordinates(1e9), st.integers(2**24 - 16, 2**24)]
+    )
+    .flatmap(lambda coordinate: npst.arrays(np.float32, (12, 3), elements=coordinate))
+    .flatmap(lambda places: st.lists(st.sampled_from(list(places)), min_size=4, max_size=60))
+)
+def test_spacings_are_those_of_comparing_all_pairs(points: list[Floats]) -> None:
+    array = np.stack(points)
+    np.testing.assert_array_equal(spacings(array), spacings_by_all_pairs(array))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_spacings_are_exact_where_many_places_are_almost_equally_near(seed: int) -> None:
+    """Float32 orders the places of a sphere around a point differently than float64 does."""
+    rng = np.random.default_rng(seed)
+    sphere = rng.normal(size=(500, 3))
+    sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
+    points = (np.concatenate([np.zeros((1, 3)), sphere]) + rng.normal(size=3)).astype(np.float32)
+    np.testing.assert_array_equal(spacings(points), spacings_by_all_pairs(points))
+
+
+@pytest.mark.parametrize("places", [1, 100_000, 200_000])
+def test_spacings_of_many_points_take_seconds(places: int) -> None:
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(places, 3)).astype(np.float32)
+    points = np.concatenate([points, np.repeat(points[:1], 200_000 - places, axis=0)])
+    begun_s = time.process_time()
+    assert (spacings(points) == 0).sum() == (0 if places == 200_000 else 200_001 - places)
+    # It takes one; comparing all pairs takes a minute.
+    assert time.process_time() - begun_s < 15
