@@ -1,9 +1,9 @@
-"""Renewal: where the newest frame shows what no Gaussian is near, unimportant Gaussians are placed.
+"""Renewal: where the newest frame shows what no Gaussian renders, unimportant ones are placed.
 
-Relocation draws its targets among living Gaussians, so what enters a scene, or moves further in a
-frame than gradients reach, is found by luck only. Here pixels that are wrong are looked for in the
-other cameras: the depth where most of them are wrong too, and show the same colours, is where
-something is missing.
+Relocation moves Gaussians to where others live, so what enters a scene, or moves further in a frame
+than gradients reach, is found by luck only. Here each wrong pixel is looked for in the other
+cameras, depth by depth: where most of them are wrong too and show the same colours, something is
+missing.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from codec.splats import Splats
 from trainer.pictures.feed import Pictures
 from trainer.pictures.scale import scaled_mask
 from trainer.seed.gaussians import initial_splats
-from trainer.seed.stereo import pair_cameras, small_camera, warped
+from trainer.seed.stereo import better_half, pair_cameras, small_camera, warped
 from trainer.step.raster import Parameters, View, render
 from trainer.step.weights import contribution
 
@@ -33,19 +33,21 @@ Ints = npt.NDArray[np.int32]
 Flags = npt.NDArray[np.bool_]
 
 LEAST_ERROR = 0.05
-"""Mean colour difference, of 1, from which on a pixel is wrong."""
+"""Mean colour difference, of 1, from which on a pixel is wrong. In the other cameras half of it is
+enough."""
 
 DEPTHS = 64
 """Depths tried, evenly spaced in inverse depth, before the best is refined."""
 
 FINER = 4
-"""Steps on either side of the best depth, of a quarter each."""
+"""Finer steps to either side of the best of those depths; so many make one of the others."""
 
 COST_LIMIT = 0.2
-"""Largest cost of a camera: what is hidden in one must not outvote the rest."""
+"""Largest cost of a camera, of 1: one that something hides the place from must not outvote the
+rest."""
 
 COST_ACCEPTED = 0.06
-"""Mean colour difference over the better half of the cameras, at which they see the same thing."""
+"""Largest mean cost of the better half of the cameras at which they see the same thing."""
 
 SMALLEST_PX, LARGEST_PX = 0.5, 2.0
 """Bounds of a new Gaussian's standard deviation, in pixels of the small pictures."""
@@ -56,8 +58,9 @@ class Comparison:
     """One frame of all cameras, on small copies of their pictures."""
 
     cameras: tuple[Camera, ...]
-    pictures: Floats  # (C, H, W, 3) float32, in the stream's colours; smaller ones fill a corner
-    errors: Floats  # (C, H, W) float32, 0..1: how far off what is rendered is
+    # H and W are those of the largest picture; a smaller one fills the top left corner.
+    pictures: Floats  # (C, H, W, 3) float32, in the stream's colours; 1 is white
+    errors: Floats  # (C, H, W) float32, 0..1: mean colour difference to what is rendered
     usable: Flags  # (C, H, W) whether all of a pixel's 3 x 3 neighbourhood counts
 
 
@@ -80,7 +83,7 @@ class Comparer:
         self, values: Parameters, rows: Ints, pictures: Pictures, frame: int, colour: CameraColour
     ) -> tuple[Comparison, Floats]:
         """The Gaussians `rows` against `frame`, and (M,) what each of them contributes there."""
-        shown = np.zeros((*self._shape, 3), np.float32)
+        saw = np.zeros((*self._shape, 3), np.float32)
         errors = np.zeros(self._shape, np.float32)
         usable = np.zeros(self._shape, np.bool_)
         weights = np.zeros(len(rows), np.float32)
@@ -92,89 +95,113 @@ class Comparer:
             small_mask = None if shot.mask is None else scaled_mask(shot.mask, width, height)
             rendered = render(values, rows, view)
             weights += contribution(rendered, small_mask)
-            # Compared as this camera would show it, matched with others in the stream's colours.
+            # A camera's error is measured in its own colours; cameras are matched in the stream's.
             gain, bias = colour.gain(i), colour.bias(i)
-            seen = rendered.picture[:, :height, :width].transpose(1, 2, 0) * gain + bias
-            errors[i, :height, :width] = np.abs(np.clip(seen, 0, 1) - truth).mean(axis=2)
-            shown[i, :height, :width] = (truth - bias) / np.maximum(gain, np.float32(0.1))
+            shows = rendered.picture[:, :height, :width].transpose(1, 2, 0) * gain + bias
+            errors[i, :height, :width] = np.abs(np.clip(shows, 0, 1) - truth).mean(axis=2)
+            saw[i, :height, :width] = (truth - bias) / np.maximum(gain, np.float32(0.1))
             counts = np.ones((height, width), np.bool_) if small_mask is None else small_mask > 0
             usable[i, 1 : height - 1, 1 : width - 1] = _surrounded(counts)
-        return Comparison(tuple(v.camera for v in self.views), shown, errors, usable), weights
+        return Comparison(tuple(v.camera for v in self.views), saw, errors, usable), weights
+
+
+@kernel(inline="always")
+def _difference(pictures, one, x, y, other, other_x, other_y):  # type: ignore[no-untyped-def]
+    """Mean colour difference, of 1, of the 3 x 3 pixels around (x, y) of camera `one` to those
+    around (other_x, other_y) of camera `other`."""
+    total = np.float32(0)
+    for dy in range(-1, 2):
+        for dx in range(-1, 2):
+            for k in range(3):
+                total += abs(
+                    pictures[other, other_y + dy, other_x + dx, k]
+                    - pictures[one, y + dy, x + dx, k]
+                )
+    return total / np.float32(27)
+
+
+@kernel(inline="always")
+def _cost(  # type: ignore[no-untyped-def]
+    pictures, errors, usable, sizes, warps, offsets, neighbours, c, x, y, depth, costs
+):
+    """How badly `depth` explains what pixel (x, y) of camera c shows; costs is spare memory.
+
+    A camera that is not wrong at the place costs the limit. One that does not see the place, or has
+    no usable pixel there, is left out; without two that are left the cost is infinite.
+    """
+    limit, least_error = np.float32(COST_LIMIT), np.float32(LEAST_ERROR / 2)
+    u, v = np.float32(x) + np.float32(0.5), np.float32(y) + np.float32(0.5)
+    seeing = 0
+    for n in range(neighbours.shape[1]):
+        other = neighbours[c, n]
+        px, py, w = warped(warps[c, n], offsets[c, n], depth, u, v)
+        if w <= 0 or not (0 <= px < sizes[other, 1] and 0 <= py < sizes[other, 0]):
+            continue
+        ix, iy = np.int32(px), np.int32(py)
+        if not usable[other, iy, ix]:
+            continue
+        costs[seeing] = limit
+        if errors[other, iy, ix] >= least_error:
+            costs[seeing] = min(_difference(pictures, c, x, y, other, ix, iy), limit)
+        seeing += 1
+    return better_half(costs, seeing, least=2) if seeing >= 2 else np.float32(np.inf)
 
 
 @kernel(parallel=True, error_model="numpy")
 def _find_depths(  # type: ignore[no-untyped-def]
     pictures, errors, usable, sizes, warps, offsets, neighbours, inverse_depths, which, xs, ys,
-    finer, least, limit, depths, costs,
+    best_depths, best_costs,
 ):  # fmt: skip
-    """For pixel (xs[i], ys[i]) of camera which[i] fills depths[i] and costs[i], the lowest.
+    """For pixel (xs[i], ys[i]) of camera which[i] fills best_depths[i] and its cost, the lowest.
 
-    A camera's cost is the mean difference of 3 x 3 pixels, or the limit where it is not wrong; the
-    better half of the cameras that see a place counts. At pixels that are not usable a camera sees
-    nothing.
+    Both are infinite where at no depth two other cameras see the place. pictures, errors, usable:
+    of a Comparison; sizes (C, 2): height and width; warps, offsets, neighbours: of `pair_cameras`.
     """
-    count = neighbours.shape[1]
+    coarse = inverse_depths.shape[0]
+    nearest, farthest = inverse_depths[0], inverse_depths[coarse - 1]
     step = inverse_depths[1] - inverse_depths[0]
     for i in prange(which.shape[0]):
-        c, x, y = which[i], xs[i], ys[i]
-        u, v = np.float32(x) + np.float32(0.5), np.float32(y) + np.float32(0.5)
-        ordered = np.empty(count, np.float32)
+        costs = np.empty(neighbours.shape[1], np.float32)
         best, best_inverse = np.float32(np.inf), np.float32(0)
-        coarse = inverse_depths.shape[0]
         middle = np.float32(0)
-        for trial in range(coarse + 2 * finer + 1):
+        for trial in range(coarse + 2 * FINER + 1):
             if trial < coarse:
                 inverse = inverse_depths[trial]
             else:
                 if trial == coarse:
                     middle = best_inverse
-                inverse = middle + step * np.float32(trial - coarse - finer) / np.float32(finer)
-                # From near to far the inverse falls.
-                inverse = min(max(inverse, inverse_depths[coarse - 1]), inverse_depths[0])
-            depth = np.float32(1) / inverse
-            seeing = 0
-            for n in range(count):
-                other = neighbours[c, n]
-                px, py, w = warped(warps[c, n], offsets[c, n], depth, u, v)
-                if w <= 0:
-                    continue
-                if not (0 <= px < sizes[other, 1] and 0 <= py < sizes[other, 0]):
-                    continue
-                ix, iy = np.int32(px), np.int32(py)
-                if not usable[other, iy, ix]:
-                    continue
-                value = limit
-                if errors[other, iy, ix] >= least:
-                    total = np.float32(0)
-                    for dy in range(-1, 2):
-                        for dx in range(-1, 2):
-                            for k in range(3):
-                                total += abs(
-                                    pictures[other, iy + dy, ix + dx, k]
-                                    - pictures[c, y + dy, x + dx, k]
-                                )
-                    value = min(total / np.float32(27), limit)
-                at = seeing
-                while at > 0 and ordered[at - 1] > value:
-                    ordered[at] = ordered[at - 1]
-                    at -= 1
-                ordered[at] = value
-                seeing += 1
-            if seeing < 2:
-                continue
-            keep = max(2, (seeing + 1) // 2)
-            total = np.float32(0)
-            for n in range(keep):
-                total += ordered[n]
-            total /= np.float32(keep)
-            if total < best:
-                best, best_inverse = total, inverse
-        costs[i] = best
-        depths[i] = np.float32(1) / best_inverse  # infinite where the costs are
+                inverse = middle + step * np.float32(trial - coarse - FINER) / np.float32(FINER)
+                inverse = min(max(inverse, farthest), nearest)
+            cost = _cost(
+                pictures, errors, usable, sizes, warps, offsets, neighbours, which[i], xs[i], ys[i],
+                np.float32(1) / inverse, costs,
+            )  # fmt: skip
+            if cost < best:
+                best, best_inverse = cost, inverse
+        best_costs[i] = best
+        best_depths[i] = np.float32(1) / best_inverse
+
+
+def _draw_wrong_pixels(
+    compared: Comparison, most: int, rng: np.random.Generator
+) -> npt.NDArray[np.int64]:
+    """(D, 3) camera, row and column of at most `most` wrong pixels, in random order.
+
+    The more a pixel is wrong, the likelier it is drawn.
+    """
+    wrong = compared.usable & (compared.errors >= LEAST_ERROR)
+    weights = np.where(wrong, compared.errors, 0).reshape(-1)
+    places = np.flatnonzero(weights)
+    draws = min(most, len(places))
+    if draws == 0:
+        return np.zeros((0, 3), np.int64)
+    chances = weights[places].astype(np.float64)
+    drawn = rng.choice(places, draws, replace=False, p=chances / chances.sum())
+    return np.stack(np.unravel_index(drawn, compared.errors.shape), axis=1)
 
 
 def missing_splats(
-    seen: Comparison,
+    compared: Comparison,
     count: int,
     near_m: float,
     far_m: float,
@@ -182,25 +209,21 @@ def missing_splats(
     rng: np.random.Generator,
 ) -> Splats:
     """At most `count` Gaussians, in random order, where the cameras see what is not rendered."""
-    cameras = seen.cameras
-    weights = np.where(seen.usable & (seen.errors >= LEAST_ERROR), seen.errors, 0).reshape(-1)
-    places = np.flatnonzero(weights)
+    cameras = compared.cameras
     # Twice as many as wanted, as not all are found in other cameras.
-    draws = min(2 * count, len(places))
-    if draws == 0:
+    drawn = _draw_wrong_pixels(compared, 2 * count, rng)
+    if len(drawn) == 0:
         return Splats.empty(sh_degree)
-    chances = weights[places].astype(np.float64)
-    drawn = rng.choice(places, draws, replace=False, p=chances / chances.sum())
-    which, ys, xs = map(np.ascontiguousarray, np.unravel_index(drawn, seen.errors.shape))
+    which, ys, xs = map(np.ascontiguousarray, drawn.T)
     sizes = np.array([(c.height_px, c.width_px) for c in cameras], np.int32)
     neighbours, warps, offsets = pair_cameras(cameras)
+    # From near to far.
     inverse_depths = np.linspace(1 / near_m, 1 / far_m, DEPTHS).astype(np.float32)
     depths = np.empty(len(drawn), np.float32)
     costs = np.empty(len(drawn), np.float32)
     _find_depths(
-        seen.pictures, seen.errors, seen.usable, sizes, warps, offsets, neighbours,
-        inverse_depths, which, xs, ys, FINER, np.float32(LEAST_ERROR / 2), np.float32(COST_LIMIT),
-        depths, costs,
+        compared.pictures, compared.errors, compared.usable, sizes, warps, offsets, neighbours,
+        inverse_depths, which, xs, ys, depths, costs,
     )  # fmt: skip
     kept = np.flatnonzero(costs <= COST_ACCEPTED)[:count]
     which, xs, ys, depths = which[kept], xs[kept], ys[kept], depths[kept]
@@ -210,7 +233,7 @@ def missing_splats(
         own = which == i
         positions[own] = camera.unproject(xs[own] + 0.5, ys[own] + 0.5, depths[own])
         pixel_m[own] = depths[own] / np.float32(camera.fx_px)
-    colours = np.clip(seen.pictures[which, ys, xs] * 255, 0, 255).astype(np.uint8)
+    colours = np.clip(compared.pictures[which, ys, xs] * 255, 0, 255).astype(np.uint8)
     splats = initial_splats(positions, colours, sh_degree)
     # Neighbours tell the size, within reason: cameras may find the same place twice.
     smallest, largest = (np.log(px * pixel_m)[:, None] for px in (SMALLEST_PX, LARGEST_PX))
