@@ -1,8 +1,8 @@
 """`swings-synth`: a procedural capture, so that everything here can be tried without anyone's data.
 
-A figure walks and waves in a room beside a bouncing ball (synth_motion.py, synth_scene.py). The
-capture has the DyNeRF layout of capture/dynerf.py, ground truth for every camera, and coloured
-points on the surfaces of frame 0, as a structure-from-motion tool would give them.
+A figure walks and waves in a room beside a bouncing ball (motion.py, scene.py). The capture has the
+DyNeRF layout of capture/dynerf.py, ground truth for every camera, and coloured points on the
+surfaces of frame 0, as a structure-from-motion tool would give them.
 """
 
 from __future__ import annotations
@@ -35,14 +35,13 @@ from .motion import Moving, moving_parts
 from .scene import (
     LAMP_AT,
     ROOM,
-    Boxes,
-    Parts,
     camera_rig,
     fixtures,
     furniture,
     held_out_cameras,
-    pictures,
+    wall_pictures,
 )
+from .solid import GROUP_CENTRE, GROUP_RADIUS, Boxes, Parts, Table
 from .trace import BUFFER_COLUMNS, RAYS_PER_PIXEL, trace_frame, trace_room
 
 Picture = npt.NDArray[np.uint8]
@@ -88,13 +87,13 @@ class Scene:
 
     boxes: Boxes
     fixtures: Parts
-    pictures: npt.NDArray[np.float64]
+    wall_pictures: Table
     moving: tuple[Moving, ...]
     seed: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shot:
+class Take:
     """What filming one camera gave besides its video."""
 
     near_m: float
@@ -146,9 +145,9 @@ def check_config(config: SynthConfig) -> None:
 
 
 def make_scene(num_frames: int, fps: float, seed: int) -> Scene:
-    """The scene over a time."""
+    """The scene in each of its frames."""
     moving = tuple(moving_parts(frame / fps, seed) for frame in range(num_frames))
-    return Scene(furniture(), fixtures(seed), pictures(), moving, seed)
+    return Scene(furniture(), fixtures(seed), wall_pictures(), moving, seed)
 
 
 class Studio:
@@ -162,11 +161,9 @@ class Studio:
         self._room = np.empty((*size, 3), np.uint8)
         lens = [camera.fx_px, camera.cx_px, camera.cy_px]
         pose = np.concatenate([camera.w2c[:3, :3].ravel(), camera.position, lens])
-        boxes, parts = scene.boxes, scene.fixtures
         trace_room(
-            pose, ROOM, LAMP_AT, boxes.places, boxes.patterns, boxes.colours,
-            parts.cones, parts.frames, parts.patterns, parts.colours,
-            scene.pictures, scene.seed, self._buffer, self._room,
+            pose, ROOM, LAMP_AT, scene.boxes, scene.fixtures, scene.wall_pictures, scene.seed,
+            self._buffer, self._room,
         )  # fmt: skip
         # Directions of each pixel's first ray, a quarter pixel in from its corner.
         rows, columns = np.mgrid[: size[0], : size[1]] + 0.25
@@ -180,11 +177,9 @@ class Studio:
         picture = np.empty_like(self._room)
         distance = np.empty(self._room.shape[:2], np.float32)
         moving = self._scene.moving[frame]
-        parts = moving.parts
         trace_frame(
-            self._camera.position, LAMP_AT, parts.cones, parts.frames, parts.patterns,
-            parts.colours, moving.groups, self._windows(moving), self._scene.seed, self._buffer,
-            self._room, picture, distance,
+            self._camera.position, LAMP_AT, moving.parts, moving.groups, self._windows(moving),
+            self._scene.seed, self._buffer, self._room, picture, distance,
         )  # fmt: skip
         return picture, distance
 
@@ -193,8 +188,8 @@ class Studio:
         camera = self._camera
         windows = np.empty((len(moving.groups), 4), np.int64)
         for window, group in zip(windows, moving.groups, strict=True):
-            x, y, z = camera.w2c[:3, :3] @ group[2:5] + camera.w2c[:3, 3]
-            radius_m = group[5]
+            x, y, z = camera.w2c[:3, :3] @ group[GROUP_CENTRE:GROUP_RADIUS] + camera.w2c[:3, 3]
+            radius_m = group[GROUP_RADIUS]
             if z - radius_m < 0.1:
                 window[:] = 0, camera.width_px, 0, camera.height_px
                 continue
@@ -218,8 +213,8 @@ class Studio:
         """(xyz, rgb) of what randomly chosen pixels show."""
         rows = rng.integers(0, picture.shape[0], count)
         columns = rng.integers(0, picture.shape[1], count)
-        ways = self._directions[rows, columns] * distance[rows, columns, None]
-        return (self._camera.position + ways).astype(np.float32), picture[rows, columns]
+        offsets = self._directions[rows, columns] * distance[rows, columns, None]
+        return (self._camera.position + offsets).astype(np.float32), picture[rows, columns]
 
 
 def _write_capture(config: SynthConfig, folder: Path, console: Console) -> None:
@@ -238,26 +233,26 @@ def _write_capture(config: SynthConfig, folder: Path, console: Console) -> None:
     ) as progress:
         task = progress.add_task("frames", total=config.frames * config.cameras)
 
-        def shoot(camera: Camera) -> Shot:
+        def film(camera: Camera) -> Take:
             count = per_camera if camera.name in training else 0
-            return _shoot(
+            return _film_camera(
                 config, folder, scene, camera, count, lambda: progress.advance(task)
-            )  # fmt: skip
+            )
 
-        shots = _in_threads(shoot, cameras)
-    rows = [encode_pose(c, s.near_m, s.far_m) for c, s in zip(cameras, shots, strict=True)]
+        takes = _in_threads(film, cameras)
+    rows = [encode_pose(c, t.near_m, t.far_m) for c, t in zip(cameras, takes, strict=True)]
     np.save(folder / POSES_NAME, np.stack(rows))
     (folder / HELD_OUT_NAME).write_text("".join(f"{name}\n" for name in held_out))
     if config.points:
-        xyz = np.concatenate([shot.xyz for shot in shots])[: config.points]
-        rgb = np.concatenate([shot.rgb for shot in shots])[: config.points]
+        xyz = np.concatenate([take.xyz for take in takes])[: config.points]
+        rgb = np.concatenate([take.rgb for take in takes])[: config.points]
         np.savez(folder / POINTS_NAME, xyz=xyz, rgb=rgb)
 
 
-def _in_threads(shoot: Callable[[Camera], Shot], cameras: Sequence[Camera]) -> list[Shot]:
-    """What `shoot` gives for each camera; a failure or an interrupt stops cameras not yet begun."""
+def _in_threads(film: Callable[[Camera], Take], cameras: Sequence[Camera]) -> list[Take]:
+    """What `film` gives for each camera; a failure or an interrupt stops cameras not yet begun."""
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        futures = [pool.submit(shoot, camera) for camera in cameras]
+        futures = [pool.submit(film, camera) for camera in cameras]
         try:
             for future in as_completed(futures):
                 future.result()
@@ -267,14 +262,14 @@ def _in_threads(shoot: Callable[[Camera], Shot], cameras: Sequence[Camera]) -> l
     return [future.result() for future in futures]
 
 
-def _shoot(
+def _film_camera(
     config: SynthConfig,
     folder: Path,
     scene: Scene,
     camera: Camera,
     num_points: int,
     advance: Callable[[], None],
-) -> Shot:
+) -> Take:
     """Films one camera into its video."""
     studio = Studio(scene, camera)
     near_m, far_m = np.inf, 0.0
@@ -289,7 +284,7 @@ def _shoot(
                 rng = np.random.default_rng([config.seed, int(camera.name[3:])])
                 xyz, rgb = studio.sample_points(picture, distance, num_points, rng)
             advance()
-    return Shot(near_m, far_m, xyz, rgb)
+    return Take(near_m, far_m, xyz, rgb)
 
 
 class VideoWriter:

@@ -12,7 +12,27 @@ from typing import Any
 from codec.kernel import kernel
 
 from .paint import LAMP, Rgb
-from .solid import Vector, ahead, dot, hit_box
+from .solid import (
+    AROUND,
+    FIRST,
+    GROUP_CENTRE,
+    GROUP_END,
+    GROUP_FIRST,
+    GROUP_RADIUS,
+    GROUP_REACH,
+    HALF,
+    RADIUS,
+    SECOND,
+    Table,
+    Vector,
+    ahead,
+    dot,
+    hit_box,
+    in_box,
+    minus,
+    part_axis,
+    vector_at,
+)
 
 LAMP_RADIUS_M = 0.3
 """Radius of the lamp as a light: how soft shadows are."""
@@ -33,7 +53,7 @@ _EXPOSURE = 1.25
 @kernel(error_model="numpy")
 def light_of_lamp(p: Vector, n: Vector, lamp: Any) -> float:
     """The unshadowed lamp's light on a surface, in its nominal strength."""
-    v = (lamp[0] - p[0], lamp[1] - p[1], lamp[2] - p[2])
+    v = minus(lamp, p)
     d2 = dot(v, v)
     cosine = dot(v, n) / math.sqrt(d2)
     return max(0.0, cosine) * min(2.0, LAMP_FULL_M * LAMP_FULL_M / (d2 + 0.5))
@@ -41,27 +61,26 @@ def light_of_lamp(p: Vector, n: Vector, lamp: Any) -> float:
 
 @kernel(error_model="numpy")
 def shadow_of_parts(
-    p: Vector, lamp: Any, parts: Any, patterns: Any, first: int, last: int, skip: int
+    p: Vector, lamp: Any, cones: Table, patterns: Any, first: int, end: int, skip: int
 ) -> float:
-    """How much of the lamp is seen from p past the parts first..last - 1, 0..1.
+    """How much of the lamp is seen from p past the parts first..end - 1, 0..1.
 
     Each part hides the lamp by how far the ray to its middle passes the part's axis, over the
     penumbra's half width at that distance; the part that hides most counts.
     """
-    d = (lamp[0] - p[0], lamp[1] - p[1], lamp[2] - p[2])
+    d = minus(lamp, p)
     reach = math.sqrt(dot(d, d))
     d = (d[0] / reach, d[1] / reach, d[2] / reach)
     seen = 1.0
-    for i in range(first, last):
+    for i in range(first, end):
         if i == skip or patterns[i] == LAMP:
             continue
-        around = (parts[i, 8] - p[0], parts[i, 9] - p[1], parts[i, 10] - p[2])
+        around, around_m = minus(vector_at(cones, i, AROUND), p), cones[i, AROUND + RADIUS]
         t = dot(around, d)
-        widest = parts[i, 11] + LAMP_RADIUS_M * max(0.0, t + parts[i, 11]) / reach + 2e-3
+        widest = around_m + LAMP_RADIUS_M * max(0.0, t + around_m) / reach + 2e-3
         if dot(around, around) - t * t > widest * widest:
             continue
-        m = (p[0] - parts[i, 0], p[1] - parts[i, 1], p[2] - parts[i, 2])
-        axis = (parts[i, 4] - parts[i, 0], parts[i, 5] - parts[i, 1], parts[i, 6] - parts[i, 2])
+        m, axis = minus(p, vector_at(cones, i, FIRST)), part_axis(cones, i)
         c, md = dot(axis, axis), dot(m, d)
         # Closest places p + t d and a + h axis: set the derivatives by t and h to zero, then clamp.
         b, ma = dot(d, axis), dot(m, axis)
@@ -76,9 +95,8 @@ def shadow_of_parts(
             m[1] + t * d[1] - h * axis[1],
             m[2] + t * d[2] - h * axis[2],
         )
-        radius = parts[i, 3] + h * (parts[i, 7] - parts[i, 3])
         soft = max(2e-3, LAMP_RADIUS_M * t / reach)
-        x = (math.sqrt(dot(gap, gap)) - radius + soft) / (2.0 * soft)
+        x = (math.sqrt(dot(gap, gap)) - radius_at(cones, i, h) + soft) / (2.0 * soft)
         if x < 1.0:
             x = max(0.0, x)
             seen = min(seen, x * x * (3.0 - 2.0 * x))
@@ -86,23 +104,30 @@ def shadow_of_parts(
 
 
 @kernel(error_model="numpy")
-def ambient_of_parts(p: Vector, n: Vector, parts: Any, first: int, last: int, skip: int) -> float:
-    """How much ambient light the parts first..last - 1 leave at p, 0..1."""
+def radius_at(cones: Table, i: int, h: float) -> float:
+    """About how thick a part is at h of its axis, 0..1."""
+    first = float(cones[i, FIRST + RADIUS])
+    return first + h * (float(cones[i, SECOND + RADIUS]) - first)
+
+
+@kernel(error_model="numpy")
+def ambient_of_parts(p: Vector, n: Vector, cones: Table, first: int, end: int, skip: int) -> float:
+    """How much ambient light the parts first..end - 1 leave at p, 0..1."""
     left = 1.0
-    for i in range(first, last):
+    for i in range(first, end):
         if i == skip:
             continue
-        around = (parts[i, 8] - p[0], parts[i, 9] - p[1], parts[i, 10] - p[2])
-        reach = parts[i, 11] + (REACH_RADII - 1.0) * max(parts[i, 3], parts[i, 7])
+        around = minus(vector_at(cones, i, AROUND), p)
+        thickest = max(cones[i, FIRST + RADIUS], cones[i, SECOND + RADIUS])
+        reach = cones[i, AROUND + RADIUS] + (REACH_RADII - 1.0) * thickest
         if dot(around, around) > reach * reach:
             continue
-        m = (p[0] - parts[i, 0], p[1] - parts[i, 1], p[2] - parts[i, 2])
-        axis = (parts[i, 4] - parts[i, 0], parts[i, 5] - parts[i, 1], parts[i, 6] - parts[i, 2])
+        m, axis = minus(p, vector_at(cones, i, FIRST)), part_axis(cones, i)
         c = dot(axis, axis)
         h = 0.0
         if c > 1e-9:
             h = min(1.0, max(0.0, dot(m, axis) / c))
-        radius = parts[i, 3] + h * (parts[i, 7] - parts[i, 3])
+        radius = radius_at(cones, i, h)
         v = (h * axis[0] - m[0], h * axis[1] - m[1], h * axis[2] - m[2])
         d2 = max(dot(v, v), 1e-9)
         facing = dot(v, n) / math.sqrt(d2)
@@ -114,53 +139,62 @@ def ambient_of_parts(p: Vector, n: Vector, parts: Any, first: int, last: int, sk
 
 
 @kernel(error_model="numpy")
-def ambient_of_room(p: Vector, n: Vector, boxes: Any, half_m: float, height_m: float) -> float:
-    """How much ambient light the room's corners and boxes leave at p, 0..1."""
+def ambient_of_room(p: Vector, n: Vector, places: Table, room: Table) -> float:
+    """How much ambient light the room's corners and boxes leave at p, 0..1.
+
+    room: half its width and its height, metres.
+    """
     left = 1.0
     for axis in range(3):
         if abs(n[axis]) > 0.9:
             continue
-        low = half_m + p[axis] if axis != 1 else height_m + p[1]
-        high = half_m - p[axis] if axis != 1 else -p[1]
+        low = room[0] + p[axis] if axis != 1 else room[1] + p[1]
+        high = room[0] - p[axis] if axis != 1 else -p[1]
         left *= 1.0 - 0.42 * math.exp(-max(0.0, low) / 0.22)
         left *= 1.0 - 0.42 * math.exp(-max(0.0, high) / 0.22)
-    for i in range(boxes.shape[0]):
-        cos, sin = boxes[i, 6], boxes[i, 7]
-        x, y, z = p[0] - boxes[i, 0], p[1] - boxes[i, 1], p[2] - boxes[i, 2]
-        u, w = cos * x + sin * z, cos * z - sin * x
-        gu = max(0.0, abs(u) - boxes[i, 3])
-        gy = max(0.0, abs(y) - boxes[i, 4])
-        gw = max(0.0, abs(w) - boxes[i, 5])
-        gap = math.sqrt(gu * gu + gy * gy + gw * gw)
+    for i in range(places.shape[0]):
+        x, y, z = in_box(p, places, i)
+        gx = max(0.0, abs(x) - places[i, HALF])
+        gy = max(0.0, abs(y) - places[i, HALF + 1])
+        gz = max(0.0, abs(z) - places[i, HALF + 2])
+        gap = math.sqrt(gx * gx + gy * gy + gz * gz)
         if 1e-6 < gap < 1.2:
             left *= 1.0 - 0.5 * math.exp(-gap / 0.14)
     return left
 
 
 @kernel(error_model="numpy")
-def lamp_past_boxes(p: Vector, n: Vector, lamp: Any, boxes: Any) -> float:
-    """The part of the lamp that the boxes leave in sight, of 4 x 4 places on its disc."""
+def passes_by(p: Vector, to: Vector, centre: Vector, radius: float) -> bool:
+    """Whether the way from p to p + to comes nearer to a centre than the radius."""
+    v = minus(centre, p)
+    along = min(1.0, max(0.0, dot(v, to) / dot(to, to)))
+    e = ahead(v, to, -along)
+    return dot(e, e) < radius**2
+
+
+@kernel(error_model="numpy")
+def lamp_past_boxes(p: Vector, n: Vector, lamp: Any, places: Table) -> float:
+    """The share of the lamp that the boxes leave in sight, of 4 x 4 places on its disc."""
     o = ahead(p, n, 1e-4)
-    to = (lamp[0] - o[0], lamp[1] - o[1], lamp[2] - o[2])
+    to = minus(lamp, o)
     near = 0  # bits of the boxes that come near the way to the lamp
-    for k in range(boxes.shape[0]):
-        v = (boxes[k, 0] - o[0], boxes[k, 1] - o[1], boxes[k, 2] - o[2])
-        along = min(1.0, max(0.0, dot(v, to) / dot(to, to)))
-        e = ahead(v, to, -along)
-        radius = math.sqrt(boxes[k, 3] ** 2 + boxes[k, 4] ** 2 + boxes[k, 5] ** 2)
-        if dot(e, e) < (radius + LAMP_RADIUS_M) ** 2:
-            near |= 1 << k
+    for i in range(places.shape[0]):
+        half = vector_at(places, i, HALF)
+        radius = math.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
+        if passes_by(o, to, vector_at(places, i, 0), radius + LAMP_RADIUS_M):
+            near |= 1 << i
     if near == 0:
         return 1.0
     seen = 0
-    for i in range(16):
-        sx, sz = ((i % 4) - 1.5) / 2.0 * LAMP_RADIUS_M, ((i // 4) - 1.5) / 2.0 * LAMP_RADIUS_M
+    for spot in range(16):
+        sx = ((spot % 4) - 1.5) / 2.0 * LAMP_RADIUS_M
+        sz = ((spot // 4) - 1.5) / 2.0 * LAMP_RADIUS_M
         to = (lamp[0] + sx - o[0], lamp[1] - o[1], lamp[2] + sz - o[2])
         reach = math.sqrt(dot(to, to))
         d = (to[0] / reach, to[1] / reach, to[2] / reach)
         free = 1
-        for k in range(boxes.shape[0]):
-            if near & (1 << k) and hit_box(o, d, boxes, k)[0] < reach:
+        for i in range(places.shape[0]):
+            if near & (1 << i) and hit_box(o, d, places, i)[0] < reach:
                 free = 0
                 break
         seen += free
@@ -169,20 +203,19 @@ def lamp_past_boxes(p: Vector, n: Vector, lamp: Any, boxes: Any) -> float:
 
 @kernel(error_model="numpy")
 def light_past_groups(
-    p: Vector, n: Vector, lamp: Any, parts: Any, patterns: Any, groups: Any, skip: int
+    p: Vector, n: Vector, lamp: Any, cones: Table, patterns: Any, groups: Table, skip: int
 ) -> tuple[float, float]:
     """(ambient, lamp): what the groups of moving parts leave of either light at p, 0..1."""
     ambient, key = 1.0, 1.0
-    to = (lamp[0] - p[0], lamp[1] - p[1], lamp[2] - p[2])
+    to = minus(lamp, p)
     for g in range(groups.shape[0]):
-        first, last, radius = int(groups[g, 0]), int(groups[g, 1]), groups[g, 5]
-        v = (groups[g, 2] - p[0], groups[g, 3] - p[1], groups[g, 4] - p[2])
-        if dot(v, v) < (radius + groups[g, 6]) ** 2:
-            ambient *= ambient_of_parts(p, n, parts, first, last, skip)
-        along = min(1.0, max(0.0, dot(v, to) / dot(to, to)))
-        e = ahead(v, to, -along)
-        if dot(e, e) < (radius + LAMP_RADIUS_M) ** 2 and dot(n, to) > 0:
-            key *= shadow_of_parts(p, lamp, parts, patterns, first, last, skip)
+        first, end = int(groups[g, GROUP_FIRST]), int(groups[g, GROUP_END])
+        centre, radius = vector_at(groups, g, GROUP_CENTRE), groups[g, GROUP_RADIUS]
+        v = minus(centre, p)
+        if dot(v, v) < (radius + groups[g, GROUP_REACH]) ** 2:
+            ambient *= ambient_of_parts(p, n, cones, first, end, skip)
+        if passes_by(p, to, centre, radius + LAMP_RADIUS_M) and dot(n, to) > 0:
+            key *= shadow_of_parts(p, lamp, cones, patterns, first, end, skip)
     return ambient, key
 
 

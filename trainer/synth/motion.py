@@ -9,13 +9,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from .light import REACH_RADII
 from .paint import BALL, FACE, JEANS, PLAIN, SHOE, STRIPES
-from .scene import PartList, Parts
-
-Table = npt.NDArray[np.float64]
+from .scene import PartList
+from .solid import FIRST, RADIUS, SECOND, Parts, Table
 
 BALL_RADIUS_M = 0.15
 BALL_COLOUR = "ef7d1f"
@@ -24,7 +22,7 @@ _UP = np.array([0.0, -1.0, 0.0])
 _PATH_RADIUS_M = 0.72
 _WALK_M_PER_S = 0.85
 _STRIDE_M = 1.0
-"""Way of the body while both feet take one step."""
+"""How far the body moves while each foot takes one step."""
 _STANCE = 0.6
 """Share of a stride for which a foot stays on the floor."""
 _THIGH_M, _SHIN_M, _ANKLE_M = 0.43, 0.41, 0.085
@@ -36,20 +34,18 @@ class Moving:
     """The moving parts at one time."""
 
     parts: Parts
-    groups: Table
-    """(G, 7) first part, the part behind the last, a sphere around the group (centre, radius), and
-    how far beyond it the group darkens the ambient light; metres."""
+    groups: Table  # (G, 7), columns GROUP_FIRST and so on of solid.py
 
 
 def moving_parts(time_s: float, seed: int) -> Moving:
-    """The figure and the ball at a time. The seed shifts where on their ways they start."""
+    """The figure and the ball at a time. The seed shifts where they start."""
     parts = PartList()
     start_m = 1.7 + 0.37 * (seed % 97)
-    ends = add_figure(parts, _WALK_M_PER_S * time_s + start_m, time_s)
-    add_ball(parts, time_s, seed)
+    ends = _add_figure(parts, _WALK_M_PER_S * time_s + start_m, time_s)
+    _add_ball(parts, time_s, seed)
     built = parts.parts()
     bounds = pairwise([0, *ends, len(parts)])
-    return Moving(built, np.array([_group(built, first, last) for first, last in bounds]))
+    return Moving(built, np.array([_group(built, first, end) for first, end in bounds]))
 
 
 def ball_place(time_s: float, seed: int) -> Table:
@@ -60,20 +56,21 @@ def ball_place(time_s: float, seed: int) -> Table:
     return np.array([1.35 * np.cos(angle), -height, 0.1 + 1.35 * np.sin(angle)])
 
 
-def add_ball(parts: PartList, time_s: float, seed: int) -> None:
+def _add_ball(parts: PartList, time_s: float, seed: int) -> None:
     spin = 3.1 * time_s
     c, s = np.cos(spin), np.sin(spin)
     tilt = np.array([[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
-    frame = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ tilt
+    axes = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ tilt
     place = ball_place(time_s, seed)
-    parts.add(BALL, BALL_COLOUR, place, BALL_RADIUS_M, frame=frame, second_colour="2a1a14")
+    parts.add(BALL, BALL_COLOUR, place, BALL_RADIUS_M, axes=axes, second_colour="2a1a14")
 
 
-def add_figure(parts: PartList, way_m: float, time_s: float) -> list[int]:
-    """A person at a way along the circle, in mid-stride; gives where its groups of parts end."""
-    root, forward = path_place(way_m)
+def _add_figure(parts: PartList, walked_m: float, time_s: float) -> list[int]:
+    """Adds a person who has walked that far along the circle; gives where each group of parts
+    ends."""
+    root, forward = _path_place(walked_m)
     right = np.cross(-_UP, forward)
-    stride = way_m / _STRIDE_M
+    stride = walked_m / _STRIDE_M
     beat = 4 * np.pi * stride  # twice a stride: once a step
     hips = root + (0.897 + 0.018 * np.cos(beat - 1.2 * np.pi)) * _UP
     sway = 0.025 * np.sin(2 * np.pi * stride)
@@ -84,13 +81,13 @@ def add_figure(parts: PartList, way_m: float, time_s: float) -> list[int]:
     lean = _unit(_UP + 0.07 * forward)
     waist, chest = hips + 0.1 * lean, hips + 0.38 * lean
     neck, head = hips + 0.55 * lean, hips + 0.73 * lean + 0.02 * forward
-    frame = np.stack([right, _UP, forward])
+    axes = np.stack([right, _UP, forward])
 
-    parts.add(STRIPES, "f4efe2", waist, 0.125, chest, 0.16, frame, "d8432f")
+    parts.add(STRIPES, "f4efe2", waist, 0.125, chest, 0.16, axes, "d8432f")
     shoulders = (chest + 0.09 * lean - 0.13 * chest_right, chest + 0.09 * lean + 0.13 * chest_right)
     parts.add(PLAIN, "d8432f", shoulders[0], 0.075, shoulders[1], 0.075)
     parts.add(PLAIN, "e8b48f", neck - 0.03 * lean, 0.055, head, 0.055)
-    # a scarf with a tail that swings behind
+    # A scarf with a tail that swings behind.
     parts.add(PLAIN, "f2b632", neck - 0.035 * lean, 0.088, neck - 0.01 * lean, 0.08)
     tail = neck - 0.05 * lean - 0.13 * forward + 0.05 * right
     drift = 0.05 * np.sin(beat) * right - (0.1 + 0.04 * np.cos(beat)) * forward
@@ -98,7 +95,7 @@ def add_figure(parts: PartList, way_m: float, time_s: float) -> list[int]:
 
     look = _unit(forward + 0.35 * np.sin(1.7 * time_s) * right)
     face = np.stack([np.cross(-_UP, look), _UP, look])
-    parts.add(FACE, "e8b48f", head, 0.138, frame=face)
+    parts.add(FACE, "e8b48f", head, 0.138, axes=face)
     parts.add(PLAIN, "dfa27c", head + 0.136 * look - 0.012 * _UP, 0.02)
     for side in (-1.0, 1.0):
         parts.add(PLAIN, "e0a37e", head + 0.136 * side * face[0] - 0.01 * _UP, 0.03)
@@ -107,7 +104,7 @@ def add_figure(parts: PartList, way_m: float, time_s: float) -> list[int]:
 
     ends = [len(parts)]
 
-    # the left arm swings against the left leg, the right one waves
+    # The left arm swings against the left leg, the right one waves.
     swing = 0.5 * np.sin(2 * np.pi * stride)
     upper = _unit(-_UP + swing * forward - 0.22 * chest_right)
     lower = _unit(-_UP + (swing + 0.45) * forward - 0.08 * chest_right)
@@ -124,7 +121,7 @@ def add_figure(parts: PartList, way_m: float, time_s: float) -> list[int]:
         hip = hips + side * 0.085 * right - 0.03 * _UP
         foot, pitch, heading = foot_place(stride + offset, offset, side)
         ankle = foot + _ANKLE_M * _UP
-        knee = _joint(hip, ankle, _THIGH_M, _SHIN_M, heading)
+        knee = _knee(hip, ankle, _THIGH_M, _SHIN_M, heading)
         parts.add(JEANS, "31507f", hip, 0.092, knee, 0.066)
         parts.add(JEANS, "31507f", knee, 0.065, ankle + 0.05 * _UP, 0.05)
         toe_to = np.cos(pitch) * heading - np.sin(pitch) * _UP
@@ -136,9 +133,9 @@ def add_figure(parts: PartList, way_m: float, time_s: float) -> list[int]:
     return ends
 
 
-def path_place(way_m: float) -> tuple[Table, Table]:
-    """(place, direction) on the floor after a way along the walked circle."""
-    angle = way_m / _PATH_RADIUS_M
+def _path_place(walked_m: float) -> tuple[Table, Table]:
+    """(place, direction) on the floor after walking that far along the circle."""
+    angle = walked_m / _PATH_RADIUS_M
     out = np.array([np.cos(angle), 0.0, np.sin(angle)])
     place = np.array([0.0, 0.0, 0.1]) + _PATH_RADIUS_M * out
     return place, np.array([-np.sin(angle), 0.0, np.cos(angle)])
@@ -166,7 +163,7 @@ def foot_place(cycle: float, offset: float, side: float) -> tuple[Table, float, 
 
 
 def _footfall(number: float, offset: float, side: float) -> tuple[Table, Table]:
-    place, heading = path_place((number - offset + _STANCE / 2) * _STRIDE_M)
+    place, heading = _path_place((number - offset + _STANCE / 2) * _STRIDE_M)
     return place + side * 0.085 * np.cross(-_UP, heading), heading
 
 
@@ -178,24 +175,25 @@ def _add_arm(parts: PartList, shoulder: Table, upper: Table, lower: Table) -> No
     parts.add(PLAIN, "e8b48f", wrist + 0.045 * lower, 0.05, wrist + 0.08 * lower, 0.04)
 
 
-def _joint(a: Table, b: Table, first_m: float, second_m: float, towards: Table) -> Table:
-    """The knee between a and b: at the two lengths, bent towards a direction."""
-    axis = b - a
-    span = min(float(np.linalg.norm(axis)), 0.999 * (first_m + second_m))
+def _knee(hip: Table, ankle: Table, thigh_m: float, shin_m: float, front: Table) -> Table:
+    """The knee between hip and ankle, as far from them as the two lengths say, and to the front."""
+    axis = ankle - hip
+    span = min(float(np.linalg.norm(axis)), 0.999 * (thigh_m + shin_m))
     axis = _unit(axis)
-    along = (first_m**2 - second_m**2 + span**2) / (2 * span)
-    bend = _unit(towards - (towards @ axis) * axis)
-    return a + along * axis + float(np.sqrt(max(0.0, first_m**2 - along**2))) * bend
+    along = (thigh_m**2 - shin_m**2 + span**2) / (2 * span)
+    bend = _unit(front - (front @ axis) * axis)
+    return hip + along * axis + float(np.sqrt(max(0.0, thigh_m**2 - along**2))) * bend
 
 
 def _unit(v: Table) -> Table:
     return v / np.linalg.norm(v)
 
 
-def _group(parts: Parts, first: int, last: int) -> tuple[float, ...]:
-    cones = parts.cones[first:last]
-    centres = np.concatenate([cones[:, :3], cones[:, 4:7]])
-    radii = np.concatenate([cones[:, 3], cones[:, 7]])
+def _group(parts: Parts, first: int, end: int) -> tuple[float, ...]:
+    """A row of `Moving.groups`."""
+    cones = parts.cones[first:end]
+    centres = np.concatenate([cones[:, at : at + RADIUS] for at in (FIRST, SECOND)])
+    radii = np.concatenate([cones[:, at + RADIUS] for at in (FIRST, SECOND)])
     middle = (centres.min(axis=0) + centres.max(axis=0)) / 2
     radius = float((np.linalg.norm(centres - middle, axis=1) + radii).max())
-    return (first, last, *middle, radius + 1e-3, (REACH_RADII - 1) * float(radii.max()))
+    return (first, end, *middle, radius + 1e-3, (REACH_RADII - 1) * float(radii.max()))

@@ -7,15 +7,12 @@ Lambertian: what a capture of it needs to be explained by Gaussians without view
 from __future__ import annotations
 
 import math
-from typing import Any
-
-import numpy as np
-import numpy.typing as npt
 
 from codec.kernel import kernel
 
+from .solid import HALF, Boxes, Parts, Table, Vector, vector_at
+
 Rgb = tuple[float, float, float]
-Table = npt.NDArray[np.float64]
 
 PLAIN, STRIPES, FACE, BALL, SHOE, LAMP, LEAF, CRATE, BOOKS, WOOD, JEANS = range(11)
 """Patterns of solids."""
@@ -36,27 +33,13 @@ def linear(hex_colour: str) -> Rgb:
     return r, g, b
 
 
-_CREAM, _WHITE, _INK = linear("efe3cc"), linear("f4f1ea"), linear("23262e")
-_OAK, _OAK_DARK, _TEAL = linear("b98a5a"), linear("8f6238"), linear("2f7f86")
-_PLASTER, _CLAY, _SAND, _SAGE = (
-    linear("3f6f7d"),
-    linear("c9775a"),
-    linear("e3c596"),
-    linear("9db28f"),
-)
-_RED, _YELLOW, _BLUE, _PINK = linear("d8432f"), linear("f2b632"), linear("2c5fa8"), linear("e58fa0")
-_SKY, _SKY_HIGH, _HILL, _DUSK = (
-    linear("cfe6f2"),
-    linear("6fb0dc"),
-    linear("6f9a5c"),
-    linear("4a2f63"),
-)
-_ORANGE, _SKIN, _HAIR, _BLUSH = (
-    linear("f0803c"),
-    linear("e8b48f"),
-    linear("4b2a1d"),
-    linear("dc8872"),
-)
+_WHITE, _CREAM, _INK = linear("f4f1ea"), linear("efe3cc"), linear("23262e")
+_OAK, _OAK_DARK = linear("b98a5a"), linear("8f6238")
+_PLASTER, _CLAY, _SAND, _SAGE = map(linear, ("3f6f7d", "c9775a", "e3c596", "9db28f"))
+_RED, _YELLOW, _BLUE, _PINK = map(linear, ("d8432f", "f2b632", "2c5fa8", "e58fa0"))
+_TEAL, _ORANGE = linear("2f7f86"), linear("f0803c")
+_SKY, _SKY_HIGH, _HILL, _DUSK = map(linear, ("cfe6f2", "6fb0dc", "6f9a5c", "4a2f63"))
+_SKIN, _HAIR, _BLUSH = linear("e8b48f"), linear("4b2a1d"), linear("dc8872")
 
 
 @kernel(error_model="numpy")
@@ -134,7 +117,7 @@ def paint_floor(x: float, z: float, seed: int) -> Rgb:
 
 @kernel(error_model="numpy")
 def paint_picture(kind: int, u: float, v: float, seed: int) -> Rgb:
-    """A picture at u (left to right) and v (top to bottom), both 0..1, its frame included."""
+    """A picture at u (left to right) and v (top to bottom), both 0..1, its border included."""
     if kind == WINDOW:
         if min(u, 1 - u, v, 1 - v) < 0.05 or abs(u - 0.5) < 0.022 or abs(v - 0.42) < 0.02:
             return _WHITE
@@ -181,7 +164,7 @@ def paint_picture(kind: int, u: float, v: float, seed: int) -> Rgb:
             if v < 0.93 and d < radius:
                 colour = band
         return colour
-    # BLOBS: soft spots on ink, the project's own subject
+    # BLOBS: soft spots on ink, much like a scene made of Gaussians.
     colour = _INK
     for i in range(14):
         cu, cv = lattice(i, 1, 0, seed + 31), lattice(i, 2, 0, seed + 31)
@@ -200,16 +183,16 @@ def paint_picture(kind: int, u: float, v: float, seed: int) -> Rgb:
 
 
 @kernel(error_model="numpy")
-def paint_room(face: int, x: float, y: float, z: float, pictures: Any, seed: int) -> Rgb:
-    """The colour of a face of the room; y is minus the height above the floor."""
+def paint_room(face: int, p: Vector, wall_pictures: Table, seed: int) -> Rgb:
+    """The colour of a face of the room at a place on it."""
+    x, y, z = p
     if face == FLOOR:
         return paint_floor(x, z, seed)
     if face == CEILING:
         beam = abs((x + 0.6) / 1.2 - math.floor((x + 0.6) / 1.2) - 0.5)
         return grain(_OAK_DARK if beam < 0.07 else _WHITE, 5 * x, 0.0, 1.2 * z, 0.08, seed)
-    # (u to the viewer's right, on this wall)
-    u = x
-    wall = _PLASTER
+    # u grows to the right of who looks at the wall.
+    u, wall = x, _PLASTER
     if face == FRONT:
         u, wall = -x, _SAGE
     elif face == LEFT:
@@ -217,12 +200,13 @@ def paint_room(face: int, x: float, y: float, z: float, pictures: Any, seed: int
     elif face == RIGHT:
         u, wall = -z, _CLAY
     h = -y
-    for i in range(pictures.shape[0]):
-        if int(pictures[i, 0]) == face:
-            pu = (u - pictures[i, 1]) / pictures[i, 3] + 0.5
-            pv = 0.5 - (h - pictures[i, 2]) / pictures[i, 4]
+    for i in range(wall_pictures.shape[0]):
+        picture = wall_pictures[i]
+        if int(picture[0]) == face:
+            pu = (u - picture[1]) / picture[3] + 0.5
+            pv = 0.5 - (h - picture[2]) / picture[4]
             if 0 < pu < 1 and 0 < pv < 1:
-                return paint_picture(int(pictures[i, 5]), pu, pv, seed)
+                return paint_picture(int(picture[5]), pu, pv, seed)
     if h < 0.12:
         return _WHITE
     if h < 0.92:
@@ -236,20 +220,12 @@ def paint_room(face: int, x: float, y: float, z: float, pictures: Any, seed: int
 
 
 @kernel(error_model="numpy")
-def paint_box(
-    pattern: int,
-    colours: Any,
-    row: int,
-    x: float,
-    y: float,
-    z: float,
-    half: Any,
-    axis: int,
-    seed: int,
-) -> Rgb:
-    """The colour of a box at a place of its own axes, on the face across `axis`."""
-    a = (colours[row, 0], colours[row, 1], colours[row, 2])
-    b = (colours[row, 3], colours[row, 4], colours[row, 5])
+def paint_box(boxes: Boxes, i: int, p: Vector, axis: int, seed: int) -> Rgb:
+    """The colour of a box at a place, as of `in_box`, on the face across `axis`."""
+    pattern = boxes.patterns[i]
+    a, b = vector_at(boxes.colours, i, 0), vector_at(boxes.colours, i, 3)
+    half = vector_at(boxes.places, i, HALF)
+    x, y, z = p
     u, v, hu, hv = x, y, half[0], half[1]
     if axis == 0:
         u, hu = z, half[2]
@@ -259,9 +235,9 @@ def paint_box(
         edge = min(hu - abs(u), hv - abs(v))
         diagonal = abs(u / hu - v / hv)
         if edge < 0.055:
-            return grain(b, 20 * u, 20 * v, 1.0 * axis, 0.15, seed + row)
+            return grain(b, 20 * u, 20 * v, 1.0 * axis, 0.15, seed + i)
         if diagonal < 0.17:
-            return grain(b, 15 * u, 15 * v, 1.0 * axis, 0.15, seed + row)
+            return grain(b, 15 * u, 15 * v, 1.0 * axis, 0.15, seed + i)
         board = (v + hv) / 0.11
         tone = 0.6 if board - math.floor(board) < 0.09 else 1.0
         return grain((a[0] * tone, a[1] * tone, a[2] * tone), 5 * u, 22 * v, 1.0 * axis, 0.2, seed)
@@ -271,8 +247,8 @@ def paint_box(
         if rise > 0.9 or min(hu - abs(u), hv - abs(v)) < 0.03:
             return a
         book = math.floor((x + half[0]) / 0.065)
-        pick = lattice(book, level, row, seed)
-        if rise < 0.12 + 0.4 * lattice(book, level, row + 1, seed):
+        pick = lattice(book, level, i, seed)
+        if rise < 0.12 + 0.4 * lattice(book, level, i + 1, seed):
             return a[0] * 0.3, a[1] * 0.3, a[2] * 0.3
         spine = _CREAM
         if pick < 0.2:
@@ -287,21 +263,20 @@ def paint_box(
             spine = _CLAY
         return spine
     if pattern == WOOD:
-        return grain(a, 3 * u, 18 * v, 1.0 * axis, 0.2, seed + row)
-    return grain(a, 6 * x, 6 * y, 6 * z, 0.1, seed + row)
+        return grain(a, 3 * u, 18 * v, 1.0 * axis, 0.2, seed + i)
+    return grain(a, 6 * x, 6 * y, 6 * z, 0.1, seed + i)
 
 
 @kernel(error_model="numpy")
-def paint_part(
-    pattern: int, colours: Any, row: int, x: float, y: float, z: float, along_m: float, seed: int
-) -> Rgb:
-    """The colour of a round part.
+def paint_part(parts: Parts, i: int, local: Vector, along_m: float, seed: int) -> Rgb:
+    """The colour of a part.
 
-    x, y, z: the direction from the part's first centre along its right, up and forward axes, in
-    units of its first radius; along_m: metres along its axis.
+    local: the place as seen from the first centre, along the pattern's axes, in units of the first
+    radius; along_m: metres along the part's axis.
     """
-    a = (colours[row, 0], colours[row, 1], colours[row, 2])
-    b = (colours[row, 3], colours[row, 4], colours[row, 5])
+    pattern = parts.patterns[i]
+    a, b = vector_at(parts.colours, i, 0), vector_at(parts.colours, i, 3)
+    x, y, z = local
     if pattern == STRIPES:
         t = along_m / 0.1
         return a if t - math.floor(t) < 0.55 else b
@@ -327,5 +302,5 @@ def paint_part(
     if pattern == JEANS:
         return grain(a, 6 * x, 14 * along_m, 6 * z, 0.22, seed)
     if pattern == LEAF:
-        return mix(a, b, step(0.25, 0.8, noise(3.5 * x, 3.5 * y, 3.5 * z, seed + row)))
-    return grain(a, 3 * x, 3 * y, 3 * z, 0.06, seed + row)
+        return mix(a, b, step(0.25, 0.8, noise(3.5 * x, 3.5 * y, 3.5 * z, seed + i)))
+    return grain(a, 3 * x, 3 * y, 3 * z, 0.06, seed + i)

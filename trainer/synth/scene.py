@@ -6,7 +6,6 @@ The world's y points down and the floor is y = 0, so a height of h metres is y =
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -32,9 +31,7 @@ from .paint import (
     WOOD,
     linear,
 )
-
-Table = npt.NDArray[np.float64]
-Vector = tuple[float, float, float]
+from .solid import Boxes, Parts, Table, Vector
 
 ROOM = np.array([3.75, 3.1])
 """Half the width of the square room, and its height, metres."""
@@ -53,27 +50,8 @@ FIELD_OF_VIEW_RAD = np.radians(74.0)
 """Horizontal."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Parts:
-    """Round solids: hulls of two spheres, with a pattern and axes for it."""
-
-    cones: Table  # (P, 12) rows of synth_solid.py, metres
-    frames: Table  # (P, 9) unit vectors right, up, forward of the pattern, in the world
-    patterns: npt.NDArray[np.int64]  # (P,)
-    colours: Table  # (P, 6) two linear RGB reflectances
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Boxes:
-    """Boxes turned about the vertical."""
-
-    places: Table  # (B, 8) centre, half sizes, cosine and sine of the turn; metres
-    patterns: npt.NDArray[np.int64]  # (B,)
-    colours: Table  # (B, 6)
-
-
 class PartList:
-    """Collects round solids one by one."""
+    """Collects parts one by one."""
 
     def __init__(self) -> None:
         self._rows: list[tuple[Table, Table, int, tuple[float, ...]]] = []
@@ -86,14 +64,18 @@ class PartList:
         first_radius_m: float,
         second: npt.ArrayLike | None = None,
         second_radius_m: float | None = None,
-        frame: Table | None = None,
+        axes: Table | None = None,
         second_colour: str | None = None,
     ) -> None:
-        """Adds a round cone, or a sphere when there is no second centre."""
+        """Adds a round cone, or a sphere when there is no second centre.
+
+        axes: (3, 3) unit vectors right, up and forward of the pattern; by default, forward is -z.
+        """
         a = np.asarray(first, np.float64)
         b = a if second is None else np.asarray(second, np.float64)
         rb = first_radius_m if second_radius_m is None else second_radius_m
-        axes = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]]) if frame is None else frame
+        if axes is None:
+            axes = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
         colours = linear(colour) + linear(second_colour or colour)
         around = float(np.linalg.norm(b - a)) / 2 + max(first_radius_m, rb)
         cone = np.array([*a, first_radius_m, *b, rb, *((a + b) / 2), around])
@@ -103,14 +85,14 @@ class PartList:
         return len(self._rows)
 
     def parts(self) -> Parts:
-        cones, frames, patterns, colours = zip(*self._rows, strict=True)
+        cones, axes, patterns, colours = zip(*self._rows, strict=True)
         return Parts(
-            np.array(cones), np.array(frames), np.array(patterns, np.int64), np.array(colours)
+            np.array(cones), np.array(axes), np.array(patterns, np.int64), np.array(colours)
         )
 
 
 def furniture() -> Boxes:
-    """The boxes of the room: shelf, sofa, crates, table, plinth."""
+    """The boxes of the room: shelf, sofa, crates, cupboards, the plant's pot."""
     rows: list[tuple[list[float], int, tuple[float, ...]]] = []
 
     def add(
@@ -127,20 +109,20 @@ def furniture() -> Boxes:
         rows.append((place, pattern, linear(colour) + linear(second_colour or colour)))
 
     add(BOOKS, "7a5132", (2.1, 1.0, 3.5), (1.5, 2.0, 0.42))
-    # the sofa: seat, back, two arms, cushions
+    # The sofa: seat, back, two arms, cushions.
     add(PLAIN, "d9694f", (-0.75, 0.24, 2.95), (2.1, 0.4, 0.85))
     add(PLAIN, "c75b44", (-0.75, 0.52, 3.38), (2.1, 0.86, 0.24))
     add(PLAIN, "c75b44", (-1.9, 0.34, 2.97), (0.24, 0.62, 0.9))
     add(PLAIN, "c75b44", (0.4, 0.34, 2.97), (0.24, 0.62, 0.9))
     add(PLAIN, "f2b632", (-1.45, 0.62, 3.12), (0.42, 0.36, 0.16), 0.25)
     add(PLAIN, "f1e6d2", (-0.05, 0.6, 3.13), (0.4, 0.34, 0.16), -0.3)
-    # crates in the right corner, the upper one turned
+    # Crates in the right corner, the upper one turned.
     add(CRATE, "cf9f63", (3.05, 0.33, 2.05), (0.66, 0.66, 0.66), 0.12, "9c6a38")
     add(CRATE, "5f9ea0", (3.08, 0.9, 2.08), (0.48, 0.48, 0.48), 0.6, "f0e4cf")
-    # a low cupboard on the left, with the plant's pot beside it
+    # A low cupboard on the left, with the plant's pot beside it.
     add(WOOD, "a8744a", (-3.45, 0.4, 1.9), (0.55, 0.8, 1.2))
     add(PLAIN, "f0e8da", (-3.12, 0.22, 2.95), (0.42, 0.44, 0.42), 0.4)
-    # a cupboard behind the cameras
+    # A cupboard behind the cameras.
     add(WOOD, "8d5f3a", (1.3, 0.35, -3.52), (1.6, 0.7, 0.42))
     return Boxes(
         np.array([row[0] for row in rows]),
@@ -150,7 +132,7 @@ def furniture() -> Boxes:
 
 
 def fixtures(seed: int) -> Parts:
-    """The still round solids: the lamp, the plant, a floor lamp, things on the cupboard."""
+    """The parts that do not move: the lamp and its cord, the plant, things on the cupboards."""
     parts = PartList()
     x, y, z = LAMP_AT
     parts.add(LAMP, "ffffff", (x, y, z), 0.17)
@@ -173,12 +155,9 @@ def fixtures(seed: int) -> Parts:
     return parts.parts()
 
 
-def pictures() -> Table:
-    """(K, 6) what hangs on the walls: face, middle along it to the right, height, width, height of
-    the picture, kind.
-
-    Metres.
-    """
+def wall_pictures() -> Table:
+    """(K, 6) what hangs on the walls: the face of the room, the middle's place to the right along
+    the wall and its height above the floor, the picture's width and height, its kind; metres."""
     return np.array(
         [
             (BACK, -1.55, 1.85, 1.15, 1.3, SUNSET),

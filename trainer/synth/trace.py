@@ -3,6 +3,9 @@
 The room is traced once per camera into a buffer, four rays a pixel; a frame then only asks each ray
 whether a moving part stands before the room or takes light from the place that it sees. The world's
 y points down; directions are unit vectors.
+
+The two loops over pixels are long for speed: numba counts references to the arrays that one kernel
+hands to another. With more of what they do in kernels of its own, a frame took twice as long.
 """
 
 from __future__ import annotations
@@ -39,12 +42,36 @@ from .paint import (
     paint_part,
     paint_room,
 )
-from .solid import Vector, ahead, dot, hit_box, hit_part, hit_sphere, part_foot, unit
+from .solid import (
+    COS,
+    FIRST,
+    GROUP_CENTRE,
+    GROUP_END,
+    GROUP_FIRST,
+    GROUP_RADIUS,
+    RADIUS,
+    SIN,
+    Boxes,
+    Parts,
+    Table,
+    Vector,
+    ahead,
+    dot,
+    hit_box,
+    hit_part,
+    hit_sphere,
+    in_box,
+    minus,
+    part_axis,
+    part_foot,
+    turned,
+    unit,
+    vector_at,
+)
 
 Floats = npt.NDArray[np.float32]
 Integers = npt.NDArray[np.int64]
 Pixels = npt.NDArray[np.uint8]
-Table = npt.NDArray[np.float64]
 
 RAYS_PER_PIXEL = 4
 """A 2x2 grid."""
@@ -60,32 +87,24 @@ normals agree; soft light is then worked out once for both."""
 
 
 @kernel(error_model="numpy")
-def part_surface(
-    p: Vector, parts: Any, frames: Any, patterns: Any, colours: Any, i: int, seed: int
-) -> tuple[Vector, Rgb]:
+def part_surface(p: Vector, parts: Parts, i: int, seed: int) -> tuple[Vector, Rgb]:
     """The normal and the colour of a part at a place on its surface."""
-    h = part_foot(p, parts, i)
-    m = (p[0] - parts[i, 0], p[1] - parts[i, 1], p[2] - parts[i, 2])
-    axis = (parts[i, 4] - parts[i, 0], parts[i, 5] - parts[i, 1], parts[i, 6] - parts[i, 2])
+    h = part_foot(p, parts.cones, i)
+    m, axis = minus(p, vector_at(parts.cones, i, FIRST)), part_axis(parts.cones, i)
     n = unit((m[0] - h * axis[0], m[1] - h * axis[1], m[2] - h * axis[2]))
-    k = 1.0 / parts[i, 3]
-    local = (
-        k * (frames[i, 0] * m[0] + frames[i, 1] * m[1] + frames[i, 2] * m[2]),
-        k * (frames[i, 3] * m[0] + frames[i, 4] * m[1] + frames[i, 5] * m[2]),
-        k * (frames[i, 6] * m[0] + frames[i, 7] * m[1] + frames[i, 8] * m[2]),
-    )
-    along = h * math.sqrt(dot(axis, axis))
-    return n, paint_part(patterns[i], colours, i, local[0], local[1], local[2], along, seed)
+    k = 1.0 / parts.cones[i, FIRST + RADIUS]
+    right, up = vector_at(parts.axes, i, 0), vector_at(parts.axes, i, 3)
+    local = (k * dot(right, m), k * dot(up, m), k * dot(vector_at(parts.axes, i, 6), m))
+    return n, paint_part(parts, i, local, h * math.sqrt(dot(axis, axis)), seed)
 
 
 @kernel(error_model="numpy")
 def room_hit(
-    c: Vector, d: Vector, room: Any, boxes: Any, parts: Any
+    c: Vector, d: Vector, room: Table, places: Table, cones: Table
 ) -> tuple[float, Vector, int, int, int]:
-    """(distance, normal of a wall or box, face, box, part) first hit; box and part are -1 if not
-    hit.
+    """(distance, normal, face, box, part) of the first hit; box and part are -1 if not hit.
 
-    `face` is that of the room, or the axis across the face of the box.
+    face: which of the room's faces, or of a box the axis across it. normal: of a wall or box only.
     """
     t, face = math.inf, 0
     n = (0.0, 0.0, 0.0)
@@ -105,25 +124,45 @@ def room_hit(
             else:
                 face, n = (BACK if d[2] > 0 else FRONT), (0.0, 0.0, sign)
     box, part = -1, -1
-    for i in range(boxes.shape[0]):
-        near, axis = hit_box(c, d, boxes, i)
+    for i in range(places.shape[0]):
+        near, axis = hit_box(c, d, places, i)
         if near < t:
             t, box, face = near, i, axis
-    for i in range(parts.shape[0]):
-        near = hit_part(c, d, parts, i)
+    for i in range(cones.shape[0]):
+        near = hit_part(c, d, cones, i)
         if near < t:
             t, part = near, i
     if box >= 0 and part < 0:
-        cos, sin = boxes[box, 6], boxes[box, 7]
-        slope = cos * d[0] + sin * d[2]
+        cos, sin = places[box, COS], places[box, SIN]
+        way = turned(d, cos, sin)
         if face == 0:
-            n = (-cos, 0.0, -sin) if slope > 0 else (cos, 0.0, sin)
+            n = (-cos, 0.0, -sin) if way[0] > 0 else (cos, 0.0, sin)
         elif face == 1:
-            n = (0.0, -1.0, 0.0) if d[1] > 0 else (0.0, 1.0, 0.0)
+            n = (0.0, -1.0, 0.0) if way[1] > 0 else (0.0, 1.0, 0.0)
         else:
-            slope = cos * d[2] - sin * d[0]
-            n = (sin, 0.0, -cos) if slope > 0 else (-sin, 0.0, cos)
+            n = (sin, 0.0, -cos) if way[2] > 0 else (-sin, 0.0, cos)
     return t, n, face, box, part
+
+
+@kernel(error_model="numpy")
+def ray_direction(camera: Table, row: int, column: int, ray: int) -> Vector:
+    """Where a pixel's ray goes, in the world. camera: as of `trace_room`."""
+    x = (column + 0.25 + 0.5 * (ray % 2) - camera[13]) / camera[12]
+    y = (row + 0.25 + 0.5 * (ray // 2) - camera[14]) / camera[12]
+    return unit(
+        (
+            camera[0] * x + camera[3] * y + camera[6],
+            camera[1] * x + camera[4] * y + camera[7],
+            camera[2] * x + camera[5] * y + camera[8],
+        )
+    )
+
+
+@kernel(error_model="numpy")
+def set_pixel(picture: Pixels, row: int, column: int, light: Rgb) -> None:
+    """Sets a pixel to the mean of its rays; light: the sum of theirs."""
+    for k in range(3):
+        picture[row, column, k] = encode(light[k] / RAYS_PER_PIXEL)
 
 
 @kernel(nogil=True, error_model="numpy")
@@ -131,14 +170,9 @@ def trace_room(
     camera: Table,
     room: Table,
     lamp: Table,
-    boxes: Table,
-    box_patterns: Integers,
-    box_colours: Table,
-    parts: Table,
-    frames: Table,
-    patterns: Integers,
-    colours: Table,
-    pictures: Table,
+    boxes: Boxes,
+    parts: Parts,
+    wall_pictures: Table,
     seed: int,
     out_buffer: Floats,
     out_picture: Pixels,
@@ -149,41 +183,29 @@ def trace_room(
     pixels (3). room: half its width and its height, metres. lamp: its middle.
     """
     c = (camera[9], camera[10], camera[11])
+    places, cones, patterns = boxes.places, parts.cones, parts.patterns
+    num_parts = cones.shape[0]
     for row in range(out_buffer.shape[0]):
         for column in range(out_buffer.shape[1]):
             red, green, blue = 0.0, 0.0, 0.0
             for ray in range(RAYS_PER_PIXEL):
-                x = (column + 0.25 + 0.5 * (ray % 2) - camera[13]) / camera[12]
-                y = (row + 0.25 + 0.5 * (ray // 2) - camera[14]) / camera[12]
-                d = unit(
-                    (
-                        camera[0] * x + camera[3] * y + camera[6],
-                        camera[1] * x + camera[4] * y + camera[7],
-                        camera[2] * x + camera[5] * y + camera[8],
-                    )
-                )
-                t, n, face, box, part = room_hit(c, d, room, boxes, parts)
+                d = ray_direction(camera, row, column, ray)
+                t, n, face, box, part = room_hit(c, d, room, places, cones)
                 p = ahead(c, d, t)
                 if part >= 0:
-                    n, colour = part_surface(p, parts, frames, patterns, colours, part, seed)
+                    n, colour = part_surface(p, parts, part, seed)
                 elif box >= 0:
-                    px, py, pz = p[0] - boxes[box, 0], p[1] - boxes[box, 1], p[2] - boxes[box, 2]
-                    u = boxes[box, 6] * px + boxes[box, 7] * pz
-                    w = boxes[box, 6] * pz - boxes[box, 7] * px
-                    half = boxes[box, 3:6]
-                    colour = paint_box(
-                        box_patterns[box], box_colours, box, u, py, w, half, face, seed
-                    )
+                    colour = paint_box(boxes, box, in_box(p, places, box), face, seed)
                 else:
-                    colour = paint_room(face, p[0], p[1], p[2], pictures, seed)
+                    colour = paint_room(face, p, wall_pictures, seed)
                 ambient = ambient_light(n)
-                dim = ambient_of_room(p, n, boxes, room[0], room[1])
-                dim *= ambient_of_parts(p, n, parts, 0, parts.shape[0], part)
+                dim = ambient_of_room(p, n, places, room)
+                dim *= ambient_of_parts(p, n, cones, 0, num_parts, part)
                 key = light_of_lamp(p, n, lamp)
                 if key > 0:
-                    key *= lamp_past_boxes(p, n, lamp, boxes)
-                    key *= shadow_of_parts(p, lamp, parts, patterns, 0, parts.shape[0], part)
-                if part >= 0 and patterns[part] == LAMP:
+                    key *= lamp_past_boxes(p, n, lamp, places)
+                    key *= shadow_of_parts(p, lamp, cones, patterns, 0, num_parts, part)
+                if part >= 0 and patterns[part] == LAMP:  # which glows
                     ambient, dim, key = (3.0, 2.75, 2.3), 1.0, 0.0
                 cell = out_buffer[row, column, ray]
                 cell[T], cell[PX], cell[PY], cell[PZ] = t, p[0], p[1], p[2]
@@ -194,19 +216,29 @@ def trace_room(
                 red += cell[AMBIENT] + cell[KEY]
                 green += cell[AMBIENT + 1] + cell[KEY + 1]
                 blue += cell[AMBIENT + 2] + cell[KEY + 2]
-            out_picture[row, column, 0] = encode(red / RAYS_PER_PIXEL)
-            out_picture[row, column, 1] = encode(green / RAYS_PER_PIXEL)
-            out_picture[row, column, 2] = encode(blue / RAYS_PER_PIXEL)
+            set_pixel(out_picture, row, column, (red, green, blue))
+
+
+@kernel(error_model="numpy")
+def light_of_part(p: Vector, part: int, lamp: Table, parts: Parts, groups: Table, seed: int) -> Rgb:
+    """The light that comes from a place on a moving part."""
+    n, colour = part_surface(p, parts, part, seed)
+    dim, key = light_past_groups(p, n, lamp, parts.cones, parts.patterns, groups, part)
+    dim *= 1.0 - 0.3 * max(0.0, n[1]) * math.exp(p[1] / 0.3)  # the floor is near
+    key *= light_of_lamp(p, n, lamp)
+    ambient = ambient_light(n)
+    return (
+        colour[0] * (ambient[0] * dim + LAMP_LIGHT[0] * key),
+        colour[1] * (ambient[1] * dim + LAMP_LIGHT[1] * key),
+        colour[2] * (ambient[2] * dim + LAMP_LIGHT[2] * key),
+    )
 
 
 @kernel(nogil=True, error_model="numpy")
 def trace_frame(
     centre: Table,
     lamp: Table,
-    parts: Table,
-    frames: Table,
-    patterns: Integers,
-    colours: Table,
+    parts: Parts,
     groups: Table,
     windows: Integers,
     seed: int,
@@ -218,10 +250,11 @@ def trace_frame(
     """Fills the picture (h, w, 3) of a frame and the distance (h, w) that each pixel's first ray
     sees.
 
-    groups: as of synth_motion.Moving. windows: the first column, last column, first row and last
-    row that can show each group.
+    centre: the camera's. parts, groups: those that move. windows: (G, 4) the first column, last
+    column, first row and last row that can show each group. buffer, room_picture: of `trace_room`.
     """
     c = (centre[0], centre[1], centre[2])
+    cones, patterns = parts.cones, parts.patterns
     for row in range(buffer.shape[0]):
         for column in range(buffer.shape[1]):
             red, green, blue = 0.0, 0.0, 0.0
@@ -229,71 +262,50 @@ def trace_frame(
             known = -1  # the ray of this pixel that dim and key were last worked out for
             dim, key = 1.0, 1.0
             for ray in range(RAYS_PER_PIXEL):
-                t = float(buffer[row, column, ray, T])
-                px = float(buffer[row, column, ray, PX])
-                py = float(buffer[row, column, ray, PY])
-                pz = float(buffer[row, column, ray, PZ])
-                inverse = 1.0 / t
-                d = ((px - c[0]) * inverse, (py - c[1]) * inverse, (pz - c[2]) * inverse)
-                part = -1
+                cell = buffer[row, column, ray]
+                t, part = float(cell[T]), -1
+                p = (float(cell[PX]), float(cell[PY]), float(cell[PZ]))
+                way, inverse = minus(p, c), 1.0 / t
+                d = (way[0] * inverse, way[1] * inverse, way[2] * inverse)
                 for g in range(groups.shape[0]):
                     if not (
                         windows[g, 0] <= column <= windows[g, 1]
                         and windows[g, 2] <= row <= windows[g, 3]
                     ):
                         continue
-                    middle = (groups[g, 2], groups[g, 3], groups[g, 4])
-                    if hit_sphere(c, d, middle, groups[g, 5]) < t:
-                        for i in range(int(groups[g, 0]), int(groups[g, 1])):
-                            near = hit_part(c, d, parts, i)
+                    radius = groups[g, GROUP_RADIUS]
+                    if hit_sphere(c, d, vector_at(groups, g, GROUP_CENTRE), radius) < t:
+                        for i in range(int(groups[g, GROUP_FIRST]), int(groups[g, GROUP_END])):
+                            near = hit_part(c, d, cones, i)
                             if near < t:
                                 t, part = near, i
                 if ray == 0:
                     out_distance[row, column] = t
                 if part >= 0:
                     changed = True
-                    p = ahead(c, d, t)
-                    n, colour = part_surface(p, parts, frames, patterns, colours, part, seed)
-                    dark, lit = light_past_groups(p, n, lamp, parts, patterns, groups, part)
-                    dark *= 1.0 - 0.3 * max(0.0, n[1]) * math.exp(p[1] / 0.3)  # the floor is near
-                    lit *= light_of_lamp(p, n, lamp)
-                    ambient = ambient_light(n)
-                    red += colour[0] * (ambient[0] * dark + LAMP_LIGHT[0] * lit)
-                    green += colour[1] * (ambient[1] * dark + LAMP_LIGHT[1] * lit)
-                    blue += colour[2] * (ambient[2] * dark + LAMP_LIGHT[2] * lit)
+                    light = light_of_part(ahead(c, d, t), part, lamp, parts, groups, seed)
+                    red, green, blue = red + light[0], green + light[1], blue + light[2]
                     continue
-                if known < 0 or not same_surface(buffer, row, column, known, ray):
-                    n = (
-                        float(buffer[row, column, ray, NX]),
-                        float(buffer[row, column, ray, NY]),
-                        float(buffer[row, column, ray, NZ]),
-                    )
-                    dim, key = light_past_groups((px, py, pz), n, lamp, parts, patterns, groups, -1)
+                if known < 0 or not same_surface(buffer[row, column, known], cell):
+                    n = (float(cell[NX]), float(cell[NY]), float(cell[NZ]))
+                    dim, key = light_past_groups(p, n, lamp, cones, patterns, groups, -1)
                     known = ray
                     changed = changed or dim != 1.0 or key != 1.0
-                red += buffer[row, column, ray, AMBIENT] * dim + buffer[row, column, ray, KEY] * key
-                green += (
-                    buffer[row, column, ray, AMBIENT + 1] * dim
-                    + buffer[row, column, ray, KEY + 1] * key
-                )
-                blue += (
-                    buffer[row, column, ray, AMBIENT + 2] * dim
-                    + buffer[row, column, ray, KEY + 2] * key
-                )
+                red += cell[AMBIENT] * dim + cell[KEY] * key
+                green += cell[AMBIENT + 1] * dim + cell[KEY + 1] * key
+                blue += cell[AMBIENT + 2] * dim + cell[KEY + 2] * key
             if changed:
-                out_picture[row, column, 0] = encode(red / RAYS_PER_PIXEL)
-                out_picture[row, column, 1] = encode(green / RAYS_PER_PIXEL)
-                out_picture[row, column, 2] = encode(blue / RAYS_PER_PIXEL)
+                set_pixel(out_picture, row, column, (red, green, blue))
             else:
                 for k in range(3):
                     out_picture[row, column, k] = room_picture[row, column, k]
 
 
 @kernel(error_model="numpy")
-def same_surface(buffer: Any, row: int, column: int, first: int, second: int) -> bool:
-    """Whether two rays of a pixel see one surface."""
-    a, b = buffer[row, column, first, T], buffer[row, column, second, T]
+def same_surface(first: Any, second: Any) -> bool:
+    """Whether two rays of a pixel, cells of the room buffer, see one surface."""
+    a, b = first[T], second[T]
     agree = 0.0
     for k in range(3):
-        agree += buffer[row, column, first, NX + k] * buffer[row, column, second, NX + k]
+        agree += first[NX + k] * second[NX + k]
     return min(a, b) > SAME_SURFACE * max(a, b) and agree > SAME_SURFACE
