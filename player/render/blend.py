@@ -4,9 +4,6 @@ Rule: the picture, its gradient and the contribution differ only in what they ke
 a Gaussian does to it stands here once. The compiler copies these functions into each of the three
 loops, which stay vector code: a function for a whole row would have to pass the weights through
 memory, and the contribution would take a quarter longer.
-
-Numba keeps compiled loops on disk and notices a change only in a loop's own file: after a change
-here, delete trainer/step/__pycache__.
 """
 
 from __future__ import annotations

@@ -129,3 +129,45 @@ def test_only_one_module_names_numbas_compiler() -> None:
     assert len(modules) > 100
     naming = [str(m.relative_to(ROOT)) for m in modules if names(m) & {"jit", "njit"}]
     assert naming == ["codec/kernel.py"]
+
+
+INNER = """
+from codec.kernel import kernel
+STEP = {step}
+@kernel(inline="always")
+def inner(x):
+    return x + {added}
+"""
+
+OUTER = """
+from codec.kernel import kernel
+from inner import STEP, inner
+@kernel()
+def between(x):
+    return inner(x)
+@kernel()
+def outer(x):
+    return between(x) * STEP
+print(outer(3), sum(outer.stats.cache_hits.values()))
+"""
+
+
+def test_a_change_in_a_kernel_or_constant_of_another_file_is_noticed(tmp_path: Path) -> None:
+    def told(step: int, added: int) -> str:
+        (tmp_path / "inner.py").write_text(INNER.format(step=step, added=added))
+        done = subprocess.run(
+            [sys.executable, "-c", "import outer"],
+            env={**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"},
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        return done.stdout
+
+    (tmp_path / "outer.py").write_text(OUTER)
+    assert told(step=10, added=1) == "40 0\n"
+    assert told(step=10, added=1) == "40 1\n"
+    assert told(step=10, added=2) == "50 0\n"
+    assert told(step=20, added=2) == "100 0\n"
+    assert told(step=20, added=2) == "100 1\n"
