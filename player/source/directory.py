@@ -1,4 +1,4 @@
-"""A stream directory as a source."""
+"""A stream's folder as a source."""
 
 from __future__ import annotations
 
@@ -13,46 +13,33 @@ from .source import ReceivedSlice, check_frames, check_layers, segment_slices
 
 
 class DirectorySource:
-    """A stream directory. One that is still written is played as far as it has come."""
+    """A stream's folder. One that is still written is played as far as it has come."""
 
     def __init__(self, path: Path, frames: FrameRange, layers: int | None) -> None:
         """layers: None takes all."""
-        self._reader = StreamReader(path)
-        self._path = path
-        self._layers = check_layers(layers, self.manifest, self.name)
-        self._frames = check_frames(frames, self.manifest, self._reader.num_frames, self.name)
-        self._received_bytes = self._reader.overhead_bytes
-
-    @property
-    def name(self) -> str:
-        return str(self._path)
+        self._reader = reader = StreamReader(path)
+        self.name = str(path)
+        self._layers = check_layers(layers, reader.manifest, self.name)
+        self.frames = check_frames(frames, reader.manifest, reader.num_frames, self.name)
+        self.received_bytes = reader.overhead_bytes
 
     @property
     def manifest(self) -> Manifest:
+        """As it is on disk now: a live stream may end while it is played."""
         return self._reader.manifest
 
-    @property
-    def frames(self) -> FrameRange:
-        return self._frames
-
-    @property
-    def received_bytes(self) -> int:
-        return self._received_bytes
-
     def slices(self) -> Iterator[ReceivedSlice]:
-        reader = self._reader
-        birth = self._frames.first - self.manifest.swin_size + 1
-        while self._frames.end is None or birth < self._frames.end:
+        reader, end = self._reader, self.frames.end
+        birth = self.frames.first - self.manifest.swin_size + 1
+        while end is None or birth < end:
             segment = self.manifest.segment_of(birth)
             if segment >= len(reader.records):
                 if self.manifest.live and reader.refresh():
                     continue
                 return
             objects = [reader.read_object(segment, layer) for layer in range(self._layers)]
-            self._received_bytes += sum(len(layer.data) for layer in objects)
-            for received in segment_slices(objects, birth):
-                if self._frames.end is not None and received.slice.birth >= self._frames.end:
-                    return
+            self.received_bytes += sum(len(layer.data) for layer in objects)
+            for received in segment_slices(objects, birth, end):
                 yield received
                 birth = received.slice.birth + 1
 

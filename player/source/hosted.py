@@ -29,7 +29,7 @@ def fetch_manifest(fetcher: Fetcher, url: str) -> Manifest | None:
         raise FetchError(f"{error.within(url)}; this is not a stream") from error
 
 
-class StaticHttpSource:
+class HostedSource:
     """A stream whose files lie under the URL `base`.
 
     One that is still written is played as far as its index had come when it was opened.
@@ -46,9 +46,9 @@ class StaticHttpSource:
         retry: RetryConfig | None = None,
     ) -> None:
         """base: ends with a slash. fetcher: is closed together with the source."""
-        self._name = name
+        self.name = name
+        self.manifest = manifest
         self._base = base
-        self._manifest = manifest
         self._fetcher = fetcher
         self._retry = retry or RetryConfig()
         self._layers = check_layers(layers, manifest, name)
@@ -56,12 +56,16 @@ class StaticHttpSource:
         last = self._records[-1] if self._records else None
         num_frames = last.first_frame + last.num_frames if last else 0
         finished = manifest.with_live(False)
-        self._frames = check_frames(frames, finished, num_frames, name)
+        self.frames = check_frames(frames, finished, num_frames, name)
+
+    @property
+    def received_bytes(self) -> int:
+        return self._fetcher.received_bytes
 
     def _read_index(self) -> list[SegmentRecord]:
         url = urljoin(self._base, INDEX_NAME)
         try:
-            return read_index(self._get(url, MAX_INDEX_BYTES), self._manifest)
+            return read_index(self._get(url, MAX_INDEX_BYTES), self.manifest)
         except CodecError as error:
             raise error.within(url) from error
 
@@ -79,37 +83,19 @@ class StaticHttpSource:
             except BrokenError as error:
                 self._fetcher.pause(retry.delay_s(error))
 
-    @property
-    def name(self) -> str:
-        return self._name
-
-    @property
-    def manifest(self) -> Manifest:
-        return self._manifest
-
-    @property
-    def frames(self) -> FrameRange:
-        return self._frames
-
-    @property
-    def received_bytes(self) -> int:
-        return self._fetcher.received_bytes
-
     def _object(self, record: SegmentRecord, layer: int) -> CheckedObject:
-        url = urljoin(self._base, self._manifest.object_path(record.segment, layer))
+        url = urljoin(self._base, self.manifest.object_path(record.segment, layer))
         data = self._get(url, record.object_bytes[layer])
-        return CheckedObject.check(url, data, self._manifest, record, layer)
+        return CheckedObject.check(url, data, self.manifest, record, layer)
 
     def slices(self) -> Iterator[ReceivedSlice]:
-        manifest, end = self._manifest, self._frames.end
-        assert end is not None  # static streams are opened as finished
-        birth = self._frames.first - manifest.swin_size + 1
+        manifest, end = self.manifest, self.frames.end
+        assert end is not None  # a hosted stream is opened as finished
+        birth = self.frames.first - manifest.swin_size + 1
         while birth < end:
             record = self._records[manifest.segment_of(birth)]
             objects = [self._object(record, layer) for layer in range(self._layers)]
-            for received in segment_slices(objects, birth):
-                if received.slice.birth >= end:
-                    return
+            for received in segment_slices(objects, birth, end):
                 yield received
                 birth = received.slice.birth + 1
 

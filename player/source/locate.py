@@ -1,4 +1,4 @@
-"""From what the user typed to a Source: a directory, a served stream, or a static URL."""
+"""From what the user typed to a Source: a folder, a served stream, or a hosted one."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from urllib.parse import quote, unquote, urlsplit, urlunsplit
 
 from codec.errors import InvalidError
 from codec.framerange import FrameRange
+from codec.stream.manifest import MANIFEST_NAME
 
 from .directory import DirectorySource
 from .fetch import Fetcher, FetchError
-from .hosted import StaticHttpSource, fetch_manifest
-from .served import HttpPlaySource
+from .hosted import HostedSource, fetch_manifest
+from .served import ServedSource
 from .source import Source
 
 MAX_LIST_BYTES = 16 << 20
@@ -22,7 +23,7 @@ SERVED = ("/v1/streams/", "/watch/")
 """What stands before a stream's name in the addresses of a swings server."""
 
 
-def is_url(source: str) -> bool:
+def _is_url(source: str) -> bool:
     return source.lower().startswith(("http://", "https://"))
 
 
@@ -33,7 +34,7 @@ def open_source(
 
     layers: None lets a server choose, and takes all elsewhere. via: the relay of `--link`.
     """
-    if not is_url(source):
+    if not _is_url(source):
         if "://" in source:
             raise InvalidError(
                 f"{source}: only http:// and https:// URLs and folders can be played"
@@ -58,15 +59,15 @@ def _open_url(source: str, fetcher: Fetcher, frames: FrameRange, layers: int | N
             return _play(
                 source, _with_path(source, before), unquote(stream), fetcher, frames, layers
             )
-    if path.endswith("/manifest.json"):
-        path = path.removesuffix("/manifest.json")
+    if path.endswith(f"/{MANIFEST_NAME}"):
+        path = path.removesuffix(f"/{MANIFEST_NAME}")
     elif not path:
         return _only_stream(source, fetcher, frames, layers)
     base = _with_path(source, path) + "/"
-    manifest = fetch_manifest(fetcher, base + "manifest.json")
+    manifest = fetch_manifest(fetcher, base + MANIFEST_NAME)
     if manifest is None:
-        raise FetchError(f"{source} is not a stream: there is no {base}manifest.json")
-    return StaticHttpSource(source, base, manifest, fetcher, frames, layers)
+        raise FetchError(f"{source} is not a stream: there is no {base}{MANIFEST_NAME}")
+    return HostedSource(source, base, manifest, fetcher, frames, layers)
 
 
 def _with_path(source: str, path: str) -> str:
@@ -78,7 +79,7 @@ def _play(
     source: str, server: str, stream: str, fetcher: Fetcher, frames: FrameRange, layers: int | None
 ) -> Source:
     url = f"{server}/v1/streams/{quote(stream, safe='')}"
-    return HttpPlaySource(source, url, fetcher, frames, layers)
+    return ServedSource(source, url, fetcher, frames, layers)
 
 
 def _only_stream(source: str, fetcher: Fetcher, frames: FrameRange, layers: int | None) -> Source:
@@ -87,12 +88,12 @@ def _only_stream(source: str, fetcher: Fetcher, frames: FrameRange, layers: int 
     response = fetcher.get(f"{server}/v1/streams", MAX_LIST_BYTES)
     names = _stream_names(response.body) if response.status == 200 else None
     if names is None:
-        manifest = fetch_manifest(fetcher, f"{server}/manifest.json")
+        manifest = fetch_manifest(fetcher, f"{server}/{MANIFEST_NAME}")
         if manifest is None:
             raise FetchError(
-                f"{source} is not a stream: it has neither a list of streams nor a manifest.json"
+                f"{source} is not a stream: it has neither a list of streams nor a {MANIFEST_NAME}"
             )
-        return StaticHttpSource(source, f"{server}/", manifest, fetcher, frames, layers)
+        return HostedSource(source, f"{server}/", manifest, fetcher, frames, layers)
     if not names:
         raise FetchError(f"{source} serves no stream yet")
     if len(names) > 1:

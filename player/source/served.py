@@ -29,7 +29,7 @@ from .source import ReceivedSlice, check_frames, check_layers
 CONTENT_TYPE = "application/x-swings-play"
 
 
-class HttpPlaySource:
+class ServedSource:
     """The /play response of a server; reconnects at the next slice when it breaks."""
 
     def __init__(
@@ -46,7 +46,7 @@ class HttpPlaySource:
         url: the stream's, to which /play is added. fetcher: is closed together with the source.
         layers: None leaves the choice to the server.
         """
-        self._name = name
+        self.name = name
         self._url = url
         self._fetcher = fetcher
         self._retry_config = retry or RetryConfig()
@@ -57,25 +57,13 @@ class HttpPlaySource:
         self._waiting: list[Record] = []
         try:
             start = self._connect(frames.first)
-            self._manifest = self._manifest_of(start)
-            check_layers(layers, self._manifest, name)
+            self.manifest = self._manifest_of(start)
+            check_layers(layers, self.manifest, name)
             self._num_frames = start.num_frames
-            self._frames = check_frames(frames, self._manifest, self._num_frames, name)
+            self.frames = check_frames(frames, self.manifest, self._num_frames, name)
         except BaseException:
             self._disconnect()
             raise
-
-    @property
-    def name(self) -> str:
-        return self._name
-
-    @property
-    def manifest(self) -> Manifest:
-        return self._manifest
-
-    @property
-    def frames(self) -> FrameRange:
-        return self._frames
 
     @property
     def received_bytes(self) -> int:
@@ -93,12 +81,10 @@ class HttpPlaySource:
         if response.status != 200:
             raise self._refusal(response)
         if response.content_type.partition(";")[0].strip() != CONTENT_TYPE:
-            raise FetchError(f"{self._name} is not a stream: it answers {response.content_type}")
+            raise FetchError(f"{self.name} is not a stream: it answers {response.content_type}")
         record = self._next_record()
-        if isinstance(record, ErrorRecord):
-            raise BrokenError(f"{self._name}: the server says: {record.message}")
         if not isinstance(record, StartRecord):
-            raise CorruptError(f"{self._name}: the response does not begin with a start record")
+            raise CorruptError(f"{self.name}: the response does not begin with a start record")
         return record
 
     def _refusal(self, response: OpenResponse) -> FetchError:
@@ -111,33 +97,37 @@ class HttpPlaySource:
         if isinstance(said, str):
             reason += f", {said[:200]}"
         if response.status >= 500 or response.status == 429:
-            return BrokenError(f"{self._name}: {reason}")
+            return BrokenError(f"{self.name}: {reason}")
         if response.status == 404:
-            return FetchError(f"{self._name} is not a stream: {reason}")
-        return FetchError(f"{self._name}: {reason}")
+            return FetchError(f"{self.name} is not a stream: {reason}")
+        return FetchError(f"{self.name}: {reason}")
 
     def _manifest_of(self, start: StartRecord) -> Manifest:
         try:
             return Manifest.from_json(start.manifest)
         except CodecError as error:
-            raise error.within(self._name) from error
+            raise error.within(self.name) from error
 
     def _next_record(self) -> Record:
-        """The next record. Raises BrokenError when the response ends before it."""
+        """The next record. Raises BrokenError when the response ends before it, or when it is the
+        server's word that the play broke off."""
         assert self._response is not None
         while not self._waiting:
             piece = self._response.read()
             if not piece:
-                raise BrokenError(f"{self._name}: the response ended early")
+                raise BrokenError(f"{self.name}: the response ended early")
             try:
                 self._waiting = self._parser.feed(piece)
             except CodecError as error:
-                raise error.within(self._name) from error
-        return self._waiting.pop(0)
+                raise error.within(self.name) from error
+        record = self._waiting.pop(0)
+        if isinstance(record, ErrorRecord):
+            raise BrokenError(f"{self.name}: the server says: {record.message}")
+        return record
 
     def slices(self) -> Iterator[ReceivedSlice]:
         retry = Retry(self._retry_config)
-        birth = self._frames.first - self._manifest.swin_size + 1
+        birth = self.frames.first - self.manifest.swin_size + 1
         connected = True
         while True:
             try:
@@ -145,8 +135,6 @@ class HttpPlaySource:
                     self._reconnect(birth)
                     connected = True
                 record = self._next_record()
-                if isinstance(record, ErrorRecord):
-                    raise BrokenError(f"{self._name}: the server says: {record.message}")
             except BrokenError as error:
                 connected = False
                 self._disconnect()
@@ -163,10 +151,10 @@ class HttpPlaySource:
                 if self._asked.end is not None:
                     end = min(end, self._asked.end)
                 if birth < end:
-                    raise CorruptError(f"{self._name}: the stream ended before frame {birth}")
+                    raise CorruptError(f"{self.name}: the stream ended before frame {birth}")
                 return
             else:
-                raise CorruptError(f"{self._name}: a second start record")
+                raise CorruptError(f"{self.name}: a second start record")
             if self._asked.end is not None and birth >= self._asked.end:
                 return
 
@@ -175,32 +163,32 @@ class HttpPlaySource:
         # frame, and the window of the last one begins with slices that came already.
         self._num_frames = max(self._num_frames, birth)
         last = self._num_frames if self._asked.end is None else self._asked.end
-        frame = min(birth + self._manifest.swin_size, self._num_frames, last) - 1
-        start = self._connect(max(frame, self._frames.first))
+        frame = min(birth + self.manifest.swin_size, self._num_frames, last) - 1
+        start = self._connect(max(frame, self.frames.first))
         manifest = self._manifest_of(start)
-        if manifest.with_live(False).to_json() != self._manifest.with_live(False).to_json():
-            raise CorruptError(f"{self._name}: the stream was replaced by another one")
+        if manifest.with_live(False).to_json() != self.manifest.with_live(False).to_json():
+            raise CorruptError(f"{self.name}: the stream was replaced by another one")
         self._num_frames = max(self._num_frames, start.num_frames)
 
     def _decode(self, record: SliceRecord, birth: int) -> ReceivedSlice:
         if record.birth != birth:
             message = f"the slice born at {record.birth} came before {birth}"
-            raise CorruptError(f"{self._name}: {message}")
+            raise CorruptError(f"{self.name}: {message}")
         slice = fitting_slice(
-            self._chunks(record), self._manifest, lambda layer: self._name_of(record, layer)
+            self._chunks(record), self.manifest, lambda layer: self._name_of(record, layer)
         )
         return ReceivedSlice(slice, len(record.packets), sum(map(len, record.packets)))
 
     def _chunks(self, record: SliceRecord) -> Iterator[Chunk]:
         for layer, packet in enumerate(record.packets):
             try:
-                chunk = decode_fitting_packet(packet, self._manifest, record.birth, layer)
+                chunk = decode_fitting_packet(packet, self.manifest, record.birth, layer)
             except CodecError as error:
                 raise error.within(self._name_of(record, layer)) from error
             yield chunk
 
     def _name_of(self, record: SliceRecord, layer: int) -> str:
-        return f"{self._name}: layer {layer} of the slice born at {record.birth}"
+        return f"{self.name}: layer {layer} of the slice born at {record.birth}"
 
     def _disconnect(self) -> None:
         if self._response is not None:

@@ -1,4 +1,4 @@
-"""What a source of slices is: a stream directory, a server, or any static URL.
+"""What a source of slices is: a folder, a server, or a static host.
 
 Every source gives a manifest at once and then slices in birth order, each with the layers it has.
 """
@@ -33,7 +33,10 @@ class ReceivedSlice:
 
 
 class Source(Protocol):
-    """A stream from one frame on. One thread iterates; `interrupt` may come from another."""
+    """A stream from one frame on. One thread iterates; `interrupt` may come from another.
+
+    A source gives these properties as plain attributes where they do not change.
+    """
 
     @property
     def name(self) -> str:
@@ -88,13 +91,21 @@ def check_frames(frames: FrameRange, manifest: Manifest, num_frames: int, name: 
     return FrameRange(frames.first, num_frames)
 
 
-def segment_slices(objects: Sequence[CheckedObject], first_birth: int) -> Iterator[ReceivedSlice]:
-    """The slices of a segment born at `first_birth` or later, decoded as they are asked for.
+def segment_slices(
+    objects: Sequence[CheckedObject], first_birth: int, end_birth: int | None
+) -> Iterator[ReceivedSlice]:
+    """The slices of a segment born from `first_birth` on, decoded as they are asked for.
 
-    objects: those of its layers 0, 1, ...
+    objects: those of its layers 0, 1, ... end_birth: the first birth that is not wanted any more;
+    None takes all.
     """
     manifest = objects[0].manifest
-    for birth in (entry.birth for entry in objects[0].entries if entry.birth >= first_birth):
+    for entry in objects[0].entries:
+        birth = entry.birth
+        if birth < first_birth:
+            continue
+        if end_birth is not None and birth >= end_birth:
+            return
         chunks = (layer.chunk(birth) for layer in objects)
         slice = fitting_slice(chunks, manifest, lambda layer: objects[layer].name)
         wire_bytes = sum(layer.entry(birth).size for layer in objects)

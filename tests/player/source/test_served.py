@@ -27,7 +27,7 @@ from codec.stream.playrecord import (
 )
 from player.source.fetch import BrokenError, FetchConfig, Fetcher, FetchError, StoppedError
 from player.source.retry import RetryConfig
-from player.source.served import HttpPlaySource
+from player.source.served import ServedSource
 from player.source.source import Source
 from tests.support.hosted_streams import random_slice, small_manifest
 
@@ -109,7 +109,7 @@ ALL = [record_of(birth) for birth in range(-3, 3)]
 def open_play(url: str, retry: RetryConfig = QUICK) -> Source:
     fetcher = Fetcher(config=FetchConfig(read_timeout_s=0.3))
     try:
-        return HttpPlaySource("S", f"{url}/v1/streams/s", fetcher, FrameRange(), None, retry)
+        return ServedSource("S", f"{url}/v1/streams/s", fetcher, FrameRange(), None, retry)
     except BaseException:
         fetcher.close()
         raise
@@ -236,7 +236,7 @@ def test_an_error_keeps_its_place(records: list[Record], name: str, at: int) -> 
 
 def test_waiting_for_a_slice_can_be_stopped() -> None:
     with script(answer(start(), ALL[0]) + HOLD) as host:
-        source = HttpPlaySource("S", host.url, Fetcher(), FrameRange(), None)
+        source = ServedSource("S", host.url, Fetcher(), FrameRange(), None)
         slices = source.slices()
         next(slices)
         began_s = time.monotonic()

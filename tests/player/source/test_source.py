@@ -22,7 +22,7 @@ from player.link.relay import Relay
 from player.source.fetch import BrokenError, Fetcher, FetchError
 from player.source.locate import open_source
 from player.source.retry import Retry, RetryConfig
-from player.source.served import HttpPlaySource
+from player.source.served import ServedSource
 from player.source.source import ReceivedSlice
 from tests.support.hosted_streams import (
     SWIN_SIZE,
@@ -244,7 +244,7 @@ def test_a_live_stream_is_followed_to_its_end(tmp_path: Path) -> None:
 
 def test_a_killed_server_that_comes_back_is_not_noticed(endless: Path) -> None:
     server = ServerProcess(endless)
-    source = HttpPlaySource(
+    source = ServedSource(
         "s",
         f"{server.url}/v1/streams/long",
         Fetcher(),
@@ -273,7 +273,7 @@ def restart(root: Path, server: ServerProcess) -> None:
 
 def test_a_server_that_stays_away_ends_in_one_line(endless: Path) -> None:
     server = ServerProcess(endless)
-    source = HttpPlaySource(
+    source = ServedSource(
         "the stream", f"{server.url}/v1/streams/long", Fetcher(), FrameRange(), None, QUICK
     )
     slices = source.slices()
