@@ -1,7 +1,6 @@
 """Times of the player's renderers: drawing, and bringing one slice to where it is drawn from.
 
-    python bench/render.py            a few sizes
-    python bench/render.py --quick    the smallest one
+Usage: scripts/bench render [--quick]
 
 put: packing on the update thread. upload: what the render thread then hands to OpenGL. order: the
 visible Gaussians, farthest first. Medians; OpenGL's name says whether it has a GPU.
@@ -9,7 +8,6 @@ visible Gaussians, farthest first. Medians; OpenGL's name says whether it has a 
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,18 +17,27 @@ from rich.console import Console
 from rich.table import Table
 
 from codec.camera import Camera
+from codec.console import run_command
 from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.splats import Splats
 from codec.stream.manifest import Manifest
+from player.render.cpu import CpuRenderer
 from player.render.gl import GlError, GlRenderer
 from player.render.order import Order
-from player.render.renderer import CpuRenderer
 
 SWIN_SIZE = 5
 ROUNDS = 7
 
 SIZES = ((10_000, 320, 180), (50_000, 640, 360), (200_000, 640, 360), (200_000, 1280, 720))
+
+
+@dataclass(frozen=True, slots=True)
+class RenderConfig:
+    """What to measure."""
+
+    quick: bool = False
+    """Measure the smallest size only."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,9 +134,8 @@ def measure(num_gs: int, width_px: int, height_px: int) -> Row:
     return Row(*numbers, gl_ms, put_ms, upload_ms, upload_bytes, order_ms(slices, manifest))
 
 
-def main() -> None:
-    sizes = SIZES[:1] if "--quick" in sys.argv[1:] else SIZES
-    rows = [measure(*size) for size in sizes]
+def run(config: RenderConfig) -> None:
+    rows = [measure(*size) for size in (SIZES[:1] if config.quick else SIZES)]
     table = Table("Gaussians", "slice", "picture", "CPU ms", "GL ms", "put ms", "upload ms")
     table.add_column("upload bytes")
     table.add_column("order ms")
@@ -144,6 +150,10 @@ def main() -> None:
             f"{row.order_ms:.2f}",
         )
     Console(width=110).print(table)
+
+
+def main() -> None:
+    run_command(RenderConfig, run, "bench-render", "Measures how long the renderers take.")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What to play and how to show it: the words of the command line, parsed once."""
+"""What to play and how to show it, parsed once from the command line."""
 
 from __future__ import annotations
 

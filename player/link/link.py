@@ -1,7 +1,9 @@
-"""A network link as numbers: how long bytes take to pass. Pure; relay.py makes it real.
+"""A network link as numbers: how long bytes take to pass. relay.py makes it real.
 
 A link is written as a rate, `8M` (bits per second; k, M, G), a rate and a latency, `8M,20ms`, or
-the name of a trace, a JSON file [{"duration_ms": , "bandwidth_kbps": , "latency_ms": }, ...].
+the name of a trace, a JSON file of steps:
+
+    [{"duration_ms": 500, "bandwidth_kbps": 2000, "latency_ms": 20}, ...]
 """
 
 from __future__ import annotations

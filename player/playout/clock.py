@@ -1,6 +1,6 @@
-"""The time line that arrivals and frames are stamped on: seconds since the player started.
+"""The clock that stamps arrivals and frames: seconds since the player started.
 
-Rule: nothing else in the player reads the time of day; whoever decides something gets `now_s` as an
+Rule: nothing else in the playout reads the time; whoever decides something gets `now_s` as an
 argument.
 """
 

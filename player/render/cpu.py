@@ -6,14 +6,41 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.camera import Camera
+from codec.slice import Slice
 from codec.splats import Splats
+from codec.stream.manifest import Manifest
 
+from .arrivals import Arrivals
 from .blend import blend_tiles
 from .project import Projection, camera_vector, project_kernel
 from .recipe import TILE_PX
+from .ring import Ring
 from .tiles import list_tiles, tile_grid
 
 Floats = npt.NDArray[np.float32]
+
+
+class CpuRenderer:
+    """Draws a stream on the CPU; see renderer.Renderer."""
+
+    def __init__(self, manifest: Manifest) -> None:
+        self._ring = Ring(manifest.swin_size, manifest.slice_size, manifest.sh_degree)
+        self._near_m = manifest.near_m
+        self._arrivals: Arrivals[Slice] = Arrivals()
+        self.name = "CPU"
+        self.uploaded_bytes = 0
+
+    def put(self, slice: Slice) -> None:
+        self._arrivals.put(slice.birth, slice)
+
+    def render(self, frame: int, camera: Camera) -> Floats:
+        for slice in self._arrivals.take(frame):
+            self._ring.put(slice)
+            self.uploaded_bytes += slice.num_bytes
+        return render_splats(self._ring.active(frame), camera, self._near_m)
+
+    def close(self) -> None:
+        pass
 
 
 def render_splats(splats: Splats, camera: Camera, near_m: float) -> Floats:

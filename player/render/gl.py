@@ -138,7 +138,7 @@ class GlRenderer:
         self._order = Order(manifest.swin_size, self._lane_slots)
         self._arrivals: Arrivals[PackedSlice] = Arrivals()
         self._closed = False
-        self._uploaded_bytes = 0
+        self.uploaded_bytes = 0
         self._unlocked = _Unlocked(self._context)
         self._framebuffer: moderngl.Framebuffer | None = None
         try:
@@ -157,7 +157,7 @@ class GlRenderer:
         context.gc_mode = "context_gc"
         height_px = self._lane_rows * manifest.swin_size
         info = context.info
-        self._name = f"OpenGL, {info['GL_RENDERER']}"
+        self.name = f"OpenGL, {info['GL_RENDERER']}"
         self._limit_px = min(info["GL_MAX_TEXTURE_SIZE"], *info["GL_MAX_VIEWPORT_DIMS"])
         if max(height_px, TEXTURE_WIDTH_PX) > self._limit_px:
             raise GlError(
@@ -176,7 +176,7 @@ class GlRenderer:
         constants = {
             "TEXELS": self._texels,
             "COLUMNS": self._columns,
-            "SH_DEGREE": min(self._manifest.sh_degree, 1),
+            "SH_DEGREE": min(self._manifest.sh_degree, recipe.MAX_SH_DEGREE),
             "SH_C1": recipe.SH_C1,
             "LOW_PASS_PX2": recipe.LOW_PASS_PX2,
             "MAX_EXTENT_SIGMA": recipe.MAX_EXTENT_SIGMA,
@@ -189,14 +189,6 @@ class GlRenderer:
             vertex_shader=f"{head}\n#define VERTEX_STAGE\n{source}",
             fragment_shader=f"{head}\n#define FRAGMENT_STAGE\n{source}",
         )
-
-    @property
-    def name(self) -> str:
-        return self._name
-
-    @property
-    def uploaded_bytes(self) -> int:
-        return self._uploaded_bytes
 
     def put(self, slice: Slice) -> None:
         """Packs the slice for the GPU; the next `render` of a frame >= its birth uploads it."""
@@ -224,7 +216,7 @@ class GlRenderer:
             if rows:
                 area = (0, packed.lane * self._lane_rows, width_px, rows)
                 self._texture.write(packed.texels, viewport=area)
-            self._uploaded_bytes += packed.texels.nbytes
+            self.uploaded_bytes += packed.texels.nbytes
 
     def draw(self, frame: int, camera: Camera, framebuffer: moderngl.Framebuffer) -> None:
         """Draws `frame` over a black `framebuffer`, without waiting for the GPU.

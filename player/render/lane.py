@@ -1,4 +1,4 @@
-"""A lane: the fixed place of slice_size Gaussians that one slice after another takes."""
+"""What fits a lane, the fixed place of slice_size Gaussians that one slice after another takes."""
 
 from __future__ import annotations
 

@@ -24,6 +24,9 @@ contributing."""
 MAX_EXTENT_SIGMA = 3.33
 """Extent of a Gaussian's box: min(this, sqrt(2 ln(255 opacity))) standard deviations."""
 
+MAX_SH_DEGREE = 1
+"""The constant and the linear harmonics are drawn; a stream may have more."""
+
 SH_C1 = 0.4886025119029199
 """Linear spherical harmonics; colour = max(0, 0.5 + C0 s0 - C1 y s1 + C1 z s2 - C1 x s3)."""
 

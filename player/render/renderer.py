@@ -18,17 +18,13 @@ from codec.errors import UnsupportedError
 from codec.slice import Slice
 from codec.stream.manifest import Manifest
 
-from .arrivals import Arrivals
-from .cpu import render_splats
+from .cpu import CpuRenderer
 from .gl import GlError, GlRenderer
-from .ring import Ring
+from .recipe import MAX_SH_DEGREE
 
 log = logging.getLogger(__name__)
 
 Floats = npt.NDArray[np.float32]
-
-MAX_SH_DEGREE_DRAWN = 1
-"""Recipe v1 draws the constant and the linear harmonics."""
 
 
 class RendererKind(StrEnum):
@@ -62,59 +58,28 @@ class Renderer(Protocol):
     def close(self) -> None: ...
 
 
-class CpuRenderer:
-    """Draws with the numba rasteriser, the oracle of the recipe."""
-
-    def __init__(self, manifest: Manifest) -> None:
-        self._ring = Ring(manifest.swin_size, manifest.slice_size, manifest.sh_degree)
-        self._near_m = manifest.near_m
-        self._arrivals: Arrivals[Slice] = Arrivals()
-        self._uploaded_bytes = 0
-
-    @property
-    def name(self) -> str:
-        return "CPU"
-
-    @property
-    def uploaded_bytes(self) -> int:
-        return self._uploaded_bytes
-
-    def put(self, slice: Slice) -> None:
-        self._arrivals.put(slice.birth, slice)
-
-    def render(self, frame: int, camera: Camera) -> Floats:
-        for slice in self._arrivals.take(frame):
-            self._ring.put(slice)
-            self._uploaded_bytes += slice.num_bytes
-        return render_splats(self._ring.active(frame), camera, self._near_m)
-
-    def close(self) -> None:
-        pass
-
-
 def check_drawable(manifest: Manifest) -> None:
     """Raises UnsupportedError for a stream that recipe v1 would draw wrongly."""
     if manifest.antialias:
         raise UnsupportedError(
             "the stream was trained with opacity compensation (antialias); recipe v1 has none"
         )
-    if manifest.sh_degree > MAX_SH_DEGREE_DRAWN:
+    if manifest.sh_degree > MAX_SH_DEGREE:
         log.warning(
             "the stream has harmonics of degree %d; recipe v1 draws those up to degree %d",
             manifest.sh_degree,
-            MAX_SH_DEGREE_DRAWN,
+            MAX_SH_DEGREE,
         )
 
 
-def create_renderer(kind: RendererKind | str, manifest: Manifest) -> Renderer:
+def create_renderer(kind: RendererKind, manifest: Manifest) -> Renderer:
     """A renderer for the stream of `manifest`, to be used by the calling thread.
 
-    kind: `auto`, `gl` or `cpu`; `auto` takes the CPU, and logs why, where OpenGL cannot start.
+    AUTO takes the CPU, and logs why, where OpenGL cannot start.
     Raises UnsupportedError when the recipe cannot draw the stream, GlError when OpenGL is asked for
     and cannot start.
     """
     check_drawable(manifest)
-    kind = RendererKind(kind)
     if kind is RendererKind.CPU:
         return CpuRenderer(manifest)
     try:

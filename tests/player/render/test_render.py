@@ -21,10 +21,10 @@ from hypothesis import strategies as st
 from codec.errors import InvalidError, UnsupportedError
 from codec.slice import Slice
 from codec.stream.manifest import Manifest
-from player.render.cpu import render_splats
+from player.render.cpu import CpuRenderer, render_splats
 from player.render.gl import GlError, GlRenderer, Target, open_context
 from player.render.order import Order
-from player.render.renderer import CpuRenderer, RendererKind, check_drawable, create_renderer
+from player.render.renderer import RendererKind, check_drawable, create_renderer
 from player.render.ring import Ring
 from tests.support.commands import ROOT
 from tests.support.hosted_streams import (
