@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from aiohttp import web
 
+from codec.stream.index import INDEX_NAME
+from codec.stream.manifest import MANIFEST_NAME
+
 from . import objects, pages
 from .config import ServerConfig
 from .library import Library
@@ -29,8 +32,8 @@ def make_app(library: Library, config: ServerConfig) -> web.Application:
             web.get("/readyz", pages.readyz),
             web.get("/metrics", pages.metrics),
             web.get("/v1/streams", pages.streams),
-            web.get(f"{stream}/manifest.json", objects.manifest),
-            web.get(f"{stream}/index.bin", objects.index),
+            web.get(f"{stream}/{MANIFEST_NAME}", objects.manifest),
+            web.get(f"{stream}/{INDEX_NAME}", objects.index),
             web.get(
                 f"{stream}/segments/{{segment:{_NUMBER}}}/{{layer:{_NUMBER}}}",
                 objects.segment_object,

@@ -50,7 +50,7 @@ class GaugeFamily(CounterFamily):
     kind = "gauge"
 
     def set(self, amount: int) -> None:
-        """The value of a gauge without labels."""
+        """Sets the value; for a gauge without labels."""
         self._values[()] = amount
 
 
@@ -67,7 +67,7 @@ class Metrics:
         )
         self.layer_bytes = CounterFamily(
             "swings_layer_bytes_total",
-            "Bytes of objects or chunks sent, by layer and by how they went.",
+            "Bytes of objects or packets sent, by layer and by how they went.",
             "via",
             "layer",
         )

@@ -63,6 +63,7 @@ async def segment_object(request: web.Request) -> web.StreamResponse:
     state = request.app[STATE]
     segment, layer = int(request.match_info["segment"]), int(request.match_info["layer"])
     stream = state.library.streams.get(request.match_info["stream"])
+    # What the view has never changes; only for what it lacks is a look at the disk worth its time.
     if stream is None or not stream.has_object(segment, layer):
         stream = await find_stream(request)
     if not stream.has_object(segment, layer):
@@ -84,6 +85,7 @@ async def segment_object(request: web.Request) -> web.StreamResponse:
 
 
 async def _send(request: web.Request, content: Content) -> web.StreamResponse:
+    """The answer to `request`: as much of `content` as it asks for; what is long is sent here."""
     etag = f'"{content.sha256}"'
     headers = {
         "ETag": etag,
@@ -91,7 +93,7 @@ async def _send(request: web.Request, content: Content) -> web.StreamResponse:
         "Accept-Ranges": "bytes",
         "Content-Type": content.content_type,
     }
-    if _names(request.headers.get("If-None-Match"), etag):
+    if _lists(request.headers.get("If-None-Match"), etag):
         return web.Response(status=304, headers=headers)
     wanted = _wanted(request, content.size, etag)
     if isinstance(wanted, Unsatisfiable):
@@ -122,7 +124,7 @@ def _wanted(request: web.Request, size: int, etag: str) -> ByteRange | Unsatisfi
     return parse_range(request.headers.get("Range"), size)
 
 
-def _names(if_none_match: str | None, etag: str) -> bool:
+def _lists(if_none_match: str | None, etag: str) -> bool:
     """Whether the header lists `etag`, compared weakly as RFC 9110 asks here."""
     if if_none_match is None:
         return False

@@ -39,7 +39,7 @@ _WATCH = """<h1>{title}</h1>
 _MISSING = """<h1>There is no such stream</h1>
 <p>See <a href="/">all streams</a>.</p>"""
 
-_POLICY = "default-src 'none'; style-src 'unsafe-inline'"
+_SECURITY = "default-src 'none'; style-src 'unsafe-inline'"
 
 _HOST = re.compile(r"([A-Za-z0-9._-]+|\[[0-9A-Fa-f:.]+\])(:[0-9]{1,5})?")
 
@@ -50,7 +50,7 @@ def _page(title: str, body: str, status: int = 200) -> web.Response:
         text=_PAGE.format(title=escape(title), body=body),
         status=status,
         content_type="text/html",
-        headers={"Content-Security-Policy": _POLICY, "Cache-Control": "no-cache"},
+        headers={"Content-Security-Policy": _SECURITY, "Cache-Control": "no-cache"},
     )
 
 

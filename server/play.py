@@ -190,7 +190,7 @@ class _Play:
         while len(self._objects) < num_layers:
             layer = len(self._objects)
             self._objects.append(await self._state.cache.load(self._stream, segment, layer))
-        packets = tuple(loaded.packet(birth) for loaded in self._objects[:num_layers])
+        packets = tuple(layer.packet(birth) for layer in self._objects[:num_layers])
         await self._send(SliceRecord(birth, packets))
         metrics = self._state.metrics
         metrics.slices.add(1, str(num_layers))
