@@ -23,10 +23,6 @@ SERVED = ("/v1/streams/", "/watch/")
 """What stands before a stream's name in the addresses of a swings server."""
 
 
-def _is_url(source: str) -> bool:
-    return source.lower().startswith(("http://", "https://"))
-
-
 def open_source(
     source: str, frames: FrameRange, layers: int | None, via: tuple[str, int] | None = None
 ) -> Source:
@@ -34,7 +30,7 @@ def open_source(
 
     layers: None lets a server choose, and takes all elsewhere. via: the relay of `--link`.
     """
-    if not _is_url(source):
+    if not source.lower().startswith(("http://", "https://")):
         if "://" in source:
             raise InvalidError(
                 f"{source}: only http:// and https:// URLs and folders can be played"
@@ -53,47 +49,35 @@ def _open_url(source: str, fetcher: Fetcher, frames: FrameRange, layers: int | N
     if not parts.hostname:
         raise InvalidError(f"{source} is not a URL: it names no host")
     path = parts.path.rstrip("/")
-    for prefix in SERVED:
-        before, found, stream = path.rpartition(prefix)
-        if found and stream and "/" not in stream:
-            return _play(
-                source, _with_path(source, before), unquote(stream), fetcher, frames, layers
-            )
-    if path.endswith(f"/{MANIFEST_NAME}"):
-        path = path.removesuffix(f"/{MANIFEST_NAME}")
-    elif not path:
-        return _only_stream(source, fetcher, frames, layers)
-    base = _with_path(source, path) + "/"
+    served = _named_stream(source, path) if path else _only_stream(source, fetcher)
+    if served is not None:
+        return ServedSource(source, served, fetcher, frames, layers)
+    base = _with_path(source, path.removesuffix(f"/{MANIFEST_NAME}")) + "/"
     manifest = fetch_manifest(fetcher, base + MANIFEST_NAME)
     if manifest is None:
-        raise FetchError(f"{source} is not a stream: there is no {base}{MANIFEST_NAME}")
+        lacks = f"there is no {base}{MANIFEST_NAME}"
+        if not path:
+            lacks = f"it has neither a list of streams nor a {MANIFEST_NAME}"
+        raise FetchError(f"{source} is not a stream: {lacks}")
     return HostedSource(source, base, manifest, fetcher, frames, layers)
 
 
-def _with_path(source: str, path: str) -> str:
-    parts = urlsplit(source)
-    return urlunsplit((parts.scheme, parts.netloc, path, "", ""))
+def _named_stream(source: str, path: str) -> str | None:
+    """The URL of the served stream that `path` names; None where it is not such an address."""
+    for prefix in SERVED:
+        before, found, name = path.rpartition(prefix)
+        if found and name and "/" not in name:
+            return _stream_url(_with_path(source, before), unquote(name))
+    return None
 
 
-def _play(
-    source: str, server: str, stream: str, fetcher: Fetcher, frames: FrameRange, layers: int | None
-) -> Source:
-    url = f"{server}/v1/streams/{quote(stream, safe='')}"
-    return ServedSource(source, url, fetcher, frames, layers)
-
-
-def _only_stream(source: str, fetcher: Fetcher, frames: FrameRange, layers: int | None) -> Source:
-    """What a bare host offers: the one stream of a server, or a stream at its root."""
+def _only_stream(source: str, fetcher: Fetcher) -> str | None:
+    """The URL of the one stream that a server has; None where the host is not a swings server."""
     server = _with_path(source, "")
     response = fetcher.get(f"{server}/v1/streams", MAX_LIST_BYTES)
     names = _stream_names(response.body) if response.status == 200 else None
     if names is None:
-        manifest = fetch_manifest(fetcher, f"{server}/{MANIFEST_NAME}")
-        if manifest is None:
-            raise FetchError(
-                f"{source} is not a stream: it has neither a list of streams nor a {MANIFEST_NAME}"
-            )
-        return HostedSource(source, f"{server}/", manifest, fetcher, frames, layers)
+        return None
     if not names:
         raise FetchError(f"{source} serves no stream yet")
     if len(names) > 1:
@@ -102,7 +86,16 @@ def _only_stream(source: str, fetcher: Fetcher, frames: FrameRange, layers: int 
             f"{source} serves {len(names)} streams: {shown}; "
             f"name one, as in {server}/watch/{names[0]}"
         )
-    return _play(source, server, names[0], fetcher, frames, layers)
+    return _stream_url(server, names[0])
+
+
+def _stream_url(server: str, name: str) -> str:
+    return f"{server}/v1/streams/{quote(name, safe='')}"
+
+
+def _with_path(source: str, path: str) -> str:
+    parts = urlsplit(source)
+    return urlunsplit((parts.scheme, parts.netloc, path, "", ""))
 
 
 def _stream_names(body: bytes) -> list[str] | None:

@@ -52,7 +52,7 @@ def test_a_name_that_needs_quoting_is_refused(tmp_path: Path, name: str) -> None
             Library(root, 1.0)
 
 
-def test_what_is_no_stream_is_said_in_one_line(tmp_path: Path) -> None:
+def test_what_is_not_a_stream_is_said_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(SwingsError, match="is not a folder"):
         Library(tmp_path / "absent", 1.0)
     with pytest.raises(SwingsError, match="holds no stream"):

@@ -308,7 +308,7 @@ def test_one_play_more_is_asked_to_come_back(root: Path) -> None:
     on_server(root, check, quick_config(max_plays=2))
 
 
-def test_a_client_that_leaves_is_no_error(root: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_client_that_leaves_is_not_an_error(root: Path, caplog: pytest.LogCaptureFixture) -> None:
     async def check(server: Running, client: aiohttp.ClientSession) -> None:
         for path in (
             "/v1/streams/wide/play?layers=4",

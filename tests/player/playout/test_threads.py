@@ -120,7 +120,7 @@ def test_a_capture_draws_every_frame_once_in_order_with_its_slices() -> None:
     assert no_threads_left()
 
 
-def test_a_slow_drawer_holds_the_stream_back_and_is_no_stall() -> None:
+def test_a_slow_drawer_holds_the_stream_back_and_is_not_a_stall() -> None:
     source, renderer = ListSource(SWIN_SIZE + 19), NotingRenderer(draw_s=0.02)
     ahead: list[int] = []
     draw = renderer.render

@@ -60,7 +60,7 @@ def test_a_wrong_table_and_a_wrong_chunk(stream: Path) -> None:
         assert re.match(rf"segments/1/0: byte {place}: (object|chunk): ", message)
 
 
-def test_a_wrong_manifest_is_no_stream(stream: Path) -> None:
+def test_a_wrong_manifest_is_not_a_stream(stream: Path) -> None:
     (stream / "manifest.json").write_text("<html>")
     with (
         static_host(stream.parent) as host,

@@ -156,7 +156,7 @@ def test_a_server_of_many_streams_names_them(library: Path, tmp_path: Path) -> N
             read_all(f"{server.url}/watch/third")
 
 
-def test_what_is_no_stream(tmp_path: Path, server: ServerProcess) -> None:
+def test_what_is_not_a_stream(tmp_path: Path, server: ServerProcess) -> None:
     (tmp_path / "manifest.json").write_text("<html>")
     (tmp_path / "empty").mkdir()
     with static_host(tmp_path) as host:

@@ -196,7 +196,7 @@ def test_a_low_lead_drops_to_the_base_layer_at_once() -> None:
     assert layers == 2
 
 
-def test_a_lead_that_was_never_there_is_no_reason_to_drop() -> None:
+def test_a_lead_that_was_never_there_is_not_a_reason_to_drop() -> None:
     policy = LayerPolicy()
     # Half of 9 Mbit/s sustains all layers, so they go out while the lead grows, with its ups and
     # downs.
