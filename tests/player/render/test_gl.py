@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import logging
-import os
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -15,18 +11,14 @@ import moderngl
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from codec.errors import InvalidError, UnsupportedError
+from codec.errors import InvalidError
 from codec.slice import Slice
 from codec.stream.manifest import Manifest
 from player.render.cpu import CpuRenderer, render_splats
 from player.render.gl import GlError, GlRenderer, Target, open_context
-from player.render.order import Order
-from player.render.renderer import RendererKind, check_drawable, create_renderer
+from player.render.renderer import RendererKind, create_renderer
 from player.render.ring import Ring
-from tests.support.commands import ROOT
 from tests.support.hosted_streams import (
     SWIN_SIZE,
     random_slice,
@@ -269,93 +261,6 @@ def test_a_picture_too_large_is_refused(renderers: list[GlRenderer]) -> None:
     gl._limit_px = 63
     with pytest.raises(GlError, match="up to 63 pixels wide and high, not 64x48"):
         gl.render(0, small_manifest().camera())
-
-
-def test_the_order_is_that_of_a_stable_sort_by_depth() -> None:
-    rng = np.random.default_rng(3)
-    order = Order(3, 4000)
-    for lane in range(3):
-        means = rng.normal(size=(3000 + lane, 3)).astype(np.float32) * 10
-        means[::7] = means[0]  # ties
-        starts = rng.integers(0, 5, 3000 + lane).astype(np.int32)
-        order.put(lane, 4 + lane, means, starts)
-    w2c = np.eye(4)
-    w2c[2, 3] = 1.5
-    for frame in range(7):
-        depths = (order.means[..., 2] + np.float32(1.5)).ravel()
-        shown = (order.starts <= frame) & (order.expires[:, None] > frame)
-        shown &= np.arange(4000) < order.counts[:, None]
-        slots = np.flatnonzero(shown.ravel() & (depths > 0.5))
-        expected = slots[np.argsort(-depths[slots], kind="stable")]
-        np.testing.assert_array_equal(order.far_first(frame, w2c, 0.5), expected)
-
-
-@given(st.lists(st.floats(2.0**-10, 2.0**120, width=32), max_size=50))
-def test_any_depths_are_sorted(depths_m: list[float]) -> None:
-    order = Order(1, 50)
-    means = np.zeros((len(depths_m), 3), np.float32)
-    means[:, 2] = depths_m
-    order.put(0, 1, means, np.zeros(len(depths_m), np.int32))
-    got = means[order.far_first(0, np.eye(4), 0.0), 2]
-    np.testing.assert_array_equal(got, np.sort(means[:, 2])[::-1])
-
-
-def test_the_cpu_renderer_shows_slices_from_their_birth_on() -> None:
-    manifest = small_manifest(slice_size=50)
-    cpu, ring = CpuRenderer(manifest), Ring(SWIN_SIZE, 50, 1)
-    for birth in range(1 - SWIN_SIZE, 4):
-        cpu.put(random_slice(birth, 50))
-    for birth in range(1 - SWIN_SIZE, 4):
-        ring.put(random_slice(birth, 50))
-        if birth >= 0:
-            expected = render_splats(ring.active(birth), manifest.camera(), manifest.near_m)
-            np.testing.assert_array_equal(cpu.render(birth, manifest.camera()), expected)
-    assert cpu.uploaded_bytes == 7 * 50 * (4 * (3 + 3 + 4 + 1 + 12) + 1)
-
-
-def test_what_the_recipe_cannot_draw(caplog: pytest.LogCaptureFixture) -> None:
-    with pytest.raises(UnsupportedError, match="antialias"):
-        create_renderer(RendererKind.CPU, small_manifest(antialias=True))
-    with caplog.at_level(logging.WARNING):
-        check_drawable(small_manifest(sh_degree=2))
-    assert "degree 2" in caplog.text
-
-
-WITHOUT_GL = {**os.environ, "__EGL_VENDOR_LIBRARY_FILENAMES": "/nonexistent"}
-"""An environment in which libglvnd, where it is, finds no OpenGL."""
-
-CHOOSE = """
-import logging, sys
-from player.render.renderer import RendererKind, create_renderer
-from tests.support.hosted_streams import small_manifest
-logging.basicConfig(level=logging.WARNING)
-try:
-    print(create_renderer(RendererKind(sys.argv[1]), small_manifest()).name)
-except Exception as error:
-    print(type(error).__name__, error)
-"""
-
-
-def choose(kind: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-c", CHOOSE, kind],
-        cwd=ROOT,
-        env=WITHOUT_GL,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-
-
-def test_without_opengl_auto_says_so_and_gl_fails() -> None:
-    forced = choose("gl")
-    if not forced.stdout.startswith("GlError"):
-        pytest.skip("this OpenGL does not come through libglvnd, so it cannot be hidden")
-    assert "OpenGL 3.3 cannot start without a window" in forced.stdout
-    assert forced.stdout.count("\n") == 1
-    fallen = choose("auto")
-    assert fallen.stdout == "CPU\n"
-    assert "drawing on the CPU: OpenGL 3.3 cannot start" in fallen.stderr
 
 
 def test_empty_slices_are_drawn_as_nothing() -> None:

@@ -1,0 +1,38 @@
+"""The visible order against a stable sort by depth."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from player.render.order import Order
+
+
+def test_the_order_is_that_of_a_stable_sort_by_depth() -> None:
+    rng = np.random.default_rng(3)
+    order = Order(3, 4000)
+    for lane in range(3):
+        means = rng.normal(size=(3000 + lane, 3)).astype(np.float32) * 10
+        means[::7] = means[0]  # ties
+        starts = rng.integers(0, 5, 3000 + lane).astype(np.int32)
+        order.put(lane, 4 + lane, means, starts)
+    w2c = np.eye(4)
+    w2c[2, 3] = 1.5
+    for frame in range(7):
+        depths = (order.means[..., 2] + np.float32(1.5)).ravel()
+        shown = (order.starts <= frame) & (order.expires[:, None] > frame)
+        shown &= np.arange(4000) < order.counts[:, None]
+        slots = np.flatnonzero(shown.ravel() & (depths > 0.5))
+        expected = slots[np.argsort(-depths[slots], kind="stable")]
+        np.testing.assert_array_equal(order.far_first(frame, w2c, 0.5), expected)
+
+
+@given(st.lists(st.floats(2.0**-10, 2.0**120, width=32), max_size=50))
+def test_any_depths_are_sorted(depths_m: list[float]) -> None:
+    order = Order(1, 50)
+    means = np.zeros((len(depths_m), 3), np.float32)
+    means[:, 2] = depths_m
+    order.put(0, 1, means, np.zeros(len(depths_m), np.int32))
+    got = means[order.far_first(0, np.eye(4), 0.0), 2]
+    np.testing.assert_array_equal(got, np.sort(means[:, 2])[::-1])
