@@ -1,1 +1,1 @@
-"""Playing a stream: sources, the playout clock, the ring of slices, the renderers."""
+"""Playing a stream: from a folder, a server or a static host to a window or to files."""

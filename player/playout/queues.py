@@ -1,4 +1,4 @@
-"""What the player's threads wait on: each queue is bounded, and whoever fills it waits for room."""
+"""What the player's threads wait on: bounded queues, where whoever fills one waits for room."""
 
 from __future__ import annotations
 
@@ -87,15 +87,13 @@ class Events:
                 if self._failure is not None:
                     raise self._failure
                 shown_s = self._playout.next_shown_s
-                if shown_s is None:
-                    if self._finished:
-                        if not self.totals.frames:
-                            raise EmptyStreamError("the stream ended before its first frame")
-                        return None
-                    self._changed.wait()
-                    continue
-                wait_s = self._clock.until_s(shown_s)
-                if wait_s <= 0:
+                if shown_s is None and self._finished:
+                    if not self.totals.frames:
+                        raise EmptyStreamError("the stream ended before its first frame")
+                    return None
+                # None: until something changes.
+                wait_s = None if shown_s is None else self._clock.until_s(shown_s)
+                if wait_s == 0:
                     due = self._playout.take()
                     assert due is not None
                     self._changed.notify_all()

@@ -1,4 +1,4 @@
-"""When each frame is shown: the playout time line and its bounded queue of slices.
+"""When each frame is shown: the time line and its bounded queue of slices.
 
 Rule: pure. Slices and their arrival times come in, frames and the times at which they show come
 out; nothing here reads a clock, waits or draws.
@@ -93,7 +93,8 @@ class Playout:
         self._queue_bytes = 0
         self._next_frame = first_frame
         self._swin_size = swin_size
-        self._next_birth = first_frame - swin_size + 1
+        self.next_birth = first_frame - swin_size + 1
+        """Birth of the slice that `push` wants next."""
         self._last_arrival_s = -math.inf
         # Due times are counted from the last start or stall, not summed up frame by frame.
         self._base_frame = first_frame
@@ -101,14 +102,9 @@ class Playout:
         self.totals = PlayoutTotals()
 
     @property
-    def next_birth(self) -> int:
-        """Birth of the slice that `push` wants next."""
-        return self._next_birth
-
-    @property
     def frames_waiting(self) -> int:
         """Frames that are complete in the queue."""
-        return self._next_birth - self._next_frame if self._ready else 0
+        return self.next_birth - self._next_frame if self._ready else 0
 
     @property
     def _needed(self) -> int:
@@ -132,17 +128,17 @@ class Playout:
 
         Raises CorruptError when it is another one, and InvalidError when the queue is full.
         """
-        if received.slice.birth != self._next_birth:
+        if received.slice.birth != self.next_birth:
             raise CorruptError(
                 f"the stream brought the slice born at {received.slice.birth} where "
-                f"{self._next_birth} belongs"
+                f"{self.next_birth} belongs"
             )
         if not self.has_room:
             raise InvalidError("playout: the queue is full; wait for room")
         self._last_arrival_s = max(now_s, self._last_arrival_s)
         self._queue.append((received, self._last_arrival_s))
         self._queue_bytes += received.memory_bytes
-        self._next_birth += 1
+        self.next_birth += 1
         totals = self.totals
         totals.most_frames_waiting = max(totals.most_frames_waiting, self.frames_waiting)
         totals.most_bytes_waiting = max(totals.most_bytes_waiting, self._queue_bytes)

@@ -15,7 +15,7 @@ Ints = npt.NDArray[np.int32]
 
 
 @kernel(nogil=True, fastmath=True)
-def _collect(means, starts, expires, counts, frame, view, near, slots, keys):  # type: ignore[no-untyped-def]
+def _collect(means, starts, expires, counts, frame, view, near_m, slots, keys):  # type: ignore[no-untyped-def]
     lanes, lane_slots = starts.shape
     found = 0
     for lane in range(lanes):
@@ -28,7 +28,7 @@ def _collect(means, starts, expires, counts, frame, view, near, slots, keys):  #
                 + view[2] * means[lane, i, 2]
                 + view[3]
             )
-            if starts[lane, i] <= frame and z > near:
+            if starts[lane, i] <= frame and z > near_m:
                 slots[found] = lane * lane_slots + i
                 keys[found] = z
                 found += 1

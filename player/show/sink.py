@@ -29,6 +29,7 @@ VIDEO_CRF = 16
 OTHER_SUFFIXES = {".avi", ".gif", ".jpeg", ".jpg", ".m4v", ".mkv", ".mov", ".png", ".webm"}
 """Names that ask for something other than a folder."""
 
+# As FFmpeg numbers them.
 _BT709 = 1
 _LIMITED_RANGE = 1
 
