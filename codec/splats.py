@@ -52,22 +52,15 @@ class Splats:
 
     def __post_init__(self) -> None:
         n = len(self.means)
-        shapes = {
-            "means": (n, 3),
-            "log_scales": (n, 3),
-            "quats": (n, 4),
-            "logit_opacities": (n,),
-        }
-        for name, shape in shapes.items():
-            array = getattr(self, name)
+        shaped = list(zip(ARRAY_NAMES, self.arrays, array_shapes(n, 0), strict=True))
+        for name, array, shape in shaped[:-1]:  # sh may be of any degree
             if array.shape != shape:
                 raise InvalidError(f"Splats.{name} has shape {array.shape}, expected {shape}")
         if self.sh.ndim != 3 or self.sh.shape[0] != n or self.sh.shape[2] != 3:
             raise InvalidError(f"Splats.sh has shape {self.sh.shape}, expected ({n}, K, 3)")
         if self.sh.shape[1] not in {sh_count(d) for d in range(MAX_SH_DEGREE + 1)}:
             raise InvalidError(f"Splats.sh has {self.sh.shape[1]} coefficients, not 1, 4, 9 or 16")
-        for name in (*shapes, "sh"):
-            array = getattr(self, name)
+        for name, array, _ in shaped:
             if array.dtype != np.float32:
                 raise InvalidError(f"Splats.{name} is {array.dtype}, expected float32")
             if not np.isfinite(array).all():

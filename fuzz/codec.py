@@ -45,8 +45,7 @@ from codec.stream.playrecord import RecordParser, encode_record
 
 def same(a: Splats, b: Splats) -> bool:
     """Whether two sets of Gaussians have the same bits."""
-    names = ("means", "log_scales", "quats", "logit_opacities", "sh")
-    return all(getattr(a, name).tobytes() == getattr(b, name).tobytes() for name in names)
+    return all(x.tobytes() == y.tobytes() for x, y in zip(a.arrays, b.arrays, strict=True))
 
 
 def fuzz_chunk(data: bytes) -> None:

@@ -14,10 +14,10 @@ from codec.camera import Camera
 from codec.coders.coder import Coder
 from codec.interop.ply import encode_ply
 from codec.interop.splat import encode_splat
-from codec.interop.spz import ENTRY, HEADER_V4, encode_spz
+from codec.interop.spz import ENTRY, HEADER_V4, MAGIC, encode_spz
 from codec.profiles.profile import Profile
 from codec.slice import Slice
-from codec.splats import Splats, sh_count
+from codec.splats import Floats, Splats, sh_count
 from codec.stream.chunk import encode_chunk
 from codec.stream.index import SegmentRecord, pack_record
 from codec.stream.manifest import Manifest
@@ -42,7 +42,7 @@ def made_splats(count: int, sh_degree: int) -> Splats:
     means = rng.normal(size=(count, 3))
     means[-1:] *= 1e4
 
-    def floats(*shape: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+    def floats(*shape: int) -> Floats:
         return rng.normal(size=shape).astype(np.float32)
 
     return Splats(
@@ -109,7 +109,7 @@ def inflated_spz(version: int, count: int, sh_degree: int) -> bytes:
     """Header and arrays of an SPZ of version 2 or 3, not compressed."""
     row = 9 + 1 + 3 + 3 + (3 if version == 2 else 4) + 3 * (sh_count(sh_degree) - 1)
     body = np.random.default_rng(version).integers(0, 256, count * row).astype(np.uint8).tobytes()
-    head = HEADER_V4.pack(0x5053474E, version, count, sh_degree, 12, 0, 0, 0, bytes(12))
+    head = HEADER_V4.pack(MAGIC, version, count, sh_degree, 12, 0, 0, 0, bytes(12))
     return head[:16] + body
 
 

@@ -10,7 +10,7 @@ from codec.errors import CorruptError, InvalidError, UnsupportedError
 from codec.splats import Floats, Splats, array_shapes
 
 MAX_GAUSSIANS = 1 << 24
-"""Gaussians in a file: 248 bytes each as float32 with SH degree 3, about 4 GB."""
+"""Gaussians in a file: about 4 GB as float32 with SH degree 3."""
 
 MAX_RATIO = 1000
 """Decompressed bytes for each byte of a file; real models stay below 20."""
@@ -66,24 +66,16 @@ class Decoded:
         ]
 
     def checked(self, what: str) -> Splats:
-        """All as a Splats. Raises CorruptError that names the first Gaussian at fault."""
-        return checked_splats(
-            what, self.means, self.log_scales, self.quats, self.logit_opacities, self.sh
-        )
-
-
-def checked_splats(
-    what: str, means: Floats, log_scales: Floats, quats: Floats, logit_opacities: Floats, sh: Floats
-) -> Splats:
-    """A Splats of decoded values. Raises CorruptError that names the first Gaussian at fault."""
-    try:
-        return Splats(means, log_scales, quats, logit_opacities, sh)
-    except InvalidError as error:
-        good = np.isfinite(logit_opacities)
-        for values in (means, log_scales, quats, sh):
-            good &= np.isfinite(values).reshape(len(good), -1).all(axis=1)
-        good[good] = quats[good].any(axis=1)
-        bad = np.flatnonzero(~good)
-        raise CorruptError(
-            f"{what}: {error} ({len(bad)} of {len(good)} Gaussians, the first is number {bad[0]})"
-        ) from error
+        """All of it as a Splats. Raises a CorruptError that names the first Gaussian at fault."""
+        try:
+            return Splats(self.means, self.log_scales, self.quats, self.logit_opacities, self.sh)
+        except InvalidError as error:
+            good = np.isfinite(self.logit_opacities)
+            for values in (self.means, self.log_scales, self.quats, self.sh):
+                good &= np.isfinite(values).reshape(len(good), -1).all(axis=1)
+            good[good] = self.quats[good].any(axis=1)
+            bad = np.flatnonzero(~good)
+            raise CorruptError(
+                f"{what}: {error} ({len(bad)} of {len(good)} Gaussians, "
+                f"the first is number {bad[0]})"
+            ) from error

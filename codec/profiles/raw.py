@@ -17,6 +17,11 @@ CODE = 0
 FLOAT32 = np.dtype("<f4")
 
 
+def bytes_per_gaussian(sh_degree: int) -> int:
+    """Bytes of a body for each Gaussian, before the entropy coder: 56 with DC colour."""
+    return FLOAT32.itemsize * (11 + 3 * sh_count(sh_degree))
+
+
 def pack_arrays(splats: Splats) -> bytes:
     """means, log_scales, quats, logit_opacities, sh: float32 little-endian, row after row."""
     return b"".join(array.astype(FLOAT32, copy=False).tobytes() for array in splats.arrays)
@@ -27,9 +32,7 @@ def read_arrays(body: memoryview, count: int, sh_degree: int) -> tuple[Floats, .
 
     Raises CorruptError for a body of another length.
     """
-    coefficients = sh_count(sh_degree)
-    floats = 11 + 3 * coefficients
-    if len(body) != count * floats * FLOAT32.itemsize:
+    if len(body) != count * bytes_per_gaussian(sh_degree):
         raise CorruptError(f"raw: a body of {len(body)} bytes for {count} Gaussians")
     values = np.frombuffer(body, FLOAT32)
     means, log_scales, quats, opacities, sh = np.split(values, np.cumsum([3, 3, 4, 1]) * count)
@@ -38,7 +41,7 @@ def read_arrays(body: memoryview, count: int, sh_degree: int) -> tuple[Floats, .
         log_scales.reshape(count, 3),
         quats.reshape(count, 4),
         opacities,
-        sh.reshape(count, coefficients, 3),
+        sh.reshape(count, sh_count(sh_degree), 3),
     )
 
 

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from codec.errors import CorruptError, InvalidError, UnsupportedError
-from codec.profiles import compact
+from codec.profiles import compact, raw
 from codec.profiles.profile import PROFILE_OF_CODE, Profile
 from codec.profiles.quantise import Steps
 from codec.slice import Slice
-from codec.splats import MAX_SH_DEGREE, sh_count
+from codec.splats import MAX_SH_DEGREE
 
 MAGIC = b"SWGC"
 VERSION = 1
@@ -53,7 +53,7 @@ class ChunkBounds:
     @property
     def max_bytes(self) -> int:
         """Bytes of the largest such chunk: full, all float32, with start offsets."""
-        splat_bytes = 4 * (11 + 3 * sh_count(self.max_sh_degree)) + 1
+        splat_bytes = raw.bytes_per_gaussian(self.max_sh_degree) + 1
         return HEADER_BYTES + compact.HEAD.size + self.max_splats * splat_bytes
 
 

@@ -19,8 +19,8 @@ from .index import SegmentRecord, parse_index, record_bytes, size_offset
 from .layers import merge_layers
 from .manifest import Manifest
 from .object import (
-    COUNT_OFFSET,
     MAX_OBJECT_BYTES,
+    NUM_CHUNKS_OFFSET,
     ChunkEntry,
     decode_object_chunk,
     decode_packet,
@@ -99,7 +99,7 @@ def object_table(
         if entry.birth != birth:
             raise CorruptError(message, entry_offset(n))
     if len(entries) != len(births):
-        raise CorruptError(message, COUNT_OFFSET)
+        raise CorruptError(message, NUM_CHUNKS_OFFSET)
     end = entries[-1].offset + entries[-1].size
     if end != record.object_bytes[layer]:
         raise CorruptError(

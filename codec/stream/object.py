@@ -31,7 +31,7 @@ assert ENTRY.size == 12
 CODER_OFFSET = 13
 """Where in an object the number of its coder lies."""
 
-COUNT_OFFSET = 16
+NUM_CHUNKS_OFFSET = 16
 """Where in an object the number of its chunks lies."""
 
 MAX_CHUNKS_PER_OBJECT = 1 << 14
@@ -116,7 +116,7 @@ def read_object_table(data: bytes | memoryview) -> list[ChunkEntry]:
     if zero:
         raise CorruptError(f"object: {zero} where 0 belongs", 14)
     if not 1 <= count <= MAX_CHUNKS_PER_OBJECT:
-        raise CorruptError(f"object: a table of {count} chunks", COUNT_OFFSET)
+        raise CorruptError(f"object: a table of {count} chunks", NUM_CHUNKS_OFFSET)
     end = HEAD.size + ENTRY.size * count
     if following + 8 != end:
         raise CorruptError(f"object: a table of {count} chunks in {following} bytes", 4)
@@ -180,8 +180,7 @@ def decode_object(data: bytes | memoryview) -> list[Chunk]:
     total = 0
     for entry in _whole_table(data):
         chunks.append(decode_object_chunk(data, entry))
-        splats = chunks[-1].slice.splats
-        total += 4 * len(splats) * (11 + 3 * splats.sh.shape[1])
+        total += chunks[-1].slice.splats.num_bytes
         if total > MAX_DECODED_BYTES:
             raise CorruptError(f"object: over {MAX_DECODED_BYTES} bytes of Gaussians", entry.offset)
     return chunks

@@ -110,10 +110,8 @@ def encode(case: Case) -> EncodedChunk:
 
 def decoded_sha256(chunk: Chunk) -> str:
     """One hash over every decoded number, as little-endian float32 and bytes."""
-    splats = chunk.slice.splats
-    arrays = (splats.means, splats.log_scales, splats.quats, splats.logit_opacities, splats.sh)
     digest = hashlib.sha256()
-    for array in arrays:
+    for array in chunk.slice.splats.arrays:
         digest.update(array.astype("<f4").tobytes())
     digest.update(chunk.slice.start_offsets.tobytes())
     return digest.hexdigest()

@@ -221,7 +221,9 @@ CASES: dict[str, Case] = {
     "paper": Case(paper, decode_packet, N * (209 + VALUE_BYTES)),
     "compact": Case(lambda: compact(3), decode_packet, N * (56 + VALUE_BYTES)),
     "compact, half escaped": Case(
-        lambda: compact(3, escapes=N // 2), decode_packet, N * ((56 + 236) // 2 + VALUE_BYTES)
+        lambda: compact(3, escapes=N // 2),
+        decode_packet,
+        N * (56 + 3 * VALUE_BYTES) // 2,
     ),
     "compact, wide gaps": Case(lambda: compact(0, gap_bits=40), decode_packet, N * (11 + 4 + 56)),
     "no chunk": Case(lambda: compress(bytes(MAX_CHUNK_BYTES)), decode_packet, MAX_CHUNK_BYTES),

@@ -42,22 +42,18 @@ def drawn_splats(
 
 def same(a: Splats, b: Splats) -> bool:
     """Whether `a` and `b` have the same bits."""
-    names = ("means", "log_scales", "quats", "logit_opacities", "sh")
-    return all(
-        getattr(a, n).shape == getattr(b, n).shape
-        and getattr(a, n).tobytes() == getattr(b, n).tobytes()
-        for n in names
-    )
+    pairs = zip(a.arrays, b.arrays, strict=True)
+    return all(x.shape == y.shape and x.tobytes() == y.tobytes() for x, y in pairs)
 
 
-def angles_rad(a: Splats, b: Splats) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+def angles_rad(a: Splats, b: Splats) -> Doubles:
     """(N,) angle of the rotation between the orientations of `a` and those of `b`."""
     p, q = (s.quats.astype(np.float64) for s in (a, b))
     p /= np.linalg.norm(p, axis=1, keepdims=True)
     q /= np.linalg.norm(q, axis=1, keepdims=True)
     # By the chord, which is exact near zero where arccos is not.
     chord = np.minimum(np.linalg.norm(p - q, axis=1), np.linalg.norm(p + q, axis=1))
-    angles: np.ndarray[tuple[int], np.dtype[np.float64]] = 4 * np.arcsin(np.minimum(chord / 2, 1))
+    angles: Doubles = 4 * np.arcsin(np.minimum(chord / 2, 1))
     return angles
 
 

@@ -6,19 +6,19 @@ import struct
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codec.errors import CorruptError, InvalidError, UnsupportedError
+from codec.pose import Doubles
 from codec.profiles import compact
 from codec.profiles.compact import Head
 from codec.profiles.orientation import canonical
 from codec.profiles.profile import Profile
 from codec.profiles.quantise import Steps, choose_steps, to_luma
 from codec.slice import Slice
-from codec.splats import SH_C0, Splats, sh_count
+from codec.splats import SH_C0, Floats, Splats, sh_count
 from codec.stream.chunk import (
     HEADER_BYTES,
     MAX_SPLATS_PER_CHUNK,
@@ -26,10 +26,9 @@ from codec.stream.chunk import (
     encode_chunk,
     read_header,
 )
+from tests.support.drawn import same
 from tests.support.hostile import flips, survives, truncations
 from tests.support.trained_like import covariances, trained_like_slice, trained_like_splats
-
-Doubles = npt.NDArray[np.float64]
 
 
 @st.composite
@@ -40,7 +39,7 @@ def slices(draw: st.DrawFn, limit: float = 1e3) -> Slice:
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
     size = limit ** draw(st.floats(-1, 1))
 
-    def numbers(*shape: int) -> npt.NDArray[np.float32]:
+    def numbers(*shape: int) -> Floats:
         return rng.uniform(-size, size, shape).astype(np.float32)
 
     quats = rng.normal(size=(count, 4)).astype(np.float32)
@@ -60,9 +59,7 @@ def slices(draw: st.DrawFn, limit: float = 1e3) -> Slice:
 def test_raw_keeps_every_bit(slice: Slice, layer: int) -> None:
     chunk = decode_chunk(encode_chunk(slice, layer, Profile.RAW).data)
     assert (chunk.birth, chunk.layer, chunk.profile) == (slice.birth, layer, Profile.RAW)
-    for name in ("means", "log_scales", "quats", "logit_opacities", "sh"):
-        found, given_ = getattr(chunk.slice.splats, name), getattr(slice.splats, name)
-        assert found.tobytes() == given_.tobytes()
+    assert same(chunk.slice.splats, slice.splats)
     assert (chunk.slice.start_offsets == slice.start_offsets).all()
 
 
