@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.errors import CorruptError, UnsupportedError
+from codec.pose import Doubles
 from codec.splats import SH_C0, Splats
 
 from .levels import byte_logits, restore_largest
@@ -34,7 +35,6 @@ CHUNK_GAUSSIANS = 256
 AXES, SCALES, COLOURS = ("x", "y", "z"), ("scale_x", "scale_y", "scale_z"), ("r", "g", "b")
 PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 
-Doubles = npt.NDArray[np.float64]
 Words = npt.NDArray[np.uint32]
 
 

@@ -13,16 +13,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from codec.camera import Camera
 from codec.errors import InvalidError
+from codec.pose import Doubles
 from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.splats import Splats, sh_count
 from codec.stream.chunk import MAX_SPLATS_PER_CHUNK
 from codec.stream.layers import Rank
-from codec.stream.manifest import Manifest
+from codec.stream.manifest import Manifest, Point
 from codec.stream.writer import StreamWriter
 
 from .formats import has_known_suffix, read_splats
@@ -35,8 +35,6 @@ NEAR_SHARE = 0.01
 """Nearest depth drawn, as a share of the bounds' half diagonal: one may walk into the model."""
 LAYERS = (0.35, 0.15, 0.2, 0.3)
 SEGMENT_FRAMES = 15
-
-Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +58,8 @@ class Survey:
 
     num_gs: int
     sh_degree: int
-    lower: npt.NDArray[np.float64]  # (3,) metres
-    upper: npt.NDArray[np.float64]  # (3,) metres
+    lower: Doubles  # (3,) metres
+    upper: Doubles  # (3,) metres
 
     @staticmethod
     def of(splats: Splats) -> Survey:
@@ -106,7 +104,7 @@ def find_files(source: Path) -> list[Path]:
     return [numbered[number] for number in sorted(numbered)]
 
 
-def facing_camera(lower: npt.NDArray[np.float64], upper: npt.NDArray[np.float64]) -> Camera:
+def facing_camera(lower: Doubles, upper: Doubles) -> Camera:
     """A camera in front of a box that sees all of it. It looks along +z with y down, as is the
     convention in a PLY."""
     radius = float(np.linalg.norm(upper - lower)) / 2
@@ -146,7 +144,7 @@ def make_manifest(survey: Survey, options: ImportOptions, title: str) -> Manifes
     )
 
 
-def _point(values: npt.NDArray[np.float64]) -> Point:
+def _point(values: Doubles) -> Point:
     x, y, z = (float(value) for value in values)
     return x, y, z
 

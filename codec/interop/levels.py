@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from codec.pose import Doubles
 from codec.splats import Floats
 
 Bytes = npt.NDArray[np.uint8]
@@ -32,18 +33,16 @@ def clipped_bytes(values: npt.NDArray[np.floating]) -> Bytes:
     return levels
 
 
-def unit_quats(quats: Floats) -> npt.NDArray[np.float64]:
-    """`quats` with norm 1."""
+def unit_quats(quats: Floats) -> Doubles:
+    """(N, 4) `quats` with norm 1."""
     wide = quats.astype(np.float64)
     # Divide by the largest component first: squares of float32 could leave float64's good range.
     wide /= np.abs(wide).max(axis=1, keepdims=True, initial=0.0)
-    unit: npt.NDArray[np.float64] = wide / np.linalg.norm(wide, axis=1, keepdims=True)
+    unit: Doubles = wide / np.linalg.norm(wide, axis=1, keepdims=True)
     return unit
 
 
-def restore_largest(
-    smaller: npt.NDArray[np.float64], largest: npt.NDArray[np.integer]
-) -> npt.NDArray[np.float64]:
+def restore_largest(smaller: Doubles, largest: npt.NDArray[np.integer]) -> Doubles:
     """(N, 4) unit vectors of which `smaller` holds, in order, all components but `largest`."""
     squares = np.einsum("ij,ij->i", smaller, smaller)
     rows = np.arange(len(smaller))[:, None]

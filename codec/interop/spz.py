@@ -30,13 +30,12 @@ import zlib
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import zstandard
 
 from codec.errors import CorruptError, InvalidError, UnsupportedError
 from codec.splats import MAX_SH_DEGREE, Floats, Splats, sh_count
 
-from .levels import byte_logits, clipped_bytes, opacity_bytes, restore_largest, unit_quats
+from .levels import Bytes, byte_logits, clipped_bytes, opacity_bytes, restore_largest, unit_quats
 from .limits import MAX_GAUSSIANS, Decoded, check_count, check_ratio
 
 MAGIC = 0x5053474E
@@ -61,8 +60,6 @@ FLIP_QUATERNION = np.array([1, 1, -1, -1], np.float32)
 # The real harmonics in order, as polynomials: 1 | y z x | xy yz 3zz-1 xz xx-yy |
 # y(3xx-yy) xyz y(5zz-1) z(5zz-3) x(5zz-1) z(xx-yy) x(xx-3yy); y and z each bring a -1.
 FLIP_SH = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
-
-Bytes = npt.NDArray[np.uint8]
 
 _log = logging.getLogger(__name__)
 

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from codec.errors import CorruptError
 from codec.kernel import kernel
+from codec.pose import Doubles
 from codec.splats import SH_C0, Floats, Splats, sh_count
 
 from . import quantise, raw
@@ -25,7 +26,6 @@ from .quantise import (
     MAX_OPACITY_LEVELS,
     MAX_ROTATION_HALF,
     MIDDLE,
-    Doubles,
     Steps,
     choose_steps,
     from_luma,

@@ -8,11 +8,10 @@ in w: no permutation, no index of the largest component, 4.6 bits less a Gaussia
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from codec.kernel import kernel
-
-Doubles = npt.NDArray[np.float64]
+from codec.pose import Doubles
+from codec.splats import Floats
 
 _H = 0.5
 _R = 0.5**0.5
@@ -77,9 +76,7 @@ def _canonical(log_scales, quats, permutations, scales, chosen):  # type: ignore
         chosen[i, 2], chosen[i, 3] = sign * y, sign * z
 
 
-def canonical(
-    log_scales: npt.NDArray[np.float32], quats: npt.NDArray[np.float32]
-) -> tuple[Doubles, Doubles]:
+def canonical(log_scales: Floats, quats: Floats) -> tuple[Doubles, Doubles]:
     """The same Gaussians with (N, 3) falling log-scales and (N, 4) unit quaternions, w largest."""
     scales, chosen = np.empty(log_scales.shape), np.empty(quats.shape)
     _canonical(log_scales, quats, _PERMUTATIONS, scales, chosen)

@@ -1,7 +1,7 @@
 """How finely profile `compact` quantises, and the exact arithmetic back to floats.
 
-Rule: every dequantiser here is a short chain of single float32 operations, in the order that
-FORMAT.md states, so that any decoder reproduces it bit for bit. What a quantiser chooses is free.
+Rule: what makes floats of integers does the operations that FORMAT.md states, in its order and
+precision, so that any decoder gives the same bits. What a quantiser chooses is free.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.kernel import kernel
+from codec.pose import Doubles
 from codec.splats import Floats, Splats
 
-Doubles = npt.NDArray[np.float64]
 Bytes = npt.NDArray[np.uint8]
 
 MIDDLE = 128

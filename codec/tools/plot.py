@@ -9,11 +9,11 @@ from pathlib import Path
 import matplotlib.backends.backend_agg
 import matplotlib.figure
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 
 from codec.errors import InvalidError
 from codec.files import write_atomic
+from codec.pose import Doubles
 from codec.stream.index import SegmentRecord
 from codec.stream.reader import StreamReader
 
@@ -23,10 +23,8 @@ MEAN_COLOUR = "#b3411b"
 MAX_TITLE_CHARS = 60
 MAX_LEGEND_ROWS = 8
 
-Floats = npt.NDArray[np.float64]
 
-
-def bitrates_bps(records: Sequence[SegmentRecord], fps: float) -> Floats:
+def bitrates_bps(records: Sequence[SegmentRecord], fps: float) -> Doubles:
     """(segments, layers): bits of each object for each second that its segment shows.
 
     Segment 0 carries the window of frame 0 too, so it is the most expensive one.
@@ -78,7 +76,7 @@ def draw_stream(stream: Path, picture: Path) -> None:
     write_atomic(picture, drawn.getvalue())
 
 
-def _layer_colours(num_layers: int) -> list[Floats]:
+def _layer_colours(num_layers: int) -> list[Doubles]:
     """(3,) RGB in 0..1 for each layer."""
     stops = np.array(
         [[int(text[i : i + 2], 16) / 255 for i in (1, 3, 5)] for text in LAYER_COLOURS]
@@ -88,13 +86,13 @@ def _layer_colours(num_layers: int) -> list[Floats]:
     return list(np.stack([np.interp(at, places, channel) for channel in stops.T], axis=1))
 
 
-def _steps(values: Floats) -> Floats:
+def _steps(values: Doubles) -> Doubles:
     """One value an edge: the last segment's twice."""
     return np.append(values, values[-1:])
 
 
 def _draw_rates(
-    axes: Axes, edges_s: Floats, rates_mbps: Floats, colours: list[Floats], mean_mbps: float
+    axes: Axes, edges_s: Doubles, rates_mbps: Doubles, colours: list[Doubles], mean_mbps: float
 ) -> None:
     tops = np.cumsum(rates_mbps, axis=1)
     below = np.zeros(len(tops))
@@ -127,7 +125,7 @@ def _draw_rates(
     _legend(axes)
 
 
-def _draw_psnrs(axes: Axes, edges_s: Floats, psnrs_db: Floats, colours: list[Floats]) -> None:
+def _draw_psnrs(axes: Axes, edges_s: Doubles, psnrs_db: Doubles, colours: list[Doubles]) -> None:
     for layer, colour in enumerate(colours):
         label = "layer 0" if layer == 0 else f"layers 0..{layer}"
         axes.stairs(

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from codec.camera import Camera
+from codec.pose import Doubles
 from tests.support.tiny_capture import picture_of, write_video
 
 MODEL_NUMBERS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4}
@@ -23,7 +24,7 @@ COLOURS = ((255, 0, 7), (1, 2, 3), (40, 200, 90))
 Picturer = Callable[[int, int], npt.NDArray[np.uint8]]
 
 
-def quaternion_of(rotation: npt.NDArray[np.float64]) -> tuple[float, ...]:
+def quaternion_of(rotation: Doubles) -> tuple[float, ...]:
     """(w, x, y, z): the eigenvector of the largest eigenvalue of Bar-Itzhack's matrix."""
     m = rotation
     table = [

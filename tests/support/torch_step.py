@@ -3,13 +3,11 @@ culled by tiles as the CPU rasteriser is, gradients from autograd."""
 
 from __future__ import annotations
 
-import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from codec.camera import Camera
-from codec.splats import SH_C0
+from codec.splats import SH_C0, Floats
 from player.render.recipe import (
     ALPHA_MAX,
     ALPHA_MIN,
@@ -33,7 +31,7 @@ class TorchStep:
         values: Parameters,
         camera: Camera,
         near_m: float,
-        target: npt.NDArray[np.float32],
+        target: Floats,
         dssim_weight: float,
         config: OptimiserConfig,
         means_lr: float,
@@ -133,7 +131,7 @@ class TorchStep:
         return colours
 
     def loss(self, picture: Tensor) -> Tensor:
-        """(1 - weight) L1 + weight (1 - SSIM), as trainer.loss has it."""
+        """(1 - weight) L1 + weight (1 - SSIM), as trainer/step/loss.py has it."""
         pred, target = self.gain * picture + self.bias, self.target
         taps = torch.tensor(TAPS)
         maps = torch.stack([pred, target, pred * pred, target * target, pred * target])

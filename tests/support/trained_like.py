@@ -7,12 +7,10 @@ opacities and colours); positions lie on a figure of balls in a room, with a few
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from codec.pose import Doubles
 from codec.slice import Slice
 from codec.splats import SH_C0, Splats, sh_count
-
-Doubles = npt.NDArray[np.float64]
 
 BALLS = (
     # centre in metres, radius in metres

@@ -8,7 +8,6 @@ import struct
 import tracemalloc
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import zstandard
 from hypothesis import given, settings
@@ -17,6 +16,7 @@ from hypothesis import strategies as st
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
 from codec.interop.formats import decode_any
 from codec.interop.spz import decode_spz, encode_spz
+from codec.pose import Doubles
 from codec.splats import Splats
 from tests.support.drawn import angles_rad, drawn_splats
 from tests.support.hostile import flips, survives, truncations
@@ -94,7 +94,7 @@ def test_spz_2_keeps_the_rotation_in_three_bytes() -> None:
     assert splats.quats[1] == pytest.approx([0, small, -small, 1], abs=3e-5)
 
 
-def basis(directions: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def basis(directions: Doubles) -> Doubles:
     """(N, 16) harmonics up to their constants and signs, which do not matter here."""
     x, y, z = directions.T
     one = np.ones_like(x)

@@ -6,13 +6,13 @@ import struct
 from functools import reduce
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codec.coders.coder import decompress
 from codec.errors import CorruptError, InvalidError
+from codec.pose import Doubles
 from codec.profiles import paper
 from codec.profiles.paper import ATTRIBUTES, quantise_attribute
 from codec.profiles.profile import Profile
@@ -29,8 +29,6 @@ from codec.stream.object import decode_packet, encode_packet
 from tests.goldens.format_decoder import decode
 from tests.support.hostile import flips, survives, truncations
 from tests.support.trained_like import trained_like_slice, trained_like_splats
-
-Doubles = npt.NDArray[np.float64]
 
 FIELDS = {
     "means": "means",

@@ -7,12 +7,12 @@ import struct
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from codec.coders.coder import Coder
 from codec.errors import CodecError
 from codec.profiles.profile import Profile
+from codec.splats import Floats
 from codec.stream.chunk import Chunk, decode_chunk, encode_chunk
 from codec.stream.object import HEAD, decode_object, encode_object
 from tests.goldens.cases import (
@@ -34,7 +34,7 @@ GOLDENS: list[dict[str, Any]] = json.loads(FILE.read_text(encoding="utf-8"))
 OBJECTS: list[dict[str, Any]] = json.loads(OBJECTS_FILE.read_text(encoding="utf-8"))
 
 
-def same_bits(found: npt.NDArray[np.float32], expected: object) -> bool:
+def same_bits(found: Floats, expected: object) -> bool:
     return found.tobytes() == np.array(expected, np.float32).reshape(found.shape).tobytes()
 
 
