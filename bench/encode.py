@@ -58,11 +58,9 @@ def synthetic_slices(count: int) -> list[Slice]:
     ]
 
 
-def encode_slice(
-    slice: Slice, fractions: tuple[float, ...], profile: Profile
-) -> list[EncodedChunk]:
+def encode_slice(slice: Slice, shares: tuple[float, ...], profile: Profile) -> list[EncodedChunk]:
     """The chunks of the layers of `slice`, as the writer makes them."""
-    parts = split_layers(slice, fractions, opacity_rank)
+    parts = split_layers(slice, shares, opacity_rank)
     steps = profile.coding.layer_steps([part.splats for part in parts])
     return [encode_chunk(part, n, profile, steps[n]) for n, part in enumerate(parts)]
 
@@ -74,20 +72,20 @@ def table_of_cases() -> Table:
     for name in ("quantise", "entropy code", "decode", "inflate + decode"):
         table.add_column(f"{name} ms/slice", justify="right")
     for profile in Profile:
-        for count, fractions in CASES:
+        for count, shares in CASES:
             slices = synthetic_slices(count)
-            chunks = [c for s in slices for c in encode_slice(s, fractions, profile)]
+            chunks = [c for s in slices for c in encode_slice(s, shares, profile)]
             packets = [encode_packet(chunk) for chunk in chunks]
-            one, coded = chunks[: len(fractions)], packets[: len(fractions)]
+            one, coded = chunks[: len(shares)], packets[: len(shares)]
             total = sum(len(s.splats) for s in slices)
             times = (
-                median_ms(partial(encode_slice, slices[0], fractions, profile)),
+                median_ms(partial(encode_slice, slices[0], shares, profile)),
                 median_ms(partial(each, encode_packet, one)),
                 median_ms(partial(each, decode_chunk, [chunk.data for chunk in one])),
                 median_ms(partial(each, decode_packet, coded)),
             )
             size = sum(map(len, packets)) / total
-            row = (profile.value, str(len(slices)), str(len(fractions)), f"{size:.2f}")
+            row = (profile.value, str(len(slices)), str(len(shares)), f"{size:.2f}")
             table.add_row(*row, *(f"{ms:.2f}" for ms in times))
     return table
 

@@ -63,23 +63,23 @@ RANKS: dict[Rank, RankFunction] = {
 }
 
 
-def check_fractions(fractions: Sequence[float]) -> None:
-    """Raises InvalidError unless `fractions` are 1 to MAX_LAYERS positive numbers that sum to 1."""
-    if not 1 <= len(fractions) <= MAX_LAYERS:
-        raise InvalidError(f"layers: {len(fractions)} fractions, expected 1 to {MAX_LAYERS}")
-    if not all(0 < f <= 1 for f in fractions) or abs(sum(fractions) - 1) > 1e-6:
-        raise InvalidError(f"layers: the fractions {tuple(fractions)} are not positive with sum 1")
+def check_shares(shares: Sequence[float]) -> None:
+    """Raises InvalidError unless `shares` are 1 to MAX_LAYERS positive numbers that sum to 1."""
+    if not 1 <= len(shares) <= MAX_LAYERS:
+        raise InvalidError(f"layers: {len(shares)} shares, expected 1 to {MAX_LAYERS}")
+    if not all(0 < share <= 1 for share in shares) or abs(sum(shares) - 1) > 1e-6:
+        raise InvalidError(f"layers: the shares {tuple(shares)} are not positive with sum 1")
 
 
-def split_layers(slice: Slice, fractions: tuple[float, ...], rank: RankFunction) -> list[Slice]:
-    """One Slice for each fraction, the most important Gaussians first.
+def split_layers(slice: Slice, shares: tuple[float, ...], rank: RankFunction) -> list[Slice]:
+    """One Slice for each share, the most important Gaussians first.
 
     Inside a layer the Gaussians keep their order; equal ranks fall to the earlier layer in order.
     """
-    check_fractions(fractions)
+    check_shares(shares)
     count = len(slice.splats)
     order = np.argsort(-rank(slice.splats), kind="stable")
-    edges = np.rint(np.cumsum((0.0, *fractions)) * count).astype(np.int64)
+    edges = np.rint(np.cumsum((0.0, *shares)) * count).astype(np.int64)
     edges[-1] = count
     layers = []
     for first, last in pairwise(edges):

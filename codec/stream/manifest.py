@@ -22,7 +22,7 @@ from codec.slice import MAX_SWIN_SIZE
 from codec.splats import MAX_SH_DEGREE
 
 from .chunk import MAX_SPLATS_PER_CHUNK, ChunkBounds
-from .layers import check_fractions
+from .layers import check_shares
 
 VERSION = 1
 
@@ -116,7 +116,7 @@ class Manifest:
             raise InvalidError(
                 f"manifest: {self.slice_size} Gaussians a slice, at most {MAX_SPLATS_PER_CHUNK}"
             )
-        check_fractions(self.layers)
+        check_shares(self.layers)
         if not 1 <= self.segment_frames <= MAX_SEGMENT_FRAMES:
             raise InvalidError(
                 f"manifest: segment_frames {self.segment_frames} not in 1..{MAX_SEGMENT_FRAMES}"

@@ -16,7 +16,7 @@ from codec.stream.chunk import Chunk
 from codec.stream.layers import (
     RANKS,
     Rank,
-    check_fractions,
+    check_shares,
     merge_layers,
     opacity_rank,
     split_layers,
@@ -26,8 +26,8 @@ from tests.support.trained_like import trained_like_slice
 QUARTERS = (0.25, 0.25, 0.25, 0.25)
 
 
-def chunks(slice: Slice, fractions: tuple[float, ...] = QUARTERS) -> list[Chunk]:
-    layers = split_layers(slice, fractions, opacity_rank)
+def chunks(slice: Slice, shares: tuple[float, ...] = QUARTERS) -> list[Chunk]:
+    layers = split_layers(slice, shares, opacity_rank)
     return [Chunk(slice.birth, n, Profile.RAW, layer) for n, layer in enumerate(layers)]
 
 
@@ -43,11 +43,11 @@ def rows(slice: Slice) -> list[bytes]:
 @settings(max_examples=60, deadline=None)
 def test_merge_of_split_is_a_permutation(count: int, weights: list[int]) -> None:
     slice = trained_like_slice(5, count)
-    fractions = tuple(weight / sum(weights) for weight in weights)
-    parts = chunks(slice, fractions)
+    shares = tuple(weight / sum(weights) for weight in weights)
+    parts = chunks(slice, shares)
     assert sorted(rows(merge_layers(parts))) == sorted(rows(slice))
-    for part, fraction in zip(parts, fractions, strict=True):
-        assert abs(len(part.slice.splats) - fraction * count) <= 1
+    for part, share in zip(parts, shares, strict=True):
+        assert abs(len(part.slice.splats) - share * count) <= 1
 
 
 def test_every_rank_has_its_function() -> None:
@@ -88,7 +88,7 @@ def test_what_does_not_belong_together_is_refused() -> None:
         merge_layers([ours[0], degree_1[1]])
 
 
-@pytest.mark.parametrize("fractions", [(), (0.5,), (0.5, 0.6), (1.5, -0.5), (1 / 17,) * 17])
-def test_fractions_that_are_no_shares(fractions: tuple[float, ...]) -> None:
+@pytest.mark.parametrize("shares", [(), (0.5,), (0.5, 0.6), (1.5, -0.5), (1 / 17,) * 17])
+def test_shares_that_do_not_make_a_whole(shares: tuple[float, ...]) -> None:
     with pytest.raises(InvalidError):
-        check_fractions(fractions)
+        check_shares(shares)
