@@ -1,4 +1,4 @@
-"""swings-stream: look at a stream directory, and bring Gaussians in and out of it."""
+"""swings-stream: looks at a stream; imports and exports Gaussians."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Annotated
 
 import tyro
 
-from codec.tools.audit import describe, summarize, verify_stream
+from codec.tools.audit import describe, summarise, verify_stream
+from codec.tools.commands import Export, Import, export_files, import_files
 
 from .console import run_command
-from .tools.commands import Export, Import, export_files, import_files
 
 Folder = Annotated[Path, tyro.conf.arg(metavar="STREAM")]
 
@@ -47,7 +47,7 @@ class Command:
 def run(command: Command) -> None:
     match command.action:
         case Info(stream=path, json=as_json, plot=picture):
-            summary = summarize(path)
+            summary = summarise(path)
             if picture is not None:
                 from codec.tools.plot import draw_stream  # matplotlib loads slowly
 
@@ -67,9 +67,7 @@ def run(command: Command) -> None:
 
 
 def main() -> None:
-    run_command(
-        Command, run, "swings-stream", "Looks at a stream directory; imports and exports Gaussians."
-    )
+    run_command(Command, run, "swings-stream", "Looks at a stream; imports and exports Gaussians.")
 
 
 if __name__ == "__main__":

@@ -34,7 +34,7 @@ def closest_point(cameras: Sequence[Camera], least_spread: float) -> Doubles | N
 
 
 def mean_up(cameras: Sequence[Camera]) -> Doubles:
-    """(3,) unit vector in the world: where the tops of the cameras' pictures point on the mean.
+    """(3,) unit vector in the world: where the tops of the cameras' pictures point on average.
 
     Where they point everywhere and cancel out, the first camera tells.
     """

@@ -17,7 +17,7 @@ MAX_SWIN_SIZE = 255
 
 @dataclass(frozen=True, slots=True)
 class Slice:
-    """One generation of a slice lane: due at frame `birth`, gone at `birth + swin_size`.
+    """The Gaussians that are due at frame `birth` and gone at `birth + swin_size`.
 
     A Gaussian shows in frames start <= frame < birth + swin_size, where start = birth +
     start_offset: relocation in training may delay it (Algorithm 1's "birth" and "start").
@@ -39,7 +39,7 @@ class Slice:
         return self.splats.num_bytes + self.start_offsets.nbytes
 
     def lane(self, swin_size: int) -> int:
-        """The slice lane that this slice takes over."""
+        """The lane that this slice takes over."""
         return self.birth % swin_size
 
     def active(self, frame: int, swin_size: int) -> npt.NDArray[np.bool_]:

@@ -11,7 +11,7 @@ from codec.stream.reader import StreamReader
 from .formats import SplatFormat, write_splats
 
 NUMBER_DIGITS = 4
-"""Least digits of a frame number in a file name: `name_0000.ply`."""
+"""Fewest digits of a frame number in a file name: `name_0000.ply`."""
 
 
 def chosen_format(out: Path, format: SplatFormat | None) -> SplatFormat:

@@ -1,4 +1,4 @@
-"""A stream directory, from both ends."""
+"""A stream's folder, from both ends: what writes it and what reads it."""
 
 from .reader import StreamReader
 from .writer import StreamWriter

@@ -1,4 +1,4 @@
-"""Reads a stream directory: any slice, any window, any number of layers; memory stays bounded.
+"""Reads the folder of a stream: any slice, any window, any number of layers; memory stays bounded.
 
 Rule: every file is checked against the index before it is decoded, and an error names the file.
 """
@@ -27,7 +27,7 @@ def read_stream_file(path: Path, limit_bytes: int, offset: int = 0) -> bytes:
 
 
 class StreamReader:
-    """A stream directory, finished or still growing (`refresh`)."""
+    """A stream in its folder, finished or still growing (`refresh`)."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

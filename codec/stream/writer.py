@@ -1,4 +1,4 @@
-"""Writes a stream directory so that a reader always sees a valid, shorter stream.
+"""Writes the folder of a stream so that a reader always sees a valid, shorter stream.
 
 Rule: an object is whole on disk (temporary name, fsync, rename) before the index record
 that names it is appended (fsync). Killing the writer at any instant loses at most the segment being
@@ -42,7 +42,7 @@ def _is_unused(path: Path) -> bool:
 
 
 class StreamWriter:
-    """Appends slices to a stream directory; holds the compressed chunks of one segment at most.
+    """Appends slices to a stream; holds the compressed chunks of one segment at most.
 
     Use it with `with`: leaving normally closes the stream, leaving by an exception aborts it, which
     keeps the finished segments and leaves the stream live for `resume`.
@@ -217,7 +217,7 @@ class StreamWriter:
         self._scores_db = []
 
     def _mean(self, scores_db: list[tuple[float, ...]]) -> tuple[float, ...]:
-        """For each number of layers the mean over the frames."""
+        """The mean over the frames, for each number of layers."""
         if not scores_db:
             return (math.nan,) * self.manifest.num_layers
         columns = zip(*scores_db, strict=True)

@@ -1,1 +1,1 @@
-"""What swings-stream does with a whole stream: check it, draw it, export it."""
+"""What swings-stream does with a whole stream: sum it up, check it, draw it, export it."""

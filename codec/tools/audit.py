@@ -1,4 +1,4 @@
-"""What a stream holds and whether it holds together: the work behind `swings-stream`."""
+"""What a stream holds and whether it holds together: `swings-stream info` and `verify`."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class StreamSummary:
     layers: tuple[LayerSummary, ...]
 
 
-def summarize(path: Path) -> StreamSummary:
+def summarise(path: Path) -> StreamSummary:
     """The summary of the stream at `path`, from its manifest and index alone."""
     return _summary(StreamReader(path))
 
@@ -112,7 +112,7 @@ def _mean_psnr_db(records: list[SegmentRecord], num_layers: int) -> float | None
 
 
 def describe(summary: StreamSummary) -> str:
-    """`summary` for people, a fact a line."""
+    """`summary` for people, one fact on each line."""
     s = summary
     state = "live, may still grow" if s.live else "finished"
     lines = [

@@ -68,7 +68,8 @@ def export_files(config: Export) -> str:
     )
     files = str(written[0]) if len(written) == 1 else f"{written[0]} .. {written[-1].name}"
     total_bytes = sum(path.stat().st_size for path in written)
-    return f"{files}: {len(written)} file{'s'[: len(written) > 1]}, {total_bytes} bytes"
+    noun = "file" if len(written) == 1 else "files"
+    return f"{files}: {len(written)} {noun}, {total_bytes} bytes"
 
 
 def _export_static(config: Export) -> str:

@@ -80,7 +80,7 @@ def test_the_command_says_it_in_one_line(
 
 
 @pytest.mark.parametrize("poster", ["a\0b", "x" * 300])
-def test_a_poster_that_can_be_no_file(poster: str, tmp_path: Path) -> None:
+def test_a_poster_that_cannot_be_a_file(poster: str, tmp_path: Path) -> None:
     write_tiny(tmp_path / "a", 4)
     path = tmp_path / "a" / "manifest.json"
     path.write_text(json.dumps(json.loads(path.read_bytes()) | {"poster": poster}))

@@ -68,7 +68,7 @@ def test_the_law_can_be_broken(monkeypatch: pytest.MonkeyPatch) -> None:
         accepts(broken)
 
 
-def test_a_text_that_is_no_unicode_is_refused_everywhere() -> None:
+def test_a_text_that_is_not_unicode_is_refused_everywhere() -> None:
     """It could not be written again: a stream with such a title could never be finished."""
     half = "\ud800"
     camera = MANIFEST["cameras"][0] | {"name": half}

@@ -24,14 +24,14 @@ print(sum(kept))
 # The codec's are enough: every kernel is made by the same decorator.
 KERNELS = """
 from numba.core.dispatcher import Dispatcher
-from codec.profiles import compact, morton, orientation, quantise as quantize
+from codec.profiles import compact, morton, orientation, quantise
 from codec.stream.chunk import decode_chunk
 from tests.support.hostile import survives
 from tests.support.hostile_chunks import hostile_chunks
 assert any([survives(decode_chunk, chunk) for chunk in hostile_chunks(20)])
 kernels = {
     value
-    for module in (compact, morton, orientation, quantize)
+    for module in (compact, morton, orientation, quantise)
     for value in vars(module).values()
     if isinstance(value, Dispatcher)
 }

@@ -1,4 +1,4 @@
-"""Tiny captures on disk, in both layouts, whose pictures tell camera and frame."""
+"""Tiny captures on disk, as dynerf and dynamic3dgs, whose pictures tell camera and frame."""
 
 from __future__ import annotations
 

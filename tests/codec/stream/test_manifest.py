@@ -132,7 +132,7 @@ def test_junk_under_any_key_and_a_missing_key(key: str) -> None:
 
 
 @pytest.mark.parametrize("poster", ["a\0b", "x" * 300, "\x7f", "ü" * 128])
-def test_a_poster_that_can_be_no_file_is_corrupt(poster: str) -> None:
+def test_a_poster_that_cannot_be_a_file_is_corrupt(poster: str) -> None:
     with pytest.raises(CorruptError, match=r"manifest: poster .* is longer than 255 bytes or"):
         Manifest.from_json(json.dumps(VALUE | {"poster": poster}).encode())
 
@@ -196,7 +196,7 @@ def test_junk_in_a_camera(key: str) -> None:
         b" " * (MAX_MANIFEST_BYTES + 1),
     ],
 )
-def test_what_is_no_manifest(data: bytes) -> None:
+def test_what_is_not_a_manifest(data: bytes) -> None:
     with pytest.raises(CodecError, match="manifest"):
         Manifest.from_json(data)
 

@@ -136,7 +136,7 @@ def test_a_chunk_under_another_birth_is_refused() -> None:
         decode_object(data)
 
 
-def test_what_is_no_object_is_not_written() -> None:
+def test_what_is_not_an_object_is_not_written() -> None:
     chunks = encoded()
     for wrong in ([], [chunks[0], chunks[0]], [chunks[1], chunks[0]]):
         with pytest.raises(InvalidError):

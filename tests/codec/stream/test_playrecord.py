@@ -112,7 +112,7 @@ def test_noise(noise: bytes) -> None:
         {"kind": "end", "num_frames": msgpack.ExtType(4, b"x")},
     ],
 )
-def test_maps_that_are_no_records(value: Any) -> None:
+def test_maps_that_are_not_records(value: Any) -> None:
     with pytest.raises(CorruptError):
         decode_record(msgpack.packb(value))
 

@@ -1,4 +1,4 @@
-"""A stream directory: any window is there, and whatever happens to the writer it stays valid."""
+"""A stream on disk: any window is there, and whatever happens to the writer it stays valid."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from codec.stream import StreamReader, StreamWriter
 from codec.stream.chunk import Chunk, encode_chunk
 from codec.stream.index import pack_record, record_bytes
 from codec.stream.object import encode_object
-from codec.tools.audit import summarize, verify_stream
+from codec.tools.audit import summarise, verify_stream
 from tests.support.commands import ROOT
 from tests.support.tiny_stream import SLICE_SIZE, tiny_manifest, tiny_slice, write_tiny
 
@@ -206,7 +206,7 @@ def test_a_growing_stream_is_followed(tmp_path: Path) -> None:
         assert reader.refresh() == 0
     assert reader.refresh() == 1
     assert (reader.num_frames, reader.manifest.live) == (9, False)
-    assert summarize(path).num_frames == 9
+    assert summarise(path).num_frames == 9
 
 
 def assert_valid_prefix(path: Path, whole: dict[str, bytes]) -> int:
@@ -415,7 +415,7 @@ def test_an_object_with_the_right_hash_and_the_wrong_births(stream: Path) -> Non
 
 
 @pytest.mark.parametrize("path", ["absent", "a-file"])
-def test_what_is_no_stream(tmp_path: Path, path: str) -> None:
+def test_what_is_not_a_stream(tmp_path: Path, path: str) -> None:
     (tmp_path / "a-file").write_text("hello", encoding="utf-8")
     with pytest.raises(CodecError, match=path):
         StreamReader(tmp_path / path)

@@ -125,7 +125,7 @@ def grudge(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("codec.files.open", opened, raising=False)
 
 
-def test_short_writes_that_go_on_are_no_failure(
+def test_short_writes_that_go_on_are_not_a_failure(
     tmp_path: Path, whole: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     grudge(monkeypatch)
