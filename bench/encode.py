@@ -1,22 +1,25 @@
 """What a Gaussian costs in each profile, in bytes and in time.
 
-With the folder of a `raw` stream as argument: what each attribute of its slice of frame 0 costs.
+Usage: scripts/bench encode [STREAM]. With the folder of a `raw` stream it tells only what each
+attribute of the slice born in frame 0 costs.
 """
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
 import numpy as np
+import tyro
 from rich.console import Console
 from rich.table import Table
 
 from codec.coders.coder import compress
+from codec.console import run_command
 from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.stream import StreamReader
@@ -29,6 +32,14 @@ NUM_GS = 40_000
 CASES = [(1, (1.0,)), (5, (1.0,)), (5, (0.25,) * 4), (20, (0.25,) * 4)]
 """Slices that the Gaussians are dealt to, and the layers of each."""
 REPEATS = 5
+
+
+@dataclass(frozen=True, slots=True)
+class EncodeConfig:
+    """Measures what Gaussians cost, in bytes and in time."""
+
+    stream: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="[STREAM]")] = None
+    """Folder of a stream of profile raw: tells only what each attribute of one slice costs."""
 
 
 def median_ms(work: Callable[[], object]) -> float:
@@ -115,10 +126,10 @@ def table_of_attributes(slice: Slice) -> Table:
     return table
 
 
-def main() -> None:
+def run(config: EncodeConfig) -> None:
     console = Console(width=150)
-    if len(sys.argv) > 1:
-        reader = StreamReader(Path(sys.argv[1]))
+    if config.stream is not None:
+        reader = StreamReader(config.stream)
         console.print(table_of_attributes(reader.slice(0, reader.manifest.num_layers)))
         return
     console.print(table_of_cases())
@@ -126,4 +137,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_command(EncodeConfig, run, "scripts/bench encode", "Measures what a Gaussian costs.")

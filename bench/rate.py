@@ -39,7 +39,7 @@ LINES = {"opacity": ("--", "s"), CONTRIBUTION: ("-", "o")}
 """Of each rank: line and marker."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class RateConfig:
     """Draws bytes per frame against PSNR for every profile, rank and number of layers."""
 
