@@ -161,31 +161,6 @@ def test_arguments_out_of_range(finished: Path) -> None:
             call()
 
 
-def test_what_the_writer_refuses(tmp_path: Path) -> None:
-    manifest = tiny_manifest()
-    with pytest.raises(InvalidError, match="no rank is called 'size'"):
-        StreamWriter.create(tmp_path / "s", manifest, rank="size")  # type: ignore[arg-type]
-    writer = StreamWriter.create(tmp_path / "s", manifest)
-    with pytest.raises(InvalidError, match="not empty"):
-        StreamWriter.create(tmp_path / "s", manifest)
-    with pytest.raises(InvalidError, match="born at 0, expected -2"):
-        writer.append(tiny_slice(0))
-    slice = tiny_slice(-2)
-    double = Splats.concatenate([slice.splats, slice.splats])
-    with pytest.raises(InvalidError, match="80 Gaussians, at most 40"):
-        writer.append(Slice(-2, double, np.zeros(80, np.uint8)))
-    with pytest.raises(InvalidError, match="SH degree 1, not 0"):
-        writer.append(Slice(-2, Splats.empty(1), np.zeros(0, np.uint8)))
-    writer.append(slice)
-    writer.close()
-    writer.close()
-    with pytest.raises(InvalidError, match="closed"):
-        writer.append(tiny_slice(-1))
-    assert StreamReader(tmp_path / "s").num_frames == 0
-    with pytest.raises(InvalidError, match="finished"):
-        StreamWriter.resume(tmp_path / "s")
-
-
 def test_empty_and_partial_slices_are_fine(tmp_path: Path) -> None:
     with StreamWriter.create(tmp_path / "s", tiny_manifest()) as writer:
         for birth in range(-2, 4):
@@ -323,19 +298,6 @@ def test_a_torn_index_is_read_and_resumed_at_any_byte(tmp_path: Path) -> None:
         writer = StreamWriter.resume(path)
         assert writer.next_birth == 4
         assert (path / "index.bin").read_bytes() == index[: record_bytes(2)]
-
-
-def test_after_a_short_segment_nothing_follows(tmp_path: Path) -> None:
-    path = tmp_path / "s"
-    write_tiny(path, 6)
-    live = replace(StreamReader(path).manifest, live=True)
-    # Killed after the last record, before the manifest said that the stream is finished.
-    (path / "manifest.json").write_bytes(live.to_json())
-    with StreamWriter.resume(path) as writer:
-        assert (writer.next_birth, writer.complete) == (6, True)
-        with pytest.raises(InvalidError, match="nothing can follow"):
-            writer.append(tiny_slice(6))
-    assert not StreamReader(path).manifest.live
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,5 @@
-"""A writer whose call failed is as it was before: the call can be made again, or the stream
-closed."""
+"""What a writer refuses; and one whose call failed is as it was before: the call can be made again,
+or the stream closed."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
 
+import numpy as np
 import pytest
 
 from codec.errors import CorruptError, InvalidError
 from codec.profiles.profile import Profile
 from codec.slice import Slice
+from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.chunk import Chunk
 from codec.stream.index import record_bytes
@@ -43,6 +45,44 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
 def append_all(writer: StreamWriter) -> None:
     for birth in range(writer.next_birth, NUM_FRAMES):
         writer.append(tiny_slice(birth))
+
+
+def test_what_the_writer_refuses(tmp_path: Path) -> None:
+    manifest = tiny_manifest()
+    with pytest.raises(InvalidError, match="no rank is called 'size'"):
+        StreamWriter.create(tmp_path / "s", manifest, rank="size")  # type: ignore[arg-type]
+    writer = StreamWriter.create(tmp_path / "s", manifest)
+    with pytest.raises(InvalidError, match="not empty"):
+        StreamWriter.create(tmp_path / "s", manifest)
+    with pytest.raises(InvalidError, match="born at 0, expected -2"):
+        writer.append(tiny_slice(0))
+    slice = tiny_slice(-2)
+    double = Splats.concatenate([slice.splats, slice.splats])
+    with pytest.raises(InvalidError, match="80 Gaussians, at most 40"):
+        writer.append(Slice(-2, double, np.zeros(80, np.uint8)))
+    with pytest.raises(InvalidError, match="SH degree 1, not 0"):
+        writer.append(Slice(-2, Splats.empty(1), np.zeros(0, np.uint8)))
+    writer.append(slice)
+    writer.close()
+    writer.close()
+    with pytest.raises(InvalidError, match="closed"):
+        writer.append(tiny_slice(-1))
+    assert StreamReader(tmp_path / "s").num_frames == 0
+    with pytest.raises(InvalidError, match="finished"):
+        StreamWriter.resume(tmp_path / "s")
+
+
+def test_after_a_short_segment_nothing_follows(tmp_path: Path) -> None:
+    path = tmp_path / "s"
+    write_tiny(path, 6)
+    live = replace(StreamReader(path).manifest, live=True)
+    # Killed after the last record, before the manifest said that the stream is finished.
+    (path / "manifest.json").write_bytes(live.to_json())
+    with StreamWriter.resume(path) as writer:
+        assert (writer.next_birth, writer.complete) == (6, True)
+        with pytest.raises(InvalidError, match="nothing can follow"):
+            writer.append(tiny_slice(6))
+    assert not StreamReader(path).manifest.live
 
 
 # A disk that has no room for all of a record, as the kernel shows it: a short write, then EFBIG.
