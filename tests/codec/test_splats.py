@@ -1,0 +1,69 @@
+"""A `Splats` or `Slice` that exists is valid: what is wrong with any other is said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from codec.errors import InvalidError
+from codec.slice import Slice
+from codec.splats import ARRAY_NAMES, Floats, array_shapes
+from tests.support.trained_like import trained_like_splats
+
+GOOD = trained_like_splats(4, sh_degree=1)
+
+
+def altered(array: Floats, value: float) -> Floats:
+    """`array` with another first number."""
+    copy = array.copy()
+    copy.flat[0] = value
+    return copy
+
+
+@pytest.mark.parametrize("sh_degree", range(4))
+def test_arrays_have_the_shapes_that_are_promised(sh_degree: int) -> None:
+    splats = trained_like_splats(3, sh_degree=sh_degree)
+    assert tuple(array.shape for array in splats.arrays) == array_shapes(3, sh_degree)
+    assert (len(splats), splats.sh_degree) == (3, sh_degree)
+    assert splats.num_bytes == 3 * 4 * (11 + 3 * (sh_degree + 1) ** 2)
+
+
+@pytest.mark.parametrize("name", ARRAY_NAMES)
+def test_the_array_at_fault_is_named(name: str) -> None:
+    array = getattr(GOOD, name)
+    for wrong, says in (
+        (np.concatenate([array, array[:1]]), "has shape"),
+        (array.astype(np.float64), "is float64, expected float32"),
+        (altered(array, np.nan), "holds a value that is not finite"),
+        (altered(array, -np.inf), "holds a value that is not finite"),
+    ):
+        if name == "means" and says == "has shape":
+            continue  # the means tell how many there are: another array is at fault
+        with pytest.raises(InvalidError, match=rf"^Splats\.{name} {says}"):
+            replace(GOOD, **{name: wrong})
+
+
+def test_harmonics_are_those_of_a_whole_degree() -> None:
+    with pytest.raises(InvalidError, match="has 3 coefficients, not 1, 4, 9 or 16"):
+        replace(GOOD, sh=GOOD.sh[:, :3])
+
+
+def test_a_zero_quaternion_turns_nothing() -> None:
+    quats = GOOD.quats.copy()
+    quats[2] = (0.0, -0.0, 0.0, 0.0)
+    with pytest.raises(InvalidError, match="holds a zero quaternion"):
+        replace(GOOD, quats=quats)
+    quats[2] = (0, 0, 1e-45, 0)
+    assert len(replace(GOOD, quats=quats)) == 4
+
+
+def test_start_offsets_are_a_byte_for_each_gaussian() -> None:
+    with pytest.raises(InvalidError, match=r"has shape \(3,\)"):
+        Slice(0, GOOD, np.zeros(3, np.uint8))
+    with pytest.raises(InvalidError, match="is int64, not uint8"):
+        Slice(0, GOOD, np.zeros(4, np.int64))
+    part = Slice(-3, GOOD, np.array([0, 1, 2, 2], np.uint8))
+    assert [int(part.active(frame, 3).sum()) for frame in range(-4, 1)] == [0, 1, 2, 4, 0]
+    assert part.lane(5) == 2
