@@ -7,8 +7,7 @@ from enum import IntEnum
 
 from codec.errors import CorruptError
 
-from . import gzip as gzipframe
-from . import zstd as zstdframe
+from . import gzip, zstd
 
 
 class Coder(IntEnum):
@@ -24,9 +23,9 @@ class Coder(IntEnum):
 def coder_of(packet: bytes | memoryview) -> Coder:
     """The coder of `packet`, by its first bytes. Raises CorruptError if it is of none."""
     start = bytes(packet[:4])
-    if start == zstdframe.MAGIC:
+    if start == zstd.MAGIC:
         return Coder.ZSTD
-    if start == gzipframe.MAGIC:
+    if start == gzip.MAGIC:
         return Coder.GZIP
     raise CorruptError("packet: is neither a zstd frame nor a gzip member")
 
@@ -37,8 +36,8 @@ def compress(content: bytes, edges: Sequence[int] = (), coder: Coder = Coder.ZST
     `edges` are the offsets, from 0 to the end, between its byte planes; without any it is float32.
     """
     if coder is Coder.GZIP:
-        return gzipframe.compress(content, edges)
-    return zstdframe.compress(content, edges)
+        return gzip.compress(content, edges)
+    return zstd.compress(content, edges)
 
 
 def decompress(packet: bytes | memoryview, limit_bytes: int) -> bytes:
@@ -47,5 +46,5 @@ def decompress(packet: bytes | memoryview, limit_bytes: int) -> bytes:
     Memory stays within the limit. Raises CorruptError.
     """
     if coder_of(packet) is Coder.GZIP:
-        return gzipframe.decompress(packet, limit_bytes)
-    return zstdframe.decompress(packet, limit_bytes)
+        return gzip.decompress(packet, limit_bytes)
+    return zstd.decompress(packet, limit_bytes)

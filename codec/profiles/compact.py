@@ -46,6 +46,9 @@ GEOMETRY_PLANES = 8
 TAME = 1e30
 """Magnitude from which a value escapes, so that no dequantised one overflows float32."""
 
+LARGEST_TURN = 0.5**0.5
+"""Magnitude that x, y and z of a unit quaternion reach where w is the largest component."""
+
 MAX_ESCAPE_SHARE = 0.005
 MIN_ESCAPES = 4
 """A step grows until the integers reach all values but this share, or all but this many."""
@@ -168,7 +171,7 @@ def _choose_head(means: Doubles, scales: Doubles, sh: Doubles, steps: Steps) -> 
     x, y, z = (_single(_fit(axis, step_m, reach)[0]) for axis in means.T)
     scale_base, scale_step = _fit(scales[:, 0], steps.log_scale, 254)
     colour_base, colour_step = _fit(sh[:, 0, 0], _colour_step(sh, steps.colour), 254)
-    half = int(np.clip(np.rint(0.5**0.5 / steps.rotation), 1, MAX_ROTATION_HALF))
+    half = int(np.clip(np.rint(LARGEST_TURN / steps.rotation), 1, MAX_ROTATION_HALF))
     return Head(
         x,
         y,
@@ -176,7 +179,7 @@ def _choose_head(means: Doubles, scales: Doubles, sh: Doubles, steps: Steps) -> 
         step_m,
         _single(scale_base),
         _single(scale_step),
-        _single(0.5**0.5 / half),
+        _single(LARGEST_TURN / half),
         _single(colour_base),
         _single(colour_step),
         int(np.clip(np.rint(1 / steps.opacity) + 1, 2, MAX_OPACITY_LEVELS)),

@@ -17,7 +17,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec.coders import gzip as gzipframe
+from codec.coders import gzip as gzip_coder
 from codec.coders.coder import Coder, coder_of, compress, decompress
 from codec.errors import CorruptError
 from codec.profiles.profile import Profile
@@ -115,8 +115,8 @@ def test_an_altered_byte_never_passes() -> None:
 @settings(max_examples=200)
 def test_noise(noise: bytes) -> None:
     for data in (
-        gzipframe.MAGIC + noise,
-        gzipframe.HEAD + noise + struct.pack("<II", 0, 200),
+        gzip_coder.MAGIC + noise,
+        gzip_coder.HEAD + noise + struct.pack("<II", 0, 200),
         HEAD.pack(0x184D2A50, 24, b"SWGO", 1, 2, 0, 1) + noise,
     ):
         for decode in (decode_object, decode_packet, read_object_table, object_packets):
@@ -144,7 +144,7 @@ def with_name(packet: bytes) -> bytes:
     ("packet", "says"),
     [
         # Says more than a chunk can have, and is long enough for it: refused unread.
-        (claiming(MAX_CHUNK_BYTES + 1, gzipframe.HEAD + bytes(300_000)), "at most"),
+        (claiming(MAX_CHUNK_BYTES + 1, gzip_coder.HEAD + bytes(300_000)), "at most"),
         # Says more than deflate can give.
         (claiming(1 << 20, bomb(1000)), "cannot come from"),
         # Goes on beyond what it says: 16 MiB of zeros that claim to be few.
@@ -164,7 +164,7 @@ def with_name(packet: bytes) -> bytes:
         # zlib's and no container at all.
         (zlib.compress(bytes(100)), "neither"),
         (b"\x1f\x8b\x08\0", "is not a gzip member"),
-        (gzipframe.HEAD + struct.pack("<II", 0, 0), "packet: "),
+        (gzip_coder.HEAD + struct.pack("<II", 0, 0), "packet: "),
     ],
 )
 def test_packets_that_are_refused_before_they_grow(packet: bytes, says: str) -> None:

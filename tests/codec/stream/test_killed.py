@@ -9,7 +9,7 @@ The moments are drawn from a fixed seed, from before the folder exists to after 
 how far a writer has come by then depends on the machine, so they adapt until half of the kills come
 before a segment is whole, and the test counts that many kills did fall into a write. What a kill
 cannot show is a loss of power, when the disk forgets what no fsync has secured:
-`test_a_failure_at_any_step_of_any_write` has that order.
+`test_a_failure_at_any_step_of_any_write` in test_reader.py has that order.
 """
 
 from __future__ import annotations
