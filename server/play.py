@@ -15,6 +15,7 @@ from aiohttp import web
 from codec.errors import SwingsError
 from codec.stream.integrity import CheckedObject
 from codec.stream.playrecord import (
+    CONTENT_TYPE,
     EndRecord,
     ErrorRecord,
     Record,
@@ -31,8 +32,6 @@ from .library import ServedStream
 from .state import STATE, ServerState, find_stream
 
 log = logging.getLogger(__name__)
-
-CONTENT_TYPE = "application/x-swings-play"
 
 RETRY_AFTER_S = 5
 """Seconds after which a client that was refused may try again."""

@@ -17,6 +17,9 @@ from .layers import MAX_LAYERS
 
 LENGTH = struct.Struct("<I")
 
+CONTENT_TYPE = "application/x-swings-play"
+"""Of a response that is made of these records."""
+
 PACKETS_KEY = "frames"
 """The key of the packets on the wire; it is older than the word packet."""
 

@@ -14,6 +14,7 @@ from codec.stream.chunk import Chunk
 from codec.stream.integrity import decode_fitting_packet, fitting_slice
 from codec.stream.manifest import Manifest
 from codec.stream.playrecord import (
+    CONTENT_TYPE,
     EndRecord,
     ErrorRecord,
     Record,
@@ -25,8 +26,6 @@ from codec.stream.playrecord import (
 from .fetch import BrokenError, Fetcher, FetchError, OpenResponse
 from .retry import Retry, RetryConfig
 from .source import ReceivedSlice, check_frames, check_layers
-
-CONTENT_TYPE = "application/x-swings-play"
 
 
 class ServedSource:
