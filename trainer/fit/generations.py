@@ -115,12 +115,12 @@ class Generations:
                 self.adam.reset(dead)
                 self.adam.reset(np.unique(targets))
 
-    def least(self, rows: Ints, weights: Floats, each: int) -> Ints:
-        """Of `rows`, all being optimised, the `each` of lowest weight of every slice, slice by
+    def least(self, rows: Ints, contributions: Floats, each: int) -> Ints:
+        """Of `rows`, all being optimised, the `each` of every slice that contribute least, slice by
         slice in turn."""
-        by_weight = rows[np.argsort(weights, kind="stable")]
-        births = self.lifespans.births[by_weight]
-        slices = [by_weight[births == birth][:each] for birth in np.unique(births)]
+        least_first = rows[np.argsort(contributions, kind="stable")]
+        births = self.lifespans.births[least_first]
+        slices = [least_first[births == birth][:each] for birth in np.unique(births)]
         return np.array([row for turn in zip(*slices, strict=True) for row in turn], np.int32)
 
     def place(self, rows: Ints, splats: Splats, start: int) -> None:

@@ -23,8 +23,8 @@ from trainer.pictures.feed import Pictures
 from trainer.pictures.scale import scaled_mask
 from trainer.seed.gaussians import initial_splats
 from trainer.seed.stereo import better_half, pair_cameras, small_camera, warped
+from trainer.step.contribution import contribution
 from trainer.step.raster import Parameters, View, render
-from trainer.step.weights import contribution
 
 from .colour import CameraColour
 
@@ -86,7 +86,7 @@ class Comparer:
         saw = np.zeros((*self._shape, 3), np.float32)
         errors = np.zeros(self._shape, np.float32)
         usable = np.zeros(self._shape, np.bool_)
-        weights = np.zeros(len(rows), np.float32)
+        contributions = np.zeros(len(rows), np.float32)
         for i, view in enumerate(self.views):
             width, height = size = view.camera.width_px, view.camera.height_px
             shot = pictures.shot(i, frame)
@@ -94,7 +94,7 @@ class Comparer:
             truth = np.asarray(small, np.float32) / np.float32(255)
             small_mask = None if shot.mask is None else scaled_mask(shot.mask, width, height)
             rendered = render(values, rows, view)
-            weights += contribution(rendered, small_mask)
+            contributions += contribution(rendered, small_mask)
             # A camera's error is measured in its own colours; cameras are matched in the stream's.
             gain, bias = colour.gain(i), colour.bias(i)
             shows = rendered.picture[:, :height, :width].transpose(1, 2, 0) * gain + bias
@@ -102,7 +102,7 @@ class Comparer:
             saw[i, :height, :width] = (truth - bias) / np.maximum(gain, np.float32(0.1))
             counts = np.ones((height, width), np.bool_) if small_mask is None else small_mask > 0
             usable[i, 1 : height - 1, 1 : width - 1] = _surrounded(counts)
-        return Comparison(tuple(v.camera for v in self.views), saw, errors, usable), weights
+        return Comparison(tuple(v.camera for v in self.views), saw, errors, usable), contributions
 
 
 @kernel(inline="always")

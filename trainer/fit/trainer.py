@@ -21,11 +21,11 @@ from codec.splats import Splats
 from trainer.pictures.feed import Pictures
 from trainer.pictures.shot import Shot
 from trainer.step.backend import Backend
+from trainer.step.contribution import summed_contribution
 from trainer.step.raster import Parameters, View
 
 from .colour import CameraColour
 from .config import FitConfig
-from .contribution import summed_contribution
 from .generations import Generations
 from .optimiser import add_noise
 from .renew import Comparer, missing_splats
@@ -306,10 +306,10 @@ class Trainer:
             return
         # Whatever has matured before this window expires before its last frame.
         rows = generations.lifespans.active_rows(last_frame)
-        seen, weights = self._comparer.compare(
+        seen, contributions = self._comparer.compare(
             generations.values, rows, self._pictures, last_frame, self._colour
         )
-        least = generations.least(rows, weights, each)
+        least = generations.least(rows, contributions, each)
         found = missing_splats(
             seen, len(least), self._near_m, self._far_m, config.sh_degree, self._rng
         )

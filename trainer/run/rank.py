@@ -1,8 +1,8 @@
 """Slices in the order of what their Gaussians contribute to the training views.
 
-A Gaussian's contribution is its blending weight (transmittance * alpha), summed over the pixels of
-the views and over the frames that it shows in: what is small, thin or hidden ranks low however
-opaque it is. A writer keeps the order with its rank `given`.
+Contributions are summed over the views and over the frames in which a Gaussian shows: what is
+small, thin or hidden ranks low however opaque it is. A writer keeps the order with its rank
+`given`.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from codec.errors import InvalidError
 from codec.slice import Slice, active_splats
 from codec.stream import StreamReader
 from codec.stream.layers import Rank
-from trainer.fit.contribution import summed_contribution
 from trainer.fit.trainer import Trainer, Window
+from trainer.step.contribution import summed_contribution
 from trainer.step.raster import Parameters, View
 
 Doubles = npt.NDArray[np.float64]
@@ -40,7 +40,8 @@ def _most_first(part: Slice, importance: Doubles) -> Slice:
 def slices_by_contribution(reader: StreamReader, views: Sequence[View]) -> Iterator[Slice]:
     """All slices of a stream in order of birth, the Gaussians that contribute most first.
 
-    Every frame is rendered once for each of `views`. Raises InvalidError without a frame.
+    Every frame is rendered once for each of `views`. Raises InvalidError for a stream without a
+    frame.
     """
     manifest = reader.manifest
     if reader.num_frames == 0:
@@ -52,12 +53,12 @@ def slices_by_contribution(reader: StreamReader, views: Sequence[View]) -> Itera
         splats = active_splats(window, frame, manifest.swin_size)
         values = Parameters(*splats.arrays)
         rows = np.arange(len(splats), dtype=np.int32)
-        weights = summed_contribution(values, rows, views, [None] * len(views))
+        contributions = summed_contribution(values, rows, views, [None] * len(views))
         first = 0
         for part in window:
             shown = np.flatnonzero(part.active(frame, manifest.swin_size))
             total = sums.setdefault(part.birth, np.zeros(len(part.splats)))
-            total[shown] += weights[first : first + len(shown)]
+            total[shown] += contributions[first : first + len(shown)]
             first += len(shown)
         # No later frame shows the oldest slice.
         yield _most_first(window[0], sums.pop(window[0].birth))

@@ -1,6 +1,8 @@
-"""How much each Gaussian adds to a picture: its blending weight, summed over the pixels."""
+"""What each Gaussian contributes: its blending weight, summed over the pixels of pictures."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -16,10 +18,12 @@ from player.render.blend import (
 )
 from player.render.project import CONIC_A, CONIC_B, CONIC_C, OPACITY, Q_MAX, X, Y
 from player.render.recipe import TILE_PX
+from trainer.capture.capture import Mask
 
-from .raster import Rendered
+from .raster import Ints, Parameters, Rendered, View, render
 
 Floats = npt.NDArray[np.float32]
+Doubles = npt.NDArray[np.float64]
 
 
 @kernel(fastmath=True, parallel=True)
@@ -78,14 +82,15 @@ def sum_weights(  # type: ignore[no-untyped-def]
             pair_weights[pair] = total
 
 
-def contribution(rendered: Rendered, mask: npt.NDArray[np.uint8] | None = None) -> Floats:
+def contribution(rendered: Rendered, mask: Mask | None = None) -> Floats:
     """(M,) float32: the blending weight (transmittance * alpha) of each rendered Gaussian, summed
     over the pixels of the picture; pixels, so at most its area, and 0 for what does not show.
-    mask: (H, W), above 0 where a pixel counts; None: all count.
+    mask: (H, W); None: all pixels count.
 
     It is the derivative of the picture's sum by the Gaussian's colour.
     """
     lists, camera = rendered.lists, rendered.view.camera
+    # A copy, as numba compiles anew for arrays that may not be written to.
     counts = np.ones((camera.height_px, camera.width_px), np.uint8) if mask is None else mask.copy()
     pair_weights = np.empty(len(lists.pairs), np.float32)
     sum_weights(
@@ -95,4 +100,15 @@ def contribution(rendered: Rendered, mask: npt.NDArray[np.uint8] | None = None) 
     # Pairs are numbered Gaussian by Gaussian: differences of a running sum, exact enough in double.
     running = np.concatenate([[0.0], np.cumsum(pair_weights, dtype=np.float64)])
     sums: Floats = np.diff(running[lists.pair_starts]).astype(np.float32)
+    return sums
+
+
+def summed_contribution(
+    values: Parameters, rows: Ints, views: Sequence[View], masks: Sequence[Mask | None]
+) -> Doubles:
+    """(M,) float64: what each of the Gaussians `rows`, which are all that is shown, contributes to
+    the pictures of `views` together. masks: one for each view."""
+    sums = np.zeros(len(rows), np.float64)
+    for view, mask in zip(views, masks, strict=True):
+        sums += contribution(render(values, rows, view), mask)
     return sums

@@ -27,8 +27,8 @@ from trainer.fit.trainer import Trainer
 from trainer.pictures.shot import Shot
 from trainer.run.rank import matured_by_contribution, slices_by_contribution
 from trainer.seed.gaussians import initial_splats
+from trainer.step.contribution import contribution
 from trainer.step.raster import Parameters, Rendered, View, render
-from trainer.step.weights import contribution
 
 NEAR_M = 0.2
 WHITE = 0.5 / SH_C0
