@@ -114,7 +114,7 @@ class Step:
 
     def noise(self) -> None:
         add_noise(
-            *self.values.arrays()[:4], self.rows,
+            *self.values.arrays[:4], self.rows,
             np.float32(0), np.float32(0.005), np.float32(100), 1,
         )  # fmt: skip
 
@@ -131,7 +131,7 @@ def stages(count: int, width_px: int, height_px: int, repeats: int = REPEATS) ->
     spare = Projection.allocate(count)
     work: dict[str, Callable[[], object]] = {
         "project": lambda: project_kernel(
-            *values.arrays(), rows, view.vector, view.tiles_x, view.tiles_y,
+            *values.arrays, rows, view.vector, view.tiles_x, view.tiles_y,
             spare.projected, spare.depths, spare.tile_boxes,
         ),
         "tile lists": lambda: list_tiles(p, view.tiles_x, view.tiles_y),

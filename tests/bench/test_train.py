@@ -34,12 +34,12 @@ def test_the_torch_step_draws_and_learns_what_ours_does() -> None:
     drawn = ours.scratch.take("picture", 3, 48, 64)[:, :height_px, :width_px]
     assert expected.max() > 0.5
     assert float(np.abs(drawn - expected).max()) < 1e-4
-    for got, leaf in zip(ours.gradients.arrays(), theirs.leaves, strict=True):
+    for got, leaf in zip(ours.gradients.arrays, theirs.leaves, strict=True):
         assert leaf.grad is not None
         wanted = leaf.grad.numpy()
         assert float(np.abs(got - wanted).max()) < 5e-3 * float(np.abs(wanted).max())
     # Adam's first step is the sign of a gradient times the rate, so tiny gradients may differ.
-    for got, leaf in zip(ours.values.arrays(), theirs.leaves, strict=True):
+    for got, leaf in zip(ours.values.arrays, theirs.leaves, strict=True):
         assert float(np.median(np.abs(got - leaf.detach().numpy()))) < 1e-6
 
 

@@ -41,7 +41,7 @@ class TorchStep:
         self.target = torch.tensor(target)
         self.gain = torch.ones(3, 1, 1, requires_grad=True)
         self.bias = torch.zeros(3, 1, 1, requires_grad=True)
-        self.leaves = [torch.tensor(array, requires_grad=True) for array in values.arrays()]
+        self.leaves = [torch.tensor(array, requires_grad=True) for array in values.arrays]
         rates = (
             means_lr, config.log_scales_lr, config.quats_lr, config.logit_opacities_lr,
             config.sh_lr,

@@ -57,7 +57,7 @@ class Generations:
             ("first", self.adam.first),
             ("second", self.adam.second),
         ):
-            for i, array in enumerate(parameters.arrays()):
+            for i, array in enumerate(parameters.arrays):
                 arrays[f"{name}{i}"] = array
         return arrays
 
@@ -70,7 +70,7 @@ class Generations:
         # At random: slots hand their Gaussians on for the whole video, so slices that are unequal
         # now would stay so, and frames alternate in quality and layers in worth.
         order = self.lifespans.stagger(rng.permutation(self.num_gs))
-        for array in self.values.arrays():
+        for array in self.values.arrays:
             array[: self.num_gs] = array[: self.num_gs][order]
         self.adam.permute(order)
 
@@ -81,7 +81,7 @@ class Generations:
         for birth in self.lifespans.due(first_frame):
             rows = self.lifespans.mature(birth)
             frozen = self.matured_rows(birth)
-            for array in self.values.arrays():
+            for array in self.values.arrays:
                 array[frozen] = array[rows]
             offsets = self.lifespans.matured_starts[rows] - birth
             matured.append(Slice(birth, self._read(frozen), offsets.astype(np.uint8)))
@@ -130,8 +130,8 @@ class Generations:
         self.adam.reset(rows)
 
     def _read(self, rows: slice | Ints) -> Splats:
-        return Splats(*(array[rows].copy() for array in self.values.arrays()))
+        return Splats(*(array[rows].copy() for array in self.values.arrays))
 
     def _write(self, rows: slice | Ints, splats: Splats) -> None:
-        for array, given in zip(self.values.arrays(), splats.arrays, strict=True):
+        for array, given in zip(self.values.arrays, splats.arrays, strict=True):
             array[rows] = given

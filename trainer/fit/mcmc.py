@@ -115,6 +115,6 @@ def relocate(
     values.logit_opacities[targets] = np.log(new / (1 - new))
     values.log_scales[targets] += np.log(factor)[:, None].astype(np.float32)
     chosen = alive[drawn].astype(np.int64)
-    for array in values.arrays():
+    for array in values.arrays:
         array[dead] = array[chosen]
     return chosen

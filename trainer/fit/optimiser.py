@@ -106,14 +106,14 @@ class Adam:
     def reset(self, rows: npt.NDArray[np.integer]) -> None:
         """Forgets the history of `rows`."""
         for state in (self.first, self.second):
-            for array in state.arrays():
+            for array in state.arrays:
                 array[rows] = 0
         self.steps[rows] = 0
 
     def permute(self, order: npt.NDArray[np.integer]) -> None:
         """Row i takes over the history of row order[i]."""
         for state in (self.first, self.second):
-            for array in state.arrays():
+            for array in state.arrays:
                 array[:] = array[order]
         self.steps[:] = self.steps[order]
 
@@ -126,8 +126,8 @@ class Adam:
         mode = self.config.age_scaling
         rates = (np.full(3, means_lr, np.float32), *self._rates)
         eps = np.float32(self.config.eps)
-        states = zip(self.first.arrays(), self.second.arrays(), rates, strict=True)
-        arrays = zip(values.arrays(), gradients.arrays(), states, strict=True)
+        states = zip(self.first.arrays, self.second.arrays, rates, strict=True)
+        arrays = zip(values.arrays, gradients.arrays, states, strict=True)
         for which, (value, gradient, (first, second, rate)) in enumerate(arrays):
             is_means = which == 0
             _adam_kernel(

@@ -88,7 +88,7 @@ class CudaBackend:
         gradients: Parameters,
     ) -> Loss:
         """See `Backend.step`."""
-        leaves = [self._sent(array[rows]).requires_grad_() for array in values.arrays()]
+        leaves = [self._sent(array[rows]).requires_grad_() for array in values.arrays]
         correction = [self._sent(c).requires_grad_() for c in (gain, bias)]
         rendered = self.render(leaves, view)
         rendered.retain_grad()
@@ -107,7 +107,7 @@ class CudaBackend:
         )
         (photometric + regularisers).backward()  # type: ignore[no-untyped-call]
         mine = rows < trainable
-        for gradient, leaf in zip(gradients.arrays(), leaves, strict=True):
+        for gradient, leaf in zip(gradients.arrays, leaves, strict=True):
             gradient[rows[mine]] = _received(leaf)[mine]
         picture_grad = _received(rendered)
         gain_grad, bias_grad = (_received(c) for c in correction)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.camera import Camera
-from codec.splats import sh_count
+from codec.splats import array_shapes
 from player.render.blend import blend_tiles
 from player.render.project import PROJECTED, Projection, camera_vector, project_kernel
 from player.render.recipe import TILE_PX
@@ -24,7 +24,10 @@ Ints = npt.NDArray[np.int32]
 
 @dataclass(frozen=True, slots=True)
 class Parameters:
-    """R rows of Gaussians as the optimiser sees them; also used for their gradients."""
+    """R rows of Gaussians that training changes, or their gradients.
+
+    The arrays are those of a `Splats`, which checks its values and stays as it is.
+    """
 
     means: Floats  # (R, 3) float32, metres, world
     log_scales: Floats  # (R, 3) float32
@@ -34,16 +37,13 @@ class Parameters:
 
     @staticmethod
     def zeros(rows: int, sh_degree: int) -> Parameters:
-        return Parameters(
-            np.zeros((rows, 3), np.float32),
-            np.zeros((rows, 3), np.float32),
-            np.zeros((rows, 4), np.float32),
-            np.zeros((rows,), np.float32),
-            np.zeros((rows, sh_count(sh_degree), 3), np.float32),
-        )
+        shapes = array_shapes(rows, sh_degree)
+        return Parameters(*(np.zeros(shape, np.float32) for shape in shapes))
 
+    @property
     def arrays(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-        return (self.means, self.log_scales, self.quats, self.logit_opacities, self.sh)
+        """In the order of `Splats.arrays`."""
+        return self.means, self.log_scales, self.quats, self.logit_opacities, self.sh
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ class Rendered:
     """What the backward pass needs of a forward pass."""
 
     view: View
-    rows: Ints
+    rows: Ints  # (M,) int32, of the parameters
     projection: Projection
     lists: TileLists
     picture: Floats  # (3, tiles_y * TILE_PX, tiles_x * TILE_PX) float32, padded to whole tiles
@@ -105,7 +105,7 @@ def render(
         scratch.take("boxes", count, 4).view(np.int32),
     )
     project_kernel(
-        *parameters.arrays(), rows, view.vector, view.tiles_x, view.tiles_y,
+        *parameters.arrays, rows, view.vector, view.tiles_x, view.tiles_y,
         projection.projected, projection.depths, projection.tile_boxes,
     )  # fmt: skip
     lists = list_tiles(projection, view.tiles_x, view.tiles_y)
@@ -139,8 +139,8 @@ def backward(
     )  # fmt: skip
     count = max(len(rendered.rows), 1)
     project_backward_kernel(
-        *parameters.arrays(), rendered.rows, trainable, view.vector,
+        *parameters.arrays, rendered.rows, trainable, view.vector,
         rendered.projection.projected, lists.pair_starts, pair_grads,
         np.float32(opacity_reg / count), np.float32(scale_reg / (3 * count)),
-        *gradients.arrays(),
+        *gradients.arrays,
     )  # fmt: skip

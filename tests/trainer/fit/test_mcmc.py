@@ -83,12 +83,12 @@ def test_relocation_takes_the_opaque_more_often_and_touches_no_one_else() -> Non
 
 def test_relocation_without_dead_or_living_does_nothing() -> None:
     values = lone_gaussian(4, 0.5)
-    before = [a.copy() for a in values.arrays()]
+    before = [a.copy() for a in values.arrays]
     rng = np.random.default_rng(0)
     none = np.zeros(0, np.int64)
     assert len(relocate(values, none, np.arange(4), 0.005, rng)) == 0
     assert len(relocate(values, np.arange(4), none, 0.005, rng)) == 0
-    for a, b in zip(values.arrays(), before, strict=True):
+    for a, b in zip(values.arrays, before, strict=True):
         assert (a == b).all()
 
 
@@ -101,7 +101,7 @@ def test_the_noise_has_the_covariance_sigma_squared() -> None:
     values.quats[:] = 3 * quat  # any norm
     start = values.means.copy()
     add_noise(
-        *values.arrays()[:4], np.arange(rows, dtype=np.int32), np.float32(0.7), np.float32(0.005),
+        *values.arrays[:4], np.arange(rows, dtype=np.int32), np.float32(0.7), np.float32(0.005),
         np.float32(100), 42,
     )  # fmt: skip
     moved = (values.means - start).astype(np.float64)
@@ -124,9 +124,7 @@ def test_opaque_gaussians_get_no_noise_and_the_same_seed_gives_the_same() -> Non
 
     def noisy(opacity: float, seed: int) -> np.ndarray:
         values = lone_gaussian(100, opacity)
-        add_noise(
-            *values.arrays()[:4], rows, np.float32(1), np.float32(0.005), np.float32(100), seed
-        )
+        add_noise(*values.arrays[:4], rows, np.float32(1), np.float32(0.005), np.float32(100), seed)
         return values.means
 
     assert (noisy(0.5, 1) == lone_gaussian(100, 0.5).means).all()
@@ -140,19 +138,19 @@ def test_adam_is_torchs_and_leaves_other_rows_alone() -> None:
     rng = np.random.default_rng(0)
     config = OptimiserConfig(age_scaling="off")
     values, gradients = Parameters.zeros(6, 1), Parameters.zeros(6, 1)
-    leaves = [torch.zeros(4, *a.shape[1:], requires_grad=True) for a in values.arrays()]
+    leaves = [torch.zeros(4, *a.shape[1:], requires_grad=True) for a in values.arrays]
     rates = [0.01, config.log_scales_lr, config.quats_lr, config.logit_opacities_lr, config.sh_lr]
     theirs = torch.optim.Adam(
         [{"params": [p], "lr": lr} for p, lr in zip(leaves, rates, strict=True)], eps=config.eps
     )
     ours = Adam(6, 1, config)
     for _ in range(20):
-        for array, leaf in zip(gradients.arrays(), leaves, strict=True):
+        for array, leaf in zip(gradients.arrays, leaves, strict=True):
             array[:] = rng.normal(size=array.shape)
             leaf.grad = torch.tensor(array[:4])
         theirs.step()
         ours.step(values, gradients, np.arange(4, dtype=np.int32), 0.01, np.zeros(6, np.float32))
-    for array, leaf in zip(values.arrays()[:4], leaves[:4], strict=True):
+    for array, leaf in zip(values.arrays[:4], leaves[:4], strict=True):
         np.testing.assert_allclose(array[:4], leaf.detach().numpy(), rtol=1e-4, atol=1e-6)
         assert (array[4:] == 0).all()
     sh = leaves[4].detach().numpy()

@@ -93,7 +93,7 @@ class Film:
 
 
 def parameters(splats: Splats) -> Parameters:
-    return Parameters(*(getattr(splats, name) for name in Parameters.__slots__))
+    return Parameters(*splats.arrays)
 
 
 def compare(film: Film, splats: Splats, colour: CameraColour | None = None) -> Comparison:
@@ -273,7 +273,7 @@ def test_only_the_least_of_each_slice_are_placed_and_they_show_from_the_frame_on
         for name, array in part.state().items():
             array[...] = state[name]
     lifespans, num_gs = generations.lifespans, CONFIG.num_gs
-    before = [array.copy() for array in generations.values.arrays()]
+    before = [array.copy() for array in generations.values.arrays]
     starts = lifespans.starts.copy()
     rows = lifespans.active_rows(frame)
     compared, weights = Comparer(film.cameras, NEAR_M).compare(
@@ -289,7 +289,7 @@ def test_only_the_least_of_each_slice_are_placed_and_they_show_from_the_frame_on
         if chosen.any():
             assert weights[chosen].max() <= weights[own & ~chosen].min()
     changed = np.zeros(2 * num_gs, bool)
-    for array, old in zip(generations.values.arrays(), before, strict=True):
+    for array, old in zip(generations.values.arrays, before, strict=True):
         changed |= (array != old).reshape(len(array), -1).any(axis=1)
     assert set(np.flatnonzero(changed)) <= set(renewed.tolist())
     assert (renewed < num_gs).all()  # never what has matured

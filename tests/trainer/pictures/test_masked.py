@@ -223,7 +223,7 @@ def trained(target: Floats, mask: Bytes | None) -> list[npt.NDArray[np.float32]]
         loss = photometric_loss(rendered.picture, target, 0.2, gain, bias, None, mask)
         backward(rendered, values, loss.picture_grad, count, gradients, 0.0, 0.0)
         adam.step(values, gradients, rows, 1e-3, np.zeros(count, np.float32))
-    return [array.copy() for array in values.arrays()]
+    return [array.copy() for array in values.arrays]
 
 
 def test_ignored_pixels_do_not_change_the_trained_gaussians() -> None:

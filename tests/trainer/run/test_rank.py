@@ -59,10 +59,11 @@ def camera(angle: float = 0.4, name: str = "test") -> Camera:
 
 
 def rendered(splats: Splats, cam: Camera) -> Rendered:
-    values = Parameters(
-        splats.means, splats.log_scales, splats.quats, splats.logit_opacities, splats.sh
+    return render(
+        Parameters(*splats.arrays),
+        np.arange(len(splats), dtype=np.int32),
+        View.prepare(cam, NEAR_M),
     )
-    return render(values, np.arange(len(splats), dtype=np.int32), View.prepare(cam, NEAR_M))
 
 
 def plain_blend(drawn: Rendered) -> tuple[Doubles, Doubles]:
@@ -135,8 +136,9 @@ def test_they_add_up_to_the_picture_of_a_white_scene() -> None:
 def test_it_is_the_slope_of_the_references_picture_by_colour() -> None:
     splats, cam = scene(80, 6), camera()
     splats.sh[:] = 0.1  # far from black, where the colour would be cut
-    arrays = (splats.means, splats.log_scales, splats.quats, splats.logit_opacities, splats.sh)
-    means, scales, quats, logits, sh = (torch.tensor(a, dtype=torch.float64) for a in arrays)
+    means, scales, quats, logits, sh = (
+        torch.tensor(array, dtype=torch.float64) for array in splats.arrays
+    )
     sh.requires_grad_()
     red = render_reference(means, scales, quats, logits, sh, cam, NEAR_M)[..., 0]
     torch.autograd.backward(red.sum())

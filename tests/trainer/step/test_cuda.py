@@ -87,7 +87,7 @@ def check(
     assert found.value == pytest.approx(wanted.value, rel=1e-4)
     np.testing.assert_allclose(found.gain_grad, wanted.gain_grad, rtol=1e-3, atol=1e-6)
     np.testing.assert_allclose(found.bias_grad, wanted.bias_grad, rtol=1e-3, atol=1e-6)
-    for a, b in zip(got.arrays(), expected.arrays(), strict=True):
+    for a, b in zip(got.arrays, expected.arrays, strict=True):
         assert np.abs(b).max() > 0
         assert (a[TRAINABLE:] == 0).all()  # frozen rows get none
         np.testing.assert_allclose(a, b, rtol=2e-2, atol=2e-3 * np.abs(b).max())

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from codec.camera import Camera
-from codec.splats import Splats
+from codec.splats import ARRAY_NAMES, Splats, sh_count
 from player.render.cpu import render_splats
 from tests.support.reference_render import render_reference
 from trainer.step.raster import Parameters, View, backward, render
@@ -22,7 +22,7 @@ def scene(count: int, sh_degree: int, seed: int) -> Splats:
         np.log(rng.uniform(0.02, 0.3, (count, 3))).astype(np.float32),
         rng.normal(size=(count, 4)).astype(np.float32),
         rng.normal(0.5, 1.5, count).astype(np.float32),
-        (rng.normal(size=(count, (sh_degree + 1) ** 2, 3)) * 0.6).astype(np.float32),
+        (rng.normal(size=(count, sh_count(sh_degree), 3)) * 0.6).astype(np.float32),
     )
 
 
@@ -42,17 +42,14 @@ def camera(width_px: int = 45, height_px: int = 37) -> Camera:
 def torch_parameters(
     splats: Splats, dtype: torch.dtype
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    arrays = (splats.means, splats.log_scales, splats.quats, splats.logit_opacities, splats.sh)
     means, log_scales, quats, logits, sh = (
-        torch.tensor(a, dtype=dtype, requires_grad=True) for a in arrays
+        torch.tensor(array, dtype=dtype, requires_grad=True) for array in splats.arrays
     )
     return means, log_scales, quats, logits, sh
 
 
 def parameters(splats: Splats) -> Parameters:
-    return Parameters(
-        splats.means, splats.log_scales, splats.quats, splats.logit_opacities, splats.sh
-    )
+    return Parameters(*splats.arrays)
 
 
 @pytest.mark.parametrize("sh_degree", [0, 1])
@@ -85,7 +82,7 @@ def test_gradients_are_the_references(sh_degree: int) -> None:
     gradients = Parameters.zeros(len(splats), sh_degree)
     backward(rendered, values, picture_grad, len(splats), gradients)
 
-    for got, leaf in zip(gradients.arrays(), leaves, strict=True):
+    for got, leaf in zip(gradients.arrays, leaves, strict=True):
         assert leaf.grad is not None
         expected = leaf.grad.numpy()
         scale = np.abs(expected).max()
@@ -96,7 +93,7 @@ def test_gradients_are_the_references(sh_degree: int) -> None:
         assert error.max() < 5e-3 * scale
 
 
-@pytest.mark.parametrize("name", ["means", "log_scales", "quats", "logit_opacities", "sh"])
+@pytest.mark.parametrize("name", ARRAY_NAMES)
 def test_gradients_are_the_slopes_of_the_kernels_own_picture(name: str) -> None:
     """Central differences through the float32 kernels, along random directions."""
     splats, cam = scene(12, 1, 5), camera()
@@ -126,10 +123,7 @@ def test_gradients_are_the_slopes_of_the_kernels_own_picture(name: str) -> None:
         step = 5e-3
 
         def moved(sign: int, direction: np.ndarray = direction, step: float = step) -> Parameters:
-            changed = {
-                f: getattr(values, f)
-                for f in ("means", "log_scales", "quats", "logit_opacities", "sh")
-            }
+            changed = dict(zip(ARRAY_NAMES, values.arrays, strict=True))
             changed[name] = (changed[name] + sign * step * direction).astype(np.float32)
             return Parameters(**changed)
 
