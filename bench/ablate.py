@@ -18,7 +18,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, get_args
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
@@ -37,11 +37,11 @@ from codec.files import write_atomic
 from codec.framerange import FrameRange
 from trainer.capture.layout import open_capture
 from trainer.fit.config import FitConfig
+from trainer.fit.optimiser import AgeScaling
 from trainer.run.config import TrainConfig
 from trainer.run.job import train_stream
 from trainer.score.evaluate import EvaluateConfig, evaluate_stream
 
-AgeScaling = Literal["off", "gradient", "update"]
 AGE_SCALINGS: tuple[AgeScaling, ...] = get_args(AgeScaling)
 CARRIED = {True: "carried", False: "fresh"}
 COLOURS = {True: "#1f5fbf", False: "#d9480f"}

@@ -21,7 +21,7 @@ from codec.camera import Camera
 from player.render.blend import blend_tiles
 from player.render.project import Projection, project_kernel
 from player.render.tiles import list_tiles
-from trainer.fit.optimiser import Adam, OptimiserConfig, add_noise
+from trainer.fit.optimiser import GATE_STEEPNESS, Adam, OptimiserConfig, add_noise
 from trainer.step.blend_backward import PAIR_GRADIENT, blend_tiles_backward
 from trainer.step.loss import Workspace, photometric_loss
 from trainer.step.raster import Parameters, Scratch, View, backward, render
@@ -115,7 +115,7 @@ class Step:
     def noise(self) -> None:
         add_noise(
             *self.values.arrays[:4], self.rows,
-            np.float32(0), np.float32(0.005), np.float32(100), 1,
+            np.float32(0), np.float32(0.005), np.float32(GATE_STEEPNESS), 1,
         )  # fmt: skip
 
 

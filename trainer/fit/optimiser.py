@@ -24,6 +24,12 @@ Ints = npt.NDArray[np.int32]
 BETA1 = 0.9
 BETA2 = 0.999
 
+GATE_STEEPNESS = 100.0
+"""How sharply the noise ends where opacity rises above that of the dead. 3DGS-MCMC."""
+
+AgeScaling = Literal["off", "gradient", "update"]
+"""What 1 / (1 + windows trained) multiplies for positions."""
+
 
 @dataclass(frozen=True)
 class OptimiserConfig:
@@ -50,7 +56,7 @@ class OptimiserConfig:
     """Adam's epsilon. 3DGS."""
     carry_adam: bool = True
     """Keep Adam's history from window to window; if off, every window starts it afresh."""
-    age_scaling: Literal["off", "gradient", "update"] = "update"
+    age_scaling: AgeScaling = "update"
     """What 1 / (1 + windows trained) multiplies for positions: nothing, the gradient (paper, 4.5.1;
     nearly no effect under Adam), or Adam's update, which is what the paper means by a decaying
     rate."""
@@ -118,13 +124,14 @@ class Adam:
         self.steps[:] = self.steps[order]
 
     def step(
-        self, values: Parameters, gradients: Parameters, rows: Ints, means_lr: float, ages: Floats
+        self, values: Parameters, gradients: Parameters, rows: Ints, means_lr_m: float, ages: Floats
     ) -> None:
-        """One update of `rows`. means_lr: metres; ages (R,) float32: windows trained so far."""
+        """One update of `rows`. means_lr_m: the rate of positions, metres; ages (R,) float32:
+        windows trained so far."""
         _count_steps(self.steps, rows)
         decay = np.float32(1) / (np.float32(1) + ages)
         mode = self.config.age_scaling
-        rates = (np.full(3, means_lr, np.float32), *self._rates)
+        rates = (np.full(3, means_lr_m, np.float32), *self._rates)
         eps = np.float32(self.config.eps)
         states = zip(self.first.arrays, self.second.arrays, rates, strict=True)
         arrays = zip(values.arrays, gradients.arrays, states, strict=True)

@@ -27,7 +27,7 @@ from trainer.step.raster import Parameters, View
 from .colour import CameraColour
 from .config import FitConfig
 from .generations import Generations
-from .optimiser import add_noise
+from .optimiser import GATE_STEEPNESS, add_noise
 from .renew import Comparer, missing_splats
 
 Floats = npt.NDArray[np.float32]
@@ -35,7 +35,7 @@ Doubles = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 
 FALLBACK_FAR_M = 100.0
-"""Where something new is looked for, at most, when nobody knows."""
+"""Depth up to which something new is looked for where the rig does not tell."""
 
 SMALLEST_HALVED_PX = 64
 """Genesis halves no pictures whose shorter side is below: the windows of SSIM would see little but
@@ -72,7 +72,7 @@ class Window:
 
 
 class Observer:
-    """Is told how training goes. Heirs override what they want to know."""
+    """Is told how training goes. Subclasses override what they want to know."""
 
     def window_begun(self, first_frame: int) -> None:
         """The window that begins with `first_frame` is about to be trained."""
@@ -291,7 +291,7 @@ class Trainer:
         self._colour.step(camera, loss.gain_grad, loss.bias_grad)
         add_noise(
             values.means, values.log_scales, values.quats, values.logit_opacities, trainable,
-            np.float32(noise), np.float32(config.mcmc.dead_opacity), np.float32(100),
+            np.float32(noise), np.float32(config.mcmc.dead_opacity), np.float32(GATE_STEEPNESS),
             config.seed * 1_000_003 + self._steps,
         )  # fmt: skip
         self._steps += 1
