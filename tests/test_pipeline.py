@@ -197,9 +197,9 @@ def unequal_videos(root: Path) -> tuple[str, ...]:
     return ("swings-train", str(root / "capture"), str(root / "out"))
 
 
-def no_video(root: Path) -> tuple[str, ...]:
+def not_a_video(root: Path) -> tuple[str, ...]:
     write_dynerf(root / "capture", 4, 5)
-    (root / "capture" / "cam01.mp4").write_text("this is no video")
+    (root / "capture" / "cam01.mp4").write_text("this is not a video")
     return ("swings-train", str(root / "capture"), str(root / "out"))
 
 
@@ -220,7 +220,7 @@ CAPTURE_FAULTS: list[tuple[Callable[[Path], tuple[str, ...]], str]] = [
     (empty, "empty"),
     (missing_frame, "2"),
     (unequal_videos, "cam02"),
-    (no_video, "cam01.mp4"),
+    (not_a_video, "cam01.mp4"),
     (occupied_target, "not empty"),
     (impossible_size, "num_gs 7"),
 ]
@@ -277,7 +277,7 @@ def test_a_damaged_stream_gets_one_line(fault: str, name: str, made: Made, tmp_p
     assert not list(tmp_path.glob("out*"))
 
 
-def test_a_url_that_is_no_stream_and_a_port_in_use(made: Made, tmp_path: Path) -> None:
+def test_a_url_that_is_not_a_stream_and_a_port_in_use(made: Made, tmp_path: Path) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()

@@ -263,7 +263,7 @@ def test_numbers_that_no_camera_has(tmp_path: Path) -> None:
     assert "camera cam00: is over 1e+09 m away" in refusal(tmp_path / "far")
 
 
-def test_points_that_are_no_points(tmp_path: Path) -> None:
+def test_points_that_are_not_points(tmp_path: Path) -> None:
     write_colmap(tmp_path)
     path = tmp_path / "sparse/0/points3D.bin"
     whole = path.read_bytes()

@@ -1,11 +1,10 @@
-"""Opening captures: the Dynamic 3D Gaussians layout, what is refused, and the rig's depths."""
+"""Opening captures: the Dynamic 3D Gaussians layout and what is refused."""
 
 from __future__ import annotations
 
 import json
 import os
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +12,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from codec.camera import Camera
 from codec.errors import InvalidError
 from tests.support.commands import ROOT
 from tests.support.tiny_capture import picture_of, write_dynamic3dgs
-from trainer.capture.capture import Capture, InitialPoints
+from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
-from trainer.capture.points import points_evenness, read_points_file
 from trainer.errors import CaptureError
 
 DATA = Path(os.environ.get("SWINGS_DATA", ROOT / ".." / "shared" / "data"))
@@ -42,7 +39,7 @@ def edit_meta(root: Path, change: Callable[[dict[str, Any]], None], name: str = 
     path.write_text(json.dumps(meta))
 
 
-def test_folders_that_are_no_capture_are_refused(tmp_path: Path) -> None:
+def test_folders_that_are_not_captures_are_refused(tmp_path: Path) -> None:
     assert "no such folder" in refusal(tmp_path / "nowhere")
     file = tmp_path / "file"
     file.touch()
@@ -158,7 +155,7 @@ def test_bad_meta_is_refused(
 
 
 @pytest.mark.parametrize("text", ["", "{", "[1]", '"x"', "\x00"])
-def test_meta_that_is_no_json_object(tmp_path: Path, text: str) -> None:
+def test_meta_that_is_not_a_json_object(tmp_path: Path, text: str) -> None:
     write_dynamic3dgs(tmp_path / "c")
     (tmp_path / "c/train_meta.json").write_text(text)
     assert "train_meta.json" in refusal(tmp_path / "c")
@@ -216,38 +213,6 @@ def test_bad_points_are_refused(tmp_path: Path) -> None:
     assert "rgb is" in refusal(tmp_path / "c")
     np.savez(path, xyz=np.array([None, 1]), rgb=np.ones((3, 3)), allow_pickle=True)
     assert "init_pt_cld.npz" in refusal(tmp_path / "c")
-
-
-def test_points_come_from_a_ply_as_from_an_npz(tmp_path: Path) -> None:
-    xyz = np.array([[0.5, -1, 2], [3, 0.25, -4]], np.float32)
-    rgb = np.array([[255, 0, 7], [1, 2, 3]], np.uint8)
-    np.savez(tmp_path / "points.npz", xyz=xyz, rgb=rgb)
-    names = [f"property float {n}" for n in "xyz"]
-    names += [f"property uchar {n}" for n in ("red", "green", "blue")]
-    head = ["ply", "format ascii 1.0", "element vertex 2", *names, "end_header"]
-    rows = [" ".join(map(str, [*p.tolist(), *c.tolist()])) for p, c in zip(xyz, rgb, strict=True)]
-    (tmp_path / "points.PLY").write_text("\n".join([*head, *rows, ""]))
-    for name in ("points.npz", "points.PLY"):
-        points = read_points_file(tmp_path / name)
-        np.testing.assert_array_equal(points.xyz, xyz)
-        np.testing.assert_array_equal(points.rgb, rgb)
-    with pytest.raises(CaptureError, match=r"points.txt: .*\.ply or an \.npz"):
-        read_points_file(tmp_path / "points.txt")
-
-
-def test_evenness_is_the_share_of_the_picture_that_points_fill() -> None:
-    camera = Camera("c", 160, 80, 100.0, 100.0, 80.0, 40.0, np.eye(4))
-    v, u = np.mgrid[0:80, 0:160] + 0.5
-
-    def points(columns: slice) -> InitialPoints:
-        local = [(u - 80) / 100, (v - 40) / 100, np.ones_like(u)]
-        xyz = 3 * np.stack(local, axis=-1)[:, columns].reshape(-1, 3)
-        return InitialPoints(xyz.astype(np.float32), np.zeros((len(xyz), 3), np.uint8))
-
-    assert points_evenness(points(slice(None)), [camera]) == pytest.approx(1)
-    assert points_evenness(points(slice(0, 40)), [camera]) == pytest.approx(0.25)
-    away = replace(camera, w2c=np.diag([1.0, -1, -1, 1]))
-    assert points_evenness(points(slice(None)), [camera, away]) == pytest.approx(0.5)
 
 
 @pytest.fixture(scope="module")

@@ -128,7 +128,7 @@ def test_videos_of_unequal_length(capture_path: Path) -> None:
     assert "cam01.mp4 has 4, the others 5 frames" in refusal(capture_path)
 
 
-def test_a_text_and_a_picture_are_no_videos(capture_path: Path) -> None:
+def test_a_text_and_a_picture_are_not_videos(capture_path: Path) -> None:
     (capture_path / "cam01.mp4").write_text("hello " * 100)
     assert "cam01.mp4: not a video that can be read" in refusal(capture_path)
     (capture_path / "cam01.mp4").write_bytes(b"")
@@ -141,7 +141,7 @@ def test_a_text_and_a_picture_are_no_videos(capture_path: Path) -> None:
     assert "cam01.mp4" in refusal(capture_path)
 
 
-def test_a_sound_file_is_no_video(capture_path: Path) -> None:
+def test_a_sound_file_is_not_a_video(capture_path: Path) -> None:
     with av.open(str(capture_path / "cam01.mp4"), "w", format="wav") as output:
         stream = output.add_stream("pcm_s16le", rate=8000, layout="mono")
         sound = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), "s16", "mono")

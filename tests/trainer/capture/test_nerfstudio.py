@@ -266,7 +266,7 @@ def test_bad_transforms_are_refused(
 
 
 @pytest.mark.parametrize("text", ["", "{", "[1]", "\x00"])
-def test_transforms_that_are_no_json_object(tmp_path: Path, text: str) -> None:
+def test_transforms_that_are_not_a_json_object(tmp_path: Path, text: str) -> None:
     (tmp_path / "transforms.json").write_text(text)
     assert "transforms.json" in refusal(tmp_path)
 

@@ -1,4 +1,4 @@
-"""Initial points of .ply files: the flavours that programs write, and hostile bytes."""
+"""Initial points: the flavours of .ply that programs write, hostile bytes, and evenness."""
 
 from __future__ import annotations
 
@@ -6,14 +6,17 @@ import contextlib
 import os
 import tracemalloc
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from codec.camera import Camera
 from tests.support.hostile import flips, truncations
 from trainer.capture import points as module
-from trainer.capture.points import MAX_PLY_POINTS, read_ply
+from trainer.capture.capture import InitialPoints
+from trainer.capture.points import MAX_PLY_POINTS, points_evenness, read_ply, read_points_file
 from trainer.errors import CaptureError
 
 XYZ = ((0.5, -1.0, 0.25), (0.0, -0.5, 0.0), (-0.25, -1.5, 1.0))
@@ -140,3 +143,35 @@ def test_a_false_claim_costs_little_memory(
     finally:
         tracemalloc.stop()
     assert peak_bytes < 8 << 20
+
+
+def test_points_come_from_a_ply_as_from_an_npz(tmp_path: Path) -> None:
+    xyz = np.array([[0.5, -1, 2], [3, 0.25, -4]], np.float32)
+    rgb = np.array([[255, 0, 7], [1, 2, 3]], np.uint8)
+    np.savez(tmp_path / "points.npz", xyz=xyz, rgb=rgb)
+    names = [f"property float {n}" for n in "xyz"]
+    names += [f"property uchar {n}" for n in ("red", "green", "blue")]
+    head = ["ply", "format ascii 1.0", "element vertex 2", *names, "end_header"]
+    rows = [" ".join(map(str, [*p.tolist(), *c.tolist()])) for p, c in zip(xyz, rgb, strict=True)]
+    (tmp_path / "points.PLY").write_text("\n".join([*head, *rows, ""]))
+    for name in ("points.npz", "points.PLY"):
+        points = read_points_file(tmp_path / name)
+        np.testing.assert_array_equal(points.xyz, xyz)
+        np.testing.assert_array_equal(points.rgb, rgb)
+    with pytest.raises(CaptureError, match=r"points.txt: .*\.ply or an \.npz"):
+        read_points_file(tmp_path / "points.txt")
+
+
+def test_evenness_is_the_share_of_the_picture_that_points_fill() -> None:
+    camera = Camera("c", 160, 80, 100.0, 100.0, 80.0, 40.0, np.eye(4))
+    v, u = np.mgrid[0:80, 0:160] + 0.5
+
+    def points(columns: slice) -> InitialPoints:
+        local = [(u - 80) / 100, (v - 40) / 100, np.ones_like(u)]
+        xyz = 3 * np.stack(local, axis=-1)[:, columns].reshape(-1, 3)
+        return InitialPoints(xyz.astype(np.float32), np.zeros((len(xyz), 3), np.uint8))
+
+    assert points_evenness(points(slice(None)), [camera]) == pytest.approx(1)
+    assert points_evenness(points(slice(0, 40)), [camera]) == pytest.approx(0.25)
+    away = replace(camera, w2c=np.diag([1.0, -1, -1, 1]))
+    assert points_evenness(points(slice(None)), [camera, away]) == pytest.approx(0.5)

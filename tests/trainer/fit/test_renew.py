@@ -138,7 +138,7 @@ def test_nothing_is_found_where_all_is_rendered_or_one_camera_alone_differs() ->
     assert len(find(compare(film, room()), count=0)) == 0
 
 
-def test_a_cameras_own_colour_is_no_error_and_masked_pixels_do_not_count() -> None:
+def test_a_cameras_own_colour_is_not_an_error_and_masked_pixels_do_not_count() -> None:
     gains = np.linspace(0.7, 1.0, 8)
     film = Film([room()], gains)
     colour = CameraColour(8, 0)
@@ -165,7 +165,7 @@ def test_cameras_whose_view_is_masked_neither_help_nor_hinder() -> None:
     assert np.median(off) < 1.3 * NEW_RADIUS_M
 
 
-def test_what_a_camera_cannot_show_is_no_error() -> None:
+def test_what_a_camera_cannot_show_is_not_an_error() -> None:
     bright = room()
     bright.sh[:] += 1.5
     film = Film([bright], np.linspace(0.6, 1.0, 8))

@@ -16,8 +16,8 @@ from codec.stream import StreamReader
 from tests.support.commands import command, environment, run, run_ok
 from tests.support.tiny_capture import write_dynerf
 from trainer.errors import CheckpointError
-from trainer.run import checkpoint, runlog
-from trainer.run.checkpoint import load_checkpoint, save_checkpoint
+from trainer.run.checkpoint import CHECKPOINT_NAME, load_checkpoint, save_checkpoint
+from trainer.run.runlog import LOG_NAME
 
 FRAMES = 6
 SETTINGS = (
@@ -38,7 +38,7 @@ def contents(stream: Path) -> dict[str, bytes]:
     return {
         str(f.relative_to(stream)): f.read_bytes()
         for f in sorted(stream.rglob("*"))
-        if f.is_file() and f.name != runlog.NAME
+        if f.is_file() and f.name != LOG_NAME
     }
 
 
@@ -46,7 +46,7 @@ def contents(stream: Path) -> dict[str, bytes]:
 def uninterrupted(capture: Path) -> dict[str, bytes]:
     stream = capture.parent / "whole"
     run_ok("swings-train", capture, stream, *SETTINGS)
-    assert not (stream / checkpoint.NAME).exists()
+    assert not (stream / CHECKPOINT_NAME).exists()
     return contents(stream)
 
 
@@ -59,7 +59,7 @@ def start_until(capture: Path, stream: Path, windows: int, *more: object) -> sub
         stderr=subprocess.PIPE,
         text=True,
     )
-    kept, seen, last = stream / checkpoint.NAME, -1, 0
+    kept, seen, last = stream / CHECKPOINT_NAME, -1, 0
     before = kept.stat().st_mtime_ns if kept.exists() else 0
     deadline = time.monotonic() + 200
     while seen < windows and process.poll() is None:
@@ -86,7 +86,7 @@ def test_killed_at_any_moment_and_resumed_it_writes_the_same_bytes(
         for frame in range(reader.num_frames):
             reader.active_splats(frame, reader.manifest.num_layers)
     assert kills >= 2
-    if (stream / checkpoint.NAME).exists():
+    if (stream / CHECKPOINT_NAME).exists():
         run_ok("swings-train", capture, stream, *SETTINGS, "--resume")
     assert contents(stream) == uninterrupted
 
@@ -132,7 +132,7 @@ def test_resuming_what_is_not_there_or_other_is_one_line(capture: Path, tmp_path
 
 
 def test_a_damaged_checkpoint_is_told(tmp_path: Path) -> None:
-    path = tmp_path / checkpoint.NAME
+    path = tmp_path / CHECKPOINT_NAME
     state = {"values0": np.arange(6, dtype=np.float32)}
     save_checkpoint(path, state, [], {"seed": 1})
     found = load_checkpoint(path, {"seed": 1})

@@ -1,10 +1,8 @@
-"""What a training run leaves beside the stream: its log, scalars, snapshots; and its presets."""
+"""What a training run leaves beside the stream: its log, scalars and snapshots."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,61 +11,15 @@ from PIL import Image
 from rich.console import Console
 
 from codec.errors import InvalidError
-from codec.profiles.profile import Profile
 from tests.support.commands import run, run_ok
 from tests.support.tiny_capture import write_dynerf
 from trainer.fit.config import FitConfig
 from trainer.fit.trainer import Progress as FitProgress
-from trainer.run import runlog
-from trainer.run.config import TrainConfig
 from trainer.run.monitor import Monitor, progress_bar
-from trainer.run.preset import PRESETS, parse_with_preset
-from trainer.run.runlog import RunLog
+from trainer.run.runlog import LOG_NAME, RunLog
 from trainer.score.quality import QualityMeter
 
 FRAMES = 5
-
-
-def parse(*arguments: str) -> TrainConfig:
-    return parse_with_preset(TrainConfig, args=["capture", "stream", *arguments])
-
-
-@pytest.mark.parametrize(
-    "spelling",
-    [["--preset", "paper"], ["--preset=paper"], ["--preset", "fast", "--preset", "paper"]],
-)
-def test_a_preset_gives_the_defaults_and_options_override_them(spelling: Sequence[str]) -> None:
-    config = parse(*spelling, "--window-iterations", "77", "--mcmc.scale-reg", "0.5")
-    assert config.preset == "paper"
-    assert config.profile is Profile.PAPER
-    wanted = PRESETS["paper"](Path("capture"), Path("stream")).fit
-    assert config.fit == replace(
-        wanted, window_iterations=77, mcmc=replace(wanted.mcmc, scale_reg=0.5)
-    )
-    assert config.fit.num_gs == 200_000
-
-
-def test_without_a_preset_the_defaults_are_those_of_cpu() -> None:
-    assert asdict(parse()) == asdict(parse("--preset", "cpu"))
-    assert parse().fit == FitConfig()
-    assert parse("--preset", "fast").fit.window_iterations < FitConfig().window_iterations
-
-
-def test_an_unknown_preset_is_refused(tmp_path: Path) -> None:
-    done = run("swings-train", tmp_path, tmp_path / "out", "--preset", "gpu")
-    assert done.returncode == 2
-    assert "cpu" in done.stderr
-    assert "paper" in done.stderr
-    assert not (tmp_path / "out").exists()
-
-
-def test_help_shows_the_preset_s_defaults_and_completion_knows_every_option() -> None:
-    for arguments, default in (((), 20_000), (("--preset", "paper"), 200_000)):
-        told = run_ok("swings-train", *arguments, "--help")
-        assert f"default: {default})" in told
-        assert "(default: paper)" in told or not arguments
-    completion = run_ok("swings-train", "--tyro-print-completion", "bash", "--preset", "paper")
-    assert "--genesis-iterations" in completion
 
 
 def test_a_log_without_a_place_is_refused_before_training(tmp_path: Path) -> None:
@@ -89,7 +41,7 @@ def test_a_run_logs_every_frame_and_draws_snapshots(tmp_path: Path) -> None:
         "--genesis-iterations", 30, "--window-iterations", 20, "--segment-frames", 2,
         "--snapshot-every", 2, "--points", tmp_path / "points.npz",
     )  # fmt: skip
-    records = [json.loads(line) for line in (stream / runlog.NAME).read_text().splitlines()]
+    records = [json.loads(line) for line in (stream / LOG_NAME).read_text().splitlines()]
     assert [r["frame"] for r in records] == list(range(FRAMES))
     assert all(r["gaussians"] > 100 for r in records)
     assert all(r["iterations_per_s"] > 0 for r in records)
