@@ -22,7 +22,7 @@ from codec.slice import Slice
 from codec.splats import ARRAY_NAMES, Splats
 from trainer.errors import CheckpointError
 
-NAME = ".checkpoint.npz"
+CHECKPOINT_NAME = ".checkpoint.npz"
 """In the stream's folder; readers of a stream ignore names that begin with a dot."""
 
 VERSION = 1

@@ -16,13 +16,12 @@ from trainer.fit.trainer import Observer, Trainer
 from trainer.pictures.feed import CapturePictures
 from trainer.pictures.framecache import FrameCache
 
-from . import checkpoint, runlog
-from .checkpoint import load_checkpoint, save_checkpoint
+from .checkpoint import CHECKPOINT_NAME, load_checkpoint, save_checkpoint
 from .config import TrainConfig
 from .monitor import Monitor, progress_bar
 from .outputs import check_targets, open_outputs, write_snapshot
 from .rank import CONTRIBUTION, matured_by_contribution
-from .runlog import RunLog
+from .runlog import LOG_NAME, RunLog
 from .start import check_start, first_gaussians, make_manifest, shared_settings
 
 
@@ -63,15 +62,15 @@ def train_stream(
     targets = check_targets(config)
     start = check_start(config)
     settings = shared_settings(config, start)
-    kept = config.target / checkpoint.NAME
-    found = load_checkpoint(kept, settings) if config.resume else None
+    checkpoint = config.target / CHECKPOINT_NAME
+    found = load_checkpoint(checkpoint, settings) if config.resume else None
     on_checked()
     with ExitStack() as stack:
         cache = stack.enter_context(
             FrameCache(start.capture, start.frames, config.scale, config.cache_bytes)
         )
         pictures = CapturePictures(cache, start.capture.training)
-        log_path = config.log or config.target / runlog.NAME
+        log_path = config.log or config.target / LOG_NAME
         log = stack.enter_context(RunLog(log_path, config.tensorboard))
         if found is None:
             with console.status("first Gaussians"):
@@ -91,7 +90,7 @@ def train_stream(
         if found is not None:
             outputs.deliver(found.pending)
         else:
-            save_checkpoint(kept, trainer.state(), outputs.pending, settings)
+            save_checkpoint(checkpoint, trainer.state(), outputs.pending, settings)
         first, swin_size = trainer.next_window, config.fit.swin_size
         for frame in range(first, first + swin_size + 1):
             pictures.prefetch(frame, first)
@@ -105,7 +104,7 @@ def train_stream(
             if config.rank == CONTRIBUTION:
                 slices = matured_by_contribution(trainer, window)
             outputs.deliver(slices)
-            save_checkpoint(kept, trainer.state(), outputs.pending, settings)
+            save_checkpoint(checkpoint, trainer.state(), outputs.pending, settings)
             shown = trainer.num_shown(frame)
             monitor.frame_finished(frame, shown, outputs.bytes_written, outputs.quality)
             if config.snapshot_every and frame % config.snapshot_every == 0:
@@ -116,5 +115,5 @@ def train_stream(
                 raise InterruptedRunError(
                     f"stopped after frame {frame}; --resume goes on from there"
                 )
-    kept.unlink()
+    checkpoint.unlink()
     return manifest

@@ -29,9 +29,9 @@ def check_targets(config: TrainConfig) -> list[Path]:
     if config.log is not None and not config.log.parent.is_dir():
         raise InvalidError(f"{config.log.parent} is not a folder; the log cannot be written there")
     targets = [config.target] + ([config.raw_stream] if config.raw_stream else [])
+    if config.resume:
+        return targets
     for target in targets:
-        if config.resume:
-            continue
         if target.exists() and (not target.is_dir() or any(target.iterdir())):
             raise InvalidError(
                 f"{target} exists and is not empty; remove it, name another folder, or --resume"

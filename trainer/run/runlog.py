@@ -9,7 +9,7 @@ from typing import Any, TextIO
 
 from codec.errors import InvalidError
 
-NAME = "training.jsonl"
+LOG_NAME = "training.jsonl"
 """The log's file name in a stream's folder, unless another is named."""
 
 
