@@ -1,1 +1,1 @@
-"""From a capture to a stream: readers, the sliding-window trainer, evaluation."""
+"""From a capture to a stream: readers, a synthetic capture, the sliding-window trainer, scores."""

@@ -18,18 +18,20 @@ Floats = npt.NDArray[np.float32]
 class CameraColour:
     """Gain and bias of every camera, with their own Adam."""
 
-    def __init__(self, cameras: int, lr: float) -> None:
+    def __init__(self, num_cameras: int, lr: float) -> None:
         self.lr = lr
-        self.values = np.zeros((cameras, 6), np.float32)  # gain (3), bias (3)
+        self.values = np.zeros((num_cameras, 6), np.float32)  # gain (3), bias (3)
         self.values[:, :3] = 1
-        self._first = np.zeros((cameras, 6))
-        self._second = np.zeros((cameras, 6))
-        self._steps = np.zeros(cameras)
+        self._first = np.zeros((num_cameras, 6))
+        self._second = np.zeros((num_cameras, 6))
+        self._steps = np.zeros(num_cameras)
 
     def gain(self, camera: int) -> Floats:
+        """(3,) float32, of red, green and blue."""
         return self.values[camera, :3]
 
     def bias(self, camera: int) -> Floats:
+        """(3,) float32, of red, green and blue."""
         return self.values[camera, 3:]
 
     def state(self) -> dict[str, npt.NDArray[Any]]:
@@ -42,6 +44,7 @@ class CameraColour:
         }
 
     def step(self, camera: int, gain_grad: Floats, bias_grad: Floats) -> None:
+        """One update of a camera's correction by gradients of the loss, (3,) each."""
         if self.lr == 0:
             return
         gradient = np.concatenate([gain_grad, bias_grad]).astype(np.float64)

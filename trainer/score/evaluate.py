@@ -126,7 +126,7 @@ class _Scores:
 
     def __init__(self) -> None:
         self.frames: list[list[Score]] = []
-        """A score for each camera."""
+        """For each frame, a score for each camera."""
         self.flicker = _Flicker()
 
     def layer_score(self, layers: int, held_out: HeldOut, every: int) -> LayerScore:
@@ -155,7 +155,10 @@ class _Scores:
 def evaluate_stream(
     config: EvaluateConfig, on_progress: Callable[[int, int], None] = lambda done, total: None
 ) -> Evaluation:
-    """Renders every frame at every number of layers. on_progress(pictures done, in all)."""
+    """Renders every frame at every number of layers. on_progress(pictures done, in all).
+
+    Raises what `open_held_out` and the methods of HeldOut raise.
+    """
     with open_held_out(config.stream, config.capture) as held_out:
         reader, manifest, cameras = held_out.reader, held_out.reader.manifest, held_out.cameras
         found = {layers: _Scores() for layers in range(1, manifest.num_layers + 1)}

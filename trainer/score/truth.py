@@ -40,7 +40,8 @@ class HeldOut:
         return self.cache.shot(self.indices[camera], self.cache.frames[frame])
 
     def shots(self, frame: int) -> list[Shot]:
-        """What all cameras saw of it. Raises CaptureError where no pixel of one counts."""
+        """What all cameras saw of the stream's `frame`. Raises CaptureError where no pixel of one
+        counts."""
         shots = [self.shot(c, frame) for c in range(len(self.cameras))]
         for camera, shot in zip(self.cameras, shots, strict=True):
             if shot.mask is not None and not shot.mask.any():
@@ -53,8 +54,8 @@ class HeldOut:
 
 @contextmanager
 def open_held_out(stream: Path, capture_path: Path) -> Iterator[HeldOut]:
-    """Raises CaptureError where the capture is not the stream's or holds no camera out, and
-    InvalidError for a stream without a frame."""
+    """The stream beside its capture, until the context ends. Raises CaptureError where the capture
+    is not the stream's or holds no camera out, and InvalidError for a stream without a frame."""
     reader = StreamReader(stream)
     manifest = reader.manifest
     capture = open_capture(capture_path)

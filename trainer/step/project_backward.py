@@ -44,7 +44,7 @@ def project_backward_kernel(  # type: ignore[no-untyped-def]
     projected, pair_starts, pair_grads, opacity_reg, scale_reg,
     g_means, g_log_scales, g_quats, g_logits, g_sh,
 ):  # fmt: skip
-    """Writes the gradient of every row below `trainable` into row of the g_ arrays.
+    """Writes the gradient of every row below `trainable` into that row of the g_ arrays.
 
     rows (M,) int32: what was projected; rows from `trainable` on are frozen and left out.
     opacity_reg, scale_reg: the regularisers' weights, already divided by what their means run over;
