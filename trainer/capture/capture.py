@@ -27,7 +27,6 @@ Picture = npt.NDArray[np.uint8]
 Mask = npt.NDArray[np.uint8]
 """(H, W): 1 where a picture's pixel counts, 0 where it is ignored."""
 
-
 DEFAULT_FPS = 30.0
 """Frames per second of a capture that does not tell."""
 

@@ -19,10 +19,10 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from codec.camera import Camera
 from codec.errors import InvalidError
+from codec.pose import Doubles
 from trainer.errors import CaptureError
 
 from .capture import STILL_TOLERANCE, Capture, CaptureCamera, PictureSource
@@ -131,9 +131,7 @@ def read_meta(path: Path) -> Meta:
     )
 
 
-def _table(
-    path: Path, value: dict[str, Any], key: str, shape: tuple[int, int]
-) -> npt.NDArray[np.float64]:
+def _table(path: Path, value: dict[str, Any], key: str, shape: tuple[int, int]) -> Doubles:
     try:
         table = np.array(value[key], np.float64)
     except (ValueError, TypeError, OverflowError) as error:
@@ -160,8 +158,8 @@ def _still_camera(
     name: str,
     width_px: int,
     height_px: int,
-    intrinsics: npt.NDArray[np.float64],  # (T, 3, 3)
-    poses: npt.NDArray[np.float64],  # (T, 4, 4)
+    intrinsics: Doubles,  # (T, 3, 3)
+    poses: Doubles,  # (T, 4, 4)
 ) -> Camera:
     for what, rows in (("moves", poses), ("changes its lens", intrinsics)):
         changed = np.abs(rows - rows[:1]).max(axis=(1, 2)) > STILL_TOLERANCE

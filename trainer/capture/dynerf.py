@@ -16,11 +16,10 @@ import re
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from codec.camera import Camera
 from codec.errors import InvalidError
-from codec.pose import world_to_camera
+from codec.pose import Doubles, world_to_camera
 from trainer.errors import CaptureError
 
 from .capture import Capture, CaptureCamera, PictureSource
@@ -76,7 +75,7 @@ def open_dynerf(root: Path) -> Capture:
     )
 
 
-def read_poses_bounds(path: Path) -> npt.NDArray[np.float64]:
+def read_poses_bounds(path: Path) -> Doubles:
     """(V, 17) the rows of a poses_bounds.npy. Raises CaptureError."""
     try:
         rows = np.load(path, allow_pickle=False)
@@ -93,7 +92,7 @@ def read_poses_bounds(path: Path) -> npt.NDArray[np.float64]:
     return rows.astype(np.float64)
 
 
-def decode_pose(row: npt.NDArray[np.float64], name: str, path: Path) -> Camera:
+def decode_pose(row: Doubles, name: str, path: Path) -> Camera:
     """The camera of one row of poses_bounds.npy. Raises CaptureError, naming `path`.
 
     Columns 0..14 are a 3x5 matrix, row by row: [R | t | (H, W, f)]. [R | t] is camera to world, t
@@ -110,14 +109,12 @@ def decode_pose(row: npt.NDArray[np.float64], name: str, path: Path) -> Camera:
     rotation = matrix[:, :3] @ _LLFF_FROM_OPENCV
     w2c = world_to_camera(rotation.T, matrix[:, 3])
     try:
-        return Camera(
-            name, int(width), int(height), focal, focal, width / 2, height / 2, w2c
-        )  # fmt: skip
+        return Camera(name, int(width), int(height), focal, focal, width / 2, height / 2, w2c)
     except InvalidError as error:
         raise CaptureError(f"{path}: {error}") from error
 
 
-def encode_pose(camera: Camera, near_m: float, far_m: float) -> npt.NDArray[np.float64]:
+def encode_pose(camera: Camera, near_m: float, far_m: float) -> Doubles:
     """(17,) the row that `decode_pose` reads.
 
     Raises InvalidError for a camera that the row cannot describe: unequal focal lengths, or a

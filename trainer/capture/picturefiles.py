@@ -88,9 +88,7 @@ def pictures_by_camera(folders: Sequence[Path]) -> list[tuple[Path, ...]]:
         first = first or found
         odd = sorted(found.keys() ^ first.keys())
         if odd and found:
-            lacking, having = (
-                (folder, folders[0]) if odd[0] in first else (folders[0], folder)
-            )  # fmt: skip
+            lacking, having = (folder, folders[0]) if odd[0] in first else (folders[0], folder)
             raise CaptureError(f"{lacking}: lacks frame {odd[0]}, which {having} has")
         pictures.append(tuple(_without_gap(found, folder)))
     return pictures

@@ -21,6 +21,7 @@ from codec.interop.plyheader import (
     PlyHeader,
     read_ply_header,
 )
+from codec.pose import Doubles
 from trainer.errors import CaptureError
 
 from .capture import InitialPoints
@@ -32,9 +33,7 @@ EVENNESS_CELLS = 16
 """Cells along each side of a picture in which points are counted."""
 
 
-def checked_points(
-    path: Path, xyz: npt.NDArray[np.float64], rgb: npt.NDArray[np.uint8]
-) -> InitialPoints:
+def checked_points(path: Path, xyz: Doubles, rgb: npt.NDArray[np.uint8]) -> InitialPoints:
     """The points that the file at `path` holds. Raises CaptureError if they cannot be used."""
     if not len(xyz):
         raise CaptureError(f"{path}: holds no points")
@@ -77,7 +76,7 @@ MAX_PLY_POINTS = 1 << 26
 TEXT_BLOCK_BYTES = 1 << 20
 """Text that is parsed at a time."""
 
-Columns = npt.NDArray[np.float64]  # (P, 6) x, y, z, red, green, blue
+Columns = Doubles  # (P, 6) x, y, z, red, green, blue
 
 
 def read_ply(path: Path) -> InitialPoints:

@@ -29,7 +29,6 @@ MAX_SKIP_FRAMES = 12
 """Frames decoded and dropped rather than looking for a nearer key frame: about as dear as a
 seek."""
 
-
 FPS_TOLERANCE = 1e-3
 """Largest relative difference of two cameras' frame rates: containers round their time base."""
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from codec.errors import InvalidError
 from trainer.step.raster import Parameters
 
-Floats = npt.NDArray[np.float32]
+Doubles = npt.NDArray[np.float64]
 
 MAX_COPIES = 51
 """Gaussians that may share one place, with the one that is there. 3DGS-MCMC."""
@@ -62,7 +62,7 @@ class McmcConfig:
                 raise InvalidError(f"{name} {getattr(self, name):g}: choose 0 or more")
 
 
-def _binomial_table() -> npt.NDArray[np.float64]:
+def _binomial_table() -> Doubles:
     """table[N - 1, k] = the factor of o_new^(k + 1) in the denominator D of equation 9."""
     table = np.zeros((MAX_COPIES, MAX_COPIES))
     for n in range(1, MAX_COPIES + 1):
@@ -76,8 +76,8 @@ _TABLE = _binomial_table()
 
 
 def split_opacity_and_scale(
-    opacities: npt.NDArray[np.float64], copies: npt.NDArray[np.integer], min_opacity: float
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    opacities: Doubles, copies: npt.NDArray[np.integer], min_opacity: float
+) -> tuple[Doubles, Doubles]:
     """(M,) the opacity of each of `copies` Gaussians that replace one, and the factor of its
     scales.
 

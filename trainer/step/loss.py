@@ -17,6 +17,7 @@ from numba import prange
 from codec.kernel import kernel
 
 Floats = npt.NDArray[np.float32]
+Doubles = npt.NDArray[np.float64]
 MaskLike = npt.NDArray[np.uint8] | npt.NDArray[np.bool_] | npt.NDArray[np.float32]
 """(H, W): pixels above 0 count."""
 
@@ -295,7 +296,7 @@ def ssim(picture: Floats, target: Floats, mask: MaskLike | None = None) -> float
     return float(sums.sum(dtype=np.float64)) / goal.size
 
 
-def _ssim_map(blurred: Floats) -> npt.NDArray[np.float64]:
+def _ssim_map(blurred: Floats) -> Doubles:
     """(C, H, W) SSIM of each pixel, as _ssim_columns has it; blurred: (5, C, H, W) along x."""
     height = blurred.shape[2]
     beyond = ((0, 0), (0, 0), (RADIUS_PX, RADIUS_PX), (0, 0))
@@ -306,7 +307,7 @@ def _ssim_map(blurred: Floats) -> npt.NDArray[np.float64]:
     )
     similar = (2 * mu_p * mu_t + C1) * (2 * (pt - mu_p * mu_t) + C2)
     squares = mu_p**2 + mu_t**2
-    result: npt.NDArray[np.float64] = similar / ((squares + C1) * (pp + tt - squares + C2))
+    result: Doubles = similar / ((squares + C1) * (pp + tt - squares + C2))
     return result
 
 
