@@ -135,8 +135,14 @@ class Capture:
 
     @property
     def held_out(self) -> tuple[int, ...]:
-        """The indices of the cameras to score with."""
+        """The indices of the cameras kept out of training."""
         return tuple(i for i, c in enumerate(self.cameras) if c.held_out)
+
+    @property
+    def watching(self) -> tuple[int, ...]:
+        """The indices of the cameras that show how a run does: those held out or, where none is,
+        those to train on."""
+        return self.held_out or self.training
 
 
 MIN_TRAINING_CAMERAS = 3

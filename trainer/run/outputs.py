@@ -98,10 +98,9 @@ def open_outputs(
 def write_snapshot(
     splats: Splats, frame: int, cache: FrameCache, near_m: float, folder: Path
 ) -> None:
-    """Draws what shows in a frame of the stream, as the first held-out camera sees it, to a PNG in
-    `folder`."""
-    capture = cache.capture
-    index = (capture.held_out or capture.training)[0]
+    """Draws what shows in a frame of the stream, as the first of the capture's `watching` cameras
+    sees it, to a PNG in `folder`."""
+    index = cache.capture.watching[0]
     truth = captured(cache.image(index, cache.frames[frame]))
     shown = displayed(splats, cache.camera(index), near_m)
     save_png(Image.fromarray(comparison(shown, truth)), folder / f"{frame:06d}.png")

@@ -132,7 +132,6 @@ def make_manifest(
     """The manifest of the stream about to be trained."""
     capture = start.capture
     cameras = tuple(cache.camera(i) for i in range(len(capture.cameras)))
-    default = (capture.held_out or capture.training)[0]
     points = capture.points.xyz if capture.points is not None else initial.means
     low, high = np.percentile(points, 5, axis=0), np.percentile(points, 95, axis=0)
     return Manifest(
@@ -150,7 +149,7 @@ def make_manifest(
             (float(high[0]), float(high[1]), float(high[2])),
         ),
         cameras=cameras,
-        default_camera=cameras[default].name,
+        default_camera=cameras[capture.watching[0]].name,
         live=True,
         title=config.title or capture.root.resolve().name,
         capture_frame=start.frames.start,

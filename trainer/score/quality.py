@@ -18,13 +18,13 @@ from .picture import score_splats
 class QualityMeter:
     """Scores every frame of one stream with 1, 2, ... layers, as it will be decoded.
 
-    Held-out cameras take turns, one for a frame; without any, training cameras do.
+    The capture's `watching` cameras take turns, one for a frame.
     """
 
     def __init__(self, cache: FrameCache, manifest: Manifest) -> None:
         self._cache = cache
         self._manifest = manifest
-        self._cameras = cache.capture.held_out or cache.capture.training
+        self._cameras = cache.capture.watching
         # One window for each number of layers.
         self._windows: list[deque[Slice]] = [
             deque(maxlen=manifest.swin_size) for _ in manifest.layers
