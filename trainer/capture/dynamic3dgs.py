@@ -60,11 +60,11 @@ def open_dynamic3dgs(root: Path) -> Capture:
             f"{META_NAMES[1]} {metas[1].num_frames}; they must agree"
         )
     found: dict[str, tuple[CaptureCamera, tuple[str, ...], Path]] = {}
-    for held_out, meta in enumerate(metas):
+    for held_out, meta in zip((False, True), metas, strict=False):
         for camera, names in zip(meta.cameras, meta.names, strict=True):
             if camera.name in found:
                 raise CaptureError(f"{meta.path}: camera {camera.name} is listed twice")
-            found[camera.name] = CaptureCamera(camera, bool(held_out)), names, meta.path
+            found[camera.name] = CaptureCamera(camera, held_out), names, meta.path
     ordered = [found[name] for name in sorted(found, key=lambda name: (len(name), name))]
     cameras = tuple(camera for camera, _, _ in ordered)
     sources = _sources(root, [(c.camera, names, path) for c, names, path in ordered])

@@ -94,8 +94,8 @@ class Entry:
 
 
 @dataclass(frozen=True, slots=True)
-class Posed:
-    """A camera: one of its entries and where its frames are."""
+class CameraFiles:
+    """A camera: one of its entries, and its files."""
 
     entry: Entry
     files: tuple[Path, ...]
@@ -128,34 +128,34 @@ def open_nerfstudio(root: Path) -> Capture:
             "camera, or a `time` in each entry"
         )
     names = sorted(found, key=natural_order)
-    posed = [found[name] for name in names]
-    cameras = [replace(p.entry.camera, name=name) for p, name in zip(posed, names, strict=True)]
+    rig = [found[name] for name in names]
+    cameras = [replace(p.entry.camera, name=name) for p, name in zip(rig, names, strict=True)]
     fps = _number(path, value, "fps", 0.0)
     if True in are_videos:
-        facts = [probe_video(p.files[0]) for p in posed]
-        check_synchronised([p.files[0] for p in posed], facts)
-        for p, camera, fact in zip(posed, cameras, facts, strict=True):
+        facts = [probe_video(p.files[0]) for p in rig]
+        check_synchronised([p.files[0] for p in rig], facts)
+        for p, camera, fact in zip(rig, cameras, facts, strict=True):
             check_video_size(p.files[0], fact, camera, path)
         num_frames, fps = facts[0].num_frames, fps or facts[0].fps
     else:
-        num_frames, fps = len(posed[0].files), fps or DEFAULT_FPS
+        num_frames, fps = len(rig[0].files), fps or DEFAULT_FPS
         sources = [
             picture_source(camera, p.entry.lens, p.files, path)
-            for p, camera in zip(posed, cameras, strict=True)
+            for p, camera in zip(rig, cameras, strict=True)
         ]
     check_fps(fps, path)
-    require_files([p.masks for p in posed], f"a mask_path of {TRANSFORMS_NAME} names it")
+    require_files([p.masks for p in rig], f"a mask_path of {TRANSFORMS_NAME} names it")
     masks = [
-        mask_source(camera, p.entry.lens, p.masks) for p, camera in zip(posed, cameras, strict=True)
+        mask_source(camera, p.entry.lens, p.masks) for p, camera in zip(rig, cameras, strict=True)
     ]
-    held_out = _held_out(root, value, names, posed)
+    held_out = _held_out(root, value, names, rig)
     points = _read_points(root, value)
     depths = rig_depths(cameras, points_depths(points, cameras) if points else None)
 
     def open_images(camera_index: int) -> PictureSource:
         if True not in are_videos:
             return sources[camera_index]
-        p, camera = posed[camera_index], cameras[camera_index]
+        p, camera = rig[camera_index], cameras[camera_index]
         return straight_source(VideoSource(p.files[0], camera, num_frames), camera, p.entry.lens)
 
     return Capture(
@@ -264,8 +264,8 @@ def _kind(path: PurePosixPath) -> str | None:
     return name if name in (FRAMES_NAME, IMAGES_NAME) else None
 
 
-def _videos(root: Path, entries: Sequence[Entry]) -> dict[str, Posed]:
-    found: dict[str, Posed] = {}
+def _videos(root: Path, entries: Sequence[Entry]) -> dict[str, CameraFiles]:
+    found: dict[str, CameraFiles] = {}
     for entry in entries:
         file = root / entry.path
         if entry.path.stem in found:
@@ -275,13 +275,13 @@ def _videos(root: Path, entries: Sequence[Entry]) -> dict[str, Posed]:
             )
         if not file.is_file():
             raise CaptureError(f"{file}: is missing; {TRANSFORMS_NAME} names it")
-        found[entry.path.stem] = Posed(
+        found[entry.path.stem] = CameraFiles(
             entry, (file,), _masks(root, [entry]), frozenset({entry.path})
         )
     return found
 
 
-def _numbered(root: Path, entries: Sequence[Entry]) -> dict[str, Posed]:
+def _numbered(root: Path, entries: Sequence[Entry]) -> dict[str, CameraFiles]:
     """The cameras of entries whose paths tell camera and frame."""
     path = root / TRANSFORMS_NAME
     places = {PurePosixPath(*entry.path.parts[:-2]) for entry in entries}
@@ -312,7 +312,7 @@ def _numbered(root: Path, entries: Sequence[Entry]) -> dict[str, Posed]:
         else:
             files = pictures_by_camera([(root / e.path).parent for e in firsts])
         return {
-            name: Posed(entry, of_camera, _masks(root, [entry]), frozenset({entry.path}))
+            name: CameraFiles(entry, of_camera, _masks(root, [entry]), frozenset({entry.path}))
             for name, entry, of_camera in zip(groups, firsts, files, strict=True)
         }
     check_without_gap(next(iter(groups.values())), path)
@@ -320,7 +320,7 @@ def _numbered(root: Path, entries: Sequence[Entry]) -> dict[str, Posed]:
     return _listed(root, groups)
 
 
-def _timed(root: Path, entries: Sequence[Entry]) -> dict[str, Posed]:
+def _timed(root: Path, entries: Sequence[Entry]) -> dict[str, CameraFiles]:
     """The cameras of entries that tell nothing but their time: one for each pose."""
     path = root / TRANSFORMS_NAME
     by_pose: dict[object, dict[float, Entry]] = {}
@@ -353,10 +353,10 @@ def _check_times(path: Path, groups: Mapping[str, Mapping[int, Entry]]) -> None:
         raise CaptureError(f"{path}: the times of the entries do not rise with the frame numbers")
 
 
-def _listed(root: Path, groups: Mapping[str, Mapping[_Key, Entry]]) -> dict[str, Posed]:
+def _listed(root: Path, groups: Mapping[str, Mapping[_Key, Entry]]) -> dict[str, CameraFiles]:
     """The cameras of entries that list every frame, by frame number or time."""
     path = root / TRANSFORMS_NAME
-    found: dict[str, Posed] = {}
+    found: dict[str, CameraFiles] = {}
     first_name, first_group = next(iter(groups.items()))
     for name, group in groups.items():
         odd = sorted(group.keys() ^ first_group.keys())
@@ -368,13 +368,13 @@ def _listed(root: Path, groups: Mapping[str, Mapping[_Key, Entry]]) -> dict[str,
         ordered = [group[key] for key in sorted(group)]
         for entry in ordered:
             _check_still(path, ordered[0], entry)
-        found[name] = Posed(
+        found[name] = CameraFiles(
             ordered[0],
             tuple(root / entry.path for entry in ordered),
             _masks(root, ordered),
             frozenset(entry.path for entry in ordered),
         )
-    require_files([posed.files for posed in found.values()])
+    require_files([camera.files for camera in found.values()])
     return found
 
 
@@ -406,7 +406,7 @@ def _check_still(path: Path, first: Entry, entry: Entry) -> None:
 
 
 def _held_out(
-    root: Path, value: Mapping[str, Any], names: Sequence[str], posed: Sequence[Posed]
+    root: Path, value: Mapping[str, Any], names: Sequence[str], rig: Sequence[CameraFiles]
 ) -> frozenset[str]:
     path, listed = root / TRANSFORMS_NAME, value.get("test_filenames")
     if listed is None or (root / HELD_OUT_NAME).is_file():
@@ -414,11 +414,11 @@ def _held_out(
     if not isinstance(listed, list) or not all(isinstance(name, str) for name in listed):
         raise CaptureError(f"{path}: test_filenames is not a list of file_path")
     tests = {safe_path(name, path) for name in listed}
-    unknown = tests - frozenset().union(*(p.paths for p in posed))
+    unknown = tests - frozenset().union(*(p.paths for p in rig))
     if unknown:
         raise CaptureError(f"{path}: test_filenames has {min(unknown)}, which is not in `frames`")
     held_out = set()
-    for name, p in zip(names, posed, strict=True):
+    for name, p in zip(names, rig, strict=True):
         if p.paths <= tests:
             held_out.add(name)
         elif p.paths & tests:
