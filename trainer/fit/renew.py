@@ -22,7 +22,13 @@ from codec.splats import Splats
 from trainer.pictures.feed import Pictures
 from trainer.pictures.scale import scaled_mask
 from trainer.seed.gaussians import initial_splats
-from trainer.seed.stereo import better_half, pair_cameras, small_camera, warped
+from trainer.seed.stereo import (
+    better_half,
+    pair_cameras,
+    small_camera,
+    tried_inverse_depths,
+    warped,
+)
 from trainer.step.contribution import contribution
 from trainer.step.raster import Parameters, View, render
 
@@ -36,11 +42,8 @@ LEAST_ERROR = 0.05
 """Mean colour difference, of 1, from which on a pixel is wrong. In the other cameras half of it is
 enough."""
 
-DEPTHS = 64
-"""Depths tried, evenly spaced in inverse depth, before the best is refined."""
-
 FINER = 4
-"""Finer steps to either side of the best of those depths; so many make one of the others."""
+"""Finer steps to either side of the best depth of stereo's; so many make one of its steps."""
 
 COST_LIMIT = 0.2
 """Largest cost of a camera, of 1: one that something hides the place from must not outvote the
@@ -217,13 +220,11 @@ def missing_splats(
     which, ys, xs = map(np.ascontiguousarray, drawn.T)
     sizes = np.array([(c.height_px, c.width_px) for c in cameras], np.int32)
     neighbours, warps, offsets = pair_cameras(cameras)
-    # From near to far.
-    inverse_depths = np.linspace(1 / near_m, 1 / far_m, DEPTHS).astype(np.float32)
     depths = np.empty(len(drawn), np.float32)
     costs = np.empty(len(drawn), np.float32)
     _find_depths(
         compared.pictures, compared.errors, compared.usable, sizes, warps, offsets, neighbours,
-        inverse_depths, which, xs, ys, depths, costs,
+        tried_inverse_depths(near_m, far_m), which, xs, ys, depths, costs,
     )  # fmt: skip
     kept = np.flatnonzero(costs <= COST_ACCEPTED)[:count]
     which, xs, ys, depths = which[kept], xs[kept], ys[kept], depths[kept]

@@ -251,6 +251,11 @@ def pair_cameras(cameras: Sequence[Camera]) -> tuple[Ints, Floats, Floats]:
     return neighbours.astype(np.int32), warps, offsets
 
 
+def tried_inverse_depths(near_m: float, far_m: float) -> Floats:
+    """(DEPTHS,) float32: inverse depths, 1/m, the nearest first."""
+    return np.linspace(1 / near_m, 1 / far_m, DEPTHS).astype(np.float32)
+
+
 def depth_maps(
     cameras: Sequence[Camera],
     pictures: Sequence[npt.NDArray[np.uint8]],
@@ -270,10 +275,9 @@ def depth_maps(
         resized = np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.BOX))
         features[i, :, : camera.height_px, : camera.width_px] = _features(resized)
     neighbours, warps, offsets = pair_cameras(small)
-    inverse_depths = np.linspace(1 / near_m, 1 / far_m, DEPTHS).astype(np.float32)
     depths = np.zeros((len(small), height, width), np.float32)
     _sweep(
-        features, sizes, warps, offsets, neighbours, inverse_depths, RADIUS_PX,
+        features, sizes, warps, offsets, neighbours, tried_inverse_depths(near_m, far_m), RADIUS_PX,
         np.float32(COST_LIMIT), depths,
     )  # fmt: skip
     agreeing = np.zeros(depths.shape, np.int32)
