@@ -50,6 +50,7 @@ class CameraColour:
         gradient = np.concatenate([gain_grad, bias_grad]).astype(np.float64)
         self._steps[camera] += 1
         count = self._steps[camera]
+        # Adam with the betas of `optimiser`.
         self._first[camera] += 0.1 * (gradient - self._first[camera])
         self._second[camera] += 0.001 * (gradient**2 - self._second[camera])
         first = self._first[camera] / (1 - 0.9**count)

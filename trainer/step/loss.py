@@ -1,4 +1,4 @@
-"""The photometric loss, its gradient, and the two picture metrics that share its kernels.
+"""The photometric loss and its gradient; SSIM and PSNR of pictures.
 
 loss = (1 - lambda) L1 + lambda (1 - SSIM), the mean over pixels and channels, as in 3D Gaussian
 splatting; SSIM with an 11-tap Gaussian window (sigma 1.5 px), zero beyond the border. Pixels that a
@@ -189,7 +189,7 @@ def _silence(mask, gradient):  # type: ignore[no-untyped-def]
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """The loss of one picture and where it leads."""
+    """The loss of one picture and its gradients."""
 
     value: float
     picture_grad: Floats  # shape of the picture, zero in its padding

@@ -27,6 +27,7 @@ from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 
 from codec.camera import Camera
 from codec.errors import InvalidError
+from trainer.capture.capture import Picture
 from trainer.capture.dynerf import POINTS_NAME, POSES_NAME, encode_pose
 from trainer.capture.held_out import HELD_OUT_NAME
 from trainer.errors import CaptureError
@@ -44,7 +45,6 @@ from .scene import (
 from .solid import GROUP_CENTRE, GROUP_RADIUS, Boxes, Parts, Table
 from .trace import BUFFER_COLUMNS, RAYS_PER_PIXEL, trace_frame, trace_room
 
-Picture = npt.NDArray[np.uint8]
 Floats = npt.NDArray[np.float32]
 
 MAX_SIDE_PX = 4096
@@ -101,7 +101,7 @@ class Take:
     far_m: float
     """Largest."""
     xyz: Floats  # (P, 3) metres, world: sampled from frame 0
-    rgb: Picture  # (P, 3)
+    rgb: npt.NDArray[np.uint8]  # (P, 3)
 
 
 def synthesise(config: SynthConfig, console: Console | None = None) -> None:
@@ -209,8 +209,8 @@ class Studio:
 
     def sample_points(
         self, picture: Picture, distance: Floats, count: int, rng: np.random.Generator
-    ) -> tuple[Floats, Picture]:
-        """(xyz, rgb) of what randomly chosen pixels show."""
+    ) -> tuple[Floats, npt.NDArray[np.uint8]]:
+        """(xyz (P, 3), rgb (P, 3)) of what randomly chosen pixels show."""
         rows = rng.integers(0, picture.shape[0], count)
         columns = rng.integers(0, picture.shape[1], count)
         offsets = self._directions[rows, columns] * distance[rows, columns, None]
