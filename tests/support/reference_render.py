@@ -1,12 +1,16 @@
-"""Recipe v1 in plain torch, pixel by pixel over all Gaussians: slow, obvious, differentiable."""
+"""Recipe v1 in plain torch, pixel by pixel over all Gaussians: slow, obvious, differentiable.
+
+With a scene and a camera to compare renderers by.
+"""
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from codec.camera import Camera
-from codec.splats import SH_C0
+from codec.splats import SH_C0, Splats, sh_count
 from player.render.recipe import (
     ALPHA_MAX,
     ALPHA_MIN,
@@ -95,3 +99,28 @@ def render_reference(
         picture = picture + weight[..., None] * colour[i]
         seen = torch.where(shows, after, seen)
     return picture
+
+
+def scattered_splats(count: int, seed: int, sh_degree: int = 0, logit: float = 0.5) -> Splats:
+    """Gaussians around the origin, before `turned_camera`. logit: of the opacities, in the mean."""
+    rng = np.random.default_rng(seed)
+    return Splats(
+        rng.uniform(-1.2, 1.2, (count, 3)).astype(np.float32),
+        np.log(rng.uniform(0.02, 0.3, (count, 3))).astype(np.float32),
+        rng.normal(size=(count, 4)).astype(np.float32),
+        rng.normal(logit, 1.5, count).astype(np.float32),
+        (rng.normal(size=(count, sh_count(sh_degree), 3)) * 0.6).astype(np.float32),
+    )
+
+
+def turned_camera(angle_rad: float = 0.4, name: str = "test") -> Camera:
+    """Off-centre and turned, and not a whole number of tiles: nothing is symmetric by luck, and
+    what lies beside the picture must not count."""
+    w2c = np.eye(4)
+    w2c[:3, :3] = [
+        [np.cos(angle_rad), 0, np.sin(angle_rad)],
+        [0, 1, 0],
+        [-np.sin(angle_rad), 0, np.cos(angle_rad)],
+    ]
+    w2c[:3, 3] = (0.1, -0.2, 2.2)
+    return Camera(name, 45, 37, 40.0, 43.0, 21.0, 20.0, w2c)

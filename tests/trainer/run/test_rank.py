@@ -1,15 +1,13 @@
-"""Contributions: they are the blending weights, they add up to the light, and they order slices."""
+"""Slices in the order of what their Gaussians contribute."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
 
-import numba
 import numpy as np
 import numpy.typing as npt
 import pytest
-import torch
 
 from codec.camera import Camera
 from codec.errors import InvalidError
@@ -20,158 +18,17 @@ from codec.stream import StreamReader, StreamWriter
 from codec.stream.layers import Rank
 from codec.stream.manifest import Manifest
 from player.render.cpu import render_splats
-from player.render.recipe import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
-from tests.support.reference_render import render_reference
+from tests.support.reference_render import scattered_splats, turned_camera
 from trainer.fit.config import FitConfig
 from trainer.fit.trainer import Trainer
 from trainer.pictures.shot import Shot
 from trainer.run.rank import matured_by_contribution, slices_by_contribution
 from trainer.seed.gaussians import initial_splats
-from trainer.step.contribution import contribution
-from trainer.step.raster import Parameters, Rendered, View, render
+from trainer.step.raster import View
 
 NEAR_M = 0.2
 WHITE = 0.5 / SH_C0
 Doubles = npt.NDArray[np.float64]
-
-
-def scene(count: int, seed: int, logit: float = 0.5) -> Splats:
-    rng = np.random.default_rng(seed)
-    return Splats(
-        rng.uniform(-1.2, 1.2, (count, 3)).astype(np.float32),
-        np.log(rng.uniform(0.02, 0.3, (count, 3))).astype(np.float32),
-        rng.normal(size=(count, 4)).astype(np.float32),
-        rng.normal(logit, 1.5, count).astype(np.float32),
-        (rng.normal(size=(count, 1, 3)) * 0.6).astype(np.float32),
-    )
-
-
-def camera(angle: float = 0.4, name: str = "test") -> Camera:
-    # Off-centre and not a whole number of tiles: what lies beside the picture must not count.
-    w2c = np.eye(4)
-    w2c[:3, :3] = [
-        [np.cos(angle), 0, np.sin(angle)],
-        [0, 1, 0],
-        [-np.sin(angle), 0, np.cos(angle)],
-    ]
-    w2c[:3, 3] = (0.1, -0.2, 2.2)
-    return Camera(name, 45, 37, 40.0, 43.0, 21.0, 20.0, w2c)
-
-
-def rendered(splats: Splats, cam: Camera) -> Rendered:
-    return render(
-        Parameters(*splats.arrays),
-        np.arange(len(splats), dtype=np.int32),
-        View.prepare(cam, NEAR_M),
-    )
-
-
-def plain_blend(drawn: Rendered) -> tuple[Doubles, Doubles]:
-    """In float64, over whole pictures: weights summed by Gaussian, (H, W) transmittance left."""
-    cam = drawn.view.camera
-    v, u = np.mgrid[0 : cam.height_px, 0 : cam.width_px] + 0.5
-    seen = np.ones((cam.height_px, cam.width_px))
-    is_open = np.ones(seen.shape, np.bool_)
-    sums = np.zeros(len(drawn.rows))
-    depths = drawn.projection.depths
-    for i in np.argsort(depths):
-        if not np.isfinite(depths[i]):
-            continue
-        x, y, a, b, c, opacity = drawn.projection.projected[i, :6].astype(np.float64)
-        dx, dy = u - x, v - y
-        alpha = np.minimum(
-            ALPHA_MAX, opacity * np.exp(-(a * dx * dx + c * dy * dy) / 2 - b * dx * dy)
-        )
-        shows = is_open & (alpha >= ALPHA_MIN)
-        ends = shows & (seen * (1 - alpha) < TRANSMITTANCE_MIN)
-        is_open &= ~ends
-        weight = np.where(shows & ~ends, seen * alpha, 0)
-        sums[i] = weight.sum()
-        seen -= weight
-    return sums, seen
-
-
-@pytest.mark.parametrize(("count", "logit"), [(60, -1.0), (400, 4.0)])
-def test_it_is_the_weight_of_a_plain_blend(count: int, logit: float) -> None:
-    drawn = rendered(scene(count, 2, logit), camera())
-    expected, left = plain_blend(drawn)
-    got = contribution(drawn)
-    # The dense scene lets so little light through that the threshold ends pixels.
-    assert (left < 100 * TRANSMITTANCE_MIN).any() == (logit > 0)
-    # A pixel near 1/255 or the threshold may fall to the other side in float32.
-    assert np.abs(got - expected).max() < 0.02
-    assert np.quantile(np.abs(got - expected), 0.9) < 1e-3
-    assert expected.max() > 20
-
-
-@pytest.mark.parametrize(("count", "logit"), [(60, -1.0), (400, 4.0)])
-def test_contributions_and_the_light_left_are_the_pixels(count: int, logit: float) -> None:
-    cam = camera()
-    drawn = rendered(scene(count, 2, logit), cam)
-    _, left = plain_blend(drawn)
-    pixels = cam.width_px * cam.height_px
-    assert float(contribution(drawn).sum()) + left.sum() == pytest.approx(pixels, abs=0.1)
-
-
-def test_ignored_pixels_add_nothing() -> None:
-    cam = camera()
-    drawn = rendered(scene(60, 2, -1.0), cam)
-    rng = np.random.default_rng(1)
-    parts = rng.integers(0, 2, (cam.height_px, cam.width_px), dtype=np.uint8)
-    one, other = contribution(drawn, parts), contribution(drawn, 1 - parts)
-    np.testing.assert_allclose(one + other, contribution(drawn), atol=1e-3)
-    assert one.sum() == pytest.approx(contribution(drawn).sum() / 2, rel=0.1)
-    assert not contribution(drawn, np.zeros_like(parts)).any()
-
-
-def test_they_add_up_to_the_picture_of_a_white_scene() -> None:
-    splats, cam = scene(200, 4), camera()
-    splats.sh[:] = WHITE
-    picture = render_splats(splats, cam, NEAR_M)
-    assert float(contribution(rendered(splats, cam)).sum()) == pytest.approx(
-        float(picture[..., 0].sum(dtype=np.float64)), rel=1e-5
-    )
-
-
-def test_it_is_the_slope_of_the_references_picture_by_colour() -> None:
-    splats, cam = scene(80, 6), camera()
-    splats.sh[:] = 0.1  # far from black, where the colour would be cut
-    means, scales, quats, logits, sh = (
-        torch.tensor(array, dtype=torch.float64) for array in splats.arrays
-    )
-    sh.requires_grad_()
-    red = render_reference(means, scales, quats, logits, sh, cam, NEAR_M)[..., 0]
-    torch.autograd.backward(red.sum())
-    assert sh.grad is not None
-    expected = sh.grad[:, 0, 0].numpy() / SH_C0
-    got = contribution(rendered(splats, cam))
-    assert np.abs(got - expected).max() < 0.02
-    assert expected.max() > 20
-
-
-def test_what_is_hidden_or_behind_contributes_nothing() -> None:
-    splats, cam = scene(3, 0), camera(0.0)
-    splats.means[:] = [(0, 0, 0), (0, 0, 0.5), (0, 0, -5)]
-    splats.log_scales[:] = np.log([[2.0] * 3, [0.05] * 3, [0.05] * 3])
-    splats.logit_opacities[:] = (9, 9, 9)
-    second_wall = Splats.concatenate([splats.take(np.array([0])), splats])
-    wall, _, hidden, behind = contribution(rendered(second_wall, cam)).tolist()
-    assert wall > 1000
-    # Two walls of alpha 0.99 leave 1e-4 of the light.
-    assert hidden < 0.01
-    assert behind == 0
-    assert contribution(rendered(Splats.empty(), cam)).shape == (0,)
-
-
-def test_any_number_of_threads_gives_the_same_bits() -> None:
-    drawn = rendered(scene(300, 8), camera())
-    many = numba.get_num_threads()
-    expected = contribution(drawn).tobytes()
-    numba.set_num_threads(1)
-    try:
-        assert contribution(drawn).tobytes() == expected
-    finally:
-        numba.set_num_threads(many)
 
 
 def by_hand(splats: Splats, cameras: list[Camera]) -> Doubles:
@@ -199,7 +56,7 @@ def assert_falls(values: Doubles) -> None:
 
 
 SWIN, FRAMES, SLICE_SIZE = 3, 4, 8
-CAMERAS = [camera(0.4, "a"), camera(-0.3, "b")]
+CAMERAS = [turned_camera(0.4, "a"), turned_camera(-0.3, "b")]
 
 
 @pytest.fixture
@@ -223,7 +80,7 @@ def stream(tmp_path: Path) -> StreamReader:
     with StreamWriter.create(tmp_path / "stream", manifest) as writer:
         for birth in range(1 - SWIN, FRAMES):
             offsets = np.arange(SLICE_SIZE, dtype=np.uint8) % SWIN
-            writer.append(Slice(birth, scene(SLICE_SIZE, birth + 50), offsets))
+            writer.append(Slice(birth, scattered_splats(SLICE_SIZE, birth + 50), offsets))
     return StreamReader(tmp_path / "stream")
 
 

@@ -6,37 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from codec.camera import Camera
-from codec.splats import ARRAY_NAMES, Splats, sh_count
+from codec.splats import ARRAY_NAMES, Splats
 from player.render.cpu import render_splats
-from tests.support.reference_render import render_reference
+from tests.support.reference_render import render_reference, scattered_splats, turned_camera
 from trainer.step.raster import Parameters, View, backward, render
 
 NEAR_M = 0.2
-
-
-def scene(count: int, sh_degree: int, seed: int) -> Splats:
-    rng = np.random.default_rng(seed)
-    return Splats(
-        rng.uniform(-1.2, 1.2, (count, 3)).astype(np.float32),
-        np.log(rng.uniform(0.02, 0.3, (count, 3))).astype(np.float32),
-        rng.normal(size=(count, 4)).astype(np.float32),
-        rng.normal(0.5, 1.5, count).astype(np.float32),
-        (rng.normal(size=(count, sh_count(sh_degree), 3)) * 0.6).astype(np.float32),
-    )
-
-
-def camera(width_px: int = 45, height_px: int = 37) -> Camera:
-    # Off-centre and turned, and not a whole number of tiles: nothing is symmetric by luck.
-    angle = 0.4
-    w2c = np.eye(4)
-    w2c[:3, :3] = [
-        [np.cos(angle), 0, np.sin(angle)],
-        [0, 1, 0],
-        [-np.sin(angle), 0, np.cos(angle)],
-    ]
-    w2c[:3, 3] = (0.1, -0.2, 2.2)
-    return Camera("test", width_px, height_px, 40.0, 43.0, 21.0, 20.0, w2c)
 
 
 def torch_parameters(
@@ -55,7 +30,7 @@ def parameters(splats: Splats) -> Parameters:
 @pytest.mark.parametrize("sh_degree", [0, 1])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_picture_is_the_references(sh_degree: int, seed: int) -> None:
-    splats, cam = scene(120, sh_degree, seed), camera()
+    splats, cam = scattered_splats(120, seed, sh_degree), turned_camera()
     with torch.no_grad():
         expected = render_reference(*torch_parameters(splats, torch.float64), cam, NEAR_M).numpy()
     got = render_splats(splats, cam, NEAR_M)
@@ -66,7 +41,7 @@ def test_the_picture_is_the_references(sh_degree: int, seed: int) -> None:
 
 @pytest.mark.parametrize("sh_degree", [0, 1])
 def test_gradients_are_the_references(sh_degree: int) -> None:
-    splats, cam = scene(80, sh_degree, 3), camera()
+    splats, cam = scattered_splats(80, 3, sh_degree), turned_camera()
     rng = np.random.default_rng(7)
     weights = rng.normal(size=(cam.height_px, cam.width_px, 3)).astype(np.float32)
 
@@ -96,7 +71,7 @@ def test_gradients_are_the_references(sh_degree: int) -> None:
 @pytest.mark.parametrize("name", ARRAY_NAMES)
 def test_gradients_are_the_slopes_of_the_kernels_own_picture(name: str) -> None:
     """Central differences through the float32 kernels, along random directions."""
-    splats, cam = scene(12, 1, 5), camera()
+    splats, cam = scattered_splats(12, 5, sh_degree=1), turned_camera()
     # Opaque: the cut at alpha = 1/255, whose jump no gradient sees, then weighs little.
     splats.logit_opacities[:] = np.abs(splats.logit_opacities) + 1.5
     rng = np.random.default_rng(11)
@@ -136,7 +111,7 @@ def test_gradients_are_the_slopes_of_the_kernels_own_picture(name: str) -> None:
 
 
 def test_frozen_rows_get_no_gradient_and_regularisers_reach_hidden_rows() -> None:
-    splats, cam = scene(20, 0, 9), camera()
+    splats, cam = scattered_splats(20, 9), turned_camera()
     values, view = parameters(splats), View.prepare(cam, NEAR_M)
     values.means[0] = (0, 0, -50)  # behind the camera
     rendered = render(values, np.arange(20, dtype=np.int32), view)
