@@ -55,7 +55,7 @@ def test_dynamic3dgs_cameras_split_and_pictures(tmp_path: Path) -> None:
     assert capture.layout == "dynamic3dgs"
     assert (capture.num_frames, capture.fps, capture.points) == (3, 30.0, None)
     assert [c.camera.name for c in capture.cameras] == ["cam00", "cam01", "cam02", "cam03"]
-    assert capture.held_out == (1,)
+    assert capture.held_out == capture.watching == (1,)
     assert capture.training == (0, 2, 3)
     for index, camera in enumerate(written):
         assert np.array_equal(capture.cameras[index].camera.w2c, camera.w2c)
@@ -73,7 +73,9 @@ def test_dynamic3dgs_cameras_split_and_pictures(tmp_path: Path) -> None:
 def test_dynamic3dgs_without_held_out_cameras(tmp_path: Path) -> None:
     write_dynamic3dgs(tmp_path / "c")
     (tmp_path / "c" / "test_meta.json").unlink()
-    assert open_capture(tmp_path / "c").held_out == ()
+    capture = open_capture(tmp_path / "c")
+    assert capture.held_out == ()
+    assert capture.watching == capture.training
 
 
 def test_missing_frame_names_camera_and_file(tmp_path: Path) -> None:
