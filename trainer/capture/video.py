@@ -26,8 +26,8 @@ from trainer.errors import CaptureError
 from .capture import Picture, check_frame
 
 MAX_SKIP_FRAMES = 12
-"""Frames decoded and dropped rather than looking for a nearer key frame: about as dear as a
-seek."""
+"""Frames decoded and dropped rather than looking for a nearer key frame: that costs about as much
+as a seek."""
 
 FPS_TOLERANCE = 1e-3
 """Largest relative difference of two cameras' frame rates: containers round their time base."""

@@ -43,7 +43,7 @@ LEAST_ERROR = 0.05
 enough."""
 
 FINER = 4
-"""Finer steps to either side of the best depth of stereo's; so many make one of its steps."""
+"""Finer steps tried to either side of the best of stereo's depths; together one of its steps."""
 
 COST_LIMIT = 0.2
 """Largest cost of a camera, of 1: one that something hides the place from must not outvote the
@@ -77,10 +77,10 @@ class Comparer:
     """Compares what is rendered with what the cameras saw, on small pictures."""
 
     def __init__(self, cameras: Sequence[Camera], near_m: float) -> None:
-        self.views = [View.prepare(small_camera(c), near_m) for c in cameras]
-        height = max(v.camera.height_px for v in self.views)
-        width = max(v.camera.width_px for v in self.views)
-        self._shape = len(self.views), height, width
+        self._views = [View.prepare(small_camera(c), near_m) for c in cameras]
+        height = max(v.camera.height_px for v in self._views)
+        width = max(v.camera.width_px for v in self._views)
+        self._shape = len(self._views), height, width
 
     def compare(
         self, values: Parameters, rows: Ints, pictures: Pictures, frame: int, colour: CameraColour
@@ -90,7 +90,7 @@ class Comparer:
         errors = np.zeros(self._shape, np.float32)
         usable = np.zeros(self._shape, np.bool_)
         contributions = np.zeros(len(rows), np.float32)
-        for i, view in enumerate(self.views):
+        for i, view in enumerate(self._views):
             width, height = size = view.camera.width_px, view.camera.height_px
             shot = pictures.shot(i, frame)
             small = Image.fromarray(shot.picture).resize(size, Image.Resampling.BOX)
@@ -105,7 +105,7 @@ class Comparer:
             saw[i, :height, :width] = (truth - bias) / np.maximum(gain, np.float32(0.1))
             counts = np.ones((height, width), np.bool_) if small_mask is None else small_mask > 0
             usable[i, 1 : height - 1, 1 : width - 1] = _surrounded(counts)
-        return Comparison(tuple(v.camera for v in self.views), saw, errors, usable), contributions
+        return Comparison(tuple(v.camera for v in self._views), saw, errors, usable), contributions
 
 
 @kernel(inline="always")

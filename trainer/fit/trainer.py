@@ -81,7 +81,7 @@ class Observer:
         """Some more iterations of the window are done."""
 
     def window_ended(self, first_frame: int) -> None:
-        """Its slices have been taken, and whoever takes them has asked for the next window."""
+        """The window's slices have been taken, and the next window has been asked for."""
 
 
 @dataclass(frozen=True, slots=True)
