@@ -47,7 +47,7 @@ def run(config: ParityConfig) -> None:
 
 
 def main() -> None:
-    run_command(ParityConfig, run, "bench-parity", "Compares OpenGL with the CPU renderer.")
+    run_command(ParityConfig, run, "scripts/bench parity", "Compares OpenGL with the CPU renderer.")
 
 
 if __name__ == "__main__":

@@ -153,7 +153,7 @@ def run(config: RenderConfig) -> None:
 
 
 def main() -> None:
-    run_command(RenderConfig, run, "bench-render", "Measures how long the renderers take.")
+    run_command(RenderConfig, run, "scripts/bench render", "Measures how long the renderers take.")
 
 
 if __name__ == "__main__":

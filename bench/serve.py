@@ -208,7 +208,9 @@ def run(config: BenchConfig) -> None:
 
 
 def main() -> None:
-    run_command(BenchConfig, run, "bench-serve", "Measures what serving costs, over loopback.")
+    run_command(
+        BenchConfig, run, "scripts/bench serve", "Measures what serving costs, over loopback."
+    )
 
 
 if __name__ == "__main__":

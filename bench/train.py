@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from codec.camera import Camera
+from codec.console import run_command
 from player.render.blend import blend_tiles
 from player.render.project import Projection, project_kernel
 from player.render.tiles import list_tiles
@@ -228,13 +229,27 @@ def torch_table() -> Table:
     return table
 
 
-def main() -> None:
+@dataclass(frozen=True, slots=True)
+class TrainBenchConfig:
+    """Times a training step stage by stage."""
+
+    torch: bool = True
+    """Also time the whole step beside one in plain torch, which takes a minute."""
+
+
+def run(config: TrainBenchConfig) -> None:
     console = Console(width=180)
     console.print(stage_table())
+    if not config.torch:
+        return
     if importlib.util.find_spec("torch") is None:
         console.print(NO_TORCH)
         return
     console.print(torch_table())
+
+
+def main() -> None:
+    run_command(TrainBenchConfig, run, "scripts/bench train", "Times a training step.")
 
 
 if __name__ == "__main__":
