@@ -76,7 +76,7 @@ def run(config: CudaConfig) -> None:
             str(length),
             f"{took_s / length:.1f}",
             f"{torch.cuda.max_memory_allocated() / 1e9:.2f}",
-            f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f}",
+            f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9:.2f}",
             f"{score.psnr_db:.2f}",
             f"{score.ssim:.3f}",
             f"{score.bytes_per_frame / 1e3:.0f}",
