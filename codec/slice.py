@@ -50,6 +50,12 @@ class Slice:
         return shown
 
 
+def window_births(frame: int, swin_size: int) -> range:
+    """The births of the slices that show at `frame`, oldest first: any frame can be sought exactly
+    by fetching these slices and no other."""
+    return range(frame - swin_size + 1, frame + 1)
+
+
 def active_splats(slices: Iterable[Slice], frame: int, swin_size: int) -> Splats:
     """All Gaussians of `slices` (at least one) that show at `frame`, in the slices' order."""
     return Splats.concatenate(

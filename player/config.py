@@ -14,7 +14,7 @@ from codec.framerange import FRAMES, FrameRange
 from codec.stream.manifest import Manifest
 from player.link.link import Link
 from player.render.renderer import RendererKind
-from player.show.sink import check_capture
+from player.show.sink import check_output
 from player.view.path import CameraPath, Size, camera_path, check_path
 
 
@@ -82,7 +82,7 @@ class PlayConfig:
         if self.link is not None and not self.source.lower().startswith("http://"):
             raise InvalidError(f"--link slows down http:// URLs; {self.source} is not one")
         if self.capture is not None:
-            check_capture(self.capture)
+            check_output(self.capture)
         elif self.renderer is RendererKind.CPU:
             raise InvalidError("a window is drawn by OpenGL; --renderer cpu goes with --capture")
         if self.report is not None and not self.report.parent.is_dir():

@@ -19,7 +19,7 @@ from codec.pose import Doubles
 from codec.splats import SH_C0, Floats, Splats, sh_count
 
 from . import quantise, raw
-from .coding import Body
+from .body import Body
 from .morton import BITS_PER_AXIS, decode_gaps, encode_gaps, gather, interleave
 from .orientation import canonical
 from .quantise import (

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from codec.errors import CorruptError, InvalidError
 from codec.splats import Floats, Splats, sh_count
 
-from .coding import Body
+from .body import Body
 from .quantise import MIDDLE, Bytes, Steps, opacity_logits
 from .raw import FLOAT32
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import StrEnum
 
 from . import compact, paper, raw
-from .coding import Coding
+from .body import Coding
 
 
 class Profile(StrEnum):

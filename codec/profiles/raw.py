@@ -9,7 +9,7 @@ import numpy as np
 from codec.errors import CorruptError
 from codec.splats import Floats, Splats, sh_count
 
-from .coding import Body
+from .body import Body
 from .quantise import Steps
 
 CODE = 0

@@ -18,7 +18,7 @@ import numpy as np
 from codec.camera import MAX_NAME_CHARS, Camera
 from codec.errors import CorruptError, InvalidError, UnsupportedError
 from codec.profiles.profile import Profile
-from codec.slice import MAX_SWIN_SIZE
+from codec.slice import MAX_SWIN_SIZE, window_births
 from codec.splats import MAX_SH_DEGREE
 
 from .chunk import MAX_SPLATS_PER_CHUNK, ChunkBounds
@@ -172,7 +172,7 @@ class Manifest:
     @property
     def first_birth(self) -> int:
         """Birth of the oldest slice in the window of frame 0."""
-        return 1 - self.swin_size
+        return window_births(0, self.swin_size).start
 
     def camera(self, name: str | None = None) -> Camera:
         """The camera called `name`, or the default one. Raises InvalidError if there is none."""

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from codec.errors import CodecError, CorruptError, InvalidError
 from codec.files import read_bounded
-from codec.slice import Slice, active_splats
+from codec.slice import Slice, active_splats, window_births
 from codec.splats import Splats
 
 from .chunk import Chunk
@@ -162,7 +162,7 @@ class StreamReader:
         """The swin_size slices that show at `frame`, oldest first."""
         if not 0 <= frame < self.num_frames:
             raise InvalidError(f"{self.path} has no frame {frame}; it has {self.num_frames} frames")
-        births = range(frame - self.manifest.swin_size + 1, frame + 1)
+        births = window_births(frame, self.manifest.swin_size)
         return [self.slice(birth, num_layers) for birth in births]
 
     def active_splats(self, frame: int, num_layers: int) -> Splats:

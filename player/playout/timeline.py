@@ -11,7 +11,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from codec.errors import CorruptError, InvalidError
-from codec.slice import Slice
+from codec.slice import Slice, window_births
 from player.source.source import ReceivedSlice
 
 
@@ -93,7 +93,7 @@ class Playout:
         self._queue_bytes = 0
         self._next_frame = first_frame
         self._swin_size = swin_size
-        self.next_birth = first_frame - swin_size + 1
+        self.next_birth = window_births(first_frame, swin_size).start
         """Birth of the slice that `push` wants next."""
         self._last_arrival_s = -math.inf
         # Due times are counted from the last start or stall, not summed up frame by frame.

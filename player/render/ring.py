@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.errors import InvalidError
-from codec.slice import Slice
+from codec.slice import Slice, window_births
 from codec.splats import Splats, sh_count
 
 from .lane import check_slice
@@ -54,7 +54,7 @@ class Ring:
     def active(self, frame: int) -> Splats:
         """The Gaussians that show at `frame`, oldest slice first."""
         parts = []
-        for birth in range(frame - self.swin_size + 1, frame + 1):
+        for birth in window_births(frame, self.swin_size):
             lane = birth % self.swin_size
             if self._births[lane] != birth:
                 continue

@@ -51,7 +51,7 @@ def to_bytes(picture: Floats) -> Bytes:
     return np.rint(np.clip(picture, 0, 1) * 255).astype(np.uint8)
 
 
-def check_capture(path: Path) -> None:
+def check_output(path: Path) -> None:
     """Raises InvalidError when no capture can be written to `path`."""
     if path.suffix.lower() in OTHER_SUFFIXES:
         raise InvalidError(f"capture {path}: name an .mp4 file, or a folder for PNGs")
@@ -74,7 +74,7 @@ def open_sink(path: Path, fps: float, size: Size) -> Iterator[FrameSink]:
 
     Leaving by an exception leaves no video; PNGs that are written stay.
     """
-    check_capture(path)
+    check_output(path)
     if path.suffix.lower() != ".mp4":
         yield PngSink(path)
         return

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from codec.framerange import FrameRange
+from codec.slice import window_births
 from codec.stream import StreamReader
 from codec.stream.manifest import Manifest
 
@@ -30,7 +31,7 @@ class DirectorySource:
 
     def slices(self) -> Iterator[ReceivedSlice]:
         reader, end = self._reader, self.frames.end
-        birth = self.frames.first - self.manifest.swin_size + 1
+        birth = window_births(self.frames.first, self.manifest.swin_size).start
         while end is None or birth < end:
             segment = self.manifest.segment_of(birth)
             if segment >= len(reader.records):

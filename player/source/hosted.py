@@ -7,6 +7,7 @@ from urllib.parse import urljoin
 
 from codec.errors import CodecError
 from codec.framerange import FrameRange
+from codec.slice import window_births
 from codec.stream.index import INDEX_NAME, SegmentRecord
 from codec.stream.integrity import MAX_INDEX_BYTES, CheckedObject, read_index
 from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest
@@ -91,7 +92,7 @@ class HostedSource:
     def slices(self) -> Iterator[ReceivedSlice]:
         manifest, end = self.manifest, self.frames.end
         assert end is not None  # a hosted stream is opened as finished
-        birth = self.frames.first - manifest.swin_size + 1
+        birth = window_births(self.frames.first, manifest.swin_size).start
         while birth < end:
             record = self._records[manifest.segment_of(birth)]
             objects = [self._object(record, layer) for layer in range(self._layers)]

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 from codec.errors import CodecError, CorruptError
 from codec.framerange import FrameRange
+from codec.slice import window_births
 from codec.stream.chunk import Chunk
 from codec.stream.integrity import decode_fitting_packet, fitting_slice
 from codec.stream.manifest import Manifest
@@ -126,7 +127,7 @@ class ServedSource:
 
     def slices(self) -> Iterator[ReceivedSlice]:
         retry = Retry(self._retry_config)
-        birth = self.frames.first - self.manifest.swin_size + 1
+        birth = window_births(self.frames.first, self.manifest.swin_size).start
         connected = True
         while True:
             try:

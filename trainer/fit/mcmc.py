@@ -1,7 +1,7 @@
 """Relocation: dead Gaussians move to where living ones are, without changing the picture.
 
-3D Gaussian splatting as Markov chain Monte Carlo (equations 9 to 11), with the sliding window's
-rule of who may move where.
+3D Gaussian splatting as Markov chain Monte Carlo (equations 9 to 11). Which Gaussians are dead, and
+where they may move in a sliding window, stands in generations.py.
 """
 
 from __future__ import annotations

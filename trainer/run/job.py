@@ -20,9 +20,9 @@ from .checkpoint import CHECKPOINT_NAME, load_checkpoint, save_checkpoint
 from .config import TrainConfig
 from .monitor import Monitor, progress_bar
 from .outputs import check_targets, open_outputs, write_snapshot
+from .prepare import first_gaussians, make_manifest, prepare, shared_settings
 from .rank import CONTRIBUTION, matured_by_contribution
 from .runlog import LOG_NAME, RunLog
-from .start import check_start, first_gaussians, make_manifest, shared_settings
 
 
 @contextmanager
@@ -60,28 +60,28 @@ def train_stream(
     stops it later leaves a valid, shorter stream and a checkpoint to resume from.
     """
     targets = check_targets(config)
-    start = check_start(config)
-    settings = shared_settings(config, start)
+    prepared = prepare(config)
+    settings = shared_settings(config, prepared)
     checkpoint = config.target / CHECKPOINT_NAME
     found = load_checkpoint(checkpoint, settings) if config.resume else None
     on_checked()
     with ExitStack() as stack:
         cache = stack.enter_context(
-            FrameCache(start.capture, start.frames, config.scale, config.cache_bytes)
+            FrameCache(prepared.capture, prepared.frames, config.scale, config.cache_bytes)
         )
-        pictures = CapturePictures(cache, start.capture.training)
+        pictures = CapturePictures(cache, prepared.capture.training)
         log_path = config.log or config.target / LOG_NAME
         log = stack.enter_context(RunLog(log_path, config.tensorboard))
         if found is None:
             with console.status("first Gaussians"):
-                initial = first_gaussians(config, start, pictures)
-            manifest = make_manifest(config, start, cache, initial)
+                initial = first_gaussians(config, prepared, pictures)
+            manifest = make_manifest(config, prepared, cache, initial)
         else:
             initial, manifest = None, StreamReader(config.target).manifest
         bar = progress_bar(console)
-        monitor = Monitor(bar, log, config.fit, len(start.frames))
+        monitor = Monitor(bar, log, config.fit, len(prepared.frames))
         trainer = Trainer(
-            config.fit, pictures, initial, start.near_m, start.far_m, start.backend,
+            config.fit, pictures, initial, prepared.near_m, prepared.far_m, prepared.backend,
             (monitor, *observers),
         )  # fmt: skip
         if found is not None:
@@ -109,9 +109,9 @@ def train_stream(
             monitor.frame_finished(frame, shown, outputs.bytes_written, outputs.quality)
             if config.snapshot_every and frame % config.snapshot_every == 0:
                 write_snapshot(
-                    trainer.shown(frame), frame, cache, start.near_m, config.target / "snapshots"
+                    trainer.shown(frame), frame, cache, prepared.near_m, config.target / "snapshots"
                 )
-            if asked.is_set() and frame + 1 < len(start.frames):
+            if asked.is_set() and frame + 1 < len(prepared.frames):
                 raise InterruptedRunError(
                     f"stopped after frame {frame}; --resume goes on from there"
                 )

@@ -12,7 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from trainer.fit.config import FitConfig
 from trainer.fit.trainer import Observer
 from trainer.fit.trainer import Progress as FitProgress
-from trainer.score.quality import QualityMeter
+from trainer.score.meter import QualityMeter
 
 from .runlog import RunLog
 

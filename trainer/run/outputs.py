@@ -15,8 +15,8 @@ from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import Manifest
 from trainer.pictures.framecache import FrameCache
+from trainer.score.meter import QualityMeter
 from trainer.score.picture import captured, displayed
-from trainer.score.quality import QualityMeter
 from trainer.score.sheet import comparison, save_png
 
 from .config import TrainConfig

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from codec.errors import InvalidError
-from player.show.sink import Bytes, PngSink, SinkError, check_capture, open_sink, to_bytes
+from player.show.sink import Bytes, PngSink, SinkError, check_output, open_sink, to_bytes
 from player.view.path import Size
 
 
@@ -107,7 +107,7 @@ def test_outputs_that_cannot_be(tmp_path: Path) -> None:
         ("absent/x.mp4", "there is no folder"),
     ):
         with pytest.raises(InvalidError, match=message):
-            check_capture(tmp_path / name)
+            check_output(tmp_path / name)
 
 
 def test_light_is_rounded_and_clipped() -> None:

@@ -27,7 +27,7 @@ from trainer.fit.optimiser import Adam, OptimiserConfig
 from trainer.pictures.framecache import FrameCache
 from trainer.pictures.scale import half_mask, scaled_mask
 from trainer.score.evaluate import EvaluateConfig, LayerScore, evaluate_stream
-from trainer.score.quality import QualityMeter
+from trainer.score.meter import QualityMeter
 from trainer.step.loss import Floats, photometric_loss
 from trainer.step.raster import Parameters, View, backward, render
 

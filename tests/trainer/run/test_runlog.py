@@ -17,7 +17,7 @@ from trainer.fit.config import FitConfig
 from trainer.fit.trainer import Progress as FitProgress
 from trainer.run.monitor import Monitor, progress_bar
 from trainer.run.runlog import LOG_NAME, RunLog
-from trainer.score.quality import QualityMeter
+from trainer.score.meter import QualityMeter
 
 FRAMES = 5
 

@@ -35,7 +35,7 @@ LEAST_POINT_SHARE = 0.3
 
 
 @dataclass(frozen=True, slots=True)
-class Start:
+class Prepared:
     """What is trained."""
 
     capture: Capture
@@ -47,7 +47,7 @@ class Start:
     backend: Backend
 
 
-def check_start(config: TrainConfig) -> Start:
+def prepare(config: TrainConfig) -> Prepared:
     """Opens the capture. Raises SwingsError where capture or settings cannot work."""
     capture = open_capture(config.capture)
     if config.points is not None:
@@ -55,7 +55,7 @@ def check_start(config: TrainConfig) -> Start:
     check_trainable(capture)
     frames = FrameRange.parse(config.frames).of(capture.num_frames, capture.root)
     near_m, far_m = _depths(capture, config)
-    return Start(capture, frames, near_m, far_m, config.fit.backend(config.backend))
+    return Prepared(capture, frames, near_m, far_m, config.fit.backend(config.backend))
 
 
 def _depths(capture: Capture, config: TrainConfig) -> tuple[float, float]:
@@ -71,20 +71,20 @@ def _depths(capture: Capture, config: TrainConfig) -> tuple[float, float]:
     return near_m, far_m
 
 
-def shared_settings(config: TrainConfig, start: Start) -> dict[str, Any]:
+def shared_settings(config: TrainConfig, prepared: Prepared) -> dict[str, Any]:
     """What a resumed run must share with the run that it continues."""
     return {
         **asdict(config.fit),
-        "frames": [start.frames.start, start.frames.stop],
-        "near_m": start.near_m,
-        "far_m": start.far_m,
+        "frames": [prepared.frames.start, prepared.frames.stop],
+        "near_m": prepared.near_m,
+        "far_m": prepared.far_m,
         **{
             name: getattr(config, name)
             for name in ("scale", "point_share", "layers", "rank", "profile", "segment_frames")
         },
         "raw_stream": config.raw_stream is not None,
-        "backend": type(start.backend).__name__,
-        "first_picture": _fingerprint(start.capture, start.frames.start),
+        "backend": type(prepared.backend).__name__,
+        "first_picture": _fingerprint(prepared.capture, prepared.frames.start),
     }
 
 
@@ -97,9 +97,9 @@ def _fingerprint(capture: Capture, frame: int) -> str:
         source.close()
 
 
-def first_gaussians(config: TrainConfig, start: Start, pictures: Pictures) -> Splats:
+def first_gaussians(config: TrainConfig, prepared: Prepared, pictures: Pictures) -> Splats:
     """num_gs Gaussians: of the capture's points, the rest seeded where the cameras agree."""
-    fit, points, cameras = config.fit, start.capture.points, pictures.cameras
+    fit, points, cameras = config.fit, prepared.capture.points, pictures.cameras
     rng = np.random.default_rng(fit.seed)
     positions, colours = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8)
     if points is not None:
@@ -113,13 +113,13 @@ def first_gaussians(config: TrainConfig, start: Start, pictures: Pictures) -> Sp
     if missing > 0:
         shots = [pictures.shot(c, 0) for c in range(len(cameras))]
         seeds, seed_colours = stereo_seeds(
-            cameras, [s.picture for s in shots], missing, start.near_m, start.far_m, rng,
+            cameras, [s.picture for s in shots], missing, prepared.near_m, prepared.far_m, rng,
             [s.mask for s in shots],
         )  # fmt: skip
         if len(seeds) < missing:
             raise CaptureError(
-                f"{start.capture.root}: no three training cameras see the same place between "
-                f"{start.near_m:g} m and {start.far_m:g} m; set --near-m and --far-m"
+                f"{prepared.capture.root}: no three training cameras see the same place between "
+                f"{prepared.near_m:g} m and {prepared.far_m:g} m; set --near-m and --far-m"
             )
         positions = np.concatenate([positions, seeds])
         colours = np.concatenate([colours, seed_colours])
@@ -127,10 +127,10 @@ def first_gaussians(config: TrainConfig, start: Start, pictures: Pictures) -> Sp
 
 
 def make_manifest(
-    config: TrainConfig, start: Start, cache: FrameCache, initial: Splats
+    config: TrainConfig, prepared: Prepared, cache: FrameCache, initial: Splats
 ) -> Manifest:
     """The manifest of the stream about to be trained."""
-    capture = start.capture
+    capture = prepared.capture
     cameras = tuple(cache.camera(i) for i in range(len(capture.cameras)))
     points = capture.points.xyz if capture.points is not None else initial.means
     low, high = np.percentile(points, 5, axis=0), np.percentile(points, 95, axis=0)
@@ -143,7 +143,7 @@ def make_manifest(
         sh_degree=config.fit.sh_degree,
         profile=config.profile,
         antialias=False,
-        near_m=start.near_m,
+        near_m=prepared.near_m,
         bounds=(
             (float(low[0]), float(low[1]), float(low[2])),
             (float(high[0]), float(high[1]), float(high[2])),
@@ -152,5 +152,5 @@ def make_manifest(
         default_camera=cameras[capture.watching[0]].name,
         live=True,
         title=config.title or capture.root.resolve().name,
-        capture_frame=start.frames.start,
+        capture_frame=prepared.frames.start,
     )
