@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
-from collections.abc import Callable
-from typing import NoReturn, TypeVar
+from collections.abc import Callable, Sequence
+from typing import Any, NoReturn, TypeVar
 
 import tyro
 from tyro.constructors import PrimitiveConstructorSpec
@@ -45,7 +45,8 @@ def run_command(
     Exits with 0 when done, 1 with one line on stderr for a SwingsError or an OSError, 2 for bad
     usage. A `--verbose` anywhere among the arguments shows the traceback and debug logs.
     """
-    verbose, arguments = _split_verbose(prog)
+    # Not a field of the configs, because it may stand before a subcommand and after it.
+    verbose, arguments = split_option(None, "--verbose", action="store_true")
     logging.basicConfig(
         level=logging.DEBUG if verbose else logging.WARNING,
         format=f"{prog}: %(levelname)s %(name)s: %(message)s",
@@ -79,14 +80,14 @@ def run_command(
         fail(error, 1)
 
 
-def _split_verbose(prog: str) -> tuple[bool, list[str]]:
-    """Whether the command line says --verbose, and its other arguments.
+def split_option(args: Sequence[str] | None, name: str, **kind: Any) -> tuple[Any, list[str]]:
+    """The value of an option that must be known before the others are parsed, and the others.
 
-    It is not a field of the configs, because it may stand before a subcommand and after it.
+    args: None for those of the command line. kind: as argparse's add_argument takes it.
     """
     # Not tyro.cli(return_unknown_args=True): asked for shell completion, it would complete this
     # one option only.
-    first = argparse.ArgumentParser(prog, add_help=False, allow_abbrev=False)
-    first.add_argument("--verbose", action="store_true")
-    known, others = first.parse_known_args()
-    return known.verbose, others
+    first = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    first.add_argument(name, dest="value", **kind)
+    known, others = first.parse_known_args(args)
+    return known.value, others

@@ -15,6 +15,7 @@ from codec.errors import InvalidError
 from codec.files import temporary_beside, write_atomic
 from codec.stream.chunk import encoded_elsewhere
 from codec.stream.index import INDEX_NAME, SegmentRecord, pack_record
+from codec.stream.integrity import fitting_slice
 from codec.stream.manifest import MANIFEST_NAME, OBJECT_URL, object_file
 from codec.stream.object import encode_packet, join_packets
 from codec.stream.reader import StreamReader
@@ -80,12 +81,13 @@ def _write(reader: StreamReader, folder: Path) -> int:
 def _write_segment(reader: StreamReader, record: SegmentRecord, folder: Path) -> SegmentRecord:
     """Writes the objects of a segment; gives its record in the new index."""
     manifest, segment = reader.manifest, record.segment
-    for birth in manifest.births(segment, record.num_frames):
-        reader.slice(birth, manifest.num_layers)  # only to refuse what is wrong
+    sources = [reader.read_object(segment, layer) for layer in range(manifest.num_layers)]
+    for birth in manifest.births(segment, record.num_frames):  # only to refuse what is wrong
+        chunks = (source.chunk(birth) for source in sources)
+        fitting_slice(chunks, manifest, lambda layer: sources[layer].name)
     limit_bytes = manifest.chunk_bounds.max_bytes
     sizes, hashes = [], []
-    for layer in range(manifest.num_layers):
-        source = reader.read_object(segment, layer)
+    for layer, source in enumerate(sources):
         packets = [
             (entry.birth, _recoded(source.packet(entry.birth), limit_bytes))
             for entry in source.entries

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 import tyro
 
+from codec.console import split_option
 from codec.profiles.profile import Profile
 from trainer.fit.config import FitConfig
 from trainer.fit.mcmc import McmcConfig
@@ -65,10 +65,6 @@ def parse_with_preset(
 
     An unknown name is left to tyro to refuse.
     """
-    # Not tyro.cli(return_unknown_args=True): asked for shell completion, it would complete this
-    # one option only.
-    first = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    first.add_argument("--preset", nargs="?")
-    chosen, _ = first.parse_known_args(args)
-    config: TrainConfig = tyro.cli(PRESETS.get(chosen.preset, config_type), args=args, **options)
+    preset, _ = split_option(args, "--preset", nargs="?")
+    config: TrainConfig = tyro.cli(PRESETS.get(preset, config_type), args=args, **options)
     return config

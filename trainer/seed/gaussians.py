@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from codec.camera import Camera
 from codec.kernel import kernel
@@ -118,6 +117,8 @@ def spacings(points: Floats) -> Floats:
     float32. A tree finds the candidates, in float64. Where rounding to float32 could make a place
     beyond them one of the three nearest, the tree is asked for twice as many.
     """
+    from scipy.spatial import cKDTree  # loads slowly, and most commands do without it
+
     # Points that coincide are one place in the tree, which is slow where it holds many of them.
     places, which, copies = np.unique(points, axis=0, return_inverse=True, return_counts=True)
     tree = cKDTree(places)
