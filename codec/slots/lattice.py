@@ -148,10 +148,12 @@ def quantise(
         if before is None:
             scales, quats = canonical(splats.log_scales, splats.quats)
         else:
-            sizes = before.attributes[:, SCALES:TURNS].view(np.int8)
-            turns = before.attributes[:, TURNS:COLOURS].view(np.int8)
+            signed = before.attributes.view(np.int8).astype(np.float64)
             scales, quats = nearest_form(
-                splats.log_scales, splats.quats, sizes * lattice.log_scale, turns * lattice.rotation
+                splats.log_scales,
+                splats.quats,
+                signed[:, SCALES:TURNS] * lattice.log_scale,
+                signed[:, TURNS:COLOURS] * lattice.rotation,
             )
         rgb = splats.sh.astype(np.float64)
         if splats.sh_degree == 0:
