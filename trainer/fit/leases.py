@@ -8,6 +8,7 @@ every window by what changed in its newest frame.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,8 @@ from codec.profiles.morton import interleave
 from codec.slots.lattice import Lattice, States, dequantise, quantise
 from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
+
+from .budget import ByteBudget
 
 Ints = npt.NDArray[np.int32]
 Flags = npt.NDArray[np.bool_]
@@ -38,39 +41,62 @@ class LeaseConfig:
     hold: float = 0.5
     """A value within so many steps of the one that a player has is not sent: 0.5 rounds to the
     nearest; more makes a stream smaller and coarser."""
+    bytes_per_frame: float | None = None
+    """Bytes that a frame may take over time, the first one apart; active_share is then what a
+    slice may have at most."""
 
     def __post_init__(self) -> None:
         for name in ("active_share", "refresh_share"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InvalidError(f"{name} {getattr(self, name):g}: choose 0 to 1")
+        if self.bytes_per_frame is not None and not self.bytes_per_frame > 0:
+            raise InvalidError(f"bytes_per_frame {self.bytes_per_frame:g}: choose more than 0")
         if not 0.5 <= self.hold <= 4:
             raise InvalidError(f"hold {self.hold:g}: choose 0.5 to 4")
+
+
+@dataclass(frozen=True, slots=True)
+class SlotPlan:
+    """The slots of a stream, as its manifest says."""
+
+    slots: tuple[int, ...]
+    """Of each layer in a lane."""
+    lattices: tuple[Lattice, ...]
+    """Of each layer."""
 
 
 class Leases:
     """What a player holds of every slot, and since when."""
 
-    def __init__(self, config: LeaseConfig, swin_size: int, slots: tuple[int, ...]) -> None:
-        """slots: of each layer in a lane."""
-        self.config = config
-        self.slots = slots
-        self.slice_size = sum(slots)
+    def __init__(self, config: LeaseConfig, swin_size: int, sh_degree: int, plan: SlotPlan) -> None:
+        self.config, self.slots, self.lattices = config, plan.slots, plan.lattices
+        self.slice_size = sum(plan.slots)
         num_gs = swin_size * self.slice_size
-        self.layers = np.tile(np.repeat(np.arange(len(slots)), slots), swin_size).astype(np.uint8)
-        """(num_gs,) the layer of each slot."""
-        self.lattices: tuple[Lattice, ...] = ()
-        self.states = States.zeros(num_gs, 0)
+        pattern = np.repeat(np.arange(len(plan.slots)), plan.slots)
+        self.layers = np.tile(pattern, swin_size).astype(np.uint8)
+        """(num_gs,) the layer of each slot; in genesis of each Gaussian."""
+        self.states = States.zeros(num_gs, sh_degree)
         self.is_shown = np.zeros(num_gs, np.bool_)
         """Whether a slot holds a Gaussian."""
         self.is_other = np.ones(num_gs, np.bool_)
         """Whether what is trained in a slot is another Gaussian than the one a player has."""
         self.trained = np.zeros(num_gs, np.int32)
         """The birth that each slot was active at last."""
+        self.budget = ByteBudget(config.bytes_per_frame) if config.bytes_per_frame else None
 
-    def begin(self, splats: Splats, coarser: float = 1.0) -> None:
-        """Fixes the lattices by the Gaussians of the first window."""
-        self.lattices = (Lattice.suiting(splats, coarser),) * len(self.slots)
-        self.states = States.zeros(len(self.is_shown), splats.sh_degree)
+    def state(self) -> dict[str, npt.NDArray[Any]]:
+        """Everything that changes while training. Views, not copies."""
+        arrays: dict[str, npt.NDArray[Any]] = {
+            "lease_layers": self.layers,
+            "lease_positions": self.states.positions,
+            "lease_attributes": self.states.attributes,
+            "lease_is_shown": self.is_shown,
+            "lease_is_other": self.is_other,
+            "lease_trained": self.trained,
+        }
+        if self.budget is not None:
+            arrays["lease_budget"] = self.budget.state()
+        return arrays
 
     def rank(self, contributions: Doubles) -> None:
         """Puts each Gaussian of genesis into a layer, those that contribute most into the first."""
@@ -109,6 +135,8 @@ class Leases:
         much each has to do with what changed."""
         count = len(rows)
         wanted = round(self.config.active_share * count)
+        if self.budget is not None:
+            wanted = min(wanted, self.budget.slots)
         turn = min(round(self.config.refresh_share * count), wanted)
         by_score = np.argsort(-scores, kind="stable")
         chosen = np.zeros(count, np.bool_)

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.slice import Slice
-from codec.slots.update import Update
+from codec.slots.update import KEPT, Update
 from codec.splats import Splats
 from trainer.pictures.feed import Pictures
 from trainer.pictures.shot import Shot
@@ -28,7 +28,7 @@ from trainer.step.raster import Parameters, View
 from .colour import CameraColour
 from .config import FitConfig
 from .generations import Generations
-from .leases import Leases
+from .leases import Leases, SlotPlan
 from .optimiser import GATE_STEEPNESS, add_noise
 from .renew import Comparer, missing_splats
 
@@ -131,10 +131,10 @@ class Trainer:
         far_m: float = FALLBACK_FAR_M,
         backend: Backend | None = None,
         observers: Sequence[Observer] = (),
-        slots: tuple[int, ...] | None = None,
+        plan: SlotPlan | None = None,
     ) -> None:
         """initial: num_gs Gaussians to begin with; None when `restore` follows. backend: by default
-        the CPU's. slots: of each layer in a lane, where slots are leased."""
+        the CPU's. plan: where slots are leased."""
         if initial is not None and (len(initial), initial.sh_degree) != (
             config.num_gs,
             config.sh_degree,
@@ -154,7 +154,9 @@ class Trainer:
         self._comparer = Comparer(cameras, near_m)
         self._gradients = Parameters.zeros(config.num_gs, config.sh_degree)
         # What changes while training; `state` gives all of it.
-        self._leases = None if slots is None else Leases(config.lease, config.swin_size, slots)
+        self._leases = None
+        if plan is not None:
+            self._leases = Leases(config.lease, config.swin_size, config.sh_degree, plan)
         self._generations = Generations(config, initial, self._leases)
         self._colour = CameraColour(len(cameras), config.colour_lr)
         self._rng = np.random.default_rng(config.seed)
@@ -179,10 +181,8 @@ class Trainer:
                 self._renew(0)
                 self._train(frames, self._schedule(False))
             if first_frame == 0:
-                if self._leases is not None:
-                    self._leases.begin(self.shown(0))
-                    if not self._config.prefix_share:
-                        self._leases.rank(self._contributions(0))
+                if self._leases is not None and not self._config.prefix_share:
+                    self._leases.rank(self._contributions(0))
                 self._generations.stagger(self._rng)
             self._next_window += 1
             if self._leases is None:
@@ -192,6 +192,12 @@ class Trainer:
                 yield Window(frames, updates=tuple(updates))
             for observer in self._observers:
                 observer.window_ended(first_frame)
+
+    def spent(self, window: Window, num_bytes: int) -> None:
+        """Says what the update of `window`, which `windows` has just given, takes in the stream."""
+        if self._leases is not None and self._leases.budget is not None and window.first_frame:
+            sent = sum(int((update.statuses != KEPT).sum()) for update in window.updates)
+            self._leases.budget.spent(num_bytes, sent)
 
     def contributions(self, window: Window) -> list[Doubles]:
         """For each slice of `window`, which `windows` has just given, (N,) what its Gaussians

@@ -10,13 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.errors import InvalidError
-from codec.slots.lattice import States, dequantise, num_attributes
+from codec.slots.lattice import Lattice, States, dequantise, num_attributes
 from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
 from player.render.cpu import render_splats
+from trainer.fit.budget import ByteBudget
 from trainer.fit.change import ChangeScores
 from trainer.fit.config import FitConfig
-from trainer.fit.leases import LeaseConfig, Leases
+from trainer.fit.leases import LeaseConfig, Leases, SlotPlan
 from trainer.fit.mcmc import McmcConfig
 from trainer.fit.trainer import Trainer
 from trainer.step.contribution import contribution
@@ -26,6 +27,10 @@ from trainer.step.raster import Parameters, View, render
 from .test_trainer import NEAR_M, Rendered, start, truth
 
 SLOTS = {1: (40, 20, 30), 3: (12, 8, 10)}
+
+
+def plan(*slots: int) -> SlotPlan:
+    return SlotPlan(slots, (Lattice.suiting(truth(0)),) * len(slots))
 
 
 def config(swin_size: int, **lease: float) -> FitConfig:
@@ -81,7 +86,7 @@ def sorted_rows(splats: Splats) -> np.ndarray:
 def test_who_is_told_every_update_has_what_training_shows(swin_size: int, share: float) -> None:
     pictures = Rendered()
     chosen = config(swin_size, active_share=share, refresh_share=0.05)
-    trainer = Trainer(chosen, pictures, start(), NEAR_M, slots=SLOTS[swin_size])
+    trainer = Trainer(chosen, pictures, start(), NEAR_M, plan=plan(*SLOTS[swin_size]))
     told, kept = None, 0
     for window in trainer.windows():
         told = told or Told(trainer._leases, swin_size)  # type: ignore[arg-type]
@@ -103,9 +108,8 @@ def test_who_is_told_every_update_has_what_training_shows(swin_size: int, share:
 
 
 def test_a_slot_goes_on_unless_another_gaussian_takes_it() -> None:
-    leases = Leases(LeaseConfig(), 1, (3, 2))
+    leases = Leases(LeaseConfig(), 1, 0, plan(3, 2))
     splats = truth(0).take(slice(5))
-    leases.begin(splats)
     everyone = np.ones(5, np.bool_)
     offsets = np.zeros(5, np.int32)
     first, exact = leases.mature(0, slice(5), everyone, splats, offsets)
@@ -125,9 +129,8 @@ def test_a_slot_goes_on_unless_another_gaussian_takes_it() -> None:
 
 
 def test_a_gaussian_off_the_lattice_is_sent_as_it_is() -> None:
-    leases = Leases(LeaseConfig(), 1, (5,))
+    leases = Leases(LeaseConfig(), 1, 0, plan(5))
     splats = truth(0).take(slice(5))
-    leases.begin(splats)
     far = splats.means.copy()
     far[2] = 1e9
     splats = Splats(far, *splats.arrays[1:])
@@ -142,7 +145,7 @@ def test_dealing_is_a_permutation_that_keeps_layers(
     lanes: int, first: int, second: int, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    leases = Leases(LeaseConfig(), lanes, (first, second))
+    leases = Leases(LeaseConfig(), lanes, 0, plan(first, second))
     count = lanes * (first + second)
     contributions = rng.random(count)
     leases.rank(contributions)
@@ -156,7 +159,7 @@ def test_dealing_is_a_permutation_that_keeps_layers(
 
 
 def test_active_are_those_that_changed_and_the_oldest() -> None:
-    leases = Leases(LeaseConfig(active_share=0.5, refresh_share=0.2), 1, (10,))
+    leases = Leases(LeaseConfig(active_share=0.5, refresh_share=0.2), 1, 0, plan(10))
     leases.trained[:] = [9, 9, 9, 9, 9, 2, 1, 9, 9, 0]
     scores = np.array([5, 0, 4, 0, 3, 0.1, 0.1, 0.2, 0, 0])
     rows = np.arange(10, dtype=np.int32)
@@ -188,3 +191,30 @@ def test_settings_that_cannot_be(wrong: dict[str, float]) -> None:
 def test_states_have_a_byte_for_each_attribute() -> None:
     assert num_attributes(0) == 10
     assert num_attributes(1) == 19
+
+
+def test_a_budget_is_kept_over_time() -> None:
+    budget = ByteBudget(10_000)
+    rng = np.random.default_rng(0)
+    sent = 0
+    for _ in range(300):
+        slots = budget.slots
+        num_bytes = round(slots * rng.uniform(3, 9)) + 500
+        budget.spent(num_bytes, slots)
+        sent += num_bytes
+    assert abs(sent / 300 - 10_000) < 500
+    for _ in range(100):  # nothing happens: what is saved is bounded
+        budget.spent(0, 0)
+    assert budget.slots < 2 * 10_000 / 3
+
+
+def test_a_trainer_keeps_to_the_bytes_that_it_may_send() -> None:
+    chosen = config(1, active_share=1.0, bytes_per_frame=100.0)
+    trainer = Trainer(chosen, Rendered(), start(), NEAR_M, plan=plan(*SLOTS[1]))
+    active = []
+    for window in trainer.windows():
+        active.append(int((window.updates[-1].statuses != KEPT).sum()))
+        trainer.spent(window, 10 * active[-1])
+    assert active[0] == 90
+    assert max(active[1:]) <= 20 + 5  # the price is 5 at first; renewal comes on top
+    assert min(active[1:]) >= 5
