@@ -1,0 +1,396 @@
+"""The plain decoder of version 2, against a plain encoder: FORMAT.md can be read, and one way."""
+
+from __future__ import annotations
+
+import math
+import random
+import struct
+from pathlib import Path
+
+import pytest
+
+from tests.goldens.format_decoder import f32
+from tests.goldens.slots_decoder import (
+    CHANGE,
+    ENDED,
+    KEPT,
+    MASK,
+    NEW,
+    PREDICTED,
+    Gaussian,
+    Hole,
+    Lattice,
+    Reader,
+    Shape,
+    Slot,
+    Unsupported,
+    decode_change,
+    decode_head,
+    decode_mask,
+    decode_snapshot,
+    predict,
+    to_floats,
+    unzigzag,
+)
+from tests.goldens.slots_encoder import (
+    RandomStream,
+    encode_change,
+    encode_mask,
+    encode_snapshot,
+    head,
+    zigzag,
+)
+from tests.goldens.slots_folder import (
+    StreamFolder,
+    read_index,
+    read_manifest,
+    state_at,
+    state_played,
+    without_passed_starts,
+)
+
+FINE = Lattice(f32(0.001), f32(0.05), f32(1 / 127), f32(0.02), 256)
+COARSE = Lattice(f32(0.01), f32(0.1), f32(0.01), f32(0.03), 16)
+
+
+def make_shape(
+    swin_size: int = 3, segment_frames: int = 7, k: int = 1, slots: tuple[int, ...] = (9, 5)
+) -> Shape:
+    return Shape(swin_size, segment_frames, k, slots, (FINE, COARSE, FINE)[: len(slots)])
+
+
+SHAPES = [
+    make_shape(),
+    make_shape(swin_size=1, segment_frames=4),
+    make_shape(swin_size=5, segment_frames=3, k=4, slots=(1, 4, 2)),
+    make_shape(swin_size=2, segment_frames=30, k=16, slots=(6,)),
+]
+
+
+def seen(gaussian: Slot) -> object:
+    """What must come back, bit for bit."""
+    if isinstance(gaussian, Gaussian) and gaussian.escaped:
+        return gaussian.start, gaussian.escaped
+    return gaussian
+
+
+def assert_same(found: list[list[list[Slot]]], truth: list[list[list[Slot]]], frame: int) -> None:
+    found, truth = (without_passed_starts(lanes, frame) for lanes in (found, truth))
+    for lane, true_lane in zip(found, truth, strict=True):
+        for slots, true_slots in zip(lane, true_lane, strict=True):
+            assert list(map(seen, slots)) == list(map(seen, true_slots))
+
+
+# --- Mask ---
+
+
+@pytest.mark.parametrize("shares", [(1, 0, 0, 0), (0, 0, 0, 1), (50, 1, 9, 1), (1, 1, 1, 1)])
+def test_masks_come_back(shares: tuple[int, ...]) -> None:
+    rng = random.Random(1)
+    slots = (3000, 1, 2, 3, 4)
+    before: list[list[list[int]]] = []
+    for _ in range(3):
+        mask = [rng.choices(range(4), shares, k=count) for count in slots]
+        assert decode_mask(encode_mask(mask, before), slots, before) == mask
+        before = [mask, *before][:2]
+
+
+def test_a_mask_of_one_status_after_long_runs_of_another_comes_back() -> None:
+    """Probabilities at both ends, and carries."""
+    for seed in range(300):
+        rng = random.Random(seed)
+        runs = [[rng.choice((KEPT, NEW, PREDICTED, ENDED))] * rng.randrange(200) for _ in range(9)]
+        mask = [[status for run in runs for status in run]]
+        assert decode_mask(encode_mask(mask), (len(mask[0]),), ()) == mask
+
+
+def test_a_mask_that_costs_what_it_must() -> None:
+    """All kept is a few bytes; noise costs its entropy, and little for what is learnt."""
+    assert len(encode_mask([[KEPT] * 18000])) < 20
+    rng = random.Random(0)
+    mask = [rng.choices((KEPT, PREDICTED), (9, 1), k=18000)]
+    entropy = -(0.1 * math.log2(0.1) + 0.9 * math.log2(0.9)) * 18000 / 8
+    assert len(encode_mask(mask)) < 1.04 * entropy
+
+
+def test_a_mask_ends_with_the_last_byte_that_is_read() -> None:
+    slots = (300,)
+    body = encode_mask([[(i * i) % 4 for i in range(300)]])
+    decode_mask(body, slots, ())
+    for wrong in (body[:-1], body + b"\0", body[:3], b""):
+        with pytest.raises(AssertionError):
+            decode_mask(wrong, slots, ())
+
+
+def test_only_four_bytes_of_255_break_the_range() -> None:
+    assert decode_mask(b"\xff\xff\xff\xfe", (1,), ()) == [[ENDED]]
+    with pytest.raises(AssertionError):
+        decode_mask(b"\xff\xff\xff\xff", (1,), ())
+
+
+def test_a_mask_is_never_longer_than_four_bytes_a_slot() -> None:
+    """Whatever the bytes, so that a reader knows how much it may have to hold."""
+    rng = random.Random(3)
+    for count in (1, 2, 40):
+        for _ in range(100):
+            with pytest.raises(AssertionError):
+                decode_mask(rng.randbytes(4 + 4 * count + 1), (count,), ())
+    surprises = [[KEPT] * 900 + [NEW]] * 9
+    assert len(encode_mask(surprises)) < 4 + 4 * 9 * 901
+
+
+def test_heads() -> None:
+    shape = make_shape()
+    good = head(CHANGE, 5, 1, 1)
+    assert decode_head(good, CHANGE, shape).birth == 5
+    for at, value in ((4, 3), (6, 2), (7, 1)):
+        with pytest.raises(Unsupported):
+            decode_head(good[:at] + bytes([value]) + good[at + 1 :], CHANGE, shape)
+    with pytest.raises(Unsupported):
+        decode_head(head(MASK, 5, 0, 1), MASK, shape)
+    for wrong, kind in (
+        (good[:-1], CHANGE),
+        (b"SWGC" + good[4:], CHANGE),
+        (good, MASK),
+        (head(CHANGE, 5, 2), CHANGE),
+        (head(MASK, 5, 1), MASK),
+    ):
+        with pytest.raises(AssertionError):
+            decode_head(wrong, kind, shape)
+
+
+# --- Lattice ---
+
+
+def test_floats_of_a_gaussian() -> None:
+    attributes = (-128, 0, 127, 0, 60, -60, 10, 4, 3, 128)
+    floats = to_floats(Gaussian(0, (-8388607, 0, 1), attributes), FINE)
+    step, scale, turn = FINE.position_m, FINE.log_scale, FINE.rotation
+    assert floats.mean == (f32(-8388607 * step), 0.0, step)
+    assert floats.log_scales == (f32(-128 * scale), 0.0, f32(127 * scale))
+    assert floats.quat[1:] == (0.0, f32(60 * turn), f32(-60 * turn))
+    assert math.isclose(sum(q * q for q in floats.quat), 1, rel_tol=1e-6)
+    assert math.isclose(floats.logit_opacity, math.log(128 / 127), rel_tol=1e-6)
+    red, green, blue = floats.sh[0]
+    assert [round(c / 0.02, 4) for c in (red, green, blue)] == [11, 13, 3]
+
+
+def test_a_turn_longer_than_one_has_no_root() -> None:
+    gaussian = Gaussian(0, (0, 0, 0), (0, 0, 0, 127, 127, -128, 0, 0, 0, 0))
+    assert to_floats(gaussian, FINE).quat[0] == 0
+    assert to_floats(gaussian, Lattice(1e-6, 1e6, 1e6, 1e6, 2)).quat[0] == 0
+
+
+def test_zigzag() -> None:
+    assert [unzigzag(z) for z in range(5)] == [0, -1, 1, -2, 2]
+    assert all(unzigzag(zigzag(d)) == d for d in (-(2**24), -128, 127, 2**24))
+
+
+# --- Change ---
+
+AT = Gaussian(0, (5, -6, 2**23 - 1), (0, 1, -128, 3, 4, 5, 6, 7, 8, 15))
+
+
+def body_of(after: Gaussian, new: list[Gaussian] | None = None) -> bytes:
+    return encode_change([(AT, after)], new or [], 1, None)
+
+
+def test_attributes_wrap_and_positions_do_not() -> None:
+    after = Gaussian(0, (5 + 128, -6 - 128, -(2**23) + 1), (*range(120, 129 - 1), -128, 0))
+    change = decode_change(body_of(after), make_shape(), 1, (1, 0), False)
+    assert struct.unpack_from("<I", body_of(after), 8)[0] == 3
+    assert predict(AT, change.predicted[0], 0, COARSE) == after
+    beyond = Gaussian(0, (5, -6, 2**23), AT.attributes)
+    too_opaque = Gaussian(0, AT.position, (*AT.attributes[:-1], 16))
+    for wrong in (beyond, too_opaque):
+        change = decode_change(body_of(wrong), make_shape(), 1, (1, 0), False)
+        assert predict(Hole.UNKNOWN, change.predicted[0], 0, COARSE) is Hole.UNKNOWN
+        with pytest.raises(AssertionError):
+            predict(AT, change.predicted[0], 0, COARSE)
+
+
+def test_an_empty_slot_and_an_escaped_one_cannot_be_predicted() -> None:
+    stream = RandomStream(make_shape(), 8, 0)
+    change = decode_change(body_of(AT), make_shape(), 1, (1, 0), False)
+    escaped = next(
+        slot
+        for lane in stream.truth[0]
+        for slots in lane
+        for slot in slots
+        if isinstance(slot, Gaussian) and slot.escaped
+    )
+    for before in (Hole.EMPTY, escaped):
+        with pytest.raises(AssertionError):
+            predict(before, change.predicted[0], 0, COARSE)
+
+
+def test_new_ones_outside_the_lattice_are_refused() -> None:
+    edge = Gaussian(0, (2**23 - 1, 0, -(2**23) + 1), AT.attributes)
+    far = Gaussian(0, (-(2**23), 0, 0), AT.attributes)
+    opaque = Gaussian(0, (0, 0, 0), (*AT.attributes[:-1], 16))
+    assert len(decode_change(body_of(AT, [edge, AT]), make_shape(), 1, (1, 2), False).new) == 2
+    for wrong in (far, opaque):
+        with pytest.raises(AssertionError):
+            decode_change(body_of(AT, [edge, wrong]), make_shape(), 1, (1, 2), False)
+
+
+def test_starts_are_below_swin_size() -> None:
+    body = encode_change([(AT, AT)], [AT], 1, [2, 1])
+    change = decode_change(body, make_shape(), 0, (1, 1), True)
+    assert (change.predicted[0].start, change.new[0].start) == (2, 1)
+    with pytest.raises(AssertionError):
+        decode_change(encode_change([], [AT], 1, [3]), make_shape(), 0, (0, 1), True)
+
+
+def test_hostile_chunks_are_refused_or_decoded() -> None:
+    """Nothing but a refusal comes of them, whatever the bytes."""
+    shape, rng = make_shape(), random.Random(5)
+    stream = RandomStream(shape, 12, 7)
+    masks, refused = stream.masks, 0
+    for turn in range(2000):
+        birth, layer = rng.randrange(1, 12), rng.randrange(2)
+        statuses = masks[birth][layer]
+        counts = (statuses.count(PREDICTED), statuses.count(NEW))
+        snapshot = encode_snapshot(stream.truth[7], 7, layer, shape)
+        data = bytearray(snapshot if turn % 2 else stream.changes[birth][layer])
+        for _ in range(rng.randrange(1, 3)):
+            data[rng.randrange(len(data))] = rng.choice((0, 255, rng.randrange(256)))
+        data = data[: rng.choice((len(data), rng.randrange(len(data))))]
+        try:
+            if turn % 2:
+                decode_snapshot(bytes(data), shape)
+            else:
+                starts = decode_head(bytes(data), CHANGE, shape).has_starts
+                decode_change(bytes(data[12:]), shape, layer, counts, starts)
+        except AssertionError:
+            refused += 1
+    assert 1000 < refused < 1990
+
+
+# --- Streams ---
+
+
+@pytest.mark.parametrize("coder", [1, 2])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_who_joins_and_who_plays_have_what_was_written(
+    tmp_path: Path, shape: Shape, coder: int
+) -> None:
+    stream = RandomStream(shape, 17, 1)
+    stream.write(tmp_path / "s", coder)
+    for frame, truth in enumerate(stream.truth):
+        assert_same(state_at(tmp_path / "s", frame, len(shape.slots)), truth, frame)
+    assert_same(state_played(tmp_path / "s", 16, len(shape.slots)), stream.truth[16], 16)
+
+
+def test_layers_that_are_not_loaded_are_unknown_until_ended(tmp_path: Path) -> None:
+    stream = RandomStream(make_shape(), 14, 2)
+    stream.write(tmp_path / "s")
+    for lane, true_lane in zip(state_at(tmp_path / "s", 13, 1), stream.truth[13], strict=True):
+        assert list(map(seen, lane[0])) != []
+        assert all(slot in (Hole.UNKNOWN, Hole.EMPTY) for slot in lane[1])
+        holes = [i for i, slot in enumerate(lane[1]) if slot is Hole.EMPTY]
+        assert all(true_lane[1][i] is Hole.EMPTY for i in holes)
+
+
+def loaded(folder: Path, last: int, missing: set[tuple[int, int]]) -> Reader:
+    stream = StreamFolder(folder)
+    reader = Reader(stream.shape)
+    stream.load(reader, 0, (0, 1))
+    stream.apply(reader, range(1, last + 1), (0, 1), missing)
+    return reader
+
+
+def test_a_packet_that_is_missing_costs_what_it_would_have_changed(tmp_path: Path) -> None:
+    stream = RandomStream(make_shape(), 21, 3)
+    stream.write(tmp_path / "s")
+    known, lost = {}, {(4, 0), (4, 1), (6, 0), (7, 1)}
+    for frame in range(1, 21):
+        for layer in (0, 1):
+            for i, status in enumerate(stream.masks[frame][layer]):
+                place = (frame % 3, layer, i)
+                if status in (ENDED, NEW):
+                    known[place] = True
+                if (frame, layer) in lost and status in (PREDICTED, NEW):
+                    known[place] = False
+        lanes = loaded(tmp_path / "s", frame, lost).lanes
+        for lane in range(3):
+            for layer in (0, 1):
+                for i, slot in enumerate(lanes[lane][layer]):
+                    true_slot = stream.truth[frame][lane][layer][i]
+                    if known.get((lane, layer, i), True):
+                        (found,), (wanted,) = (
+                            without_passed_starts([[[s]]], frame)[0][0] for s in (slot, true_slot)
+                        )
+                        assert seen(found) == seen(wanted)
+                    else:
+                        assert slot is Hole.UNKNOWN
+
+
+def test_packets_may_come_late_in_any_order(tmp_path: Path) -> None:
+    stream = RandomStream(make_shape(), 21, 4)
+    stream.write(tmp_path / "s")
+    missing = {(4, 0), (4, 1), (7, 0), (10, 0), (12, 1)}
+    reader = loaded(tmp_path / "s", 12, missing)
+    assert any(Hole.UNKNOWN in slots for lane in reader.lanes for slots in lane)
+    for birth, layer in sorted(missing, reverse=True):
+        reader.late(birth, layer, stream.changes[birth][layer])
+    assert_same(reader.lanes, stream.truth[12], 12)
+
+
+def test_a_snapshot_takes_a_layer_up_again(tmp_path: Path) -> None:
+    stream = RandomStream(make_shape(), 12, 5)
+    stream.write(tmp_path / "s")
+    folder = StreamFolder(tmp_path / "s")
+    reader = loaded(tmp_path / "s", 7, {(4, 1), (5, 1), (6, 1)})
+    folder.load(reader, 1, [1])
+    reader.late(4, 1, stream.changes[4][1])
+    folder.apply(reader, range(8, 12), (0, 1))
+    assert_same(reader.lanes, stream.truth[11], 11)
+
+
+# --- Folder ---
+
+
+def test_a_wrong_index_or_object_is_refused(tmp_path: Path) -> None:
+    shape = make_shape()
+    stream = RandomStream(shape, 17, 6)
+    stream.write(tmp_path / "s")
+    file = tmp_path / "s" / "index.bin"
+    data = file.read_bytes()
+    size = 20 + 44 * 2 + 40 * 3
+    assert len(data) == 3 * size
+    assert [r.num_frames for r in read_index(data, shape)] == [7, 7, 3]
+    assert len(read_index(data + data[:9], shape)) == 3
+    assert len(read_index(data + bytes(size), shape)) == 3
+    for wrong in (data[size:], data + data[:size], bytes(size) + data):
+        with pytest.raises(AssertionError):
+            read_index(wrong, shape)
+    target = tmp_path / "s" / "segments" / "1" / "snapshot-1"
+    whole = target.read_bytes()
+    target.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
+    state_at(tmp_path / "s", 16, 2)
+    with pytest.raises(AssertionError):
+        state_at(tmp_path / "s", 8, 2)
+
+
+def test_a_wrong_manifest_is_refused(tmp_path: Path) -> None:
+    RandomStream(make_shape(), 2, 6).write(tmp_path / "s")
+    text = (tmp_path / "s" / "manifest.json").read_bytes()
+    assert read_manifest(text) == make_shape()
+    text = text.replace(b"0.05000000074505806", b"0.05")
+    for old, new in (
+        (b"[9, 5]", b"[9, 4]"),
+        (b"[9, 5]", b"[14]"),
+        (b"[9, 5]", b"[14, 0]"),
+        (b"[9, 5]", b"[9, 5.0]"),
+        (b'"slots"', b'"slot"'),
+        (b"0.05", b"0"),
+        (b"0.05", b"NaN"),
+        (b"0.05", b"1e7"),
+        (b": 256", b": 257"),
+        (b'"position_m"', b'"position"'),
+        (b'"version": 2', b'"version": 1'),
+    ):
+        assert old in text
+        with pytest.raises(AssertionError):
+            read_manifest(text.replace(old, new, 1))
