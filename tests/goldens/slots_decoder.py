@@ -136,7 +136,7 @@ class BitDecoder:
 
     def bit(self, context: int) -> int:
         p = self.p[context]
-        bound = (self.range // 4096) * max(p // 16, 1)
+        bound = (self.range // 4096) * (p // 16)
         bit = int(self.code >= bound)
         if bit:
             self.code -= bound

@@ -43,7 +43,7 @@ class BitEncoder:
 
     def put(self, context: int, bit: int) -> None:
         p = self.p[context]
-        bound = (self.range >> 12) * max(p >> 4, 1)
+        bound = (self.range >> 12) * (p >> 4)
         if bit:
             self.low += bound
             self.range -= bound

@@ -125,6 +125,19 @@ def read_record(row: bytes, n: int, shape: Shape) -> IndexRecord:
     return IndexRecord(first_frame, num_frames, psnr_db, files)
 
 
+def largest_content(name: str, shape: Shape) -> int:
+    """The bytes that the slots can fill in a chunk of this object."""
+    if name == "masks":
+        return 16 + 4 * sum(shape.slots)
+    num_slots = shape.slots[int(name.removeprefix("snapshot-"))]
+    flag_bytes = 0
+    if not name.isdecimal():
+        num_slots *= shape.swin_size
+        flag_bytes = (num_slots + 7) // 8
+    filled = 32 + flag_bytes + (68 + 15 * shape.num_coefficients) * num_slots
+    return min(filled, LARGEST_CHUNK)
+
+
 def births_of(chunks: list[bytes]) -> list[int]:
     return [struct.unpack_from("<i", chunk, 8)[0] for chunk in chunks]
 
@@ -142,7 +155,7 @@ class StreamFolder:
         data = (self.folder / "segments" / str(segment) / name).read_bytes()
         entry = record.files[name]
         assert (len(data), hashlib.sha256(data).digest()) == (entry.size, entry.sha256)
-        chunks = decode_object(data, 2, LARGEST_CHUNK)
+        chunks = decode_object(data, 2, largest_content(name, self.shape))
         births = births_of(chunks)
         first = record.first_frame
         if name.startswith("snapshot-"):

@@ -17,6 +17,7 @@ from tests.goldens.slots_decoder import (
     MASK,
     NEW,
     PREDICTED,
+    Floats,
     Gaussian,
     Hole,
     Lattice,
@@ -42,6 +43,7 @@ from tests.goldens.slots_encoder import (
 )
 from tests.goldens.slots_folder import (
     StreamFolder,
+    largest_content,
     read_index,
     read_manifest,
     state_at,
@@ -349,6 +351,29 @@ def test_a_snapshot_takes_a_layer_up_again(tmp_path: Path) -> None:
 
 
 # --- Folder ---
+
+
+def test_a_chunk_is_never_larger_than_its_slots_can_fill() -> None:
+    shape = make_shape(swin_size=2, k=4, slots=(11,))
+    exact = Floats((0.0,) * 3, (0.0,) * 3, (1.0,) * 4, 0.0, ((0.0,) * 3,) * 4)
+    row = (*(0,) * 18, 0)
+    edges = [Gaussian(0, (q, q, q), row, exact) for q in (1 - 2**23, 2**23 - 1)]
+    body = encode_change([], [*edges * 5, edges[0]], 4, [0] * 11)
+    empty = encode_change([], [], 4, None)
+    # The plain encoder does not move where one escapes, so its low bits are none.
+    assert 12 + len(body) + 9 * 11 == largest_content("0", shape)
+    lanes: list[list[list[Slot]]] = [[[*edges * 5, edges[0]]], [[*edges * 5, edges[1]]]]
+    assert len(encode_snapshot(lanes, 7, 0, shape)) < largest_content("snapshot-0", shape)
+    assert largest_content("snapshot-0", shape) == 12 + len(empty) + 3 + 22 * (68 + 15 * 4)
+    assert largest_content("masks", shape) == 16 + 4 * 11
+
+
+def test_a_packet_that_inflates_beyond_its_slots_is_refused(tmp_path: Path) -> None:
+    stream = RandomStream(make_shape(), 3, 6)
+    stream.mask_chunks[1] += bytes(10**6)
+    stream.write(tmp_path / "s")
+    with pytest.raises(AssertionError):
+        StreamFolder(tmp_path / "s").chunks(0, "masks")
 
 
 def test_a_wrong_index_or_object_is_refused(tmp_path: Path) -> None:
