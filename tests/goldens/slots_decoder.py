@@ -9,7 +9,7 @@ import enum
 import math
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 
 from tests.goldens.format_decoder import f32, logit, raw
@@ -38,6 +38,7 @@ class Lattice:
 
     position_m: float
     log_scale: float
+    log_scale_base: float
     rotation: float
     colour: float
     opacity_levels: int
@@ -87,7 +88,8 @@ def to_floats(gaussian: Gaussian, lattice: Lattice) -> Floats:
     attributes = gaussian.attributes
     k = (len(attributes) - 7) // 3
     mean = tuple(f32(q * lattice.position_m) for q in gaussian.position)
-    scales = tuple(f32(a * lattice.log_scale) for a in attributes[:3])
+    base = lattice.log_scale_base
+    scales = tuple(f32(f32(a * lattice.log_scale) + base) for a in attributes[:3])
     x, y, z = (f32(r * lattice.rotation) for r in attributes[3:6])
     square = f32(f32(f32(x * x) + f32(y * y)) + f32(z * z))
     w = f32(math.sqrt(max(f32(1 - square), 0.0)))
@@ -149,8 +151,8 @@ class BitDecoder:
             self.code = self.code * 256 + self.body[self.at]
             self.at += 1
         assert self.code < self.range < 2**32
-        self.c[context] = min(self.c[context] + 1, 7)
-        part = 2 ** self.c[context]
+        self.c[context] = min(self.c[context] + 1, 127)
+        part = 2 ** math.floor(math.log2(self.c[context] + 1))
         self.p[context] = p - p // part if bit else p + (65535 - p) // part
         return bit
 
@@ -195,14 +197,13 @@ class Cursor:
 
 @dataclass(frozen=True, slots=True)
 class Residual:
-    start: int
     position: tuple[int, ...]
     attributes: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Starts are still counted from the birth."""
+    """Starts of the new are still counted from the birth."""
 
     predicted: list[Residual]
     new: list[Gaussian]
@@ -239,15 +240,10 @@ def decode_change(
     exact = decode_escapes(cursor.take(4 * (11 + 3 * k) * escapes), escapes, k)
     for i, values in zip(which, exact, strict=True):
         gaussians[i] = replace(gaussians[i], escaped=values)
-    starts = bytes(predicted + new)
-    if has_starts:
-        starts = cursor.take(predicted + new)
+    starts = cursor.take(new) if has_starts else bytes(new)
     assert cursor.at == len(body)
     assert all(start < shape.swin_size for start in starts)
-    return Change(
-        [replace(r, start=s) for r, s in zip(residuals, starts[:predicted], strict=True)],
-        [replace(g, start=s) for g, s in zip(gaussians, starts[predicted:], strict=True)],
-    )
+    return Change(residuals, [replace(g, start=s) for g, s in zip(gaussians, starts, strict=True)])
 
 
 def decode_residuals(
@@ -260,7 +256,6 @@ def decode_residuals(
     attributes = columns(data[3 * count :], count, 7 + 3 * k)
     return [
         Residual(
-            0,
             (moves[i], moves[count + i], moves[2 * count + i]),
             tuple(map(unzigzag, attributes[i])),
         )
@@ -312,7 +307,7 @@ def predict(before: Slot, residual: Residual, birth: int, lattice: Lattice) -> S
     opacity = sums[-1] % 256
     assert opacity < lattice.opacity_levels
     signed = ((value + 128) % 256 - 128 for value in sums[:-1])
-    return Gaussian(birth + residual.start, position, (*signed, opacity))
+    return Gaussian(birth, position, (*signed, opacity))
 
 
 # --- Section 17: snapshot ---
@@ -342,100 +337,3 @@ def decode_snapshot(chunk: bytes, shape: Shape) -> tuple[Head, list[list[Slot]]]
                 lane.append(Hole.EMPTY)
         lanes.append(lane)
     return head, lanes
-
-
-# --- Section 13: what a reader holds ---
-
-
-@dataclass
-class AppliedSlice:
-    """A slice as it was applied, kept so that a late packet can still be used."""
-
-    birth: int
-    mask: Statuses
-    changes: dict[int, bytes]  # by layer
-    before: dict[int, list[Slot]] = field(default_factory=dict)  # by layer
-
-
-class Reader:
-    def __init__(self, shape: Shape) -> None:
-        self.shape = shape
-        self.lanes: list[list[list[Slot]]] = [  # [lane][layer][slot]
-            [[Hole.UNKNOWN] * count for count in shape.slots] for _ in range(shape.swin_size)
-        ]
-        self.applied: list[AppliedSlice] = []
-
-    def load(self, chunk: bytes) -> None:
-        """Takes a snapshot, whatever the layer held before."""
-        head, lanes = decode_snapshot(chunk, self.shape)
-        assert head.birth % self.shape.segment_frames == 0
-        for i, lane in enumerate(lanes):
-            birth = head.birth - self.shape.swin_size + 1 + i
-            self.lanes[birth % self.shape.swin_size][head.layer] = lane
-        for slice_ in self.applied:  # a late packet from before the snapshot changes nothing
-            slice_.before.pop(head.layer, None)
-
-    def read_mask(self, chunk: bytes) -> tuple[int, Statuses]:
-        birth = decode_head(chunk, MASK, self.shape).birth
-        first = birth - birth % self.shape.segment_frames
-        masks = {slice_.birth: slice_.mask for slice_ in self.applied}
-        before = []
-        for earlier in (birth - self.shape.swin_size, birth - 2 * self.shape.swin_size):
-            if earlier > first:
-                assert earlier in masks
-                before.append(masks[earlier])
-        return birth, decode_mask(chunk[12:], self.shape.slots, before)
-
-    def apply(self, mask: bytes, changes: dict[int, bytes]) -> None:
-        """Applies one slice: its mask, and the changes that are at hand, by layer."""
-        birth, statuses = self.read_mask(mask)
-        self.applied.append(AppliedSlice(birth, statuses, dict(changes)))
-        for layer in range(len(self.shape.slots)):
-            lane = self.lanes[birth % self.shape.swin_size]
-            self.applied[-1].before[layer] = lane[layer]
-            lane[layer] = self.after(self.applied[-1], layer)
-
-    def after(self, slice_: AppliedSlice, layer: int) -> list[Slot]:
-        """The slots of a layer after the slice."""
-        statuses, before = slice_.mask[layer], slice_.before[layer]
-        chunk = slice_.changes.get(layer)
-        if chunk is None:
-            known: list[dict[int, Slot]] = [{KEPT: slot, ENDED: Hole.EMPTY} for slot in before]
-            return [k.get(s, Hole.UNKNOWN) for k, s in zip(known, statuses, strict=True)]
-        head = decode_head(chunk, CHANGE, self.shape)
-        assert (head.layer, head.birth) == (layer, slice_.birth)
-        counts = (statuses.count(PREDICTED), statuses.count(NEW))
-        change = decode_change(chunk[12:], self.shape, layer, counts, head.has_starts)
-        residuals, gaussians = iter(change.predicted), iter(change.new)
-        lattice = self.shape.lattice[layer]
-        slots: list[Slot] = []
-        for status, slot in zip(statuses, before, strict=True):
-            if status == KEPT:
-                slots.append(slot)
-            elif status == ENDED:
-                slots.append(Hole.EMPTY)
-            elif status == PREDICTED:
-                slots.append(predict(slot, next(residuals), slice_.birth, lattice))
-            else:
-                gaussian = next(gaussians)
-                slots.append(replace(gaussian, start=slice_.birth + gaussian.start))
-        return slots
-
-    def late(self, birth: int, layer: int, chunk: bytes) -> None:
-        """Applies a change that has come late, and again what came after it in its lane."""
-        lane = self.lanes[birth % self.shape.swin_size]
-        again = [
-            slice_
-            for slice_ in self.applied
-            if slice_.birth >= birth
-            and (slice_.birth - birth) % self.shape.swin_size == 0
-            and layer in slice_.before
-        ]
-        if not again or again[0].birth != birth:
-            return  # the layer has been loaded anew since
-        again[0].changes[layer] = chunk
-        slots = again[0].before[layer]
-        for slice_ in again:
-            slice_.before[layer] = slots
-            slots = self.after(slice_, layer)
-        lane[layer] = slots

@@ -8,6 +8,7 @@ import random
 import struct
 import zlib
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import zstandard
@@ -28,7 +29,14 @@ from tests.goldens.slots_decoder import (
     Slot,
     Statuses,
 )
-from tests.goldens.slots_folder import Lanes, file_names
+from tests.goldens.slots_folder import (
+    LARGEST_CHUNK,
+    LARGEST_OBJECT,
+    Lanes,
+    file_names,
+    largest_content,
+    read_manifest,
+)
 
 
 class BitEncoder:
@@ -60,8 +68,8 @@ class BitEncoder:
             self.out.append(self.low >> 24)
             self.low = self.low << 8 & 0xFFFFFFFF
             self.range <<= 8
-        self.c[context] = min(self.c[context] + 1, 7)
-        shift = self.c[context]
+        self.c[context] = min(self.c[context] + 1, 127)
+        shift = (self.c[context] + 1).bit_length() - 1
         self.p[context] = p - (p >> shift) if bit else p + (65535 - p >> shift)
 
     def finish(self) -> bytes:
@@ -113,7 +121,7 @@ def encode_change(
     k: int,
     starts: Sequence[int] | None,
 ) -> bytes:
-    """The body of a change, `starts` counted from the birth."""
+    """The body of a change, `starts` of the new counted from the birth."""
     rows, long = [], []
     for before, after in pairs:
         row, more = residual_row(before, after)
@@ -179,23 +187,29 @@ def encode_snapshot(lanes: Lanes, frame: int, layer: int, shape: Shape) -> bytes
     return head(SNAPSHOT, frame, layer, int(any(starts))) + packed + body
 
 
-def compressed(chunk: bytes, coder: int) -> bytes:
+def compressed(chunk: bytes, coder: int, largest: int = LARGEST_CHUNK) -> bytes:
+    """A packet, of a chunk that a reader takes."""
+    assert len(chunk) <= largest
     if coder == 1:
-        return zstandard.ZstdCompressor(level=3, write_checksum=True).compress(chunk)
-    deflate = zlib.compressobj(6, wbits=-15)
-    data = deflate.compress(chunk) + deflate.flush()
-    frame = bytes([0x1F, 0x8B, 8, 0, 0, 0, 0, 0, 2, 0xFF])
-    return frame + data + struct.pack("<II", zlib.crc32(chunk), len(chunk))
+        packet = zstandard.ZstdCompressor(level=3, write_checksum=True).compress(chunk)
+    else:
+        deflate = zlib.compressobj(6, wbits=-15)
+        data = deflate.compress(chunk) + deflate.flush()
+        frame = bytes([0x1F, 0x8B, 8, 0, 0, 0, 0, 0, 2, 0xFF])
+        packet = frame + data + struct.pack("<II", zlib.crc32(chunk), len(chunk))
+    assert len(chunk) <= len(packet) * (32768 if coder == 1 else 1032)
+    return packet
 
 
-def encode_object(chunks: Sequence[bytes], coder: int) -> bytes:
-    packets = [compressed(chunk, coder) for chunk in chunks]
+def encode_object(chunks: Sequence[bytes], coder: int, largest: int = LARGEST_CHUNK) -> bytes:
+    packets = [compressed(chunk, coder, largest) for chunk in chunks]
     count = len(packets)
     table = struct.pack("<II4sBBHI", 0x184D2A50, 12 + 12 * count, b"SWGO", 2, coder, 0, count)
     at = 20 + 12 * count
     for chunk, packet in zip(chunks, packets, strict=True):
         table += chunk[8:12] + struct.pack("<II", at, len(packet))
         at += len(packet)
+    assert at <= LARGEST_OBJECT
     return table + b"".join(packets)
 
 
@@ -211,8 +225,9 @@ def encode_record(files: dict[str, bytes], segment: int, num_frames: int, shape:
 class RandomStream:
     """A stream of noise, with all that may occur in one, and the truth about each frame."""
 
-    def __init__(self, shape: Shape, num_frames: int, seed: int) -> None:
+    def __init__(self, shape: Shape, num_frames: int, seed: int, still: bool = False) -> None:
         self.shape = shape
+        self.still = still  # nothing ever changes
         self.random = random.Random(seed)
         self.masks: list[Statuses] = []
         self.mask_chunks: list[bytes] = []
@@ -260,16 +275,16 @@ class RandomStream:
             if after.escaped is None:
                 break
         if self.chance(0.2):
-            return after
+            return Gaussian(birth, after.position, after.attributes)
         move = (self.random.randint(-130, 130) for _ in range(3))
         most = 2**23 - 1
         place = tuple(
             max(-most, min(most, a + b)) for a, b in zip(before.position, move, strict=True)
         )
-        return Gaussian(after.start, place, after.attributes)
+        return Gaussian(birth, place, after.attributes)
 
     def status(self, slot: Slot, birth: int) -> int:
-        if birth == 0 or self.chance(0.6):
+        if birth == 0 or self.still or self.chance(0.6):
             return KEPT
         may_be_predicted = isinstance(slot, Gaussian) and slot.escaped is None
         if may_be_predicted and self.chance(0.6):
@@ -296,7 +311,7 @@ class RandomStream:
                     slots[i] = new[-1]
                 elif status == ENDED:
                     slots[i] = Hole.EMPTY
-            starts = [g.start - birth for g in (*(after for _, after in pairs), *new)]
+            starts = [gaussian.start - birth for gaussian in new]
             body = encode_change(
                 pairs, new, self.shape.num_coefficients, starts if any(starts) else None
             )
@@ -304,7 +319,6 @@ class RandomStream:
 
     def write(self, folder: Path, coder: int = 1) -> None:
         shape, num_layers = self.shape, len(self.shape.slots)
-        keys = ("position_m", "log_scale", "rotation", "colour", "opacity_levels")
         manifest = {
             "version": 2,
             "profile": "lattice",
@@ -313,19 +327,24 @@ class RandomStream:
             "segment_frames": shape.segment_frames,
             "sh_degree": {1: 0, 4: 1, 9: 2, 16: 3}[shape.num_coefficients],
             "slots": shape.slots,
-            "lattice": [{key: getattr(row, key) for key in keys} for row in shape.lattice],
+            "lattice": list(map(asdict, shape.lattice)),
         }
+        text = json.dumps(manifest)
+        assert read_manifest(text.encode()) == shape
         folder.mkdir(parents=True)
-        (folder / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+        (folder / "manifest.json").write_text(text, encoding="utf-8")
         index = b""
         for first in range(0, len(self.truth), shape.segment_frames):
             births = range(len(self.truth))[first : first + shape.segment_frames]
-            files = {"masks": encode_object([self.mask_chunks[b] for b in births], coder)}
+            chunks = {"masks": [self.mask_chunks[b] for b in births]}
             for layer in range(num_layers):
-                changes = [self.changes[b][layer] for b in births]
+                chunks[str(layer)] = [self.changes[b][layer] for b in births]
                 snapshot = encode_snapshot(self.truth[first], first, layer, shape)
-                files[str(layer)] = encode_object(changes, coder)
-                files[f"snapshot-{layer}"] = encode_object([snapshot], coder)
+                chunks[f"snapshot-{layer}"] = [snapshot]
+            files = {
+                name: encode_object(row, coder, largest_content(name, shape))
+                for name, row in chunks.items()
+            }
             segment = folder / "segments" / str(first // shape.segment_frames)
             segment.mkdir(parents=True)
             for name, data in files.items():

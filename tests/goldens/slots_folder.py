@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from tests.goldens.format_decoder import decode_object, f32
-from tests.goldens.slots_decoder import Hole, Lattice, Reader, Shape, Slot, Unsupported
+from tests.goldens.slots_decoder import Hole, Lattice, Shape, Slot, Unsupported
+from tests.goldens.slots_reader import Reader
 
 LARGEST_CHUNK = 64 + 248512560
 LARGEST_OBJECT = 2**30
@@ -51,11 +52,16 @@ def integer(value: object, least: int, most: int) -> int:
     return value
 
 
-def step(value: object) -> float:
+def number(value: object, least: float, most: float) -> float:
+    """As f32."""
     assert isinstance(value, int | float)
     assert not isinstance(value, bool)
-    assert 1e-6 <= value <= 1e6
+    assert least <= value <= most
     return f32(value)
+
+
+def step(value: object) -> float:
+    return number(value, 1e-6, 1e6)
 
 
 def read_manifest(text: bytes) -> Shape:
@@ -76,10 +82,12 @@ def read_manifest(text: bytes) -> Shape:
     slots = tuple(integer(count, 1, 2**20) for count in counts)
     assert sum(slots) <= 2**20
     assert sum(slots) * swin_size == num_gs
+    assert segment_frames * sum(slots) <= 2**28
     lattice = tuple(
         Lattice(
             step(value_of(row, "position_m")),
             step(value_of(row, "log_scale")),
+            number(value_of(row, "log_scale_base"), -1e3, 1e3),
             step(value_of(row, "rotation")),
             step(value_of(row, "colour")),
             integer(value_of(row, "opacity_levels"), 2, 256),
@@ -138,6 +146,21 @@ def largest_content(name: str, shape: Shape) -> int:
     return min(filled, LARGEST_CHUNK)
 
 
+def decoded_whole(name: str, chunks: list[bytes], shape: Shape) -> int:
+    """What a reader that decodes an object whole counts; it refuses more than 2^30."""
+    if name == "masks":
+        return len(chunks) * sum(shape.slots)
+    at = 12
+    if not name.isdecimal():
+        at += (shape.swin_size * shape.slots[int(name.removeprefix("snapshot-"))] + 7) // 8
+    assert all(len(chunk) >= at + 8 for chunk in chunks)
+    total = 0
+    for chunk in chunks:
+        predicted, new = struct.unpack_from("<II", chunk, at)
+        total += int(predicted + new)
+    return total * 4 * (11 + 3 * shape.num_coefficients)
+
+
 def births_of(chunks: list[bytes]) -> list[int]:
     return [struct.unpack_from("<i", chunk, 8)[0] for chunk in chunks]
 
@@ -156,6 +179,7 @@ class StreamFolder:
         entry = record.files[name]
         assert (len(data), hashlib.sha256(data).digest()) == (entry.size, entry.sha256)
         chunks = decode_object(data, 2, largest_content(name, self.shape))
+        assert decoded_whole(name, chunks, self.shape) <= 2**30
         births = births_of(chunks)
         first = record.first_frame
         if name.startswith("snapshot-"):
@@ -177,6 +201,7 @@ class StreamFolder:
         births: range,
         layers: Collection[int],
         missing: Collection[tuple[int, int]] = (),
+        missing_masks: Collection[int] = (),
     ) -> None:
         """Applies slices; `missing` names (birth, layer) of packets that are not at hand."""
         opened: dict[tuple[int, str], dict[int, bytes]] = {}
@@ -190,7 +215,8 @@ class StreamFolder:
                 for layer in layers
                 if (birth, layer) not in missing
             }
-            reader.apply(opened[segment, "masks"][birth], changes)
+            mask = None if birth in missing_masks else opened[segment, "masks"][birth]
+            reader.apply(birth, mask, changes)
 
 
 def state_at(folder: Path, frame: int, num_layers: int) -> Lanes:
