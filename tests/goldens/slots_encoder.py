@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
+import msgpack
 import zstandard
 
 from tests.goldens.format_decoder import f32
@@ -37,6 +38,8 @@ from tests.goldens.slots_folder import (
     largest_content,
     read_manifest,
 )
+
+LARGEST_PLAY_RECORD = 2**26
 
 
 class BitEncoder:
@@ -211,6 +214,16 @@ def encode_object(chunks: Sequence[bytes], coder: int, largest: int = LARGEST_CH
         at += len(packet)
     assert at <= LARGEST_OBJECT
     return table + b"".join(packets)
+
+
+def encode_slice_record(birth: int, mask: bytes, frames: Sequence[bytes]) -> bytes:
+    """A play record that a reader takes (sections 10 and 20)."""
+    assert len(frames) <= 16
+    body: bytes = msgpack.packb(
+        {"kind": "slice", "birth": birth, "mask": mask, "frames": list(frames)}
+    )
+    assert len(body) <= LARGEST_PLAY_RECORD
+    return struct.pack("<I", len(body)) + body
 
 
 def encode_record(files: dict[str, bytes], segment: int, num_frames: int, shape: Shape) -> bytes:

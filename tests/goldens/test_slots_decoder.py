@@ -8,6 +8,7 @@ import random
 import struct
 from pathlib import Path
 
+import msgpack
 import pytest
 
 from tests.goldens.format_decoder import decode_object, f32
@@ -41,6 +42,7 @@ from tests.goldens.slots_encoder import (
     encode_mask,
     encode_object,
     encode_record,
+    encode_slice_record,
     encode_snapshot,
     head,
     zigzag,
@@ -294,6 +296,15 @@ def test_a_packet_that_inflates_beyond_its_slots_is_refused(tmp_path: Path) -> N
         decode_object(encode_object(stream.mask_chunks, 1), 2, largest)
     with pytest.raises(AssertionError):  # and a writer refuses to make it
         stream.write(tmp_path / "s")
+
+
+def test_a_play_record_that_no_reader_would_take_is_refused() -> None:
+    record = encode_slice_record(5, b"mask", [])
+    assert msgpack.unpackb(record[4:])["frames"] == []
+    encode_slice_record(5, b"mask", [bytes(2**25)])
+    for frames in ([bytes(2**25)] * 2, [b""] * 17):
+        with pytest.raises(AssertionError):
+            encode_slice_record(5, b"mask", frames)
 
 
 @pytest.mark.parametrize("coder", [1, 2])
