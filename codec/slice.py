@@ -14,6 +14,10 @@ from .splats import Splats
 MAX_SWIN_SIZE = 255
 """Frames a Gaussian may live; start offsets are stored in one byte."""
 
+HIDDEN = 255
+"""Start offset of a Gaussian that no frame shows, such as one in a slot that ended or is unknown:
+a frame lies less than swin_size <= MAX_SWIN_SIZE frames after the birth."""
+
 
 @dataclass(frozen=True, slots=True)
 class Slice:
@@ -26,12 +30,22 @@ class Slice:
     birth: int
     splats: Splats
     start_offsets: npt.NDArray[np.uint8]  # (N,) frames after birth
+    rows: npt.NDArray[np.int32] | None = None  # (N,) rising, the rows that change; None: whole
 
     def __post_init__(self) -> None:
         if self.start_offsets.shape != (len(self.splats),):
             raise InvalidError(f"Slice.start_offsets has shape {self.start_offsets.shape}")
         if self.start_offsets.dtype != np.uint8:
             raise InvalidError(f"Slice.start_offsets is {self.start_offsets.dtype}, not uint8")
+        rows = self.rows
+        if rows is None:
+            return
+        if rows.shape != (len(self.splats),):
+            raise InvalidError(f"Slice.rows has shape {rows.shape}")
+        if rows.dtype != np.int32:
+            raise InvalidError(f"Slice.rows is {rows.dtype}, not int32")
+        if len(rows) and (rows[0] < 0 or (rows[1:] <= rows[:-1]).any()):
+            raise InvalidError("Slice.rows does not rise from 0 or more")
 
     @property
     def num_bytes(self) -> int:

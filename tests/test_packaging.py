@@ -29,6 +29,7 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
     "codec": (
         {"codec"},
         {"codec/coders", "codec/profiles"},
+        {"codec/slots"},
         {"codec/stream"},
         {"codec/interop"},
         {"codec/tools"},
