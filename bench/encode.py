@@ -18,12 +18,12 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from codec.coders.coder import compress
+from codec.coders.coder import EncodedChunk, compress
 from codec.console import run_command
 from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.stream import StreamReader
-from codec.stream.chunk import EncodedChunk, decode_chunk, encode_chunk
+from codec.stream.chunk import decode_chunk, encode_chunk
 from codec.stream.layers import opacity_rank, split_layers
 from codec.stream.object import decode_packet, encode_packet
 from tests.support.trained_like import trained_like_splats

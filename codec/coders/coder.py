@@ -3,11 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import IntEnum
 
 from codec.errors import CorruptError
 
 from . import gzip, zstd
+
+
+@dataclass(frozen=True, slots=True)
+class EncodedChunk:
+    """The bytes of a chunk, and what an entropy coder should know of them."""
+
+    birth: int
+    data: bytes
+    edges: Sequence[int]
+    """Offsets in `data`, from 0 to its end, between planes or attributes; none if all of it is
+    float32."""
 
 
 class Coder(IntEnum):

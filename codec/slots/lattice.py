@@ -118,12 +118,19 @@ class States:
 
     def take(self, rows: npt.NDArray[np.integer] | npt.NDArray[np.bool_] | slice) -> States:
         """Those at `rows`, in that order."""
-        return States(self.positions[rows], self.attributes[rows])
+        if isinstance(rows, slice):
+            return States(self.positions[rows], self.attributes[rows])
+        if rows.dtype == np.bool_:
+            rows = np.flatnonzero(rows)
+        # Several times as fast as indexing with an array.
+        return States(self.positions.take(rows, axis=0), self.attributes.take(rows, axis=0))
 
-    def put(self, rows: npt.NDArray[np.integer] | slice, states: States) -> None:
+    def put(self, rows: npt.NDArray[np.integer], states: States) -> None:
         """Replaces those at `rows`."""
-        self.positions[rows] = states.positions
-        self.attributes[rows] = states.attributes
+        _put(rows, states.positions, states.attributes, self.positions, self.attributes)
+
+    def copy(self) -> States:
+        return States(self.positions.copy(), self.attributes.copy())
 
     @staticmethod
     def concatenate(parts: Sequence[States]) -> States:
@@ -131,6 +138,15 @@ class States:
             np.concatenate([part.positions for part in parts]),
             np.concatenate([part.attributes for part in parts]),
         )
+
+
+@kernel(nogil=True)
+def _put(rows, positions, attributes, to_positions, to_attributes):  # type: ignore[no-untyped-def]
+    for i in range(rows.shape[0]):
+        for axis in range(3):
+            to_positions[rows[i], axis] = positions[i, axis]
+        for a in range(attributes.shape[1]):
+            to_attributes[rows[i], a] = attributes[i, a]
 
 
 def quantise(

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from codec.coders.coder import EncodedChunk
 from codec.errors import CorruptError, InvalidError, UnsupportedError
 from codec.profiles import compact, raw
 from codec.profiles.profile import PROFILE_OF_CODE, Profile
@@ -84,17 +85,6 @@ class ChunkHeader:
     sh_degree: int
     has_start_offsets: bool
     body_bytes: int
-
-
-@dataclass(frozen=True, slots=True)
-class EncodedChunk:
-    """The bytes of a chunk, and what an entropy coder should know of them."""
-
-    birth: int
-    data: bytes
-    edges: Sequence[int]
-    """Offsets in `data`, from 0 to its end, between planes or attributes; none if all of it is
-    float32."""
 
 
 def encode_chunk(

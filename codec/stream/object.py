@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from codec.coders.coder import Coder, coder_of, compress, decompress
+from codec.coders.coder import Coder, EncodedChunk, coder_of, compress, decompress
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
 
-from .chunk import ANY_CHUNK, Chunk, ChunkBounds, EncodedChunk, decode_chunk
+from .chunk import ANY_CHUNK, Chunk, ChunkBounds, decode_chunk
 
 SKIPPABLE_MAGIC = 0x184D2A50
 TABLE_MAGIC = b"SWGO"

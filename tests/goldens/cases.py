@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from codec.coders.coder import Coder
+from codec.coders.coder import Coder, EncodedChunk
 from codec.profiles.profile import Profile
 from codec.profiles.quantise import Steps
 from codec.slice import Slice
 from codec.splats import Splats, sh_count
-from codec.stream.chunk import Chunk, EncodedChunk, decode_chunk, encode_chunk
+from codec.stream.chunk import Chunk, decode_chunk, encode_chunk
 from codec.stream.object import encode_object
 
 FILE = Path(__file__).parent / "chunks.json"

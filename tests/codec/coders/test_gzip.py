@@ -18,10 +18,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codec.coders import gzip as gzip_coder
-from codec.coders.coder import Coder, coder_of, compress, decompress
+from codec.coders.coder import Coder, EncodedChunk, coder_of, compress, decompress
 from codec.errors import CorruptError
 from codec.profiles.profile import Profile
-from codec.stream.chunk import MAX_CHUNK_BYTES, EncodedChunk, encode_chunk
+from codec.stream.chunk import MAX_CHUNK_BYTES, encode_chunk
 from codec.stream.object import (
     HEAD,
     decode_object,

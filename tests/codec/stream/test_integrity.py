@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from codec.coders.coder import EncodedChunk
 from codec.errors import CodecError, CorruptError
 from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.splats import Splats
-from codec.stream.chunk import Chunk, EncodedChunk, decode_chunk, encode_chunk
+from codec.stream.chunk import Chunk, decode_chunk, encode_chunk
 from codec.stream.index import SegmentRecord, pack_record, record_bytes
 from codec.stream.integrity import (
     CheckedObject,

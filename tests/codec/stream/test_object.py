@@ -11,10 +11,10 @@ import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec.coders.coder import compress, decompress
+from codec.coders.coder import EncodedChunk, compress, decompress
 from codec.errors import CorruptError, InvalidError, UnsupportedError
 from codec.profiles.profile import Profile
-from codec.stream.chunk import MAX_CHUNK_BYTES, EncodedChunk, encode_chunk
+from codec.stream.chunk import MAX_CHUNK_BYTES, encode_chunk
 from codec.stream.object import (
     ENTRY,
     HEAD,

@@ -1,0 +1,171 @@
+"""What slots that last cost: a slice of version 2 in bytes and in time, encoded and decoded.
+
+Usage: scripts/bench slots [--num-slots N] [--active SHARE]
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from codec.coders.coder import EncodedChunk, compress, decompress
+from codec.console import run_command
+from codec.slots.lattice import Bytes, Lattice, States, quantise
+from codec.slots.mask import ENDED, KEPT, NEW, PREDICTED
+from codec.slots.slotdecoder import SlotDecoder
+from codec.slots.slotencoder import SlotEncoder
+from codec.slots.slotlayout import SlotLayout
+from codec.slots.update import Update
+from codec.splats import Floats, Splats
+from tests.support.trained_like import trained_like_splats
+
+SHARES = (0.35, 0.15, 0.2, 0.3)
+"""Of each layer."""
+SWIN_SIZE = 2
+NUM_FRAMES = 24
+SEGMENT_FRAMES = 30
+
+
+@dataclass(frozen=True, slots=True)
+class SlotsConfig:
+    """Measures masks, changes and snapshots on one core."""
+
+    num_slots: int = 30_000
+    """Slots in a lane."""
+    active: float = 0.3
+    """Share of the slots that a slice changes: nine tenths of them predicted, the rest new or
+    ended."""
+
+
+def moved(splats: Splats, rng: np.random.Generator) -> Splats:
+    """`splats` a frame later: a little farther, a little turned, a little brighter."""
+
+    def near(values: Floats, sigma: float) -> Floats:
+        return (values + rng.normal(0, sigma, values.shape)).astype(np.float32)
+
+    return Splats(
+        near(splats.means, 0.002),
+        near(splats.log_scales, 0.03),
+        near(splats.quats, 0.01),
+        near(splats.logit_opacities, 0.03),
+        near(splats.sh, 0.02),
+    )
+
+
+def made_updates(config: SlotsConfig) -> tuple[SlotLayout, list[Update]]:
+    """Updates of a trained-like scene whose changes come in spells of the same slots."""
+    rng = np.random.default_rng(0)
+    splats = [trained_like_splats(config.num_slots, lane) for lane in range(SWIN_SIZE)]
+    lattice = Lattice.suiting(splats[0])
+    counts = [round(share * config.num_slots) for share in SHARES[:-1]]
+    counts.append(config.num_slots - sum(counts))
+    layout = SlotLayout(SWIN_SIZE, tuple(counts), 0, (lattice,) * len(counts), SEGMENT_FRAMES)
+    states: list[States] = []
+    updates = []
+    for n in range(SWIN_SIZE):
+        made, fits = quantise(splats[n], lattice)
+        states.append(made)
+        statuses = np.where(fits, NEW, KEPT).astype(np.uint8)
+        updates.append(_update(n + 1 - SWIN_SIZE, statuses, made))
+    held = [update.statuses == NEW for update in updates]
+    busy = rng.random((SWIN_SIZE, config.num_slots)) < config.active
+    for birth in range(1, NUM_FRAMES):
+        lane = (birth + SWIN_SIZE - 1) % SWIN_SIZE
+        # A fifth of the slots that are busy or idle change over.
+        renewed = rng.random(config.num_slots) < 0.2
+        busy[lane] = np.where(renewed, rng.random(config.num_slots) < config.active, busy[lane])
+        splats[lane] = moved(splats[lane], rng)
+        made, fits = quantise(splats[lane], lattice, states[lane], 0.7)
+        kind = rng.random(config.num_slots)
+        status = np.where(kind < 0.9, PREDICTED, np.where(kind < 0.95, NEW, ENDED))
+        status = np.where(~held[lane] & (status == PREDICTED), NEW, status)
+        statuses = np.where(busy[lane] & fits, status, KEPT).astype(np.uint8)
+        coded = np.flatnonzero(statuses >= PREDICTED)
+        states[lane].put(coded, made.take(coded))
+        held[lane][statuses == NEW] = True
+        held[lane][statuses == ENDED] = False
+        updates.append(_update(birth, statuses, made))
+    return layout, updates
+
+
+def _update(birth: int, statuses: Bytes, made: States) -> Update:
+    coded = np.flatnonzero(statuses >= PREDICTED)
+    zeros = np.zeros(len(coded), np.uint8)
+    return Update(birth, statuses, made.take(coded), zeros, zeros > 0, Splats.empty())
+
+
+def median_ms(works: Sequence[Callable[[], object]]) -> float:
+    times = []
+    for work in works:
+        start = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - start)
+    return 1e3 * float(np.median(times))
+
+
+def packet(chunk: EncodedChunk) -> bytes:
+    return compress(chunk.data, chunk.edges)
+
+
+def run(config: SlotsConfig) -> None:
+    layout, updates = made_updates(config)
+    encoder, decoder = SlotEncoder(layout), SlotDecoder(layout)
+    for update in updates[:SWIN_SIZE]:
+        encoder.append(update)
+    snapshots = [packet(chunk) for chunk in encoder.snapshots()]
+    limits = [layout.max_snapshot_bytes(n) for n in range(layout.num_layers)]
+    start = time.perf_counter()
+    for data, limit in zip(snapshots, limits, strict=True):
+        decoder.load(decompress(data, limit))
+    join_ms = 1e3 * (time.perf_counter() - start)
+    sent: list[tuple[bytes, list[bytes]]] = []
+
+    def encode(update: Update) -> None:
+        made = encoder.append(update)
+        assert made is not None
+        sent.append((packet(made.mask), [packet(change) for change in made.changes]))
+
+    def decode(birth: int, mask: bytes, changes: list[bytes]) -> None:
+        decoder.apply(
+            birth,
+            decompress(mask, layout.max_mask_bytes),
+            [decompress(c, layout.max_change_bytes(n)) for n, c in enumerate(changes)],
+        )
+
+    late = updates[SWIN_SIZE:]
+    encode_ms = median_ms([partial(encode, update) for update in late])
+    decode_ms = median_ms(
+        [partial(decode, update.birth, *parts) for update, parts in zip(late, sent, strict=True)]
+    )
+    whole_ms = median_ms([partial(decoder.whole, late[-1].birth)] * 9)
+    a_slot = sum(map(len, snapshots)) / (SWIN_SIZE * config.num_slots)
+    changed = np.mean([np.count_nonzero(update.statuses) for update in late])
+    coded = np.mean([len(update.states) for update in late])
+    mask_bytes = np.mean([len(mask) for mask, _ in sent])
+    change_bytes = np.mean([sum(map(len, changes)) for _, changes in sent])
+    table = Table(
+        title=f"{config.num_slots} slots in {layout.num_layers} layers", show_header=False
+    )
+    facts = {
+        "slots changed in a slice": f"{changed:.0f}",
+        "packets -> applied slice (median)": f"{decode_ms:.2f} ms",
+        "update -> packets (median)": f"{encode_ms:.1f} ms",
+        "a lane as a whole slice": f"{whole_ms:.2f} ms",
+        f"snapshots of {SWIN_SIZE} lanes loaded": f"{join_ms:.1f} ms",
+        "mask": f"{mask_bytes:.0f} bytes, {8 * mask_bytes / config.num_slots:.2f} bits a slot",
+        "changes": f"{change_bytes:.0f} bytes, {change_bytes / coded:.2f} a predicted or new one",
+        "snapshots": f"{a_slot:.2f} bytes a slot",
+    }
+    for name, value in facts.items():
+        table.add_row(name, value)
+    Console(width=100).print(table)
+
+
+if __name__ == "__main__":
+    run_command(SlotsConfig, run, "scripts/bench slots", "Measures slots that last.")

@@ -1,0 +1,149 @@
+"""The mask of a slice: what becomes of each slot of its lane (codec/FORMAT.md, section 15)."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from codec.coders.coder import EncodedChunk
+from codec.errors import CorruptError
+from codec.kernel import kernel
+
+from .lattice import Bytes
+from .rangecoder import (
+    WHOLE,
+    decode_bit,
+    encode_bit,
+    finish_encoding,
+    new_probabilities,
+    start_decoding,
+)
+from .slotchunk import Kind, SlotHeader
+from .slotlayout import HEADER_BYTES, SlotLayout
+
+KEPT, ENDED, PREDICTED, NEW = 0, 1, 2, 3
+"""The status of a slot."""
+
+CONTEXTS = 37
+FIRST_OF_B, CONTEXT_OF_C = 32, 36
+
+
+class MaskHistory:
+    """Which slots earlier masks of a segment did not keep: the contexts of the masks to come."""
+
+    def __init__(self, layout: SlotLayout) -> None:
+        self._layout = layout
+        # 2 if not kept by the last mask of the lane, plus 1 if not by the one before that.
+        self._recent = np.zeros((layout.swin_size, layout.num_slots), np.uint8)
+
+    def of(self, birth: int) -> Bytes:
+        """(S,) uint8, 0..3: the `h` of each slot in the mask of `birth`."""
+        if birth == self._layout.segment_start(birth):
+            return np.zeros(self._layout.num_slots, np.uint8)
+        recent: Bytes = self._recent[self._layout.lane(birth)]
+        return recent
+
+    def note(self, birth: int, statuses: Bytes) -> None:
+        """Takes in the mask of `birth`; one of a segment's first frame begins anew."""
+        if birth == self._layout.segment_start(birth):
+            self._recent.fill(0)
+            return
+        lane = self._recent[self._layout.lane(birth)]
+        lane >>= 1
+        lane |= (statuses != KEPT).view(np.uint8) << 1
+
+    def copy(self) -> MaskHistory:
+        made = MaskHistory(self._layout)
+        made._recent[:] = self._recent
+        return made
+
+
+def encode_mask(layout: SlotLayout, birth: int, statuses: Bytes, history: Bytes) -> EncodedChunk:
+    """The mask of (S,) `statuses`, of which `history` is `MaskHistory.of(birth)`."""
+    out = np.zeros(layout.max_mask_bytes, np.uint8)
+    size = _encode(statuses, history, np.array(layout.row_edges), *new_probabilities(CONTEXTS), out)
+    head = SlotHeader(Kind.MASK, 0, birth).pack()
+    data = head + out[:size].tobytes()
+    return EncodedChunk(birth, data, (0, len(data)))
+
+
+def decode_mask(
+    layout: SlotLayout, birth: int, data: bytes | memoryview, history: Bytes
+) -> npt.NDArray[np.uint8]:
+    """(S,) the statuses in the mask `data` of `birth`. Raises a CodecError."""
+    SlotHeader.read(data, Kind.MASK).expect(birth, 0)
+    body = np.frombuffer(data, np.uint8, offset=HEADER_BYTES)
+    statuses = np.empty(layout.num_slots, np.uint8)
+    read = _decode(
+        body, history, np.array(layout.row_edges), *new_probabilities(CONTEXTS), statuses
+    )
+    if read < 0:
+        raise CorruptError("mask: its code is not below its range", HEADER_BYTES)
+    if read != len(body):
+        raise CorruptError(
+            f"mask: a body of {len(body)} bytes, of which {read} are read",
+            HEADER_BYTES + min(read, len(body)),
+        )
+    return statuses
+
+
+@kernel(nogil=True)
+def _encode(statuses, history, row_edges, probabilities, counts, out):  # type: ignore[no-untyped-def]
+    """Fills out; gives how many bytes."""
+    range_, low, at = WHOLE, 0, 0
+    for layer in range(row_edges.shape[0] - 1):
+        before = 0  # bit 0: the slot before is not kept; bits 1 and 2: those before that
+        for i in range(row_edges[layer], row_edges[layer + 1]):
+            h, status = np.int64(history[i]), statuses[i]
+            neighbours = 2 * (before & 1) + ((before >> 1) & 1)
+            context = 8 * h + 2 * neighbours + (before >> 2)
+            changed = 0 if status == KEPT else 1
+            range_, low, at = encode_bit(
+                out, probabilities, counts, context, changed, range_, low, at
+            )
+            if changed:
+                other = 0 if status == PREDICTED else 1
+                context = FIRST_OF_B + h
+                range_, low, at = encode_bit(
+                    out, probabilities, counts, context, other, range_, low, at
+                )
+                if other:
+                    ended = 0 if status == NEW else 1
+                    range_, low, at = encode_bit(
+                        out, probabilities, counts, CONTEXT_OF_C, ended, range_, low, at
+                    )
+            before = ((before << 1) | changed) & 7
+    return finish_encoding(out, low, at)
+
+
+@kernel(nogil=True)
+def _decode(body, history, row_edges, probabilities, counts, statuses):  # type: ignore[no-untyped-def]
+    """Fills statuses; gives how many bytes that took, which may be more than there are, or -1."""
+    range_ = WHOLE
+    code, at = start_decoding(body)
+    if code >= range_:
+        return -1
+    for layer in range(row_edges.shape[0] - 1):
+        before = 0
+        for i in range(row_edges[layer], row_edges[layer + 1]):
+            h = np.int64(history[i])
+            neighbours = 2 * (before & 1) + ((before >> 1) & 1)
+            context = 8 * h + 2 * neighbours + (before >> 2)
+            changed, range_, code, at = decode_bit(
+                body, probabilities, counts, context, range_, code, at
+            )
+            status = KEPT
+            if changed:
+                status = PREDICTED
+                context = FIRST_OF_B + h
+                other, range_, code, at = decode_bit(
+                    body, probabilities, counts, context, range_, code, at
+                )
+                if other:
+                    ended, range_, code, at = decode_bit(
+                        body, probabilities, counts, CONTEXT_OF_C, range_, code, at
+                    )
+                    status = ENDED if ended else NEW
+            statuses[i] = status
+            before = ((before << 1) | changed) & 7
+    return at

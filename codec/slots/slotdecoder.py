@@ -1,0 +1,232 @@
+"""Masks, changes and snapshots to Gaussians (codec/FORMAT.md, section 13).
+
+Rule: any bytes give a value or a CodecError that leaves everything as it was; memory goes by the
+layout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from codec.errors import CorruptError, InvalidError
+from codec.slice import Slice, window_births
+from codec.splats import Splats
+
+from .change import decode_change
+from .lattice import Bytes
+from .mask import KEPT, NEW, PREDICTED, MaskHistory, decode_mask
+from .slotlayout import SlotLayout
+from .slotstate import UNKNOWN, Delta, Rows, Slots, empty_arrays
+from .snapshot import decode_snapshot
+
+Data = bytes | memoryview
+
+MIN_LOG_BYTES = 1 << 22
+"""Room that there is at least for what may have to be applied again."""
+
+
+@dataclass(slots=True)
+class _Missed:
+    """A layer of a lane since a change of it was missing: what to apply again when it comes."""
+
+    before: Slots
+    """The slots before the first missing change."""
+    since: dict[int, tuple[Bytes, bytes | None]] = field(default_factory=dict)
+    """By birth the statuses and the change of every slice of the lane since then."""
+
+    @property
+    def num_bytes(self) -> int:
+        changes = sum(len(change) for _, change in self.since.values() if change is not None)
+        return self.before.num_bytes + sum(s.nbytes for s, _ in self.since.values()) + changes
+
+    def waits_for(self, birth: int) -> bool:
+        """Whether the change of `birth` is missing, and would say something."""
+        statuses, change = self.since.get(birth, (None, None))
+        return statuses is not None and change is None and bool((statuses >= PREDICTED).any())
+
+
+class SlotDecoder:
+    """What a reader holds of the slots of layers 0..num_layers-1, from one frame to the next.
+
+    Load the snapshots of a segment's first frame, then apply the slices born after it one by one.
+    Layers that were not loaded are unknown, and hidden.
+    """
+
+    def __init__(self, layout: SlotLayout, num_layers: int | None = None) -> None:
+        self.layout = layout
+        self.num_layers = layout.num_layers if num_layers is None else num_layers
+        if not 1 <= self.num_layers <= layout.num_layers:
+            raise InvalidError(f"{num_layers} layers of {layout.num_layers}")
+        self.clear()
+
+    def clear(self) -> None:
+        """Forgets all, so that a snapshot of any segment can be loaded."""
+        layout = self.layout
+        self.frame: int | None = None
+        """Birth of the slice that was applied last; None before the first snapshot."""
+        self.joined: int | None = None
+        """The frame whose snapshot came first."""
+        self.lanes = [
+            [Slots(count, layout.sh_degree, UNKNOWN) for count in layout.slots[: self.num_layers]]
+            for _ in range(layout.swin_size)
+        ]
+        """What the slots hold, lane after lane, layer after layer."""
+        self.history = MaskHistory(layout)
+        self._missed: dict[tuple[int, int], _Missed] = {}
+
+    def load(self, data: Data) -> None:
+        """Takes in the snapshot `data` of a layer, in place of what is here of it.
+
+        The first one may be of any segment; a later one must be of the slice that was applied last.
+        """
+        snapshot = decode_snapshot(self.layout, data)
+        if snapshot.layer >= self.num_layers:
+            raise InvalidError(f"snapshot: of layer {snapshot.layer}, held are {self.num_layers}")
+        if self.frame is not None and snapshot.frame != self.frame:
+            raise CorruptError(
+                f"snapshot: of frame {snapshot.frame}, the slices have come to {self.frame}"
+            )
+        births = window_births(snapshot.frame, self.layout.swin_size)
+        for birth, slots in zip(births, snapshot.lanes, strict=True):
+            lane = self.layout.lane(birth)
+            self.lanes[lane][snapshot.layer] = slots
+            self._missed.pop((lane, snapshot.layer), None)
+        if self.frame is None:
+            self.frame = self.joined = snapshot.frame
+
+    def apply(self, birth: int, mask: Data, changes: Sequence[Data | None]) -> Slice:
+        """Goes on by the slice born at `birth`, which follows the last one.
+
+        changes: of layers 0, 1, ...; None for one that is missing, which may come `late`. Layers
+        behind the last are not expected.
+        Gives the slots that changed, as a slice with rows: row r is slot r of the lane, counted
+        over all layers.
+        """
+        if self.frame is None or birth != self.frame + 1:
+            last = "nothing" if self.frame is None else f"the slice born at {self.frame}"
+            raise InvalidError(f"the slice born at {birth} does not follow {last}")
+        if len(changes) > self.num_layers:
+            raise InvalidError(f"{len(changes)} changes for {self.num_layers} layers")
+        statuses = decode_mask(self.layout, birth, mask, self.history.of(birth))
+        lane = self.layout.lane(birth)
+        parts = self._by_layer(statuses)
+        deltas = [
+            self._delta(
+                birth, layer, slots, parts[layer], changes[layer] if layer < len(changes) else None
+            )
+            for layer, slots in enumerate(self.lanes[lane])
+        ]
+        for layer, delta in enumerate(deltas):
+            slots = self.lanes[lane][layer]
+            if layer < len(changes):
+                self._remember(birth, layer, slots, parts[layer], changes[layer])
+            else:
+                self._missed.pop((lane, layer), None)
+            slots.advance(delta)
+        self.history.note(birth, statuses)
+        self.frame = birth
+        rows = [np.flatnonzero(part != KEPT) for part in parts]
+        return self._slice(birth, rows, with_rows=True)
+
+    def late(self, birth: int, layer: int, change: Data) -> Slice | None:
+        """Takes in a change that was missing when its slice was applied.
+
+        Gives what it alters in the lane as it is now, as a slice with rows of the lane's last
+        birth; None if the change is of no use any more.
+        """
+        lane = self.layout.lane(birth)
+        missed = self._missed.get((lane, layer))
+        if missed is None or not missed.waits_for(birth):
+            return None
+        since = dict(missed.since)
+        since[birth] = since[birth][0], bytes(change)
+        slots, altered = missed.before.copy(), np.zeros(self.layout.slots[layer], np.bool_)
+        for known, (statuses, known_change) in since.items():
+            slots.advance(self._delta(known, layer, slots, statuses, known_change))
+            if known >= birth:
+                altered |= statuses != KEPT
+        self.lanes[lane][layer] = slots
+        missed.since = since
+        if not any(map(missed.waits_for, since)):
+            del self._missed[lane, layer]
+        rows = [np.zeros(0, np.int64)] * self.num_layers
+        rows[layer] = np.flatnonzero(altered)
+        return self._slice(max(since), rows, with_rows=True)
+
+    def whole(self, birth: int, num_layers: int | None = None) -> Slice:
+        """The slice born at `birth`, one of the last swin_size, of layers 0..num_layers-1: all
+        slots of its lane, hidden where there is no Gaussian."""
+        if self.frame is None or birth not in window_births(self.frame, self.layout.swin_size):
+            raise InvalidError(
+                f"the slice born at {birth} is not one of the window of {self.frame}"
+            )
+        layers = self.num_layers if num_layers is None else num_layers
+        if not 1 <= layers <= self.num_layers:
+            raise InvalidError(f"{layers} layers of {self.num_layers}")
+        rows = [np.arange(count) for count in self.layout.slots[:layers]]
+        return self._slice(birth, rows, with_rows=False)
+
+    def window(self, frame: int, num_layers: int | None = None) -> list[Slice]:
+        """The swin_size slices that show at `frame`, the one that was applied last."""
+        if frame != self.frame:
+            raise InvalidError(f"the slices have come to {self.frame}, not {frame}")
+        births = window_births(frame, self.layout.swin_size)
+        return [self.whole(birth, num_layers) for birth in births]
+
+    def _by_layer(self, statuses: Bytes) -> list[Bytes]:
+        edges = self.layout.row_edges
+        return [statuses[edges[n] : edges[n + 1]] for n in range(self.num_layers)]
+
+    def _delta(
+        self, birth: int, layer: int, slots: Slots, statuses: Bytes, change: Data | None
+    ) -> Delta:
+        if change is None:
+            return slots.delta(statuses, None)
+        predicted = int(np.count_nonzero(statuses == PREDICTED))
+        new = int(np.count_nonzero(statuses == NEW))
+        return slots.delta(
+            statuses, decode_change(self.layout, layer, birth, change, predicted, new)
+        )
+
+    def _remember(
+        self, birth: int, layer: int, slots: Slots, statuses: Bytes, change: Data | None
+    ) -> None:
+        """Notes what a late change needs, before the slice is applied to `slots`."""
+        key = self.layout.lane(birth), layer
+        if key not in self._missed:
+            if change is not None or not (statuses >= PREDICTED).any():
+                return
+            self._missed[key] = _Missed(slots.copy())
+        kept = None if change is None else bytes(change)
+        self._missed[key].since[birth] = statuses.copy(), kept
+        while self.log_bytes > max(self._state_bytes(), MIN_LOG_BYTES):
+            # The one that waits longest is given up.
+            del self._missed[next(iter(self._missed))]
+
+    @property
+    def log_bytes(self) -> int:
+        """What is held only because changes may come late."""
+        return sum(missed.num_bytes for missed in self._missed.values())
+
+    def _state_bytes(self) -> int:
+        return sum(slots.num_bytes for lane in self.lanes for slots in lane)
+
+    def _slice(self, birth: int, rows: Iterable[Rows], with_rows: bool) -> Slice:
+        """The slots `rows` of each layer in the lane of `birth`."""
+        rows = list(rows)
+        lane = self.lanes[self.layout.lane(birth)]
+        edges = self.layout.row_edges
+        ends = np.cumsum([0, *map(len, rows)])
+        arrays = empty_arrays(ends[-1], self.layout.sh_degree)
+        starts = np.empty(ends[-1], np.uint8)
+        numbers = np.empty(ends[-1], np.int32)
+        for layer, of_layer in enumerate(rows):
+            part = slice(ends[layer], ends[layer + 1])
+            lattice = self.layout.lattices[layer]
+            lane[layer].draw(of_layer, lattice, tuple(array[part] for array in arrays))
+            starts[part] = lane[layer].starts[of_layer]
+            numbers[part] = of_layer + edges[layer]
+        return Slice(birth, Splats(*arrays), starts, numbers if with_rows else None)

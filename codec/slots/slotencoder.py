@@ -1,0 +1,182 @@
+"""Updates of slots to the chunks of a stream: masks, changes, snapshots."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from codec.coders.coder import EncodedChunk
+from codec.errors import InvalidError
+from codec.slice import HIDDEN, window_births
+
+from .change import Newcomers, encode_change
+from .lattice import Bytes, States
+from .mask import ENDED, NEW, PREDICTED, MaskHistory, encode_mask
+from .slotlayout import SlotLayout
+from .slotstate import EMPTY, ESCAPED, ON_LATTICE, Delta, Rows, Slots
+from .snapshot import encode_snapshot
+from .update import Update
+
+
+@dataclass(frozen=True, slots=True)
+class EncodedSlice:
+    """What a slice is in a stream, before the entropy coder."""
+
+    birth: int
+    mask: EncodedChunk
+    changes: tuple[EncodedChunk, ...]
+    """Of each layer."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """What an update says of one layer."""
+
+    layer: int
+    slots: Slots
+    predicted_rows: Rows
+    new_rows: Rows
+    ended_rows: Rows
+    predicted: States
+    new: Newcomers
+    start_offsets: Bytes  # of the predicted, then of the new
+
+
+class SlotEncoder:
+    """Takes the updates of a stream in order of birth and keeps what they make of the slots.
+
+    What it refuses leaves it as it was.
+    """
+
+    def __init__(self, layout: SlotLayout) -> None:
+        self.layout = layout
+        self.next_birth = window_births(0, layout.swin_size).start
+        """Birth of the update that comes next."""
+        self.lanes = [
+            [Slots(count, layout.sh_degree, EMPTY) for count in layout.slots]
+            for _ in range(layout.swin_size)
+        ]
+        """What the slots hold, lane after lane, layer after layer."""
+        self.history = MaskHistory(layout)
+
+    def append(self, update: Update) -> EncodedSlice | None:
+        """`encode`, then `take`."""
+        encoded = self.encode(update)
+        self.take(update)
+        return encoded
+
+    def encode(self, update: Update) -> EncodedSlice | None:
+        """The chunks of the slice of `update`, which is not yet taken in; None before frame 0. The
+        slice of frame 0 keeps all, for what it brings is in the snapshot of frame 0."""
+        self._check(update)
+        birth = update.birth
+        if birth < 0:
+            return None
+        if birth == 0:
+            update = Update.keeping(birth, self.layout)
+        mask = encode_mask(self.layout, birth, update.statuses, self.history.of(birth))
+        changes = (
+            encode_change(
+                part.layer,
+                birth,
+                part.slots.states.take(part.predicted_rows),
+                part.predicted,
+                part.new,
+                part.start_offsets,
+            )
+            for part in self._parts(update)
+        )
+        return EncodedSlice(birth, mask, tuple(changes))
+
+    def take(self, update: Update) -> None:
+        """Goes on to the slice of `update`."""
+        self._check(update)
+        for part in self._parts(update):
+            part.slots.advance(_delta(part))
+        if update.birth > 0:
+            self.history.note(update.birth, update.statuses)
+        self.next_birth = update.birth + 1
+
+    def snapshots(self) -> tuple[EncodedChunk, ...]:
+        """The snapshot of each layer as it is now, at the first frame of a segment."""
+        frame = self.next_birth - 1
+        if frame < 0 or frame != self.layout.segment_start(frame):
+            raise InvalidError(f"snapshot: frame {frame} is not the first of a segment")
+        lanes = [
+            self.lanes[self.layout.lane(birth)]
+            for birth in window_births(frame, self.layout.swin_size)
+        ]
+        return tuple(
+            encode_snapshot(self.layout, layer, frame, [lane[layer] for lane in lanes])
+            for layer in range(self.layout.num_layers)
+        )
+
+    def _check(self, update: Update) -> None:
+        if update.birth != self.next_birth:
+            raise InvalidError(f"update born at {update.birth}, expected {self.next_birth}")
+        update.check(self.layout)
+        for part in self._parts(update):
+            conditions = part.slots.conditions[part.predicted_rows]
+            if (conditions != ON_LATTICE).any():
+                first = int(np.argmax(conditions != ON_LATTICE))
+                why = "has escaped" if conditions[first] == ESCAPED else "is empty"
+                raise InvalidError(
+                    f"update born at {update.birth}: slot {part.predicted_rows[first]} of layer "
+                    f"{part.layer} is predicted, but it {why}; make it a new one"
+                )
+
+    def _parts(self, update: Update) -> Iterator[_Part]:
+        """What `update`, which is checked, says of each layer."""
+        lane = self.lanes[self.layout.lane(update.birth)]
+        edges = self.layout.row_edges
+        coded_before = escapes_before = 0
+        for layer in range(self.layout.num_layers):
+            statuses = update.statuses[edges[layer] : edges[layer + 1]]
+            coded = np.flatnonzero(statuses >= PREDICTED)
+            is_new = statuses[coded] == NEW
+            part = slice(coded_before, coded_before + len(coded))
+            states, offsets = update.states.take(part), update.start_offsets[part]
+            escaped = update.escaped[part][is_new]
+            escapes_end = escapes_before + int(np.count_nonzero(escaped))
+            yield _Part(
+                layer,
+                lane[layer],
+                coded[~is_new],
+                coded[is_new],
+                np.flatnonzero(statuses == ENDED),
+                states.take(~is_new),
+                Newcomers(
+                    states.take(is_new),
+                    escaped,
+                    update.escapes.take(slice(escapes_before, escapes_end)),
+                ),
+                np.concatenate([offsets[~is_new], offsets[is_new]]),
+            )
+            coded_before, escapes_before = part.stop, escapes_end
+
+
+def _delta(part: _Part) -> Delta:
+    """What `part` makes of its slots."""
+    count, num_ended = len(part.start_offsets), len(part.ended_rows)
+    conditions = np.full(count + num_ended, ON_LATTICE, np.uint8)
+    conditions[count:] = EMPTY
+    conditions[len(part.predicted) : count][part.new.escaped] = ESCAPED
+    starts = np.full(count + num_ended, HIDDEN, np.uint8)
+    starts[:count] = part.start_offsets
+    sh_degree = part.slots.states.sh_degree
+    states = States.concatenate(
+        [part.predicted, part.new.states, States.zeros(num_ended, sh_degree)]
+    )
+    if len(part.new.escapes):
+        escaped = np.flatnonzero(conditions == ESCAPED)
+        states.put(escaped, States.zeros(len(escaped), sh_degree))
+    return Delta(
+        np.concatenate([part.predicted_rows, part.new_rows, part.ended_rows]),
+        conditions,
+        states,
+        starts,
+        part.new_rows[part.new.escaped],
+        part.new.escapes,
+    )

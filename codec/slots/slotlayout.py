@@ -1,0 +1,116 @@
+"""The slots of a stream: how many, on which lattice, and how large their chunks can be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import accumulate
+
+from codec.errors import InvalidError
+from codec.profiles.raw import bytes_per_gaussian
+from codec.slice import MAX_SWIN_SIZE
+from codec.splats import MAX_SH_DEGREE
+
+from .lattice import Lattice, num_attributes
+from .rangecoder import CODE_BYTES, MAX_BYTES_PER_BIT
+
+MAX_SLOTS = 1 << 20
+"""Slots in a lane, all layers together."""
+
+MAX_SLOT_LAYERS = 16
+MAX_SLOT_SEGMENT_FRAMES = 4096
+
+HEADER_BYTES = 12
+"""In front of every chunk of version 2."""
+
+COUNTS_BYTES = 20
+"""In front of every change, and behind the flags of a snapshot."""
+
+MAX_SLOT_CHUNK_BYTES = 64 + 248_512_560
+"""The largest chunk of version 2, whatever the layout."""
+
+
+@dataclass(frozen=True, slots=True)
+class SlotLayout:
+    """What a mask, a change and a snapshot are read with. Raises InvalidError for what the format
+    does not allow."""
+
+    swin_size: int
+    """Lanes, and frames that a lease lasts."""
+    slots: tuple[int, ...]
+    """Slots of a lane in each layer."""
+    sh_degree: int
+    lattices: tuple[Lattice, ...]
+    """Of each layer."""
+    segment_frames: int
+    """Frames in a segment: masks and snapshots begin anew with each."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.swin_size <= MAX_SWIN_SIZE:
+            raise InvalidError(f"slots: swin_size {self.swin_size} is not in 1..{MAX_SWIN_SIZE}")
+        if not 1 <= len(self.slots) <= MAX_SLOT_LAYERS:
+            raise InvalidError(f"slots: {len(self.slots)} layers, expected 1 to {MAX_SLOT_LAYERS}")
+        if min(self.slots) < 1 or sum(self.slots) > MAX_SLOTS:
+            raise InvalidError(
+                f"slots: {self.slots[:16]} are not at least 1 each and {MAX_SLOTS} together at most"
+            )
+        if not 0 <= self.sh_degree <= MAX_SH_DEGREE:
+            raise InvalidError(f"slots: SH degree {self.sh_degree} is not in 0..{MAX_SH_DEGREE}")
+        if len(self.lattices) != len(self.slots):
+            raise InvalidError(
+                f"slots: {len(self.lattices)} lattices for {len(self.slots)} layers; give one each"
+            )
+        if not 1 <= self.segment_frames <= MAX_SLOT_SEGMENT_FRAMES:
+            raise InvalidError(
+                f"slots: segment_frames {self.segment_frames} is not in "
+                f"1..{MAX_SLOT_SEGMENT_FRAMES}"
+            )
+
+    @property
+    def num_layers(self) -> int:
+        return len(self.slots)
+
+    @property
+    def num_slots(self) -> int:
+        """Slots of a lane, all layers together."""
+        return sum(self.slots)
+
+    @property
+    def num_planes(self) -> int:
+        """Byte planes of the Gaussians in a change: x, y, z and the attributes."""
+        return 3 + num_attributes(self.sh_degree)
+
+    @property
+    def row_edges(self) -> tuple[int, ...]:
+        """(L + 1,) where the slots of each layer begin in a lane, and where the last ends."""
+        return (0, *accumulate(self.slots))
+
+    def lane(self, birth: int) -> int:
+        """The lane of the slice born at `birth`."""
+        return birth % self.swin_size
+
+    def segment_start(self, birth: int) -> int:
+        """First frame of the segment that holds the slice born at `birth`, 0 or later."""
+        return birth // self.segment_frames * self.segment_frames
+
+    @property
+    def max_mask_bytes(self) -> int:
+        """Bytes of the longest mask, before the entropy coder."""
+        return HEADER_BYTES + CODE_BYTES + int(3 * MAX_BYTES_PER_BIT * self.num_slots) + 4
+
+    def max_change_bytes(self, layer: int) -> int:
+        """Bytes of the longest change of `layer`: all new, all escaped."""
+        most = HEADER_BYTES + COUNTS_BYTES + self.slots[layer] * self._max_slot_bytes
+        return min(most, MAX_SLOT_CHUNK_BYTES)
+
+    def max_snapshot_bytes(self, layer: int) -> int:
+        """Bytes of the longest snapshot of `layer`."""
+        count = self.swin_size * self.slots[layer]
+        flags_bytes = (count + 7) // 8
+        most = HEADER_BYTES + flags_bytes + COUNTS_BYTES + count * self._max_slot_bytes
+        return min(most, MAX_SLOT_CHUNK_BYTES)
+
+    @property
+    def _max_slot_bytes(self) -> int:
+        """Of a new Gaussian: its planes, 24 low bits for each axis, the number and the floats of
+        an escape, the start offset. A predicted one takes less."""
+        return self.num_planes + 9 + 4 + bytes_per_gaussian(self.sh_degree) + 1

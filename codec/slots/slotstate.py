@@ -1,0 +1,165 @@
+"""What a reader or a writer holds of slots, and what a slice makes of it (codec/FORMAT.md,
+section 13).
+
+Rule: what a change would make is found out first, as a `Delta`; so bytes that break a rule leave
+everything as it was.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from codec.errors import CorruptError
+from codec.profiles.quantise import opacity_logits
+from codec.slice import HIDDEN
+from codec.splats import Floats, Splats, array_shapes
+
+from .change import Change, Newcomers
+from .lattice import Bytes, Lattice, States, dequantise_into
+from .mask import ENDED, NEW, PREDICTED
+
+UNKNOWN, EMPTY, ON_LATTICE, ESCAPED = 0, 1, 2, 3
+"""The condition of a slot: what it held is lost, nothing, or a Gaussian of one of two kinds."""
+
+Rows = npt.NDArray[np.int64]
+
+
+def holds(conditions: Bytes) -> npt.NDArray[np.bool_]:
+    """Where there is a Gaussian."""
+    return conditions >= ON_LATTICE
+
+
+@dataclass(frozen=True, slots=True)
+class Delta:
+    """What becomes of some slots."""
+
+    rows: Rows  # (D,) the slots, in any order
+    conditions: Bytes  # (D,)
+    states: States  # (D); zeros where none is on the lattice
+    starts: Bytes  # (D,) frames after the birth of the slice; HIDDEN where there is no Gaussian
+    escape_rows: Rows  # (E,) those of `rows` that escaped
+    escapes: Splats  # (E)
+
+
+class Slots:
+    """The slots of one layer in one lane, as integers."""
+
+    def __init__(self, count: int, sh_degree: int, condition: int) -> None:
+        self.conditions = np.full(count, condition, np.uint8)
+        self.states = States.zeros(count, sh_degree)
+        """Zeros where no Gaussian is on the lattice."""
+        self.starts = np.full(count, HIDDEN, np.uint8)
+        """(count,) frames after the birth of the lane's slice; HIDDEN where no Gaussian is."""
+        self.escape_rows: Rows = np.zeros(0, np.int64)
+        """The slots of `escapes`."""
+        self.escapes = Splats.empty(sh_degree)
+
+    def __len__(self) -> int:
+        return len(self.conditions)
+
+    @property
+    def num_bytes(self) -> int:
+        """What the slots take in memory."""
+        arrays = self.conditions, *(self.states.positions, self.states.attributes), self.starts
+        return sum(array.nbytes for array in arrays) + self.escapes.num_bytes
+
+    def copy(self) -> Slots:
+        made = Slots(0, self.states.sh_degree, UNKNOWN)
+        made.conditions = self.conditions.copy()
+        made.states = self.states.copy()
+        made.starts = self.starts.copy()
+        # Never altered, only replaced.
+        made.escape_rows, made.escapes = self.escape_rows, self.escapes
+        return made
+
+    def delta(self, statuses: Bytes, change: Change | None) -> Delta:
+        """What a slice makes of slots with these (count,) `statuses`; change: None if it is not at
+        hand. Raises CorruptError if it does not fit what is here."""
+        predicted = np.flatnonzero(statuses == PREDICTED)
+        new = np.flatnonzero(statuses == NEW)
+        ended = np.flatnonzero(statuses == ENDED)
+        rows = np.concatenate([predicted, new, ended])
+        conditions = np.empty(len(rows), np.uint8)
+        starts = np.full(len(rows), HIDDEN, np.uint8)
+        coded = len(predicted) + len(new)
+        conditions[coded:] = EMPTY
+        nothing = States.zeros(len(ended), self.states.sh_degree)
+        if change is None:
+            conditions[:coded] = UNKNOWN
+            states = States.zeros(len(rows), self.states.sh_degree)
+            no_rows = np.zeros(0, np.int64)
+            return Delta(rows, conditions, states, starts, no_rows, Splats.empty(states.sh_degree))
+        before = self.conditions[predicted]
+        for condition, name in ((EMPTY, "is empty"), (ESCAPED, "has escaped")):
+            if (before == condition).any():
+                slot = predicted[np.argmax(before == condition)]
+                raise CorruptError(f"change: slot {slot} is predicted, but it {name}")
+        known = before == ON_LATTICE
+        moved = change.predict(self.states.take(predicted), known)
+        conditions[: len(predicted)] = before  # what was unknown stays so
+        escaped = change.new.escaped
+        conditions[len(predicted) : coded] = np.where(escaped, ESCAPED, ON_LATTICE)
+        starts[:coded] = change.start_offsets
+        starts[: len(predicted)][~known] = HIDDEN
+        states = States.concatenate([moved, _without(change.new), nothing])
+        return Delta(rows, conditions, states, starts, new[escaped], change.new.escapes)
+
+    def put(self, delta: Delta) -> None:
+        """Takes in what a slice makes of these slots."""
+        rows = delta.rows
+        if len(self.escape_rows):
+            touched = np.zeros(len(self), np.bool_)
+            touched[rows] = True
+            stay = np.flatnonzero(~touched[self.escape_rows])
+            self.escape_rows, self.escapes = self.escape_rows[stay], self.escapes.take(stay)
+        if len(delta.escape_rows):
+            self.escape_rows = np.concatenate([self.escape_rows, delta.escape_rows])
+            self.escapes = Splats.concatenate([self.escapes, delta.escapes])
+        self.conditions[rows] = delta.conditions
+        self.starts[rows] = delta.starts
+        self.states.put(rows, delta.states)
+
+    def advance(self, delta: Delta) -> None:
+        """Goes on by one slice: what is kept has started by now."""
+        self.starts[holds(self.conditions)] = 0
+        self.put(delta)
+
+    def newcomers(self) -> Newcomers:
+        """All Gaussians that are here, as ones that are coded by themselves."""
+        here = np.flatnonzero(holds(self.conditions))
+        order = np.argsort(self.escape_rows, kind="stable")
+        return Newcomers(
+            self.states.take(here), self.conditions[here] == ESCAPED, self.escapes.take(order)
+        )
+
+    def draw(self, rows: Rows, lattice: Lattice, arrays: tuple[Floats, ...]) -> None:
+        """Fills the arrays of a `Splats` with what the slots `rows` hold; where that is nothing
+        with zeros and the quaternion (1, 0, 0, 0)."""
+        states = self.states.take(rows)
+        logits = opacity_logits(lattice.opacity_levels)
+        with np.errstate(over="ignore", invalid="ignore"):
+            dequantise_into(states.positions, states.attributes, lattice.floats(), logits, *arrays)
+        arrays[3][~holds(self.conditions[rows])] = 0
+        if len(self.escape_rows):
+            place_of = np.full(len(self), -1, np.int64)
+            place_of[self.escape_rows] = np.arange(len(self.escape_rows))
+            places = place_of[rows]
+            escaped = places >= 0
+            for array, source in zip(arrays, self.escapes.arrays, strict=True):
+                array[escaped] = source[places[escaped]]
+
+
+def _without(new: Newcomers) -> States:
+    """The states of `new`, zeros for what escaped."""
+    if new.escaped.any():
+        escaped = np.flatnonzero(new.escaped)
+        new.states.put(escaped, States.zeros(len(escaped), new.states.sh_degree))
+    return new.states
+
+
+def empty_arrays(count: int, sh_degree: int) -> tuple[Floats, ...]:
+    """Room for the arrays of `count` Gaussians."""
+    return tuple(np.empty(shape, np.float32) for shape in array_shapes(count, sh_degree))

@@ -1,0 +1,309 @@
+"""Changes and snapshots: any states come back, in few bytes; what breaks a rule is refused."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
+from codec.slots.change import Change, Newcomers, decode_change, encode_change
+from codec.slots.lattice import POSITION_LIMIT, Bytes, Lattice, States
+from codec.slots.mask import NEW, PREDICTED
+from codec.slots.slotchunk import SLOT_HEADER
+from codec.slots.slotdecoder import SlotDecoder
+from codec.slots.slotencoder import SlotEncoder
+from codec.slots.slotlayout import MAX_SLOT_CHUNK_BYTES, SlotLayout
+from codec.slots.update import Update
+from codec.splats import Splats
+from tests.support.hostile import flips, survives, truncations
+from tests.support.slots.updates import (
+    LATTICE,
+    patternless_splats,
+    patternless_states,
+    patternless_updates,
+    small_layout,
+)
+
+Case = tuple[SlotLayout, States, States, Newcomers, Bytes]
+
+BODY = SLOT_HEADER.size
+
+
+@st.composite
+def changes(draw: st.DrawFn) -> Case:
+    """A layout, what the predicted were, what they are, the new, and start offsets."""
+    rng = np.random.default_rng(draw(st.integers(0, 1 << 32)))
+    predicted, new = draw(st.integers(0, 40)), draw(st.integers(0, 40))
+    degree, wild = draw(st.integers(0, 3)), draw(st.booleans())
+    layout = small_layout(3, (predicted + new + 1,), degree)
+    levels = layout.lattices[0].opacity_levels
+    made = [
+        patternless_states(rng, [levels] * n, degree, wild) for n in (predicted, predicted, new)
+    ]
+    escaped = rng.random(new) < draw(st.sampled_from([0, 0.2, 1]))
+    newcomers = Newcomers(made[2], escaped, patternless_splats(rng, int(escaped.sum()), degree))
+    offsets = rng.integers(0, draw(st.sampled_from([1, 3])), predicted + new).astype(np.uint8)
+    return layout, made[0], made[1], newcomers, offsets
+
+
+@given(changes())
+@settings(max_examples=150)
+def test_any_states_come_back(
+    case: tuple[SlotLayout, States, States, Newcomers, np.ndarray],
+) -> None:
+    layout, before, predicted, new, offsets = case
+    chunk = encode_change(0, 4, before, predicted, new, offsets)
+    assert len(chunk.data) <= layout.max_change_bytes(0)
+    assert chunk.edges[0] == 0
+    assert chunk.edges[-1] == len(chunk.data)
+    change = decode_change(layout, 0, 4, chunk.data, len(predicted), len(new))
+    known = np.arange(len(before)) % 3 > 0
+    found = change.predict(before, known)
+    assert (found.positions[known] == predicted.positions[known]).all()
+    assert (found.attributes[known] == predicted.attributes[known]).all()
+    assert not found.positions[~known].any()
+    assert not found.attributes[~known].any()
+    inside = ~new.escaped
+    assert (change.new.states.positions[inside] == new.states.positions[inside]).all()
+    assert (change.new.states.attributes[inside] == new.states.attributes[inside]).all()
+    assert (change.new.escaped == new.escaped).all()
+    for array, wanted in zip(change.new.escapes.arrays, new.escapes.arrays, strict=True):
+        assert array.tobytes() == wanted.tobytes()
+    assert (change.start_offsets == offsets).all()
+
+
+def test_the_farthest_ways_fit() -> None:
+    """From one corner of the lattice to the other and back, predicted and new."""
+    edge = POSITION_LIMIT - 1
+    layout = small_layout(2, (8,))
+    corners = States(
+        np.array([[edge] * 3, [-edge] * 3] * 2, np.int32), np.full((4, 10), 100, np.uint8)
+    )
+    others = States(-corners.positions, np.full((4, 10), 30, np.uint8))
+    none = Newcomers(corners, np.zeros(4, np.bool_), Splats.empty())
+    data = encode_change(0, 1, corners, others, none, np.zeros(8, np.uint8)).data
+    change = decode_change(layout, 0, 1, data, 4, 4)
+    found = change.predict(corners, np.ones(4, np.bool_))
+    assert (found.positions == others.positions).all()
+    assert (found.attributes == others.attributes).all()
+    assert (change.new.states.positions == corners.positions).all()
+
+
+def good_change() -> tuple[SlotLayout, bytes, Callable[[bytes], States]]:
+    """A layout, a change of 6 predicted and 5 new Gaussians, and what reads it."""
+    rng = np.random.default_rng(4)
+    layout = small_layout(3, (20,))
+    levels = [layout.lattices[0].opacity_levels]
+    before, predicted = (patternless_states(rng, levels * 6, 0, True) for _ in range(2))
+    escaped = np.array([0, 1, 0, 0, 1], np.bool_)
+    new = Newcomers(patternless_states(rng, levels * 5, 0), escaped, patternless_splats(rng, 2, 0))
+    offsets = (np.arange(11) % 3).astype(np.uint8)
+    data = encode_change(0, 7, before, predicted, new, offsets).data
+
+    def decode(data: bytes) -> States:
+        change = decode_change(layout, 0, 7, data, 6, 5)
+        assert len(change.start_offsets) == 11
+        return change.predict(before, np.ones(6, np.bool_))
+
+    assert (decode(data).positions == predicted.positions).all()
+    return layout, data, decode
+
+
+def test_any_bytes_give_a_change_or_an_error() -> None:
+    _, data, decode = good_change()
+    assert not any(survives(decode, wrong) for wrong in truncations(data))
+    kept = [survives(decode, wrong) for wrong in flips(data)]
+    assert any(kept)
+    assert not survives(decode, data + b"\0")
+    rng = np.random.default_rng(1)
+    for _ in range(2000):
+        wrong = bytearray(data)
+        for place in rng.integers(12, len(data), rng.integers(1, 5)):
+            wrong[place] = rng.choice([0, 1, 24, 25, 26, 127, 128, 254, 255])
+        survives(decode, bytes(wrong))
+
+
+def test_what_is_refused() -> None:
+    layout, data, decode = good_change()
+    counts = struct.unpack_from("<5I", data, BODY)
+    assert counts[:2] == (6, 5)
+    assert counts[2] > 0
+    assert counts[3] == 2
+    for n, message in enumerate(("predicted", "new", "long residuals", "escapes")):
+        for value in (0, counts[n] + 1, 1 << 31):
+            wrong = list(counts)
+            wrong[n] = value
+            with pytest.raises(CorruptError) as caught:
+                decode(data[:BODY] + struct.pack("<5I", *wrong) + data[BODY + 20 :])
+            if value > 20 or n < 2:
+                assert message in str(caught.value)
+                assert caught.value.at == BODY + 4 * n
+    planes = BODY + 20
+    new_planes = planes + 13 * 6 + 4 * counts[2]
+    escapes = new_planes + 13 * 5 + counts[4]
+    for at, value, message in (
+        (new_planes, 26, "26 bits"),
+        (new_planes + 12 * 5, 161, "opacity 161"),
+        (new_planes + 2, 0, "low bits"),
+        (escapes, 4, "do not rise"),
+        (escapes + 4, 5, "do not rise"),
+        (len(data) - 1, 3, "start offset 3 of 3"),
+    ):
+        wrong_data = data[:at] + bytes([value]) + data[at + 1 :]
+        with pytest.raises(CorruptError, match=message):
+            decode(wrong_data)
+    endless = data[: escapes + 8] + struct.pack("<f", np.inf) + data[escapes + 12 :]
+    with pytest.raises(CorruptError, match="not finite"):
+        decode(endless)
+    zero = data[: escapes + 8 + 12 * 4] + bytes(32) + data[escapes + 8 + 12 * 4 + 32 :]
+    with pytest.raises(CorruptError, match="zero quaternion"):
+        decode(zero)
+    for place, value in ((6, 2), (7, 1)):
+        with pytest.raises(UnsupportedError):
+            decode(data[:place] + bytes([value]) + data[place + 1 :])
+    for place, message in ((5, "layer 1"), (8, "birth")):
+        with pytest.raises(CorruptError, match=message):
+            decode(data[:place] + b"\1" + data[place + 1 :])
+    with pytest.raises(CorruptError, match="the mask says 7"):
+        decode_change(layout, 0, 7, data, 7, 5)
+
+
+def test_a_sum_outside_the_lattice_is_refused() -> None:
+    layout = small_layout(2, (4,))
+    state = States(np.array([[POSITION_LIMIT - 1, 0, 0]], np.int32), np.zeros((1, 10), np.uint8))
+    none = Newcomers(States.zeros(0, 0), np.zeros(0, np.bool_), Splats.empty())
+    moved = replace(state, positions=state.positions - 1)
+    # From one nearer the edge, the same residual leads outside.
+    data = encode_change(0, 1, moved, state, none, np.zeros(1, np.uint8)).data
+    change: Change = decode_change(layout, 0, 1, data, 1, 0)
+    assert (change.predict(moved, np.ones(1, np.bool_)).positions == state.positions).all()
+    with pytest.raises(CorruptError, match="leaves the lattice"):
+        change.predict(state, np.ones(1, np.bool_))
+    assert not change.predict(state, np.zeros(1, np.bool_)).positions.any()
+    bright = replace(state, attributes=np.full((1, 10), 160, np.uint8))
+    dim = replace(state, attributes=np.full((1, 10), 150, np.uint8))
+    data = encode_change(0, 1, dim, bright, none, np.zeros(1, np.uint8)).data
+    change = decode_change(layout, 0, 1, data, 1, 0)
+    with pytest.raises(CorruptError, match="leaves the lattice"):
+        change.predict(bright, np.ones(1, np.bool_))
+
+
+def snapshot_of(seed: int = 3) -> tuple[SlotLayout, bytes]:
+    layout = small_layout(3, (6, 5))
+    encoder = SlotEncoder(layout)
+    for update in patternless_updates(layout, 5, seed):
+        encoder.append(update)
+    return layout, encoder.snapshots()[1].data
+
+
+def test_any_bytes_give_a_snapshot_or_an_error() -> None:
+    layout, data = snapshot_of()
+
+    def load(wrong: bytes) -> None:
+        decoder = SlotDecoder(layout)
+        try:
+            decoder.load(wrong)
+        except CodecError:
+            assert decoder.frame is None
+            raise
+        decoder.window(decoder.frame or 0)
+
+    assert survives(load, data)
+    assert len(data) <= layout.max_snapshot_bytes(1)
+    assert not any(survives(load, wrong) for wrong in truncations(data))
+    assert any(survives(load, wrong) for wrong in flips(data))
+    for wrong, message in (
+        (data[:5] + b"\2" + data[6:], "layer 2 of 2"),
+        (data[:8] + b"\3" + data[9:], "frame 3 is not the first"),
+        (data[:8] + b"\xfc\xff\xff\xff" + data[12:], "frame -4"),
+        (data[:13] + bytes([data[13] | 0x80]) + data[14:], "after the last flag"),
+        (data[:12] + bytes([data[12] ^ 1]) + data[13:], "new, the mask says"),
+    ):
+        with pytest.raises(CorruptError, match=message):
+            load(wrong)
+
+
+def test_what_an_encoder_refuses_leaves_it_as_it_was() -> None:
+    layout = small_layout(1, (3,), segment_frames=2)
+    encoder = SlotEncoder(layout)
+    with pytest.raises(InvalidError, match="not the first of a segment"):
+        encoder.snapshots()
+    good = Update(
+        0,
+        np.array([NEW, NEW, 0], np.uint8),
+        States.zeros(2, 0),
+        np.zeros(2, np.uint8),
+        np.array([False, True]),
+        patternless_splats(np.random.default_rng(0), 1, 0),
+    )
+    big = States(np.full((2, 3), -(1 << 31), np.int32), good.states.attributes)
+    bright = States(good.states.positions, np.full((2, 10), 255, np.uint8))
+    for wrong, message in (
+        (replace(good, birth=1), "expected 0"),
+        (replace(good, statuses=np.array([3, 3], np.uint8)), "not uint8"),
+        (replace(good, statuses=np.array([3, 3, 4], np.uint8)), "at most 3"),
+        (replace(good, statuses=np.array([3, 0, 0], np.uint8)), "positions are"),
+        (replace(good, start_offsets=np.array([0, 1], np.uint8)), "start offset 1 of 1"),
+        (replace(good, escaped=np.array([True, True])), "1 escapes, 2"),
+        (replace(good, escapes=patternless_splats(np.random.default_rng(0), 1, 1)), "SH degree"),
+        (replace(good, states=big), "position"),
+        (replace(good, states=bright), "opacity"),
+        (replace(good, statuses=np.array([2, 3, 0], np.uint8)), "slot 0 of layer 0.*is empty"),
+        (replace(good, statuses=np.array([3, 2, 0], np.uint8)), "a predicted Gaussian escapes"),
+    ):
+        with pytest.raises(InvalidError, match=message):
+            encoder.append(wrong)
+    assert encoder.append(good) is not None
+    predicted = replace(
+        good, birth=1, statuses=np.array([2, 2, 0], np.uint8), escaped=np.zeros(2, np.bool_)
+    )
+    predicted = replace(predicted, escapes=Splats.empty())
+    with pytest.raises(InvalidError, match="slot 1 of layer 0 is predicted, but it has escaped"):
+        encoder.append(predicted)
+    assert encoder.append(Update.keeping(1, layout)) is not None
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"swin_size": 0}, "swin_size 0"),
+        ({"swin_size": 256}, "swin_size 256"),
+        ({"slots": ()}, "0 layers"),
+        ({"slots": (1,) * 17}, "17 layers"),
+        ({"slots": (0,)}, "at least 1"),
+        ({"slots": (1 << 20, 1)}, "together at most"),
+        ({"sh_degree": 4}, "SH degree 4"),
+        ({"lattices": (LATTICE,) * 2}, "2 lattices for 1"),
+        ({"segment_frames": 0}, "segment_frames 0"),
+        ({"segment_frames": 4097}, "segment_frames 4097"),
+    ],
+)
+def test_layouts_that_the_format_does_not_allow(change: dict[str, object], message: str) -> None:
+    with pytest.raises(InvalidError, match=message):
+        replace(SlotLayout(2, (4,), 0, (LATTICE,), 8), **change)  # type: ignore[arg-type]
+
+
+def test_bounds_stay_below_the_largest_chunk() -> None:
+    layout = SlotLayout(255, (1 << 19, 1 << 19), 3, (LATTICE,) * 2, 4096)
+    assert layout.max_change_bytes(0) < layout.max_snapshot_bytes(1) == MAX_SLOT_CHUNK_BYTES
+    assert layout.max_mask_bytes < 4 << 20
+    assert SlotLayout(1, (1,), 0, (Lattice(1, 1, 1, 1, 2),), 1).max_change_bytes(0) == 12 + 20 + 83
+
+
+def test_prediction_is_small() -> None:
+    """A step in one attribute of each Gaussian costs a byte or so where a new one costs ten."""
+    rng = np.random.default_rng(0)
+    before = patternless_states(rng, [161] * 2000, 0)
+    after = States(before.positions.copy(), before.attributes.copy())
+    after.positions[:, 1] += rng.integers(-1, 2, 2000).astype(np.int32)
+    none = Newcomers(States.zeros(0, 0), np.zeros(0, np.bool_), Splats.empty())
+    chunk = encode_change(0, 1, before, after, none, np.zeros(2000, np.uint8))
+    planes = np.frombuffer(chunk.data, np.uint8, offset=BODY + 20).reshape(13, 2000)
+    assert set(np.flatnonzero(planes.any(axis=1)).tolist()) == {1}
+    assert PREDICTED < NEW
