@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from codec.errors import InvalidError
 from codec.profiles.morton import interleave
-from codec.slots.lattice import Lattice, States, dequantise, quantise
+from codec.slots.lattice import States, dequantise, quantise
 from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
 
@@ -55,27 +55,17 @@ class LeaseConfig:
             raise InvalidError(f"hold {self.hold:g}: choose 0.5 to 4")
 
 
-@dataclass(frozen=True, slots=True)
-class SlotPlan:
-    """The slots of a stream, as its manifest says."""
-
-    slots: tuple[int, ...]
-    """Of each layer in a lane."""
-    lattices: tuple[Lattice, ...]
-    """Of each layer."""
-
-
 class Leases:
     """What a player holds of every slot, and since when."""
 
-    def __init__(self, config: LeaseConfig, swin_size: int, sh_degree: int, plan: SlotPlan) -> None:
-        self.config, self.slots, self.lattices = config, plan.slots, plan.lattices
-        self.slice_size = sum(plan.slots)
-        num_gs = swin_size * self.slice_size
-        pattern = np.repeat(np.arange(len(plan.slots)), plan.slots)
-        self.layers = np.tile(pattern, swin_size).astype(np.uint8)
+    def __init__(self, config: LeaseConfig, layout: SlotLayout) -> None:
+        self.config, self.slots, self.lattices = config, layout.slots, layout.lattices
+        self.slice_size = layout.num_slots
+        num_gs = layout.swin_size * self.slice_size
+        pattern = np.repeat(np.arange(layout.num_layers), self.slots)
+        self.layers = np.tile(pattern, layout.swin_size).astype(np.uint8)
         """(num_gs,) the layer of each slot; in genesis of each Gaussian."""
-        self.states = States.zeros(num_gs, sh_degree)
+        self.states = States.zeros(num_gs, layout.sh_degree)
         self.is_shown = np.zeros(num_gs, np.bool_)
         """Whether a slot holds a Gaussian."""
         self.is_other = np.ones(num_gs, np.bool_)
@@ -170,7 +160,7 @@ class Leases:
         statuses = np.full(len(splats), KEPT, np.uint8)
         decoded = [array.copy() for array in splats.arrays]
         held = self.states.take(lane)
-        fits = np.ones(len(splats), np.bool_)
+        escaped = np.zeros(len(splats), np.bool_)
         layers = self.layers[lane]
         is_shown, is_other = self.is_shown[lane], self.is_other[lane]
         for layer, lattice in enumerate(self.lattices):
@@ -190,21 +180,20 @@ class Leases:
                 status[~fit] = NEW
                 status[~shows] = np.where(is_shown[rows[~shows]], ENDED, KEPT)
                 statuses[rows] = status
-                fits[rows] = fit
                 exact = dequantise(states, lattice)
                 for array, of_lattice in zip(decoded, exact.arrays, strict=True):
                     array[rows[fit]] = of_lattice[fit]
                 held.put(rows, states)
                 is_shown[rows] = shows
+                escaped[rows] = ~fit
         self.states.put(lane, held)
         # Views: the flags of the lane.
-        is_other[is_active] = False
+        is_other[is_active] = escaped[is_active]  # nothing is predicted from those
         self.trained[lane][is_active] = birth
         sent = np.flatnonzero(statuses >= PREDICTED)
-        escaped = ~fits[sent]
         exact = Splats(*decoded)
         update = Update(
-            birth, statuses, held.take(sent), start_offsets[sent].astype(np.uint8), escaped,
-            exact.take(sent[escaped]),
+            birth, statuses, held.take(sent), start_offsets[sent].astype(np.uint8), escaped[sent],
+            exact.take(sent[escaped[sent]]),
         )  # fmt: skip
         return update, exact

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.slice import Slice
+from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import KEPT, Update
 from codec.splats import Splats
 from trainer.pictures.feed import Pictures
@@ -28,7 +29,7 @@ from trainer.step.raster import Parameters, View
 from .colour import CameraColour
 from .config import FitConfig
 from .generations import Generations
-from .leases import Leases, SlotPlan
+from .leases import Leases
 from .optimiser import GATE_STEEPNESS, add_noise
 from .renew import Comparer, missing_splats
 
@@ -131,10 +132,10 @@ class Trainer:
         far_m: float = FALLBACK_FAR_M,
         backend: Backend | None = None,
         observers: Sequence[Observer] = (),
-        plan: SlotPlan | None = None,
+        layout: SlotLayout | None = None,
     ) -> None:
         """initial: num_gs Gaussians to begin with; None when `restore` follows. backend: by default
-        the CPU's. plan: where slots are leased."""
+        the CPU's. layout: where slots are leased."""
         if initial is not None and (len(initial), initial.sh_degree) != (
             config.num_gs,
             config.sh_degree,
@@ -154,9 +155,7 @@ class Trainer:
         self._comparer = Comparer(cameras, near_m)
         self._gradients = Parameters.zeros(config.num_gs, config.sh_degree)
         # What changes while training; `state` gives all of it.
-        self._leases = None
-        if plan is not None:
-            self._leases = Leases(config.lease, config.swin_size, config.sh_degree, plan)
+        self._leases = None if layout is None else Leases(config.lease, layout)
         self._generations = Generations(config, initial, self._leases)
         self._colour = CameraColour(len(cameras), config.colour_lr)
         self._rng = np.random.default_rng(config.seed)

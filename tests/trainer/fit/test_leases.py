@@ -11,13 +11,14 @@ from hypothesis import strategies as st
 
 from codec.errors import InvalidError
 from codec.slots.lattice import Lattice, States, dequantise, num_attributes
+from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
 from player.render.cpu import render_splats
 from trainer.fit.budget import ByteBudget
 from trainer.fit.change import ChangeScores
 from trainer.fit.config import FitConfig
-from trainer.fit.leases import LeaseConfig, Leases, SlotPlan
+from trainer.fit.leases import LeaseConfig, Leases
 from trainer.fit.mcmc import McmcConfig
 from trainer.fit.trainer import Trainer
 from trainer.step.contribution import contribution
@@ -29,8 +30,9 @@ from .test_trainer import NEAR_M, Rendered, start, truth
 SLOTS = {1: (40, 20, 30), 3: (12, 8, 10)}
 
 
-def plan(*slots: int) -> SlotPlan:
-    return SlotPlan(slots, (Lattice.suiting(truth(0)),) * len(slots))
+def layout(swin_size: int, *slots: int) -> SlotLayout:
+    lattices = (Lattice.suiting(truth(0)),) * len(slots)
+    return SlotLayout(swin_size, slots, 0, lattices, 15)
 
 
 def config(swin_size: int, **lease: float) -> FitConfig:
@@ -86,7 +88,9 @@ def sorted_rows(splats: Splats) -> np.ndarray:
 def test_who_is_told_every_update_has_what_training_shows(swin_size: int, share: float) -> None:
     pictures = Rendered()
     chosen = config(swin_size, active_share=share, refresh_share=0.05)
-    trainer = Trainer(chosen, pictures, start(), NEAR_M, plan=plan(*SLOTS[swin_size]))
+    trainer = Trainer(
+        chosen, pictures, start(), NEAR_M, layout=layout(swin_size, *SLOTS[swin_size])
+    )
     told, kept = None, 0
     for window in trainer.windows():
         told = told or Told(trainer._leases, swin_size)  # type: ignore[arg-type]
@@ -108,7 +112,7 @@ def test_who_is_told_every_update_has_what_training_shows(swin_size: int, share:
 
 
 def test_a_slot_goes_on_unless_another_gaussian_takes_it() -> None:
-    leases = Leases(LeaseConfig(), 1, 0, plan(3, 2))
+    leases = Leases(LeaseConfig(), layout(1, 3, 2))
     splats = truth(0).take(slice(5))
     everyone = np.ones(5, np.bool_)
     offsets = np.zeros(5, np.int32)
@@ -129,7 +133,7 @@ def test_a_slot_goes_on_unless_another_gaussian_takes_it() -> None:
 
 
 def test_a_gaussian_off_the_lattice_is_sent_as_it_is() -> None:
-    leases = Leases(LeaseConfig(), 1, 0, plan(5))
+    leases = Leases(LeaseConfig(), layout(1, 5))
     splats = truth(0).take(slice(5))
     far = splats.means.copy()
     far[2] = 1e9
@@ -145,7 +149,7 @@ def test_dealing_is_a_permutation_that_keeps_layers(
     lanes: int, first: int, second: int, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    leases = Leases(LeaseConfig(), lanes, 0, plan(first, second))
+    leases = Leases(LeaseConfig(), layout(lanes, first, second))
     count = lanes * (first + second)
     contributions = rng.random(count)
     leases.rank(contributions)
@@ -159,7 +163,7 @@ def test_dealing_is_a_permutation_that_keeps_layers(
 
 
 def test_active_are_those_that_changed_and_the_oldest() -> None:
-    leases = Leases(LeaseConfig(active_share=0.5, refresh_share=0.2), 1, 0, plan(10))
+    leases = Leases(LeaseConfig(active_share=0.5, refresh_share=0.2), layout(1, 10))
     leases.trained[:] = [9, 9, 9, 9, 9, 2, 1, 9, 9, 0]
     scores = np.array([5, 0, 4, 0, 3, 0.1, 0.1, 0.2, 0, 0])
     rows = np.arange(10, dtype=np.int32)
@@ -210,7 +214,7 @@ def test_a_budget_is_kept_over_time() -> None:
 
 def test_a_trainer_keeps_to_the_bytes_that_it_may_send() -> None:
     chosen = config(1, active_share=1.0, bytes_per_frame=100.0)
-    trainer = Trainer(chosen, Rendered(), start(), NEAR_M, plan=plan(*SLOTS[1]))
+    trainer = Trainer(chosen, Rendered(), start(), NEAR_M, layout=layout(1, *SLOTS[1]))
     active = []
     for window in trainer.windows():
         active.append(int((window.updates[-1].statuses != KEPT).sum()))
