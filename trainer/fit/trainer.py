@@ -288,7 +288,8 @@ class Trainer:
         )  # fmt: skip
         trainable = rows[rows < config.num_gs]
         self._generations.adam.step(values, self._gradients, trainable, means_lr_m, ages)
-        self._colour.step(camera, loss.gain_grad, loss.bias_grad)
+        if loss.gain_grad is not None and loss.bias_grad is not None:
+            self._colour.step(camera, loss.gain_grad, loss.bias_grad)
         add_noise(
             values.means, values.log_scales, values.quats, values.logit_opacities, trainable,
             np.float32(noise), np.float32(config.mcmc.dead_opacity), np.float32(GATE_STEEPNESS),
