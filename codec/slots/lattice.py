@@ -37,6 +37,7 @@ POSITION_LIMIT = 1 << 23
 """Magnitude that no integer coordinate reaches, so that f32 holds it and any difference exactly."""
 
 MIN_STEP, MAX_STEP = 1e-6, 1e6
+MAX_LOG_SCALE_BASE = 1e3
 
 SCALES, TURNS, COLOURS = 0, 3, 6
 """Where the attributes of a kind begin. The opacity is the last attribute."""
@@ -59,6 +60,8 @@ class Lattice:
 
     position_m: float
     log_scale: float
+    log_scale_base: float
+    """What the integer 0 means; the integers reach 128 steps down and 127 up from there."""
     rotation: float
     """Of a quaternion component."""
     colour: float
@@ -67,6 +70,12 @@ class Lattice:
     """Opacities from 0 to 1, both included."""
 
     def __post_init__(self) -> None:
+        if not abs(self.log_scale_base) <= MAX_LOG_SCALE_BASE:
+            raise InvalidError(
+                f"lattice: log_scale_base {self.log_scale_base:g} is not within "
+                f"{MAX_LOG_SCALE_BASE:g}"
+            )
+        object.__setattr__(self, "log_scale_base", float(np.float32(self.log_scale_base)))
         for name in ("position_m", "log_scale", "rotation", "colour"):
             step = getattr(self, name)
             if not (math.isfinite(step) and MIN_STEP <= step <= MAX_STEP):
@@ -78,8 +87,8 @@ class Lattice:
             )
 
     def floats(self) -> npt.NDArray[np.float32]:
-        """(4,) float32: the steps."""
-        return np.array(astuple(self)[:4], np.float32)
+        """(5,) float32: the steps, and the base of the log-scales."""
+        return np.array(astuple(self)[:5], np.float32)
 
     @staticmethod
     def suiting(splats: Splats, coarser: float = 1.0) -> Lattice:
@@ -90,6 +99,7 @@ class Lattice:
         return Lattice(
             position_m * coarser,
             BASE_LOG_SCALE * coarser,
+            float(np.median(splats.log_scales)) if len(splats) else 0.0,
             BASE_ROTATION * coarser,
             BASE_COLOUR * coarser,
             levels,
@@ -168,7 +178,7 @@ def quantise(
             scales, quats = nearest_form(
                 splats.log_scales,
                 splats.quats,
-                signed[:, SCALES:TURNS] * lattice.log_scale,
+                signed[:, SCALES:TURNS] * lattice.log_scale + lattice.log_scale_base,
                 signed[:, TURNS:COLOURS] * lattice.rotation,
             )
         rgb = splats.sh.astype(np.float64)
@@ -178,7 +188,9 @@ def quantise(
         values = np.empty((count, 3 + COLOURS + 3 * coefficients + 1))
         values[:, :3] = means / lattice.position_m
         attributes = values[:, 3:]
-        attributes[:, SCALES:TURNS] = scales / lattice.log_scale
+        # An axis so flat that the lattice does not reach it looks the same at its lower end.
+        sizes = (scales - lattice.log_scale_base) / lattice.log_scale
+        attributes[:, SCALES:TURNS] = np.maximum(sizes, -128)
         attributes[:, TURNS:COLOURS] = quats[:, 1:] / lattice.rotation
         colours = to_luma(rgb).transpose(0, 2, 1) / lattice.colour  # (N, 3, K): all Y, then Co, Cg
         attributes[:, COLOURS:-1] = colours.reshape(count, 3 * coefficients)
@@ -217,13 +229,16 @@ def dequantise_into(  # type: ignore[no-untyped-def]
 ):
     """Fills a row of the last five for each row of the first two. Without fastmath: FORMAT.md says
     the order of every operation. steps: `Lattice.floats`."""
-    position_m, log_scale, rotation, colour = steps[0], steps[1], steps[2], steps[3]
+    position_m, log_scale, log_scale_base = steps[0], steps[1], steps[2]
+    rotation, colour = steps[3], steps[4]
     one, zero = np.float32(1), np.float32(0)
     coefficients = sh.shape[1]
     for i in range(positions.shape[0]):
         for axis in range(3):
             means[i, axis] = np.float32(positions[i, axis]) * position_m
-            log_scales[i, axis] = np.float32(np.int8(attributes[i, axis])) * log_scale
+            log_scales[i, axis] = (
+                np.float32(np.int8(attributes[i, axis])) * log_scale + log_scale_base
+            )
         x = np.float32(np.int8(attributes[i, 3])) * rotation
         y = np.float32(np.int8(attributes[i, 4])) * rotation
         z = np.float32(np.int8(attributes[i, 5])) * rotation

@@ -20,14 +20,18 @@ LEAST = 1 << 24
 FIRST_PROBABILITY = 1 << 15
 """Of a 0, in 65536ths, before anything was coded."""
 
-SLOWEST = 7
-"""A probability moves by 2**-SLOWEST of the way at least, and by half of it the first time."""
+MOST_COUNTED = 127
+"""Bits of a context that are counted. A probability moves by half of the way the first time, and by
+less and less, until the count stays here."""
+
+SHIFTS = np.floor(np.log2(np.arange(2, MOST_COUNTED + 2))).astype(np.int64)
+"""(MOST_COUNTED,) after 1, 2, ... bits a probability moves by 2**-SHIFTS[...] of the way."""
 
 CODE_BYTES = 4
 """Bytes that are read before the first bit."""
 
-MAX_BYTES_PER_BIT = 1.25
-"""What a bit costs at most: a probability never falls below 7 in 4096."""
+MAX_BYTES_PER_BIT = 4 / 3
+"""What a bit costs at most: a probability stays within 63 .. 65472."""
 
 
 def new_probabilities(contexts: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
@@ -37,18 +41,19 @@ def new_probabilities(contexts: int) -> tuple[npt.NDArray[np.int64], npt.NDArray
 
 @kernel(nogil=True)
 def _bound(range_, probability):  # type: ignore[no-untyped-def]
-    return (range_ >> 12) * max(probability >> 4, 1)
+    return (range_ >> 12) * (probability >> 4)
 
 
 @kernel(nogil=True)
 def _adapt(probabilities, counts, context, bit):  # type: ignore[no-untyped-def]
-    count = min(counts[context] + 1, SLOWEST)
+    count = min(counts[context] + 1, MOST_COUNTED)
     counts[context] = count
+    shift = SHIFTS[count - 1]
     probability = probabilities[context]
     if bit:
-        probabilities[context] = probability - (probability >> count)
+        probabilities[context] = probability - (probability >> shift)
     else:
-        probabilities[context] = probability + ((65535 - probability) >> count)
+        probabilities[context] = probability + ((65535 - probability) >> shift)
 
 
 @kernel(nogil=True)

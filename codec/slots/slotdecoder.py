@@ -76,6 +76,8 @@ class SlotDecoder:
         """What the slots hold, lane after lane, layer after layer."""
         self.history = MaskHistory(layout)
         self._missed: dict[tuple[int, int], _Missed] = {}
+        self._lost: dict[int, int] = {}
+        """By lane the birth of the last mask that was missing or could not be read."""
 
     def load(self, data: Data) -> None:
         """Takes in the snapshot `data` of a layer, in place of what is here of it.
@@ -97,9 +99,11 @@ class SlotDecoder:
         if self.frame is None:
             self.frame = self.joined = snapshot.frame
 
-    def apply(self, birth: int, mask: Data, changes: Sequence[Data | None]) -> Slice:
+    def apply(self, birth: int, mask: Data | None, changes: Sequence[Data | None]) -> Slice:
         """Goes on by the slice born at `birth`, which follows the last one.
 
+        mask: None if it is missing: then all slots of the lane are unknown from now on, and the
+        changes are of no use; so are the lane's later masks in the segment, see `can_read`.
         changes: of layers 0, 1, ...; None for one that is missing, which may come `late`. Layers
         behind the last are not expected.
         Gives the slots that changed, as a slice with rows: row r is slot r of the lane, counted
@@ -110,6 +114,8 @@ class SlotDecoder:
             raise InvalidError(f"the slice born at {birth} does not follow {last}")
         if len(changes) > self.num_layers:
             raise InvalidError(f"{len(changes)} changes for {self.num_layers} layers")
+        if mask is None or not self.can_read(birth):
+            return self._lose(birth)
         statuses = decode_mask(self.layout, birth, mask, self.history.of(birth))
         lane = self.layout.lane(birth)
         parts = self._by_layer(statuses)
@@ -129,6 +135,24 @@ class SlotDecoder:
         self.history.note(birth, statuses)
         self.frame = birth
         rows = [np.flatnonzero(part != KEPT) for part in parts]
+        return self._slice(birth, rows, with_rows=True)
+
+    def can_read(self, birth: int) -> bool:
+        """Whether the mask of `birth` can be read: all that it depends on have come."""
+        first = self.layout.segment_start(birth)
+        return self._lost.get(self.layout.lane(birth), -1) <= first
+
+    def _lose(self, birth: int) -> Slice:
+        """Goes on without knowing what the slice says."""
+        lane = self.layout.lane(birth)
+        self._lost[lane] = birth
+        for layer, count in enumerate(self.layout.slots[: self.num_layers]):
+            self.lanes[lane][layer] = Slots(count, self.layout.sh_degree, UNKNOWN)
+            self._missed.pop((lane, layer), None)
+        if birth == self.layout.segment_start(birth):
+            self.history.note(birth, np.zeros(self.layout.num_slots, np.uint8))
+        self.frame = birth
+        rows = [np.arange(count) for count in self.layout.slots[: self.num_layers]]
         return self._slice(birth, rows, with_rows=True)
 
     def late(self, birth: int, layer: int, change: Data) -> Slice | None:

@@ -41,7 +41,7 @@ class _Part:
     ended_rows: Rows
     predicted: States
     new: Newcomers
-    start_offsets: Bytes  # of the predicted, then of the new
+    start_offsets: Bytes  # of the new
 
 
 class SlotEncoder:
@@ -152,19 +152,21 @@ class SlotEncoder:
                     escaped,
                     update.escapes.take(slice(escapes_before, escapes_end)),
                 ),
-                np.concatenate([offsets[~is_new], offsets[is_new]]),
+                offsets[is_new],
             )
             coded_before, escapes_before = part.stop, escapes_end
 
 
 def _delta(part: _Part) -> Delta:
     """What `part` makes of its slots."""
-    count, num_ended = len(part.start_offsets), len(part.ended_rows)
+    num_predicted = len(part.predicted)
+    count, num_ended = num_predicted + len(part.new), len(part.ended_rows)
     conditions = np.full(count + num_ended, ON_LATTICE, np.uint8)
     conditions[count:] = EMPTY
-    conditions[len(part.predicted) : count][part.new.escaped] = ESCAPED
+    conditions[num_predicted:count][part.new.escaped] = ESCAPED
     starts = np.full(count + num_ended, HIDDEN, np.uint8)
-    starts[:count] = part.start_offsets
+    starts[:num_predicted] = 0
+    starts[num_predicted:count] = part.start_offsets
     sh_degree = part.slots.states.sh_degree
     states = States.concatenate(
         [part.predicted, part.new.states, States.zeros(num_ended, sh_degree)]

@@ -16,6 +16,9 @@ from .rangecoder import CODE_BYTES, MAX_BYTES_PER_BIT
 MAX_SLOTS = 1 << 20
 """Slots in a lane, all layers together."""
 
+MAX_SLOTS_PER_SEGMENT = 1 << 28
+"""Statuses in the masks of a segment."""
+
 MAX_SLOT_LAYERS = 16
 MAX_SLOT_SEGMENT_FRAMES = 4096
 
@@ -63,6 +66,12 @@ class SlotLayout:
             raise InvalidError(
                 f"slots: segment_frames {self.segment_frames} is not in "
                 f"1..{MAX_SLOT_SEGMENT_FRAMES}"
+            )
+
+        if self.segment_frames * sum(self.slots) > MAX_SLOTS_PER_SEGMENT:
+            raise InvalidError(
+                f"slots: {sum(self.slots)} in {self.segment_frames} frames of a segment are more "
+                f"than {MAX_SLOTS_PER_SEGMENT} together; use shorter segments"
             )
 
     @property

@@ -102,8 +102,8 @@ class Slots:
         conditions[: len(predicted)] = before  # what was unknown stays so
         escaped = change.new.escaped
         conditions[len(predicted) : coded] = np.where(escaped, ESCAPED, ON_LATTICE)
-        starts[:coded] = change.start_offsets
-        starts[: len(predicted)][~known] = HIDDEN
+        starts[: len(predicted)] = np.where(known, 0, HIDDEN)
+        starts[len(predicted) : coded] = change.start_offsets
         states = States.concatenate([moved, _without(change.new), nothing])
         return Delta(rows, conditions, states, starts, new[escaped], change.new.escapes)
 

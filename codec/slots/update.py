@@ -25,7 +25,7 @@ class Update:
     birth: int
     statuses: Bytes  # (S,) KEPT, ENDED, PREDICTED or NEW, layer after layer
     states: States  # M, in the order of the slots: what they become, not a difference
-    start_offsets: Bytes  # (M,) frames after birth
+    start_offsets: Bytes  # (M,) frames after birth; 0 for the predicted
     escaped: Flags  # (M,) new Gaussians that the lattice does not hold
     escapes: Splats  # those, in order; their states mean nothing
 
@@ -68,6 +68,8 @@ class Update:
             raise InvalidError(
                 f"{what}: start offset {self.start_offsets.max()} of {layout.swin_size} frames"
             )
+        if (self.start_offsets[self.statuses[coded] == PREDICTED] != 0).any():
+            raise InvalidError(f"{what}: a predicted Gaussian starts late; make it a new one")
         if len(self.escapes) != np.count_nonzero(self.escaped):
             raise InvalidError(
                 f"{what}: {len(self.escapes)} escapes, "

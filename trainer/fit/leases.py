@@ -188,7 +188,7 @@ class Leases:
                 held.put(rows, states)
                 is_shown[rows] = shows
                 escaped[rows] = ~fit
-        self.states.put(lane, held)
+        self.states.put(np.arange(lane.start, lane.stop), held)
         # Views: the flags of the lane.
         is_other[is_active] = escaped[is_active]  # nothing is predicted from those
         self.trained[lane][is_active] = birth

@@ -176,14 +176,18 @@ class Trainer:
                 observer.window_begun(first_frame)
             end = min(first_frame + self._config.swin_size, self._pictures.num_frames)
             frames = range(first_frame, end)
-            self._train(frames, self._schedule(first_frame == 0))
-            for _ in range(self._config.settle_rounds if first_frame == 0 else 0):
-                self._renew(0)
-                self._train(frames, self._schedule(False))
             if first_frame == 0:
+                self._train(frames, self._genesis_schedule())
+                for _ in range(self._config.settle_rounds):
+                    self._renew(0)
+                    rate = self._config.optimiser.settle_means_lr
+                    self._train(frames, self._window_schedule(rate))
                 if self._leases is not None and not self._config.prefix_share:
                     self._leases.rank(self._contributions(0))
                 self._generations.stagger(self._rng)
+            else:
+                rate = self._config.optimiser.window_means_lr
+                self._train(frames, self._window_schedule(rate))
             self._next_window += 1
             if self._leases is None:
                 yield Window(frames, tuple(self._generations.mature(self._next_window)))
@@ -252,21 +256,24 @@ class Trainer:
         self._rng.bit_generator.state = json.loads(state["random"].tobytes())
         self._next_window, self._steps = (int(n) for n in state["counters"])
 
-    def _schedule(self, genesis: bool) -> _Schedule:
+    def _genesis_schedule(self) -> _Schedule:
         config, rates = self._config, self._config.optimiser
-        if genesis:
-            return _Schedule(
-                config.genesis_iterations,
-                self._coarse_share * config.genesis_iterations,
-                rates.means_lr,
-                rates.means_lr_end,
-                config.mcmc.noise_lr,
-            )
+        return _Schedule(
+            config.genesis_iterations,
+            self._coarse_share * config.genesis_iterations,
+            rates.means_lr,
+            rates.means_lr_end,
+            config.mcmc.noise_lr,
+        )
+
+    def _window_schedule(self, means_lr: float) -> _Schedule:
+        """That of a window whose learning rate of positions begins at `means_lr`."""
+        config, rates = self._config, self._config.optimiser
         return _Schedule(
             config.window_iterations,
             0,
-            rates.window_means_lr,
-            rates.window_means_lr_end,
+            means_lr,
+            means_lr * rates.window_means_lr_end / rates.window_means_lr,
             config.mcmc.window_noise_lr,
         )
 
@@ -288,6 +295,8 @@ class Trainer:
             for birth in frames if first_is_new else frames[-1:]:
                 self._begin_slice(birth)
         active = {f: generations.lifespans.active_rows(f) for f in frames}
+        # Where most slots are kept, what their tiles show reaches no gradient.
+        whole = genesis or self._leases is None
         ages = generations.lifespans.ages(frames.start)
         if genesis:
             ages[:] = 0
@@ -307,7 +316,7 @@ class Trainer:
             calm = schedule.calm(iteration, config.calm_from, config.calm_end)
             means_lr_m = schedule.means_lr_m(iteration, self._extent_m)
             noise = schedule.noise_lr * means_lr_m
-            loss = self._step(camera, view, shot, rows, ages, means_lr_m, noise, calm)
+            loss = self._step(camera, view, shot, rows, ages, means_lr_m, noise, calm, whole)
             done = iteration + 1
             period = config.mcmc.relocate_period
             if done % period == 0 and done <= config.mcmc.relocate_until * schedule.iterations:
@@ -328,16 +337,18 @@ class Trainer:
         means_lr_m: float,
         noise: float,
         calm: float,
+        whole: bool,
     ) -> float:
         """One iteration on the Gaussians `rows`; gives the loss."""
         config, values = self._config, self._generations.values
         loss = self._backend.step(
             values, rows, view, shot, self._colour.gain(camera), self._colour.bias(camera),
-            config.num_gs, self._gradients,
+            config.num_gs, self._gradients, whole,
         )  # fmt: skip
         trainable = rows[rows < config.num_gs]
         self._generations.adam.step(values, self._gradients, trainable, means_lr_m, ages, calm)
-        self._colour.step(camera, loss.gain_grad, loss.bias_grad)
+        if loss.gain_grad is not None and loss.bias_grad is not None:
+            self._colour.step(camera, loss.gain_grad, loss.bias_grad)
         add_noise(
             values.means, values.log_scales, values.quats, values.logit_opacities, trainable,
             np.float32(noise), np.float32(config.mcmc.dead_opacity), np.float32(GATE_STEEPNESS),

@@ -49,10 +49,24 @@ SUMS = 9
 
 @kernel(fastmath=True, parallel=True)
 def blend_tiles_backward(  # type: ignore[no-untyped-def]
-    projected, starts, gaussians, pairs, order, tiles_x, picture, picture_grad, pair_grads
+    projected,
+    starts,
+    ends,
+    gaussians,
+    pairs,
+    moves,
+    order,
+    tiles_x,
+    picture,
+    picture_grad,
+    pair_grads,
 ):
     """Fills `pair_grads` (P, 9) float32 from `picture` and `picture_grad`, both
-    (3, tiles_y * TILE_PX, tiles_x * TILE_PX)."""
+    (3, tiles_y * TILE_PX, tiles_x * TILE_PX), for the pairs of Gaussians that are trained.
+
+    moves: (M,) bool, whether a Gaussian is. ends, order: see `trained_ends`; a tile's list is gone
+    through up to its end, as what is frozen hides what lies behind it all the same.
+    """
     alpha_max = np.float32(ALPHA_MAX)
     zero, half, one = np.float32(0), np.float32(0.5), np.float32(1)
     for k in prange(order.shape[0]):
@@ -76,13 +90,15 @@ def blend_tiles_backward(  # type: ignore[no-untyped-def]
                 pixels[row, D_BLUE, x] = blue
         open_rows = TILE_PX
         row_open = np.ones(TILE_PX, np.bool_)
-        for entry in range(starts[tile], starts[tile + 1]):
+        for entry in range(starts[tile], ends[tile]):
             pair = pairs[entry]
+            g = gaussians[entry]
             if open_rows == 0:
+                if not moves[g]:
+                    continue
                 for column in range(PAIR_GRADIENT):
                     pair_grads[pair, column] = zero
                 continue
-            g = gaussians[entry]
             a, b, c = projected[g, CONIC_A], projected[g, CONIC_B], projected[g, CONIC_C]
             opacity, q_max = projected[g, OPACITY], projected[g, Q_MAX]
             red, green, blue = projected[g, RED], projected[g, GREEN], projected[g, BLUE]
@@ -95,6 +111,22 @@ def blend_tiles_backward(  # type: ignore[no-untyped-def]
                 if not row_open[row] or row_misses(a, b, c, q_max, dy, left):
                     continue
                 light = zero
+                if not moves[g]:
+                    for x in range(TILE_PX):
+                        unclamped = unclamped_alpha(a, b, c, opacity, left + np.float32(x), dy)
+                        _, weight, after = blend_pixel(pixels[row, SEEN, x], unclamped)
+                        along = (
+                            red * pixels[row, D_RED, x]
+                            + green * pixels[row, D_GREEN, x]
+                            + blue * pixels[row, D_BLUE, x]
+                        )
+                        pixels[row, SEEN, x] = after
+                        pixels[row, BEHIND, x] -= weight * along
+                        light += after
+                    if light == zero:
+                        row_open[row] = False
+                        open_rows -= 1
+                    continue
                 for x in range(TILE_PX):
                     dx = left + np.float32(x)
                     unclamped = unclamped_alpha(a, b, c, opacity, dx, dy)
@@ -126,6 +158,8 @@ def blend_tiles_backward(  # type: ignore[no-untyped-def]
                 if light == zero:
                     row_open[row] = False
                     open_rows -= 1
+            if not moves[g]:
+                continue
             flow, flow_x, flow_y, flow_xx, flow_xy, flow_yy = zero, zero, zero, zero, zero, zero
             sum_red, sum_green, sum_blue = zero, zero, zero
             for x in range(TILE_PX):

@@ -293,7 +293,7 @@ def test_bounds_stay_below_the_largest_chunk() -> None:
     layout = SlotLayout(255, (1 << 19, 1 << 19), 3, (LATTICE,) * 2, 4096)
     assert layout.max_change_bytes(0) < layout.max_snapshot_bytes(1) == MAX_SLOT_CHUNK_BYTES
     assert layout.max_mask_bytes < 4 << 20
-    assert SlotLayout(1, (1,), 0, (Lattice(1, 1, 1, 1, 2),), 1).max_change_bytes(0) == 12 + 20 + 83
+    assert SlotLayout(1, (1,), 0, (Lattice(1, 1, 0, 1, 1, 2),), 1).max_change_bytes(0) == 12 + 20 + 83
 
 
 def test_prediction_is_small() -> None:

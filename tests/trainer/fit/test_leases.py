@@ -114,32 +114,34 @@ def test_who_is_told_every_update_has_what_training_shows(swin_size: int, share:
 
 def test_a_slot_goes_on_unless_another_gaussian_takes_it() -> None:
     leases = Leases(LeaseConfig(), layout(1, 3, 2))
-    splats = truth(0).take(slice(5))
+    splats = truth(0).take(slice(0, 5))
     everyone = np.ones(5, np.bool_)
     offsets = np.zeros(5, np.int32)
-    first, exact = leases.mature(0, slice(5), everyone, splats, offsets)
+    first, exact = leases.mature(0, slice(0, 5), everyone, splats, offsets)
     assert (first.statuses == NEW).all()
-    same, _ = leases.mature(1, slice(5), everyone, exact, offsets)
+    same, _ = leases.mature(1, slice(0, 5), everyone, exact, offsets)
     assert (same.statuses == KEPT).all()
     moved = Splats(exact.means + np.float32(0.5), *exact.arrays[1:])
     leases.is_other[3] = True
     some = np.array([True, False, True, True, False])
-    update, _ = leases.mature(2, slice(5), some, moved, offsets)
+    update, _ = leases.mature(2, slice(0, 5), some, moved, offsets)
     assert update.statuses.tolist() == [PREDICTED, KEPT, PREDICTED, NEW, KEPT]
     dim = Splats(*exact.arrays[:3], np.full(5, -9, np.float32), exact.sh)
-    gone, _ = leases.mature(3, slice(5), everyone, dim, offsets)
+    gone, _ = leases.mature(3, slice(0, 5), everyone, dim, offsets)
     assert (gone.statuses == ENDED).all()
-    again, _ = leases.mature(4, slice(5), everyone, dim, offsets)
+    again, _ = leases.mature(4, slice(0, 5), everyone, dim, offsets)
     assert (again.statuses == KEPT).all()
 
 
 def test_a_gaussian_off_the_lattice_is_sent_as_it_is() -> None:
     leases = Leases(LeaseConfig(), layout(1, 5))
-    splats = truth(0).take(slice(5))
+    splats = truth(0).take(slice(0, 5))
     far = splats.means.copy()
     far[2] = 1e9
     splats = Splats(far, *splats.arrays[1:])
-    update, exact = leases.mature(0, slice(5), np.ones(5, np.bool_), splats, np.zeros(5, np.int32))
+    update, exact = leases.mature(
+        0, slice(0, 5), np.ones(5, np.bool_), splats, np.zeros(5, np.int32)
+    )
     assert update.escaped.tolist() == [False, False, True, False, False]
     assert (update.escapes.means == far[2]).all()
     assert (exact.means[2] == far[2]).all()
