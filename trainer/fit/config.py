@@ -85,6 +85,12 @@ class FitConfig:
             if not 0 <= getattr(self, name) <= 1:
                 raise InvalidError(f"{name} {getattr(self, name):g}: choose 0 to 1")
 
+    def iterations(self, first_frame: int) -> int:
+        """Of the window that begins with `first_frame`."""
+        if first_frame:
+            return self.window_iterations
+        return self.genesis_iterations + self.settle_rounds * self.window_iterations
+
     def backend(self, name: BackendName) -> Backend:
         """The backend `name` for this loss. Raises InvalidError where it cannot run."""
         return make_backend(name, self.dssim_weight, self.mcmc.opacity_reg, self.mcmc.scale_reg)

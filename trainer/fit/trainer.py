@@ -46,7 +46,8 @@ SMALLEST_HALVED_PX = 64
 the border."""
 
 LAYERED_FROM = 0.6
-"""Share of genesis after which layers are told apart, and trained to do without those above."""
+"""Share of genesis after which layers are told apart, and trained to do without those above, if it
+does not settle: otherwise every round tells them apart anew."""
 
 PROGRESS_PERIOD = 20
 """Iterations between two reports of progress."""
@@ -178,10 +179,10 @@ class Trainer:
             frames = range(first_frame, end)
             if first_frame == 0:
                 self._train(frames, self._genesis_schedule())
-                for _ in range(self._config.settle_rounds):
+                for done in range(self._config.settle_rounds):
                     self._renew(0)
                     rate = self._config.optimiser.settle_means_lr
-                    self._train(frames, self._window_schedule(rate))
+                    self._train(frames, self._window_schedule(rate), done)
                 if self._leases is not None and not self._config.prefix_share:
                     self._leases.rank(self._contributions(0))
                 self._generations.stagger(self._rng)
@@ -277,16 +278,23 @@ class Trainer:
             config.mcmc.window_noise_lr,
         )
 
-    def _train(self, frames: range, schedule: _Schedule) -> None:
-        """Optimises the current generation on the frames of a window."""
+    def _train(self, frames: range, schedule: _Schedule, settled: int | None = None) -> None:
+        """Optimises the current generation on the frames of a window. settled: the rounds that
+        genesis has settled for already."""
         config, generations = self._config, self._generations
         genesis = frames.start == 0
+        before = 0
+        if settled is not None:
+            before = config.genesis_iterations + settled * config.window_iterations
         if not genesis and not config.optimiser.carry_adam:
             generations.adam.reset(np.arange(config.num_gs))
         last_frame = frames[-1]
         layered_from = schedule.iterations
         if self._leases is not None and config.prefix_share:
-            layered_from = round(LAYERED_FROM * schedule.iterations) if genesis else 0
+            if not genesis or settled is not None:
+                layered_from = 0
+            elif not config.settle_rounds:
+                layered_from = round(LAYERED_FROM * schedule.iterations)
         # Neither genesis nor the last windows of a video.
         brings_new = not genesis and len(frames) == config.swin_size
         if brings_new:
@@ -323,7 +331,8 @@ class Trainer:
                 generations.relocate(last_frame, config.mcmc.dead_opacity, self._rng)
                 active = {f: generations.lifespans.active_rows(f) for f in frames}
             if done % PROGRESS_PERIOD == 0 or done == schedule.iterations:
-                progress = Progress(frames.start, done, schedule.iterations, loss)
+                total = config.iterations(frames.start)
+                progress = Progress(frames.start, before + done, total, loss)
                 for observer in self._observers:
                     observer.progressed(progress)
 

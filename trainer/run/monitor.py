@@ -61,7 +61,7 @@ class Monitor(Observer):
         """Iterations of the windows before `window`."""
         if window == 0:
             return 0
-        return self._config.genesis_iterations + (window - 1) * self._config.window_iterations
+        return self._config.iterations(0) + (window - 1) * self._config.iterations(1)
 
     def window_begun(self, first_frame: int) -> None:
         if not self._has_begun:  # what a resumed run has behind it took none of its time
