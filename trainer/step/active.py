@@ -14,15 +14,17 @@ Ints = npt.NDArray[np.int32]
 Flags = npt.NDArray[np.bool_]
 
 
-@kernel()
+@kernel(parallel=True)
 def _mark_tiles(boxes, row_starts, spans, moves, active):  # type: ignore[no-untyped-def]
-    for i in range(boxes.shape[0]):
-        if moves[i]:
-            y = boxes[i, FIRST_Y]
-            for at in range(row_starts[i], row_starts[i + 1]):
-                for x in range(spans[at, 0], spans[at, 1]):
+    for i in prange(boxes.shape[0]):
+        if not moves[i]:
+            continue
+        for at in range(row_starts[i], row_starts[i + 1]):
+            y = boxes[i, FIRST_Y] + at - row_starts[i]
+            for x in range(spans[at, 0], spans[at, 1]):
+                # Threads that write what stands there would only slow each other down.
+                if not active[y, x]:
                     active[y, x] = True
-                y += 1
 
 
 def active_tiles(

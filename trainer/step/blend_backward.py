@@ -47,6 +47,36 @@ FLOW, FLOW_X, FLOW_Y, FLOW_XX, FLOW_XY, FLOW_YY, SUM_RED, SUM_GREEN, SUM_BLUE = 
 SUMS = 9
 
 
+@kernel(fastmath=True, inline="always")
+def _pass_frozen(projected, g, x_px, y_px, pixels, row_open, open_rows):  # type: ignore[no-untyped-def]
+    """Puts Gaussian g before what is left of a tile, without a gradient; the rows still open."""
+    zero = np.float32(0)
+    a, b, c = projected[g, CONIC_A], projected[g, CONIC_B], projected[g, CONIC_C]
+    opacity, q_max = projected[g, OPACITY], projected[g, Q_MAX]
+    red, green, blue = projected[g, RED], projected[g, GREEN], projected[g, BLUE]
+    left, cy = from_centre(x_px, projected[g, X]), projected[g, Y]
+    for row in range(TILE_PX):
+        dy = from_centre(y_px + row, cy)
+        if not row_open[row] or row_misses(a, b, c, q_max, dy, left):
+            continue
+        light = zero
+        for x in range(TILE_PX):
+            unclamped = unclamped_alpha(a, b, c, opacity, left + np.float32(x), dy)
+            _, weight, after = blend_pixel(pixels[row, SEEN, x], unclamped)
+            along = (
+                red * pixels[row, D_RED, x]
+                + green * pixels[row, D_GREEN, x]
+                + blue * pixels[row, D_BLUE, x]
+            )
+            pixels[row, SEEN, x] = after
+            pixels[row, BEHIND, x] -= weight * along
+            light += after
+        if light == zero:
+            row_open[row] = False
+            open_rows -= 1
+    return open_rows
+
+
 @kernel(fastmath=True, parallel=True)
 def blend_tiles_backward(  # type: ignore[no-untyped-def]
     projected,
@@ -93,9 +123,11 @@ def blend_tiles_backward(  # type: ignore[no-untyped-def]
         for entry in range(starts[tile], ends[tile]):
             pair = pairs[entry]
             g = gaussians[entry]
+            if not moves[g]:
+                if open_rows > 0:
+                    open_rows = _pass_frozen(projected, g, x_px, y_px, pixels, row_open, open_rows)
+                continue
             if open_rows == 0:
-                if not moves[g]:
-                    continue
                 for column in range(PAIR_GRADIENT):
                     pair_grads[pair, column] = zero
                 continue
@@ -111,22 +143,6 @@ def blend_tiles_backward(  # type: ignore[no-untyped-def]
                 if not row_open[row] or row_misses(a, b, c, q_max, dy, left):
                     continue
                 light = zero
-                if not moves[g]:
-                    for x in range(TILE_PX):
-                        unclamped = unclamped_alpha(a, b, c, opacity, left + np.float32(x), dy)
-                        _, weight, after = blend_pixel(pixels[row, SEEN, x], unclamped)
-                        along = (
-                            red * pixels[row, D_RED, x]
-                            + green * pixels[row, D_GREEN, x]
-                            + blue * pixels[row, D_BLUE, x]
-                        )
-                        pixels[row, SEEN, x] = after
-                        pixels[row, BEHIND, x] -= weight * along
-                        light += after
-                    if light == zero:
-                        row_open[row] = False
-                        open_rows -= 1
-                    continue
                 for x in range(TILE_PX):
                     dx = left + np.float32(x)
                     unclamped = unclamped_alpha(a, b, c, opacity, dx, dy)
@@ -158,8 +174,6 @@ def blend_tiles_backward(  # type: ignore[no-untyped-def]
                 if light == zero:
                     row_open[row] = False
                     open_rows -= 1
-            if not moves[g]:
-                continue
             flow, flow_x, flow_y, flow_xx, flow_xy, flow_yy = zero, zero, zero, zero, zero, zero
             sum_red, sum_green, sum_blue = zero, zero, zero
             for x in range(TILE_PX):
