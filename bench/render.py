@@ -1,18 +1,23 @@
 """Times of the player's renderers: drawing, and bringing one slice to where it is drawn from.
 
+The second table is of slices that change only some rows of their lane.
+
 Usage: scripts/bench render [--quick]
 
 put: packing on the update thread. upload: what the render thread then hands to OpenGL. order: the
-visible Gaussians, farthest first. Medians; OpenGL's name says whether it has a GPU.
+visible Gaussians, farthest first. ring: a slice into the memory of the CPU renderer. Medians;
+OpenGL's name says whether it has a GPU.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
+import numpy.typing as npt
 from rich.console import Console
 from rich.table import Table
 
@@ -25,9 +30,13 @@ from codec.stream.manifest import Manifest
 from player.render.cpu import CpuRenderer
 from player.render.gl import GlError, GlRenderer
 from player.render.order import Order
+from player.render.ring import Ring
 
 SWIN_SIZE = 5
 ROUNDS = 7
+
+LANE_ROWS, CHANGED_ROWS = 30_000, 9_000
+RUN_ROWS = 1000
 
 SIZES = ((10_000, 320, 180), (50_000, 640, 360), (200_000, 640, 360), (200_000, 1280, 720))
 
@@ -99,6 +108,12 @@ def median_ms(work: Callable[[int], object]) -> float:
     return float(np.median(times[1:])) * 1000
 
 
+def seconds_of(work: Callable[[], object]) -> float:
+    began_s = time.perf_counter()
+    work()
+    return time.perf_counter() - began_s
+
+
 def order_ms(slices: list[Slice], manifest: Manifest) -> float:
     order = Order(SWIN_SIZE, manifest.slice_size)
     for slice in slices[:SWIN_SIZE]:
@@ -134,6 +149,72 @@ def measure(num_gs: int, width_px: int, height_px: int) -> Row:
     return Row(*numbers, gl_ms, put_ms, upload_ms, upload_bytes, order_ms(slices, manifest))
 
 
+@dataclass(frozen=True, slots=True)
+class ChangeRow:
+    """One line of the second table; None where OpenGL cannot start. Milliseconds."""
+
+    where: str
+    ring_ms: float
+    put_ms: float | None
+    upload_ms: float | None
+    upload_bytes: int | None
+
+
+def scattered(rng: np.random.Generator) -> npt.NDArray[np.int32]:
+    return np.sort(rng.choice(LANE_ROWS, CHANGED_ROWS, replace=False)).astype(np.int32)
+
+
+def clustered(rng: np.random.Generator) -> npt.NDArray[np.int32]:
+    runs = np.sort(rng.choice(LANE_ROWS // RUN_ROWS, CHANGED_ROWS // RUN_ROWS, replace=False))
+    rows: npt.NDArray[np.int32] = (runs[:, None] * RUN_ROWS + np.arange(RUN_ROWS)).ravel()
+    return rows.astype(np.int32)
+
+
+def measure_changes(
+    where: str, rows_of: Callable[[np.random.Generator], npt.NDArray[np.int32]]
+) -> ChangeRow:
+    num_gs = SWIN_SIZE * LANE_ROWS
+    manifest = manifest_of(num_gs, 640, 360)
+    rng = np.random.default_rng(1)
+    ring = Ring(SWIN_SIZE, LANE_ROWS, 0)
+    whole = [slice_of(birth, LANE_ROWS, num_gs) for birth in range(1 - SWIN_SIZE, 1)]
+    changes = [
+        replace(slice_of(birth, CHANGED_ROWS, num_gs), rows=rows_of(rng))
+        for birth in range(1, 4 * ROUNDS)
+    ]
+    for slice in whole:
+        ring.put(slice)
+    ring_ms = float(np.median([seconds_of(partial(ring.put, one)) for one in changes])) * 1000
+    try:
+        gl = GlRenderer(manifest)
+    except GlError:
+        return ChangeRow(where, ring_ms, None, None, None)
+    for slice in whole:
+        gl.put(slice)
+    gl.upload(0)
+    before_bytes, put_s, upload_s = gl.uploaded_bytes, [], []
+    for one in changes:
+        put_s.append(seconds_of(partial(gl.put, one)))
+        upload_s.append(seconds_of(partial(gl.upload, one.birth)))
+    upload_bytes = (gl.uploaded_bytes - before_bytes) // len(changes)
+    gl.close()
+    put_ms, upload_ms = float(np.median(put_s)) * 1000, float(np.median(upload_s)) * 1000
+    return ChangeRow(where, ring_ms, put_ms, upload_ms, upload_bytes)
+
+
+def print_changes() -> None:
+    table = Table("changed", "ring ms", "put ms", "upload ms", "upload bytes")
+    for where, rows_of in (("scattered", scattered), ("in runs", clustered)):
+        row = measure_changes(where, rows_of)
+        timed = (row.ring_ms, row.put_ms, row.upload_ms)
+        table.add_row(
+            f"{CHANGED_ROWS} of {LANE_ROWS}, {row.where}",
+            *("-" if value is None else f"{value:.2f}" for value in timed),
+            f"{row.upload_bytes or '-'}",
+        )
+    Console(width=110).print(table)
+
+
 def run(config: RenderConfig) -> None:
     rows = [measure(*size) for size in (SIZES[:1] if config.quick else SIZES)]
     table = Table("Gaussians", "slice", "picture", "CPU ms", "GL ms", "put ms", "upload ms")
@@ -150,6 +231,7 @@ def run(config: RenderConfig) -> None:
             f"{row.order_ms:.2f}",
         )
     Console(width=110).print(table)
+    print_changes()
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""The Gaussians that mature together, once per frame."""
+"""The Gaussians that a lane gets once per frame: all of them, or only those that change."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .errors import InvalidError
-from .splats import Splats
+from .splats import Splats, array_shapes
 
 MAX_SWIN_SIZE = 255
 """Frames a Gaussian may live; start offsets are stored in one byte."""
@@ -24,7 +24,13 @@ class Slice:
     """The Gaussians that are due at frame `birth` and gone at `birth + swin_size`.
 
     A Gaussian shows in frames start <= frame < birth + swin_size, where start = birth +
-    start_offset: relocation in training may delay it (Algorithm 1's "birth" and "start").
+    start_offset: relocation in training may delay it (Algorithm 1's "birth" and "start"). One of
+    offset HIDDEN never shows; its values mean nothing.
+
+    A slice without `rows` is whole: it replaces all that its lane held. One with `rows` changes
+    these rows of its lane and no other. It follows the slice born `swin_size` frames earlier, whose
+    other Gaussians go on for `swin_size` frames: the hidden ones hidden, the rest shown from
+    `birth` on.
     """
 
     birth: int
@@ -49,19 +55,73 @@ class Slice:
 
     @property
     def num_bytes(self) -> int:
-        """What the slice takes in memory."""
-        return self.splats.num_bytes + self.start_offsets.nbytes
+        """What the slice takes in memory: of one with rows, these alone."""
+        rows_bytes = 0 if self.rows is None else self.rows.nbytes
+        return self.splats.num_bytes + self.start_offsets.nbytes + rows_bytes
 
     def lane(self, swin_size: int) -> int:
-        """The lane that this slice takes over."""
+        """The lane that this slice takes over, or changes."""
         return self.birth % swin_size
 
     def active(self, frame: int, swin_size: int) -> npt.NDArray[np.bool_]:
-        """(N,) which Gaussians show at `frame`."""
+        """(N,) which of the slice's own Gaussians show at `frame`."""
         if not self.birth <= frame < self.birth + swin_size:
             return np.zeros(len(self.splats), np.bool_)
         shown: npt.NDArray[np.bool_] = self.start_offsets <= frame - self.birth
         return shown
+
+    def check_follows(self, last_birth: int | None, swin_size: int) -> None:
+        """Raises InvalidError if the slice has rows and `last_birth` is not `swin_size` before it.
+
+        last_birth: of the slice that its lane got last; None if there was none.
+        """
+        if self.rows is None or last_birth == self.birth - swin_size:
+            return
+        found = "nothing" if last_birth is None else f"the one born at {last_birth}"
+        raise InvalidError(
+            f"the slice born at {self.birth} changes the one born at {self.birth - swin_size}; "
+            f"its lane holds {found}"
+        )
+
+    def onto(self, before: Slice, swin_size: int) -> Slice:
+        """The whole slice that the lane holds from `birth` on, where it held `before` until then.
+
+        before: a whole slice, born `swin_size` earlier if this one has rows. A row beyond its end
+        makes the lane longer; what lies between is hidden.
+        Raises InvalidError when `before` does not fit.
+        """
+        rows = self.rows
+        if rows is None:
+            return self
+        self.check_follows(before.birth, swin_size)
+        if before.rows is not None:
+            raise InvalidError(f"the slice born at {before.birth} has rows; a whole one is needed")
+        degree = before.splats.sh_degree
+        if self.splats.sh_degree != degree:
+            raise InvalidError(
+                f"the slice born at {self.birth} has SH degree {self.splats.sh_degree}, "
+                f"the one before {degree}"
+            )
+        missing = max(int(rows[-1]) + 1 - len(before.splats), 0) if len(rows) else 0
+        whole = Splats.concatenate([before.splats, blank_splats(missing, degree)])
+        for array, changed in zip(whole.arrays, self.splats.arrays, strict=True):
+            array[rows] = changed
+        start_offsets = np.full(len(whole), HIDDEN, np.uint8)
+        start_offsets[: len(before.splats)] = kept_offsets(before.start_offsets)
+        start_offsets[rows] = self.start_offsets
+        return Slice(self.birth, whole, start_offsets)
+
+
+def kept_offsets(start_offsets: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """The start offsets that kept Gaussians have from the next birth of their lane on."""
+    return np.where(start_offsets == HIDDEN, np.uint8(HIDDEN), np.uint8(0))
+
+
+def blank_splats(count: int, sh_degree: int) -> Splats:
+    """`count` valid Gaussians that hold the place of hidden ones."""
+    arrays = [np.zeros(shape, np.float32) for shape in array_shapes(count, sh_degree)]
+    arrays[2][:, 0] = 1  # turned by nothing
+    return Splats(*arrays)
 
 
 def window_births(frame: int, swin_size: int) -> range:
@@ -71,7 +131,13 @@ def window_births(frame: int, swin_size: int) -> range:
 
 
 def active_splats(slices: Iterable[Slice], frame: int, swin_size: int) -> Splats:
-    """All Gaussians of `slices` (at least one) that show at `frame`, in the slices' order."""
-    return Splats.concatenate(
-        [part.splats.take(np.flatnonzero(part.active(frame, swin_size))) for part in slices]
-    )
+    """All Gaussians of `slices` (at least one) that show at `frame`, in the slices' order.
+
+    Raises InvalidError for a slice with rows, of which `Slice.onto` makes a whole one.
+    """
+    parts = []
+    for part in slices:
+        if part.rows is not None:
+            raise InvalidError(f"the slice born at {part.birth} has rows; a whole one is needed")
+        parts.append(part.splats.take(np.flatnonzero(part.active(frame, swin_size))))
+    return Splats.concatenate(parts)

@@ -50,7 +50,7 @@ class Change:
     residuals: Bytes  # (3 + A, P)
     long_residuals: Ints  # (V,)
     new: Newcomers
-    start_offsets: Bytes  # (P + N,) frames after birth
+    start_offsets: Bytes  # (N,) of the new, frames after birth
     opacity_levels: int
 
     def predict(self, before: States, known: Flags) -> States:
@@ -65,7 +65,7 @@ def encode_body(
     before: States, predicted: States, new: Newcomers, start_offsets: Bytes | None
 ) -> tuple[bytes, list[int]]:
     """The body of a change, and the offsets between its parts. `before`: what the predicted were;
-    start_offsets: None if all are 0."""
+    start_offsets: of the new; None if all are 0."""
     residuals, longs = encode_predicted(before, predicted)
     planes, low_bits = encode_new(new.states, new.escaped)
     numbers = np.flatnonzero(new.escaped)
@@ -161,7 +161,7 @@ def read_body(
         low_bit_bytes,
         4 * escapes,
         bytes_per_gaussian(sh_degree) * escapes,
-        predicted + new if has_start_offsets else 0,
+        new if has_start_offsets else 0,
     )
     ends = list(accumulate(sizes))
     if ends[-1] != len(body):
@@ -172,7 +172,7 @@ def read_body(
     planes = np.frombuffer(parts[3], np.uint8).reshape(layout.num_planes, new)
     states = decode_new(planes, parts[4], sh_degree, levels)
     newcomers = _with_escapes(states, parts[5], parts[6])
-    offsets = np.zeros(predicted + new, np.uint8)
+    offsets = np.zeros(new, np.uint8)
     if has_start_offsets:
         offsets[:] = np.frombuffer(parts[7], np.uint8)
         if len(offsets) and offsets.max() >= layout.swin_size:

@@ -17,10 +17,11 @@ from codec.splats import Splats
 
 from .change import decode_change
 from .lattice import Bytes
-from .mask import KEPT, NEW, PREDICTED, MaskHistory, decode_mask
+from .mask import MaskHistory, decode_mask
 from .slotlayout import SlotLayout
 from .slotstate import UNKNOWN, Delta, Rows, Slots, empty_arrays
 from .snapshot import decode_snapshot
+from .update import KEPT, NEW, PREDICTED
 
 Data = bytes | memoryview
 
@@ -97,11 +98,13 @@ class SlotDecoder:
         if self.frame is None:
             self.frame = self.joined = snapshot.frame
 
-    def apply(self, birth: int, mask: Data, changes: Sequence[Data | None]) -> Slice:
+    def apply(self, birth: int, mask: Data | None, changes: Sequence[Data | None]) -> Slice:
         """Goes on by the slice born at `birth`, which follows the last one.
 
         changes: of layers 0, 1, ...; None for one that is missing, which may come `late`. Layers
         behind the last are not expected.
+        mask: None if it is missing; the whole lane is unknown then until a snapshot, and later
+        masks of it in this segment are not read.
         Gives the slots that changed, as a slice with rows: row r is slot r of the lane, counted
         over all layers.
         """
@@ -110,6 +113,8 @@ class SlotDecoder:
             raise InvalidError(f"the slice born at {birth} does not follow {last}")
         if len(changes) > self.num_layers:
             raise InvalidError(f"{len(changes)} changes for {self.num_layers} layers")
+        if mask is None or not self.history.is_readable(birth):
+            return self._lose_lane(birth)
         statuses = decode_mask(self.layout, birth, mask, self.history.of(birth))
         lane = self.layout.lane(birth)
         parts = self._by_layer(statuses)
@@ -130,6 +135,17 @@ class SlotDecoder:
         self.frame = birth
         rows = [np.flatnonzero(part != KEPT) for part in parts]
         return self._slice(birth, rows, with_rows=True)
+
+    def _lose_lane(self, birth: int) -> Slice:
+        """Goes on by a slice whose mask is not at hand."""
+        lane, sh_degree = self.layout.lane(birth), self.layout.sh_degree
+        counts = self.layout.slots[: self.num_layers]
+        self.lanes[lane] = [Slots(count, sh_degree, UNKNOWN) for count in counts]
+        for layer in range(self.num_layers):
+            self._missed.pop((lane, layer), None)
+        self.history.note(birth, None)
+        self.frame = birth
+        return self._slice(birth, [np.arange(count) for count in counts], with_rows=True)
 
     def late(self, birth: int, layer: int, change: Data) -> Slice | None:
         """Takes in a change that was missing when its slice was applied.

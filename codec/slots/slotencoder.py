@@ -13,11 +13,11 @@ from codec.slice import HIDDEN, window_births
 
 from .change import Newcomers, encode_change
 from .lattice import Bytes, States
-from .mask import ENDED, NEW, PREDICTED, MaskHistory, encode_mask
+from .mask import MaskHistory, encode_mask
 from .slotlayout import SlotLayout
 from .slotstate import EMPTY, ESCAPED, ON_LATTICE, Delta, Rows, Slots
 from .snapshot import encode_snapshot
-from .update import Update
+from .update import ENDED, NEW, PREDICTED, Update
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ class _Part:
     ended_rows: Rows
     predicted: States
     new: Newcomers
-    start_offsets: Bytes  # of the predicted, then of the new
+    start_offsets: Bytes  # of the new
 
 
 class SlotEncoder:
@@ -137,7 +137,7 @@ class SlotEncoder:
             coded = np.flatnonzero(statuses >= PREDICTED)
             is_new = statuses[coded] == NEW
             part = slice(coded_before, coded_before + len(coded))
-            states, offsets = update.states.take(part), update.start_offsets[part]
+            states = update.states.take(part)
             escaped = update.escaped[part][is_new]
             escapes_end = escapes_before + int(np.count_nonzero(escaped))
             yield _Part(
@@ -152,19 +152,21 @@ class SlotEncoder:
                     escaped,
                     update.escapes.take(slice(escapes_before, escapes_end)),
                 ),
-                np.concatenate([offsets[~is_new], offsets[is_new]]),
+                update.start_offsets[part][is_new],
             )
             coded_before, escapes_before = part.stop, escapes_end
 
 
 def _delta(part: _Part) -> Delta:
     """What `part` makes of its slots."""
-    count, num_ended = len(part.start_offsets), len(part.ended_rows)
+    first_new = len(part.predicted)
+    count, num_ended = first_new + len(part.new), len(part.ended_rows)
     conditions = np.full(count + num_ended, ON_LATTICE, np.uint8)
     conditions[count:] = EMPTY
-    conditions[len(part.predicted) : count][part.new.escaped] = ESCAPED
+    conditions[first_new:count][part.new.escaped] = ESCAPED
     starts = np.full(count + num_ended, HIDDEN, np.uint8)
-    starts[:count] = part.start_offsets
+    starts[:first_new] = 0
+    starts[first_new:count] = part.start_offsets
     sh_degree = part.slots.states.sh_degree
     states = States.concatenate(
         [part.predicted, part.new.states, States.zeros(num_ended, sh_degree)]

@@ -1,4 +1,4 @@
-"""OpenGL 3.3: the window's Gaussians stay in one texture, of which a frame replaces one slice.
+"""OpenGL 3.3: the window stays in one texture, and a frame uploads what its slice changes.
 
 Rule: one thread makes a GlRenderer, draws with it and closes it; only `put` may come from another,
 and it makes no GL call.
@@ -10,7 +10,6 @@ import ctypes
 import logging
 import sys
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
 from enum import Enum
 from importlib.resources import files
 from typing import Any
@@ -28,13 +27,13 @@ from . import recipe
 from .arrivals import Arrivals
 from .lane import check_slice
 from .order import Order
-from .pack import TEXTURE_WIDTH_PX, pack_slice, texels_per_gaussian
+from .pack import TEXTURE_WIDTH_PX
+from .patch import PackedLanes, PackedSlice
 from .project import jacobian_limits
 
 log = logging.getLogger(__name__)
 
 Floats = npt.NDArray[np.float32]
-Ints = npt.NDArray[np.int32]
 
 MIN_VERSION = 330
 """OpenGL 3.3 core: what macOS, Mesa's software renderer and old integrated GPUs all have."""
@@ -102,17 +101,6 @@ class _Unlocked:
             self._library.glFinish()
 
 
-@dataclass(frozen=True, slots=True)
-class PackedSlice:
-    """A slice as its lane holds it."""
-
-    lane: int
-    expire: int
-    means: Floats  # (N, 3) metres, world
-    starts: Ints  # (N,) first frame of each
-    texels: npt.NDArray[np.uint32]  # (rows, width, 4)
-
-
 class GlRenderer:
     """Draws a stream in recipe v1; see renderer.Renderer."""
 
@@ -131,10 +119,8 @@ class GlRenderer:
         self._current: AbstractContextManager[object] = (
             self._context if self._own else nullcontext()
         )
-        self._texels = texels_per_gaussian(manifest.sh_degree)
-        self._columns = TEXTURE_WIDTH_PX // self._texels
-        self._lane_rows = -(-manifest.slice_size // self._columns)
-        self._lane_slots = self._lane_rows * self._columns
+        self._lanes = PackedLanes(manifest.swin_size, manifest.slice_size, manifest.sh_degree)
+        self._lane_slots = self._lanes.lane_rows * self._lanes.columns
         self._order = Order(manifest.swin_size, self._lane_slots)
         self._arrivals: Arrivals[PackedSlice] = Arrivals()
         self._closed = False
@@ -152,10 +138,10 @@ class GlRenderer:
             raise GlError(f"OpenGL refuses what the renderer needs: {reason}") from error
 
     def _make_resident(self) -> None:
-        context, manifest = self._context, self._manifest
+        context, manifest, lanes = self._context, self._manifest, self._lanes
         # What Python drops is freed at the next frame, by the thread that owns the context.
         context.gc_mode = "context_gc"
-        height_px = self._lane_rows * manifest.swin_size
+        height_px = lanes.lane_rows * manifest.swin_size
         info = context.info
         self.name = f"OpenGL, {info['GL_RENDERER']}"
         self._limit_px = min(info["GL_MAX_TEXTURE_SIZE"], *info["GL_MAX_VIEWPORT_DIMS"])
@@ -164,7 +150,7 @@ class GlRenderer:
                 f"{manifest.num_gs} Gaussians need a texture of {TEXTURE_WIDTH_PX}x{height_px}; "
                 f"this OpenGL takes {self._limit_px}"
             )
-        self._texture = context.texture((self._columns * self._texels, height_px), 4, dtype="u4")
+        self._texture = context.texture((lanes.columns * lanes.texels, height_px), 4, dtype="u4")
         self._texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
         self._program = self._compile("splat.glsl")
         self._slots = context.buffer(reserve=4 * manifest.swin_size * self._lane_slots)
@@ -174,8 +160,8 @@ class GlRenderer:
     def _compile(self, shader: str) -> moderngl.Program:
         source = (files("player.render") / "shaders" / shader).read_text(encoding="utf-8")
         constants = {
-            "TEXELS": self._texels,
-            "COLUMNS": self._columns,
+            "TEXELS": self._lanes.texels,
+            "COLUMNS": self._lanes.columns,
             "SH_DEGREE": min(self._manifest.sh_degree, recipe.MAX_SH_DEGREE),
             "SH_C1": recipe.SH_C1,
             "LOW_PASS_PX2": recipe.LOW_PASS_PX2,
@@ -192,31 +178,18 @@ class GlRenderer:
 
     def put(self, slice: Slice) -> None:
         """Packs the slice for the GPU; the next `render` of a frame >= its birth uploads it."""
-        manifest = self._manifest
-        check_slice(slice, manifest.slice_size, manifest.sh_degree)
-        count = len(slice.splats)
-        rows = -(-count // self._columns)
-        words = np.zeros((rows * self._columns, 4 * self._texels), np.float32)
-        starts = np.empty(count, np.int32)
-        pack_slice(slice, words, starts)
-        packed = PackedSlice(
-            slice.lane(manifest.swin_size),
-            slice.birth + manifest.swin_size,
-            slice.splats.means,
-            starts,
-            words.view(np.uint32).reshape(rows, self._columns * self._texels, 4),
-        )
-        self._arrivals.put(slice.birth, packed)
+        check_slice(slice, self._manifest.slice_size, self._manifest.sh_degree)
+        self._arrivals.put(slice.birth, self._lanes.pack(slice))
 
     def upload(self, frame: int) -> None:
         """Brings the slices born up to `frame` into their lanes; nothing else is touched."""
         for packed in self._arrivals.take(frame):
-            self._order.put(packed.lane, packed.expire, packed.means, packed.starts)
-            rows, width_px, _ = packed.texels.shape
-            if rows:
-                area = (0, packed.lane * self._lane_rows, width_px, rows)
-                self._texture.write(packed.texels, viewport=area)
-            self.uploaded_bytes += packed.texels.nbytes
+            self._order.put(packed.lane, packed.expire, packed.means, packed.starts, packed.rows)
+            for patch in packed.patches:
+                height_px, width_px, _ = patch.texels.shape
+                area = (patch.x_px, patch.y_px, width_px, height_px)
+                self._texture.write(patch.texels, viewport=area)
+                self.uploaded_bytes += patch.texels.nbytes
 
     def draw(self, frame: int, camera: Camera, framebuffer: moderngl.Framebuffer) -> None:
         """Draws `frame` over a black `framebuffer`, without waiting for the GPU.

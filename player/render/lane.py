@@ -1,4 +1,4 @@
-"""What fits a lane, the fixed place of slice_size Gaussians that one slice after another takes."""
+"""What fits a lane, the place of slice_size Gaussians that slice after slice takes or changes."""
 
 from __future__ import annotations
 
@@ -12,6 +12,10 @@ def check_slice(slice: Slice, slice_size: int, sh_degree: int) -> None:
         raise InvalidError(
             f"the slice born at {slice.birth} has {len(slice.splats)} Gaussians; "
             f"a lane holds {slice_size}"
+        )
+    if slice.rows is not None and len(slice.rows) and slice.rows[-1] >= slice_size:
+        raise InvalidError(
+            f"the slice born at {slice.birth} changes row {slice.rows[-1]}; a lane has {slice_size}"
         )
     if slice.splats.sh_degree != sh_degree:
         raise InvalidError(

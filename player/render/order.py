@@ -47,13 +47,30 @@ class Order:
         self._slots = (np.empty(total, np.int32), np.empty(total, np.int32))
         self._depths = (np.empty(total, np.float32), np.empty(total, np.float32))
 
-    def put(self, lane: int, expire: int, means: Floats, starts: Ints) -> None:
-        """Replaces the Gaussians of `lane`, which show in frames starts <= frame < expire."""
+    def put(
+        self, lane: int, expire: int, means: Floats, starts: Ints, rows: Ints | None = None
+    ) -> None:
+        """Replaces the Gaussians of `lane`, which show in frames starts <= frame < expire.
+
+        With `rows`, rising, only those; the others go on until `expire`, and what of them shows at
+        all does so from expire - swin_size on.
+        """
         count = len(means)
-        self.means[lane, :count] = means
-        self.starts[lane, :count] = starts
-        self.counts[lane] = count
         self.expires[lane] = expire
+        if rows is None:
+            self.means[lane, :count] = means
+            self.starts[lane, :count] = starts
+            self.counts[lane] = count
+            return
+        held = int(self.counts[lane])
+        kept = self.starts[lane, :held]
+        np.minimum(kept, np.int32(expire - len(self.starts)), out=kept, where=kept != NEVER)
+        if count:
+            self.counts[lane] = max(held, rows[-1] + 1)
+            # What a longer slice left there.
+            self.starts[lane, held : self.counts[lane]] = NEVER
+        self.means[lane][rows] = means
+        self.starts[lane][rows] = starts
 
     def far_first(self, frame: int, w2c: npt.NDArray[np.float64], near_m: float) -> Ints:
         """(M,) int32 slots, lane * slice_size + row, to draw; valid until the next call."""

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.kernel import kernel
-from codec.slice import Slice
+from codec.slice import HIDDEN, Slice
 from codec.splats import SH_C0
 
 from .project import rotation_of
@@ -39,7 +39,8 @@ def _pack_rows(  # type: ignore[no-untyped-def]
     for i in range(means.shape[0]):
         opacity = one / (one + np.exp(-logit_opacities[i]))
         # One that is nowhere opaque enough to show is left out of every frame.
-        starts[i] = birth + offsets[i] if opacity >= alpha_min else NEVER
+        shows = opacity >= alpha_min and offsets[i] != HIDDEN
+        starts[i] = birth + offsets[i] if shows else NEVER
         qw, qx, qy, qz = quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3]
         norm = one / np.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
         r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation_of(

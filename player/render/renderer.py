@@ -48,7 +48,11 @@ class Renderer(Protocol):
         ...
 
     def put(self, slice: Slice) -> None:
-        """Takes the slice over; it shows from the first `render` of a frame >= its birth on."""
+        """Takes the slice over; it shows from the first `render` of a frame >= its birth on.
+
+        Raises InvalidError here or in that `render` if it does not fit its lane, or has rows and
+        does not follow the slice that its lane got last.
+        """
         ...
 
     def render(self, frame: int, camera: Camera) -> Floats:

@@ -1,4 +1,4 @@
-"""The Gaussians of the current window in fixed arrays: swin_size lanes, one slice in each."""
+"""The Gaussians of the current window in fixed arrays: swin_size lanes of slices."""
 
 from __future__ import annotations
 
@@ -6,17 +6,20 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.errors import InvalidError
-from codec.slice import Slice, window_births
+from codec.slice import HIDDEN, Slice, kept_offsets, window_births
 from codec.splats import Splats, sh_count
 
 from .lane import check_slice
 
+Rows = npt.NDArray[np.int32] | slice
+
 
 class Ring:
-    """`swin_size` lanes of `slice_size` Gaussians; a slice replaces the one that its lane held.
+    """`swin_size` lanes of `slice_size` Gaussians; a slice replaces what its lane held,
+    or some rows of it.
 
-    Invariant: lane `birth % swin_size` holds the slice born last of those put there, so memory
-    stays the same however many slices come.
+    Invariant: lane `birth % swin_size` holds what it shows from the birth put there last on, so
+    memory stays the same however many slices come.
     """
 
     def __init__(self, swin_size: int, slice_size: int, sh_degree: int) -> None:
@@ -35,21 +38,29 @@ class Ring:
         self._logit_opacities = np.zeros(lanes, np.float32)
         self._sh = np.zeros((*lanes, sh_count(sh_degree), 3), np.float32)
         self._start_offsets = np.zeros(lanes, np.uint8)
-        self._counts = np.zeros(swin_size, np.int64)
         self._births: list[int | None] = [None] * swin_size
 
     def put(self, slice: Slice) -> None:
-        """Copies `slice` into its lane, in place of what was there."""
+        """Copies `slice` into its lane, in place of what was there in the rows that it changes."""
         check_slice(slice, self.slice_size, self.sh_degree)
-        lane, count = slice.lane(self.swin_size), len(slice.splats)
-        self._means[lane, :count] = slice.splats.means
-        self._log_scales[lane, :count] = slice.splats.log_scales
-        self._quats[lane, :count] = slice.splats.quats
-        self._logit_opacities[lane, :count] = slice.splats.logit_opacities
-        self._sh[lane, :count] = slice.splats.sh
-        self._start_offsets[lane, :count] = slice.start_offsets
-        self._counts[lane] = count
+        lane, rows = slice.lane(self.swin_size), slice.rows
+        slice.check_follows(self._births[lane], self.swin_size)
+        offsets = self._start_offsets[lane]
+        if rows is None:
+            offsets[:] = HIDDEN
+            self._write(lane, np.s_[: len(slice.splats)], slice)
+        else:
+            offsets[:] = kept_offsets(offsets)
+            self._write(lane, rows, slice)
         self._births[lane] = slice.birth
+
+    def _write(self, lane: int, rows: Rows, slice: Slice) -> None:
+        self._means[lane][rows] = slice.splats.means
+        self._log_scales[lane][rows] = slice.splats.log_scales
+        self._quats[lane][rows] = slice.splats.quats
+        self._logit_opacities[lane][rows] = slice.splats.logit_opacities
+        self._sh[lane][rows] = slice.splats.sh
+        self._start_offsets[lane][rows] = slice.start_offsets
 
     def active(self, frame: int) -> Splats:
         """The Gaussians that show at `frame`, oldest slice first."""
@@ -58,8 +69,7 @@ class Ring:
             lane = birth % self.swin_size
             if self._births[lane] != birth:
                 continue
-            count = self._counts[lane]
-            shown = np.flatnonzero(self._start_offsets[lane, :count] <= frame - birth)
+            shown = np.flatnonzero(self._start_offsets[lane] <= frame - birth)
             parts.append(self._take(lane, shown))
         return Splats.concatenate(parts) if parts else Splats.empty(self.sh_degree)
 

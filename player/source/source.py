@@ -57,7 +57,10 @@ class Source(Protocol):
         ...
 
     def slices(self) -> Iterator[ReceivedSlice]:
-        """The slices from the first one that shows in `frames.first` to that of the last frame."""
+        """The slices from the first one that shows in `frames.first` to that of the last frame.
+
+        The first `swin_size` are whole; a later one may change only some rows of its lane.
+        """
         ...
 
     def interrupt(self) -> None:

@@ -8,6 +8,7 @@ from codec.errors import InvalidError
 from codec.slice import MAX_SWIN_SIZE
 from trainer.step.backend import Backend, BackendName, make_backend
 
+from .leases import LeaseConfig
 from .mcmc import McmcConfig
 from .optimiser import OptimiserConfig
 
@@ -27,6 +28,11 @@ class FitConfig:
     coarse_share: float = 0.6
     """Share of genesis, from its beginning, that sees pictures of half the size, so that shapes
     settle where the cameras agree before detail is learned by heart; 0 switches it off."""
+    settle_rounds: int = 0
+    """How often the first window is trained once more after genesis, each time like a later window:
+    renewed first, and with learning rates that begin high again."""
+    settle_renew_share: float = 0.1
+    """Share of the Gaussians, those that contribute least, that each such round renews."""
     window_iterations: int = 800
     """Iterations of every later window. Paper: 2,000 on a GPU."""
     newest_share: float = 0.5
@@ -36,12 +42,22 @@ class FitConfig:
     """Weight of 1 - SSIM beside L1. 3DGS."""
     colour_lr: float = 1e-3
     """Learning rate of the per-camera colour correction; 0 switches it off."""
+    calm_from: float = 1.0
+    """Share of a window's iterations after which all learning rates but the positions' fall, too;
+    1 leaves them as they are."""
+    calm_end: float = 0.1
+    """What they have fallen to at the end of a window, as a share."""
+    prefix_share: float = 0.0
+    """Share of the iterations that render only the first layers, so that these do without the
+    others. Only where slots are leased."""
     seed: int = 0
     """Seed of every random choice."""
     optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
     """Learning rates."""
     mcmc: McmcConfig = field(default_factory=McmcConfig)
     """Relocation, noise, regularisers."""
+    lease: LeaseConfig = field(default_factory=LeaseConfig)
+    """What is kept from slice to slice."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.swin_size <= MAX_SWIN_SIZE:
@@ -54,9 +70,18 @@ class FitConfig:
             )
         if self.sh_degree not in (0, 1):
             raise InvalidError(f"sh_degree {self.sh_degree}: choose 0 or 1")
+        if self.settle_rounds < 0:
+            raise InvalidError(f"settle_rounds {self.settle_rounds}: choose 0 or more")
         if self.genesis_iterations < 1 or self.window_iterations < 1:
             raise InvalidError("genesis_iterations and window_iterations must be at least 1")
-        for name in ("coarse_share", "newest_share", "dssim_weight"):
+        for name in (
+            "coarse_share",
+            "newest_share",
+            "dssim_weight",
+            "calm_from",
+            "prefix_share",
+            "settle_renew_share",
+        ):
             if not 0 <= getattr(self, name) <= 1:
                 raise InvalidError(f"{name} {getattr(self, name):g}: choose 0 to 1")
 

@@ -12,10 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.slice import Slice
+from codec.slots.update import Update
 from codec.splats import Splats
 from trainer.step.raster import Parameters
 
 from .config import FitConfig
+from .leases import Leases
 from .lifespans import Lifespans
 from .mcmc import relocate
 from .optimiser import Adam
@@ -31,8 +33,12 @@ class Generations:
     generation before it in the same slots, which has no history.
     """
 
-    def __init__(self, config: FitConfig, initial: Splats | None) -> None:
-        """initial: num_gs Gaussians; None when the arrays of `state` will be filled."""
+    def __init__(
+        self, config: FitConfig, initial: Splats | None, leases: Leases | None = None
+    ) -> None:
+        """initial: num_gs Gaussians; None when the arrays of `state` will be filled. leases: None
+        where every slice is sent whole."""
+        self.leases = leases
         self.num_gs = config.num_gs
         self.lifespans = Lifespans(config.num_gs, config.swin_size)
         self.adam = Adam(config.num_gs, config.sh_degree, config.optimiser)
@@ -67,9 +73,13 @@ class Generations:
 
     def stagger(self, rng: np.random.Generator) -> None:
         """Ends genesis: deals the Gaussians out to slices that expire one after another."""
-        # At random: slots hand their Gaussians on for the whole video, so slices that are unequal
-        # now would stay so, and frames alternate in quality and layers in worth.
-        order = self.lifespans.stagger(rng.permutation(self.num_gs))
+        if self.leases is None:
+            # At random: slots hand their Gaussians on for the whole video, so slices that are
+            # unequal now would stay so, and frames alternate in quality and layers in worth.
+            order = self.lifespans.deal(rng.permutation(self.num_gs))
+        else:
+            order = self.leases.deal(self.values.means[: self.num_gs], rng)
+        self.lifespans.stagger()
         for array in self.values.arrays:
             array[: self.num_gs] = array[: self.num_gs][order]
         self.adam.permute(order)
@@ -86,6 +96,22 @@ class Generations:
             offsets = self.lifespans.matured_starts[rows] - birth
             matured.append(Slice(birth, self._read(frozen), offsets.astype(np.uint8)))
         return matured
+
+    def mature_leased(self, first_frame: int, leases: Leases) -> list[Update]:
+        """The same where slots are leased: what matured goes on with the values that a player has,
+        the next generation with its own."""
+        updates = []
+        for birth in self.lifespans.due(first_frame):
+            lane = self.lifespans.lane_rows(birth % self.lifespans.swin_size)
+            active = ~self.lifespans.kept(lane)
+            self.lifespans.mature(birth)
+            offsets = np.where(active, self.lifespans.matured_starts[lane] - birth, 0)
+            update, exact = leases.mature(birth, lane, active, self._read(lane), offsets)
+            updates.append(update)
+            rows = np.flatnonzero(active) + self.matured_rows(birth).start
+            for array, decoded in zip(self.values.arrays, exact.arrays, strict=True):
+                array[rows] = decoded[active]
+        return updates
 
     def matured_rows(self, birth: int) -> slice:
         """The rows of the slice born at `birth` from its maturing until the next of its lane."""
@@ -104,7 +130,8 @@ class Generations:
         for birth in births[births <= last_frame]:
             logits = self.values.logit_opacities[: self.num_gs]
             is_dead = logits <= np.log(dead_opacity / (1 - dead_opacity))
-            dead = np.flatnonzero(is_dead & (lifespans.births == birth))
+            born = (lifespans.births == birth) & (lifespans.starts < lifespans.expires)
+            dead = np.flatnonzero(is_dead & born)
             # Slices that no frame of the video shows yet must not attract any.
             alive = np.flatnonzero(
                 ~is_dead & (lifespans.births >= birth) & (lifespans.starts <= last_frame)
@@ -112,6 +139,8 @@ class Generations:
             targets = relocate(self.values, dead, alive, dead_opacity, rng)
             if len(targets):
                 lifespans.starts[dead] = lifespans.starts[targets]
+                if self.leases is not None:
+                    self.leases.is_other[dead] = True
                 self.adam.reset(dead)
                 self.adam.reset(np.unique(targets))
 
@@ -128,6 +157,8 @@ class Generations:
         self._write(rows, splats)
         self.lifespans.starts[rows] = start
         self.adam.reset(rows)
+        if self.leases is not None:
+            self.leases.is_other[rows] = True
 
     def _read(self, rows: slice | Ints) -> Splats:
         return Splats(*(array[rows].copy() for array in self.values.arrays))

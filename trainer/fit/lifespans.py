@@ -31,22 +31,26 @@ class Lifespans:
         self.matured_starts = np.zeros(num_gs, np.int32)
         self.matured_expires = np.zeros(num_gs, np.int32)
 
-    def stagger(self, ranking: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-        """Ends genesis: of the rows in `ranking` the first slice lives longest, each next one a
-        frame less.
+    def stagger(self) -> None:
+        """Ends genesis: the lanes live on for one frame more each.
 
-        Gives the order that rows must be permuted by: row i becomes what row order[i] was. The
-        slice that expires at e is as if born at e - swin_size, and lies in lane (e - swin_size) %
-        swin_size.
+        The slice that expires at e is as if born at e - swin_size, and lies in lane (e - swin_size)
+        % swin_size.
         """
-        order = np.empty(self.num_gs, np.int64)
-        for rank in range(self.swin_size):
-            birth = -rank
+        for birth in range(1 - self.swin_size, 1):
             lane = self.lane_rows(birth % self.swin_size)
-            order[lane] = ranking[rank * self.slice_size : (rank + 1) * self.slice_size]
             self.births[lane] = birth
             self.starts[lane] = birth
             self.expires[lane] = birth + self.swin_size
+
+    def deal(self, ranking: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        """The order that puts the rows in `ranking` into lanes, the first slice into that which
+        lives longest, each next one into that which lives a frame less. Row i becomes what row
+        order[i] was."""
+        order = np.empty(self.num_gs, np.int64)
+        for rank in range(self.swin_size):
+            lane = self.lane_rows(-rank % self.swin_size)
+            order[lane] = ranking[rank * self.slice_size : (rank + 1) * self.slice_size]
         return order
 
     def lane_rows(self, lane: int) -> slice:
@@ -59,15 +63,33 @@ class Lifespans:
     def mature(self, birth: int) -> slice:
         """Freezes the slice born at `birth` and begins the next generation of its slots.
 
-        Gives the rows of its lane, whose parameters the caller copies to the matured rows.
+        Gives the rows of its lane, whose parameters the caller copies to the matured rows, except
+        those of kept slots.
         """
         rows = self.lane_rows(birth % self.swin_size)
-        self.matured_starts[rows] = self.starts[rows]
-        self.matured_expires[rows] = self.expires[rows]
+        trained = ~self.kept(rows)
+        self.matured_starts[rows][trained] = self.starts[rows][trained]
+        self.matured_expires[rows][trained] = self.expires[rows][trained]
         self.births[rows] = self.expires[rows]
         self.starts[rows] = self.expires[rows]
         self.expires[rows] += self.swin_size
         return rows
+
+    def keep(self, rows: slice) -> None:
+        """Leases the slots `rows`, all of one lane whose new generation is not shown yet: what has
+        matured in them goes on for another life."""
+        self.starts[rows] = self.expires[rows]
+        self.matured_expires[rows] = self.expires[rows]
+
+    def take_up(self, rows: Ints) -> None:
+        """Ends the leases of `rows`: their new generation shows from its birth on."""
+        self.starts[rows] = self.births[rows]
+        self.matured_expires[rows] = self.births[rows]
+
+    def kept(self, rows: slice) -> npt.NDArray[np.bool_]:
+        """Which of the slots `rows` are kept: their new generation never shows."""
+        kept: npt.NDArray[np.bool_] = self.starts[rows] == self.expires[rows]
+        return kept
 
     def active_rows(self, frame: int) -> Ints:
         """Rows of both generations that show at `frame`; trainable ones first."""

@@ -124,14 +124,21 @@ class Adam:
         self.steps[:] = self.steps[order]
 
     def step(
-        self, values: Parameters, gradients: Parameters, rows: Ints, means_lr_m: float, ages: Floats
+        self,
+        values: Parameters,
+        gradients: Parameters,
+        rows: Ints,
+        means_lr_m: float,
+        ages: Floats,
+        calm: float = 1.0,
     ) -> None:
         """One update of `rows`. means_lr_m: the rate of positions, metres; ages (R,) float32:
-        windows trained so far."""
+        windows trained so far; calm: what the other rates are multiplied by."""
         _count_steps(self.steps, rows)
         decay = np.float32(1) / (np.float32(1) + ages)
         mode = self.config.age_scaling
-        rates = (np.full(3, means_lr_m, np.float32), *self._rates)
+        others = (rate * np.float32(calm) for rate in self._rates)
+        rates = (np.full(3, means_lr_m, np.float32), *others)
         eps = np.float32(self.config.eps)
         states = zip(self.first.arrays, self.second.arrays, rates, strict=True)
         arrays = zip(values.arrays, gradients.arrays, states, strict=True)

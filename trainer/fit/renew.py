@@ -32,11 +32,13 @@ from trainer.seed.stereo import (
 from trainer.step.contribution import contribution
 from trainer.step.raster import Parameters, View, render
 
+from .change import ChangeScores
 from .colour import CameraColour
 
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]
 Flags = npt.NDArray[np.bool_]
+Doubles = npt.NDArray[np.float64]
 
 LEAST_ERROR = 0.05
 """Mean colour difference, of 1, from which on a pixel is wrong. In the other cameras half of it is
@@ -83,9 +85,17 @@ class Comparer:
         self._shape = len(self._views), height, width
 
     def compare(
-        self, values: Parameters, rows: Ints, pictures: Pictures, frame: int, colour: CameraColour
-    ) -> tuple[Comparison, Floats]:
-        """The Gaussians `rows` against `frame`, and (M,) what each of them contributes there."""
+        self,
+        values: Parameters,
+        rows: Ints,
+        pictures: Pictures,
+        frame: int,
+        colour: CameraColour,
+        before: int | None = None,
+    ) -> tuple[Comparison, Floats, Doubles]:
+        """The Gaussians `rows` against `frame`; (M,) what each of them contributes there, and (M,)
+        how much each has to do with what has changed since the frame `before`: zeros if None."""
+        scores = ChangeScores(len(rows))
         saw = np.zeros((*self._shape, 3), np.float32)
         errors = np.zeros(self._shape, np.float32)
         usable = np.zeros(self._shape, np.bool_)
@@ -97,7 +107,6 @@ class Comparer:
             truth = np.asarray(small, np.float32) / np.float32(255)
             small_mask = None if shot.mask is None else scaled_mask(shot.mask, width, height)
             rendered = render(values, rows, view)
-            contributions += contribution(rendered, small_mask)
             # A camera's error is measured in its own colours; cameras are matched in the stream's.
             gain, bias = colour.gain(i), colour.bias(i)
             shows = rendered.picture[:, :height, :width].transpose(1, 2, 0) * gain + bias
@@ -105,7 +114,16 @@ class Comparer:
             saw[i, :height, :width] = (truth - bias) / np.maximum(gain, np.float32(0.1))
             counts = np.ones((height, width), np.bool_) if small_mask is None else small_mask > 0
             usable[i, 1 : height - 1, 1 : width - 1] = _surrounded(counts)
-        return Comparison(tuple(v.camera for v in self._views), saw, errors, usable), contributions
+            if before is None:
+                contributions += contribution(rendered, small_mask)
+            else:
+                earlier = Image.fromarray(pictures.shot(i, before).picture)
+                was = np.asarray(earlier.resize(size, Image.Resampling.BOX), np.float32)
+                contributions += scores.add(
+                    rendered, shows - truth, shows - was / np.float32(255), counts
+                )
+        compared = Comparison(tuple(v.camera for v in self._views), saw, errors, usable)
+        return compared, contributions, scores.scores
 
 
 @kernel(inline="always")

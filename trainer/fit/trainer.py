@@ -17,6 +17,7 @@ import numpy.typing as npt
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.slice import Slice
+from codec.slots.update import Update
 from codec.splats import Splats
 from trainer.pictures.feed import Pictures
 from trainer.pictures.shot import Shot
@@ -27,6 +28,7 @@ from trainer.step.raster import Parameters, View
 from .colour import CameraColour
 from .config import FitConfig
 from .generations import Generations
+from .leases import Leases
 from .optimiser import GATE_STEEPNESS, add_noise
 from .renew import Comparer, missing_splats
 
@@ -40,6 +42,9 @@ FALLBACK_FAR_M = 100.0
 SMALLEST_HALVED_PX = 64
 """Genesis halves no pictures whose shorter side is below: the windows of SSIM would see little but
 the border."""
+
+LAYERED_FROM = 0.6
+"""Share of genesis after which layers are told apart, and trained to do without those above."""
 
 PROGRESS_PERIOD = 20
 """Iterations between two reports of progress."""
@@ -61,9 +66,11 @@ class Window:
 
     frames: range
     """The frames it was trained on."""
-    slices: tuple[Slice, ...]
+    slices: tuple[Slice, ...] = ()
     """What no later window changes, in the order of birth: after genesis all slices that show in
     frame 0, then one at a time."""
+    updates: tuple[Update, ...] = ()
+    """The same where slots are leased; then there are no slices."""
 
     @property
     def first_frame(self) -> int:
@@ -94,6 +101,11 @@ class _Schedule:
     means_lr_end: float  # the same at the end
     noise_lr: float
 
+    def calm(self, iteration: int, calm_from: float, end: float) -> float:
+        """What the learning rates but that of positions are multiplied by."""
+        done = iteration / self.iterations
+        return float(end ** ((done - calm_from) / (1 - calm_from))) if done > calm_from else 1.0
+
     def means_lr_m(self, iteration: int, extent_m: float) -> float:
         """The learning rate of positions, which falls log-linearly."""
         decay = self.means_lr_end / self.means_lr
@@ -119,9 +131,10 @@ class Trainer:
         far_m: float = FALLBACK_FAR_M,
         backend: Backend | None = None,
         observers: Sequence[Observer] = (),
+        slots: tuple[int, ...] | None = None,
     ) -> None:
         """initial: num_gs Gaussians to begin with; None when `restore` follows. backend: by default
-        the CPU's."""
+        the CPU's. slots: of each layer in a lane, where slots are leased."""
         if initial is not None and (len(initial), initial.sh_degree) != (
             config.num_gs,
             config.sh_degree,
@@ -141,7 +154,8 @@ class Trainer:
         self._comparer = Comparer(cameras, near_m)
         self._gradients = Parameters.zeros(config.num_gs, config.sh_degree)
         # What changes while training; `state` gives all of it.
-        self._generations = Generations(config, initial)
+        self._leases = None if slots is None else Leases(config.lease, config.swin_size, slots)
+        self._generations = Generations(config, initial, self._leases)
         self._colour = CameraColour(len(cameras), config.colour_lr)
         self._rng = np.random.default_rng(config.seed)
         self._next_window = 0
@@ -160,11 +174,22 @@ class Trainer:
                 observer.window_begun(first_frame)
             end = min(first_frame + self._config.swin_size, self._pictures.num_frames)
             frames = range(first_frame, end)
-            self._train(frames)
+            self._train(frames, self._schedule(first_frame == 0))
+            for _ in range(self._config.settle_rounds if first_frame == 0 else 0):
+                self._renew(0)
+                self._train(frames, self._schedule(False))
             if first_frame == 0:
+                if self._leases is not None:
+                    self._leases.begin(self.shown(0))
+                    if not self._config.prefix_share:
+                        self._leases.rank(self._contributions(0))
                 self._generations.stagger(self._rng)
             self._next_window += 1
-            yield Window(frames, tuple(self._generations.mature(self._next_window)))
+            if self._leases is None:
+                yield Window(frames, tuple(self._generations.mature(self._next_window)))
+            else:
+                updates = self._generations.mature_leased(self._next_window, self._leases)
+                yield Window(frames, updates=tuple(updates))
             for observer in self._observers:
                 observer.window_ended(first_frame)
 
@@ -181,6 +206,12 @@ class Trainer:
             masks = [self._pictures.mask(c, frame) for c in range(len(self._views))]
             sums[rows] += summed_contribution(generations.values, rows, self._views, masks)
         return [sums[generations.matured_rows(part.birth)] for part in window.slices]
+
+    def _contributions(self, frame: int) -> Doubles:
+        """(num_gs,) what the Gaussians of genesis contribute to a frame of all training views."""
+        rows = self._generations.lifespans.active_rows(frame)
+        masks = [self._pictures.mask(c, frame) for c in range(len(self._views))]
+        return summed_contribution(self._generations.values, rows, self._views, masks)
 
     def shown(self, frame: int) -> Splats:
         """What shows at `frame`, as trained so far; of the window just trained or to be trained."""
@@ -233,18 +264,23 @@ class Trainer:
             config.mcmc.window_noise_lr,
         )
 
-    def _train(self, frames: range) -> None:
+    def _train(self, frames: range, schedule: _Schedule) -> None:
         """Optimises the current generation on the frames of a window."""
         config, generations = self._config, self._generations
         genesis = frames.start == 0
-        schedule = self._schedule(genesis)
         if not genesis and not config.optimiser.carry_adam:
             generations.adam.reset(np.arange(config.num_gs))
         last_frame = frames[-1]
+        layered_from = schedule.iterations
+        if self._leases is not None and config.prefix_share:
+            layered_from = round(LAYERED_FROM * schedule.iterations) if genesis else 0
         # Neither genesis nor the last windows of a video.
         brings_new = not genesis and len(frames) == config.swin_size
         if brings_new:
-            self._renew(last_frame)
+            # The window after genesis is the first of all its slices.
+            first_is_new = self._leases is not None and frames.start == 1
+            for birth in frames if first_is_new else frames[-1:]:
+                self._begin_slice(birth)
         active = {f: generations.lifespans.active_rows(f) for f in frames}
         ages = generations.lifespans.ages(frames.start)
         if genesis:
@@ -257,9 +293,15 @@ class Trainer:
             view, shot = self._views[camera], self._pictures.shot(camera, frame)
             if iteration < schedule.half_until:
                 view, shot = self._half_views[camera], shot.half()
+            rows = active[frame]
+            if genesis and self._leases is not None and iteration == layered_from:
+                self._leases.rank(self._contributions(0))
+            if iteration >= layered_from and self._rng.random() < config.prefix_share:
+                rows = self._prefix(rows)
+            calm = schedule.calm(iteration, config.calm_from, config.calm_end)
             means_lr_m = schedule.means_lr_m(iteration, self._extent_m)
             noise = schedule.noise_lr * means_lr_m
-            loss = self._step(camera, view, shot, active[frame], ages, means_lr_m, noise)
+            loss = self._step(camera, view, shot, rows, ages, means_lr_m, noise, calm)
             done = iteration + 1
             period = config.mcmc.relocate_period
             if done % period == 0 and done <= config.mcmc.relocate_until * schedule.iterations:
@@ -279,6 +321,7 @@ class Trainer:
         ages: Floats,
         means_lr_m: float,
         noise: float,
+        calm: float,
     ) -> float:
         """One iteration on the Gaussians `rows`; gives the loss."""
         config, values = self._config, self._generations.values
@@ -287,7 +330,7 @@ class Trainer:
             config.num_gs, self._gradients,
         )  # fmt: skip
         trainable = rows[rows < config.num_gs]
-        self._generations.adam.step(values, self._gradients, trainable, means_lr_m, ages)
+        self._generations.adam.step(values, self._gradients, trainable, means_lr_m, ages, calm)
         self._colour.step(camera, loss.gain_grad, loss.bias_grad)
         add_noise(
             values.means, values.log_scales, values.quats, values.logit_opacities, trainable,
@@ -297,20 +340,57 @@ class Trainer:
         self._steps += 1
         return loss.value
 
-    def _renew(self, last_frame: int) -> None:
-        """Places the least contributing Gaussians of every slice where `last_frame`, which no
-        window saw before, shows what is not rendered. They show from then on."""
-        config, generations = self._config, self._generations
-        each = round(config.mcmc.renew_share * generations.lifespans.slice_size)
-        if each == 0:
-            return
-        # Whatever has matured before this window expires before its last frame.
-        rows = generations.lifespans.active_rows(last_frame)
-        seen, contributions = self._comparer.compare(
-            generations.values, rows, self._pictures, last_frame, self._colour
+    def _prefix(self, rows: Ints) -> Ints:
+        """Those of `rows` that lie in the first layers, at random how many of them."""
+        leases = self._leases
+        assert leases is not None
+        layers = int(self._rng.integers(1, len(leases.slots)))
+        return rows[leases.layers[rows % self._config.num_gs] < layers]
+
+    def _renew(self, frame: int) -> None:
+        """Replaces the Gaussians of genesis that contribute least, where `frame` shows what is not
+        rendered."""
+        generations = self._generations
+        rows = generations.lifespans.active_rows(frame)
+        seen, contributions, _ = self._comparer.compare(
+            generations.values, rows, self._pictures, frame, self._colour
         )
+        each = round(self._config.settle_renew_share * len(rows))
         least = generations.least(rows, contributions, each)
+        found = missing_splats(
+            seen, len(least), self._near_m, self._far_m, self._config.sh_degree, self._rng
+        )
+        generations.place(least[: len(found)], found, frame)
+
+    def _begin_slice(self, frame: int) -> None:
+        """Prepares the slice that is born in `frame`, which no window saw before: leases
+        what stands still, and places the least contributing Gaussians of every slice where the
+        frame shows what is not rendered. Those show from then on."""
+        config, generations, leases = self._config, self._generations, self._leases
+        lifespans = generations.lifespans
+        lane = lifespans.lane_rows(frame % lifespans.swin_size)
+        if leases is not None:
+            lifespans.keep(lane)
+        elif config.mcmc.renew_share == 0:
+            return
+        # Without leases, whatever has matured before this window expires before its last frame.
+        rows = lifespans.active_rows(frame)
+        before = None if leases is None else frame - 1
+        seen, contributions, scores = self._comparer.compare(
+            generations.values, rows, self._pictures, frame, self._colour, before
+        )
+        if leases is None:
+            each = round(config.mcmc.renew_share * lifespans.slice_size)
+            least = generations.least(rows, contributions, each)
+        else:
+            slots = rows % config.num_gs
+            mine = (slots >= lane.start) & (slots < lane.stop)
+            active = leases.choose(slots[mine], scores[mine])
+            least = leases.least(slots[mine], contributions[mine], config.mcmc.renew_share)
         found = missing_splats(
             seen, len(least), self._near_m, self._far_m, config.sh_degree, self._rng
         )
-        generations.place(least[: len(found)], found, last_frame)
+        if leases is not None:
+            least = self._rng.permutation(least).astype(np.int32)
+            lifespans.take_up(np.union1d(active, least[: len(found)]))
+        generations.place(least[: len(found)], found, frame)

@@ -15,7 +15,7 @@ from player.render.project import PROJECTED, Projection, camera_vector, project_
 from player.render.recipe import TILE_PX
 from player.render.tiles import TileLists, list_tiles, tile_grid
 
-from .blend_backward import PAIR_GRADIENT, blend_tiles_backward
+from .blend_backward import G_BLUE, G_GREEN, G_RED, PAIR_GRADIENT, blend_tiles_backward
 from .project_backward import project_backward_kernel
 
 Floats = npt.NDArray[np.float32]
@@ -144,3 +144,21 @@ def backward(
         np.float32(opacity_reg / count), np.float32(scale_reg / (3 * count)),
         *gradients.arrays,
     )  # fmt: skip
+
+
+def weighed(rendered: Rendered, planes: Floats) -> tuple[Floats, Floats, Floats]:
+    """(M,) each: for three planes, of the picture's shape, the sum over the pixels of a Gaussian's
+    blending weight times the plane's value."""
+    lists = rendered.lists
+    pair_grads = rendered.scratch.take("pair gradients", len(lists.pairs), PAIR_GRADIENT)
+    # The gradient of a sum of weight * colour * plane by the colour is the sum of weight * plane.
+    blend_tiles_backward(
+        rendered.projection.projected, lists.starts, lists.gaussians, lists.pairs, lists.order,
+        rendered.view.tiles_x, rendered.picture, planes, pair_grads,
+    )  # fmt: skip
+    sums = []
+    for column in (G_RED, G_GREEN, G_BLUE):
+        # Pairs are numbered Gaussian by Gaussian: differences of a running sum.
+        running = np.concatenate([[0.0], np.cumsum(pair_grads[:, column], dtype=np.float64)])
+        sums.append(np.diff(running[lists.pair_starts]).astype(np.float32))
+    return sums[0], sums[1], sums[2]

@@ -11,6 +11,8 @@ import moderngl
 import numpy as np
 import numpy.typing as npt
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from codec.errors import InvalidError
 from codec.slice import Slice
@@ -25,6 +27,7 @@ from tests.support.hosted_streams import (
     random_splats,
     small_manifest,
 )
+from tests.support.slots.leases import LeasedStream, leased_slice, leased_streams, replayed
 
 Floats = npt.NDArray[np.float32]
 
@@ -166,6 +169,74 @@ def test_only_the_changed_slice_is_uploaded(renderers: list[GlRenderer]) -> None
     assert gl.uploaded_bytes == before
 
 
+def leased_manifest(stream: LeasedStream) -> Manifest:
+    num_gs = stream.swin_size * stream.slice_size
+    return small_manifest(
+        stream.slice_size, stream.sh_degree, swin_size=stream.swin_size, num_gs=num_gs
+    )
+
+
+@needs_gl
+@settings(max_examples=25)
+@given(leased_streams(slice_sizes=(1, 7, 1100)), st.booleans(), st.integers(1, 3))
+def test_changes_are_drawn_as_a_plain_replay(
+    stream: LeasedStream, all_at_once: bool, step: int
+) -> None:
+    manifest = leased_manifest(stream)
+    gl, plain = GlRenderer(manifest), GlRenderer(manifest)
+    try:
+        waiting = list(stream.slices)
+        # Frames may be left out; slices may be put long before they are due.
+        for frame in range(0, stream.num_frames, step):
+            while waiting and (all_at_once or waiting[0].birth <= frame):
+                gl.put(waiting.pop(0))
+            first_birth = frame - stream.swin_size + 1
+            for birth, splats in enumerate(
+                replayed(stream.slices, frame, stream.swin_size), first_birth
+            ):
+                plain.put(Slice(birth, splats, np.zeros(len(splats), np.uint8)))
+            camera = manifest.camera()
+            np.testing.assert_array_equal(gl.render(frame, camera), plain.render(frame, camera))
+    finally:
+        gl.close()
+        plain.close()
+
+
+@needs_gl
+def test_changes_are_drawn_as_on_the_cpu(renderers: list[GlRenderer]) -> None:
+    manifest = small_manifest(slice_size=900)
+    gl, cpu = open_gl(renderers, manifest), CpuRenderer(manifest)
+    kinds = ["whole"] * SWIN_SIZE + ["half", "run", "few", "all", "none"] * 2
+    held_bytes = 0
+    for birth, kind in enumerate(kinds, 1 - SWIN_SIZE):
+        slice = leased_slice(birth, kind, SWIN_SIZE, 900, 1, birth + 50)
+        held_bytes += slice.num_bytes
+        gl.put(slice)
+        cpu.put(slice)
+        if birth >= 0:
+            pair = gl.render(birth, manifest.camera()), cpu.render(birth, manifest.camera())
+            assert psnr_db(*pair) >= 60
+    assert cpu.uploaded_bytes == held_bytes
+
+
+@needs_gl
+def test_only_the_changed_rows_are_uploaded(renderers: list[GlRenderer]) -> None:
+    manifest = small_manifest(slice_size=2048, sh_degree=0)
+    gl = open_gl(renderers, manifest)
+    for birth in range(1 - SWIN_SIZE, 1):
+        gl.put(random_slice(birth, 2048, 0))
+    gl.upload(0)
+    for frame, rows in enumerate(([], [700], range(512, 1536), range(0, 2048, 2)), 1):
+        before = gl.uploaded_bytes
+        splats = random_splats(len(rows), 0, frame)
+        offsets = np.zeros(len(rows), np.uint8)
+        gl.put(Slice(frame, splats, offsets, np.array(rows, np.int32)))
+        gl.upload(frame)
+        # Of the last ones, every other: those between go along, but for one at each row's end.
+        gaussians = len(rows) if frame < 4 else 4 * 511
+        assert gl.uploaded_bytes - before == 64 * gaussians
+
+
 @needs_gl
 def test_another_thread_may_put(renderers: list[GlRenderer]) -> None:
     manifest = small_manifest(slice_size=100)
@@ -247,6 +318,9 @@ def test_a_slice_that_does_not_fit_is_refused(renderers: list[GlRenderer]) -> No
     gl = open_gl(renderers, small_manifest(slice_size=10))
     with pytest.raises(InvalidError, match="11 Gaussians"):
         gl.put(random_slice(0, 11))
+    rows = np.array([10], np.int32)
+    with pytest.raises(InvalidError, match="changes row 10; a lane has 10"):
+        gl.put(Slice(0, random_splats(1, 1, 0), np.zeros(1, np.uint8), rows))
 
 
 @needs_gl

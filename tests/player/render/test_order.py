@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from player.render.order import Order
+from player.render.pack import NEVER
 
 
 def test_the_order_is_that_of_a_stable_sort_by_depth() -> None:
@@ -26,6 +27,26 @@ def test_the_order_is_that_of_a_stable_sort_by_depth() -> None:
         slots = np.flatnonzero(shown.ravel() & (depths > 0.5))
         expected = slots[np.argsort(-depths[slots], kind="stable")]
         np.testing.assert_array_equal(order.far_first(frame, w2c, 0.5), expected)
+
+
+def test_what_is_kept_goes_on() -> None:
+    order = Order(2, 5)
+    means = np.zeros((4, 3), np.float32)
+    means[:, 2] = 4, 3, 2, 1
+    # Shown, late, never; the last one leaves with the next slice.
+    order.put(0, 2, means, np.array([0, 9, NEVER, 0], np.int32))
+    order.put(0, 4, means[:3], np.array([2, 9, NEVER], np.int32))
+
+    def shown(frame: int) -> list[int]:
+        return [int(slot) for slot in order.far_first(frame, np.eye(4), 0.5)]
+
+    assert [shown(frame) for frame in (2, 3, 4)] == [[0], [0], []]
+    far = np.array([[0, 0, 9]], np.float32)
+    order.put(0, 6, far, np.array([5], np.int32), np.array([4], np.int32))
+    assert [shown(frame) for frame in (4, 5, 6)] == [[0, 1], [4, 0, 1], []]
+    nothing = np.zeros(0, np.int32)
+    order.put(0, 8, np.zeros((0, 3), np.float32), nothing, nothing)
+    assert [shown(frame) for frame in (6, 7, 8)] == [[4, 0, 1], [4, 0, 1], []]
 
 
 @given(st.lists(st.floats(2.0**-10, 2.0**120, width=32), max_size=50))

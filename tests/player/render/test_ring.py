@@ -6,12 +6,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
 
 from codec.errors import InvalidError
+from codec.slice import Slice
 from codec.splats import Splats
 from codec.stream import StreamReader
 from player.render.ring import Ring
-from tests.support.hosted_streams import SLICE_SIZE, SWIN_SIZE, random_slice, write_stream
+from tests.support.hosted_streams import (
+    SLICE_SIZE,
+    SWIN_SIZE,
+    random_slice,
+    random_splats,
+    write_stream,
+)
+from tests.support.slots.leases import LeasedStream, leased_streams, replayed
 
 
 def same(a: Splats, b: Splats) -> bool:
@@ -48,6 +57,19 @@ def test_lanes_of_other_windows_do_not_show() -> None:
     assert len(ring.active(3)) == 0
 
 
+@given(leased_streams())
+def test_changes_leave_what_a_plain_replay_leaves(stream: LeasedStream) -> None:
+    ring = Ring(stream.swin_size, stream.slice_size, stream.sh_degree)
+    for slice in stream.slices:
+        ring.put(slice)
+        # Some frames on, the oldest lanes are gone.
+        for frame in range(slice.birth, slice.birth + stream.swin_size + 1):
+            known = [one for one in stream.slices if one.birth <= slice.birth]
+            lanes = replayed(known, frame, stream.swin_size)
+            expected = Splats.concatenate([Splats.empty(stream.sh_degree), *lanes])
+            assert same(ring.active(frame), expected)
+
+
 def test_what_does_not_fit_is_refused() -> None:
     ring = Ring(2, 3, 0)
     with pytest.raises(InvalidError, match="4 Gaussians"):
@@ -56,3 +78,19 @@ def test_what_does_not_fit_is_refused() -> None:
         ring.put(random_slice(0, 3, 1))
     with pytest.raises(InvalidError, match="at least one lane"):
         Ring(0, 3, 0)
+
+
+def test_changes_that_do_not_fit_are_refused() -> None:
+    def change(birth: int, row: int) -> Slice:
+        rows = np.array([row], np.int32)
+        return Slice(birth, random_splats(1, 0, 0), np.zeros(1, np.uint8), rows)
+
+    ring = Ring(2, 3, 0)
+    with pytest.raises(InvalidError, match="changes the one born at 0; its lane holds nothing"):
+        ring.put(change(2, 0))
+    ring.put(random_slice(0, 3, 0))
+    with pytest.raises(InvalidError, match="changes row 3; a lane has 3"):
+        ring.put(change(2, 3))
+    ring.put(change(2, 2))
+    with pytest.raises(InvalidError, match="its lane holds the one born at 2"):
+        ring.put(change(6, 0))

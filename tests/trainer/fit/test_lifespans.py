@@ -14,7 +14,8 @@ sizes = st.tuples(st.integers(1, 6), st.integers(1, 5))  # swin_size, slice_size
 def after_genesis(swin_size: int, slice_size: int, seed: int = 0) -> Lifespans:
     lifespans = Lifespans(swin_size * slice_size, swin_size)
     ranking = np.random.default_rng(seed).permutation(lifespans.num_gs)
-    order = lifespans.stagger(ranking)
+    order = lifespans.deal(ranking)
+    lifespans.stagger()
     # The first of the ranking live longest.
     longest_first = np.argsort(-lifespans.expires, kind="stable")
     assert order[longest_first].tolist() == ranking.tolist()

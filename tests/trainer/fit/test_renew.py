@@ -216,12 +216,13 @@ def test_contributions_come_with_the_comparison() -> None:
     splats = Splats.concatenate([hidden, room()])
     rows = np.arange(len(splats), dtype=np.int32)
     film = Film([room()])
-    _, weights = Comparer(film.cameras, NEAR_M).compare(
+    _, weights, scores = Comparer(film.cameras, NEAR_M).compare(
         parameters(splats), rows, film, 0, CameraColour(8, 0)
     )
     assert weights.shape == (251,)
     assert weights[0] == weights.min()
     assert weights.max() > 10
+    assert not scores.any()
 
 
 CONFIG = FitConfig(
@@ -276,7 +277,7 @@ def test_only_the_least_of_each_slice_are_placed_and_they_show_from_the_frame_on
     before = [array.copy() for array in generations.values.arrays]
     starts = lifespans.starts.copy()
     rows = lifespans.active_rows(frame)
-    compared, weights = Comparer(film.cameras, NEAR_M).compare(
+    compared, weights, _ = Comparer(film.cameras, NEAR_M).compare(
         generations.values, rows, film, frame, colour
     )
     least = generations.least(rows, weights, round(0.2 * lifespans.slice_size))

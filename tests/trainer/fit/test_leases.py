@@ -1,0 +1,190 @@
+"""Leases: what a player is told of the slots is exactly what training shows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from codec.errors import InvalidError
+from codec.slots.lattice import States, dequantise, num_attributes
+from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
+from codec.splats import Splats
+from player.render.cpu import render_splats
+from trainer.fit.change import ChangeScores
+from trainer.fit.config import FitConfig
+from trainer.fit.leases import LeaseConfig, Leases
+from trainer.fit.mcmc import McmcConfig
+from trainer.fit.trainer import Trainer
+from trainer.step.contribution import contribution
+from trainer.step.loss import psnr_db
+from trainer.step.raster import Parameters, View, render
+
+from .test_trainer import NEAR_M, Rendered, start, truth
+
+SLOTS = {1: (40, 20, 30), 3: (12, 8, 10)}
+
+
+def config(swin_size: int, **lease: float) -> FitConfig:
+    return FitConfig(
+        num_gs=90,
+        swin_size=swin_size,
+        genesis_iterations=300,
+        window_iterations=60,
+        calm_from=0.7,
+        prefix_share=0.2,
+        mcmc=replace(McmcConfig(), relocate_period=25, renew_share=0.05),
+        lease=LeaseConfig(**lease),
+    )
+
+
+class Told:
+    """What a player knows who is told every update: a plain array of slots for each lane."""
+
+    def __init__(self, leases: Leases, swin_size: int) -> None:
+        self.leases, self.swin_size = leases, swin_size
+        count = leases.slice_size
+        self.states = {lane: States.zeros(count, 0) for lane in range(swin_size)}
+        self.starts = {lane: np.full(count, 1 << 30) for lane in range(swin_size)}
+
+    def apply(self, update: Update) -> None:
+        lane = update.birth % self.swin_size
+        sent = np.flatnonzero(update.statuses >= PREDICTED)
+        shown = self.starts[lane] < 1 << 30
+        assert shown[update.statuses == PREDICTED].all()
+        assert shown[update.statuses == ENDED].all()
+        assert not update.escaped.any()
+        self.states[lane].put(sent, update.states)
+        self.starts[lane][shown] = np.minimum(self.starts[lane][shown], update.birth)
+        self.starts[lane][sent] = update.birth + update.start_offsets.astype(np.int64)
+        self.starts[lane][update.statuses == ENDED] = 1 << 30
+
+    def shown(self, frame: int) -> Splats:
+        parts = []
+        for lane in range(self.swin_size):
+            rows = np.flatnonzero(self.starts[lane] <= frame)
+            parts.append(dequantise(self.states[lane].take(rows), self.leases.lattices[0]))
+        return Splats.concatenate(parts)
+
+
+def sorted_rows(splats: Splats) -> np.ndarray:
+    rows = np.concatenate([a.reshape(len(splats), -1) for a in splats.arrays], axis=1)
+    rows = rows[splats.opacities > 1 / 255]
+    return rows[np.lexsort(rows.T)]
+
+
+@pytest.mark.parametrize("swin_size", [1, 3])
+@pytest.mark.parametrize("share", [1.0, 0.3])
+def test_who_is_told_every_update_has_what_training_shows(swin_size: int, share: float) -> None:
+    pictures = Rendered()
+    chosen = config(swin_size, active_share=share, refresh_share=0.05)
+    trainer = Trainer(chosen, pictures, start(), NEAR_M, slots=SLOTS[swin_size])
+    told, kept = None, 0
+    for window in trainer.windows():
+        told = told or Told(trainer._leases, swin_size)  # type: ignore[arg-type]
+        assert not window.slices
+        for update in window.updates:
+            told.apply(update)
+            kept += int((update.statuses == KEPT).sum()) if update.birth > 0 else 0
+            active = (update.statuses != KEPT).sum()
+            if update.birth > 0:
+                assert active <= round(share * 90 / swin_size) + round(0.05 * 90) + 2
+        frame = window.first_frame
+        assert (sorted_rows(told.shown(frame)) == sorted_rows(trainer.shown(frame))).all()
+    assert told is not None
+    assert kept if share < 1 else True
+    for camera in pictures.cameras[:2]:
+        shown = render_splats(told.shown(4), camera, NEAR_M)
+        seen = render_splats(truth(4), camera, NEAR_M)
+        assert psnr_db(np.clip(shown, 0, 1), np.clip(seen, 0, 1)) > 22
+
+
+def test_a_slot_goes_on_unless_another_gaussian_takes_it() -> None:
+    leases = Leases(LeaseConfig(), 1, (3, 2))
+    splats = truth(0).take(slice(5))
+    leases.begin(splats)
+    everyone = np.ones(5, np.bool_)
+    offsets = np.zeros(5, np.int32)
+    first, exact = leases.mature(0, slice(5), everyone, splats, offsets)
+    assert (first.statuses == NEW).all()
+    same, _ = leases.mature(1, slice(5), everyone, exact, offsets)
+    assert (same.statuses == KEPT).all()
+    moved = Splats(exact.means + np.float32(0.5), *exact.arrays[1:])
+    leases.is_other[3] = True
+    some = np.array([True, False, True, True, False])
+    update, _ = leases.mature(2, slice(5), some, moved, offsets)
+    assert update.statuses.tolist() == [PREDICTED, KEPT, PREDICTED, NEW, KEPT]
+    dim = Splats(*exact.arrays[:3], np.full(5, -9, np.float32), exact.sh)
+    gone, _ = leases.mature(3, slice(5), everyone, dim, offsets)
+    assert (gone.statuses == ENDED).all()
+    again, _ = leases.mature(4, slice(5), everyone, dim, offsets)
+    assert (again.statuses == KEPT).all()
+
+
+def test_a_gaussian_off_the_lattice_is_sent_as_it_is() -> None:
+    leases = Leases(LeaseConfig(), 1, (5,))
+    splats = truth(0).take(slice(5))
+    leases.begin(splats)
+    far = splats.means.copy()
+    far[2] = 1e9
+    splats = Splats(far, *splats.arrays[1:])
+    update, exact = leases.mature(0, slice(5), np.ones(5, np.bool_), splats, np.zeros(5, np.int32))
+    assert update.escaped.tolist() == [False, False, True, False, False]
+    assert (update.escapes.means == far[2]).all()
+    assert (exact.means[2] == far[2]).all()
+
+
+@given(st.integers(1, 3), st.integers(1, 7), st.integers(1, 7), st.integers(0, 99))
+def test_dealing_is_a_permutation_that_keeps_layers(
+    lanes: int, first: int, second: int, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    leases = Leases(LeaseConfig(), lanes, (first, second))
+    count = lanes * (first + second)
+    contributions = rng.random(count)
+    leases.rank(contributions)
+    order = leases.deal(rng.normal(size=(count, 3)).astype(np.float32), rng)
+    assert sorted(order.tolist()) == list(range(count))
+    least_first = np.sort(contributions)
+    of_first = contributions[order][leases.layers == 0]
+    assert sorted(of_first) == least_first[count - lanes * first :].tolist()
+    pattern = [0] * first + [1] * second
+    assert leases.layers.tolist() == pattern * lanes
+
+
+def test_active_are_those_that_changed_and_the_oldest() -> None:
+    leases = Leases(LeaseConfig(active_share=0.5, refresh_share=0.2), 1, (10,))
+    leases.trained[:] = [9, 9, 9, 9, 9, 2, 1, 9, 9, 0]
+    scores = np.array([5, 0, 4, 0, 3, 0.1, 0.1, 0.2, 0, 0])
+    rows = np.arange(10, dtype=np.int32)
+    assert leases.choose(rows, scores).tolist() == [0, 2, 4, 5, 6]
+
+
+def test_weights_are_contributions_and_change_is_found_where_it_is() -> None:
+    pictures = Rendered()
+    splats = truth(0)
+    rows = np.arange(40, dtype=np.int32)
+    scores = ChangeScores(40)
+    for camera in pictures.cameras:
+        view = View.prepare(camera, NEAR_M)
+        rendered = render(Parameters(*splats.arrays), rows, view)
+        now = render_splats(truth(0), camera, NEAR_M) - render_splats(truth(4), camera, NEAR_M)
+        counts = np.ones(now.shape[:2], np.bool_)
+        weights = scores.add(rendered, now, np.zeros_like(now), counts)
+        np.testing.assert_allclose(weights, contribution(rendered), rtol=1e-4, atol=1e-4)
+    by_score = np.argsort(-scores.scores)
+    assert np.isin(by_score[:8], np.arange(10)).sum() >= 6  # those ten drift
+
+
+@pytest.mark.parametrize("wrong", [{"active_share": 1.1}, {"refresh_share": -1}, {"hold": 0.4}])
+def test_settings_that_cannot_be(wrong: dict[str, float]) -> None:
+    with pytest.raises(InvalidError, match=next(iter(wrong))):
+        LeaseConfig(**wrong)
+
+
+def test_states_have_a_byte_for_each_attribute() -> None:
+    assert num_attributes(0) == 10
+    assert num_attributes(1) == 19

@@ -1,0 +1,182 @@
+"""Leases: which slots go on with the same decoded parameters, and what leaves the trainer.
+
+Most of a scene stands still, so most slots of a slice are kept: they are not trained, not sent, and
+shown with exactly the values that a player has. Who is active is chosen anew at the beginning of
+every window by what changed in its newest frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from codec.errors import InvalidError
+from codec.profiles.morton import interleave
+from codec.slots.lattice import Lattice, States, dequantise, quantise
+from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
+from codec.splats import Splats
+
+Ints = npt.NDArray[np.int32]
+Flags = npt.NDArray[np.bool_]
+Doubles = npt.NDArray[np.float64]
+
+LEAST_SHOWN = 1 / 255
+"""Opacity below which recipe v1 draws nothing."""
+
+
+@dataclass(frozen=True)
+class LeaseConfig:
+    """How much of a slice is trained and sent; the rest is kept."""
+
+    active_share: float = 0.3
+    """Share of a slice's slots that is trained and sent; 1 sends all."""
+    refresh_share: float = 0.02
+    """Share of a slice's slots, those whose lease is the oldest, that is trained in any case, so
+    that the still part of a scene goes on learning."""
+    hold: float = 0.5
+    """A value within so many steps of the one that a player has is not sent: 0.5 rounds to the
+    nearest; more makes a stream smaller and coarser."""
+
+    def __post_init__(self) -> None:
+        for name in ("active_share", "refresh_share"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise InvalidError(f"{name} {getattr(self, name):g}: choose 0 to 1")
+        if not 0.5 <= self.hold <= 4:
+            raise InvalidError(f"hold {self.hold:g}: choose 0.5 to 4")
+
+
+class Leases:
+    """What a player holds of every slot, and since when."""
+
+    def __init__(self, config: LeaseConfig, swin_size: int, slots: tuple[int, ...]) -> None:
+        """slots: of each layer in a lane."""
+        self.config = config
+        self.slots = slots
+        self.slice_size = sum(slots)
+        num_gs = swin_size * self.slice_size
+        self.layers = np.tile(np.repeat(np.arange(len(slots)), slots), swin_size).astype(np.uint8)
+        """(num_gs,) the layer of each slot."""
+        self.lattices: tuple[Lattice, ...] = ()
+        self.states = States.zeros(num_gs, 0)
+        self.is_shown = np.zeros(num_gs, np.bool_)
+        """Whether a slot holds a Gaussian."""
+        self.is_other = np.ones(num_gs, np.bool_)
+        """Whether what is trained in a slot is another Gaussian than the one a player has."""
+        self.trained = np.zeros(num_gs, np.int32)
+        """The birth that each slot was active at last."""
+
+    def begin(self, splats: Splats, coarser: float = 1.0) -> None:
+        """Fixes the lattices by the Gaussians of the first window."""
+        self.lattices = (Lattice.suiting(splats, coarser),) * len(self.slots)
+        self.states = States.zeros(len(self.is_shown), splats.sh_degree)
+
+    def rank(self, contributions: Doubles) -> None:
+        """Puts each Gaussian of genesis into a layer, those that contribute most into the first."""
+        lanes = len(self.layers) // self.slice_size
+        sizes = [lanes * slots for slots in self.slots]
+        most_first = np.argsort(-contributions, kind="stable")
+        self.layers[most_first] = np.repeat(np.arange(len(sizes)), sizes)
+
+    def deal(
+        self, means: npt.NDArray[np.float32], rng: np.random.Generator
+    ) -> npt.NDArray[np.int64]:
+        """Ends genesis: the order that puts each Gaussian into a slot of its layer. Row i becomes
+        what row order[i] was.
+
+        Lanes are dealt at random. In each layer of a lane the Gaussians lie along a Morton curve,
+        so that neighbours in space are neighbours in their packets.
+        """
+        lanes = len(self.layers) // self.slice_size
+        low = means.min(axis=0)
+        extent = max(float((means.max(axis=0) - low).max()), 1e-6)
+        codes = interleave(((means - low) * (((1 << 16) - 1) / extent)).astype(np.int64))
+        order = np.empty(len(means), np.int64)
+        at = 0
+        for layer, slots in enumerate(self.slots):
+            mine = rng.permutation(np.flatnonzero(self.layers == layer))
+            for lane in range(lanes):
+                rows = mine[lane * slots : (lane + 1) * slots]
+                first = lane * self.slice_size + at
+                order[first : first + slots] = rows[np.argsort(codes[rows], kind="stable")]
+            at += slots
+        self.layers[:] = self.layers[order]
+        return order
+
+    def choose(self, rows: Ints, scores: Doubles) -> Ints:
+        """Those of `rows`, the slots of one slice, that are to be active. scores: (len(rows),) how
+        much each has to do with what changed."""
+        count = len(rows)
+        wanted = round(self.config.active_share * count)
+        turn = min(round(self.config.refresh_share * count), wanted)
+        by_score = np.argsort(-scores, kind="stable")
+        chosen = np.zeros(count, np.bool_)
+        chosen[by_score[: wanted - turn]] = True
+        chosen &= scores > 0
+        # Of what shows, those that have been kept for longest.
+        age = np.where(chosen | (scores <= 0), np.iinfo(np.int32).max, self.trained[rows])
+        oldest = np.argsort(age, kind="stable")[:turn]
+        chosen[oldest] = age[oldest] < np.iinfo(np.int32).max
+        return rows[chosen]
+
+    def least(self, rows: Ints, contributions: npt.NDArray[np.float32], share: float) -> Ints:
+        """Of `rows`, the slots of one slice, the `share` of each layer that contributes least."""
+        least_first = rows[np.argsort(contributions, kind="stable")]
+        layers = self.layers[least_first]
+        parts = [
+            least_first[layers == layer][: round(share * slots)]
+            for layer, slots in enumerate(self.slots)
+        ]
+        return np.concatenate(parts).astype(np.int32)
+
+    def mature(
+        self, birth: int, lane: slice, is_active: Flags, splats: Splats, start_offsets: Ints
+    ) -> tuple[Update, Splats]:
+        """What the slice born at `birth` says of its lane, whose trained Gaussians are `splats`;
+        and those with the values that a player has from now on.
+
+        lane, is_active, splats, start_offsets: of all slots of the lane, of which only the active
+        ones have been trained.
+        """
+        statuses = np.full(len(splats), KEPT, np.uint8)
+        decoded = [array.copy() for array in splats.arrays]
+        held = self.states.take(lane)
+        fits = np.ones(len(splats), np.bool_)
+        layers = self.layers[lane]
+        is_shown, is_other = self.is_shown[lane], self.is_other[lane]
+        for layer, lattice in enumerate(self.lattices):
+            mine = is_active & (layers == layer)
+            for rows, continues in (
+                (np.flatnonzero(mine & ~is_other & is_shown), True),
+                (np.flatnonzero(mine & (is_other | ~is_shown)), False),
+            ):
+                before = held.take(rows) if continues else None
+                states, fit = quantise(splats.take(rows), lattice, before, self.config.hold)
+                shows = states.attributes[:, -1] >= LEAST_SHOWN * (lattice.opacity_levels - 1)
+                status = np.full(len(rows), PREDICTED if continues else NEW, np.uint8)
+                if before is not None:
+                    same = (states.positions == before.positions).all(axis=1)
+                    same &= (states.attributes == before.attributes).all(axis=1)
+                    status[same & (start_offsets[rows] == 0)] = KEPT
+                status[~fit] = NEW
+                status[~shows] = np.where(is_shown[rows[~shows]], ENDED, KEPT)
+                statuses[rows] = status
+                fits[rows] = fit
+                exact = dequantise(states, lattice)
+                for array, of_lattice in zip(decoded, exact.arrays, strict=True):
+                    array[rows[fit]] = of_lattice[fit]
+                held.put(rows, states)
+                is_shown[rows] = shows
+        self.states.put(lane, held)
+        # Views: the flags of the lane.
+        is_other[is_active] = False
+        self.trained[lane][is_active] = birth
+        sent = np.flatnonzero(statuses >= PREDICTED)
+        escaped = ~fits[sent]
+        exact = Splats(*decoded)
+        update = Update(
+            birth, statuses, held.take(sent), start_offsets[sent].astype(np.uint8), escaped,
+            exact.take(sent[escaped]),
+        )  # fmt: skip
+        return update, exact
