@@ -72,7 +72,7 @@ class Lattice:
     def __post_init__(self) -> None:
         for name in ("position_m", "log_scale", "rotation", "colour"):
             step = getattr(self, name)
-            if not (math.isfinite(step) and MIN_STEP <= step <= MAX_STEP):
+            if not MIN_STEP <= step <= MAX_STEP and step != np.float32(MIN_STEP):
                 raise InvalidError(f"lattice: {name} {step:g} is not in {MIN_STEP:g}..{MAX_STEP:g}")
             object.__setattr__(self, name, float(np.float32(step)))
         if not abs(self.log_scale_base) <= MAX_BASE:
