@@ -20,7 +20,7 @@ from rich.table import Table
 
 from codec.coders.coder import EncodedChunk, compress
 from codec.console import run_command
-from codec.profiles.profile import Profile
+from codec.profiles.profile import CHUNK_PROFILES, Profile
 from codec.slice import Slice
 from codec.stream import StreamReader
 from codec.stream.chunk import decode_chunk, encode_chunk
@@ -82,7 +82,7 @@ def table_of_cases() -> Table:
         table.add_column(name, justify="right")
     for name in ("quantise", "entropy code", "decode", "inflate + decode"):
         table.add_column(f"{name} ms/slice", justify="right")
-    for profile in Profile:
+    for profile in CHUNK_PROFILES:
         for count, shares in CASES:
             slices = synthetic_slices(count)
             chunks = [c for s in slices for c in encode_slice(s, shares, profile)]

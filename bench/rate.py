@@ -25,7 +25,7 @@ from rich.table import Table
 
 from codec.console import run_command
 from codec.errors import InvalidError
-from codec.profiles.profile import Profile
+from codec.profiles.profile import CHUNK_PROFILES, Profile
 from codec.slice import Slice
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import Manifest
@@ -91,7 +91,7 @@ def measure(config: RateConfig) -> list[Curve]:
     log = Console(stderr=True)
     curves = []
     for rank, slices in ranked_slices(reader, config).items():
-        for profile in Profile:
+        for profile in CHUNK_PROFILES:
             log.print(f"{profile}, {rank}")
             found = score(manifest.with_profile(profile), rank, slices, config)
             curves.append(Curve(profile, rank, found.layers))

@@ -17,11 +17,10 @@ from rich.table import Table
 from codec.coders.coder import EncodedChunk, compress, decompress
 from codec.console import run_command
 from codec.slots.lattice import Bytes, Lattice, States, quantise
-from codec.slots.mask import ENDED, KEPT, NEW, PREDICTED
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.slotencoder import SlotEncoder
 from codec.slots.slotlayout import SlotLayout
-from codec.slots.update import Update
+from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Floats, Splats
 from tests.support.trained_like import trained_like_splats
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from enum import StrEnum
 
+from codec.errors import InvalidError
+
 from . import compact, paper, raw
 from .body import Coding
 
@@ -20,9 +22,15 @@ class Profile(StrEnum):
     COMPACT = "compact"
     """Quantised as finely as the eye asks for: at most about 9 bytes a Gaussian with DC colour."""
 
+    LATTICE = "lattice"
+    """Integers on the lattice of the whole stream, of which only changes are sent: version 2."""
+
     @property
     def coding(self) -> Coding:
-        """What encodes and decodes the chunks of this profile."""
+        """What encodes and decodes the chunks of this profile. Raises InvalidError for `lattice`,
+        whose slices are not chunks by themselves."""
+        if self not in _CODINGS:
+            raise InvalidError(f"profile {self} has no chunks of version 1; codec/slots codes it")
         return _CODINGS[self]
 
 
@@ -32,5 +40,8 @@ _CODINGS: dict[Profile, Coding] = {
     Profile.COMPACT: compact,
 }
 
-PROFILE_OF_CODE = {profile.coding.CODE: profile for profile in Profile}
+CHUNK_PROFILES = tuple(_CODINGS)
+"""The profiles of version 1, in which every chunk is decodable by itself."""
+
+PROFILE_OF_CODE = {profile.coding.CODE: profile for profile in CHUNK_PROFILES}
 """The profile of each number that a chunk may hold."""

@@ -50,7 +50,7 @@ class Change:
     residuals: Bytes  # (3 + A, P)
     long_residuals: Ints  # (V,)
     new: Newcomers
-    start_offsets: Bytes  # (N,) frames after birth, of the new
+    start_offsets: Bytes  # (N,) of the new, frames after birth
     opacity_levels: int
 
     def predict(self, before: States, known: Flags) -> States:
@@ -65,7 +65,7 @@ def encode_body(
     before: States, predicted: States, new: Newcomers, start_offsets: Bytes | None
 ) -> tuple[bytes, list[int]]:
     """The body of a change, and the offsets between its parts. `before`: what the predicted were;
-    start_offsets: (N,) of the new, None if all are 0."""
+    start_offsets: of the new; None if all are 0."""
     residuals, longs = encode_predicted(before, predicted)
     planes, low_bits = encode_new(new.states, new.escaped)
     numbers = np.flatnonzero(new.escaped)

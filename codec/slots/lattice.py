@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -37,7 +37,7 @@ POSITION_LIMIT = 1 << 23
 """Magnitude that no integer coordinate reaches, so that f32 holds it and any difference exactly."""
 
 MIN_STEP, MAX_STEP = 1e-6, 1e6
-MAX_LOG_SCALE_BASE = 1e3
+MAX_BASE = 1e3
 
 SCALES, TURNS, COLOURS = 0, 3, 6
 """Where the attributes of a kind begin. The opacity is the last attribute."""
@@ -60,35 +60,36 @@ class Lattice:
 
     position_m: float
     log_scale: float
-    log_scale_base: float
-    """What the integer 0 means; the integers reach 128 steps down and 127 up from there."""
     rotation: float
     """Of a quaternion component."""
     colour: float
     """Of a spherical harmonic coefficient of Y, Co or Cg."""
     opacity_levels: int
     """Opacities from 0 to 1, both included."""
+    log_scale_base: float = 0.0
+    """The log-scale of the integer 0."""
 
     def __post_init__(self) -> None:
-        if not abs(self.log_scale_base) <= MAX_LOG_SCALE_BASE:
-            raise InvalidError(
-                f"lattice: log_scale_base {self.log_scale_base:g} is not within "
-                f"{MAX_LOG_SCALE_BASE:g}"
-            )
-        object.__setattr__(self, "log_scale_base", float(np.float32(self.log_scale_base)))
         for name in ("position_m", "log_scale", "rotation", "colour"):
             step = getattr(self, name)
-            if not (math.isfinite(step) and MIN_STEP <= step <= MAX_STEP):
+            if not MIN_STEP <= step <= MAX_STEP and step != np.float32(MIN_STEP):
                 raise InvalidError(f"lattice: {name} {step:g} is not in {MIN_STEP:g}..{MAX_STEP:g}")
             object.__setattr__(self, name, float(np.float32(step)))
+        if not abs(self.log_scale_base) <= MAX_BASE:
+            raise InvalidError(
+                f"lattice: log_scale_base {self.log_scale_base:g} is not in {-MAX_BASE:g}.."
+                f"{MAX_BASE:g}"
+            )
+        object.__setattr__(self, "log_scale_base", float(np.float32(self.log_scale_base)))
         if not 2 <= self.opacity_levels <= MAX_OPACITY_LEVELS:
             raise InvalidError(
                 f"lattice: opacity_levels {self.opacity_levels} is not in 2..{MAX_OPACITY_LEVELS}"
             )
 
     def floats(self) -> npt.NDArray[np.float32]:
-        """(5,) float32: the steps, and the base of the log-scales."""
-        return np.array(astuple(self)[:5], np.float32)
+        """(5,) float32: the steps and the base of the log-scales."""
+        steps = self.position_m, self.log_scale, self.rotation, self.colour
+        return np.array((*steps, self.log_scale_base), np.float32)
 
     @staticmethod
     def suiting(splats: Splats, coarser: float = 1.0) -> Lattice:
@@ -99,7 +100,6 @@ class Lattice:
         return Lattice(
             position_m * coarser,
             BASE_LOG_SCALE * coarser,
-            float(np.median(splats.log_scales)) if len(splats) else 0.0,
             BASE_ROTATION * coarser,
             BASE_COLOUR * coarser,
             levels,
@@ -135,8 +135,11 @@ class States:
         # Several times as fast as indexing with an array.
         return States(self.positions.take(rows, axis=0), self.attributes.take(rows, axis=0))
 
-    def put(self, rows: npt.NDArray[np.integer], states: States) -> None:
+    def put(self, rows: npt.NDArray[np.integer] | slice, states: States) -> None:
         """Replaces those at `rows`."""
+        if isinstance(rows, slice):
+            self.positions[rows], self.attributes[rows] = states.positions, states.attributes
+            return
         _put(rows, states.positions, states.attributes, self.positions, self.attributes)
 
     def copy(self) -> States:
@@ -203,6 +206,9 @@ def quantise(
         held[:, 3:] = before.attributes.view(np.int8)
         held[:, -1] = before.attributes[:, -1]
         rounded = np.where(np.abs(values - held) <= hold, held, rounded)
+    # An axis thinner than the lattice holds is flat all the same.
+    sizes = rounded[:, 3 + SCALES : 3 + TURNS]
+    np.maximum(sizes, -128, out=sizes)
     low = np.full(values.shape[1], -128.0)
     high = np.full(values.shape[1], 127.0)
     low[:3], high[:3] = 1 - POSITION_LIMIT, POSITION_LIMIT - 1
@@ -229,16 +235,15 @@ def dequantise_into(  # type: ignore[no-untyped-def]
 ):
     """Fills a row of the last five for each row of the first two. Without fastmath: FORMAT.md says
     the order of every operation. steps: `Lattice.floats`."""
-    position_m, log_scale, log_scale_base = steps[0], steps[1], steps[2]
-    rotation, colour = steps[3], steps[4]
+    position_m, log_scale, rotation, colour = steps[0], steps[1], steps[2], steps[3]
+    log_scale_base = steps[4]
     one, zero = np.float32(1), np.float32(0)
     coefficients = sh.shape[1]
     for i in range(positions.shape[0]):
         for axis in range(3):
             means[i, axis] = np.float32(positions[i, axis]) * position_m
-            log_scales[i, axis] = (
-                np.float32(np.int8(attributes[i, axis])) * log_scale + log_scale_base
-            )
+            size = np.float32(np.int8(attributes[i, axis])) * log_scale
+            log_scales[i, axis] = size + log_scale_base
         x = np.float32(np.int8(attributes[i, 3])) * rotation
         y = np.float32(np.int8(attributes[i, 4])) * rotation
         z = np.float32(np.int8(attributes[i, 5])) * rotation

@@ -13,11 +13,12 @@ from codec.slice import HIDDEN, window_births
 
 from .change import Newcomers, encode_change
 from .lattice import Bytes, States
-from .mask import ENDED, NEW, PREDICTED, MaskHistory, encode_mask
+from .mask import MaskHistory, encode_mask
+from .slotdecoder import SlotDecoder
 from .slotlayout import SlotLayout
 from .slotstate import EMPTY, ESCAPED, ON_LATTICE, Delta, Rows, Slots
 from .snapshot import encode_snapshot
-from .update import Update
+from .update import ENDED, NEW, PREDICTED, Update
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +62,23 @@ class SlotEncoder:
         """What the slots hold, lane after lane, layer after layer."""
         self.history = MaskHistory(layout)
 
+    @staticmethod
+    def resumed(decoder: SlotDecoder) -> SlotEncoder:
+        """An encoder that goes on after what `decoder`, which has all layers, has read."""
+        if decoder.frame is None or decoder.num_layers != decoder.layout.num_layers:
+            raise InvalidError("an encoder goes on only after a decoder that has all layers")
+        own, made = decoder.copy(), SlotEncoder(decoder.layout)
+        made.lanes, made.history, made.next_birth = own.lanes, own.history, decoder.frame + 1
+        return made
+
+    def copy(self) -> SlotEncoder:
+        """Another encoder that holds the same."""
+        made = SlotEncoder.__new__(SlotEncoder)
+        made.layout, made.next_birth = self.layout, self.next_birth
+        made.lanes = [list(lane) for lane in self.lanes]  # `take` replaces slots
+        made.history = self.history.copy()
+        return made
+
     def append(self, update: Update) -> EncodedSlice | None:
         """`encode`, then `take`."""
         encoded = self.encode(update)
@@ -93,8 +111,11 @@ class SlotEncoder:
     def take(self, update: Update) -> None:
         """Goes on to the slice of `update`."""
         self._check(update)
+        lane = self.lanes[self.layout.lane(update.birth)]
         for part in self._parts(update):
-            part.slots.advance(_delta(part))
+            slots = part.slots.copy()
+            slots.advance(_delta(part))
+            lane[part.layer] = slots
         if update.birth > 0:
             self.history.note(update.birth, update.statuses)
         self.next_birth = update.birth + 1
@@ -137,7 +158,7 @@ class SlotEncoder:
             coded = np.flatnonzero(statuses >= PREDICTED)
             is_new = statuses[coded] == NEW
             part = slice(coded_before, coded_before + len(coded))
-            states, offsets = update.states.take(part), update.start_offsets[part]
+            states = update.states.take(part)
             escaped = update.escaped[part][is_new]
             escapes_end = escapes_before + int(np.count_nonzero(escaped))
             yield _Part(
@@ -152,21 +173,21 @@ class SlotEncoder:
                     escaped,
                     update.escapes.take(slice(escapes_before, escapes_end)),
                 ),
-                offsets[is_new],
+                update.start_offsets[part][is_new],
             )
             coded_before, escapes_before = part.stop, escapes_end
 
 
 def _delta(part: _Part) -> Delta:
     """What `part` makes of its slots."""
-    num_predicted = len(part.predicted)
-    count, num_ended = num_predicted + len(part.new), len(part.ended_rows)
+    first_new = len(part.predicted)
+    count, num_ended = first_new + len(part.new), len(part.ended_rows)
     conditions = np.full(count + num_ended, ON_LATTICE, np.uint8)
     conditions[count:] = EMPTY
-    conditions[num_predicted:count][part.new.escaped] = ESCAPED
+    conditions[first_new:count][part.new.escaped] = ESCAPED
     starts = np.full(count + num_ended, HIDDEN, np.uint8)
-    starts[:num_predicted] = 0
-    starts[num_predicted:count] = part.start_offsets
+    starts[:first_new] = 0
+    starts[first_new:count] = part.start_offsets
     sh_degree = part.slots.states.sh_degree
     states = States.concatenate(
         [part.predicted, part.new.states, States.zeros(num_ended, sh_degree)]

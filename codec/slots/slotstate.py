@@ -19,7 +19,7 @@ from codec.splats import Floats, Splats, array_shapes
 
 from .change import Change, Newcomers
 from .lattice import Bytes, Lattice, States, dequantise_into
-from .mask import ENDED, NEW, PREDICTED
+from .update import ENDED, NEW, PREDICTED
 
 UNKNOWN, EMPTY, ON_LATTICE, ESCAPED = 0, 1, 2, 3
 """The condition of a slot: what it held is lost, nothing, or a Gaussian of one of two kinds."""
@@ -102,7 +102,7 @@ class Slots:
         conditions[: len(predicted)] = before  # what was unknown stays so
         escaped = change.new.escaped
         conditions[len(predicted) : coded] = np.where(escaped, ESCAPED, ON_LATTICE)
-        starts[: len(predicted)] = np.where(known, 0, HIDDEN)
+        starts[: len(predicted)][known] = 0
         starts[len(predicted) : coded] = change.start_offsets
         states = States.concatenate([moved, _without(change.new), nothing])
         return Delta(rows, conditions, states, starts, new[escaped], change.new.escapes)

@@ -10,8 +10,10 @@ from codec.errors import InvalidError
 from codec.splats import Splats
 
 from .lattice import POSITION_LIMIT, Bytes, Flags, States
-from .mask import NEW, PREDICTED
 from .slotlayout import SlotLayout
+
+KEPT, ENDED, PREDICTED, NEW = range(4)
+"""The status of a slot: what a slice says of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,8 +70,8 @@ class Update:
             raise InvalidError(
                 f"{what}: start offset {self.start_offsets.max()} of {layout.swin_size} frames"
             )
-        if (self.start_offsets[self.statuses[coded] == PREDICTED] != 0).any():
-            raise InvalidError(f"{what}: a predicted Gaussian starts late; make it a new one")
+        if self.start_offsets[self.statuses[coded] == PREDICTED].any():
+            raise InvalidError(f"{what}: a predicted Gaussian starts late; it goes on at once")
         if len(self.escapes) != np.count_nonzero(self.escaped):
             raise InvalidError(
                 f"{what}: {len(self.escapes)} escapes, "

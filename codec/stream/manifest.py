@@ -19,12 +19,25 @@ from codec.camera import MAX_NAME_CHARS, Camera
 from codec.errors import CorruptError, InvalidError, UnsupportedError
 from codec.profiles.profile import Profile
 from codec.slice import MAX_SWIN_SIZE, window_births
+from codec.slots.lattice import Lattice
+from codec.slots.slotlayout import SlotLayout
 from codec.splats import MAX_SH_DEGREE
 
 from .chunk import MAX_SPLATS_PER_CHUNK, ChunkBounds
-from .layers import check_shares
+from .layers import MAX_LAYERS, check_shares
+from .manifestjson import (
+    lattice_of,
+    lattice_to_json,
+    number,
+    parse_manifest,
+    typed,
+)
 
 VERSION = 1
+"""Of streams whose slices are sent whole."""
+
+SLOTS_VERSION = 2
+"""Of streams whose slots last."""
 
 MANIFEST_NAME = "manifest.json"
 SEGMENTS_NAME = "segments"
@@ -49,12 +62,24 @@ MAX_POSTER_BYTES = 255
 Point = tuple[float, float, float]
 
 
-def object_file(stream: Path, segment: int, layer: int) -> Path:
-    """Where the object of (segment, layer) lies in the folder `stream`.
+MASKS = "masks"
+"""The part of a segment that holds the masks of its slices (version 2)."""
+
+Part = int | str
+"""What an object holds of a segment: the number of a layer, MASKS, or `snapshot_part`."""
+
+
+def snapshot_part(layer: int) -> str:
+    """The part of a segment that is the snapshot of `layer` (version 2)."""
+    return f"snapshot-{layer}"
+
+
+def object_file(stream: Path, segment: int, part: Part) -> Path:
+    """Where the object of (segment, part) lies in the folder `stream`.
 
     Always there: the `object_url` of a manifest is only for those who fetch by URL.
     """
-    return stream / SEGMENTS_NAME / str(segment) / str(layer)
+    return stream / SEGMENTS_NAME / str(segment) / str(part)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +96,8 @@ class Manifest:
     num_gs: int
     """Gaussians active in a frame, at most: a multiple of swin_size."""
     layers: tuple[float, ...]
-    """Share of a slice's Gaussians in each layer; their sum is 1."""
+    """Share of a slice's Gaussians in each layer; their sum is 1. With slots it follows from them,
+    whatever is given here."""
     segment_frames: int
     """Frames in a segment; the last one may have fewer."""
     sh_degree: int
@@ -99,10 +125,29 @@ class Manifest:
     capture_frame: int = 0
     """Frame of the capture that frame 0 shows."""
     version: int = VERSION
+    slots: tuple[int, ...] = ()
+    """Slots of a lane in each layer (version 2; else none)."""
+    lattice: tuple[Lattice, ...] = ()
+    """The lattice of each layer (version 2; else none)."""
 
     def __post_init__(self) -> None:
-        if self.version != VERSION:
-            raise InvalidError(f"manifest: version {self.version}, not {VERSION}")
+        if self.version not in (VERSION, SLOTS_VERSION):
+            raise InvalidError(f"manifest: version {self.version}, not {VERSION} or 2")
+        if (self.profile is Profile.LATTICE) != (self.version == SLOTS_VERSION):
+            raise InvalidError(
+                f"manifest: profile {self.profile} in version {self.version}; `lattice` is that of "
+                f"version {SLOTS_VERSION}"
+            )
+        if bool(self.slots or self.lattice) != (self.version == SLOTS_VERSION):
+            raise InvalidError(
+                f"manifest: {len(self.slots)} layers of slots in version {self.version}; version "
+                f"{SLOTS_VERSION} has them, and no other"
+            )
+        if self.slots:
+            # Before the division by their sum.
+            self._check_slots()
+            shares = tuple(count / sum(self.slots) for count in self.slots)
+            object.__setattr__(self, "layers", shares)
         if not (math.isfinite(self.fps) and 0 < self.fps <= 1000):
             raise InvalidError(f"manifest: fps {self.fps} is not in 0..1000")
         if not 1 <= self.swin_size <= MAX_SWIN_SIZE:
@@ -155,6 +200,54 @@ class Manifest:
                 f"manifest: object_url {self.object_url!r} does not hold {{segment}} and {{layer}}"
             )
 
+    def _check_slots(self) -> None:
+        layout = self.slot_layout
+        if self.num_gs != self.swin_size * layout.num_slots:
+            raise InvalidError(
+                f"manifest: num_gs {self.num_gs} is not swin_size {self.swin_size} times "
+                f"{layout.num_slots} slots"
+            )
+
+    @property
+    def slot_layout(self) -> SlotLayout:
+        """What masks, changes and snapshots are coded with. Raises InvalidError in version 1."""
+        try:
+            return SlotLayout(
+                self.swin_size, self.slots, self.sh_degree, self.lattice, self.segment_frames
+            )
+        except InvalidError as error:
+            raise InvalidError(f"manifest: {error}") from error
+
+    @property
+    def has_slots(self) -> bool:
+        """Whether slots last: version 2."""
+        return self.version == SLOTS_VERSION
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """What each segment has an object of, in the order of the index."""
+        layers = range(self.num_layers)
+        if not self.has_slots:
+            return tuple(layers)
+        return (*layers, MASKS, *map(snapshot_part, layers))
+
+    def part_number(self, part: Part) -> int:
+        """The place of `part` in `parts`. Raises InvalidError if it has none."""
+        if part not in self.parts:
+            raise InvalidError(f"a segment has no part {part!r}; it has {len(self.parts)} parts")
+        return self.parts.index(part)
+
+    def max_content_bytes(self, part: Part) -> int:
+        """Bytes of the largest chunk that a packet of `part` can hold."""
+        if not self.has_slots:
+            return self.chunk_bounds.max_bytes
+        layout, number = self.slot_layout, self.part_number(part)
+        if part == MASKS:
+            return layout.max_mask_bytes
+        if number < self.num_layers:
+            return layout.max_change_bytes(number)
+        return layout.max_snapshot_bytes(number - self.num_layers - 1)
+
     @property
     def slice_size(self) -> int:
         """Gaussians in a slice, at most."""
@@ -184,19 +277,26 @@ class Manifest:
             f"no camera is called {wanted!r}; there are {', '.join(c.name for c in self.cameras)}"
         )
 
-    def object_path(self, segment: int, layer: int) -> str:
-        """Where the object of (segment, layer) is fetched, relative to the manifest."""
+    def object_path(self, segment: int, part: Part) -> str:
+        """Where the object of (segment, part) is fetched, relative to the manifest."""
         path = self.object_url.replace("{segment}", str(segment))
-        return path.replace("{layer}", str(layer))
+        return path.replace("{layer}", str(part))
 
     def segment_of(self, birth: int) -> int:
         """The segment that holds the slice born at `birth`."""
         return max(birth, 0) // self.segment_frames
 
     def births(self, segment: int, num_frames: int) -> range:
-        """The births in `segment`, which shows `num_frames` frames."""
+        """The births that the objects of `segment` hold, which shows `num_frames` frames. In
+        version 2 the slices before frame 0 are in the snapshots."""
         first = segment * self.segment_frames
-        return range(first if segment else self.first_birth, first + num_frames)
+        begin = first if segment or self.has_slots else self.first_birth
+        return range(begin, first + num_frames)
+
+    def part_births(self, segment: int, num_frames: int, part: Part) -> range:
+        """The births of the packets in the object of `part`, see `births`."""
+        births = self.births(segment, num_frames)
+        return births[:1] if type(part) is str and part != MASKS else births
 
     def with_live(self, live: bool) -> Manifest:
         return replace(self, live=live)
@@ -211,7 +311,7 @@ class Manifest:
             "fps": self.fps,
             "swin_size": self.swin_size,
             "num_gs": self.num_gs,
-            "layers": list(self.layers),
+            **self._layers_to_json(),
             "segment_frames": self.segment_frames,
             "sh_degree": self.sh_degree,
             "profile": self.profile.value,
@@ -235,27 +335,27 @@ class Manifest:
             )
         return data
 
+    def _layers_to_json(self) -> dict[str, Any]:
+        if not self.has_slots:
+            return {"layers": list(self.layers)}
+        return {
+            "slots": list(self.slots),
+            "lattice": [lattice_to_json(lattice) for lattice in self.lattice],
+        }
+
     @staticmethod
     def from_json(data: bytes) -> Manifest:
         """The manifest in `data`. Raises CorruptError, or UnsupportedError for a later version."""
         if len(data) > MAX_MANIFEST_BYTES:
             raise CorruptError(f"manifest: {len(data)} bytes, at most {MAX_MANIFEST_BYTES}")
-        try:
-            value = json.loads(data.decode(), parse_constant=_no_constant)
-        except UnicodeDecodeError as error:
-            raise CorruptError("manifest: is not UTF-8", error.start) from error
-        except json.JSONDecodeError as error:
-            at = len(error.doc[: error.pos].encode())
-            raise CorruptError(f"manifest: is not JSON: {error}", at) from error
-        except (ValueError, RecursionError) as error:
-            raise CorruptError(f"manifest: is not JSON: {error}") from error
-        if not isinstance(value, dict):
-            raise CorruptError("manifest: is not a JSON object")
+        value = parse_manifest(data)
         version = value.get("version")
         if type(version) is not int:
             raise CorruptError("manifest: has no version; this is not a swings stream")
-        if version != VERSION:
-            raise UnsupportedError(f"manifest: version {version}; this program reads {VERSION}")
+        if version not in (VERSION, SLOTS_VERSION):
+            raise UnsupportedError(
+                f"manifest: version {version}; this program reads {VERSION} and {SLOTS_VERSION}"
+            )
         try:
             with np.errstate(all="ignore"):
                 return _from_value(value)
@@ -272,58 +372,59 @@ def _is_unicode(text: str) -> bool:
     return True
 
 
-def _no_constant(name: str) -> Any:
-    raise ValueError(f"{name} is not a number")
-
-
-def _typed(value: Mapping[str, Any], key: str, *kinds: type) -> Any:
-    found = value.get(key)
-    if key not in value or type(found) not in kinds:
-        raise CorruptError(f"manifest: {key} is missing or of the wrong type")
-    return found
-
-
-def _number(value: Any, key: str) -> float:
-    if type(value) not in (int, float):
-        raise CorruptError(f"manifest: {key} holds something that is not a number")
-    try:
-        return float(value)
-    except OverflowError as error:
-        raise CorruptError(f"manifest: {key} holds a number out of range") from error
+def _slots(value: Mapping[str, Any]) -> dict[str, Any]:
+    """What version 2 says of layers."""
+    slots, lattices = typed(value, "slots", list), typed(value, "lattice", list)
+    if any(type(count) is not int for count in slots):
+        raise CorruptError("manifest: slots holds something that is not an integer")
+    if len(slots) != len(lattices):
+        raise CorruptError(f"manifest: {len(lattices)} lattices for {len(slots)} layers")
+    return {"slots": tuple(slots), "lattice": tuple(map(lattice_of, lattices[:MAX_LAYERS]))}
 
 
 def _from_value(value: Mapping[str, Any]) -> Manifest:
+    version = value["version"]
     try:
-        profile = Profile(_typed(value, "profile", str))
+        profile = Profile(typed(value, "profile", str))
+        if (profile is Profile.LATTICE) != (version == SLOTS_VERSION):
+            raise ValueError("of another version")
     except ValueError as error:
-        raise UnsupportedError(f"manifest: profile {str(value['profile'])[:40]!r}") from error
+        raise UnsupportedError(
+            f"manifest: profile {str(value['profile'])[:40]!r} in version {version}"
+        ) from error
+    layers: dict[str, Any] = {}
+    if version == SLOTS_VERSION:
+        layers = _slots(value)
+    shares = typed(value, "layers", list) if version == VERSION else []
     corners = []
-    for corner in _typed(value, "bounds", list):
+    for corner in typed(value, "bounds", list):
         if type(corner) is not list or len(corner) != 3:
             raise CorruptError("manifest: a corner of bounds is not three numbers")
-        x, y, z = (_number(number, "bounds") for number in corner)
+        x, y, z = (number(x, "bounds") for x in corner)
         corners.append((x, y, z))
     if len(corners) != 2:
         raise CorruptError("manifest: bounds are not two corners")
-    cameras = _typed(value, "cameras", list)
+    cameras = typed(value, "cameras", list)
     if len(cameras) > MAX_CAMERAS or any(type(camera) is not dict for camera in cameras):
         raise CorruptError(f"manifest: cameras are not at most {MAX_CAMERAS} objects")
     return Manifest(
-        fps=_number(_typed(value, "fps", int, float), "fps"),
-        swin_size=_typed(value, "swin_size", int),
-        num_gs=_typed(value, "num_gs", int),
-        layers=tuple(_number(x, "layers") for x in _typed(value, "layers", list)),
-        segment_frames=_typed(value, "segment_frames", int),
-        sh_degree=_typed(value, "sh_degree", int),
+        fps=number(typed(value, "fps", int, float), "fps"),
+        swin_size=typed(value, "swin_size", int),
+        num_gs=typed(value, "num_gs", int),
+        layers=tuple(number(x, "layers") for x in shares),
+        segment_frames=typed(value, "segment_frames", int),
+        sh_degree=typed(value, "sh_degree", int),
         profile=profile,
-        antialias=_typed(value, "antialias", bool),
-        near_m=_number(_typed(value, "near_m", int, float), "near_m"),
+        antialias=typed(value, "antialias", bool),
+        near_m=number(typed(value, "near_m", int, float), "near_m"),
         bounds=(corners[0], corners[1]),
         cameras=tuple(Camera.from_json(camera) for camera in cameras),
-        default_camera=_typed(value, "default_camera", str),
-        live=_typed(value, "live", bool),
-        poster=_typed(value, "poster", str, type(None)),
-        object_url=_typed(value, "object_url", str),
-        title=_typed(value, "title", str),
-        capture_frame=_typed(value, "capture_frame", int),
+        default_camera=typed(value, "default_camera", str),
+        live=typed(value, "live", bool),
+        poster=typed(value, "poster", str, type(None)),
+        object_url=typed(value, "object_url", str),
+        title=typed(value, "title", str),
+        capture_frame=typed(value, "capture_frame", int),
+        version=version,
+        **layers,
     )

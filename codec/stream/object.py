@@ -66,8 +66,11 @@ def decode_packet(data: bytes | memoryview, bounds: ChunkBounds = ANY_CHUNK) -> 
     return decode_chunk(decompress(data, bounds.max_bytes), bounds)
 
 
-def join_packets(packets: Sequence[tuple[int, bytes]], coder: Coder = Coder.ZSTD) -> bytes:
-    """The object of (birth, packet) pairs in order of birth; `coder` is that of all the packets."""
+def join_packets(
+    packets: Sequence[tuple[int, bytes]], coder: Coder = Coder.ZSTD, version: int = VERSION
+) -> bytes:
+    """The object of (birth, packet) pairs in order of birth; `coder` is that of all the packets,
+    `version` that of the stream."""
     if not 1 <= len(packets) <= MAX_CHUNKS_PER_OBJECT:
         raise InvalidError(f"object: {len(packets)} chunks, expected 1 to {MAX_CHUNKS_PER_OBJECT}")
     births = [birth for birth, _ in packets]
@@ -76,7 +79,7 @@ def join_packets(packets: Sequence[tuple[int, bytes]], coder: Coder = Coder.ZSTD
     offset = HEAD.size + ENTRY.size * len(packets)
     if offset + sum(len(packet) for _, packet in packets) > MAX_OBJECT_BYTES:
         raise InvalidError(f"object: over {MAX_OBJECT_BYTES} bytes; use shorter segments")
-    head = HEAD.pack(SKIPPABLE_MAGIC, offset - 8, TABLE_MAGIC, VERSION, coder, 0, len(packets))
+    head = HEAD.pack(SKIPPABLE_MAGIC, offset - 8, TABLE_MAGIC, version, coder, 0, len(packets))
     parts = [head]
     for birth, packet in packets:
         parts.append(ENTRY.pack(birth, offset, len(packet)))
@@ -94,8 +97,10 @@ def entry_offset(number: int) -> int:
     return HEAD.size + ENTRY.size * number
 
 
-def read_object_table(data: bytes | memoryview) -> list[ChunkEntry]:
+def read_object_table(data: bytes | memoryview, version: int = VERSION) -> list[ChunkEntry]:
     """The entries of an object of which `data` holds at least the table.
+
+    version: that of the stream.
 
     Births rise and the packets lie one after another, from the end of the table on. A CodecError
     says the place of the field that is wrong, or of the first of two that contradict each other.
@@ -104,12 +109,12 @@ def read_object_table(data: bytes | memoryview) -> list[ChunkEntry]:
         raise CorruptError(
             f"object: {len(data)} bytes are too few for a head of {HEAD.size}", len(data)
         )
-    skippable, following, magic, version, coder, zero, count = HEAD.unpack_from(data)
+    skippable, following, magic, found, coder, zero, count = HEAD.unpack_from(data)
     if skippable != SKIPPABLE_MAGIC or magic != TABLE_MAGIC:
         at = 0 if skippable != SKIPPABLE_MAGIC else 8
         raise CorruptError("object: does not start with a table of chunks", at)
-    if version != VERSION:
-        raise UnsupportedError(f"object: version {version}; this program reads {VERSION}", 12)
+    if found != version:
+        raise UnsupportedError(f"object: version {found}; this program reads {version}", 12)
     if coder not in set(Coder):
         known = " and ".join(f"{known.value} ({known.name.lower()})" for known in Coder)
         raise UnsupportedError(f"object: coder {coder}; this program reads {known}", CODER_OFFSET)
@@ -139,6 +144,20 @@ def read_object_table(data: bytes | memoryview) -> list[ChunkEntry]:
     return entries
 
 
+def entry_packet(data: bytes | memoryview, entry: ChunkEntry) -> memoryview:
+    """The packet of `entry` in the object `data`, which is of the object's coder. A CodecError
+    says where it begins, or ends."""
+    packet = memoryview(data)[entry.offset : entry.offset + entry.size]
+    if len(packet) < entry.size:
+        raise CorruptError(f"object: ends inside the chunk of birth {entry.birth}", len(data))
+    try:
+        if coder_of(packet) != data[CODER_OFFSET]:
+            raise CorruptError(f"packet: not of the object's coder, {data[CODER_OFFSET]}")
+    except CodecError as error:
+        raise error_in_object(error, entry) from error
+    return packet
+
+
 def _whole_table(data: bytes | memoryview) -> list[ChunkEntry]:
     entries = read_object_table(data)
     end = entries[-1].offset + entries[-1].size
@@ -158,12 +177,8 @@ def decode_object_chunk(
     data: bytes | memoryview, entry: ChunkEntry, bounds: ChunkBounds = ANY_CHUNK
 ) -> Chunk:
     """The chunk of one entry of the object `data`. A CodecError says where its packet begins."""
-    packet = memoryview(data)[entry.offset : entry.offset + entry.size]
-    if len(packet) < entry.size:
-        raise CorruptError(f"object: ends inside the chunk of birth {entry.birth}", len(data))
+    packet = entry_packet(data, entry)
     try:
-        if coder_of(packet) != data[CODER_OFFSET]:
-            raise CorruptError(f"packet: not of the object's coder, {data[CODER_OFFSET]}")
         chunk = decode_packet(packet, bounds)
     except CodecError as error:
         raise error_in_object(error, entry) from error

@@ -11,12 +11,11 @@ from hypothesis import strategies as st
 
 from codec.slice import HIDDEN, Slice, window_births
 from codec.slots.lattice import dequantise
-from codec.slots.mask import ENDED, NEW, PREDICTED
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.slotencoder import EncodedSlice, SlotEncoder
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.slotstate import EMPTY, ESCAPED, ON_LATTICE, UNKNOWN, Slots
-from codec.slots.update import Update
+from codec.slots.update import ENDED, NEW, PREDICTED, Update
 from codec.splats import Splats
 from tests.support.slots.updates import Model, patternless_updates, small_layout
 

@@ -19,7 +19,7 @@ from codec.coders.coder import Coder
 from codec.errors import CorruptError, InvalidError
 from codec.files import write_atomic
 from codec.framerange import FrameRange
-from codec.profiles.profile import Profile
+from codec.profiles.profile import CHUNK_PROFILES, Profile
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import Manifest
 from codec.stream.object import HEAD, decode_object
@@ -67,7 +67,7 @@ def plain_web_server(folder: Path) -> Iterator[str]:
         process.stdout.close()
 
 
-@pytest.mark.parametrize("profile", list(Profile))
+@pytest.mark.parametrize("profile", CHUNK_PROFILES)
 @pytest.mark.parametrize("sh_degree", [0, 2])
 def test_every_value_is_that_of_the_original(
     profile: Profile, sh_degree: int, tmp_path: Path
@@ -145,7 +145,7 @@ def test_a_swings_server_plays_it_too(folder: Path) -> None:
 def test_the_quality_that_the_index_knows_stays(tmp_path: Path) -> None:
     manifest = tiny_manifest()
     with StreamWriter.create(
-        tmp_path / "a", manifest, quality=lambda chunks: (20.5, 30.25) if chunks[0].birth else None
+        tmp_path / "a", manifest, quality=lambda frame, slices: (20.5, 30.25) if frame else None
     ) as writer:
         for birth in range(manifest.first_birth, 6):
             writer.append(tiny_slice(birth))

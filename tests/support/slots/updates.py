@@ -11,9 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from codec.slots.lattice import POSITION_LIMIT, Lattice, States, num_attributes
-from codec.slots.mask import ENDED, KEPT, NEW, PREDICTED
 from codec.slots.slotlayout import SlotLayout
-from codec.slots.update import Update
+from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats, array_shapes
 
 LATTICE = Lattice(0.01, 0.125, 0.0, 1 / 60, 0.056, 161)
@@ -105,7 +104,7 @@ def patternless_update(
     is_new = np.array([statuses[row] == NEW for row in coded], np.bool_)
     escaped = is_new & (rng.random(len(coded)) < 0.2)
     late = rng.random() < 0.5
-    offsets = rng.integers(0, layout.swin_size if late else 1, len(coded))
+    offsets = rng.integers(0, layout.swin_size if late else 1, len(coded)) * is_new
     return Update(
         birth,
         np.array(statuses, np.uint8),
