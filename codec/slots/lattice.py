@@ -191,9 +191,7 @@ def quantise(
         values = np.empty((count, 3 + COLOURS + 3 * coefficients + 1))
         values[:, :3] = means / lattice.position_m
         attributes = values[:, 3:]
-        # An axis so flat that the lattice does not reach it looks the same at its lower end.
-        sizes = (scales - lattice.log_scale_base) / lattice.log_scale
-        attributes[:, SCALES:TURNS] = np.maximum(sizes, -128)
+        attributes[:, SCALES:TURNS] = (scales - lattice.log_scale_base) / lattice.log_scale
         attributes[:, TURNS:COLOURS] = quats[:, 1:] / lattice.rotation
         colours = to_luma(rgb).transpose(0, 2, 1) / lattice.colour  # (N, 3, K): all Y, then Co, Cg
         attributes[:, COLOURS:-1] = colours.reshape(count, 3 * coefficients)

@@ -16,9 +16,8 @@ import numpy.typing as npt
 from codec.errors import InvalidError
 from codec.profiles.morton import interleave
 from codec.slots.lattice import States, dequantise, quantise
-from codec.slots.mask import ENDED, KEPT, NEW, PREDICTED
 from codec.slots.slotlayout import SlotLayout
-from codec.slots.update import Update
+from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
 
 from .budget import ByteBudget

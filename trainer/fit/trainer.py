@@ -17,9 +17,8 @@ import numpy.typing as npt
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.slice import Slice
-from codec.slots.mask import KEPT
 from codec.slots.slotlayout import SlotLayout
-from codec.slots.update import Update
+from codec.slots.update import KEPT, Update
 from codec.splats import Splats
 from trainer.pictures.feed import Pictures
 from trainer.pictures.shot import Shot

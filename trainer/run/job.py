@@ -110,7 +110,7 @@ def train_stream(
                 outputs.deliver(window.slices)
             save_checkpoint(checkpoint, trainer.state(), outputs.pending, settings)
             shown = trainer.num_shown(frame)
-            monitor.frame_finished(frame, shown, outputs.bytes_written, outputs.quality)
+            monitor.frame_finished(frame, shown, outputs.played_bytes, outputs.quality)
             if config.snapshot_every and frame % config.snapshot_every == 0:
                 write_snapshot(
                     trainer.shown(frame), frame, cache, prepared.near_m, config.target / "snapshots"

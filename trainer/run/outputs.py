@@ -51,9 +51,9 @@ class Outputs:
         """What may not be in a finished segment of every stream yet, in order of birth."""
 
     @property
-    def bytes_written(self) -> int:
-        """Of the first stream, to disk."""
-        return self._writers[0].bytes_written
+    def played_bytes(self) -> int:
+        """What is on disk of the first stream and fetched by one who plays it from frame 0."""
+        return self._writers[0].played_bytes
 
     @property
     def slice_bytes(self) -> int:

@@ -15,7 +15,7 @@ from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats, array_shapes
 
-LATTICE = Lattice(0.01, 0.125, 0.0, 1 / 60, 0.056, 161)
+LATTICE = Lattice(0.01, 0.125, 1 / 60, 0.056, 161)
 
 
 def small_layout(
@@ -25,7 +25,7 @@ def small_layout(
     segment_frames: int = 4,
 ) -> SlotLayout:
     lattices = tuple(
-        Lattice(0.01 * (n + 1), 0.125, 0.0, 1 / 60, 0.056, 161 - n) for n in range(len(slots))
+        Lattice(0.01 * (n + 1), 0.125, 1 / 60, 0.056, 161 - n) for n in range(len(slots))
     )
     return SlotLayout(swin_size, slots, sh_degree, lattices, segment_frames)
 

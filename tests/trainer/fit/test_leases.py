@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 from codec.errors import InvalidError
 from codec.slots.lattice import Lattice, States, dequantise, num_attributes
-from codec.slots.mask import ENDED, KEPT, NEW, PREDICTED
 from codec.slots.slotlayout import SlotLayout
-from codec.slots.update import Update
+from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
 from player.render.cpu import render_splats
 from trainer.fit.budget import ByteBudget
