@@ -32,6 +32,7 @@ from .generations import Generations
 from .leases import Leases
 from .optimiser import GATE_STEEPNESS, add_noise
 from .renew import Comparer, missing_splats
+from .together import cells_of, move_together
 
 Floats = npt.NDArray[np.float32]
 Doubles = npt.NDArray[np.float64]
@@ -47,6 +48,8 @@ the border."""
 LAYERED_FROM = 0.6
 """Share of genesis after which layers are told apart, and trained to do without those above, if it
 does not settle: otherwise every round tells them apart anew."""
+
+TOGETHER_SIZES = (0.1, 0.03)
 
 PROGRESS_PERIOD = 20
 """Iterations between two reports of progress."""
@@ -302,6 +305,8 @@ class Trainer:
             for birth in frames if first_is_new else frames[-1:]:
                 self._begin_slice(birth)
         active = {f: generations.lifespans.active_rows(f) for f in frames}
+        means = generations.values.means[: config.num_gs]
+        together = [cells_of(means, size * self._extent_m) for size in TOGETHER_SIZES]
         # Where most slots are kept, what their tiles show reaches no gradient.
         whole = genesis or self._leases is None
         ages = generations.lifespans.ages(frames.start)
@@ -323,7 +328,11 @@ class Trainer:
             calm = schedule.calm(iteration, config.calm_from, config.calm_end)
             means_lr_m = schedule.means_lr_m(iteration, self._extent_m)
             noise = schedule.noise_lr * means_lr_m
-            loss = self._step(camera, view, shot, rows, ages, means_lr_m, noise, calm, whole)
+            cells = None
+            if brings_new and self._leases is not None:
+                level = int(iteration / (config.together_share * schedule.iterations + 1e-9))
+                cells = together[level] if level < len(together) else None
+            loss = self._step(camera, view, shot, rows, ages, means_lr_m, noise, calm, whole, cells)
             done = iteration + 1
             period = config.mcmc.relocate_period
             if done % period == 0 and done <= config.mcmc.relocate_until * schedule.iterations:
@@ -346,6 +355,7 @@ class Trainer:
         noise: float,
         calm: float,
         whole: bool,
+        cells: Ints | None,
     ) -> float:
         """One iteration on the Gaussians `rows`; gives the loss."""
         config, values = self._config, self._generations.values
@@ -354,6 +364,8 @@ class Trainer:
             config.num_gs, self._gradients, whole,
         )  # fmt: skip
         trainable = rows[rows < config.num_gs]
+        if cells is not None:
+            move_together(self._gradients.means, trainable, cells)
         self._generations.adam.step(values, self._gradients, trainable, means_lr_m, ages, calm)
         if loss.gain_grad is not None and loss.bias_grad is not None:
             self._colour.step(camera, loss.gain_grad, loss.bias_grad)
