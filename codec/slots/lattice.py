@@ -19,7 +19,6 @@ from codec.profiles.orientation import canonical, nearest_form
 from codec.profiles.quantise import (
     BASE_COLOUR,
     BASE_LOG_SCALE,
-    BASE_OPACITY,
     BASE_ROTATION,
     MAX_OPACITY_LEVELS,
     choose_steps,
@@ -41,6 +40,9 @@ MAX_BASE = 1e3
 
 SCALES, TURNS, COLOURS = 0, 3, 6
 """Where the attributes of a kind begin. The opacity is the last attribute."""
+
+OPACITY_STEP = 1 / 40
+"""Coarser than that of chunks: opacity changes most from slice to slice, and shows least."""
 
 TAME = 1e30
 """Magnitude from which a value is not tried on the lattice."""
@@ -96,7 +98,7 @@ class Lattice:
         """A lattice for a stream that begins with `splats`, all steps times `coarser`: that of
         positions follows their sizes, for a scene may have any scale."""
         position_m = choose_steps(splats).position_m
-        levels = int(np.clip(round(1 / (BASE_OPACITY * coarser)) + 1, 2, MAX_OPACITY_LEVELS))
+        levels = int(np.clip(round(1 / (OPACITY_STEP * coarser)) + 1, 2, MAX_OPACITY_LEVELS))
         return Lattice(
             position_m * coarser,
             BASE_LOG_SCALE * coarser,
