@@ -33,8 +33,8 @@ from .config import TrainConfig
 FALLBACK_NEAR_M = 0.2
 """Near plane where a rig does not tell. 3DGS."""
 
-TRAINED_SIZE = 1.25
-"""Size of trained Gaussians over that of the first ones, to choose the steps of positions by."""
+GROWN = 1.25
+"""Size of trained Gaussians over that of the first ones."""
 
 LEAST_POINT_SHARE = 0.3
 """Of the first Gaussians, where points lie in a few spots only: those are what matters most."""
@@ -156,7 +156,7 @@ def make_manifest(
     lattice: tuple[Lattice, ...] = ()
     if config.profile is Profile.LATTICE:
         slots = layer_slots(config.layers, config.fit.num_gs // config.fit.swin_size)
-        lattice = (Lattice.suiting(initial, TRAINED_SIZE),) * len(slots)
+        lattice = (Lattice.suiting(initial, GROWN),) * len(slots)
     return Manifest(
         version=SLOTS_VERSION if slots else VERSION,
         fps=capture.fps,
