@@ -47,9 +47,23 @@ class StartRecord:
 
 @dataclass(frozen=True, slots=True)
 class SliceRecord:
-    """One slice: the packets of its layers 0, 1, ... (decode_packet)."""
+    """One slice: the packets of its layers 0, 1, ... (decode_packet).
+
+    In version 2 they are its changes, which may be none, and the mask comes with them.
+    """
 
     birth: int
+    packets: tuple[bytes, ...]
+    mask: bytes | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SnapshotRecord:
+    """The snapshots of layers `first_layer`, `first_layer` + 1, ... at a segment's first frame, to
+    be loaded after the slice born then (version 2)."""
+
+    frame: int
+    first_layer: int
     packets: tuple[bytes, ...]
 
 
@@ -67,7 +81,7 @@ class ErrorRecord:
     message: str
 
 
-Record = StartRecord | SliceRecord | EndRecord | ErrorRecord
+Record = StartRecord | SliceRecord | SnapshotRecord | EndRecord | ErrorRecord
 
 
 def encode_record(record: Record) -> bytes:
@@ -82,6 +96,15 @@ def encode_record(record: Record) -> bytes:
             }
         case SliceRecord():
             value = {"kind": "slice", "birth": record.birth, PACKETS_KEY: list(record.packets)}
+            if record.mask is not None:
+                value["mask"] = record.mask
+        case SnapshotRecord():
+            value = {
+                "kind": "snapshot",
+                "frame": record.frame,
+                "first": record.first_layer,
+                PACKETS_KEY: list(record.packets),
+            }
         case EndRecord():
             value = {"kind": "end", "num_frames": record.num_frames}
         case ErrorRecord():
@@ -106,6 +129,13 @@ def _count(value: dict[str, Any], key: str) -> int:
     if not 0 <= number < 1 << 31:
         raise CorruptError(f"play: {key!r} is {number}")
     return number
+
+
+def _packets(value: dict[str, Any], least: int) -> tuple[bytes, ...]:
+    packets = _field(value, PACKETS_KEY, list)
+    if not least <= len(packets) <= MAX_LAYERS or any(type(p) is not bytes for p in packets):
+        raise CorruptError(f"play: a {value['kind']!r} record without packets of its layers")
+    return tuple(packets)
 
 
 def _flat_list(items: list[Any]) -> list[Any]:
@@ -145,13 +175,21 @@ def decode_record(body: bytes | memoryview) -> Record:
                 _count(value, "from"), _count(value, "num_frames"), _field(value, "manifest", bytes)
             )
         case "slice":
-            packets = _field(value, PACKETS_KEY, list)
-            if not 1 <= len(packets) <= MAX_LAYERS or any(type(p) is not bytes for p in packets):
-                raise CorruptError("play: a 'slice' record without packets of its layers")
+            mask = _field(value, "mask", bytes) if "mask" in value else None
+            packets = _packets(value, least=1 if mask is None else 0)
             birth: int = _field(value, "birth", int)
             if not -(1 << 31) <= birth < 1 << 31:
                 raise CorruptError(f"play: a slice born at {birth}")
-            return SliceRecord(birth, tuple(packets))
+            return SliceRecord(birth, packets, mask)
+        case "snapshot":
+            packets = _packets(value, least=1)
+            first_layer = _count(value, "first")
+            if first_layer + len(packets) > MAX_LAYERS:
+                raise CorruptError(
+                    f"play: {len(packets)} snapshots from layer {first_layer} on, of {MAX_LAYERS} "
+                    "layers at most"
+                )
+            return SnapshotRecord(_count(value, "frame"), first_layer, packets)
         case "end":
             return EndRecord(_count(value, "num_frames"))
         case "error":

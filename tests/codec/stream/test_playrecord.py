@@ -19,6 +19,7 @@ from codec.stream.playrecord import (
     Record,
     RecordParser,
     SliceRecord,
+    SnapshotRecord,
     StartRecord,
     decode_record,
     encode_record,
@@ -32,6 +33,18 @@ records: st.SearchStrategy[Record] = st.one_of(
         SliceRecord,
         st.integers(-254, 2**31 - 1),
         st.lists(st.binary(max_size=50), min_size=1, max_size=16).map(tuple),
+    ),
+    st.builds(
+        SliceRecord,
+        st.integers(-254, 2**31 - 1),
+        st.lists(st.binary(max_size=50), max_size=16).map(tuple),
+        st.binary(max_size=50),
+    ),
+    st.builds(
+        SnapshotRecord,
+        frames,
+        st.integers(0, 4),
+        st.lists(st.binary(max_size=50), min_size=1, max_size=12).map(tuple),
     ),
     st.builds(EndRecord, frames),
     st.builds(ErrorRecord, st.text(max_size=100)),
@@ -61,6 +74,28 @@ def test_byte_by_byte() -> None:
     parser = RecordParser()
     received = [record for byte in data for record in parser.feed(bytes([byte]))]
     assert received == sent
+
+
+def test_records_of_version_2() -> None:
+    record = SliceRecord(-1, (), b"m")
+    body = b"\x84\xa4kind\xa5slice\xa5birth\xff\xa6frames\x90\xa4mask\xc4\x01m"
+    assert encode_record(record) == struct.pack("<I", len(body)) + body
+    snapshot = {"kind": "snapshot", "frame": 8, "first": 1, "frames": [b"a", b"b"]}
+    assert msgpack.unpackb(encode_record(SnapshotRecord(8, 1, (b"a", b"b")))[4:]) == snapshot
+    wrong: list[dict[str, Any]] = [
+        {"kind": "slice", "birth": 0, "frames": [], "mask": "text"},
+        {"kind": "slice", "birth": 0, "frames": []},
+        {**snapshot, "frames": []},
+        {**snapshot, "first": 15},
+        {**snapshot, "first": -1},
+        {**snapshot, "frame": -1},
+        {**snapshot, "frame": 1 << 31},
+        {**snapshot, "frames": [b""] * 16},
+        {"kind": "snapshot", "frame": 8, "frames": [b"a"]},
+    ]
+    for value in wrong:
+        with pytest.raises(CorruptError):
+            decode_record(msgpack.packb(value))
 
 
 def test_the_bytes_are_pinned() -> None:
