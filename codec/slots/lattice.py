@@ -42,6 +42,9 @@ MAX_LOG_SCALE_BASE = 1e3
 SCALES, TURNS, COLOURS = 0, 3, 6
 """Where the attributes of a kind begin. The opacity is the last attribute."""
 
+MAX_HOLD = 4
+"""Steps by which a number that is held may miss."""
+
 TAME = 1e30
 """Magnitude from which a value is not tried on the lattice."""
 
@@ -78,7 +81,7 @@ class Lattice:
         object.__setattr__(self, "log_scale_base", float(np.float32(self.log_scale_base)))
         for name in ("position_m", "log_scale", "rotation", "colour"):
             step = getattr(self, name)
-            if not (math.isfinite(step) and MIN_STEP <= step <= MAX_STEP):
+            if not MIN_STEP <= step <= MAX_STEP and step != np.float32(MIN_STEP):
                 raise InvalidError(f"lattice: {name} {step:g} is not in {MIN_STEP:g}..{MAX_STEP:g}")
             object.__setattr__(self, name, float(np.float32(step)))
         if not 2 <= self.opacity_levels <= MAX_OPACITY_LEVELS:
@@ -166,8 +169,10 @@ def quantise(
 
     before: what the same Gaussians were. Of the equal forms of a Gaussian the one nearest to it is
     taken, and a value within `hold` steps of the one before stays that one; from 0.5, which rounds
-    to the nearest, upwards differences get fewer and errors larger.
+    to the nearest, upwards differences get fewer and errors larger; at most MAX_HOLD.
     """
+    if not 0 <= hold <= MAX_HOLD:
+        raise InvalidError(f"lattice: hold {hold:g} is not in 0..{MAX_HOLD}")
     count, coefficients = len(splats), splats.sh.shape[1]
     with np.errstate(over="ignore", invalid="ignore"):
         means = splats.means.astype(np.float64)

@@ -15,7 +15,7 @@ from .rangecoder import (
     decode_bit,
     encode_bit,
     finish_encoding,
-    new_probabilities,
+    new_model,
     start_decoding,
 )
 from .slotchunk import Kind, SlotHeader
@@ -35,6 +35,7 @@ class MaskHistory:
         self._layout = layout
         # 2 if not kept by the last mask of the lane, plus 1 if not by the one before that.
         self._recent = np.zeros((layout.swin_size, layout.num_slots), np.uint8)
+        self._lost = np.zeros(layout.swin_size, np.bool_)
 
     def of(self, birth: int) -> Bytes:
         """(S,) uint8, 0..3: the `h` of each slot in the mask of `birth`."""
@@ -43,25 +44,36 @@ class MaskHistory:
         recent: Bytes = self._recent[self._layout.lane(birth)]
         return recent
 
-    def note(self, birth: int, statuses: Bytes) -> None:
-        """Takes in the mask of `birth`; one of a segment's first frame begins anew."""
+    def copy(self) -> MaskHistory:
+        made = MaskHistory(self._layout)
+        made._recent[:] = self._recent
+        made._lost[:] = self._lost
+        return made
+
+    def is_readable(self, birth: int) -> bool:
+        """Whether the mask of `birth` can be decoded: no mask that it is read with was lost."""
+        first = birth == self._layout.segment_start(birth)
+        return first or not self._lost[self._layout.lane(birth)]
+
+    def note(self, birth: int, statuses: Bytes | None) -> None:
+        """Takes in the mask of `birth`, None if it is lost; that of a segment's first frame begins
+        anew."""
         if birth == self._layout.segment_start(birth):
             self._recent.fill(0)
+            self._lost.fill(False)
+            return
+        if statuses is None:
+            self._lost[self._layout.lane(birth)] = True
             return
         lane = self._recent[self._layout.lane(birth)]
         lane >>= 1
         lane |= (statuses != KEPT).view(np.uint8) << 1
 
-    def copy(self) -> MaskHistory:
-        made = MaskHistory(self._layout)
-        made._recent[:] = self._recent
-        return made
-
 
 def encode_mask(layout: SlotLayout, birth: int, statuses: Bytes, history: Bytes) -> EncodedChunk:
     """The mask of (S,) `statuses`, of which `history` is `MaskHistory.of(birth)`."""
     out = np.zeros(layout.max_mask_bytes, np.uint8)
-    size = _encode(statuses, history, np.array(layout.row_edges), *new_probabilities(CONTEXTS), out)
+    size = _encode(statuses, history, np.array(layout.row_edges), new_model(CONTEXTS), out)
     head = SlotHeader(Kind.MASK, 0, birth).pack()
     data = head + out[:size].tobytes()
     return EncodedChunk(birth, data, (0, len(data)))
@@ -74,9 +86,7 @@ def decode_mask(
     SlotHeader.read(data, Kind.MASK).expect(birth, 0)
     body = np.frombuffer(data, np.uint8, offset=HEADER_BYTES)
     statuses = np.empty(layout.num_slots, np.uint8)
-    read = _decode(
-        body, history, np.array(layout.row_edges), *new_probabilities(CONTEXTS), statuses
-    )
+    read = _decode(body, history, np.array(layout.row_edges), new_model(CONTEXTS), statuses)
     if read < 0:
         raise CorruptError("mask: its code is not below its range", HEADER_BYTES)
     if read != len(body):
@@ -88,7 +98,7 @@ def decode_mask(
 
 
 @kernel(nogil=True)
-def _encode(statuses, history, row_edges, probabilities, counts, out):  # type: ignore[no-untyped-def]
+def _encode(statuses, history, row_edges, model, out):  # type: ignore[no-untyped-def]
     """Fills out; gives how many bytes."""
     range_, low, at = WHOLE, 0, 0
     for layer in range(row_edges.shape[0] - 1):
@@ -98,26 +108,20 @@ def _encode(statuses, history, row_edges, probabilities, counts, out):  # type: 
             neighbours = 2 * (before & 1) + ((before >> 1) & 1)
             context = 8 * h + 2 * neighbours + (before >> 2)
             changed = 0 if status == KEPT else 1
-            range_, low, at = encode_bit(
-                out, probabilities, counts, context, changed, range_, low, at
-            )
+            range_, low, at = encode_bit(out, model, context, changed, range_, low, at)
             if changed:
                 other = 0 if status == PREDICTED else 1
                 context = FIRST_OF_B + h
-                range_, low, at = encode_bit(
-                    out, probabilities, counts, context, other, range_, low, at
-                )
+                range_, low, at = encode_bit(out, model, context, other, range_, low, at)
                 if other:
                     ended = 0 if status == NEW else 1
-                    range_, low, at = encode_bit(
-                        out, probabilities, counts, CONTEXT_OF_C, ended, range_, low, at
-                    )
+                    range_, low, at = encode_bit(out, model, CONTEXT_OF_C, ended, range_, low, at)
             before = ((before << 1) | changed) & 7
     return finish_encoding(out, low, at)
 
 
 @kernel(nogil=True)
-def _decode(body, history, row_edges, probabilities, counts, statuses):  # type: ignore[no-untyped-def]
+def _decode(body, history, row_edges, model, statuses):  # type: ignore[no-untyped-def]
     """Fills statuses; gives how many bytes that took, which may be more than there are, or -1."""
     range_ = WHOLE
     code, at = start_decoding(body)
@@ -129,19 +133,15 @@ def _decode(body, history, row_edges, probabilities, counts, statuses):  # type:
             h = np.int64(history[i])
             neighbours = 2 * (before & 1) + ((before >> 1) & 1)
             context = 8 * h + 2 * neighbours + (before >> 2)
-            changed, range_, code, at = decode_bit(
-                body, probabilities, counts, context, range_, code, at
-            )
+            changed, range_, code, at = decode_bit(body, model, context, range_, code, at)
             status = KEPT
             if changed:
                 status = PREDICTED
                 context = FIRST_OF_B + h
-                other, range_, code, at = decode_bit(
-                    body, probabilities, counts, context, range_, code, at
-                )
+                other, range_, code, at = decode_bit(body, model, context, range_, code, at)
                 if other:
                     ended, range_, code, at = decode_bit(
-                        body, probabilities, counts, CONTEXT_OF_C, range_, code, at
+                        body, model, CONTEXT_OF_C, range_, code, at
                     )
                     status = ENDED if ended else NEW
             statuses[i] = status

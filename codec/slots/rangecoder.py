@@ -21,22 +21,21 @@ FIRST_PROBABILITY = 1 << 15
 """Of a 0, in 65536ths, before anything was coded."""
 
 MOST_COUNTED = 127
-"""Bits of a context that are counted. A probability moves by half of the way the first time, and by
-less and less, until the count stays here."""
-
-SHIFTS = np.floor(np.log2(np.arange(2, MOST_COUNTED + 2))).astype(np.int64)
-"""(MOST_COUNTED,) after 1, 2, ... bits a probability moves by 2**-SHIFTS[...] of the way."""
+"""Bits of a context that count: a probability moves by half of the way after the first, and by a
+128th of it in the end."""
 
 CODE_BYTES = 4
 """Bytes that are read before the first bit."""
 
-MAX_BYTES_PER_BIT = 4 / 3
-"""What a bit costs at most: a probability stays within 63 .. 65472."""
+Model = npt.NDArray[np.int64]
+"""(contexts, 3) of each context the probability, the count, and floor(log2(count + 1))."""
 
 
-def new_probabilities(contexts: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """(contexts,) the probabilities and the counts at the start of a body."""
-    return np.full(contexts, FIRST_PROBABILITY, np.int64), np.zeros(contexts, np.int64)
+def new_model(contexts: int) -> Model:
+    """What is known of bits at the start of a body."""
+    model = np.zeros((contexts, 3), np.int64)
+    model[:, 0] = FIRST_PROBABILITY
+    return model
 
 
 @kernel(nogil=True)
@@ -45,15 +44,18 @@ def _bound(range_, probability):  # type: ignore[no-untyped-def]
 
 
 @kernel(nogil=True)
-def _adapt(probabilities, counts, context, bit):  # type: ignore[no-untyped-def]
-    count = min(counts[context] + 1, MOST_COUNTED)
-    counts[context] = count
-    shift = SHIFTS[count - 1]
-    probability = probabilities[context]
+def _adapt(model, context, bit):  # type: ignore[no-untyped-def]
+    count = model[context, 1]
+    if count < MOST_COUNTED:
+        count += 1
+        model[context, 1] = count
+        if count & (count + 1) == 0:
+            model[context, 2] += 1
+    probability, shift = model[context, 0], model[context, 2]
     if bit:
-        probabilities[context] = probability - (probability >> shift)
+        model[context, 0] = probability - (probability >> shift)
     else:
-        probabilities[context] = probability + ((65535 - probability) >> shift)
+        model[context, 0] = probability + ((65535 - probability) >> shift)
 
 
 @kernel(nogil=True)
@@ -68,9 +70,9 @@ def start_decoding(data):  # type: ignore[no-untyped-def]
 
 
 @kernel(nogil=True)
-def decode_bit(data, probabilities, counts, context, range_, code, at):  # type: ignore[no-untyped-def]
+def decode_bit(data, model, context, range_, code, at):  # type: ignore[no-untyped-def]
     """The next bit, and range, code and place behind it. code must be below range_."""
-    bound = _bound(range_, probabilities[context])
+    bound = _bound(range_, model[context, 0])
     bit = 0
     if code < bound:
         range_ = bound
@@ -84,14 +86,14 @@ def decode_bit(data, probabilities, counts, context, range_, code, at):  # type:
         if at < data.shape[0]:
             code |= np.int64(data[at])
         at += 1
-    _adapt(probabilities, counts, context, bit)
+    _adapt(model, context, bit)
     return bit, range_, code, at
 
 
 @kernel(nogil=True)
-def encode_bit(out, probabilities, counts, context, bit, range_, low, at):  # type: ignore[no-untyped-def]
-    """Range, lower end and place behind `bit`. out must have room, see MAX_BYTES_PER_BIT."""
-    bound = _bound(range_, probabilities[context])
+def encode_bit(out, model, context, bit, range_, low, at):  # type: ignore[no-untyped-def]
+    """Range, lower end and place behind `bit`. out must have room."""
+    bound = _bound(range_, model[context, 0])
     if bit:
         low += bound
         range_ -= bound
@@ -109,7 +111,7 @@ def encode_bit(out, probabilities, counts, context, bit, range_, low, at):  # ty
         at += 1
         low = (low << 8) & WHOLE
         range_ <<= 8
-    _adapt(probabilities, counts, context, bit)
+    _adapt(model, context, bit)
     return range_, low, at
 
 

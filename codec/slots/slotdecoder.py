@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from codec.errors import CorruptError, InvalidError
+from codec.errors import CodecError, CorruptError, InvalidError
 from codec.slice import Slice, window_births
 from codec.splats import Splats
 
@@ -76,8 +76,6 @@ class SlotDecoder:
         """What the slots hold, lane after lane, layer after layer."""
         self.history = MaskHistory(layout)
         self._missed: dict[tuple[int, int], _Missed] = {}
-        self._lost: dict[int, int] = {}
-        """By lane the birth of the last mask that was missing or could not be read."""
 
     def load(self, data: Data) -> None:
         """Takes in the snapshot `data` of a layer, in place of what is here of it.
@@ -102,10 +100,11 @@ class SlotDecoder:
     def apply(self, birth: int, mask: Data | None, changes: Sequence[Data | None]) -> Slice:
         """Goes on by the slice born at `birth`, which follows the last one.
 
-        mask: None if it is missing: then all slots of the lane are unknown from now on, and the
-        changes are of no use; so are the lane's later masks in the segment, see `can_read`.
         changes: of layers 0, 1, ...; None for one that is missing, which may come `late`. Layers
         behind the last are not expected.
+        mask: None if it is missing. All slots of the lane are unknown then, and the changes are of
+        no use. Later masks of the lane in this segment are not read, and count as missing, too,
+        unless it was that of the segment's first frame.
         Gives the slots that changed, as a slice with rows: row r is slot r of the lane, counted
         over all layers.
         """
@@ -114,8 +113,8 @@ class SlotDecoder:
             raise InvalidError(f"the slice born at {birth} does not follow {last}")
         if len(changes) > self.num_layers:
             raise InvalidError(f"{len(changes)} changes for {self.num_layers} layers")
-        if mask is None or not self.can_read(birth):
-            return self._lose(birth)
+        if mask is None or not self.history.is_readable(birth):
+            return self._lose_lane(birth)
         statuses = decode_mask(self.layout, birth, mask, self.history.of(birth))
         lane = self.layout.lane(birth)
         parts = self._by_layer(statuses)
@@ -137,29 +136,23 @@ class SlotDecoder:
         rows = [np.flatnonzero(part != KEPT) for part in parts]
         return self._slice(birth, rows, with_rows=True)
 
-    def can_read(self, birth: int) -> bool:
-        """Whether the mask of `birth` can be read: all that it depends on have come."""
-        first = self.layout.segment_start(birth)
-        return self._lost.get(self.layout.lane(birth), -1) <= first
-
-    def _lose(self, birth: int) -> Slice:
-        """Goes on without knowing what the slice says."""
-        lane = self.layout.lane(birth)
-        self._lost[lane] = birth
-        for layer, count in enumerate(self.layout.slots[: self.num_layers]):
-            self.lanes[lane][layer] = Slots(count, self.layout.sh_degree, UNKNOWN)
+    def _lose_lane(self, birth: int) -> Slice:
+        """Goes on by a slice whose mask is not at hand."""
+        lane, sh_degree = self.layout.lane(birth), self.layout.sh_degree
+        counts = self.layout.slots[: self.num_layers]
+        self.lanes[lane] = [Slots(count, sh_degree, UNKNOWN) for count in counts]
+        for layer in range(self.num_layers):
             self._missed.pop((lane, layer), None)
-        if birth == self.layout.segment_start(birth):
-            self.history.note(birth, np.zeros(self.layout.num_slots, np.uint8))
+        self.history.note(birth, None)
         self.frame = birth
-        rows = [np.arange(count) for count in self.layout.slots[: self.num_layers]]
-        return self._slice(birth, rows, with_rows=True)
+        return self._slice(birth, [np.arange(count) for count in counts], with_rows=True)
 
     def late(self, birth: int, layer: int, change: Data) -> Slice | None:
         """Takes in a change that was missing when its slice was applied.
 
         Gives what it alters in the lane as it is now, as a slice with rows of the lane's last
-        birth; None if the change is of no use any more.
+        birth; None if the change is of no use any more. A change after it that does not fit what
+        the slots turn out to hold counts as missing.
         """
         lane = self.layout.lane(birth)
         missed = self._missed.get((lane, layer))
@@ -169,7 +162,13 @@ class SlotDecoder:
         since[birth] = since[birth][0], bytes(change)
         slots, altered = missed.before.copy(), np.zeros(self.layout.slots[layer], np.bool_)
         for known, (statuses, known_change) in since.items():
-            slots.advance(self._delta(known, layer, slots, statuses, known_change))
+            try:
+                delta = self._delta(known, layer, slots, statuses, known_change)
+            except CodecError:
+                if known == birth:
+                    raise
+                delta = self._delta(known, layer, slots, statuses, None)
+            slots.advance(delta)
             if known >= birth:
                 altered |= statuses != KEPT
         self.lanes[lane][layer] = slots

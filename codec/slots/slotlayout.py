@@ -11,13 +11,19 @@ from codec.slice import MAX_SWIN_SIZE
 from codec.splats import MAX_SH_DEGREE
 
 from .lattice import Lattice, num_attributes
-from .rangecoder import CODE_BYTES, MAX_BYTES_PER_BIT
+from .rangecoder import CODE_BYTES
 
 MAX_SLOTS = 1 << 20
 """Slots in a lane, all layers together."""
 
-MAX_SLOTS_PER_SEGMENT = 1 << 28
-"""Statuses in the masks of a segment."""
+MAX_SLOTS_OF_LANES = 1 << 24
+"""Slots in all lanes together."""
+
+MAX_SEGMENT_SLOTS = 1 << 28
+"""Slots of a lane times frames in a segment: bounds what the masks of a segment inflate to."""
+
+MAX_MASK_BYTES_PER_SLOT = 4
+"""Three bits at most, each of which costs 10.5 at most: a probability stays above 3 in 4096."""
 
 MAX_SLOT_LAYERS = 16
 MAX_SLOT_SEGMENT_FRAMES = 4096
@@ -56,6 +62,11 @@ class SlotLayout:
             raise InvalidError(
                 f"slots: {self.slots[:16]} are not at least 1 each and {MAX_SLOTS} together at most"
             )
+        if self.swin_size * self.num_slots > MAX_SLOTS_OF_LANES:
+            raise InvalidError(
+                f"slots: {self.num_slots} in each of {self.swin_size} lanes are more than "
+                f"{MAX_SLOTS_OF_LANES}"
+            )
         if not 0 <= self.sh_degree <= MAX_SH_DEGREE:
             raise InvalidError(f"slots: SH degree {self.sh_degree} is not in 0..{MAX_SH_DEGREE}")
         if len(self.lattices) != len(self.slots):
@@ -67,11 +78,10 @@ class SlotLayout:
                 f"slots: segment_frames {self.segment_frames} is not in "
                 f"1..{MAX_SLOT_SEGMENT_FRAMES}"
             )
-
-        if self.segment_frames * sum(self.slots) > MAX_SLOTS_PER_SEGMENT:
+        if self.segment_frames * self.num_slots > MAX_SEGMENT_SLOTS:
             raise InvalidError(
-                f"slots: {sum(self.slots)} in {self.segment_frames} frames of a segment are more "
-                f"than {MAX_SLOTS_PER_SEGMENT} together; use shorter segments"
+                f"slots: {self.num_slots} slots in segments of {self.segment_frames} frames, their "
+                f"product is at most {MAX_SEGMENT_SLOTS}; use shorter segments"
             )
 
     @property
@@ -104,7 +114,7 @@ class SlotLayout:
     @property
     def max_mask_bytes(self) -> int:
         """Bytes of the longest mask, before the entropy coder."""
-        return HEADER_BYTES + CODE_BYTES + int(3 * MAX_BYTES_PER_BIT * self.num_slots) + 4
+        return HEADER_BYTES + CODE_BYTES + MAX_MASK_BYTES_PER_SLOT * self.num_slots
 
     def max_change_bytes(self, layer: int) -> int:
         """Bytes of the longest change of `layer`: all new, all escaped."""

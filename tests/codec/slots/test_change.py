@@ -48,7 +48,7 @@ def changes(draw: st.DrawFn) -> Case:
     ]
     escaped = rng.random(new) < draw(st.sampled_from([0, 0.2, 1]))
     newcomers = Newcomers(made[2], escaped, patternless_splats(rng, int(escaped.sum()), degree))
-    offsets = rng.integers(0, draw(st.sampled_from([1, 3])), predicted + new).astype(np.uint8)
+    offsets = rng.integers(0, draw(st.sampled_from([1, 3])), new).astype(np.uint8)
     return layout, made[0], made[1], newcomers, offsets
 
 
@@ -87,7 +87,7 @@ def test_the_farthest_ways_fit() -> None:
     )
     others = States(-corners.positions, np.full((4, 10), 30, np.uint8))
     none = Newcomers(corners, np.zeros(4, np.bool_), Splats.empty())
-    data = encode_change(0, 1, corners, others, none, np.zeros(8, np.uint8)).data
+    data = encode_change(0, 1, corners, others, none, np.zeros(4, np.uint8)).data
     change = decode_change(layout, 0, 1, data, 4, 4)
     found = change.predict(corners, np.ones(4, np.bool_))
     assert (found.positions == others.positions).all()
@@ -103,12 +103,12 @@ def good_change() -> tuple[SlotLayout, bytes, Callable[[bytes], States]]:
     before, predicted = (patternless_states(rng, levels * 6, 0, True) for _ in range(2))
     escaped = np.array([0, 1, 0, 0, 1], np.bool_)
     new = Newcomers(patternless_states(rng, levels * 5, 0), escaped, patternless_splats(rng, 2, 0))
-    offsets = (np.arange(11) % 3).astype(np.uint8)
+    offsets = (np.arange(5) % 3).astype(np.uint8)
     data = encode_change(0, 7, before, predicted, new, offsets).data
 
     def decode(data: bytes) -> States:
         change = decode_change(layout, 0, 7, data, 6, 5)
-        assert len(change.start_offsets) == 11
+        assert len(change.start_offsets) == 5
         return change.predict(before, np.ones(6, np.bool_))
 
     assert (decode(data).positions == predicted.positions).all()
@@ -180,7 +180,7 @@ def test_a_sum_outside_the_lattice_is_refused() -> None:
     none = Newcomers(States.zeros(0, 0), np.zeros(0, np.bool_), Splats.empty())
     moved = replace(state, positions=state.positions - 1)
     # From one nearer the edge, the same residual leads outside.
-    data = encode_change(0, 1, moved, state, none, np.zeros(1, np.uint8)).data
+    data = encode_change(0, 1, moved, state, none, np.zeros(0, np.uint8)).data
     change: Change = decode_change(layout, 0, 1, data, 1, 0)
     assert (change.predict(moved, np.ones(1, np.bool_)).positions == state.positions).all()
     with pytest.raises(CorruptError, match="leaves the lattice"):
@@ -188,7 +188,7 @@ def test_a_sum_outside_the_lattice_is_refused() -> None:
     assert not change.predict(state, np.zeros(1, np.bool_)).positions.any()
     bright = replace(state, attributes=np.full((1, 10), 160, np.uint8))
     dim = replace(state, attributes=np.full((1, 10), 150, np.uint8))
-    data = encode_change(0, 1, dim, bright, none, np.zeros(1, np.uint8)).data
+    data = encode_change(0, 1, dim, bright, none, np.zeros(0, np.uint8)).data
     change = decode_change(layout, 0, 1, data, 1, 0)
     with pytest.raises(CorruptError, match="leaves the lattice"):
         change.predict(bright, np.ones(1, np.bool_))
@@ -269,6 +269,27 @@ def test_what_an_encoder_refuses_leaves_it_as_it_was() -> None:
     assert encoder.append(Update.keeping(1, layout)) is not None
 
 
+def test_only_a_new_gaussian_starts_late() -> None:
+    layout = small_layout(3, (2,))
+    encoder = SlotEncoder(layout)
+    none = np.zeros(2, np.bool_)
+    offsets = np.array([0, 2], np.uint8)
+    both = States.zeros(2, 0)
+    for birth in (-2, -1, 0):
+        statuses = np.full(2, NEW, np.uint8)
+        encoder.append(Update(birth, statuses, both, offsets, none, Splats.empty()))
+    statuses = np.array([PREDICTED, NEW], np.uint8)
+    late = Update(1, statuses, both, offsets[::-1].copy(), none, Splats.empty())
+    with pytest.raises(InvalidError, match="a predicted Gaussian starts late"):
+        encoder.append(late)
+    made = encoder.append(replace(late, start_offsets=offsets))
+    assert made is not None
+    # 13 bytes for each, and one more for the start of the new one alone.
+    assert len(made.changes[0].data) == BODY + 20 + 2 * 13 + 1
+    change = decode_change(layout, 0, 1, made.changes[0].data, 1, 1)
+    assert change.start_offsets.tolist() == [2]
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -282,6 +303,8 @@ def test_what_an_encoder_refuses_leaves_it_as_it_was() -> None:
         ({"lattices": (LATTICE,) * 2}, "2 lattices for 1"),
         ({"segment_frames": 0}, "segment_frames 0"),
         ({"segment_frames": 4097}, "segment_frames 4097"),
+        ({"segment_frames": 257, "slots": (1 << 20,)}, "use shorter segments"),
+        ({"swin_size": 17, "slots": (1 << 20,)}, "in each of 17 lanes"),
     ],
 )
 def test_layouts_that_the_format_does_not_allow(change: dict[str, object], message: str) -> None:
@@ -290,10 +313,12 @@ def test_layouts_that_the_format_does_not_allow(change: dict[str, object], messa
 
 
 def test_bounds_stay_below_the_largest_chunk() -> None:
-    layout = SlotLayout(255, (1 << 19, 1 << 19), 3, (LATTICE,) * 2, 4096)
+    layout = SlotLayout(16, (1 << 19, 1 << 19), 3, (LATTICE,) * 2, 256)
     assert layout.max_change_bytes(0) < layout.max_snapshot_bytes(1) == MAX_SLOT_CHUNK_BYTES
-    assert layout.max_mask_bytes < 4 << 20
-    assert SlotLayout(1, (1,), 0, (Lattice(1, 1, 0, 1, 1, 2),), 1).max_change_bytes(0) == 12 + 20 + 83
+    assert layout.max_mask_bytes == 16 + (4 << 20)
+    assert (
+        SlotLayout(1, (1,), 0, (Lattice(1, 1, 0, 1, 1, 2),), 1).max_change_bytes(0) == 12 + 20 + 83
+    )
 
 
 def test_prediction_is_small() -> None:
@@ -303,7 +328,7 @@ def test_prediction_is_small() -> None:
     after = States(before.positions.copy(), before.attributes.copy())
     after.positions[:, 1] += rng.integers(-1, 2, 2000).astype(np.int32)
     none = Newcomers(States.zeros(0, 0), np.zeros(0, np.bool_), Splats.empty())
-    chunk = encode_change(0, 1, before, after, none, np.zeros(2000, np.uint8))
+    chunk = encode_change(0, 1, before, after, none, np.zeros(0, np.uint8))
     planes = np.frombuffer(chunk.data, np.uint8, offset=BODY + 20).reshape(13, 2000)
     assert set(np.flatnonzero(planes.any(axis=1)).tolist()) == {1}
     assert PREDICTED < NEW

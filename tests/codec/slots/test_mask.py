@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -34,14 +35,15 @@ def decoded_by_the_text(body: bytes, slots: Sequence[int], history: Bytes) -> tu
 
     def bit(context: int) -> int:
         nonlocal range_, code, read
-        bound = range_ // 4096 * max(p[context] // 16, 1)
+        bound = range_ // 4096 * (p[context] // 16)
         if code < bound:
             value, range_ = 0, bound
         else:
             value, code, range_ = 1, code - bound, range_ - bound
         while range_ < 1 << 24:
             range_, code, read = range_ * 256, code * 256 + body[read], read + 1
-        s = c[context] = min(c[context] + 1, 7)
+        c[context] = min(c[context] + 1, 127)
+        s = int(math.log2(c[context] + 1))
         p[context] += -(p[context] // 2**s) if value else (65535 - p[context]) // 2**s
         return value
 

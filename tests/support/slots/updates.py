@@ -105,7 +105,7 @@ def patternless_update(
     is_new = np.array([statuses[row] == NEW for row in coded], np.bool_)
     escaped = is_new & (rng.random(len(coded)) < 0.2)
     late = rng.random() < 0.5
-    offsets = rng.integers(0, layout.swin_size if late else 1, len(coded))
+    offsets = rng.integers(0, layout.swin_size if late else 1, len(coded)) * is_new
     return Update(
         birth,
         np.array(statuses, np.uint8),
