@@ -16,7 +16,7 @@ from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
 from player.render.cpu import render_splats
 from trainer.fit.budget import ByteBudget
-from trainer.fit.change import ChangeScores
+from trainer.fit.changescores import ChangeScores
 from trainer.fit.config import FitConfig
 from trainer.fit.leases import LeaseConfig, Leases
 from trainer.fit.mcmc import McmcConfig
