@@ -10,20 +10,13 @@ from codec.slice import HIDDEN
 from codec.slots import slotdecoder
 from codec.slots.change import Newcomers, encode_change
 from codec.slots.lattice import POSITION_LIMIT, States
-from codec.slots.mask import (
-    ENDED,
-    KEPT,
-    NEW,
-    PREDICTED,
-    MaskHistory,
-    decode_mask,
-    encode_mask,
-)
+from codec.slots.mask import MaskHistory, decode_mask, encode_mask
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.slotencoder import EncodedSlice, SlotEncoder
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.slotstate import EMPTY, ON_LATTICE, UNKNOWN, Slots
 from codec.slots.snapshot import encode_snapshot
+from codec.slots.update import ENDED, KEPT, NEW, PREDICTED
 from codec.splats import Splats
 from tests.support.hostile import flips, survives
 from tests.support.slots.updates import patternless_updates, small_layout

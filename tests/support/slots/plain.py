@@ -15,12 +15,12 @@ import numpy as np
 from codec.errors import CodecError
 from codec.slice import HIDDEN
 from codec.slots.lattice import Lattice, States, num_attributes
-from codec.slots.mask import NEW, PREDICTED, decode_mask
+from codec.slots.mask import decode_mask
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.slotencoder import SlotEncoder
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.slotstate import EMPTY, ON_LATTICE, UNKNOWN
-from codec.slots.update import Update
+from codec.slots.update import NEW, PREDICTED, Update
 from codec.splats import Splats, array_shapes
 from tests.goldens import slots_decoder as plain
 from tests.goldens.slots_encoder import RandomStream, encode_snapshot
