@@ -47,10 +47,22 @@ class StartRecord:
 
 @dataclass(frozen=True, slots=True)
 class SliceRecord:
-    """One slice: the packets of its layers 0, 1, ... (decode_packet)."""
+    """One slice: the packets of its layers 0, 1, ..., at least one unless there is a mask."""
 
     birth: int
     packets: tuple[bytes, ...]
+    mask: bytes | None = None
+    """The packet of its mask (version 2; else none)."""
+
+
+@dataclass(frozen=True, slots=True)
+class SnapshotRecord:
+    """Layers as they are after the slice of `frame`, the first of a segment (version 2)."""
+
+    frame: int
+    first_layer: int
+    packets: tuple[bytes, ...]
+    """The snapshots of the layers first_layer, first_layer + 1, ..., at least one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,11 +79,12 @@ class ErrorRecord:
     message: str
 
 
-Record = StartRecord | SliceRecord | EndRecord | ErrorRecord
+Record = StartRecord | SliceRecord | SnapshotRecord | EndRecord | ErrorRecord
 
 
 def encode_record(record: Record) -> bytes:
-    """The record's bytes, length first."""
+    """The record's bytes, length first. Raises InvalidError if no reader would take them."""
+    _check(record)
     match record:
         case StartRecord():
             value: dict[str, Any] = {
@@ -82,6 +95,15 @@ def encode_record(record: Record) -> bytes:
             }
         case SliceRecord():
             value = {"kind": "slice", "birth": record.birth, PACKETS_KEY: list(record.packets)}
+            if record.mask is not None:
+                value["mask"] = record.mask
+        case SnapshotRecord():
+            value = {
+                "kind": "snapshot",
+                "frame": record.frame,
+                "first": record.first_layer,
+                PACKETS_KEY: list(record.packets),
+            }
         case EndRecord():
             value = {"kind": "end", "num_frames": record.num_frames}
         case ErrorRecord():
@@ -92,6 +114,26 @@ def encode_record(record: Record) -> bytes:
     if len(body) > MAX_RECORD_BYTES:
         raise InvalidError(f"play: a record of {len(body)} bytes, at most {MAX_RECORD_BYTES}")
     return LENGTH.pack(len(body)) + body
+
+
+def _check(record: Record) -> None:
+    """Raises InvalidError if a number or the packets of `record` break a rule."""
+    match record:
+        case StartRecord():
+            sound = 0 <= record.from_frame < 1 << 31 and 0 <= record.num_frames < 1 << 31
+        case SliceRecord():
+            least = int(record.mask is None)
+            sound = least <= len(record.packets) <= MAX_LAYERS
+            sound &= -(1 << 31) <= record.birth < 1 << 31
+        case SnapshotRecord():
+            sound = 1 <= len(record.packets) <= MAX_LAYERS
+            sound &= 0 <= record.frame < 1 << 31 and 0 <= record.first_layer < MAX_LAYERS
+        case EndRecord():
+            sound = 0 <= record.num_frames < 1 << 31
+        case ErrorRecord():
+            sound = True
+    if not sound:
+        raise InvalidError(f"play: a {type(record).__name__} with a number that no reader takes")
 
 
 def _field(value: dict[str, Any], key: str, kind: type) -> Any:
@@ -106,6 +148,13 @@ def _count(value: dict[str, Any], key: str) -> int:
     if not 0 <= number < 1 << 31:
         raise CorruptError(f"play: {key!r} is {number}")
     return number
+
+
+def _packets(value: dict[str, Any], least: int) -> tuple[bytes, ...]:
+    packets = _field(value, PACKETS_KEY, list)
+    if not least <= len(packets) <= MAX_LAYERS or any(type(p) is not bytes for p in packets):
+        raise CorruptError(f"play: a {value['kind']!r} record without packets of its layers")
+    return tuple(packets)
 
 
 def _flat_list(items: list[Any]) -> list[Any]:
@@ -145,13 +194,20 @@ def decode_record(body: bytes | memoryview) -> Record:
                 _count(value, "from"), _count(value, "num_frames"), _field(value, "manifest", bytes)
             )
         case "slice":
-            packets = _field(value, PACKETS_KEY, list)
-            if not 1 <= len(packets) <= MAX_LAYERS or any(type(p) is not bytes for p in packets):
-                raise CorruptError("play: a 'slice' record without packets of its layers")
+            # Version 1 has no masks, and ignores what is called so.
+            mask = value.get("mask") if type(value.get("mask")) is bytes else None
+            packets = _packets(value, int(mask is None))
             birth: int = _field(value, "birth", int)
             if not -(1 << 31) <= birth < 1 << 31:
                 raise CorruptError(f"play: a slice born at {birth}")
-            return SliceRecord(birth, tuple(packets))
+            return SliceRecord(birth, packets, mask)
+        case "snapshot":
+            first = _count(value, "first")
+            if first >= MAX_LAYERS:
+                raise CorruptError(
+                    f"play: a snapshot of layer {first}, the last is {MAX_LAYERS - 1}"
+                )
+            return SnapshotRecord(_count(value, "frame"), first, _packets(value, 1))
         case "end":
             return EndRecord(_count(value, "num_frames"))
         case "error":

@@ -19,6 +19,7 @@ from codec.stream.playrecord import (
     Record,
     RecordParser,
     SliceRecord,
+    SnapshotRecord,
     StartRecord,
     decode_record,
     encode_record,
@@ -26,13 +27,19 @@ from codec.stream.playrecord import (
 from tests.support.hostile import flips, survives, truncations
 
 frames = st.integers(0, 2**31 - 1)
+births = st.integers(-(2**31), 2**31 - 1)
+packets = st.binary(max_size=50)
+
+
+def some(least: int) -> st.SearchStrategy[tuple[bytes, ...]]:
+    return st.lists(packets, min_size=least, max_size=16).map(tuple)
+
+
 records: st.SearchStrategy[Record] = st.one_of(
     st.builds(StartRecord, frames, frames, st.binary(max_size=50)),
-    st.builds(
-        SliceRecord,
-        st.integers(-254, 2**31 - 1),
-        st.lists(st.binary(max_size=50), min_size=1, max_size=16).map(tuple),
-    ),
+    st.builds(SliceRecord, births, some(1)),
+    st.builds(SliceRecord, births, some(0), packets),
+    st.builds(SnapshotRecord, frames, st.integers(0, 15), some(1)),
     st.builds(EndRecord, frames),
     st.builds(ErrorRecord, st.text(max_size=100)),
 )
@@ -67,18 +74,28 @@ def test_the_bytes_are_pinned() -> None:
     record = SliceRecord(-1, (b"ab",))
     body = b"\x83\xa4kind\xa5slice\xa5birth\xff\xa6frames\x91\xc4\x02ab"
     assert encode_record(record) == struct.pack("<I", len(body)) + body
+    record = SliceRecord(3, (), b"m")
+    body = b"\x84\xa4kind\xa5slice\xa5birth\x03\xa6frames\x90\xa4mask\xc4\x01m"
+    assert encode_record(record) == struct.pack("<I", len(body)) + body
+    snapshot = msgpack.unpackb(encode_record(SnapshotRecord(30, 2, (b"a", b"b")))[4:])
+    assert snapshot == {"kind": "snapshot", "frame": 30, "first": 2, "frames": [b"a", b"b"]}
     start = msgpack.unpackb(encode_record(StartRecord(1, 2, b"m"))[4:])
     assert start == {"kind": "start", "from": 1, "num_frames": 2, "manifest": b"m"}
 
 
 def test_truncations_wait_and_flips_never_crash() -> None:
-    data = encode_record(SliceRecord(5, (b"frame-0", b"frame-1")))
-    for cut in truncations(data):
-        parser = RecordParser()
-        assert parser.feed(cut) == []
-        assert parser.pending_bytes == len(cut)
-    for altered in flips(data):
-        survives(parse, altered)
+    for record in (
+        SliceRecord(5, (b"frame-0", b"frame-1")),
+        SliceRecord(5, (b"change-0",), b"mask"),
+        SnapshotRecord(30, 1, (b"snapshot-1",)),
+    ):
+        data = encode_record(record)
+        for cut in truncations(data):
+            parser = RecordParser()
+            assert parser.feed(cut) == []
+            assert parser.pending_bytes == len(cut)
+        for altered in flips(data):
+            survives(parse, altered)
 
 
 @given(st.binary(max_size=100))
@@ -106,6 +123,20 @@ def test_noise(noise: bytes) -> None:
         {"kind": "slice", "birth": 1, "frames": {}},
         {"kind": "slice", "birth": 1 << 40, "frames": [b""]},
         {"kind": "slice", "birth": 1.0, "frames": [b""]},
+        {"kind": "slice", "birth": 1, "frames": [b""] * 17, "mask": b""},
+        {"kind": "slice", "birth": 1, "mask": b""},
+        {"kind": "slice", "birth": 1, "frames": [], "mask": "text"},
+        {"kind": "slice", "birth": 1, "frames": [], "mask": [b""]},
+        {"kind": "snapshot", "frame": 0, "first": 0, "frames": []},
+        {"kind": "snapshot", "frame": 0, "first": 0, "frames": [b""] * 17},
+        {"kind": "snapshot", "frame": 0, "first": 0, "frames": [0]},
+        {"kind": "snapshot", "frame": 0, "first": 16, "frames": [b""]},
+        {"kind": "snapshot", "frame": 0, "first": -1, "frames": [b""]},
+        {"kind": "snapshot", "frame": 0, "first": False, "frames": [b""]},
+        {"kind": "snapshot", "frame": -1, "first": 0, "frames": [b""]},
+        {"kind": "snapshot", "frame": 1 << 31, "first": 0, "frames": [b""]},
+        {"kind": "snapshot", "first": 0, "frames": [b""]},
+        {"kind": "snapshot", "frame": 0, "frames": [b""]},
         {"kind": "end", "num_frames": 1 << 31},
         {"kind": "error", "message": b"bytes"},
         {1: 2},
@@ -115,6 +146,32 @@ def test_noise(noise: bytes) -> None:
 def test_maps_that_are_not_records(value: Any) -> None:
     with pytest.raises(CorruptError):
         decode_record(msgpack.packb(value))
+
+
+def test_a_slice_of_version_1_ignores_what_is_called_a_mask() -> None:
+    for mask in ("text", 7, [b"x"], None):
+        value = {"kind": "slice", "birth": 1, "frames": [b"a"], "mask": mask}
+        assert decode_record(msgpack.packb(value)) == SliceRecord(1, (b"a",))
+
+
+@pytest.mark.parametrize(
+    "record",
+    [
+        SliceRecord(1, ()),
+        SliceRecord(1, (b"",) * 17),
+        SliceRecord(1, (b"",) * 17, b"mask"),
+        SnapshotRecord(0, 0, ()),
+        SnapshotRecord(0, 0, (b"",) * 17),
+        SnapshotRecord(0, 16, (b"",)),
+        SnapshotRecord(-1, 0, (b"",)),
+        SliceRecord(1 << 31, (b"",)),
+        EndRecord(1 << 31),
+        StartRecord(-1, 0, b""),
+    ],
+)
+def test_what_no_reader_takes_is_not_written(record: Record) -> None:
+    with pytest.raises(InvalidError):
+        encode_record(record)
 
 
 def test_a_record_that_is_too_long_is_refused_at_its_length() -> None:
