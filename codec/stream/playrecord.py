@@ -205,7 +205,7 @@ def decode_record(body: bytes | memoryview) -> Record:
             first = _count(value, "first")
             if first >= MAX_LAYERS:
                 raise CorruptError(
-                    f"play: a snapshot of layer {first}, the last is {MAX_LAYERS - 1}"
+                    f"play: a snapshot of layer {first} of at most {MAX_LAYERS}"
                 )
             return SnapshotRecord(_count(value, "frame"), first, _packets(value, 1))
         case "end":
