@@ -42,6 +42,12 @@ class MaskHistory:
         recent: Bytes = self._recent[self._layout.lane(birth)]
         return recent
 
+    def copy(self) -> MaskHistory:
+        made = MaskHistory(self._layout)
+        made._recent[:] = self._recent
+        made._lost[:] = self._lost
+        return made
+
     def is_readable(self, birth: int) -> bool:
         """Whether the mask of `birth` can be decoded: no mask that it is read with was lost."""
         first = birth == self._layout.segment_start(birth)

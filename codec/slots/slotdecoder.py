@@ -6,24 +6,27 @@ layout.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from codec.errors import CorruptError, InvalidError
+from codec.errors import CodecError, CorruptError, InvalidError
 from codec.slice import Slice, window_births
 from codec.splats import Splats
 
 from .change import decode_change
 from .lattice import Bytes
 from .mask import MaskHistory, decode_mask
+from .slotchunk import BIRTH_AT, LAYER_AT
 from .slotlayout import SlotLayout
 from .slotstate import UNKNOWN, Delta, Rows, Slots, empty_arrays
 from .snapshot import decode_snapshot
 from .update import KEPT, NEW, PREDICTED
 
 Data = bytes | memoryview
+
+Blamed = Callable[[CodecError, int | None], CodecError]
 
 MIN_LOG_BYTES = 1 << 22
 """Room that there is at least for what may have to be applied again."""
@@ -78,18 +81,34 @@ class SlotDecoder:
         self.history = MaskHistory(layout)
         self._missed: dict[tuple[int, int], _Missed] = {}
 
-    def load(self, data: Data) -> None:
-        """Takes in the snapshot `data` of a layer, in place of what is here of it.
+    def copy(self) -> SlotDecoder:
+        """Another decoder that holds the same, without what late changes need."""
+        made = SlotDecoder(self.layout, self.num_layers)
+        made.frame, made.joined = self.frame, self.joined
+        made.lanes = [[slots.copy() for slots in lane] for lane in self.lanes]
+        made.history = self.history.copy()
+        return made
 
-        The first one may be of any segment; a later one must be of the slice that was applied last.
+    def load(self, data: Data, layer: int | None = None, frame: int | None = None) -> None:
+        """Takes in the snapshot `data`, in place of what is here of its layer.
+
+        layer, frame: which snapshot it should be; None takes that of any layer, and the first one
+        of any segment. A later one must be of the slice that was applied last.
         """
         snapshot = decode_snapshot(self.layout, data)
+        frame = self.frame if frame is None else frame
+        if frame is not None and snapshot.frame != frame:
+            raise CorruptError(
+                f"snapshot: of frame {snapshot.frame} where that of {frame} belongs", BIRTH_AT
+            )
+        if layer is not None and snapshot.layer != layer:
+            raise CorruptError(
+                f"snapshot: of layer {snapshot.layer} where that of {layer} belongs", LAYER_AT
+            )
+        if self.frame is not None and self.frame != frame:
+            raise InvalidError(f"the slices have come to {self.frame}, the snapshot to {frame}")
         if snapshot.layer >= self.num_layers:
             raise InvalidError(f"snapshot: of layer {snapshot.layer}, held are {self.num_layers}")
-        if self.frame is not None and snapshot.frame != self.frame:
-            raise CorruptError(
-                f"snapshot: of frame {snapshot.frame}, the slices have come to {self.frame}"
-            )
         births = window_births(snapshot.frame, self.layout.swin_size)
         for birth, slots in zip(births, snapshot.lanes, strict=True):
             lane = self.layout.lane(birth)
@@ -98,13 +117,21 @@ class SlotDecoder:
         if self.frame is None:
             self.frame = self.joined = snapshot.frame
 
-    def apply(self, birth: int, mask: Data | None, changes: Sequence[Data | None]) -> Slice:
+    def apply(
+        self,
+        birth: int,
+        mask: Data | None,
+        changes: Sequence[Data | None],
+        blamed: Blamed = lambda error, layer: error,
+    ) -> Slice:
         """Goes on by the slice born at `birth`, which follows the last one.
 
         changes: of layers 0, 1, ...; None for one that is missing, which may come `late`. Layers
         behind the last are not expected.
         mask: None if it is missing; the whole lane is unknown then until a snapshot, and later
         masks of it in this segment are not read.
+        blamed: makes of an error the one that is raised, given the layer of the change at fault,
+        or None if it is the mask.
         Gives the slots that changed, as a slice with rows: row r is slot r of the lane, counted
         over all layers.
         """
@@ -115,15 +142,17 @@ class SlotDecoder:
             raise InvalidError(f"{len(changes)} changes for {self.num_layers} layers")
         if mask is None or not self.history.is_readable(birth):
             return self._lose_lane(birth)
-        statuses = decode_mask(self.layout, birth, mask, self.history.of(birth))
-        lane = self.layout.lane(birth)
-        parts = self._by_layer(statuses)
-        deltas = [
-            self._delta(
-                birth, layer, slots, parts[layer], changes[layer] if layer < len(changes) else None
-            )
-            for layer, slots in enumerate(self.lanes[lane])
-        ]
+        lane, at_fault = self.layout.lane(birth), None
+        deltas = []
+        try:
+            statuses = decode_mask(self.layout, birth, mask, self.history.of(birth))
+            parts = self._by_layer(statuses)
+            for layer, slots in enumerate(self.lanes[lane]):
+                at_fault = layer
+                change = changes[layer] if layer < len(changes) else None
+                deltas.append(self._delta(birth, layer, slots, parts[layer], change))
+        except CodecError as error:
+            raise blamed(error, at_fault) from error
         for layer, delta in enumerate(deltas):
             slots = self.lanes[lane][layer]
             if layer < len(changes):

@@ -14,6 +14,7 @@ from codec.slice import HIDDEN, window_births
 from .change import Newcomers, encode_change
 from .lattice import Bytes, States
 from .mask import MaskHistory, encode_mask
+from .slotdecoder import SlotDecoder
 from .slotlayout import SlotLayout
 from .slotstate import EMPTY, ESCAPED, ON_LATTICE, Delta, Rows, Slots
 from .snapshot import encode_snapshot
@@ -61,6 +62,23 @@ class SlotEncoder:
         """What the slots hold, lane after lane, layer after layer."""
         self.history = MaskHistory(layout)
 
+    @staticmethod
+    def resumed(decoder: SlotDecoder) -> SlotEncoder:
+        """An encoder that goes on after what `decoder`, which has all layers, has read."""
+        if decoder.frame is None or decoder.num_layers != decoder.layout.num_layers:
+            raise InvalidError("an encoder goes on only after a decoder that has all layers")
+        own, made = decoder.copy(), SlotEncoder(decoder.layout)
+        made.lanes, made.history, made.next_birth = own.lanes, own.history, decoder.frame + 1
+        return made
+
+    def copy(self) -> SlotEncoder:
+        """Another encoder that holds the same."""
+        made = SlotEncoder.__new__(SlotEncoder)
+        made.layout, made.next_birth = self.layout, self.next_birth
+        made.lanes = [list(lane) for lane in self.lanes]  # `take` replaces slots
+        made.history = self.history.copy()
+        return made
+
     def append(self, update: Update) -> EncodedSlice | None:
         """`encode`, then `take`."""
         encoded = self.encode(update)
@@ -93,8 +111,11 @@ class SlotEncoder:
     def take(self, update: Update) -> None:
         """Goes on to the slice of `update`."""
         self._check(update)
+        lane = self.lanes[self.layout.lane(update.birth)]
         for part in self._parts(update):
-            part.slots.advance(_delta(part))
+            slots = part.slots.copy()
+            slots.advance(_delta(part))
+            lane[part.layer] = slots
         if update.birth > 0:
             self.history.note(update.birth, update.statuses)
         self.next_birth = update.birth + 1

@@ -11,13 +11,14 @@ import hashlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
+from codec.coders.coder import decompress
 from codec.errors import CodecError, CorruptError
 from codec.slice import Slice
 
 from .chunk import BIRTH_OFFSET, LAYER_OFFSET, PROFILE_OFFSET, SH_DEGREE_OFFSET, Chunk
-from .index import SegmentRecord, parse_index, record_bytes, size_offset
+from .index import SegmentRecord, parse_index, record_bytes, side_offset, size_offset
 from .layers import merge_layers
-from .manifest import Manifest
+from .manifest import Manifest, Part
 from .object import (
     MAX_OBJECT_BYTES,
     NUM_CHUNKS_OFFSET,
@@ -25,6 +26,7 @@ from .object import (
     decode_object_chunk,
     decode_packet,
     entry_offset,
+    entry_packet,
     error_in_object,
     read_object_table,
 )
@@ -40,21 +42,23 @@ def read_index(
 
     A torn last record is left out, see `parse_index`.
     """
-    records = parse_index(data, manifest.num_layers, len(before))
+    num_layers = manifest.num_layers
+    records = parse_index(data, num_layers, len(before), manifest.has_slots)
     length = manifest.segment_frames
     previous = before[-1] if before else None
     for n, record in enumerate(records):
-        at = n * record_bytes(manifest.num_layers)
+        at = n * record_bytes(num_layers, manifest.has_slots)
         if previous is not None and previous.num_frames != length:
             raise CorruptError("index: a segment follows a short one", at)
         if record.first_frame != record.segment * length or record.num_frames > length:
             at += 8 if record.num_frames > length else 4
             raise CorruptError(f"index: segment {record.segment} does not fit the manifest", at)
-        for layer, size in enumerate(record.object_bytes):
+        for number, size in enumerate(record.part_bytes):
             if size > MAX_OBJECT_BYTES:
+                side = side_offset(number - num_layers, num_layers)
                 raise CorruptError(
                     f"index: segment {record.segment} names too large an object",
-                    at + size_offset(layer),
+                    at + (size_offset(number) if number < num_layers else side),
                 )
         previous = record
     return records
@@ -66,7 +70,7 @@ def check_index_end(index_bytes: int, manifest: Manifest, num_records: int) -> N
     A reader leaves out what follows: a writer may have been cut off there, or may still be at it,
     but only as long as the stream is live.
     """
-    whole_bytes = num_records * record_bytes(manifest.num_layers)
+    whole_bytes = num_records * record_bytes(manifest.num_layers, manifest.has_slots)
     if not manifest.live and index_bytes != whole_bytes:
         raise CorruptError(
             f"index: {index_bytes - whole_bytes} bytes after the last whole record "
@@ -75,25 +79,28 @@ def check_index_end(index_bytes: int, manifest: Manifest, num_records: int) -> N
         )
 
 
-def check_object_bytes(data: bytes, record: SegmentRecord, layer: int) -> None:
-    """Raises CorruptError unless the object `data` has the size and the hash that `record` says."""
-    size = record.object_bytes[layer]
+def check_object_bytes(data: bytes, record: SegmentRecord, number: int) -> None:
+    """Raises CorruptError unless the object `data` has the size and the hash that `record` says.
+
+    number: of a layer, or of another part of the segment (`Manifest.part_number`).
+    """
+    size = record.part_bytes[number]
     if len(data) != size:
         message = f"object: {len(data)} bytes, the index says {size}"
         raise CorruptError(message, min(len(data), size))
-    if hashlib.sha256(data).digest() != record.object_sha256[layer]:
+    if hashlib.sha256(data).digest() != record.part_sha256[number]:
         raise CorruptError("object: was altered: its hash differs from the index")
 
 
 def object_table(
-    data: bytes, manifest: Manifest, record: SegmentRecord, layer: int
+    data: bytes, manifest: Manifest, record: SegmentRecord, part: Part
 ) -> tuple[ChunkEntry, ...]:
     """The table of the object `data`, of which the packets may be cut short.
 
     Its births are those of the segment, and it ends where `record` says that the object ends.
     """
-    entries = read_object_table(data)
-    births = manifest.births(record.segment, record.num_frames)
+    entries = read_object_table(data, manifest.version)
+    births = manifest.part_births(record.segment, record.num_frames, part)
     message = f"object: its births are not {births[0]}..{births[-1]}"
     for n, (entry, birth) in enumerate(zip(entries, births, strict=False)):
         if entry.birth != birth:
@@ -101,9 +108,10 @@ def object_table(
     if len(entries) != len(births):
         raise CorruptError(message, NUM_CHUNKS_OFFSET)
     end = entries[-1].offset + entries[-1].size
-    if end != record.object_bytes[layer]:
+    size = record.part_bytes[manifest.part_number(part)]
+    if end != size:
         raise CorruptError(
-            f"object: its table says {end} bytes, the index {record.object_bytes[layer]}",
+            f"object: its table says {end} bytes, the index {size}",
             entry_offset(len(entries)) - 4,  # the last size
         )
     return tuple(entries)
@@ -179,19 +187,19 @@ class CheckedObject:
     data: bytes
     entries: tuple[ChunkEntry, ...]
     manifest: Manifest
-    layer: int
+    part: Part
 
     @staticmethod
     def check(
-        name: str, data: bytes, manifest: Manifest, record: SegmentRecord, layer: int
+        name: str, data: bytes, manifest: Manifest, record: SegmentRecord, part: Part
     ) -> CheckedObject:
         """The object `data` of a segment, found at `name`. Raises a CodecError that names it."""
         try:
-            check_object_bytes(data, record, layer)
-            entries = object_table(data, manifest, record, layer)
+            check_object_bytes(data, record, manifest.part_number(part))
+            entries = object_table(data, manifest, record, part)
         except CodecError as error:
             raise error.within(name) from error
-        return CheckedObject(name, data, entries, manifest, layer)
+        return CheckedObject(name, data, entries, manifest, part)
 
     def entry(self, birth: int) -> ChunkEntry:
         """Where the packet of the slice born at `birth`, one of this segment, lies."""
@@ -203,8 +211,26 @@ class CheckedObject:
         return self.data[entry.offset : entry.offset + entry.size]
 
     def chunk(self, birth: int) -> Chunk:
-        """The chunk of the slice born at `birth`. Raises a CodecError that names the object."""
+        """The chunk of the slice born at `birth` (version 1). Raises a CodecError that names the
+        object."""
         try:
-            return decode_fitting_chunk(self.data, self.entry(birth), self.manifest, self.layer)
+            return decode_fitting_chunk(self.data, self.entry(birth), self.manifest, int(self.part))
         except CodecError as error:
             raise error.within(self.name) from error
+
+    def content(self, birth: int) -> bytes:
+        """The chunk of `birth` as bytes: a mask, a change or a snapshot (version 2). Raises a
+        CodecError that names the object."""
+        try:
+            packet = entry_packet(self.data, self.entry(birth))
+            limit_bytes = self.manifest.max_content_bytes(self.part)
+            try:
+                return decompress(packet, limit_bytes)
+            except CodecError as error:
+                raise error_in_object(error, self.entry(birth)) from error
+        except CodecError as error:
+            raise error.within(self.name) from error
+
+    def blamed(self, error: CodecError, birth: int) -> CodecError:
+        """`error`, whose place is one in the chunk of `birth`, as one that names the object."""
+        return error_in_object(error, self.entry(birth)).within(self.name)

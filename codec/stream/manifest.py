@@ -231,6 +231,23 @@ class Manifest:
             return tuple(layers)
         return (*layers, MASKS, *map(snapshot_part, layers))
 
+    def part_number(self, part: Part) -> int:
+        """The place of `part` in `parts`. Raises InvalidError if it has none."""
+        if part not in self.parts:
+            raise InvalidError(f"a segment has no part {part!r}; it has {len(self.parts)} parts")
+        return self.parts.index(part)
+
+    def max_content_bytes(self, part: Part) -> int:
+        """Bytes of the largest chunk that a packet of `part` can hold."""
+        if not self.has_slots:
+            return self.chunk_bounds.max_bytes
+        layout, number = self.slot_layout, self.part_number(part)
+        if part == MASKS:
+            return layout.max_mask_bytes
+        if number < self.num_layers:
+            return layout.max_change_bytes(number)
+        return layout.max_snapshot_bytes(number - self.num_layers - 1)
+
     @property
     def slice_size(self) -> int:
         """Gaussians in a slice, at most."""

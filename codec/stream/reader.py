@@ -12,12 +12,14 @@ from pathlib import Path
 from codec.errors import CodecError, CorruptError, InvalidError
 from codec.files import read_bounded
 from codec.slice import Slice, active_splats, window_births
+from codec.slots.slotdecoder import SlotDecoder
 from codec.splats import Splats
 
 from .chunk import Chunk
 from .index import INDEX_NAME, SegmentRecord, record_bytes
 from .integrity import MAX_INDEX_BYTES, CheckedObject, fitting_slice, read_index
-from .manifest import MANIFEST_NAME, MAX_MANIFEST_BYTES, Manifest, object_file
+from .manifest import MANIFEST_NAME, MAX_MANIFEST_BYTES, Manifest, Part, object_file
+from .seeker import SlotSeeker, join
 
 
 def read_stream_file(path: Path, limit_bytes: int, offset: int = 0) -> bytes:
@@ -33,10 +35,11 @@ class StreamReader:
         self.path = path
         self.records: list[SegmentRecord] = []
         """One record for each finished segment."""
-        self._objects: OrderedDict[tuple[int, int], CheckedObject] = OrderedDict()
+        self._objects: OrderedDict[tuple[int, Part], CheckedObject] = OrderedDict()
         self._chunks: OrderedDict[tuple[int, int], Chunk] = OrderedDict()
         self._chunk_splats = 0  # in all of _chunks
         self._read_manifest()
+        self._seeker = SlotSeeker(self._object, self.manifest) if self.manifest.has_slots else None
         self.refresh()
 
     def _read_manifest(self) -> None:
@@ -64,8 +67,12 @@ class StreamReader:
     @property
     def overhead_bytes(self) -> int:
         """Size of the manifest and of the index's whole records."""
-        index_bytes = len(self.records) * record_bytes(self.manifest.num_layers)
-        return len(self.manifest_json) + index_bytes
+        return len(self.manifest_json) + self.index_bytes
+
+    @property
+    def index_bytes(self) -> int:
+        """Size of the index's whole records."""
+        return len(self.records) * record_bytes(self.manifest.num_layers, self.manifest.has_slots)
 
     def refresh(self) -> int:
         """Takes in what was appended since; gives how many segments are new."""
@@ -73,7 +80,7 @@ class StreamReader:
             # Before the index: a manifest that says finished then goes with a whole index.
             self._read_manifest()
         path = self.path / INDEX_NAME
-        begin = len(self.records) * record_bytes(self.manifest.num_layers)
+        begin = self.index_bytes
         data = read_stream_file(path, MAX_INDEX_BYTES, begin)
         try:
             fresh = read_index(data, self.manifest, self.records)
@@ -82,35 +89,38 @@ class StreamReader:
         self.records += fresh
         return len(fresh)
 
-    def object_path(self, segment: int, layer: int) -> Path:
-        """Where the object of (segment, layer) lies."""
-        return object_file(self.path, segment, layer)
+    def object_path(self, segment: int, part: Part) -> Path:
+        """Where the object of (segment, part) lies."""
+        return object_file(self.path, segment, part)
 
-    def read_object(self, segment: int, layer: int) -> CheckedObject:
-        """The object of (segment, layer), read and checked now."""
-        if not 0 <= segment < len(self.records) or not 0 <= layer < self.manifest.num_layers:
+    def read_object(self, segment: int, part: Part) -> CheckedObject:
+        """The object of (segment, part), read and checked now."""
+        if not 0 <= segment < len(self.records) or part not in self.manifest.parts:
+            name = f"layer {part}" if type(part) is int else part
             raise InvalidError(
-                f"{self.path} has no segment {segment} layer {layer}: it has "
+                f"{self.path} has no segment {segment} {name}: it has "
                 f"{len(self.records)} segments of {self.manifest.num_layers} layers"
             )
         record = self.records[segment]
-        path = self.object_path(segment, layer)
-        data = read_stream_file(path, record.object_bytes[layer])
-        return CheckedObject.check(str(path), data, self.manifest, record, layer)
+        path = self.object_path(segment, part)
+        size = record.part_bytes[self.manifest.part_number(part)]
+        return CheckedObject.check(
+            str(path), read_stream_file(path, size), self.manifest, record, part
+        )
 
-    def _object(self, segment: int, layer: int) -> CheckedObject:
-        key = (segment, layer)
+    def _object(self, segment: int, part: Part) -> CheckedObject:
+        key = (segment, part)
         if key not in self._objects:
-            self._objects[key] = self.read_object(segment, layer)
+            self._objects[key] = self.read_object(segment, part)
             # All that a window can touch, and the segment after it.
             segments = 2 + self.manifest.swin_size // self.manifest.segment_frames
-            while len(self._objects) > segments * self.manifest.num_layers:
+            while len(self._objects) > segments * len(self.manifest.parts):
                 self._objects.popitem(last=False)
         self._objects.move_to_end(key)
         return self._objects[key]
 
     def chunk(self, birth: int, layer: int) -> Chunk:
-        """The chunk of one layer of the slice born at `birth`."""
+        """The chunk of one layer of the slice born at `birth`; version 1 alone has such chunks."""
         key = (birth, layer)
         if key not in self._chunks:
             self._keep(key, self._decode(birth, layer))
@@ -134,20 +144,34 @@ class StreamReader:
         return self._object(self.manifest.segment_of(birth), layer).chunk(birth)
 
     def slice(self, birth: int, num_layers: int) -> Slice:
-        """The slice born at `birth`, of its layers 0..num_layers-1."""
-        if not 1 <= num_layers <= self.manifest.num_layers:
-            raise InvalidError(f"{num_layers} layers of {self.manifest.num_layers}")
+        """The slice born at `birth`, of its layers 0..num_layers-1: whole, in version 2 too."""
+        self._check_layers(num_layers)
         if birth not in self.births:
             raise InvalidError(
                 f"{self.path} has no slice born at {birth}; it has {len(self.births)} slices "
                 f"from {self.manifest.first_birth} on"
             )
+        if self._seeker is not None:
+            return self._seeker.slice(birth, num_layers)
         segment = self.manifest.segment_of(birth)
         return fitting_slice(
             (self.chunk(birth, layer) for layer in range(num_layers)),
             self.manifest,
             lambda layer: self.object_path(segment, layer),
         )
+
+    def _check_layers(self, num_layers: int) -> None:
+        if not 1 <= num_layers <= self.manifest.num_layers:
+            raise InvalidError(f"{num_layers} layers of {self.manifest.num_layers}")
+
+    def decoder_at(self, frame: int, num_layers: int) -> SlotDecoder:
+        """A decoder of the caller's own that stands at `frame` (version 2)."""
+        self._check_layers(num_layers)
+        if not 0 <= frame < self.num_frames:
+            raise InvalidError(f"{self.path} has no frame {frame}; it has {self.num_frames} frames")
+        decoder = SlotDecoder(self.manifest.slot_layout, num_layers)
+        join(self._object, self.manifest, frame, decoder)
+        return decoder
 
     def slices(self, first_birth: int, num_layers: int) -> Iterator[Slice]:
         """The slices from `first_birth` to the last one there is when it is reached."""
@@ -162,6 +186,9 @@ class StreamReader:
         """The swin_size slices that show at `frame`, oldest first."""
         if not 0 <= frame < self.num_frames:
             raise InvalidError(f"{self.path} has no frame {frame}; it has {self.num_frames} frames")
+        if self._seeker is not None:
+            self._check_layers(num_layers)
+            return self._seeker.window(frame, num_layers)
         births = window_births(frame, self.manifest.swin_size)
         return [self.slice(birth, num_layers) for birth in births]
 

@@ -10,24 +10,20 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
 
 from codec.errors import InvalidError
 from codec.files import append_durably, sync_folder, temporary_beside, write_atomic
 from codec.slice import Slice
+from codec.slots.slotdecoder import SlotDecoder
+from codec.slots.update import Update
 
-from .chunk import Chunk, encode_chunk
+from .draft import Draft, Quality, Scores, SliceDraft, SlotDraft
 from .index import INDEX_NAME, SegmentRecord, pack_record, record_bytes
-from .layers import RANKS, Rank, split_layers
+from .layers import RANKS, Rank
 from .manifest import MANIFEST_NAME, SEGMENTS_NAME, Manifest, object_file
-from .object import decode_packet, encode_packet, join_packets
 from .reader import StreamReader
-
-Quality = Callable[[Sequence[Chunk]], Sequence[float] | None]
-"""Takes the decoded chunks of a slice, layer 0 first. Gives the PSNR in dB of the frame that the
-slice is born in, with 1, 2, ... layers; None for a slice born before frame 0."""
 
 
 def _is_unused(path: Path) -> bool:
@@ -42,7 +38,8 @@ def _is_unused(path: Path) -> bool:
 
 
 class StreamWriter:
-    """Appends slices to a stream; holds the compressed chunks of one segment at most.
+    """Appends slices to a stream; holds the compressed chunks of one segment at most, and, if slots
+    last, what they hold.
 
     Use it with `with`: leaving normally closes the stream, leaving by an exception aborts it, which
     keeps the finished segments and leaves the stream live for `resume`.
@@ -55,23 +52,25 @@ class StreamWriter:
         records: list[SegmentRecord],
         rank: Rank,
         quality: Quality | None,
+        read: SlotDecoder | None = None,
     ) -> None:
-        """Use `create` or `resume`."""
+        """Use `create` or `resume`. read: what a reader has at the end of `records` (version 2)."""
         if rank not in RANKS:  # a string of a caller whose types nobody checks
             raise InvalidError(f"no rank is called {rank!r}; there are {', '.join(RANKS)}")
         self.path = path
         self.manifest = manifest
-        self._rank = RANKS[rank]
-        self._quality = quality
-        self._scores_db: list[tuple[float, ...]] = []
         self._num_segments = len(records)
-        self._packets: list[list[tuple[int, bytes]]] = [[] for _ in manifest.layers]
+        self._draft: Draft
+        if not manifest.has_slots:
+            self._draft = SliceDraft.first(manifest, RANKS[rank], quality)
+        else:
+            self._draft = SlotDraft.first(manifest, quality, read)
         self._closed = False
         self.next_birth = (
             records[-1].first_frame + records[-1].num_frames if records else manifest.first_birth
         )
         """Birth of the slice that `append` wants next."""
-        self.bytes_written = sum(sum(record.object_bytes) for record in records)
+        self.bytes_written = sum(sum(record.part_bytes) for record in records)
         """Bytes of the finished segments' objects."""
 
     @classmethod
@@ -112,10 +111,13 @@ class StreamWriter:
         if not manifest.live:
             raise InvalidError(f"{path} is finished; write to another folder")
         # Takes off what a killed writer left after the last whole record.
-        os.truncate(path / INDEX_NAME, len(records) * record_bytes(manifest.num_layers))
+        os.truncate(path / INDEX_NAME, reader.index_bytes)
         for leftover in (*path.glob(".*.tmp"), *(path / SEGMENTS_NAME).glob("*/.*.tmp")):
             leftover.unlink()
-        return cls(path, manifest, records, rank, quality)
+        read = None
+        if manifest.has_slots and records:
+            read = reader.decoder_at(reader.num_frames - 1, manifest.num_layers)
+        return cls(path, manifest, records, rank, quality, read)
 
     @property
     def complete(self) -> bool:
@@ -129,12 +131,17 @@ class StreamWriter:
             return self.manifest.first_birth
         return min(self.next_birth, self._num_segments * self.manifest.segment_frames)
 
-    def append(self, slice: Slice) -> None:
-        """Takes the slice born at `next_birth`; writes the segment that it completes.
+    @property
+    def num_packets(self) -> int:
+        """Packets that wait for their segment to be whole."""
+        return self._draft.num_packets
+
+    def append(self, slice: Slice | Update) -> None:
+        """Takes the slice born at `next_birth`; writes the segment that it completes. In version 2
+        it is an Update.
 
         If it raises, nothing of the slice is kept: the same one, or another, may be tried again.
         """
-        manifest = self.manifest
         if self._closed:
             raise InvalidError(f"{self.path}: the writer is closed")
         if slice.birth != self.next_birth:
@@ -143,80 +150,47 @@ class StreamWriter:
             )
         if self.complete:
             raise InvalidError(f"{self.path}: the last segment is short; nothing can follow it")
-        if len(slice.splats) > manifest.slice_size:
-            raise InvalidError(
-                f"{self.path}: {len(slice.splats)} Gaussians, at most {manifest.slice_size} a slice"
-            )
-        if slice.splats.sh_degree != manifest.sh_degree:
-            raise InvalidError(
-                f"{self.path}: SH degree {slice.splats.sh_degree}, not {manifest.sh_degree}"
-            )
-        parts = split_layers(slice, manifest.layers, self._rank)
-        steps = manifest.profile.coding.layer_steps([part.splats for part in parts])
-        encoded = [
-            encode_packet(encode_chunk(part, layer, manifest.profile, steps[layer]))
-            for layer, part in enumerate(parts)
-        ]
-        scores_db = [*self._scores_db, *self._measure(encoded)]
-        packets = [
-            [*kept, (slice.birth, packet)]
-            for kept, packet in zip(self._packets, encoded, strict=True)
-        ]
+        try:
+            draft = self._draft.after(slice)
+        except InvalidError as error:
+            raise InvalidError(f"{self.path}: {error}") from error
         next_birth = slice.birth + 1
-        if next_birth == (self._num_segments + 1) * manifest.segment_frames:
-            self._write_segment(packets, scores_db, next_birth)
+        if next_birth == (self._num_segments + 1) * self.manifest.segment_frames:
+            self._write_segment(draft, next_birth)
         else:
-            self._packets, self._scores_db, self.next_birth = packets, scores_db, next_birth
+            self._draft, self.next_birth = draft, next_birth
 
-    def _measure(self, packets: Sequence[bytes]) -> list[tuple[float, ...]]:
-        """The scores of a slice, if it has any: of the bytes as they are, not of what was given."""
-        if self._quality is None:
-            return []
-        scores_db = self._quality([decode_packet(packet) for packet in packets])
-        if scores_db is None:
-            return []
-        if len(scores_db) != len(packets) or any(map(math.isinf, scores_db)):
-            raise InvalidError(
-                f"{self.path}: a quality of {tuple(scores_db)} dB is not {len(packets)} numbers, "
-                "each finite, or NaN where unknown"
-            )
-        return [tuple(scores_db)]
-
-    def _write_segment(
-        self,
-        packets: list[list[tuple[int, bytes]]],
-        scores_db: list[tuple[float, ...]],
-        next_birth: int,
-    ) -> None:
-        """Writes the segment of `packets`; only then takes note of it, so that it may fail."""
-        segment = self._num_segments
+    def _write_segment(self, draft: Draft, next_birth: int) -> None:
+        """Writes the segment of `draft`; only then takes note of it, so that it may fail."""
+        segment, num_layers = self._num_segments, self.manifest.num_layers
         first_frame = segment * self.manifest.segment_frames
-        objects = [join_packets(of_layer) for of_layer in packets]
-        for layer, data in enumerate(objects):
-            path = object_file(self.path, segment, layer)
+        objects = draft.objects()
+        for part, data in objects.items():
+            path = object_file(self.path, segment, part)
             path.parent.mkdir(exist_ok=True)
             write_atomic(path, data)
         sync_folder(self.path / SEGMENTS_NAME)
+        data_of_parts = [objects[part] for part in self.manifest.parts]
+        sizes = tuple(map(len, data_of_parts))
+        hashes = tuple(hashlib.sha256(data).digest() for data in data_of_parts)
         record = SegmentRecord(
             segment,
             first_frame,
             next_birth - first_frame,
-            tuple(len(data) for data in objects),
-            tuple(hashlib.sha256(data).digest() for data in objects),
-            self._mean(scores_db),
+            sizes[:num_layers],
+            hashes[:num_layers],
+            self._mean(draft.scores_db),
+            sizes[num_layers:],
+            hashes[num_layers:],
         )
-        index_bytes = segment * record_bytes(self.manifest.num_layers)
+        index_bytes = segment * record_bytes(num_layers, self.manifest.has_slots)
         append_durably(self.path / INDEX_NAME, index_bytes, pack_record(record))
         self._num_segments += 1
         self.next_birth = next_birth
-        self.bytes_written += sum(record.object_bytes)
-        self._drop()
+        self.bytes_written += sum(record.part_bytes)
+        self._draft = draft.emptied()
 
-    def _drop(self) -> None:
-        self._packets = [[] for _ in self.manifest.layers]
-        self._scores_db = []
-
-    def _mean(self, scores_db: list[tuple[float, ...]]) -> tuple[float, ...]:
+    def _mean(self, scores_db: Scores) -> tuple[float, ...]:
         """The mean over the frames, for each number of layers."""
         if not scores_db:
             return (math.nan,) * self.manifest.num_layers
@@ -227,8 +201,8 @@ class StreamWriter:
         """Writes the short last segment, if there is one, and marks the stream as finished."""
         if self._closed:
             return
-        if self._packets[0] and self.next_birth > 0:
-            self._write_segment(self._packets, self._scores_db, self.next_birth)
+        if self.num_packets and self.next_birth > 0:
+            self._write_segment(self._draft, self.next_birth)
         finished = self.manifest.with_live(False)
         write_atomic(self.path / MANIFEST_NAME, finished.to_json())
         self.manifest = finished
@@ -237,7 +211,7 @@ class StreamWriter:
     def abort(self) -> None:
         """Drops the unfinished segment and leaves the stream live."""
         self._closed = True
-        self._drop()
+        self._draft = self._draft.emptied()
 
     def __enter__(self) -> StreamWriter:
         return self

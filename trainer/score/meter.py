@@ -1,4 +1,4 @@
-"""The quality of a stream while it is written: how its decoded chunks look, layer by layer."""
+"""The quality of a stream while it is written: how its decoded slices look, layer by layer."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from collections.abc import Sequence
 
 from codec.slice import Slice, active_splats
 from codec.stream import StreamReader
-from codec.stream.chunk import Chunk
-from codec.stream.layers import merge_layers
 from codec.stream.manifest import Manifest
 from trainer.pictures.framecache import FrameCache
 
@@ -40,12 +38,11 @@ class QualityMeter:
             for layers, window in enumerate(self._windows, start=1):
                 window.append(reader.slice(birth, layers))
 
-    def __call__(self, chunks: Sequence[Chunk]) -> list[float] | None:
-        """PSNR in dB of the frame in which `chunks` (all layers of one slice) are born, with 1,
-        2, ... layers; None before frame 0, and where no pixel of the camera counts."""
-        for layers, window in enumerate(self._windows, start=1):
-            window.append(merge_layers(chunks[:layers]))
-        frame = chunks[0].birth
+    def __call__(self, frame: int, slices: Sequence[Slice]) -> list[float] | None:
+        """PSNR in dB of `frame`, in which `slices` are born: the same slice with 1, 2, ... layers;
+        None before frame 0, and where no pixel of the camera counts."""
+        for window, slice in zip(self._windows, slices, strict=True):
+            window.append(slice)
         if frame < 0:
             return None
         camera = self._cameras[frame % len(self._cameras)]

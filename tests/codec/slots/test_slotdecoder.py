@@ -60,7 +60,7 @@ def test_what_is_out_of_turn_is_refused() -> None:
     with pytest.raises(InvalidError, match="does not follow the slice born at 0"):
         decoder.apply(2, *parts(slices[2]))
     decoder.apply(1, *parts(slices[1]))
-    with pytest.raises(CorruptError, match="of frame 0, the slices have come to 1"):
+    with pytest.raises(CorruptError, match="of frame 0 where that of 1 belongs"):
         decoder.load(snapshots[0])
     with pytest.raises(InvalidError, match="3 changes for 2"):
         decoder.apply(2, slices[2].mask.data, [None] * 3)

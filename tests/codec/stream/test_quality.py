@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from codec.slice import Slice
 from codec.stream import StreamReader, StreamWriter
-from codec.stream.chunk import Chunk
 from tests.support.tiny_stream import SLICE_SIZE, tiny_manifest, tiny_slice
 
 MANIFEST = tiny_manifest()  # windows of 3, segments of 4, two layers
@@ -17,19 +17,18 @@ MANIFEST = tiny_manifest()  # windows of 3, segments of 4, two layers
 
 def test_the_index_holds_the_mean_of_every_segment(tmp_path: Path) -> None:
     births = range(MANIFEST.first_birth, 6)
-    seen: list[tuple[int, int]] = []
+    seen: list[tuple[int, list[int]]] = []
 
-    def quality(chunks: Sequence[Chunk]) -> list[float] | None:
-        seen.append((chunks[0].birth, sum(len(c.slice.splats) for c in chunks)))
-        assert [c.layer for c in chunks] == [0, 1]
-        frame = chunks[0].birth
+    def quality(frame: int, slices: Sequence[Slice]) -> list[float] | None:
+        seen.append((frame, [len(s.splats) for s in slices]))
+        assert [s.birth for s in slices] == [frame, frame]
         return None if frame < 0 else [float(frame), 10.0 + frame]
 
     path = tmp_path / "stream"
     with StreamWriter.create(path, MANIFEST, quality=quality) as writer:
         for birth in births:
             writer.append(tiny_slice(birth))
-    assert seen == [(birth, SLICE_SIZE) for birth in births]
+    assert seen == [(birth, [SLICE_SIZE // 2, SLICE_SIZE]) for birth in births]
     first, last = StreamReader(path).records
     assert first.psnr_db == pytest.approx([1.5, 11.5])
     assert last.psnr_db == pytest.approx([4.5, 14.5])

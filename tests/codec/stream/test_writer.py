@@ -20,7 +20,6 @@ from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
-from codec.stream.chunk import Chunk
 from codec.stream.index import record_bytes
 from codec.tools.audit import verify_stream
 from tests.support.commands import ROOT
@@ -235,10 +234,10 @@ def test_a_quality_that_raises_leaves_nothing(
 ) -> None:
     fail = True
 
-    def quality(chunks: Sequence[Chunk]) -> list[float] | None:
-        if fail and chunks[0].birth == birth:
+    def quality(frame: int, slices: Sequence[Slice]) -> list[float] | None:
+        if fail and frame == birth:
             raise ZeroDivisionError
-        return [20.0 + chunks[0].birth, 30.0] if chunks[0].birth >= 0 else None
+        return [20.0 + frame, 30.0] if frame >= 0 else None
 
     path = tmp_path / "s"
     with StreamWriter.create(path, tiny_manifest(), quality=quality) as writer:
@@ -262,7 +261,7 @@ def test_a_quality_that_raises_leaves_nothing(
 @pytest.mark.parametrize("scores", [(30.0, math.inf), (30.0,), (30.0, 31.0, 32.0)])
 def test_a_quality_that_the_index_cannot_hold(tmp_path: Path, scores: tuple[float, ...]) -> None:
     with StreamWriter.create(
-        tmp_path / "s", tiny_manifest(), quality=lambda chunks: scores
+        tmp_path / "s", tiny_manifest(), quality=lambda frame, slices: scores
     ) as writer:
         with pytest.raises(InvalidError, match="is not 2 numbers, each finite"):
             writer.append(tiny_slice(-2))

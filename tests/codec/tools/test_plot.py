@@ -36,7 +36,7 @@ def write_scored(path: Path, manifest: Manifest, scores_db: Sequence[tuple[float
     with StreamWriter.create(
         path,
         manifest,
-        quality=lambda chunks: scores_db[chunks[0].birth] if chunks[0].birth >= 0 else None,
+        quality=lambda frame, slices: scores_db[frame] if frame >= 0 else None,
     ) as writer:
         for birth in range(manifest.first_birth, len(scores_db)):
             writer.append(tiny_slice(birth))

@@ -145,7 +145,7 @@ def test_a_swings_server_plays_it_too(folder: Path) -> None:
 def test_the_quality_that_the_index_knows_stays(tmp_path: Path) -> None:
     manifest = tiny_manifest()
     with StreamWriter.create(
-        tmp_path / "a", manifest, quality=lambda chunks: (20.5, 30.25) if chunks[0].birth else None
+        tmp_path / "a", manifest, quality=lambda frame, slices: (20.5, 30.25) if frame else None
     ) as writer:
         for birth in range(manifest.first_birth, 6):
             writer.append(tiny_slice(birth))
