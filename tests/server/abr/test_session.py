@@ -37,6 +37,11 @@ class FakeMedia:
     segment_frames: int = 15
     layer_bytes: float = 8_000.0
     num_layers: int = 4
+    has_slots: bool = False
+    snapshot_layer_bytes: float = 100_000.0
+
+    def snapshot_bytes(self, frame: int) -> tuple[float, ...]:
+        return tuple(self.snapshot_layer_bytes * n for n in range(1, self.num_layers + 1))
 
     def slice_bytes(self, birth: int) -> tuple[float, ...]:
         return tuple(self.layer_bytes * n for n in range(1, self.num_layers + 1))
