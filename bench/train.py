@@ -23,6 +23,9 @@ from player.render.blend import blend_tiles
 from player.render.project import Projection, project_kernel
 from player.render.tiles import list_tiles
 from trainer.fit.optimiser import GATE_STEEPNESS, Adam, OptimiserConfig, add_noise
+from trainer.pictures.shot import Shot
+from trainer.step.active import trained_ends
+from trainer.step.backend import CpuBackend
 from trainer.step.blend_backward import PAIR_GRADIENT, blend_tiles_backward
 from trainer.step.loss import Workspace, photometric_loss
 from trainer.step.raster import Parameters, Scratch, View, backward, render
@@ -33,6 +36,11 @@ CASES = [(5_000, 320, 180), (20_000, 320, 180), (20_000, 640, 360), (60_000, 640
 TORCH_CASES = CASES[:3]
 """Those at which torch takes its turns, in seconds and 4 GB; the last one would take 7 GB."""
 TORCH_REPEATS = 5
+SHARE_CASE = CASES[2]
+SHARES = (1.0, 0.5, 0.3, 0.15, 0.05)
+"""Of the Gaussians: those that are trained."""
+TRAINED_AROUND_M = (0.8, 0.3, 1.5)
+"""In the middle of them; in the scene's half that is far from the camera."""
 NEAR_M = 0.2
 DSSIM_WEIGHT = 0.2
 MEANS_LR_M = 1e-4
@@ -129,7 +137,8 @@ def stages(count: int, width_px: int, height_px: int, repeats: int = REPEATS) ->
     loss = photometric_loss(rendered.picture, ours.target, DSSIM_WEIGHT, ours.gain, ours.bias)
     p, lists = rendered.projection, rendered.lists
     pair_grads = np.empty((len(lists.pairs), PAIR_GRADIENT), np.float32)
-    spare = Projection.allocate(count)
+    spare, moves = Projection.allocate(count), np.ones(count, np.bool_)
+    ends, order = trained_ends(lists, moves)
     work: dict[str, Callable[[], object]] = {
         "project": lambda: project_kernel(
             *values.arrays, rows, view.vector, view.tiles_x, view.tiles_y,
@@ -143,8 +152,8 @@ def stages(count: int, width_px: int, height_px: int, repeats: int = REPEATS) ->
             rendered.picture, ours.target, DSSIM_WEIGHT, ours.gain, ours.bias, ours.work
         ),
         "blend backward": lambda: blend_tiles_backward(
-            p.projected, lists.starts, lists.gaussians, lists.pairs, lists.order, view.tiles_x,
-            rendered.picture, loss.picture_grad, pair_grads,
+            p.projected, lists.starts, ends, lists.gaussians, lists.pairs, moves, order,
+            view.tiles_x, rendered.picture, loss.picture_grad, pair_grads,
         ),
         "whole backward": lambda: backward(
             rendered, values, loss.picture_grad, count, ours.gradients
@@ -194,6 +203,46 @@ def against_torch(
     return 1e3 * float(median_s[0]), 1e3 * float(median_s[1])
 
 
+@dataclass(frozen=True, slots=True)
+class ShareTimes:
+    """A backend's step in which a share of the Gaussians is trained; milliseconds, medians."""
+
+    whole_ms: float
+    some_tiles_ms: float
+    active_percent: float
+    """Of the picture: the tiles that those Gaussians reach."""
+
+
+def step_at(
+    share: float, count: int, width_px: int, height_px: int, repeats: int = REPEATS
+) -> ShareTimes:
+    """A share of the Gaussians is trained, those nearest to a point. The whole picture and what
+    matters take turns."""
+    values, rows = scene(count), np.arange(count, dtype=np.int32)
+    nearest = np.argsort(np.linalg.norm(values.means - TRAINED_AROUND_M, axis=1))
+    for array in values.arrays:
+        array[:] = array[nearest]
+    view = View.prepare(bench_camera(width_px, height_px), NEAR_M)
+    pixels = 255 * bench_target(width_px, height_px).transpose(1, 2, 0)
+    shot = Shot(np.ascontiguousarray(pixels, np.uint8))
+    backend, gradients = CpuBackend(DSSIM_WEIGHT, 0, 0), Parameters.zeros(count, 0)
+    gain, bias = np.ones(3, np.float32), np.zeros(3, np.float32)
+    trainable, covered = round(share * count), 0.0
+    times = []
+    for _ in range(repeats + 1):
+        both = []
+        for whole in (True, False):
+            start = time.perf_counter()
+            loss = backend.step(
+                values, rows, view, shot, gain, bias, trainable, gradients, whole=whole
+            )
+            both.append(1e3 * (time.perf_counter() - start))
+            covered = loss.covered
+        times.append(both)
+    whole_ms, some_ms = np.median(times[1:], axis=0)
+    return ShareTimes(float(whole_ms), float(some_ms), 100 * covered)
+
+
 def stage_table() -> Table:
     table = Table(title=f"training step, ms (medians of {REPEATS})")
     columns = None
@@ -229,6 +278,23 @@ def torch_table() -> Table:
     return table
 
 
+def share_table() -> Table:
+    count, width_px, height_px = SHARE_CASE
+    table = Table(
+        title=f"loss and gradients of {count} Gaussians at {width_px}x{height_px} where some are "
+        f"trained, in turns, ms (medians of {REPEATS})"
+    )
+    for name in ("trained", "active tiles", "whole picture", "what matters", "ratio"):
+        table.add_column(name, justify="right")
+    for share in SHARES:
+        found = step_at(share, *SHARE_CASE)
+        table.add_row(
+            f"{share:.0%}", f"{found.active_percent:.0f} %", f"{found.whole_ms:.1f}",
+            f"{found.some_tiles_ms:.1f}", f"{found.some_tiles_ms / found.whole_ms:.2f}",
+        )  # fmt: skip
+    return table
+
+
 @dataclass(frozen=True, slots=True)
 class TrainBenchConfig:
     """Times a training step stage by stage."""
@@ -240,6 +306,7 @@ class TrainBenchConfig:
 def run(config: TrainBenchConfig) -> None:
     console = Console(width=180)
     console.print(stage_table())
+    console.print(share_table())
     if not config.torch:
         return
     if importlib.util.find_spec("torch") is None:

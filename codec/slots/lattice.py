@@ -19,7 +19,6 @@ from codec.profiles.orientation import canonical, nearest_form
 from codec.profiles.quantise import (
     BASE_COLOUR,
     BASE_LOG_SCALE,
-    BASE_OPACITY,
     BASE_ROTATION,
     MAX_OPACITY_LEVELS,
     choose_steps,
@@ -41,6 +40,9 @@ MAX_BASE = 1e3
 
 SCALES, TURNS, COLOURS = 0, 3, 6
 """Where the attributes of a kind begin. The opacity is the last attribute."""
+
+OPACITY_LEVELS = 41
+"""Coarser than that of chunks: opacity changes most from slice to slice, and shows least."""
 
 TAME = 1e30
 """Magnitude from which a value is not tried on the lattice."""
@@ -92,17 +94,15 @@ class Lattice:
         return np.array((*steps, self.log_scale_base), np.float32)
 
     @staticmethod
-    def suiting(splats: Splats, coarser: float = 1.0) -> Lattice:
-        """A lattice for a stream that begins with `splats`, all steps times `coarser`: that of
-        positions follows their sizes, for a scene may have any scale."""
-        position_m = choose_steps(splats).position_m
-        levels = int(np.clip(round(1 / (BASE_OPACITY * coarser)) + 1, 2, MAX_OPACITY_LEVELS))
+    def suiting(splats: Splats, grown: float = 1.0) -> Lattice:
+        """A lattice for a stream of Gaussians like `splats`. The step of positions follows their
+        sizes, for a scene may have any scale; grown: how much larger they will be."""
         return Lattice(
-            position_m * coarser,
-            BASE_LOG_SCALE * coarser,
-            BASE_ROTATION * coarser,
-            BASE_COLOUR * coarser,
-            levels,
+            choose_steps(splats).position_m * grown,
+            BASE_LOG_SCALE,
+            BASE_ROTATION,
+            BASE_COLOUR,
+            OPACITY_LEVELS,
         )
 
 

@@ -28,6 +28,11 @@ Data = bytes | memoryview
 
 Blamed = Callable[[CodecError, int | None], CodecError]
 
+
+def _as_it_is(error: CodecError, layer: int | None) -> CodecError:
+    return error
+
+
 MIN_LOG_BYTES = 1 << 22
 """Room that there is at least for what may have to be applied again."""
 
@@ -122,7 +127,7 @@ class SlotDecoder:
         birth: int,
         mask: Data | None,
         changes: Sequence[Data | None],
-        blamed: Blamed = lambda error, layer: error,
+        blamed: Blamed = _as_it_is,
     ) -> Slice:
         """Goes on by the slice born at `birth`, which follows the last one.
 
@@ -142,17 +147,9 @@ class SlotDecoder:
             raise InvalidError(f"{len(changes)} changes for {self.num_layers} layers")
         if mask is None or not self.history.is_readable(birth):
             return self._lose_lane(birth)
-        lane, at_fault = self.layout.lane(birth), None
-        deltas = []
-        try:
-            statuses = decode_mask(self.layout, birth, mask, self.history.of(birth))
-            parts = self._by_layer(statuses)
-            for layer, slots in enumerate(self.lanes[lane]):
-                at_fault = layer
-                change = changes[layer] if layer < len(changes) else None
-                deltas.append(self._delta(birth, layer, slots, parts[layer], change))
-        except CodecError as error:
-            raise blamed(error, at_fault) from error
+        lane = self.layout.lane(birth)
+        statuses, deltas = self._read(birth, mask, changes, blamed)
+        parts = self._by_layer(statuses)
         for layer, delta in enumerate(deltas):
             slots = self.lanes[lane][layer]
             if layer < len(changes):
@@ -164,6 +161,30 @@ class SlotDecoder:
         self.frame = birth
         rows = [np.flatnonzero(part != KEPT) for part in parts]
         return self._slice(birth, rows, with_rows=True)
+
+    def statuses(
+        self, birth: int, mask: Data, changes: Sequence[Data | None], blamed: Blamed = _as_it_is
+    ) -> Bytes:
+        """(S,) what the slice born at `birth` says of the slots of its lane; checks the changes,
+        and applies nothing."""
+        return self._read(birth, mask, changes, blamed)[0]
+
+    def _read(
+        self, birth: int, mask: Data, changes: Sequence[Data | None], blamed: Blamed
+    ) -> tuple[Bytes, list[Delta]]:
+        """The statuses of a slice, and what it makes of each layer."""
+        at_fault: int | None = None
+        deltas = []
+        try:
+            statuses = decode_mask(self.layout, birth, mask, self.history.of(birth))
+            parts = self._by_layer(statuses)
+            for layer, slots in enumerate(self.lanes[self.layout.lane(birth)]):
+                at_fault = layer
+                change = changes[layer] if layer < len(changes) else None
+                deltas.append(self._delta(birth, layer, slots, parts[layer], change))
+        except CodecError as error:
+            raise blamed(error, at_fault) from error
+        return statuses, deltas
 
     def _lose_lane(self, birth: int) -> Slice:
         """Goes on by a slice whose mask is not at hand."""

@@ -45,6 +45,11 @@ class Draft(Protocol):
     @property
     def scores_db(self) -> Scores: ...
 
+    @property
+    def slice_bytes(self) -> int:
+        """What the last slice takes: the packets that whoever plays on fetches."""
+        ...
+
     def after(self, slice: Slice | Update) -> Draft:
         """The draft that has `slice`, too, which is the next one. Raises InvalidError."""
         ...
@@ -124,6 +129,10 @@ class SliceDraft:
         )
         return replace(self, packets=packets, scores_db=scores_db)
 
+    @property
+    def slice_bytes(self) -> int:
+        return sum(len(packets[-1][1]) for packets in self.packets)
+
     def objects(self) -> dict[Part, bytes]:
         return {layer: join_packets(packets) for layer, packets in enumerate(self.packets)}
 
@@ -196,6 +205,11 @@ class SlotDraft:
             slices = [decoder.whole(number, n) for n in layers]
             scores_db += _measured(self.quality, number, slices)
         return replace(self, decoder=decoder, scores_db=scores_db)
+
+    @property
+    def slice_bytes(self) -> int:
+        parts = (MASKS, *range(self.manifest.num_layers))
+        return sum(len(packet) for part in parts for _, packet in self.packets[part][-1:])
 
     def _content(self, part: Part) -> bytes:
         """The chunk in the last packet of `part`."""

@@ -48,6 +48,12 @@ class SegmentRecord:
         return self.object_bytes + self.side_bytes
 
     @property
+    def played_bytes(self) -> int:
+        """What of them one fetches who plays all layers from frame 0: no snapshot but the first."""
+        masks_end = len(self.object_bytes) + 1
+        return sum(self.part_bytes if self.segment == 0 else self.part_bytes[:masks_end])
+
+    @property
     def part_sha256(self) -> tuple[bytes, ...]:
         """The hash of each object, in the order of `Manifest.parts`."""
         return self.object_sha256 + self.side_sha256

@@ -158,8 +158,8 @@ def entry_packet(data: bytes | memoryview, entry: ChunkEntry) -> memoryview:
     return packet
 
 
-def _whole_table(data: bytes | memoryview) -> list[ChunkEntry]:
-    entries = read_object_table(data)
+def _whole_table(data: bytes | memoryview, version: int = VERSION) -> list[ChunkEntry]:
+    entries = read_object_table(data, version)
     end = entries[-1].offset + entries[-1].size
     if len(data) != end:
         raise CorruptError(f"object: {len(data)} bytes, its table says {end}", min(len(data), end))
@@ -201,7 +201,9 @@ def decode_object(data: bytes | memoryview) -> list[Chunk]:
     return chunks
 
 
-def object_packets(data: bytes | memoryview) -> list[tuple[int, bytes]]:
+def object_packets(data: bytes | memoryview, version: int = VERSION) -> list[tuple[int, bytes]]:
     """(birth, packet) of every chunk of the object `data`, in order."""
     view = memoryview(data)
-    return [(e.birth, bytes(view[e.offset : e.offset + e.size])) for e in _whole_table(data)]
+    return [
+        (e.birth, bytes(view[e.offset : e.offset + e.size])) for e in _whole_table(data, version)
+    ]

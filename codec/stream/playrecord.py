@@ -126,8 +126,8 @@ def _check(record: Record) -> None:
             sound = least <= len(record.packets) <= MAX_LAYERS
             sound &= -(1 << 31) <= record.birth < 1 << 31
         case SnapshotRecord():
-            sound = 1 <= len(record.packets) <= MAX_LAYERS
-            sound &= 0 <= record.frame < 1 << 31 and 0 <= record.first_layer < MAX_LAYERS
+            sound = 0 <= record.frame < 1 << 31 and record.first_layer >= 0
+            sound &= 1 <= len(record.packets) <= MAX_LAYERS - record.first_layer
         case EndRecord():
             sound = 0 <= record.num_frames < 1 << 31
         case ErrorRecord():
@@ -202,12 +202,14 @@ def decode_record(body: bytes | memoryview) -> Record:
                 raise CorruptError(f"play: a slice born at {birth}")
             return SliceRecord(birth, packets, mask)
         case "snapshot":
-            first = _count(value, "first")
-            if first >= MAX_LAYERS:
+            packets = _packets(value, 1)
+            first_layer = _count(value, "first")
+            if first_layer + len(packets) > MAX_LAYERS:
                 raise CorruptError(
-                    f"play: a snapshot of layer {first} of at most {MAX_LAYERS}"
+                    f"play: {len(packets)} snapshots from layer {first_layer} on, of {MAX_LAYERS} "
+                    "layers at most"
                 )
-            return SnapshotRecord(_count(value, "frame"), first, _packets(value, 1))
+            return SnapshotRecord(_count(value, "frame"), first_layer, packets)
         case "end":
             return EndRecord(_count(value, "num_frames"))
         case "error":

@@ -72,6 +72,11 @@ class StreamWriter:
         """Birth of the slice that `append` wants next."""
         self.bytes_written = sum(sum(record.part_bytes) for record in records)
         """Bytes of the finished segments' objects."""
+        self.played_bytes = sum(record.played_bytes for record in records)
+        """Those that one fetches who plays from frame 0."""
+        self.slice_bytes = 0
+        """Bytes of the packets of the slice that was appended last, as one who plays on fetches
+        them."""
 
     @classmethod
     def create(
@@ -154,6 +159,7 @@ class StreamWriter:
             draft = self._draft.after(slice)
         except InvalidError as error:
             raise InvalidError(f"{self.path}: {error}") from error
+        self.slice_bytes = draft.slice_bytes
         next_birth = slice.birth + 1
         if next_birth == (self._num_segments + 1) * self.manifest.segment_frames:
             self._write_segment(draft, next_birth)
@@ -188,6 +194,7 @@ class StreamWriter:
         self._num_segments += 1
         self.next_birth = next_birth
         self.bytes_written += sum(record.part_bytes)
+        self.played_bytes += record.played_bytes
         self._draft = draft.emptied()
 
     def _mean(self, scores_db: Scores) -> tuple[float, ...]:

@@ -18,6 +18,8 @@ from codec.stream.integrity import (
 from codec.stream.object import MAX_OBJECT_BYTES
 from codec.stream.reader import StreamReader, read_stream_file
 
+from .slotaudit import verify_slots
+
 
 @dataclass(frozen=True, slots=True)
 class LayerSummary:
@@ -95,7 +97,7 @@ def _summary(reader: StreamReader) -> StreamSummary:
         num_cameras=len(manifest.cameras),
         num_segments=len(reader.records),
         segment_frames=manifest.segment_frames,
-        size_bytes=reader.overhead_bytes + sum(totals),
+        size_bytes=reader.overhead_bytes + sum(sum(r.part_bytes) for r in reader.records),
         bytes_per_gaussian=sum(totals) / gaussians if gaussians else 0.0,
         layers=layers,
     )
@@ -152,6 +154,9 @@ def verify_stream(path: Path) -> StreamSummary:
         check_index_end(index.stat().st_size, manifest, len(reader.records))
     except CodecError as error:
         raise error.within(index) from error
+    if manifest.has_slots:
+        verify_slots(reader)
+        return _summary(reader)
     for record in reader.records:
         births = manifest.births(record.segment, record.num_frames)
         totals = [0] * len(births)

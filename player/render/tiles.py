@@ -28,6 +28,7 @@ from .sort import near_first
 
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]
+Flags = npt.NDArray[np.bool_]
 
 MARGIN_PX = np.float32(0.01)
 """What the exact tile test leaves for rounding."""
@@ -46,7 +47,16 @@ class TileLists:
     gaussians: Ints  # (P,) int32: index into the projection
     pairs: Ints  # (P,) int32: number of the pair
     pair_starts: Ints  # (M + 1,) int32: Gaussian i owns pairs pair_starts[i]:pair_starts[i + 1]
-    order: Ints  # (tiles,) int32: tiles dealt so that equal shares of the list cost about the same
+    order: Ints  # (T,) int32: the tiles to draw, all or those wanted, dealt as `dealt` does
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """Which tiles each of M projected Gaussians reaches, row by row of its box of tiles."""
+
+    row_starts: Ints  # (M + 1,) int32: Gaussian i owns spans row_starts[i]:row_starts[i + 1]
+    spans: Ints  # (S, 2) int32: in a row of tiles the first in x, and the one after the last
+    pair_starts: Ints  # see TileLists
 
 
 @kernel(nogil=True, inline="always")
@@ -95,6 +105,25 @@ def _row_spans(projected, boxes, row_starts, spans, pair_starts):  # type: ignor
         pair_starts[i + 1] = count
 
 
+@kernel(nogil=True, parallel=True)
+def _trim_spans(boxes, row_starts, given, wanted, spans, pair_starts):  # type: ignore[no-untyped-def]
+    """Fills `spans` and `pair_starts` as _row_spans does, with the given spans from their first
+    wanted tile to their last."""
+    for i in prange(boxes.shape[0]):
+        count = 0
+        for at in range(row_starts[i], row_starts[i + 1]):
+            y = boxes[i, FIRST_Y] + at - row_starts[i]
+            first, end = given[at, 0], given[at, 1]
+            while first < end and not wanted[y, first]:
+                first += 1
+            while first < end and not wanted[y, end - 1]:
+                end -= 1
+            spans[at, 0] = first
+            spans[at, 1] = end
+            count += end - first
+        pair_starts[i + 1] = count
+
+
 @kernel(nogil=True)
 def _count_pairs(boxes, row_starts, spans, tiles_x, starts):  # type: ignore[no-untyped-def]
     """Fills starts (tiles + 1,) from the spans."""
@@ -131,8 +160,8 @@ def tile_grid(width_px: int, height_px: int) -> tuple[int, int]:
     return -(-width_px // TILE_PX), -(-height_px // TILE_PX)
 
 
-def list_tiles(projection: Projection, tiles_x: int, tiles_y: int) -> TileLists:
-    """Sorts the projected Gaussians by depth into the tiles that they reach."""
+def reach_of(projection: Projection) -> Reach:
+    """The tiles that each projected Gaussian reaches."""
     boxes = projection.tile_boxes
     row_starts = np.zeros(len(boxes) + 1, np.int32)
     np.cumsum(boxes[:, END_Y] - boxes[:, FIRST_Y], out=row_starts[1:])
@@ -140,13 +169,57 @@ def list_tiles(projection: Projection, tiles_x: int, tiles_y: int) -> TileLists:
     pair_starts = np.zeros(len(boxes) + 1, np.int32)
     _row_spans(projection.projected, boxes, row_starts, spans, pair_starts)
     np.cumsum(pair_starts, out=pair_starts)
+    return Reach(row_starts, spans, pair_starts)
+
+
+def trimmed(reach: Reach, projection: Projection, wanted: Flags) -> Reach:
+    """`reach` without the tiles before the first wanted one of a span and after the last.
+
+    wanted: (tiles_y, tiles_x) bool.
+    """
+    spans, pair_starts = np.empty_like(reach.spans), np.zeros_like(reach.pair_starts)
+    _trim_spans(projection.tile_boxes, reach.row_starts, reach.spans, wanted, spans, pair_starts)
+    np.cumsum(pair_starts, out=pair_starts)
+    return Reach(reach.row_starts, spans, pair_starts)
+
+
+def dealt(tiles: Ints, costs: Ints) -> Ints:
+    """(T,) int32: `tiles` in an order in which equal shares cost about the same.
+
+    Threads take equal contiguous shares of a list. costs: (T,) int32, of any unit.
+    """
+    heavy_first = tiles[np.argsort(-costs, kind="stable")]
+    shares = 8
+    return np.concatenate([heavy_first[s::shares] for s in range(shares)])
+
+
+def list_tiles(
+    projection: Projection,
+    tiles_x: int,
+    tiles_y: int,
+    reach: Reach | None = None,
+    wanted: Flags | None = None,
+) -> TileLists:
+    """Sorts the projected Gaussians by depth into the tiles that they reach.
+
+    reach: of the projection, where it is known. wanted: (tiles_y, tiles_x) bool, the tiles to draw;
+    what reaches none of them is left out, and the lists of others are not complete. None: all.
+    """
+    boxes = projection.tile_boxes
+    reach = reach or reach_of(projection)
+    if wanted is not None:
+        reach = trimmed(reach, projection, wanted)
+    row_starts, spans, pair_starts = reach.row_starts, reach.spans, reach.pair_starts
     starts = np.zeros(tiles_x * tiles_y + 1, np.int32)
     _count_pairs(boxes, row_starts, spans, tiles_x, starts)
     gaussians, pairs = np.empty(pair_starts[-1], np.int32), np.empty(pair_starts[-1], np.int32)
-    by_depth = near_first(projection.depths)
+    if wanted is None:
+        tiles = np.arange(tiles_x * tiles_y, dtype=np.int32)
+        by_depth = near_first(projection.depths)
+    else:
+        tiles = np.flatnonzero(wanted).astype(np.int32)
+        listed = np.flatnonzero(np.diff(pair_starts)).astype(np.int32)
+        by_depth = listed[near_first(projection.depths[listed])]
     _fill_pairs(boxes, row_starts, spans, by_depth, tiles_x, starts, pair_starts, gaussians, pairs)
-    heavy_first = np.argsort(-np.diff(starts), kind="stable").astype(np.int32)
-    # Threads take equal contiguous shares of the list: deal the tiles so that shares cost alike.
-    shares = 8
-    order = np.concatenate([heavy_first[s::shares] for s in range(shares)])
+    order = dealt(tiles, np.diff(starts)[tiles])
     return TileLists(starts, gaussians, pairs, pair_starts, order)

@@ -14,6 +14,7 @@ from bench.train import (
     bench_target,
     scene,
     stages,
+    step_at,
 )
 from tests.support.torch_step import TorchStep
 from trainer.fit.optimiser import OptimiserConfig
@@ -48,6 +49,9 @@ def test_the_measurement_is_complete() -> None:
     parts = ("project", "tile lists", "blend", "loss", "whole backward", "Adam", "noise")
     assert all(found[name] > 0 for name in (*parts, "pairs", "whole step"))
     assert 0 < found["outside rasteriser"] < 100
+    some = step_at(0.1, *CASE, repeats=2)
+    assert 0 < some.active_percent <= 100
+    assert min(some.whole_ms, some.some_tiles_ms) > 0
     ours_ms, torch_ms = against_torch(*CASE, repeats=1)
     assert ours_ms > 0
     assert torch_ms > 0

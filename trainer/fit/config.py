@@ -47,6 +47,9 @@ class FitConfig:
     1 leaves them as they are."""
     calm_end: float = 0.1
     """What they have fallen to at the end of a window, as a share."""
+    together_share: float = 0.0
+    """Share of a window's iterations in which all Gaussians of a large cell move together, and
+    again the same share for smaller cells. Only where slots are leased."""
     prefix_share: float = 0.0
     """Share of the iterations that render only the first layers, so that these do without the
     others. Only where slots are leased."""
@@ -84,6 +87,12 @@ class FitConfig:
         ):
             if not 0 <= getattr(self, name) <= 1:
                 raise InvalidError(f"{name} {getattr(self, name):g}: choose 0 to 1")
+
+    def iterations(self, first_frame: int) -> int:
+        """Of the window that begins with `first_frame`."""
+        if first_frame:
+            return self.window_iterations
+        return self.genesis_iterations + self.settle_rounds * self.window_iterations
 
     def backend(self, name: BackendName) -> Backend:
         """The backend `name` for this loss. Raises InvalidError where it cannot run."""

@@ -65,6 +65,8 @@ class Generations:
         ):
             for i, array in enumerate(parameters.arrays):
                 arrays[f"{name}{i}"] = array
+        if self.leases is not None:
+            arrays |= self.leases.state()
         return arrays
 
     def shown(self, frame: int) -> Splats:

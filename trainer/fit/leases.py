@@ -8,15 +8,19 @@ every window by what changed in its newest frame.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from codec.errors import InvalidError
 from codec.profiles.morton import interleave
-from codec.slots.lattice import Lattice, States, dequantise, quantise
+from codec.slots.lattice import States, dequantise, quantise
+from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
+
+from .budget import ByteBudget
 
 Ints = npt.NDArray[np.int32]
 Flags = npt.NDArray[np.bool_]
@@ -38,11 +42,16 @@ class LeaseConfig:
     hold: float = 0.5
     """A value within so many steps of the one that a player has is not sent: 0.5 rounds to the
     nearest; more makes a stream smaller and coarser."""
+    bytes_per_frame: float | None = None
+    """Bytes that a frame may take over time, the first one apart; active_share is then what a
+    slice may have at most."""
 
     def __post_init__(self) -> None:
         for name in ("active_share", "refresh_share"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InvalidError(f"{name} {getattr(self, name):g}: choose 0 to 1")
+        if self.bytes_per_frame is not None and not self.bytes_per_frame > 0:
+            raise InvalidError(f"bytes_per_frame {self.bytes_per_frame:g}: choose more than 0")
         if not 0.5 <= self.hold <= 4:
             raise InvalidError(f"hold {self.hold:g}: choose 0.5 to 4")
 
@@ -50,27 +59,35 @@ class LeaseConfig:
 class Leases:
     """What a player holds of every slot, and since when."""
 
-    def __init__(self, config: LeaseConfig, swin_size: int, slots: tuple[int, ...]) -> None:
-        """slots: of each layer in a lane."""
-        self.config = config
-        self.slots = slots
-        self.slice_size = sum(slots)
-        num_gs = swin_size * self.slice_size
-        self.layers = np.tile(np.repeat(np.arange(len(slots)), slots), swin_size).astype(np.uint8)
-        """(num_gs,) the layer of each slot."""
-        self.lattices: tuple[Lattice, ...] = ()
-        self.states = States.zeros(num_gs, 0)
+    def __init__(self, config: LeaseConfig, layout: SlotLayout) -> None:
+        self.config, self.slots, self.lattices = config, layout.slots, layout.lattices
+        self.slice_size = layout.num_slots
+        num_gs = layout.swin_size * self.slice_size
+        pattern = np.repeat(np.arange(layout.num_layers), self.slots)
+        self.layers = np.tile(pattern, layout.swin_size).astype(np.uint8)
+        """(num_gs,) the layer of each slot; in genesis of each Gaussian."""
+        self.states = States.zeros(num_gs, layout.sh_degree)
         self.is_shown = np.zeros(num_gs, np.bool_)
         """Whether a slot holds a Gaussian."""
         self.is_other = np.ones(num_gs, np.bool_)
         """Whether what is trained in a slot is another Gaussian than the one a player has."""
         self.trained = np.zeros(num_gs, np.int32)
         """The birth that each slot was active at last."""
+        self.budget = ByteBudget(config.bytes_per_frame) if config.bytes_per_frame else None
 
-    def begin(self, splats: Splats, coarser: float = 1.0) -> None:
-        """Fixes the lattices by the Gaussians of the first window."""
-        self.lattices = (Lattice.suiting(splats, coarser),) * len(self.slots)
-        self.states = States.zeros(len(self.is_shown), splats.sh_degree)
+    def state(self) -> dict[str, npt.NDArray[Any]]:
+        """Everything that changes while training. Views, not copies."""
+        arrays: dict[str, npt.NDArray[Any]] = {
+            "lease_layers": self.layers,
+            "lease_positions": self.states.positions,
+            "lease_attributes": self.states.attributes,
+            "lease_is_shown": self.is_shown,
+            "lease_is_other": self.is_other,
+            "lease_trained": self.trained,
+        }
+        if self.budget is not None:
+            arrays["lease_budget"] = self.budget.state()
+        return arrays
 
     def rank(self, contributions: Doubles) -> None:
         """Puts each Gaussian of genesis into a layer, those that contribute most into the first."""
@@ -109,6 +126,8 @@ class Leases:
         much each has to do with what changed."""
         count = len(rows)
         wanted = round(self.config.active_share * count)
+        if self.budget is not None:
+            wanted = min(wanted, self.budget.slots)
         turn = min(round(self.config.refresh_share * count), wanted)
         by_score = np.argsort(-scores, kind="stable")
         chosen = np.zeros(count, np.bool_)
@@ -142,7 +161,7 @@ class Leases:
         statuses = np.full(len(splats), KEPT, np.uint8)
         decoded = [array.copy() for array in splats.arrays]
         held = self.states.take(lane)
-        fits = np.ones(len(splats), np.bool_)
+        escaped = np.zeros(len(splats), np.bool_)
         layers = self.layers[lane]
         is_shown, is_other = self.is_shown[lane], self.is_other[lane]
         for layer, lattice in enumerate(self.lattices):
@@ -162,21 +181,20 @@ class Leases:
                 status[~fit] = NEW
                 status[~shows] = np.where(is_shown[rows[~shows]], ENDED, KEPT)
                 statuses[rows] = status
-                fits[rows] = fit
                 exact = dequantise(states, lattice)
                 for array, of_lattice in zip(decoded, exact.arrays, strict=True):
                     array[rows[fit]] = of_lattice[fit]
                 held.put(rows, states)
                 is_shown[rows] = shows
-        self.states.put(lane, held)
+                escaped[rows] = ~fit
+        self.states.put(np.arange(lane.start, lane.stop), held)
         # Views: the flags of the lane.
-        is_other[is_active] = False
+        is_other[is_active] = escaped[is_active]  # nothing is predicted from those
         self.trained[lane][is_active] = birth
         sent = np.flatnonzero(statuses >= PREDICTED)
-        escaped = ~fits[sent]
         exact = Splats(*decoded)
         update = Update(
-            birth, statuses, held.take(sent), start_offsets[sent].astype(np.uint8), escaped,
-            exact.take(sent[escaped]),
+            birth, statuses, held.take(sent), start_offsets[sent].astype(np.uint8), escaped[sent],
+            exact.take(sent[escaped[sent]]),
         )  # fmt: skip
         return update, exact

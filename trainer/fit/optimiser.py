@@ -39,6 +39,8 @@ class OptimiserConfig:
     """For positions at the start of genesis, times the scene's extent (metres). 3DGS."""
     means_lr_end: float = 1.6e-6
     """The same at the end of genesis, reached log-linearly. 3DGS."""
+    settle_means_lr: float = 1e-3
+    """The same at the start of every round that genesis settles in."""
     window_means_lr: float = 1e-3
     """The same at the start of every later window. Paper: 1.6e-4 again; too slow to follow what
     moved since the slice was last trained, when a window has hundreds of iterations."""

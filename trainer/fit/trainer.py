@@ -17,7 +17,8 @@ import numpy.typing as npt
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.slice import Slice
-from codec.slots.update import Update
+from codec.slots.slotlayout import SlotLayout
+from codec.slots.update import KEPT, Update
 from codec.splats import Splats
 from trainer.pictures.feed import Pictures
 from trainer.pictures.shot import Shot
@@ -31,6 +32,7 @@ from .generations import Generations
 from .leases import Leases
 from .optimiser import GATE_STEEPNESS, add_noise
 from .renew import Comparer, missing_splats
+from .together import cells_of, move_together
 
 Floats = npt.NDArray[np.float32]
 Doubles = npt.NDArray[np.float64]
@@ -44,7 +46,10 @@ SMALLEST_HALVED_PX = 64
 the border."""
 
 LAYERED_FROM = 0.6
-"""Share of genesis after which layers are told apart, and trained to do without those above."""
+"""Share of genesis after which layers are told apart, and trained to do without those above, if it
+does not settle: otherwise every round tells them apart anew."""
+
+TOGETHER_SIZES = (0.1, 0.03)
 
 PROGRESS_PERIOD = 20
 """Iterations between two reports of progress."""
@@ -131,10 +136,10 @@ class Trainer:
         far_m: float = FALLBACK_FAR_M,
         backend: Backend | None = None,
         observers: Sequence[Observer] = (),
-        slots: tuple[int, ...] | None = None,
+        layout: SlotLayout | None = None,
     ) -> None:
         """initial: num_gs Gaussians to begin with; None when `restore` follows. backend: by default
-        the CPU's. slots: of each layer in a lane, where slots are leased."""
+        the CPU's. layout: where slots are leased."""
         if initial is not None and (len(initial), initial.sh_degree) != (
             config.num_gs,
             config.sh_degree,
@@ -154,7 +159,7 @@ class Trainer:
         self._comparer = Comparer(cameras, near_m)
         self._gradients = Parameters.zeros(config.num_gs, config.sh_degree)
         # What changes while training; `state` gives all of it.
-        self._leases = None if slots is None else Leases(config.lease, config.swin_size, slots)
+        self._leases = None if layout is None else Leases(config.lease, layout)
         self._generations = Generations(config, initial, self._leases)
         self._colour = CameraColour(len(cameras), config.colour_lr)
         self._rng = np.random.default_rng(config.seed)
@@ -174,16 +179,18 @@ class Trainer:
                 observer.window_begun(first_frame)
             end = min(first_frame + self._config.swin_size, self._pictures.num_frames)
             frames = range(first_frame, end)
-            self._train(frames, self._schedule(first_frame == 0))
-            for _ in range(self._config.settle_rounds if first_frame == 0 else 0):
-                self._renew(0)
-                self._train(frames, self._schedule(False))
             if first_frame == 0:
-                if self._leases is not None:
-                    self._leases.begin(self.shown(0))
-                    if not self._config.prefix_share:
-                        self._leases.rank(self._contributions(0))
+                self._train(frames, self._genesis_schedule())
+                for done in range(self._config.settle_rounds):
+                    self._renew(0)
+                    rate = self._config.optimiser.settle_means_lr
+                    self._train(frames, self._window_schedule(rate), done)
+                if self._leases is not None and not self._config.prefix_share:
+                    self._leases.rank(self._contributions(0))
                 self._generations.stagger(self._rng)
+            else:
+                rate = self._config.optimiser.window_means_lr
+                self._train(frames, self._window_schedule(rate))
             self._next_window += 1
             if self._leases is None:
                 yield Window(frames, tuple(self._generations.mature(self._next_window)))
@@ -192,6 +199,12 @@ class Trainer:
                 yield Window(frames, updates=tuple(updates))
             for observer in self._observers:
                 observer.window_ended(first_frame)
+
+    def spent(self, window: Window, num_bytes: int) -> None:
+        """Says what the update of `window`, which `windows` has just given, takes in the stream."""
+        if self._leases is not None and self._leases.budget is not None and window.first_frame:
+            sent = sum(int((update.statuses != KEPT).sum()) for update in window.updates)
+            self._leases.budget.spent(num_bytes, sent)
 
     def contributions(self, window: Window) -> list[Doubles]:
         """For each slice of `window`, which `windows` has just given, (N,) what its Gaussians
@@ -246,34 +259,44 @@ class Trainer:
         self._rng.bit_generator.state = json.loads(state["random"].tobytes())
         self._next_window, self._steps = (int(n) for n in state["counters"])
 
-    def _schedule(self, genesis: bool) -> _Schedule:
+    def _genesis_schedule(self) -> _Schedule:
         config, rates = self._config, self._config.optimiser
-        if genesis:
-            return _Schedule(
-                config.genesis_iterations,
-                self._coarse_share * config.genesis_iterations,
-                rates.means_lr,
-                rates.means_lr_end,
-                config.mcmc.noise_lr,
-            )
+        return _Schedule(
+            config.genesis_iterations,
+            self._coarse_share * config.genesis_iterations,
+            rates.means_lr,
+            rates.means_lr_end,
+            config.mcmc.noise_lr,
+        )
+
+    def _window_schedule(self, means_lr: float) -> _Schedule:
+        """That of a window whose learning rate of positions begins at `means_lr`."""
+        config, rates = self._config, self._config.optimiser
         return _Schedule(
             config.window_iterations,
             0,
-            rates.window_means_lr,
-            rates.window_means_lr_end,
+            means_lr,
+            means_lr * rates.window_means_lr_end / rates.window_means_lr,
             config.mcmc.window_noise_lr,
         )
 
-    def _train(self, frames: range, schedule: _Schedule) -> None:
-        """Optimises the current generation on the frames of a window."""
+    def _train(self, frames: range, schedule: _Schedule, settled: int | None = None) -> None:
+        """Optimises the current generation on the frames of a window. settled: the rounds that
+        genesis has settled for already."""
         config, generations = self._config, self._generations
         genesis = frames.start == 0
+        before = 0
+        if settled is not None:
+            before = config.genesis_iterations + settled * config.window_iterations
         if not genesis and not config.optimiser.carry_adam:
             generations.adam.reset(np.arange(config.num_gs))
         last_frame = frames[-1]
         layered_from = schedule.iterations
         if self._leases is not None and config.prefix_share:
-            layered_from = round(LAYERED_FROM * schedule.iterations) if genesis else 0
+            if not genesis or settled is not None:
+                layered_from = 0
+            elif not config.settle_rounds:
+                layered_from = round(LAYERED_FROM * schedule.iterations)
         # Neither genesis nor the last windows of a video.
         brings_new = not genesis and len(frames) == config.swin_size
         if brings_new:
@@ -282,6 +305,10 @@ class Trainer:
             for birth in frames if first_is_new else frames[-1:]:
                 self._begin_slice(birth)
         active = {f: generations.lifespans.active_rows(f) for f in frames}
+        means = generations.values.means[: config.num_gs]
+        together = [cells_of(means, size * self._extent_m) for size in TOGETHER_SIZES]
+        # Where most slots are kept, what their tiles show reaches no gradient.
+        whole = genesis or self._leases is None
         ages = generations.lifespans.ages(frames.start)
         if genesis:
             ages[:] = 0
@@ -301,14 +328,19 @@ class Trainer:
             calm = schedule.calm(iteration, config.calm_from, config.calm_end)
             means_lr_m = schedule.means_lr_m(iteration, self._extent_m)
             noise = schedule.noise_lr * means_lr_m
-            loss = self._step(camera, view, shot, rows, ages, means_lr_m, noise, calm)
+            cells = None
+            if brings_new and self._leases is not None:
+                level = int(iteration / (config.together_share * schedule.iterations + 1e-9))
+                cells = together[level] if level < len(together) else None
+            loss = self._step(camera, view, shot, rows, ages, means_lr_m, noise, calm, whole, cells)
             done = iteration + 1
             period = config.mcmc.relocate_period
             if done % period == 0 and done <= config.mcmc.relocate_until * schedule.iterations:
                 generations.relocate(last_frame, config.mcmc.dead_opacity, self._rng)
                 active = {f: generations.lifespans.active_rows(f) for f in frames}
             if done % PROGRESS_PERIOD == 0 or done == schedule.iterations:
-                progress = Progress(frames.start, done, schedule.iterations, loss)
+                total = config.iterations(frames.start)
+                progress = Progress(frames.start, before + done, total, loss)
                 for observer in self._observers:
                     observer.progressed(progress)
 
@@ -322,16 +354,21 @@ class Trainer:
         means_lr_m: float,
         noise: float,
         calm: float,
+        whole: bool,
+        cells: Ints | None,
     ) -> float:
         """One iteration on the Gaussians `rows`; gives the loss."""
         config, values = self._config, self._generations.values
         loss = self._backend.step(
             values, rows, view, shot, self._colour.gain(camera), self._colour.bias(camera),
-            config.num_gs, self._gradients,
+            config.num_gs, self._gradients, whole,
         )  # fmt: skip
         trainable = rows[rows < config.num_gs]
+        if cells is not None:
+            move_together(self._gradients.means, trainable, cells)
         self._generations.adam.step(values, self._gradients, trainable, means_lr_m, ages, calm)
-        self._colour.step(camera, loss.gain_grad, loss.bias_grad)
+        if loss.gain_grad is not None and loss.bias_grad is not None:
+            self._colour.step(camera, loss.gain_grad, loss.bias_grad)
         add_noise(
             values.means, values.log_scales, values.quats, values.logit_opacities, trainable,
             np.float32(noise), np.float32(config.mcmc.dead_opacity), np.float32(GATE_STEEPNESS),

@@ -19,13 +19,15 @@ import numpy.typing as npt
 from codec.errors import InvalidError
 from codec.files import replacing
 from codec.slice import Slice
+from codec.slots.lattice import States
+from codec.slots.update import Update
 from codec.splats import ARRAY_NAMES, Splats
 from trainer.errors import CheckpointError
 
 CHECKPOINT_NAME = ".checkpoint.npz"
 """In the stream's folder; readers of a stream ignore names that begin with a dot."""
 
-VERSION = 1
+VERSION = 2
 
 Arrays = dict[str, npt.NDArray[Any]]
 
@@ -36,24 +38,60 @@ class Checkpoint:
 
     state: Arrays
     """What `Trainer.state` gave."""
-    pending: list[Slice]
-    """Matured slices that may not be in a finished segment yet, in the order of birth."""
+    pending: list[Slice | Update]
+    """What has matured and may not be in a finished segment yet, in the order of birth."""
+
+
+def _arrays_of(part: Slice | Update) -> Arrays:
+    """All that `part` holds but its birth."""
+    if isinstance(part, Slice):
+        return {**_splat_arrays("splats", part.splats), "start_offsets": part.start_offsets}
+    return {
+        "statuses": part.statuses,
+        "positions": part.states.positions,
+        "attributes": part.states.attributes,
+        "start_offsets": part.start_offsets,
+        "escaped": part.escaped,
+        **_splat_arrays("escapes", part.escapes),
+    }
+
+
+def _splat_arrays(name: str, splats: Splats) -> Arrays:
+    return {f"{name}.{a}": array for a, array in zip(ARRAY_NAMES, splats.arrays, strict=True)}
+
+
+def _part_of(birth: int, arrays: Arrays) -> Slice | Update:
+    """The opposite of `_arrays_of`."""
+    if "statuses" not in arrays:
+        splats = Splats(*(arrays[f"splats.{name}"] for name in ARRAY_NAMES))
+        return Slice(birth, splats, arrays["start_offsets"])
+    return Update(
+        birth,
+        arrays["statuses"],
+        States(arrays["positions"], arrays["attributes"]),
+        arrays["start_offsets"],
+        arrays["escaped"],
+        Splats(*(arrays[f"escapes.{name}"] for name in ARRAY_NAMES)),
+    )
 
 
 def save_checkpoint(
-    path: Path, state: Arrays, pending: Sequence[Slice], settings: Mapping[str, Any]
+    path: Path, state: Arrays, pending: Sequence[Slice | Update], settings: Mapping[str, Any]
 ) -> None:
     """Writes a checkpoint to `path`. settings: JSON that a resuming run must agree with."""
     arrays: Arrays = {f"state.{name}": array for name, array in state.items()}
-    head = {"version": VERSION, "settings": settings, "births": [s.birth for s in pending]}
+    head = {"version": VERSION, "settings": settings, "births": [p.birth for p in pending]}
     arrays["head"] = np.frombuffer(json.dumps(head, sort_keys=True).encode(), np.uint8)
-    if pending:
-        for name in ARRAY_NAMES:
-            arrays[f"pending.{name}"] = np.stack([getattr(s.splats, name) for s in pending])
-        arrays["pending.start_offsets"] = np.stack([s.start_offsets for s in pending])
+    for i, part in enumerate(pending):
+        arrays |= {f"pending.{i}.{name}": array for name, array in _arrays_of(part).items()}
     # Opened here, because numpy would add .npz to the temporary name.
     with replacing(path) as temporary, open(temporary, "wb") as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]  # its stub takes the names for options
+
+
+def _named(arrays: Arrays, prefix: str) -> Arrays:
+    """Those whose names begin with `prefix`, without it."""
+    return {n.removeprefix(prefix): array for n, array in arrays.items() if n.startswith(prefix)}
 
 
 def load_checkpoint(path: Path, settings: Mapping[str, Any]) -> Checkpoint:
@@ -70,13 +108,9 @@ def load_checkpoint(path: Path, settings: Mapping[str, Any]) -> Checkpoint:
         if head["version"] != VERSION:
             raise CheckpointError(f"{path}: version {head['version']}, not {VERSION}")
         made_with = head["settings"]
-        state = {n.removeprefix("state."): a for n, a in arrays.items() if n.startswith("state.")}
+        state = _named(arrays, "state.")
         pending = [
-            Slice(
-                int(birth),
-                Splats(*(arrays[f"pending.{name}"][i] for name in ARRAY_NAMES)),
-                arrays["pending.start_offsets"][i],
-            )
+            _part_of(int(birth), _named(arrays, f"pending.{i}."))
             for i, birth in enumerate(head["births"])
         ]
     except FileNotFoundError as error:

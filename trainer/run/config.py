@@ -52,8 +52,9 @@ class TrainConfig:
     """Importance that orders Gaussians into layers: contribution (blending weight summed over the
     training cameras; a first layer without holes), opacity (paper, section 5.5), or coverage
     (opacity times size)."""
-    profile: Profile = Profile.COMPACT
-    """Precision of the stream."""
+    profile: Profile = Profile.LATTICE
+    """How the stream says its Gaussians: lattice (what stands still is sent once, what goes on as a
+    difference), or slices sent whole in one of three precisions: compact, paper, raw."""
     raw_stream: Path | None = None
     """Folder for a second stream, of the same Gaussians with profile raw: shows what `profile`
     costs."""
@@ -83,6 +84,17 @@ class TrainConfig:
             raise InvalidError("name the folder to write the stream to, or --check PNG")
         if self.point_share is not None and not 0 <= self.point_share <= 1:
             raise InvalidError(f"point_share {self.point_share:g}: choose 0 to 1")
+        if self.profile is Profile.LATTICE:
+            if self.raw_stream is not None:
+                raise InvalidError(
+                    "--raw-stream shows what a profile costs, and with lattice the trainer sees "
+                    "nothing else; train with --profile compact"
+                )
+            if self.rank != "contribution":
+                raise InvalidError(
+                    f"--rank {self.rank} orders slices that are sent whole; with profile lattice "
+                    "slots are ranked by contribution"
+                )
         if self.snapshot_every < 0:
             raise InvalidError(f"snapshot_every {self.snapshot_every}: choose 0 or more")
 

@@ -82,7 +82,7 @@ def train_stream(
         monitor = Monitor(bar, log, config.fit, len(prepared.frames))
         trainer = Trainer(
             config.fit, pictures, initial, prepared.near_m, prepared.far_m, prepared.backend,
-            (monitor, *observers),
+            (monitor, *observers), manifest.slot_layout if manifest.has_slots else None,
         )  # fmt: skip
         if found is not None:
             trainer.restore(found.state)
@@ -97,16 +97,20 @@ def train_stream(
         stack.enter_context(bar)
         asked = stack.enter_context(interruptible())
         for window in trainer.windows():
-            frame, slices = window.first_frame, window.slices
+            frame = window.first_frame
             # While the next window is trained, what the one after it brings is read. The frame that
             # was just finished is still scored.
             pictures.prefetch(frame + 1 + swin_size, frame)
-            if config.rank == CONTRIBUTION:
-                slices = matured_by_contribution(trainer, window)
-            outputs.deliver(slices)
+            if window.updates:
+                outputs.deliver(window.updates)
+                trainer.spent(window, outputs.slice_bytes)
+            elif config.rank == CONTRIBUTION:
+                outputs.deliver(matured_by_contribution(trainer, window))
+            else:
+                outputs.deliver(window.slices)
             save_checkpoint(checkpoint, trainer.state(), outputs.pending, settings)
             shown = trainer.num_shown(frame)
-            monitor.frame_finished(frame, shown, outputs.bytes_written, outputs.quality)
+            monitor.frame_finished(frame, shown, outputs.played_bytes, outputs.quality)
             if config.snapshot_every and frame % config.snapshot_every == 0:
                 write_snapshot(
                     trainer.shown(frame), frame, cache, prepared.near_m, config.target / "snapshots"

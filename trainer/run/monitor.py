@@ -61,7 +61,7 @@ class Monitor(Observer):
         """Iterations of the windows before `window`."""
         if window == 0:
             return 0
-        return self._config.genesis_iterations + (window - 1) * self._config.window_iterations
+        return self._config.iterations(0) + (window - 1) * self._config.iterations(1)
 
     def window_begun(self, first_frame: int) -> None:
         if not self._has_begun:  # what a resumed run has behind it took none of its time
@@ -80,16 +80,16 @@ class Monitor(Observer):
         )
 
     def frame_finished(
-        self, frame: int, gaussians: int, bytes_written: int, meter: QualityMeter
+        self, frame: int, gaussians: int, played_bytes: int, meter: QualityMeter
     ) -> None:
-        """`gaussians` show in the frame; the stream takes `bytes_written` so far, 0 until the first
+        """`gaussians` show in the frame; the stream takes `played_bytes` so far, 0 until the first
         segment is on disk."""
         now = _Mark(self._now_s(), self._before(frame + 1))
         rate = (now.iterations - self._last.iterations) / max(now.time_s - self._last.time_s, 1e-9)
         pace_s = (now.time_s - self._begin.time_s) / (now.iterations - self._begin.iterations)
         self._last = now
         psnr_db = meter.last_db[-1] if meter.last_db else None
-        bytes_per_frame = bytes_written / (frame + 1)
+        bytes_per_frame = played_bytes / (frame + 1)
         self._log.add(
             {
                 "frame": frame,
@@ -105,6 +105,6 @@ class Monitor(Observer):
         score = f"{rate:.1f} it/s, {gaussians:,} Gaussians"
         if psnr_db is not None:
             score += f", {psnr_db:.2f} dB"
-        if bytes_written:
+        if played_bytes:
             score += f", {bytes_per_frame / 1e3:.1f} kB/frame"
         self._bar.update(self._task, score=score)

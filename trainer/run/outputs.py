@@ -11,6 +11,7 @@ from PIL import Image
 from codec.errors import InvalidError
 from codec.profiles.profile import Profile
 from codec.slice import Slice
+from codec.slots.update import Update
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import Manifest
@@ -46,17 +47,22 @@ class Outputs:
         """quality: of the first stream."""
         self._writers = writers
         self.quality = quality
-        self.pending: list[Slice] = []
-        """Slices that may not be in a finished segment of every stream yet, in order of birth."""
+        self.pending: list[Slice | Update] = []
+        """What may not be in a finished segment of every stream yet, in order of birth."""
 
     @property
-    def bytes_written(self) -> int:
-        """Of the first stream, to disk."""
-        return self._writers[0].bytes_written
+    def played_bytes(self) -> int:
+        """What is on disk of the first stream and fetched by one who plays it from frame 0."""
+        return self._writers[0].played_bytes
 
-    def deliver(self, slices: Sequence[Slice]) -> None:
-        """Appends `slices` to the streams that lack them."""
-        for part in slices:
+    @property
+    def slice_bytes(self) -> int:
+        """What the last slice takes in the first stream: its packets."""
+        return self._writers[0].slice_bytes
+
+    def deliver(self, parts: Sequence[Slice | Update]) -> None:
+        """Appends slices, or updates of slots, to the streams that lack them."""
+        for part in parts:
             for writer in self._writers:
                 if part.birth >= writer.next_birth:
                     writer.append(part)

@@ -6,6 +6,7 @@ Nothing is written here.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -13,8 +14,10 @@ import numpy as np
 
 from codec.errors import InvalidError
 from codec.framerange import FrameRange
+from codec.profiles.profile import Profile
+from codec.slots.lattice import Lattice
 from codec.splats import Splats
-from codec.stream.manifest import Manifest
+from codec.stream.manifest import SLOTS_VERSION, VERSION, Manifest
 from trainer.capture.capture import Capture, check_trainable
 from trainer.capture.layout import open_capture
 from trainer.capture.points import points_evenness, read_points_file
@@ -29,6 +32,9 @@ from .config import TrainConfig
 
 FALLBACK_NEAR_M = 0.2
 """Near plane where a rig does not tell. 3DGS."""
+
+GROWN = 1.25
+"""Size of trained Gaussians over that of the first ones."""
 
 LEAST_POINT_SHARE = 0.3
 """Of the first Gaussians, where points lie in a few spots only: those are what matters most."""
@@ -126,6 +132,18 @@ def first_gaussians(config: TrainConfig, prepared: Prepared, pictures: Pictures)
     return initial_splats(positions, colours, fit.sh_degree)
 
 
+def layer_slots(shares: Sequence[float], slice_size: int) -> tuple[int, ...]:
+    """How many of the slots of a lane are in each layer."""
+    edges = np.rint(np.cumsum((0.0, *shares)) * slice_size).astype(int)
+    slots = tuple(int(count) for count in np.diff(edges))
+    if min(slots) < 1:
+        raise InvalidError(
+            f"layers: {slice_size} Gaussians in a slice leave a layer without any; choose more "
+            "Gaussians or fewer layers"
+        )
+    return slots
+
+
 def make_manifest(
     config: TrainConfig, prepared: Prepared, cache: FrameCache, initial: Splats
 ) -> Manifest:
@@ -134,11 +152,19 @@ def make_manifest(
     cameras = tuple(cache.camera(i) for i in range(len(capture.cameras)))
     points = capture.points.xyz if capture.points is not None else initial.means
     low, high = np.percentile(points, 5, axis=0), np.percentile(points, 95, axis=0)
+    slots: tuple[int, ...] = ()
+    lattice: tuple[Lattice, ...] = ()
+    if config.profile is Profile.LATTICE:
+        slots = layer_slots(config.layers, config.fit.num_gs // config.fit.swin_size)
+        lattice = (Lattice.suiting(initial, GROWN),) * len(slots)
     return Manifest(
+        version=SLOTS_VERSION if slots else VERSION,
         fps=capture.fps,
         swin_size=config.fit.swin_size,
         num_gs=config.fit.num_gs,
         layers=config.layers,
+        slots=slots,
+        lattice=lattice,
         segment_frames=config.segment_frames,
         sh_degree=config.fit.sh_degree,
         profile=config.profile,

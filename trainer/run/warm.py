@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import sys
+from dataclasses import replace
 
 import numpy as np
 from numba.core.dispatcher import Dispatcher
@@ -16,11 +17,17 @@ from rich.console import Console
 
 from codec.camera import Camera
 from codec.profiles.profile import Profile
+from codec.slots.lattice import Lattice
+from codec.slots.slotdecoder import SlotDecoder
+from codec.slots.slotencoder import SlotEncoder
+from codec.slots.slotlayout import SlotLayout
+from codec.splats import Splats
 from codec.stream.chunk import decode_chunk, encode_chunk
 from player.render.cpu import render_splats
 from trainer.capture.capture import Mask
 from trainer.capture.lens import Lens, straightened
 from trainer.fit.config import FitConfig
+from trainer.fit.leases import LeaseConfig
 from trainer.fit.mcmc import McmcConfig
 from trainer.fit.trainer import SMALLEST_HALVED_PX, Trainer
 from trainer.pictures.shot import Shot
@@ -89,6 +96,7 @@ def compile_kernels(sh_degree: int) -> bool:
         coarse_share=0.5,
         mcmc=McmcConfig(relocate_period=1, renew_share=0.5),
     )
+    _train_with_slots(config, pictures, initial)
     trainer = Trainer(config, pictures, initial, 0.2)
     straightened(picture, pictures.cameras[0], Lens(k1=0.01))
     for window in trainer.windows():
@@ -96,6 +104,26 @@ def compile_kernels(sh_degree: int) -> bool:
             decode_chunk(encode_chunk(part, 0, Profile.COMPACT).data)
     render_splats(trainer.shown(1), pictures.cameras[0], 0.2)
     return _misses() > 0
+
+
+def _train_with_slots(config: FitConfig, pictures: _Noise, initial: Splats) -> None:
+    """Runs what only leased slots need, up to what a reader makes of their chunks."""
+    lease = LeaseConfig(active_share=0.5, hold=0.6)
+    config = replace(config, settle_rounds=1, prefix_share=0.5, lease=lease)
+    lattices = (Lattice.suiting(initial),) * 2
+    layout = SlotLayout(config.swin_size, (3, 1), config.sh_degree, lattices, 4)
+    trainer = Trainer(config, pictures, initial, 0.2, layout=layout)
+    encoder, decoder = SlotEncoder(layout), SlotDecoder(layout)
+    for window in trainer.windows():
+        for update in window.updates:
+            encoded = encoder.append(update)
+            if update.birth == 0:
+                for layer, snapshot in enumerate(encoder.snapshots()):
+                    decoder.load(snapshot.data, layer, 0)
+            elif encoded is not None:
+                changes = [change.data for change in encoded.changes]
+                decoder.apply(update.birth, encoded.mask.data, changes)
+    decoder.whole(update.birth)
 
 
 def start_over_if_compiled(sh_degree: int, console: Console) -> None:

@@ -37,11 +37,15 @@ class Backend(Protocol):
         bias: Floats,
         trainable: int,
         gradients: Parameters,
+        whole: bool = True,
     ) -> Loss:
         """The loss of the Gaussians `rows` seen by `view` against `shot`.
 
         shot: of the view's size; gain, bias: (3,) of its camera. Writes the gradients of those rows
         that are below `trainable` into `gradients`.
+
+        whole: the loss covers all of the picture. Otherwise a backend may leave out what does not
+        matter to those gradients, which are the same, and give a loss as of some tiles, see `Loss`.
         """
         ...
 
@@ -65,13 +69,15 @@ class CpuBackend:
         bias: Floats,
         trainable: int,
         gradients: Parameters,
+        whole: bool = True,
     ) -> Loss:
         """See `Backend.step`."""
         target, workspace = self._targets.take(shot)
-        rendered = render(values, rows, view, self._scratch)
+        rendered = render(values, rows, view, self._scratch, None if whole else trainable)
         loss = photometric_loss(
-            rendered.picture, target, self._dssim_weight, gain, bias, workspace, shot.mask
-        )
+            rendered.picture, target, self._dssim_weight, gain, bias, workspace, shot.mask,
+            rendered.active,
+        )  # fmt: skip
         backward(
             rendered, values, loss.picture_grad, trainable, gradients, self._opacity_reg,
             self._scale_reg,

@@ -47,12 +47,56 @@ FLOW, FLOW_X, FLOW_Y, FLOW_XX, FLOW_XY, FLOW_YY, SUM_RED, SUM_GREEN, SUM_BLUE = 
 SUMS = 9
 
 
+@kernel(fastmath=True, inline="always")
+def _pass_frozen(projected, g, x_px, y_px, pixels, row_open, open_rows):  # type: ignore[no-untyped-def]
+    """Puts Gaussian g before what is left of a tile, without a gradient; the rows still open."""
+    zero = np.float32(0)
+    a, b, c = projected[g, CONIC_A], projected[g, CONIC_B], projected[g, CONIC_C]
+    opacity, q_max = projected[g, OPACITY], projected[g, Q_MAX]
+    red, green, blue = projected[g, RED], projected[g, GREEN], projected[g, BLUE]
+    left, cy = from_centre(x_px, projected[g, X]), projected[g, Y]
+    for row in range(TILE_PX):
+        dy = from_centre(y_px + row, cy)
+        if not row_open[row] or row_misses(a, b, c, q_max, dy, left):
+            continue
+        light = zero
+        for x in range(TILE_PX):
+            unclamped = unclamped_alpha(a, b, c, opacity, left + np.float32(x), dy)
+            _, weight, after = blend_pixel(pixels[row, SEEN, x], unclamped)
+            along = (
+                red * pixels[row, D_RED, x]
+                + green * pixels[row, D_GREEN, x]
+                + blue * pixels[row, D_BLUE, x]
+            )
+            pixels[row, SEEN, x] = after
+            pixels[row, BEHIND, x] -= weight * along
+            light += after
+        if light == zero:
+            row_open[row] = False
+            open_rows -= 1
+    return open_rows
+
+
 @kernel(fastmath=True, parallel=True)
 def blend_tiles_backward(  # type: ignore[no-untyped-def]
-    projected, starts, gaussians, pairs, order, tiles_x, picture, picture_grad, pair_grads
+    projected,
+    starts,
+    ends,
+    gaussians,
+    pairs,
+    moves,
+    order,
+    tiles_x,
+    picture,
+    picture_grad,
+    pair_grads,
 ):
     """Fills `pair_grads` (P, 9) float32 from `picture` and `picture_grad`, both
-    (3, tiles_y * TILE_PX, tiles_x * TILE_PX)."""
+    (3, tiles_y * TILE_PX, tiles_x * TILE_PX), for the pairs of Gaussians that are trained.
+
+    moves: (M,) bool, whether a Gaussian is. ends, order: see `trained_ends`; a tile's list is gone
+    through up to its end, as what is frozen hides what lies behind it all the same.
+    """
     alpha_max = np.float32(ALPHA_MAX)
     zero, half, one = np.float32(0), np.float32(0.5), np.float32(1)
     for k in prange(order.shape[0]):
@@ -76,13 +120,17 @@ def blend_tiles_backward(  # type: ignore[no-untyped-def]
                 pixels[row, D_BLUE, x] = blue
         open_rows = TILE_PX
         row_open = np.ones(TILE_PX, np.bool_)
-        for entry in range(starts[tile], starts[tile + 1]):
+        for entry in range(starts[tile], ends[tile]):
             pair = pairs[entry]
+            g = gaussians[entry]
+            if not moves[g]:
+                if open_rows > 0:
+                    open_rows = _pass_frozen(projected, g, x_px, y_px, pixels, row_open, open_rows)
+                continue
             if open_rows == 0:
                 for column in range(PAIR_GRADIENT):
                     pair_grads[pair, column] = zero
                 continue
-            g = gaussians[entry]
             a, b, c = projected[g, CONIC_A], projected[g, CONIC_B], projected[g, CONIC_C]
             opacity, q_max = projected[g, OPACITY], projected[g, Q_MAX]
             red, green, blue = projected[g, RED], projected[g, GREEN], projected[g, BLUE]

@@ -86,8 +86,9 @@ class CudaBackend:
         bias: Floats,
         trainable: int,
         gradients: Parameters,
+        whole: bool = True,
     ) -> Loss:
-        """See `Backend.step`."""
+        """See `Backend.step`; computes all of the picture in any case."""
         leaves = [self._sent(array[rows]).requires_grad_() for array in values.arrays]
         correction = [self._sent(c).requires_grad_() for c in (gain, bias)]
         rendered = self.render(leaves, view)

@@ -40,13 +40,13 @@ from .blend_backward import (
 
 @kernel(fastmath=True, parallel=True)
 def project_backward_kernel(  # type: ignore[no-untyped-def]
-    means, log_scales, quats, logit_opacities, sh, rows, trainable, camera,
+    means, log_scales, quats, logit_opacities, sh, rows, trained, camera,
     projected, pair_starts, pair_grads, opacity_reg, scale_reg,
     g_means, g_log_scales, g_quats, g_logits, g_sh,
 ):  # fmt: skip
-    """Writes the gradient of every row below `trainable` into that row of the g_ arrays.
+    """Writes the gradients of the Gaussians `trained` into their rows of the g_ arrays.
 
-    rows (M,) int32: what was projected; rows from `trainable` on are frozen and left out.
+    rows (M,) int32: what was projected; trained (T,) int32: places in it, the others are frozen.
     opacity_reg, scale_reg: the regularisers' weights, already divided by what their means run over;
     they reach rows that no pixel shows, too.
     """
@@ -55,10 +55,9 @@ def project_backward_kernel(  # type: ignore[no-untyped-def]
     c0, c1 = np.float32(SH_C0), np.float32(SH_C1)
     r00, r01, r02, r10, r11, r12, r20, r21, r22 = camera_rotation(camera)
     linear = sh.shape[1] >= 4
-    for i in prange(rows.shape[0]):
+    for k in prange(trained.shape[0]):
+        i = trained[k]
         row = rows[i]
-        if row >= trainable:
-            continue
         opacity = one / (one + np.exp(-logit_opacities[row]))
         s0, s1, s2 = (
             np.exp(log_scales[row, 0]),

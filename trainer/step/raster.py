@@ -13,13 +13,17 @@ from codec.splats import array_shapes
 from player.render.blend import blend_tiles
 from player.render.project import PROJECTED, Projection, camera_vector, project_kernel
 from player.render.recipe import TILE_PX
-from player.render.tiles import TileLists, list_tiles, tile_grid
+from player.render.tiles import TileLists, list_tiles, reach_of, tile_grid
 
+from .active import Flags, active_tiles, trained_ends, with_neighbours
 from .blend_backward import G_BLUE, G_GREEN, G_RED, PAIR_GRADIENT, blend_tiles_backward
 from .project_backward import project_backward_kernel
 
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]
+
+NEARLY_ALL = 0.9
+"""Share of the tiles from which on leaving the others out gains less than finding them costs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,12 +95,22 @@ class Rendered:
     lists: TileLists
     picture: Floats  # (3, tiles_y * TILE_PX, tiles_x * TILE_PX) float32, padded to whole tiles
     scratch: Scratch
+    active: Flags | None  # (tiles_y, tiles_x): only these and their neighbours are drawn; None: all
 
 
 def render(
-    parameters: Parameters, rows: Ints, view: View, scratch: Scratch | None = None
+    parameters: Parameters,
+    rows: Ints,
+    view: View,
+    scratch: Scratch | None = None,
+    trainable: int | None = None,
 ) -> Rendered:
-    """Renders the Gaussians `rows` (M,) int32 of `parameters` as `view` sees them."""
+    """Renders the Gaussians `rows` (M,) int32 of `parameters` as `view` sees them.
+
+    trainable: draws only the tiles that matter to the gradients of the rows below it, those that
+    such a Gaussian reaches and their neighbours, unless that is nearly all; the picture and the
+    lists of other tiles have any content. None: draws all.
+    """
     scratch = scratch or Scratch()
     count = len(rows)
     projection = Projection(
@@ -108,12 +122,19 @@ def render(
         *parameters.arrays, rows, view.vector, view.tiles_x, view.tiles_y,
         projection.projected, projection.depths, projection.tile_boxes,
     )  # fmt: skip
-    lists = list_tiles(projection, view.tiles_x, view.tiles_y)
+    reach = reach_of(projection)
+    active = wanted = None
+    if trainable is not None:
+        active = active_tiles(projection, reach, rows < trainable, view.tiles_x, view.tiles_y)
+        wanted = with_neighbours(active)
+        if wanted.mean() > NEARLY_ALL:
+            active = wanted = None
+    lists = list_tiles(projection, view.tiles_x, view.tiles_y, reach, wanted)
     picture = scratch.take("picture", 3, view.tiles_y * TILE_PX, view.tiles_x * TILE_PX)
     blend_tiles(
         projection.projected, lists.starts, lists.gaussians, lists.order, view.tiles_x, picture
     )
-    return Rendered(view, rows, projection, lists, picture, scratch)
+    return Rendered(view, rows, projection, lists, picture, scratch, active)
 
 
 def backward(
@@ -127,19 +148,22 @@ def backward(
 ) -> None:
     """Writes the gradients of the rendered rows below `trainable` into `gradients`.
 
-    picture_grad: d loss / d picture, float32, of the picture's shape, zero in the padding.
+    picture_grad: d loss / d picture, float32, of the picture's shape, zero in the padding; looked
+    at where such a row shows.
     opacity_reg, scale_reg: weights of the mean opacity and the mean scale (metres) over the
     rendered rows in the loss (3DGS-MCMC, section 3.4).
     """
     lists, view = rendered.lists, rendered.view
     pair_grads = rendered.scratch.take("pair gradients", len(lists.pairs), PAIR_GRADIENT)
+    moves = rendered.rows < trainable
+    ends, order = trained_ends(lists, moves)
     blend_tiles_backward(
-        rendered.projection.projected, lists.starts, lists.gaussians, lists.pairs, lists.order,
-        view.tiles_x, rendered.picture, picture_grad, pair_grads,
+        rendered.projection.projected, lists.starts, ends, lists.gaussians, lists.pairs, moves,
+        order, view.tiles_x, rendered.picture, picture_grad, pair_grads,
     )  # fmt: skip
     count = max(len(rendered.rows), 1)
     project_backward_kernel(
-        *parameters.arrays, rendered.rows, trainable, view.vector,
+        *parameters.arrays, rendered.rows, np.flatnonzero(moves).astype(np.int32), view.vector,
         rendered.projection.projected, lists.pair_starts, pair_grads,
         np.float32(opacity_reg / count), np.float32(scale_reg / (3 * count)),
         *gradients.arrays,
@@ -152,9 +176,10 @@ def weighed(rendered: Rendered, planes: Floats) -> tuple[Floats, Floats, Floats]
     lists = rendered.lists
     pair_grads = rendered.scratch.take("pair gradients", len(lists.pairs), PAIR_GRADIENT)
     # The gradient of a sum of weight * colour * plane by the colour is the sum of weight * plane.
+    everyone = np.ones(len(rendered.rows), np.bool_)
     blend_tiles_backward(
-        rendered.projection.projected, lists.starts, lists.gaussians, lists.pairs, lists.order,
-        rendered.view.tiles_x, rendered.picture, planes, pair_grads,
+        rendered.projection.projected, lists.starts, lists.starts[1:], lists.gaussians, lists.pairs,
+        everyone, lists.order, rendered.view.tiles_x, rendered.picture, planes, pair_grads,
     )  # fmt: skip
     sums = []
     for column in (G_RED, G_GREEN, G_BLUE):

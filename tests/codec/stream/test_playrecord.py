@@ -31,15 +31,16 @@ births = st.integers(-(2**31), 2**31 - 1)
 packets = st.binary(max_size=50)
 
 
-def some(least: int) -> st.SearchStrategy[tuple[bytes, ...]]:
-    return st.lists(packets, min_size=least, max_size=16).map(tuple)
+def some(least: int, most: int = 16) -> st.SearchStrategy[tuple[bytes, ...]]:
+    return st.lists(packets, min_size=least, max_size=most).map(tuple)
 
 
 records: st.SearchStrategy[Record] = st.one_of(
     st.builds(StartRecord, frames, frames, st.binary(max_size=50)),
     st.builds(SliceRecord, births, some(1)),
     st.builds(SliceRecord, births, some(0), packets),
-    st.builds(SnapshotRecord, frames, st.integers(0, 15), some(1)),
+    st.builds(SnapshotRecord, frames, st.integers(0, 4), some(1, 12)),
+    st.builds(SnapshotRecord, frames, st.just(15), some(1, 1)),
     st.builds(EndRecord, frames),
     st.builds(ErrorRecord, st.text(max_size=100)),
 )
@@ -131,6 +132,7 @@ def test_noise(noise: bytes) -> None:
         {"kind": "snapshot", "frame": 0, "first": 0, "frames": [b""] * 17},
         {"kind": "snapshot", "frame": 0, "first": 0, "frames": [0]},
         {"kind": "snapshot", "frame": 0, "first": 16, "frames": [b""]},
+        {"kind": "snapshot", "frame": 0, "first": 15, "frames": [b""] * 2},
         {"kind": "snapshot", "frame": 0, "first": -1, "frames": [b""]},
         {"kind": "snapshot", "frame": 0, "first": False, "frames": [b""]},
         {"kind": "snapshot", "frame": -1, "first": 0, "frames": [b""]},
@@ -163,6 +165,8 @@ def test_a_slice_of_version_1_ignores_what_is_called_a_mask() -> None:
         SnapshotRecord(0, 0, ()),
         SnapshotRecord(0, 0, (b"",) * 17),
         SnapshotRecord(0, 16, (b"",)),
+        SnapshotRecord(0, 15, (b"",) * 2),
+        SnapshotRecord(0, -1, (b"",)),
         SnapshotRecord(-1, 0, (b"",)),
         SliceRecord(1 << 31, (b"",)),
         EndRecord(1 << 31),

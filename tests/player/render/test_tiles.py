@@ -20,23 +20,29 @@ from player.render.recipe import TILE_PX
 from player.render.tiles import list_tiles, tile_grid
 
 COUNT = 400
+CAMERA = Camera("c", 200, 120, 150.0, 150.0, 100.0, 60.0, np.eye(4))
 
 
-def test_tile_lists_hold_what_shows_and_little_else() -> None:
+def some_projection(camera: Camera) -> Projection:
+    """Needles, specks and walls, some behind the camera or beside the picture."""
     rng = np.random.default_rng(1)
-    camera = Camera("c", 200, 120, 150.0, 150.0, 100.0, 60.0, np.eye(4))
-    # Needles, specks and walls, some behind the camera or beside the picture.
     means = rng.uniform((-3, -2, -0.5), (3, 2, 5), (COUNT, 3)).astype(np.float32)
     log_scales = rng.uniform(-5, -0.5, (COUNT, 3)).astype(np.float32)
     quats = rng.normal(size=(COUNT, 4)).astype(np.float32)
     logits = rng.uniform(-5, 4, COUNT).astype(np.float32)
-    tiles_x, tiles_y = tile_grid(camera.width_px, camera.height_px)
     projection = Projection.allocate(COUNT)
     project_kernel(
         means, log_scales, quats, logits, np.zeros((COUNT, 1, 3), np.float32),
-        np.arange(COUNT, dtype=np.int32), camera_vector(camera, 0.2), tiles_x, tiles_y,
+        np.arange(COUNT, dtype=np.int32), camera_vector(camera, 0.2),
+        *tile_grid(camera.width_px, camera.height_px),
         projection.projected, projection.depths, projection.tile_boxes,
     )  # fmt: skip
+    return projection
+
+
+def test_tile_lists_hold_what_shows_and_little_else() -> None:
+    tiles_x, tiles_y = tile_grid(CAMERA.width_px, CAMERA.height_px)
+    projection = some_projection(CAMERA)
     lists = list_tiles(projection, tiles_x, tiles_y)
     tiles = np.repeat(np.arange(tiles_x * tiles_y), np.diff(lists.starts))
     listed = np.zeros((COUNT, tiles_y, tiles_x), bool)
@@ -63,3 +69,25 @@ def test_tile_lists_hold_what_shows_and_little_else() -> None:
     assert (np.sort(lists.pairs) == np.arange(len(tiles))).all()
     owner = np.searchsorted(lists.pair_starts, lists.pairs, side="right") - 1
     assert (owner == lists.gaussians).all()
+
+
+def test_wanted_tiles_have_the_lists_of_all_tiles() -> None:
+    tiles_x, tiles_y = tile_grid(CAMERA.width_px, CAMERA.height_px)
+    projection = some_projection(CAMERA)
+    full = list_tiles(projection, tiles_x, tiles_y)
+    wanted = np.zeros((tiles_y, tiles_x), np.bool_)
+    wanted[2:4, 5:7] = wanted[6, 1] = True
+    some = list_tiles(projection, tiles_x, tiles_y, wanted=wanted)
+    assert (np.sort(some.order) == np.flatnonzero(wanted)).all()
+    for tile in some.order:
+        assert np.array_equal(
+            some.gaussians[some.starts[tile] : some.starts[tile + 1]],
+            full.gaussians[full.starts[tile] : full.starts[tile + 1]],
+        )
+    assert len(some.pairs) < 0.5 * len(full.pairs)
+    assert (np.sort(some.pairs) == np.arange(len(some.pairs))).all()
+    owner = np.searchsorted(some.pair_starts, some.pairs, side="right") - 1
+    assert (owner == some.gaussians).all()
+    assert np.array_equal(np.sort(full.order), np.arange(tiles_x * tiles_y))
+    nothing = list_tiles(projection, tiles_x, tiles_y, wanted=np.zeros_like(wanted))
+    assert len(nothing.pairs) == len(nothing.order) == 0

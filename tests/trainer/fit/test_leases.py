@@ -10,10 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.errors import InvalidError
-from codec.slots.lattice import States, dequantise, num_attributes
+from codec.slots.lattice import Lattice, States, dequantise, num_attributes
+from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
 from player.render.cpu import render_splats
+from trainer.fit.budget import ByteBudget
 from trainer.fit.change import ChangeScores
 from trainer.fit.config import FitConfig
 from trainer.fit.leases import LeaseConfig, Leases
@@ -26,6 +28,11 @@ from trainer.step.raster import Parameters, View, render
 from .test_trainer import NEAR_M, Rendered, start, truth
 
 SLOTS = {1: (40, 20, 30), 3: (12, 8, 10)}
+
+
+def layout(swin_size: int, *slots: int) -> SlotLayout:
+    lattices = (Lattice.suiting(truth(0)),) * len(slots)
+    return SlotLayout(swin_size, slots, 0, lattices, 15)
 
 
 def config(swin_size: int, **lease: float) -> FitConfig:
@@ -81,7 +88,9 @@ def sorted_rows(splats: Splats) -> np.ndarray:
 def test_who_is_told_every_update_has_what_training_shows(swin_size: int, share: float) -> None:
     pictures = Rendered()
     chosen = config(swin_size, active_share=share, refresh_share=0.05)
-    trainer = Trainer(chosen, pictures, start(), NEAR_M, slots=SLOTS[swin_size])
+    trainer = Trainer(
+        chosen, pictures, start(), NEAR_M, layout=layout(swin_size, *SLOTS[swin_size])
+    )
     told, kept = None, 0
     for window in trainer.windows():
         told = told or Told(trainer._leases, swin_size)  # type: ignore[arg-type]
@@ -103,35 +112,35 @@ def test_who_is_told_every_update_has_what_training_shows(swin_size: int, share:
 
 
 def test_a_slot_goes_on_unless_another_gaussian_takes_it() -> None:
-    leases = Leases(LeaseConfig(), 1, (3, 2))
-    splats = truth(0).take(slice(5))
-    leases.begin(splats)
+    leases = Leases(LeaseConfig(), layout(1, 3, 2))
+    splats = truth(0).take(slice(0, 5))
     everyone = np.ones(5, np.bool_)
     offsets = np.zeros(5, np.int32)
-    first, exact = leases.mature(0, slice(5), everyone, splats, offsets)
+    first, exact = leases.mature(0, slice(0, 5), everyone, splats, offsets)
     assert (first.statuses == NEW).all()
-    same, _ = leases.mature(1, slice(5), everyone, exact, offsets)
+    same, _ = leases.mature(1, slice(0, 5), everyone, exact, offsets)
     assert (same.statuses == KEPT).all()
     moved = Splats(exact.means + np.float32(0.5), *exact.arrays[1:])
     leases.is_other[3] = True
     some = np.array([True, False, True, True, False])
-    update, _ = leases.mature(2, slice(5), some, moved, offsets)
+    update, _ = leases.mature(2, slice(0, 5), some, moved, offsets)
     assert update.statuses.tolist() == [PREDICTED, KEPT, PREDICTED, NEW, KEPT]
     dim = Splats(*exact.arrays[:3], np.full(5, -9, np.float32), exact.sh)
-    gone, _ = leases.mature(3, slice(5), everyone, dim, offsets)
+    gone, _ = leases.mature(3, slice(0, 5), everyone, dim, offsets)
     assert (gone.statuses == ENDED).all()
-    again, _ = leases.mature(4, slice(5), everyone, dim, offsets)
+    again, _ = leases.mature(4, slice(0, 5), everyone, dim, offsets)
     assert (again.statuses == KEPT).all()
 
 
 def test_a_gaussian_off_the_lattice_is_sent_as_it_is() -> None:
-    leases = Leases(LeaseConfig(), 1, (5,))
-    splats = truth(0).take(slice(5))
-    leases.begin(splats)
+    leases = Leases(LeaseConfig(), layout(1, 5))
+    splats = truth(0).take(slice(0, 5))
     far = splats.means.copy()
     far[2] = 1e9
     splats = Splats(far, *splats.arrays[1:])
-    update, exact = leases.mature(0, slice(5), np.ones(5, np.bool_), splats, np.zeros(5, np.int32))
+    update, exact = leases.mature(
+        0, slice(0, 5), np.ones(5, np.bool_), splats, np.zeros(5, np.int32)
+    )
     assert update.escaped.tolist() == [False, False, True, False, False]
     assert (update.escapes.means == far[2]).all()
     assert (exact.means[2] == far[2]).all()
@@ -142,7 +151,7 @@ def test_dealing_is_a_permutation_that_keeps_layers(
     lanes: int, first: int, second: int, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    leases = Leases(LeaseConfig(), lanes, (first, second))
+    leases = Leases(LeaseConfig(), layout(lanes, first, second))
     count = lanes * (first + second)
     contributions = rng.random(count)
     leases.rank(contributions)
@@ -156,7 +165,7 @@ def test_dealing_is_a_permutation_that_keeps_layers(
 
 
 def test_active_are_those_that_changed_and_the_oldest() -> None:
-    leases = Leases(LeaseConfig(active_share=0.5, refresh_share=0.2), 1, (10,))
+    leases = Leases(LeaseConfig(active_share=0.5, refresh_share=0.2), layout(1, 10))
     leases.trained[:] = [9, 9, 9, 9, 9, 2, 1, 9, 9, 0]
     scores = np.array([5, 0, 4, 0, 3, 0.1, 0.1, 0.2, 0, 0])
     rows = np.arange(10, dtype=np.int32)
@@ -188,3 +197,30 @@ def test_settings_that_cannot_be(wrong: dict[str, float]) -> None:
 def test_states_have_a_byte_for_each_attribute() -> None:
     assert num_attributes(0) == 10
     assert num_attributes(1) == 19
+
+
+def test_a_budget_is_kept_over_time() -> None:
+    budget = ByteBudget(10_000)
+    rng = np.random.default_rng(0)
+    sent = 0
+    for _ in range(300):
+        slots = budget.slots
+        num_bytes = round(slots * rng.uniform(3, 9)) + 500
+        budget.spent(num_bytes, slots)
+        sent += num_bytes
+    assert abs(sent / 300 - 10_000) < 500
+    for _ in range(100):  # nothing happens: what is saved is bounded
+        budget.spent(0, 0)
+    assert budget.slots < 2 * 10_000 / 3
+
+
+def test_a_trainer_keeps_to_the_bytes_that_it_may_send() -> None:
+    chosen = config(1, active_share=1.0, bytes_per_frame=100.0)
+    trainer = Trainer(chosen, Rendered(), start(), NEAR_M, layout=layout(1, *SLOTS[1]))
+    active = []
+    for window in trainer.windows():
+        active.append(int((window.updates[-1].statuses != KEPT).sum()))
+        trainer.spent(window, 10 * active[-1])
+    assert active[0] == 90
+    assert max(active[1:]) <= 20 + 5  # the price is 5 at first; renewal comes on top
+    assert min(active[1:]) >= 5

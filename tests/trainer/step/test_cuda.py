@@ -58,13 +58,15 @@ def scene(sh_degree: int) -> Parameters:
     return values
 
 
-def stepped(backend: Backend, values: Parameters, shot: Shot) -> tuple[Loss, Parameters]:
+def stepped(
+    backend: Backend, values: Parameters, shot: Shot, whole: bool = True
+) -> tuple[Loss, Parameters]:
     gradients = Parameters.zeros(COUNT, 1 if values.sh.shape[1] > 1 else 0)
     rows = np.random.default_rng(4).permutation(COUNT)[: COUNT - 5].astype(np.int32)
     gain = np.array([1.1, 0.9, 1.0], np.float32)
     bias = np.array([0.02, -0.01, 0.0], np.float32)
     view = View.prepare(CAMERA, 0.2)
-    loss = backend.step(values, rows, view, shot, gain, bias, TRAINABLE, gradients)
+    loss = backend.step(values, rows, view, shot, gain, bias, TRAINABLE, gradients, whole=whole)
     return loss, gradients
 
 
@@ -83,9 +85,15 @@ def check(
 ) -> None:
     shot, values = random_shot(half, masked), scene(sh_degree)
     wanted, expected = stepped(make_backend("cpu", *WEIGHTS), values, shot)
-    found, got = stepped(CudaBackend(*WEIGHTS, rasterise, device), values, shot)
+    # It computes all of the picture in any case.
+    found, got = stepped(CudaBackend(*WEIGHTS, rasterise, device), values, shot, whole=False)
+    assert found.covered == 1
     assert found.value == pytest.approx(wanted.value, rel=1e-4)
+    assert found.gain_grad is not None
+    assert wanted.gain_grad is not None
     np.testing.assert_allclose(found.gain_grad, wanted.gain_grad, rtol=1e-3, atol=1e-6)
+    assert found.bias_grad is not None
+    assert wanted.bias_grad is not None
     np.testing.assert_allclose(found.bias_grad, wanted.bias_grad, rtol=1e-3, atol=1e-6)
     for a, b in zip(got.arrays, expected.arrays, strict=True):
         assert np.abs(b).max() > 0

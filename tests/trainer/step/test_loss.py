@@ -7,7 +7,14 @@ import numpy.typing as npt
 import pytest
 import torch
 
-from trainer.step.loss import C1, C2, TAPS, Floats, Workspace, photometric_loss, psnr_db, ssim
+from player.render.recipe import TILE_PX
+from trainer.step.loss import C1, C2, TAPS, Floats, Loss, Workspace, photometric_loss, psnr_db, ssim
+
+
+def gradients(loss: Loss) -> tuple[Floats, Floats, Floats]:
+    assert loss.gain_grad is not None
+    assert loss.bias_grad is not None
+    return loss.picture_grad, loss.gain_grad, loss.bias_grad
 
 
 def ssim_reference(pred: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
@@ -49,7 +56,7 @@ def test_value_and_gradients_are_the_references(dssim_weight: float) -> None:
 
     got = photometric_loss(picture, target, dssim_weight, gain, bias)
     assert got.value == pytest.approx(loss.item(), rel=1e-5)
-    for ours, leaf in zip((got.picture_grad, got.gain_grad, got.bias_grad), leaves, strict=True):
+    for ours, leaf in zip(gradients(got), leaves, strict=True):
         assert leaf.grad is not None
         np.testing.assert_allclose(ours, leaf.grad.numpy(), rtol=2e-3, atol=2e-7)
     assert (got.picture_grad[:, 25:] == 0).all()
@@ -99,9 +106,7 @@ def test_ignored_pixels_are_grey_on_both_sides(dssim_weight: float) -> None:
     for given in (mask, mask > 0, 0.7 * mask.astype(np.float32)):
         got = photometric_loss(picture, target, dssim_weight, gain, bias, None, given)
         assert got.value == pytest.approx(loss.item(), rel=1e-5)
-        for ours, leaf in zip(
-            (got.picture_grad, got.gain_grad, got.bias_grad), leaves, strict=True
-        ):
+        for ours, leaf in zip(gradients(got), leaves, strict=True):
             assert leaf.grad is not None
             np.testing.assert_allclose(ours, leaf.grad.numpy(), rtol=2e-3, atol=2e-7)
         assert (got.picture_grad[:, :25, :41][:, mask == 0] == 0).all()
@@ -137,8 +142,7 @@ def test_what_a_mask_ignores_may_be_anything() -> None:
 
     def loss(picture: Floats, target: Floats, mask: npt.NDArray[np.uint8] | None) -> list[bytes]:
         got = photometric_loss(picture, target, 0.2, gain, bias, work, mask)
-        arrays = got.picture_grad, got.gain_grad, got.bias_grad
-        return [np.float64(got.value).tobytes(), *(a.tobytes() for a in arrays)]
+        return [np.float64(got.value).tobytes(), *(a.tobytes() for a in gradients(got))]
 
     other_picture, other_target = picture.copy(), target.copy()
     other_picture[:, :33, :52][:, mask == 0] = 7
@@ -149,6 +153,47 @@ def test_what_a_mask_ignores_may_be_anything() -> None:
     unmasked = loss(picture, target, None)
     assert unmasked != first
     assert loss(picture, target, np.ones_like(mask)) == unmasked
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_some_tiles_have_their_part_of_the_value_and_the_same_gradient(masked: bool) -> None:
+    rng = np.random.default_rng(6)
+    height, width, dssim_weight = 75, 173, 0.3
+    picture = rng.random((3, 80, 176)).astype(np.float32)
+    target = rng.random((3, height, width)).astype(np.float32)
+    mask = some_mask(height, width) if masked else None
+    one, zero = np.ones(3, np.float32), np.zeros(3, np.float32)
+    active = np.zeros((5, 11), np.bool_)
+    active[1, 3:5] = active[4, 10] = active[0, 0] = True
+    inside = active.repeat(TILE_PX, axis=0).repeat(TILE_PX, axis=1)
+    whole = photometric_loss(picture, target, dssim_weight, one, zero, None, mask)
+    # What is further than the tiles' neighbours may be anything.
+    known = np.zeros_like(inside)
+    for y, x in np.argwhere(active):
+        known[max(y - 1, 0) * TILE_PX : (y + 2) * TILE_PX][
+            :, max(x - 1, 0) * TILE_PX : (x + 2) * TILE_PX
+        ] = True
+    assert 0.3 < known.mean() < 0.7
+    some = np.where(known, picture, np.float32(np.nan))
+    got = photometric_loss(some, target, dssim_weight, one, zero, None, mask, active)
+    assert np.array_equal(got.picture_grad[:, inside], whole.picture_grad[:, inside])
+
+    counts = np.ones((height, width), np.bool_) if mask is None else mask > 0
+    pred, goal = (
+        torch.tensor(np.where(counts, p[:, :height, :width], 0.5).astype(np.float64))
+        for p in (picture, target)
+    )
+    wrong = (1 - dssim_weight) * (pred - goal).abs() + dssim_weight * (
+        1 - ssim_map_reference(pred, goal)
+    )
+    inside = inside[:height, :width]
+    assert got.value == pytest.approx(float(wrong.numpy()[:, inside].sum()) / wrong.numel(), 1e-5)
+    assert got.covered == inside.mean()
+    assert (got.gain_grad, got.bias_grad) == (None, None)
+    nothing = photometric_loss(
+        some, target, dssim_weight, one, zero, None, mask, np.zeros_like(active)
+    )
+    assert (nothing.value, nothing.covered) == (0, 0)
 
 
 def test_metrics_of_the_pixels_that_count() -> None:

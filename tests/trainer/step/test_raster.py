@@ -131,3 +131,17 @@ def test_frozen_rows_get_no_gradient_and_regularisers_reach_hidden_rows() -> Non
     opacity = splats.opacities[0]
     assert gradients.logit_opacities[0] == pytest.approx(opacity * (1 - opacity), rel=1e-5)
     np.testing.assert_allclose(gradients.log_scales[0], np.exp(splats.log_scales[0]), rtol=1e-5)
+
+
+def test_what_is_frozen_hides_all_the_same() -> None:
+    splats, cam = scattered_splats(200, 4, sh_degree=1, logit=1.0), turned_camera()
+    values, view = parameters(splats), View.prepare(cam, NEAR_M)
+    rows = np.random.default_rng(2).permutation(200).astype(np.int32)
+    rendered = render(values, rows, view)
+    picture_grad = np.random.default_rng(3).normal(size=rendered.picture.shape).astype(np.float32)
+    every, some = Parameters.zeros(200, 1), Parameters.zeros(200, 1)
+    backward(rendered, values, picture_grad, 200, every, 0.1, 0.1)
+    backward(rendered, values, picture_grad, 30, some, 0.1, 0.1)
+    for a, b in zip(some.arrays, every.arrays, strict=True):
+        assert not a[30:].any()
+        np.testing.assert_allclose(a[:30], b[:30], rtol=1e-4, atol=1e-6 * np.abs(b).max())
