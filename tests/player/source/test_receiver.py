@@ -5,7 +5,6 @@ Nothing here has a socket; the records are made from the packets on disk.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -20,10 +19,10 @@ from codec.stream import StreamReader
 from codec.stream.manifest import MASKS, snapshot_part
 from codec.stream.playrecord import SliceRecord, SnapshotRecord
 from player.source.receiver import Receiver, open_receiver
-from player.source.source import ReceivedSlice
 from tests.support.hosted_streams import random_slice, small_manifest
 from tests.support.hostile import flips
-from tests.support.slots.slot_streams import Shown, gaussians, same_splats, write_slot_stream
+from tests.support.slots.screen import Screen
+from tests.support.slots.slot_streams import write_slot_stream
 from tests.support.slots.updates import small_layout
 
 NUM_FRAMES = 24
@@ -81,44 +80,6 @@ def response(
             for record in snapshot_records(reader, birth, held, wanted, rng):
                 yield record, wanted
             held = wanted
-
-
-class Screen:
-    """What shows of the slices that a receiver hands out, held against what the stream has."""
-
-    def __init__(self, reader: StreamReader, first_frame: int) -> None:
-        self._reader = reader
-        self._first_frame = first_frame
-        self._shown = Shown(reader.manifest)
-        self.next_birth = first_frame - SWIN_SIZE + 1
-        self._known: dict[int, int] = {}  # by lane: layers that show whole
-        self._whole_until = self.next_birth + SWIN_SIZE
-
-    def snapshots_came(self) -> None:
-        self._whole_until = self.next_birth + SWIN_SIZE
-
-    def put(self, received: ReceivedSlice, held: int) -> None:
-        """held: layers that the receiver knows whole."""
-        slice, birth = received.slice, received.slice.birth
-        assert birth == self.next_birth
-        assert (slice.rows is None) == (birth < self._whole_until)
-        self.next_birth += 1
-        lane = birth % SWIN_SIZE
-        self._known[lane] = held if slice.rows is None else min(held, self._known[lane])
-        splats = self._shown.after([slice], birth)
-        if birth < self._first_frame:
-            return
-        everything = self._reader.active_splats(birth, LAYERS)
-        assert gaussians(splats) <= gaussians(everything)
-        least: Counter[bytes] = Counter()
-        for one in self._reader.window(birth, LAYERS):
-            layers = self._known[one.birth % SWIN_SIZE]
-            rows = np.flatnonzero(one.active(birth, SWIN_SIZE))
-            rows = rows[rows < self._reader.manifest.slot_layout.row_edges[layers]]
-            least += gaussians(one.splats.take(rows))
-        assert least <= gaussians(splats)
-        if set(self._known.values()) == {LAYERS}:
-            assert same_splats(splats, everything)
 
 
 @pytest.mark.parametrize("fickle", [False, True])

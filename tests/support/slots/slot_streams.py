@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+
+import numpy as np
 
 from codec.profiles.profile import Profile
 from codec.slice import Slice
+from codec.slots.lattice import States
 from codec.slots.slotlayout import SlotLayout
+from codec.slots.update import KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
 from codec.stream import StreamWriter
 from codec.stream.manifest import SLOTS_VERSION, Manifest
@@ -47,6 +52,42 @@ def write_slot_stream(
     return path
 
 
+def busy_updates(layout: SlotLayout, num_frames: int, seed: int = 0) -> Iterator[Update]:
+    """Updates of a stream of SH degree 0 with much to send: in each slice two thirds of the slots
+    change. They stand before the cameras of `slot_manifest`."""
+    rng = np.random.default_rng(seed)
+    count = layout.num_slots
+    levels = np.repeat([lattice.opacity_levels for lattice in layout.lattices], layout.slots)
+    steps_m = np.repeat([lattice.position_m for lattice in layout.lattices], layout.slots)
+    for birth in range(1 - layout.swin_size, num_frames):
+        statuses = np.full(count, NEW, np.uint8)
+        if birth > 0:
+            statuses = rng.choice(np.array([KEPT, PREDICTED, NEW], np.uint8), count)
+        coded = np.flatnonzero(statuses >= PREDICTED)
+        means = rng.uniform((-1, -1, 3), (1, 1, 5), (len(coded), 3))
+        positions = np.rint(means / steps_m[coded, None]).astype(np.int32)
+        attributes = rng.integers(0, 256, (len(coded), layout.num_planes - 3)).astype(np.uint8)
+        # Log-scales of -4 to -1, so that there is something to see.
+        attributes[:, :3] = rng.integers(-32, -8, (len(coded), 3)).astype(np.int8).view(np.uint8)
+        attributes[:, -1] = rng.integers(0, levels[coded])
+        yield Update(
+            birth,
+            statuses,
+            States(positions, attributes),
+            np.zeros(len(coded), np.uint8),
+            np.zeros(len(coded), np.bool_),
+            Splats.empty(layout.sh_degree),
+        )
+
+
+def write_busy_stream(path: Path, num_frames: int, layout: SlotLayout, **changes: object) -> Path:
+    """A finished stream of `busy_updates` at `path`. changes: of the manifest."""
+    with StreamWriter.create(path, slot_manifest(layout, **changes)) as writer:
+        for update in busy_updates(layout, num_frames):
+            writer.append(update)
+    return path
+
+
 class Shown:
     """A player's lanes, by the rules of slices alone."""
 
@@ -67,5 +108,7 @@ def same_splats(a: Splats, b: Splats) -> bool:
 
 def gaussians(splats: Splats) -> Counter[bytes]:
     """How often each Gaussian is there."""
-    rows = (b"".join(array[i].tobytes() for array in splats.arrays) for i in range(len(splats)))
-    return Counter(rows)
+    flat = [array.reshape(len(splats), math.prod(array.shape[1:])) for array in splats.arrays]
+    rows = np.concatenate(flat, axis=1)
+    data, size = rows.tobytes(), rows.shape[1] * rows.itemsize
+    return Counter(data[i : i + size] for i in range(0, len(data), size))
