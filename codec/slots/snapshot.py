@@ -12,8 +12,8 @@ from codec.errors import CodecError, CorruptError, InvalidError
 from codec.slice import window_births
 from codec.splats import Splats
 
-from .change import Newcomers, encode_body, finish_chunk, read_body
 from .lattice import States
+from .slotchange import Newcomers, encode_body, finish_chunk, read_body
 from .slotchunk import BIRTH_AT, LAYER_AT, Kind, SlotHeader
 from .slotlayout import HEADER_BYTES, SlotLayout
 from .slotstate import EMPTY, ESCAPED, ON_LATTICE, UNKNOWN, Slots, holds
