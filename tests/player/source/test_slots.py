@@ -17,7 +17,10 @@ from codec.slice import window_births
 from codec.slots.slotlayout import SlotLayout
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import MASKS, snapshot_part
+from player.source.fetch import Fetcher
 from player.source.locate import open_source
+from player.source.retry import RetryConfig
+from player.source.served import ServedSource
 from player.source.source import ReceivedSlice
 from tests.support.hosted_streams import ServerProcess, served, static_host
 from tests.support.slots.slot_streams import (
@@ -195,3 +198,39 @@ def test_a_folder_still_written_is_played_as_far_as_it_has_come(tmp_path: Path) 
                 writer.close()
     # The last segment is short.
     check_play(StreamReader(tmp_path / "s"), got, FrameRange(2), 2)
+
+
+def test_a_killed_server_that_comes_back_is_not_noticed(tmp_path: Path) -> None:
+    root = tmp_path / "library"
+    write_slot_stream(root / "long", 250, small_layout(3, (4, 3), 0, 40), fps=100.0)
+    reader = StreamReader(root / "long")
+    server = ServerProcess(root)
+    source = ServedSource(
+        "s",
+        f"{server.url}/v1/streams/long",
+        Fetcher(),
+        FrameRange(),
+        2,
+        RetryConfig(attempts=100, first_delay_s=0.05, max_delay_s=0.05),
+    )
+    got: list[ReceivedSlice] = []
+    try:
+        for received in source.slices():
+            got.append(received)
+            if received.slice.birth == 20:
+                server.kill()
+                server = ServerProcess(root, server.port)
+    finally:
+        source.close()
+        server.kill()
+    assert [received.slice.birth for received in got] == list(range(-2, 250))
+    # After the break the next slice of each lane is whole.
+    whole = [received.slice.birth for received in got if received.slice.rows is None]
+    assert len(whole) == 6
+    assert whole[:3] == [-2, -1, 0]
+    assert 20 < whole[3] < 249
+    shown = Shown(reader.manifest)
+    for received in got:
+        frame = received.slice.birth
+        splats = shown.after([received.slice], frame)
+        assert frame < 0 or same_splats(splats, reader.active_splats(frame, 2))

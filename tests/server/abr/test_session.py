@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from server.abr.policy import FixedPolicy, LayerPolicy
 from server.abr.session import Finished, PlaySession, SendSlice, SessionConfig, WaitForFrames
-from tests.support.simulated_play import FPS, FakeMedia, simulate, steady
+from tests.server.abr.simulated_play import FPS, FakeMedia, simulate, steady
 
 
 @given(

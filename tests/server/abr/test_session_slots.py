@@ -19,7 +19,7 @@ from server.abr.session import (
     SessionConfig,
     WaitForFrames,
 )
-from tests.support.simulated_play import FPS, FakeMedia, Log, simulate, steady
+from tests.server.abr.simulated_play import FPS, FakeMedia, Log, simulate, steady
 
 
 def slot_media(num_frames: int = 300, **changes: object) -> FakeMedia:
