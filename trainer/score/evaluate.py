@@ -17,6 +17,7 @@ from trainer.capture.capture import Mask
 
 from .moving import Movement, movement_of
 from .picture import Floats, Score, captured, displayed, score_picture
+from .traffic import Traffic, traffic
 from .truth import HeldOut, open_held_out
 
 STILL = 4 / 255
@@ -57,9 +58,17 @@ class LayerScore:
     flicker: float | None
     """100 times the mean change between frames of pixels that the capture keeps still."""
     bytes_per_frame: float
-    """Everything: objects of these layers, index and manifest, over the frames."""
+    """Everything that one fetches who plays these layers from frame 0, over the frames: manifest,
+    index and objects. Of version 2 these are masks, changes, and the snapshots of frame 0."""
+    snapshot_bytes_per_frame: float
+    """Snapshots of these layers at later frames, over the frames: stored for who joins there, and
+    not fetched by who plays from frame 0. None in version 1, so 0."""
     bits_per_second: float
+    """Of `bytes_per_frame`."""
     bytes_per_gaussian: float
+    """Bytes of the objects in `bytes_per_frame` over the Gaussians that they bring. In version 2
+    those are the Gaussians of frame 0 and then the active ones of every slice: what is kept costs
+    a little of the mask, and is not counted."""
     per_frame_psnr_db: list[float]
     """Mean over the cameras."""
     per_camera_psnr_db: dict[str, float]
@@ -153,21 +162,21 @@ class _Scores:
         """The same on the pixels that move."""
         self.flicker = _Flicker()
 
-    def layer_score(self, layers: int, held_out: HeldOut, every: int) -> LayerScore:
-        reader, manifest = held_out.reader, held_out.reader.manifest
+    def layer_score(
+        self, layers: int, held_out: HeldOut, every: int, fetched: Traffic
+    ) -> LayerScore:
+        reader = held_out.reader
         psnr_db = np.array([[score.psnr_db for score in frame] for frame in self.frames])
-        object_bytes = sum(sum(r.object_bytes[:layers]) for r in reader.records)
-        num_bytes = (object_bytes + reader.overhead_bytes) / reader.num_frames
-        slices = reader.num_frames + manifest.swin_size - 1
-        gaussians = slices * manifest.slice_size * sum(manifest.layers[:layers])
+        num_bytes = (fetched.object_bytes + reader.overhead_bytes) / reader.num_frames
         return LayerScore(
             layers=layers,
             psnr_db=float(psnr_db.mean()),
             ssim=float(np.mean([score.ssim for frame in self.frames for score in frame])),
             flicker=self.flicker.value if every == 1 else None,
             bytes_per_frame=num_bytes,
-            bits_per_second=8 * num_bytes * manifest.fps,
-            bytes_per_gaussian=object_bytes / gaussians,
+            snapshot_bytes_per_frame=fetched.join_bytes / reader.num_frames,
+            bits_per_second=8 * num_bytes * reader.manifest.fps,
+            bytes_per_gaussian=fetched.object_bytes / max(fetched.gaussians, 1),
             per_frame_psnr_db=[float(x) for x in psnr_db.mean(axis=1)],
             per_camera_psnr_db={
                 camera.name: float(x)
@@ -197,6 +206,7 @@ def evaluate_stream(
         reader, manifest, cameras = held_out.reader, held_out.reader.manifest, held_out.cameras
         found = {layers: _Scores() for layers in range(1, manifest.num_layers + 1)}
         chosen = held_out.every(config.every)
+        fetched = traffic(reader)
         done, total = 0, len(chosen) * len(found) * len(cameras)
         moving = counting = 0
         for frame in chosen:
@@ -227,7 +237,8 @@ def evaluate_stream(
         num_gs=manifest.num_gs,
         swin_size=manifest.swin_size,
         layers=[
-            scores.layer_score(layers, held_out, config.every) for layers, scores in found.items()
+            scores.layer_score(layers, held_out, config.every, fetched[layers - 1])
+            for layers, scores in found.items()
         ],
         moving_share=moving / counting if counting else None,
     )
