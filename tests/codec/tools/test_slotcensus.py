@@ -120,7 +120,7 @@ def test_what_is_drawn(stream: Path, updates: list[Update], tmp_path: Path) -> N
     names = ["masks", "layer 0", "layer 1", "snapshots of frame 0"]
     assert [band.label for band in bands] == names
     seconds = [4 / 25, 4 / 25, 2 / 25]
-    total = sum(band.values for band in bands)
+    total = np.sum([band.values for band in bands], axis=0)
     for record, length, mbps in zip(reader.records, seconds, total, strict=True):
         assert mbps == pytest.approx(8e-6 * record.played_bytes / length)
     predicted = slot_bands(reader)[0].values
