@@ -90,8 +90,9 @@ def _check_first_slice(decoder: SlotDecoder, segment: dict[Part, CheckedObject])
 
 def _check_snapshot(decoder: SlotDecoder, found: CheckedObject, frame: int, layer: int) -> None:
     """Raises CorruptError unless the snapshot is what `decoder` holds at `frame`."""
+    content = found.content(frame)
     try:
-        snapshot = decode_snapshot(decoder.layout, found.content(frame))
+        snapshot = decode_snapshot(decoder.layout, content)
         _check_header(snapshot, frame, layer)
         births = window_births(frame, decoder.layout.swin_size)
         for birth, slots in zip(births, snapshot.lanes, strict=True):

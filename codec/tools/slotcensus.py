@@ -44,8 +44,9 @@ def count_slots(reader: StreamReader) -> SlotCensus:
     for record in reader.records:
         masks = reader.read_object(record.segment, MASKS)
         for birth in range(record.first_frame, record.first_frame + record.num_frames):
+            content = masks.content(birth)
             try:
-                statuses = decode_mask(layout, birth, masks.content(birth), history.of(birth))
+                statuses = decode_mask(layout, birth, content, history.of(birth))
             except CodecError as error:
                 raise masks.blamed(error, birth) from error
             history.note(birth, statuses)
@@ -60,8 +61,9 @@ def _first(reader: StreamReader) -> Counts:
     if reader.records:
         for layer in range(layout.num_layers):
             found = reader.read_object(0, snapshot_part(layer))
+            content = found.content(0)
             try:
-                snapshot = decode_snapshot(layout, found.content(0))
+                snapshot = decode_snapshot(layout, content)
             except CodecError as error:
                 raise found.blamed(error, 0) from error
             held[layer] = sum(int(holds(slots.conditions).sum()) for slots in snapshot.lanes)

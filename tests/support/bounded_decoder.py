@@ -35,6 +35,7 @@ from codec.stream.manifest import Manifest
 from codec.stream.object import HEAD, decode_object, decode_packet, join_packets
 from codec.stream.playrecord import LENGTH, MAX_RECORD_BYTES, RecordParser
 from codec.stream.reader import StreamReader
+from tests.support.slots.bounded_slots import SLOT_CASES, warm
 from tests.support.tiny_stream import tiny_manifest, write_tiny
 
 SLACK_BYTES = 64 << 20
@@ -280,6 +281,7 @@ CASES: dict[str, Case] = {
     ),
     "spz 3": Case(lambda: spz_3(2 * N), decode_any, 2 * N * (20 + 56)),
     "spz 4": Case(lambda: spz_4(200 << 20), decode_any, 0),
+    **{name: Case(*hostile) for name, hostile in SLOT_CASES.items()},
     "control": Case(lambda: b"", lambda _: bytearray(SLACK_BYTES + (1 << 20)), 0),
 }
 
@@ -311,6 +313,8 @@ def main() -> None:
     food = made_elsewhere(case)
     # The kernels, and what loads them, are not what a decoder takes for its input.
     decode_packet(compact(0, count=2))
+    if sys.argv[1] in SLOT_CASES:
+        warm()
     limit = data_bytes() + case.declared_bytes + SLACK_BYTES
     resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
     try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import random
@@ -24,12 +23,12 @@ from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import Update
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
-from codec.stream.index import pack_record, parse_index, record_bytes
+from codec.stream.index import parse_index, record_bytes
 from codec.stream.manifest import MASKS, Manifest, snapshot_part
 from codec.stream.object import join_packets, object_packets
 from codec.tools.audit import summarise, verify_stream
 from tests.support.hostile import flips
-from tests.support.slots.folder import slots_manifest, write_slots
+from tests.support.slots.folder import put_part, slots_manifest, write_slots
 from tests.support.slots.updates import patternless_updates, small_layout
 from tests.support.tiny_stream import tiny_manifest, tiny_slice
 
@@ -306,26 +305,6 @@ def test_any_altered_byte_is_found_in_its_file(stream: Path) -> None:
                 assert caught.value.at is None or caught.value.at <= place
         (stream / name).write_bytes(good)
     assert verify_stream(stream).num_frames == NUM_FRAMES
-
-
-def put_part(stream: Path, segment: int, part: str, packets: list[tuple[int, bytes]]) -> None:
-    """Replaces an object and says so in the index, as a faulty writer would."""
-    reader = StreamReader(stream)
-    number = [str(p) for p in reader.manifest.parts].index(part)
-    data = join_packets(packets, version=2)
-    (stream / "segments" / str(segment) / part).write_bytes(data)
-    records = list(reader.records)
-    sizes = list(records[segment].part_bytes)
-    hashes = list(records[segment].part_sha256)
-    sizes[number], hashes[number] = len(data), hashlib.sha256(data).digest()
-    records[segment] = replace(
-        records[segment],
-        object_bytes=tuple(sizes[:2]),
-        object_sha256=tuple(hashes[:2]),
-        side_bytes=tuple(sizes[2:]),
-        side_sha256=tuple(hashes[2:]),
-    )
-    (stream / "index.bin").write_bytes(b"".join(map(pack_record, records)))
 
 
 def packets_of(stream: Path, segment: int, part: str) -> list[tuple[int, bytes]]:

@@ -55,6 +55,17 @@ OUTCOMES = {
     "splat": "value",
     "spz 3": "value",
     "spz 4": "CorruptError: SPZ: decompression error: did not decompress full frame",
+    "change, all escaped": "value",
+    "change that no mask names": "CorruptError: change: 262144 new, the mask says 7",
+    "full snapshot": "value",
+    "mask of zeros": "CorruptError: mask: a body of 1048576 bytes, of which",
+    "mask of noise": "CorruptError: mask: a body of 1048576 bytes, of which",
+    "mask beyond its slots": "segments/0/masks: byte 3303: packet: 104857612 bytes of content",
+    "change beyond its slots": "segments/0/1: byte 3303: packet: 104857612 bytes of content",
+    "snapshot beyond its slots": "snapshot-0: byte 32: packet: 104857612 bytes of content",
+    "verify beyond its slots": "segments/0/0: byte 68: packet: 104857612 bytes of content",
+    "sizes of masks and snapshots in an index": "bytes, the index says 1073741824",
+    "empty slots": "value",
     # The limit is one.
     "control": "MemoryError",
 }

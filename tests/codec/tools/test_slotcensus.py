@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from codec.coders.coder import compress
 from codec.errors import CodecError
 from codec.slots.update import Update
 from codec.stream import StreamReader, StreamWriter
-from codec.tools.audit import describe, summarise
+from codec.tools.audit import describe, summarise, verify_stream
 from codec.tools.plot import JOIN_COLOUR, STATUS_COLOURS, draw_stream, played_bands, slot_bands
 from codec.tools.slotcensus import count_slots
 from tests.support.commands import run_ok
-from tests.support.slots.folder import slots_manifest, write_slots
+from tests.support.slots.folder import put_part, slots_manifest, write_slots
 from tests.support.slots.updates import Model, small_layout
 
 LAYOUT = small_layout(3, (9, 6), 0, 4)
@@ -112,6 +114,24 @@ def test_what_is_altered_is_named(name: str, tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-1] + b"\0")
     with pytest.raises(CodecError, match=f"segments/{name}: "):
         summarise(tmp_path / "s")
+
+
+@pytest.mark.parametrize("part", ["masks", "snapshot-0"])
+def test_a_packet_beyond_its_slots_is_named_once(part: str, tmp_path: Path) -> None:
+    write_slots(tmp_path / "s", 4, LAYOUT)
+    births = range(1 if part == "snapshot-0" else 4)
+    packet = compress(bytes(9999), (0, 9999))
+    put_part(tmp_path / "s", 0, part, [(birth, packet) for birth in births])
+    reads: list[Callable[[Path], object]] = [
+        summarise,
+        verify_stream,
+        lambda path: StreamReader(path).window(3, 2),
+    ]
+    for read in reads:
+        with pytest.raises(CodecError, match="9999 bytes of content, at most") as caught:
+            read(tmp_path / "s")
+        assert str(caught.value).count(f"segments/0/{part}: byte") == 1
+        assert str(caught.value).count("(chunk of birth") == 1
 
 
 def test_what_is_drawn(stream: Path, updates: list[Update], tmp_path: Path) -> None:

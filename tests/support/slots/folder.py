@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +12,10 @@ from codec.camera import Camera
 from codec.profiles.profile import Profile
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import Update
-from codec.stream import StreamWriter
+from codec.stream import StreamReader, StreamWriter
+from codec.stream.index import pack_record
 from codec.stream.manifest import SLOTS_VERSION, Manifest
+from codec.stream.object import join_packets
 from tests.support.slots.updates import patternless_updates, small_layout
 
 
@@ -50,3 +54,25 @@ def write_slots(
         for update in updates:
             writer.append(update)
     return updates
+
+
+def put_part(
+    stream: Path, segment: int, part: str, packets: list[tuple[int, bytes]] | bytes
+) -> None:
+    """Replaces an object, of two layers, and says so in the index, as a faulty writer would."""
+    reader = StreamReader(stream)
+    number = [str(p) for p in reader.manifest.parts].index(part)
+    data = packets if isinstance(packets, bytes) else join_packets(packets, version=2)
+    (stream / "segments" / str(segment) / part).write_bytes(data)
+    records = list(reader.records)
+    sizes = list(records[segment].part_bytes)
+    hashes = list(records[segment].part_sha256)
+    sizes[number], hashes[number] = len(data), hashlib.sha256(data).digest()
+    records[segment] = replace(
+        records[segment],
+        object_bytes=tuple(sizes[:2]),
+        object_sha256=tuple(hashes[:2]),
+        side_bytes=tuple(sizes[2:]),
+        side_sha256=tuple(hashes[2:]),
+    )
+    (stream / "index.bin").write_bytes(b"".join(map(pack_record, records)))
