@@ -1,8 +1,9 @@
 """A stream made of files of Gaussians: one still model, or a numbered sequence.
 
 Every file becomes a slice that lives for one frame (swin_size 1), so that each frame stands by
-itself. A still model is a stream of one frame. Nothing in that frame ever expires, so a player may
-hold or repeat it for as long as it likes.
+itself; with the profile lattice only what changes from file to file is sent. A still model is a
+stream of one frame. Nothing in that frame ever expires, so a player may hold or repeat it for as
+long as it likes.
 """
 
 from __future__ import annotations
@@ -21,11 +22,12 @@ from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.splats import Splats, sh_count
 from codec.stream.chunk import MAX_SPLATS_PER_CHUNK
-from codec.stream.layers import Rank
+from codec.stream.layers import RANKS, Rank
 from codec.stream.manifest import Manifest, Point
 from codec.stream.writer import StreamWriter
 
 from .formats import has_known_suffix, read_splats
+from .importslots import SlotFiller
 
 WIDTH_PX, HEIGHT_PX = 1280, 720
 VERTICAL_FOV_RAD = math.radians(50)
@@ -44,7 +46,8 @@ class ImportOptions:
     fps: float = 30.0
     """Frames shown in a second."""
     profile: Profile = Profile.COMPACT
-    """Precision: compact is small, raw keeps every float as it is in the file."""
+    """Precision: compact is small, raw keeps every float as it is in the file. lattice sends only
+    what changes from file to file; all must have the same Gaussians in the same order."""
     rank: Rank = Rank.COVERAGE
     """Importance that orders Gaussians into layers: coverage, opacity, or given (as in the
     file)."""
@@ -165,16 +168,34 @@ def import_stream(source: Path, stream: Path, options: ImportOptions) -> Manifes
     written.
     """
     files = find_files(source)
+    has_slots = options.profile is Profile.LATTICE
     splats = read_splats(files[0], MAX_SPLATS_PER_CHUNK)
+    if has_slots and not len(splats):
+        raise InvalidError(f"{files[0]}: holds no Gaussian; profile lattice needs one")
     survey = Survey.of(splats)
     for file in files[1:]:
-        survey = survey.joined(Survey.of(read_splats(file, MAX_SPLATS_PER_CHUNK)))
+        other = Survey.of(read_splats(file, MAX_SPLATS_PER_CHUNK))
+        if has_slots and other.num_gs != survey.num_gs:
+            raise InvalidError(
+                f"{file}: {other.num_gs} Gaussians where {files[0].name} has {survey.num_gs}; "
+                "profile lattice needs the same ones in every file, use another"
+            )
+        survey = survey.joined(other)
     title = source.resolve().name if options.title is None else options.title
-    manifest = make_manifest(survey, options, title)
+    splats = _with_degree(splats, survey.sh_degree)
+    filler = None
+    if has_slots:
+        filler = SlotFiller(splats, LAYERS, RANKS[options.rank])
+        plain = make_manifest(survey, replace(options, profile=Profile.COMPACT), title)
+        manifest = filler.manifest(plain)
+    else:
+        manifest = make_manifest(survey, options, title)
     with StreamWriter.create(stream, manifest, options.rank) as writer:
         for birth, file in enumerate(files):
             if birth:
-                splats = read_splats(file, MAX_SPLATS_PER_CHUNK)
-            offsets = np.zeros(len(splats), np.uint8)
-            writer.append(Slice(birth, _with_degree(splats, survey.sh_degree), offsets))
+                splats = _with_degree(read_splats(file, MAX_SPLATS_PER_CHUNK), survey.sh_degree)
+            if filler is None:
+                writer.append(Slice(birth, splats, np.zeros(len(splats), np.uint8)))
+            else:
+                writer.append(filler.update(birth, splats))
     return writer.manifest

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from enum import StrEnum
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 import numpy as np
 
@@ -71,6 +71,13 @@ def check_shares(shares: Sequence[float]) -> None:
         raise InvalidError(f"layers: the shares {tuple(shares)} are not positive with sum 1")
 
 
+def split_counts(count: int, shares: tuple[float, ...]) -> tuple[int, ...]:
+    """How many of `count` Gaussians each layer has; it may have none."""
+    edges = np.rint(np.cumsum((0.0, *shares)) * count).astype(np.int64)
+    edges[-1] = count
+    return tuple(np.diff(edges).tolist())
+
+
 def split_layers(slice: Slice, shares: tuple[float, ...], rank: RankFunction) -> list[Slice]:
     """One Slice for each share, the most important Gaussians first.
 
@@ -79,10 +86,8 @@ def split_layers(slice: Slice, shares: tuple[float, ...], rank: RankFunction) ->
     check_shares(shares)
     count = len(slice.splats)
     order = np.argsort(-rank(slice.splats), kind="stable")
-    edges = np.rint(np.cumsum((0.0, *shares)) * count).astype(np.int64)
-    edges[-1] = count
     layers = []
-    for first, last in pairwise(edges):
+    for first, last in pairwise((0, *accumulate(split_counts(count, shares)))):
         rows = np.sort(order[first:last])
         layers.append(Slice(slice.birth, slice.splats.take(rows), slice.start_offsets[rows]))
     return layers
