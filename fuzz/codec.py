@@ -17,7 +17,8 @@ Python too: slower, seen, and an index out of bounds is an IndexError. The law h
 New inputs go to the first folder, what breaks the law to ./crash-*. `python -m fuzz FILE...` runs
 single files again; `tests/codec/test_fuzz.py` does so with the whole corpus, without atheris. What
 was found and mended is kept in fuzz/corpus as `found-*`; `python -m fuzz.seed` writes the corpus
-anew. A new parser gets a function and a place at the end of TARGETS here, and a seed there.
+anew. A new parser gets a function and a place at the end of TARGETS here, and a seed there; those
+of version 2 are in fuzz/slots.py and fuzz/slotseed.py.
 """
 
 from __future__ import annotations

@@ -13,8 +13,7 @@ from codec.coders.coder import Coder
 from codec.stream import StreamReader
 from codec.stream.object import HEAD
 from codec.tools.audit import verify_stream
-from tests.goldens.slots_folder import StreamFolder, read_manifest
-from tests.goldens.slots_pinned import (
+from tests.goldens.pinned_slots import (
     FILE,
     SLOT_CASES,
     SlotCase,
@@ -23,6 +22,7 @@ from tests.goldens.slots_pinned import (
     made_chunks,
     played,
 )
+from tests.goldens.slots_folder import StreamFolder, read_manifest
 from tests.goldens.slots_reader import Reader
 from tests.support.slots.folder import slots_manifest
 from tests.support.slots.plain import BothReaders, held, plainly_held
