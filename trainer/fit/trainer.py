@@ -185,8 +185,6 @@ class Trainer:
                     self._renew(0)
                     rate = self._config.optimiser.settle_means_lr
                     self._train(frames, self._window_schedule(rate), done)
-                if self._leases is not None and not self._config.prefix_share:
-                    self._leases.rank(self._contributions(0))
                 self._generations.stagger(self._rng)
             else:
                 rate = self._config.optimiser.window_means_lr
@@ -292,11 +290,11 @@ class Trainer:
             generations.adam.reset(np.arange(config.num_gs))
         last_frame = frames[-1]
         layered_from = schedule.iterations
-        if self._leases is not None and config.prefix_share:
+        if self._leases is not None and len(self._leases.slots) > 1:
             if not genesis or settled is not None:
                 layered_from = 0
             elif not config.settle_rounds:
-                layered_from = round(LAYERED_FROM * schedule.iterations)
+                layered_from = int(LAYERED_FROM * schedule.iterations)
         # Neither genesis nor the last windows of a video.
         brings_new = not genesis and len(frames) == config.swin_size
         if brings_new:
@@ -323,7 +321,8 @@ class Trainer:
             rows = active[frame]
             if genesis and self._leases and not settled and iteration == layered_from:
                 self._leases.rank(self._contributions(0))
-            if iteration >= layered_from and self._rng.random() < config.prefix_share:
+            share = config.settle_prefix_share if genesis else config.prefix_share
+            if iteration >= layered_from and self._rng.random() < share:
                 rows = self._prefix(rows)
             calm = schedule.calm(iteration, config.calm_from, config.calm_end)
             means_lr_m = schedule.means_lr_m(iteration, self._extent_m)
@@ -381,7 +380,9 @@ class Trainer:
         """Those of `rows` that lie in the first layers, at random how many of them."""
         leases = self._leases
         assert leases is not None
-        layers = int(self._rng.integers(1, len(leases.slots)))
+        # All but the last layer alone lack little, and learn with the whole.
+        chances = np.minimum(np.arange(len(leases.slots) - 1, 0, -1), 2)
+        layers = 1 + int(self._rng.choice(len(chances), p=chances / chances.sum()))
         return rows[leases.layers[rows % self._config.num_gs] < layers]
 
     def _renew(self, frame: int) -> None:
