@@ -49,7 +49,9 @@ LAYERED_FROM = 0.6
 """Share of genesis after which layers are told apart, and trained to do without those above, if it
 does not settle: otherwise they are as the first round begins."""
 
-TOGETHER_SIZES = (0.1, 0.03)
+TOGETHER_SIZES = (0.05, 0.02)
+"""Sides of the cells in which Gaussians move together, one after the other, over the scene's
+extent."""
 
 PROGRESS_PERIOD = 20
 """Iterations between two reports of progress."""
