@@ -32,6 +32,7 @@ from .generations import Generations
 from .leases import Leases
 from .optimiser import GATE_STEEPNESS, add_noise
 from .renew import Comparer, missing_splats
+from .schedule import Schedule
 from .together import cells_of, move_together
 
 Floats = npt.NDArray[np.float32]
@@ -98,27 +99,6 @@ class Observer:
         """The window's slices have been taken, and the next window has been asked for."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Schedule:
-    """What differs between genesis and the windows after it."""
-
-    iterations: int
-    half_until: float  # the iteration from which on shots are whole
-    means_lr: float  # at the beginning, times the scene's extent
-    means_lr_end: float  # the same at the end
-    noise_lr: float
-
-    def calm(self, iteration: int, calm_from: float, end: float) -> float:
-        """What the learning rates but that of positions are multiplied by."""
-        done = iteration / self.iterations
-        return float(end ** ((done - calm_from) / (1 - calm_from))) if done > calm_from else 1.0
-
-    def means_lr_m(self, iteration: int, extent_m: float) -> float:
-        """The learning rate of positions, which falls log-linearly."""
-        decay = self.means_lr_end / self.means_lr
-        return float(extent_m * self.means_lr * decay ** (iteration / self.iterations))
-
-
 def scene_extent_m(cameras: Sequence[Camera]) -> float:
     """1.1 times the largest distance of a camera from the cameras' mean place (3DGS)."""
     positions = np.stack([c.position for c in cameras])
@@ -182,15 +162,15 @@ class Trainer:
             end = min(first_frame + self._config.swin_size, self._pictures.num_frames)
             frames = range(first_frame, end)
             if first_frame == 0:
-                self._train(frames, self._genesis_schedule())
+                self._train(frames, Schedule.genesis(self._config, self._coarse_share))
                 for done in range(self._config.settle_rounds):
                     self._renew(0)
                     rate = self._config.optimiser.settle_means_lr
-                    self._train(frames, self._window_schedule(rate), done)
+                    self._train(frames, Schedule.window(self._config, rate), done)
                 self._generations.stagger(self._rng)
             else:
                 rate = self._config.optimiser.window_means_lr
-                self._train(frames, self._window_schedule(rate))
+                self._train(frames, Schedule.window(self._config, rate))
             self._next_window += 1
             if self._leases is None:
                 yield Window(frames, tuple(self._generations.mature(self._next_window)))
@@ -259,28 +239,7 @@ class Trainer:
         self._rng.bit_generator.state = json.loads(state["random"].tobytes())
         self._next_window, self._steps = (int(n) for n in state["counters"])
 
-    def _genesis_schedule(self) -> _Schedule:
-        config, rates = self._config, self._config.optimiser
-        return _Schedule(
-            config.genesis_iterations,
-            self._coarse_share * config.genesis_iterations,
-            rates.means_lr,
-            rates.means_lr_end,
-            config.mcmc.noise_lr,
-        )
-
-    def _window_schedule(self, means_lr: float) -> _Schedule:
-        """That of a window whose learning rate of positions begins at `means_lr`."""
-        config, rates = self._config, self._config.optimiser
-        return _Schedule(
-            config.window_iterations,
-            0,
-            means_lr,
-            means_lr * rates.window_means_lr_end / rates.window_means_lr,
-            config.mcmc.window_noise_lr,
-        )
-
-    def _train(self, frames: range, schedule: _Schedule, settled: int | None = None) -> None:
+    def _train(self, frames: range, schedule: Schedule, settled: int | None = None) -> None:
         """Optimises the current generation on the frames of a window. settled: the rounds that
         genesis has settled for already."""
         config, generations = self._config, self._generations
@@ -326,7 +285,7 @@ class Trainer:
             share = config.settle_prefix_share if genesis else config.prefix_share
             if iteration >= layered_from and self._rng.random() < share:
                 rows = self._prefix(rows)
-            calm = schedule.calm(iteration, config.calm_from, config.calm_end)
+            calm = schedule.calm(iteration)
             means_lr_m = schedule.means_lr_m(iteration, self._extent_m)
             noise = schedule.noise_lr * means_lr_m
             cells = None
