@@ -5,7 +5,7 @@ Usage: scripts/bench ablate CAPTURE --out docs/ablate.png --scale 0.5
 
 Every setting is trained once per seed and scored from its decoded files on the held-out cameras.
 Finished runs are kept as JSON in --work, so that an interrupted measurement goes on; empty that
-folder after a change of the trainer.
+folder after a change of the trainer. What slots and leases are worth, `scripts/bench leases` tells.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, get_args
 
@@ -35,6 +35,8 @@ from codec.console import run_command
 from codec.errors import InvalidError
 from codec.files import write_atomic
 from codec.framerange import FrameRange
+from codec.profiles.profile import Profile
+from codec.stream import StreamReader
 from trainer.capture.layout import open_capture
 from trainer.fit.config import FitConfig
 from trainer.fit.optimiser import AgeScaling
@@ -49,13 +51,11 @@ COLOURS = {True: "#1f5fbf", False: "#d9480f"}
 
 
 @dataclass(frozen=True)
-class AblateConfig:
-    """Trains a capture with one choice changed at a time; tabulates and draws what it gives."""
+class TrialsConfig:
+    """Runs of one capture with other settings."""
 
     capture: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="CAPTURE")]
     """Folder of the capture."""
-    out: Path = Path("docs/ablate.png")
-    """The plot to write."""
     work: Path = field(default_factory=lambda: Path(tempfile.gettempdir()) / "swings-ablate")
     """Folder that keeps what finished runs gave."""
     frames: str = "0:12"
@@ -63,9 +63,19 @@ class AblateConfig:
     scale: float = 0.5
     """Size of the training pictures over the capture's."""
     genesis_iterations: int = 1500
-    """Iterations of the first window."""
+    """Iterations of the first window, before it settles."""
     window_iterations: int = 250
     """Iterations of every later window."""
+    seeds: int = 2
+    """Runs of each setting, by seed; their spread tells which differences mean something."""
+
+
+@dataclass(frozen=True)
+class AblateConfig(TrialsConfig):
+    """Trains a capture with one choice changed at a time; tabulates and draws what it gives."""
+
+    out: Path = Path("docs/ablate.png")
+    """The plot to write."""
     age_num_gs: int = 10_000
     """Gaussians active in a frame while age scaling is compared."""
     age_swin_size: int = 5
@@ -74,28 +84,26 @@ class AblateConfig:
     """Frames a Gaussian lives, to compare at equal bandwidth."""
     slice_size: int = 5_000
     """Gaussians sent per frame while swin_size is compared; num_gs is swin_size times this."""
-    seeds: int = 2
-    """Runs of each setting, by seed; their spread tells which differences mean something."""
+
+
+AGE, SIZE = "age scaling", "swin_size"
+"""The comparisons."""
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
     """A row of the table."""
 
+    group: str
+    """The comparison that it belongs to; the first of each is what others are compared with."""
+    name: str
     fit: FitConfig
-    compares_age: bool
-    """Whether it belongs to the first panel, else to the second."""
+    profile: Profile
 
     @property
     def carried(self) -> bool:
         """Whether Adam's history goes from window to window."""
         return self.fit.optimiser.carry_adam
-
-    @property
-    def name(self) -> str:
-        if self.compares_age:
-            return f"age scaling {self.fit.optimiser.age_scaling}, Adam {CARRIED[self.carried]}"
-        return f"swin_size {self.fit.swin_size}, {self.fit.num_gs:,} Gaussians"
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,58 +111,102 @@ class Outcome:
     """What one run gave, with all layers; means over held-out cameras and frames."""
 
     psnr_db: float
+    moving_db: float | None
     ssim: float
     flicker: float | None
     bytes_per_frame: float
-    """Of one slice: in a short run the slices that frame 0 begins with would weigh too much."""
+    """Of one slice: in a short run what frame 0 begins with would weigh too much."""
+    layers_db: list[float]
+    """PSNR with 1, 2, ... layers."""
     seconds: float
     """Of training."""
+    more: dict[str, float] = field(default_factory=dict)
+    """What else was asked of the stream."""
 
 
 Outcomes = Mapping[Setting, Sequence[Outcome]]
 """Of each setting, one for each seed."""
 
+Examine = Callable[[StreamReader], dict[str, float]]
+"""Gives `Outcome.more` of a stream."""
+
+
+def nothing_more(reader: StreamReader) -> dict[str, float]:
+    return {}
+
 
 def settings(config: AblateConfig) -> list[Setting]:
+    """All are slices that are sent whole, and trained as in the paper."""
     base = FitConfig(
         num_gs=config.age_num_gs,
         swin_size=config.age_swin_size,
         genesis_iterations=config.genesis_iterations,
+        settle_rounds=0,
         window_iterations=config.window_iterations,
+        calm_from=1.0,
     )
     found = []
-    for carried in CARRIED:
+    for carried, told in CARRIED.items():
         for age_scaling in AGE_SCALINGS:
             optimiser = replace(base.optimiser, age_scaling=age_scaling, carry_adam=carried)
-            found.append(Setting(replace(base, optimiser=optimiser), compares_age=True))
+            fit = replace(base, optimiser=optimiser)
+            name = f"age scaling {age_scaling}, Adam {told}"
+            found.append(Setting(AGE, name, fit, Profile.COMPACT))
     for swin_size in config.swin_sizes:
         fit = replace(base, swin_size=swin_size, num_gs=swin_size * config.slice_size)
-        found.append(Setting(fit, compares_age=False))
+        name = f"swin_size {swin_size}, {fit.num_gs:,} Gaussians"
+        found.append(Setting(SIZE, name, fit, Profile.COMPACT))
     return found
 
 
-def training(config: AblateConfig, fit: FitConfig, stream: Path) -> TrainConfig:
+def training(config: TrialsConfig, setting: Setting, stream: Path) -> TrainConfig:
     return TrainConfig(
-        config.capture.resolve(), stream, frames=config.frames, scale=config.scale, fit=fit
+        config.capture.resolve(),
+        stream,
+        frames=config.frames,
+        scale=config.scale,
+        profile=setting.profile,
+        fit=setting.fit,
     )
 
 
-def measure_once(config: AblateConfig, fit: FitConfig) -> Outcome:
+def slice_bytes(reader: StreamReader) -> float:
+    """What a slice takes on average. In version 2 the first says nothing, and is not counted."""
+    records = reader.records
+    masks = sum(sum(record.side_bytes[:1]) for record in records)
+    slices = reader.num_frames - 1
+    if not reader.manifest.has_slots:
+        slices += reader.manifest.swin_size
+    return (masks + sum(sum(record.object_bytes) for record in records)) / max(slices, 1)
+
+
+def measure_once(config: TrialsConfig, setting: Setting, examine: Examine) -> Outcome:
     """Trains into a temporary folder and scores its files."""
     with tempfile.TemporaryDirectory() as folder:
         stream = Path(folder) / "stream"
         start = time.perf_counter()
-        train_stream(training(config, fit, stream), Console(quiet=True))
+        train_stream(training(config, setting, stream), Console(quiet=True))
         seconds = time.perf_counter() - start
-        score = evaluate_stream(EvaluateConfig(stream, config.capture)).layers[-1]
-    slice_bytes = score.bytes_per_gaussian * fit.num_gs / fit.swin_size
-    return Outcome(score.psnr_db, score.ssim, score.flicker, slice_bytes, seconds)
+        scores = evaluate_stream(EvaluateConfig(stream, config.capture)).layers
+        reader = StreamReader(stream)
+        return Outcome(
+            scores[-1].psnr_db,
+            scores[-1].moving_psnr_db,
+            scores[-1].ssim,
+            scores[-1].flicker,
+            slice_bytes(reader),
+            [score.psnr_db for score in scores],
+            seconds,
+            examine(reader),
+        )
 
 
-def kept_path(config: AblateConfig, fit: FitConfig) -> Path:
+def kept_path(config: TrialsConfig, setting: Setting) -> Path:
     """Where the outcome of this run is kept: another capture or setting has another name."""
-    told = json.dumps(asdict(training(config, fit, Path("stream"))), sort_keys=True, default=str)
-    return config.work / f"{hashlib.sha256(told.encode()).hexdigest()[:16]}.json"
+    told = asdict(training(config, setting, Path("stream")))
+    told["outcome"] = [f.name for f in fields(Outcome)]
+    digest = hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode())
+    return config.work / f"{digest.hexdigest()[:16]}.json"
 
 
 def keep(path: Path, outcome: Outcome) -> None:
@@ -163,51 +215,53 @@ def keep(path: Path, outcome: Outcome) -> None:
 
 def relative_cost(fit: FitConfig, num_frames: int) -> float:
     """What a run takes beside others: a step has a fixed part and one that grows with num_gs."""
-    steps = fit.genesis_iterations + (num_frames - 1) * fit.window_iterations
+    steps = fit.iterations(0) + (num_frames - 1) * fit.iterations(1)
     return steps * (1 + fit.num_gs / 8_000)
 
 
-def runs(config: AblateConfig, chosen: Sequence[Setting]) -> Iterator[tuple[Setting, FitConfig]]:
-    """Seed by seed, so that an early stop leaves all settings with as many runs."""
+def runs(config: TrialsConfig, chosen: Sequence[Setting]) -> Iterator[tuple[Setting, Setting]]:
+    """Each setting, and what it is with a seed; seed by seed, so that an early stop leaves all
+    settings with as many runs."""
     for seed in range(config.seeds):
         for setting in chosen:
-            yield setting, replace(setting.fit, seed=seed)
+            yield setting, replace(setting, fit=replace(setting.fit, seed=seed))
 
 
-def measure(config: AblateConfig) -> Outcomes:
+def measure(
+    config: TrialsConfig, chosen: Sequence[Setting], examine: Examine = nothing_more
+) -> Outcomes:
     """Every setting at every seed; a line on standard error for each run."""
     log = Console(stderr=True)
     config.work.mkdir(parents=True, exist_ok=True)
-    chosen = settings(config)
     num_frames = len(
         FrameRange.parse(config.frames).of(open_capture(config.capture).num_frames, config.capture)
     )
     all_runs = list(runs(config, chosen))
     outcomes: dict[Setting, list[Outcome]] = {setting: [] for setting in chosen}
     left = sum(
-        relative_cost(fit, num_frames)
-        for _, fit in all_runs
-        if not kept_path(config, fit).is_file()
+        relative_cost(seeded.fit, num_frames)
+        for _, seeded in all_runs
+        if not kept_path(config, seeded).is_file()
     )
     done = spent_s = 0.0
-    for number, (setting, fit) in enumerate(all_runs, start=1):
-        path = kept_path(config, fit)
+    for number, (setting, seeded) in enumerate(all_runs, start=1):
+        path = kept_path(config, seeded)
         was_kept = path.is_file()
         if was_kept:
             outcome = Outcome(**json.loads(path.read_text()))
         else:
             start = time.perf_counter()
-            outcome = measure_once(config, fit)
+            outcome = measure_once(config, seeded, examine)
             keep(path, outcome)
             spent_s += time.perf_counter() - start
-            done += relative_cost(fit, num_frames)
-            left -= relative_cost(fit, num_frames)
+            done += relative_cost(seeded.fit, num_frames)
+            left -= relative_cost(seeded.fit, num_frames)
         outcomes[setting].append(outcome)
         text = "kept from before" if was_kept else f"{outcome.seconds:.0f} s"
         if done:
             text += f"; about {spent_s / done * left / 60:.0f} min left"
         log.print(
-            f"{number}/{len(all_runs)} {setting.name}, seed {fit.seed}: "
+            f"{number}/{len(all_runs)} {setting.name}, seed {seeded.fit.seed}: "
             f"{outcome.psnr_db:.2f} dB, {text}",
             highlight=False,
         )
@@ -231,9 +285,9 @@ def table_of(outcomes: Outcomes) -> Table:
     table.add_column("setting")
     for name in ("PSNR dB", "dB to the first", "SSIM", "flicker", "kB/frame", "seconds"):
         table.add_column(name, justify="right")
-    firsts: dict[bool, Sequence[Outcome]] = {}
+    firsts: dict[str, Sequence[Outcome]] = {}
     for setting, found in outcomes.items():
-        first = firsts.setdefault(setting.compares_age, found)
+        first = firsts.setdefault(setting.group, found)
         psnr_db = [o.psnr_db for o in found]
         gains_db = [o.psnr_db - f.psnr_db for o, f in zip(found, first, strict=True)]
         flicker = [o.flicker for o in found if o.flicker is not None]
@@ -269,7 +323,7 @@ def draw(outcomes: Outcomes, config: AblateConfig) -> None:
     matplotlib.backends.backend_agg.FigureCanvasAgg(figure)
     ages, sizes = figure.subplots(1, 2)
     for shift, carried in enumerate(CARRIED):
-        found = [o for s, o in outcomes.items() if s.compares_age and s.carried == carried]
+        found = [o for s, o in outcomes.items() if s.group == AGE and s.carried == carried]
         x = [i + 0.08 * (2 * shift - 1) for i in range(len(found))]
         draw_points(ages, x, found, COLOURS[carried], f"Adam's history {CARRIED[carried]}")
     ages.set_xticks(range(len(AGE_SCALINGS)), AGE_SCALINGS)
@@ -279,7 +333,7 @@ def draw(outcomes: Outcomes, config: AblateConfig) -> None:
         f"{config.age_num_gs:,} Gaussians, swin_size {config.age_swin_size}", fontsize=10
     )
     ages.legend(fontsize=9)
-    by_size = {s: o for s, o in outcomes.items() if not s.compares_age}
+    by_size = {s: o for s, o in outcomes.items() if s.group == SIZE}
     places = list(range(len(by_size)))
     draw_points(sizes, places, list(by_size.values()), "#2b8a3e", None)
     for at, of_seeds in zip(places, by_size.values(), strict=True):
@@ -309,7 +363,7 @@ def draw(outcomes: Outcomes, config: AblateConfig) -> None:
 def run(config: AblateConfig) -> None:
     if config.seeds < 1 or not config.swin_sizes:
         raise InvalidError("name at least one seed and one of swin_sizes")
-    outcomes = measure(config)
+    outcomes = measure(config, settings(config))
     Console(width=130).print(table_of(outcomes))
     draw(outcomes, config)
 

@@ -176,6 +176,7 @@ def train(config: LengthConfig, capture: Path, stream: Path) -> Track:
         num_gs=config.num_gs,
         swin_size=config.swin_size,
         genesis_iterations=5 * config.window_iterations,
+        settle_rounds=0,
         window_iterations=config.window_iterations,
     )
     # Bound so that the cache is full within the first tenth of any run: else it would grow.

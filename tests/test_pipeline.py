@@ -30,22 +30,30 @@ class Made:
 
     capture: Path
     stream: Path
+    """Of version 1: slices that are sent whole."""
     raw: Path
+    """The same Gaussians without loss."""
+    lasting: Path
+    """Of version 2: slots that last, the default."""
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     root = tmp_path_factory.mktemp("pipeline")
-    made = Made(root / "capture", root / "stream", root / "raw")
+    made = Made(*(root / name for name in ("capture", "stream", "raw", "lasting")))
     run_ok(
         "swings-synth", made.capture, "--frames", FRAMES, "--cameras", 8,
         "--width-px", 96, "--height-px", 54, "--points", 2000,
     )  # fmt: skip
-    run_ok(
-        "swings-train", made.capture, made.stream, "--raw-stream", made.raw,
-        "--num-gs", 1500, "--swin-size", SWIN, "--genesis-iterations", 400,
-        "--window-iterations", 60, "--segment-frames", 3, "--layers", 0.4, 0.3, 0.3,
+    common = (
+        "--num-gs", 1500, "--genesis-iterations", 400, "--window-iterations", 60,
+        "--segment-frames", 3, "--layers", 0.4, 0.3, 0.3,
     )  # fmt: skip
+    run_ok(
+        "swings-train", made.capture, made.stream, "--raw-stream", made.raw, *common,
+        "--profile", "compact", "--swin-size", SWIN, "--settle-rounds", 0,
+    )  # fmt: skip
+    run_ok("swings-train", made.capture, made.lasting, *common, "--settle-rounds", 2)
     return made
 
 
@@ -67,14 +75,29 @@ def test_the_trained_stream_is_whole_and_shows_the_scene(made: Made) -> None:
     assert scores[-1]["psnr_db"] > 18
 
 
-def test_dropping_layers_degrades_and_never_breaks(made: Made) -> None:
-    scores = evaluation(made, made.stream)["layers"]
+def test_slots_that_last_show_the_scene_for_fewer_bytes(made: Made) -> None:
+    run_ok("swings-stream", "verify", made.lasting)
+    assert "lattice" in run_ok("swings-stream", "info", made.lasting)
+    reader = StreamReader(made.lasting)
+    assert reader.manifest.has_slots
+    assert (reader.num_frames, reader.manifest.swin_size) == (FRAMES, 1)
+    assert not reader.manifest.live
+    lasting, whole = (evaluation(made, s)["layers"][-1] for s in (made.lasting, made.stream))
+    assert lasting["psnr_db"] > 18
+    assert lasting["bytes_per_frame"] < whole["bytes_per_frame"]
+    assert lasting["snapshot_bytes_per_frame"] > 0 == whole["snapshot_bytes_per_frame"]
+
+
+@pytest.mark.parametrize("name", ["stream", "lasting"])
+def test_dropping_layers_degrades_and_never_breaks(name: str, made: Made) -> None:
+    stream: Path = getattr(made, name)
+    scores = evaluation(made, stream)["layers"]
     psnr = [s["psnr_db"] for s in scores]
     assert psnr == sorted(psnr)
     assert psnr[0] < psnr[-1] - 0.3
     assert [s["bytes_per_frame"] for s in scores] == sorted(s["bytes_per_frame"] for s in scores)
     # Layer 0 alone still shows the scene, though darker: what was light or dark still is.
-    reader = StreamReader(made.stream)
+    reader = StreamReader(stream)
     camera = reader.manifest.camera()
     full, base = (
         np.clip(render_splats(reader.active_splats(3, n), camera, reader.manifest.near_m), 0, 1)
@@ -84,9 +107,11 @@ def test_dropping_layers_degrades_and_never_breaks(made: Made) -> None:
     assert correlation > 0.6
 
 
-def test_the_index_knows_the_quality_of_every_segment(made: Made) -> None:
-    reader = StreamReader(made.stream)
-    scores = evaluation(made, made.stream)["layers"]
+@pytest.mark.parametrize("name", ["stream", "lasting"])
+def test_the_index_knows_the_quality_of_every_segment(name: str, made: Made) -> None:
+    stream: Path = getattr(made, name)
+    reader = StreamReader(stream)
+    scores = evaluation(made, stream)["layers"]
     for layers in (1, 2, 3):
         known = [record.psnr_db[layers - 1] for record in reader.records]
         assert np.isfinite(known).all()
@@ -142,7 +167,7 @@ def test_a_part_of_the_frames_is_scored_against_the_same_part(made: Made, tmp_pa
     stream = tmp_path / "part"
     run_ok(
         "swings-train", made.capture, stream, "--frames", "3:6", "--num-gs", 300, "--swin-size", 2,
-        "--genesis-iterations", 20, "--window-iterations", 5,
+        "--genesis-iterations", 20, "--settle-rounds", 1, "--window-iterations", 5,
     )  # fmt: skip
     assert StreamReader(stream).manifest.capture_frame == 3
     result = json.loads(run_ok("swings-eval", stream, made.capture, "--json"))
@@ -212,7 +237,8 @@ def occupied_target(root: Path) -> tuple[str, ...]:
 
 def impossible_size(root: Path) -> tuple[str, ...]:
     write_dynerf(root / "capture", 4, 5)
-    return ("swings-train", str(root / "capture"), str(root / "out"), "--num-gs", "7")
+    sizes = ("--num-gs", "7", "--swin-size", "2")
+    return ("swings-train", str(root / "capture"), str(root / "out"), *sizes)
 
 
 CAPTURE_FAULTS: list[tuple[Callable[[Path], tuple[str, ...]], str]] = [

@@ -44,6 +44,9 @@ SCALES, TURNS, COLOURS = 0, 3, 6
 OPACITY_LEVELS = 41
 """Coarser than that of chunks: opacity changes most from slice to slice, and shows least."""
 
+MAX_HOLD = 4
+"""Steps by which a number that is held may miss."""
+
 TAME = 1e30
 """Magnitude from which a value is not tried on the lattice."""
 
@@ -169,8 +172,10 @@ def quantise(
 
     before: what the same Gaussians were. Of the equal forms of a Gaussian the one nearest to it is
     taken, and a value within `hold` steps of the one before stays that one; from 0.5, which rounds
-    to the nearest, upwards differences get fewer and errors larger.
+    to the nearest, upwards differences get fewer and errors larger; at most MAX_HOLD.
     """
+    if not 0 <= hold <= MAX_HOLD:
+        raise InvalidError(f"lattice: hold {hold:g} is not in 0..{MAX_HOLD}")
     count, coefficients = len(splats), splats.sh.shape[1]
     with np.errstate(over="ignore", invalid="ignore"):
         means = splats.means.astype(np.float64)

@@ -133,8 +133,9 @@ class SlotDecoder:
 
         changes: of layers 0, 1, ...; None for one that is missing, which may come `late`. Layers
         behind the last are not expected.
-        mask: None if it is missing; the whole lane is unknown then until a snapshot, and later
-        masks of it in this segment are not read.
+        mask: None if it is missing. All slots of the lane are unknown then, and the changes are of
+        no use. Later masks of the lane in this segment are not read, and count as missing, too,
+        unless it was that of the segment's first frame.
         blamed: makes of an error the one that is raised, given the layer of the change at fault,
         or None if it is the mask.
         Gives the slots that changed, as a slice with rows: row r is slot r of the lane, counted
@@ -201,7 +202,8 @@ class SlotDecoder:
         """Takes in a change that was missing when its slice was applied.
 
         Gives what it alters in the lane as it is now, as a slice with rows of the lane's last
-        birth; None if the change is of no use any more.
+        birth; None if the change is of no use any more. A change after it that does not fit what
+        the slots turn out to hold counts as missing.
         """
         lane = self.layout.lane(birth)
         missed = self._missed.get((lane, layer))
@@ -211,7 +213,13 @@ class SlotDecoder:
         since[birth] = since[birth][0], bytes(change)
         slots, altered = missed.before.copy(), np.zeros(self.layout.slots[layer], np.bool_)
         for known, (statuses, known_change) in since.items():
-            slots.advance(self._delta(known, layer, slots, statuses, known_change))
+            try:
+                delta = self._delta(known, layer, slots, statuses, known_change)
+            except CodecError:
+                if known == birth:
+                    raise
+                delta = self._delta(known, layer, slots, statuses, None)
+            slots.advance(delta)
             if known >= birth:
                 altered |= statuses != KEPT
         self.lanes[lane][layer] = slots

@@ -16,6 +16,9 @@ from .rangecoder import CODE_BYTES
 MAX_SLOTS = 1 << 20
 """Slots in a lane, all layers together."""
 
+MAX_SLOTS_OF_LANES = 1 << 24
+"""Slots in all lanes together."""
+
 MAX_SEGMENT_SLOTS = 1 << 28
 """Slots of a lane times frames in a segment: bounds what the masks of a segment inflate to."""
 
@@ -58,6 +61,11 @@ class SlotLayout:
         if min(self.slots) < 1 or sum(self.slots) > MAX_SLOTS:
             raise InvalidError(
                 f"slots: {self.slots[:16]} are not at least 1 each and {MAX_SLOTS} together at most"
+            )
+        if self.swin_size * self.num_slots > MAX_SLOTS_OF_LANES:
+            raise InvalidError(
+                f"slots: {self.num_slots} in each of {self.swin_size} lanes are more than "
+                f"{MAX_SLOTS_OF_LANES}"
             )
         if not 0 <= self.sh_degree <= MAX_SH_DEGREE:
             raise InvalidError(f"slots: SH degree {self.sh_degree} is not in 0..{MAX_SH_DEGREE}")

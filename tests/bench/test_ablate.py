@@ -9,6 +9,7 @@ from rich.console import Console
 
 import bench.ablate
 from bench.ablate import AblateConfig, measure, settings, table_of
+from codec.profiles.profile import Profile
 from tests.support.tiny_capture import write_dynamic3dgs
 
 
@@ -28,8 +29,9 @@ def test_it_measures_once_and_draws(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         slice_size=40,
         seeds=1,
     )
-    outcomes = measure(config)
+    outcomes = measure(config, settings(config))
     assert list(outcomes) == settings(config)
+    assert {setting.profile for setting in outcomes} == {Profile.COMPACT}
     assert {setting.fit.num_gs / setting.fit.swin_size for setting in outcomes} == {30, 40}
     assert all(len(found) == 1 and found[0].psnr_db > 3 for found in outcomes.values())
 
@@ -37,7 +39,7 @@ def test_it_measures_once_and_draws(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         raise AssertionError("trained again")
 
     monkeypatch.setattr(bench.ablate, "train_stream", fail)
-    assert measure(config) == outcomes
+    assert measure(config, settings(config)) == outcomes
     console = Console(width=130)
     with console.capture() as shown:
         console.print(table_of(outcomes))

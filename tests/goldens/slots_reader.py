@@ -49,6 +49,7 @@ class Reader:
         """Takes a snapshot, whatever the layer held before."""
         try:
             head, lanes = decode_snapshot(chunk, self.shape)
+            assert head.birth >= 0
             assert head.birth % self.shape.segment_frames == 0
         except AssertionError:
             return

@@ -19,21 +19,22 @@ class FitConfig:
 
     num_gs: int = 20_000
     """Gaussians active in a frame. Paper: 200,000 on a GPU; 20,000 suits two CPU cores."""
-    swin_size: int = 5
-    """Frames a Gaussian lives. Paper, section 8.1."""
+    swin_size: int = 1
+    """Frames that a lease lasts, or a Gaussian that is sent whole lives. Leases want 1, for then
+    what moves can follow every frame; what is sent whole wants more. Paper, section 8.1: 5."""
     sh_degree: int = 0
     """Degree of the colour's spherical harmonics, 0 or 1. The paper trains 1 and streams 0."""
-    genesis_iterations: int = 5_000
-    """Iterations of the first window. Paper: 30,000 on a GPU."""
+    genesis_iterations: int = 3_000
+    """Iterations of the first window, before it settles. Paper: 30,000 on a GPU."""
     coarse_share: float = 0.6
     """Share of genesis, from its beginning, that sees pictures of half the size, so that shapes
     settle where the cameras agree before detail is learned by heart; 0 switches it off."""
-    settle_rounds: int = 0
+    settle_rounds: int = 20
     """How often the first window is trained once more after genesis, each time like a later window:
     renewed first, and with learning rates that begin high again."""
     settle_renew_share: float = 0.1
     """Share of the Gaussians, those that contribute least, that each such round renews."""
-    window_iterations: int = 800
+    window_iterations: int = 400
     """Iterations of every later window. Paper: 2,000 on a GPU."""
     newest_share: float = 0.5
     """Share of a window's iterations that is spent on its newest frame, where no earlier window has
@@ -42,15 +43,15 @@ class FitConfig:
     """Weight of 1 - SSIM beside L1. 3DGS."""
     colour_lr: float = 1e-3
     """Learning rate of the per-camera colour correction; 0 switches it off."""
-    calm_from: float = 1.0
+    calm_from: float = 0.7
     """Share of a window's iterations after which all learning rates but the positions' fall, too;
     1 leaves them as they are."""
     calm_end: float = 0.1
     """What they have fallen to at the end of a window, as a share."""
-    together_share: float = 0.0
+    together_share: float = 0.1
     """Share of a window's iterations in which all Gaussians of a large cell move together, and
     again the same share for smaller cells. Only where slots are leased."""
-    prefix_share: float = 0.0
+    prefix_share: float = 0.1
     """Share of the iterations that render only the first layers, so that these do without the
     others. Only where slots are leased."""
     seed: int = 0

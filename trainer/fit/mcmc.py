@@ -36,9 +36,9 @@ class McmcConfig:
     """Noise of genesis, times the positions' learning rate. 3DGS-MCMC."""
     window_noise_lr: float = 5e4
     """Noise of later windows, whose learning rate restarts higher. Paper, section 8.1."""
-    renew_share: float = 0.1
-    """Share of every slice, the Gaussians that contribute least, that may be moved at a window's
-    start to where its newest frame shows what is not rendered; 0 switches it off."""
+    renew_share: float = 0.01
+    """Share of every slice, the Gaussians of each layer that contribute least, that may be moved at
+    a window's start to where its newest frame shows what is not rendered; 0 switches it off."""
     opacity_reg: float = 1e-3
     """Weight of the mean opacity in the loss. 3DGS-MCMC for indoor scenes; its usual 0.01 (paper,
     8.1: 0.02) makes haze of a scene that is trained for thousands of iterations, not tens of

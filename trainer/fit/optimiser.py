@@ -41,10 +41,9 @@ class OptimiserConfig:
     """The same at the end of genesis, reached log-linearly. 3DGS."""
     settle_means_lr: float = 1e-3
     """The same at the start of every round that genesis settles in."""
-    window_means_lr: float = 1e-3
-    """The same at the start of every later window. Paper: 1.6e-4 again; too slow to follow what
-    moved since the slice was last trained, when a window has hundreds of iterations."""
-    window_means_lr_end: float = 1.6e-5
+    window_means_lr: float = 4e-4
+    """The same at the start of every later window. Paper: 1.6e-4 again."""
+    window_means_lr_end: float = 6.4e-6
     """The same at the end of a window."""
     log_scales_lr: float = 5e-3
     """For log-scales. 3DGS."""

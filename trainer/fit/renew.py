@@ -32,7 +32,7 @@ from trainer.seed.stereo import (
 from trainer.step.contribution import contribution
 from trainer.step.raster import Parameters, View, render
 
-from .change import ChangeScores
+from .changescores import ChangeScores
 from .colour import CameraColour
 
 Floats = npt.NDArray[np.float32]

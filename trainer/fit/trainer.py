@@ -47,7 +47,7 @@ the border."""
 
 LAYERED_FROM = 0.6
 """Share of genesis after which layers are told apart, and trained to do without those above, if it
-does not settle: otherwise every round tells them apart anew."""
+does not settle: otherwise they are as the first round begins."""
 
 TOGETHER_SIZES = (0.1, 0.03)
 
@@ -321,7 +321,7 @@ class Trainer:
             if iteration < schedule.half_until:
                 view, shot = self._half_views[camera], shot.half()
             rows = active[frame]
-            if genesis and self._leases is not None and iteration == layered_from:
+            if genesis and self._leases and not settled and iteration == layered_from:
                 self._leases.rank(self._contributions(0))
             if iteration >= layered_from and self._rng.random() < config.prefix_share:
                 rows = self._prefix(rows)

@@ -92,6 +92,7 @@ def compile_kernels(sh_degree: int) -> bool:
         swin_size=2,
         sh_degree=sh_degree,
         genesis_iterations=4,
+        settle_rounds=1,
         window_iterations=2,
         coarse_share=0.5,
         mcmc=McmcConfig(relocate_period=1, renew_share=0.5),
@@ -109,7 +110,7 @@ def compile_kernels(sh_degree: int) -> bool:
 def _train_with_slots(config: FitConfig, pictures: _Noise, initial: Splats) -> None:
     """Runs what only leased slots need, up to what a reader makes of their chunks."""
     lease = LeaseConfig(active_share=0.5, hold=0.6)
-    config = replace(config, settle_rounds=1, prefix_share=0.5, lease=lease)
+    config = replace(config, prefix_share=0.5, lease=lease)
     lattices = (Lattice.suiting(initial),) * 2
     layout = SlotLayout(config.swin_size, (3, 1), config.sh_degree, lattices, 4)
     trainer = Trainer(config, pictures, initial, 0.2, layout=layout)

@@ -3,22 +3,29 @@ capture."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import tyro
+from rich.markup import escape
 from rich.table import Table
 
 from trainer.capture.capture import Mask
 
+from .moving import Movement, movement_of
 from .picture import Floats, Score, captured, displayed, score_picture
+from .traffic import Traffic, traffic
 from .truth import HeldOut, open_held_out
 
 STILL = 4 / 255
 """Largest change of a capture's pixel, in any channel, that counts as standing still."""
+
+COLUMNS = (
+    "PSNR\ndB", "moving\ndB", "SSIM", "flicker", "kB a\nframe", "Mbit/s", "bytes a\nGaussian",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -51,12 +58,24 @@ class LayerScore:
     flicker: float | None
     """100 times the mean change between frames of pixels that the capture keeps still."""
     bytes_per_frame: float
-    """Everything: objects of these layers, index and manifest, over the frames."""
+    """Everything that one fetches who plays these layers from frame 0, over the frames: manifest,
+    index and objects. Of version 2 these are masks, changes, and the snapshots of frame 0."""
+    snapshot_bytes_per_frame: float
+    """Snapshots of these layers at later frames, over the frames: stored for who joins there, and
+    not fetched by who plays from frame 0. None in version 1, so 0."""
     bits_per_second: float
+    """Of `bytes_per_frame`."""
     bytes_per_gaussian: float
+    """Bytes of the objects in `bytes_per_frame` over the Gaussians that they bring. In version 2
+    those are the Gaussians of frame 0 and then the active ones of every slice: what is kept costs
+    a little of the mask, and is not counted."""
     per_frame_psnr_db: list[float]
     """Mean over the cameras."""
     per_camera_psnr_db: dict[str, float]
+    moving_psnr_db: float | None
+    """Over the pixels that move since the frame before, in the pictures where enough do."""
+    per_frame_moving_psnr_db: list[float | None]
+    """Mean over the cameras where enough pixels move."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,28 +91,34 @@ class Evaluation:
     num_gs: int
     swin_size: int
     layers: list[LayerScore]
+    moving_share: float | None
+    """Of all pixels that count; None where no frame has one before it."""
 
     def to_json(self) -> dict[str, Any]:
         return asdict(self)
 
     def table(self) -> Table:
-        """For people: a row for each number of layers."""
-        table = Table(
-            title=f"{self.stream}: {self.frames} frames, {self.profile}, "
-            f"held out: {', '.join(self.cameras)}"
-        )
-        for name in ("layers", "PSNR dB", "SSIM", "flicker", "kB/frame", "Mbit/s", "B/Gaussian"):
-            table.add_column(name, justify="right")
+        """For people, in 80 columns: a row for each number of layers, then, with all layers, one
+        for each camera."""
+        share = "" if self.moving_share is None else f", {self.moving_share:.1%} of pixels move"
+        table = Table(title=f"{escape(self.stream)}: {self.frames} frames, {self.profile}{share}")
+        table.add_column("layers", overflow="fold")
+        for name in COLUMNS:
+            table.add_column(name, justify="right", no_wrap=True)
         for row in self.layers:
             table.add_row(
                 str(row.layers),
                 f"{row.psnr_db:.2f}",
+                "-" if row.moving_psnr_db is None else f"{row.moving_psnr_db:.2f}",
                 f"{row.ssim:.4f}",
                 "-" if row.flicker is None else f"{row.flicker:.3f}",
                 f"{row.bytes_per_frame / 1e3:.1f}",
                 f"{row.bits_per_second / 1e6:.2f}",
                 f"{row.bytes_per_gaussian:.2f}",
             )
+        table.add_section()
+        for camera, camera_psnr_db in self.layers[-1].per_camera_psnr_db.items():
+            table.add_row(f"camera {escape(camera)}", f"{camera_psnr_db:.2f}")
         return table
 
 
@@ -121,35 +146,53 @@ class _Flicker:
         return 100 * self._sum / self._count if self._count else None
 
 
+def _mean(values: Iterable[float | None]) -> float | None:
+    """Of those that are there; None without any."""
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
+
+
 class _Scores:
     """The scores of one number of layers, frame by frame, and its flicker."""
 
     def __init__(self) -> None:
         self.frames: list[list[Score]] = []
         """For each frame, a score for each camera."""
+        self.moving: list[list[float | None]] = []
+        """The same on the pixels that move."""
         self.flicker = _Flicker()
 
-    def layer_score(self, layers: int, held_out: HeldOut, every: int) -> LayerScore:
-        reader, manifest = held_out.reader, held_out.reader.manifest
+    def layer_score(
+        self, layers: int, held_out: HeldOut, every: int, fetched: Traffic
+    ) -> LayerScore:
+        reader = held_out.reader
         psnr_db = np.array([[score.psnr_db for score in frame] for frame in self.frames])
-        object_bytes = sum(sum(r.object_bytes[:layers]) for r in reader.records)
-        num_bytes = (object_bytes + reader.overhead_bytes) / reader.num_frames
-        slices = reader.num_frames + manifest.swin_size - 1
-        gaussians = slices * manifest.slice_size * sum(manifest.layers[:layers])
+        num_bytes = (fetched.object_bytes + reader.overhead_bytes) / reader.num_frames
         return LayerScore(
             layers=layers,
             psnr_db=float(psnr_db.mean()),
             ssim=float(np.mean([score.ssim for frame in self.frames for score in frame])),
             flicker=self.flicker.value if every == 1 else None,
             bytes_per_frame=num_bytes,
-            bits_per_second=8 * num_bytes * manifest.fps,
-            bytes_per_gaussian=object_bytes / gaussians,
+            snapshot_bytes_per_frame=fetched.join_bytes / reader.num_frames,
+            bits_per_second=8 * num_bytes * reader.manifest.fps,
+            bytes_per_gaussian=fetched.object_bytes / max(fetched.gaussians, 1),
             per_frame_psnr_db=[float(x) for x in psnr_db.mean(axis=1)],
             per_camera_psnr_db={
                 camera.name: float(x)
                 for camera, x in zip(held_out.cameras, psnr_db.mean(axis=0), strict=True)
             },
+            moving_psnr_db=_mean(x for frame in self.moving for x in frame),
+            per_frame_moving_psnr_db=[_mean(frame) for frame in self.moving],
         )
+
+
+def _movements(held_out: HeldOut, frame: int) -> list[Movement]:
+    """What moved in each held-out camera since the frame before; nothing in frame 0."""
+    if frame == 0:
+        return []
+    cameras = range(len(held_out.cameras))
+    return [movement_of(held_out.shot(c, frame - 1), held_out.shot(c, frame)) for c in cameras]
 
 
 def evaluate_stream(
@@ -163,17 +206,25 @@ def evaluate_stream(
         reader, manifest, cameras = held_out.reader, held_out.reader.manifest, held_out.cameras
         found = {layers: _Scores() for layers in range(1, manifest.num_layers + 1)}
         chosen = held_out.every(config.every)
+        fetched = traffic(reader)
         done, total = 0, len(chosen) * len(found) * len(cameras)
+        moving = counting = 0
         for frame in chosen:
             shots = held_out.shots(frame)
+            movements = _movements(held_out, frame)
+            moving += sum(movement.moving for movement in movements)
+            counting += sum(movement.counting for movement in movements)
             truths = [captured(shot.picture) for shot in shots]
             for layers, scores in found.items():
                 splats = reader.active_splats(frame, layers)
                 scores.frames.append([])
+                scores.moving.append([])
                 for c, camera in enumerate(cameras):
                     shown, mask = displayed(splats, camera, manifest.near_m), shots[c].mask
                     scores.frames[-1].append(score_picture(shown, truths[c], mask))
                     scores.flicker.add(c, shown, truths[c], mask)
+                    if movements:
+                        scores.moving[-1].append(movements[c].psnr_db(shown, truths[c]))
                     done += 1
                     on_progress(done, total)
     return Evaluation(
@@ -186,6 +237,8 @@ def evaluate_stream(
         num_gs=manifest.num_gs,
         swin_size=manifest.swin_size,
         layers=[
-            scores.layer_score(layers, held_out, config.every) for layers, scores in found.items()
+            scores.layer_score(layers, held_out, config.every, fetched[layers - 1])
+            for layers, scores in found.items()
         ],
+        moving_share=moving / counting if counting else None,
     )

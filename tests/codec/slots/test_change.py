@@ -268,6 +268,27 @@ def test_what_an_encoder_refuses_leaves_it_as_it_was() -> None:
     assert encoder.append(Update.keeping(1, layout)) is not None
 
 
+def test_only_a_new_gaussian_starts_late() -> None:
+    layout = small_layout(3, (2,))
+    encoder = SlotEncoder(layout)
+    none = np.zeros(2, np.bool_)
+    offsets = np.array([0, 2], np.uint8)
+    both = States.zeros(2, 0)
+    for birth in (-2, -1, 0):
+        statuses = np.full(2, NEW, np.uint8)
+        encoder.append(Update(birth, statuses, both, offsets, none, Splats.empty()))
+    statuses = np.array([PREDICTED, NEW], np.uint8)
+    late = Update(1, statuses, both, offsets[::-1].copy(), none, Splats.empty())
+    with pytest.raises(InvalidError, match="a predicted Gaussian starts late"):
+        encoder.append(late)
+    made = encoder.append(replace(late, start_offsets=offsets))
+    assert made is not None
+    # 13 bytes for each, and one more for the start of the new one alone.
+    assert len(made.changes[0].data) == BODY + 20 + 2 * 13 + 1
+    change = decode_change(layout, 0, 1, made.changes[0].data, 1, 1)
+    assert change.start_offsets.tolist() == [2]
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -282,6 +303,7 @@ def test_what_an_encoder_refuses_leaves_it_as_it_was() -> None:
         ({"segment_frames": 0}, "segment_frames 0"),
         ({"segment_frames": 4097}, "segment_frames 4097"),
         ({"segment_frames": 257, "slots": (1 << 20,)}, "use shorter segments"),
+        ({"swin_size": 17, "slots": (1 << 20,)}, "in each of 17 lanes"),
     ],
 )
 def test_layouts_that_the_format_does_not_allow(change: dict[str, object], message: str) -> None:
@@ -290,7 +312,7 @@ def test_layouts_that_the_format_does_not_allow(change: dict[str, object], messa
 
 
 def test_bounds_stay_below_the_largest_chunk() -> None:
-    layout = SlotLayout(255, (1 << 19, 1 << 19), 3, (LATTICE,) * 2, 256)
+    layout = SlotLayout(16, (1 << 19, 1 << 19), 3, (LATTICE,) * 2, 256)
     assert layout.max_change_bytes(0) < layout.max_snapshot_bytes(1) == MAX_SLOT_CHUNK_BYTES
     assert layout.max_mask_bytes == 16 + (4 << 20)
     assert SlotLayout(1, (1,), 0, (Lattice(1, 1, 1, 1, 2),), 1).max_change_bytes(0) == 12 + 20 + 83

@@ -8,9 +8,16 @@ import pytest
 from codec.errors import CorruptError, InvalidError
 from codec.slice import HIDDEN
 from codec.slots import slotdecoder
+from codec.slots.lattice import POSITION_LIMIT, States
+from codec.slots.mask import MaskHistory, decode_mask, encode_mask
+from codec.slots.slotchange import Newcomers, encode_change
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.slotencoder import EncodedSlice, SlotEncoder
 from codec.slots.slotlayout import SlotLayout
+from codec.slots.slotstate import EMPTY, ON_LATTICE, UNKNOWN, Slots
+from codec.slots.snapshot import encode_snapshot
+from codec.slots.update import ENDED, KEPT, NEW, PREDICTED
+from codec.splats import Splats
 from tests.support.hostile import flips, survives
 from tests.support.slots.updates import patternless_updates, small_layout
 
@@ -158,3 +165,128 @@ def test_a_late_change_that_does_not_fit_alters_nothing() -> None:
         other.apply(birth, *parts(slices[birth]))
     assert state_bytes(other) == state_bytes(decoder)
     assert np.count_nonzero(decoder.lanes[0][0].conditions) == 40
+
+
+def loaded(layout: SlotLayout, snapshots: list[bytes]) -> SlotDecoder:
+    decoder = SlotDecoder(layout)
+    for data in snapshots:
+        decoder.load(data)
+    return decoder
+
+
+def conditions(decoder: SlotDecoder, lane: int) -> list[int]:
+    return [int(one) for slots in decoder.lanes[lane] for one in slots.conditions]
+
+
+def test_a_missing_mask_costs_its_lane_until_the_segment_ends() -> None:
+    layout = small_layout(2, (9, 6), segment_frames=8)
+    snapshots, slices = made(layout, 12)
+    decoder, player = loaded(layout, snapshots), loaded(layout, snapshots)
+    for birth in range(1, 12):
+        mask, changes = parts(slices[birth])
+        player.apply(birth, mask, changes)
+        if birth == 3:
+            shown = decoder.apply(birth, None, changes)
+            assert shown.rows is not None
+            assert shown.rows.tolist() == list(range(15))
+            assert (shown.start_offsets == HIDDEN).all()
+        elif birth in (5, 7):  # cannot be read without the one before, so nothing of it counts
+            decoder.apply(birth, b"any", [b"any"])
+        else:
+            decoder.apply(birth, mask, changes)
+        assert decoder.log_bytes == 0
+        assert conditions(decoder, 0) == conditions(player, 0)
+        if 3 <= birth < 9:
+            assert set(conditions(decoder, 1)) == {UNKNOWN}
+    # Born at 9 and 11: what was ended or new is there again, and nothing else.
+    said = np.zeros(15, np.bool_)
+    history = MaskHistory(layout)
+    for birth in (9, 11):
+        statuses = decode_mask(layout, birth, slices[birth].mask.data, history.of(birth))
+        history.note(birth, statuses)
+        said |= (statuses == ENDED) | (statuses == NEW)
+    assert 0 < np.count_nonzero(said) < 15
+    found, wanted = np.array(conditions(decoder, 1)), np.array(conditions(player, 1))
+    assert (found == np.where(said, wanted, UNKNOWN)).all()
+
+
+def test_the_mask_of_a_first_frame_is_not_needed_to_read_later_ones() -> None:
+    layout = small_layout(2, (9, 6), segment_frames=4)
+    snapshots, slices = made(layout, 8)
+    decoder, player = loaded(layout, snapshots), loaded(layout, snapshots)
+    for birth in range(1, 8):
+        mask, changes = parts(slices[birth])
+        player.apply(birth, mask, changes)
+        decoder.apply(birth, None if birth == 4 else mask, changes)
+    assert conditions(decoder, 1) == conditions(player, 1)
+    found, wanted = conditions(decoder, 0), conditions(player, 0)
+    assert found != wanted
+    assert all(a in (b, UNKNOWN) for a, b in zip(found, wanted, strict=True))
+    assert set(found) > {UNKNOWN}  # what the slice born at 6 says
+
+
+def test_a_snapshot_brings_a_lost_lane_back() -> None:
+    layout = small_layout(2, (9, 6), segment_frames=4)
+    encoder, decoder = SlotEncoder(layout), SlotDecoder(layout)
+    for update in patternless_updates(layout, 8, 5):
+        encoded = encoder.append(update)
+        if encoded is None:
+            continue
+        snapshots = [chunk.data for chunk in encoder.snapshots()] if update.birth % 4 == 0 else []
+        mask, changes = parts(encoded)
+        if update.birth:
+            decoder.apply(update.birth, None if update.birth in (2, 3, 4) else mask, changes)
+        if update.birth == 4:
+            assert not np.concatenate([conditions(decoder, lane) for lane in (0, 1)]).any()
+        for data in snapshots:
+            decoder.load(data)
+    for lane in (0, 1):
+        for slots, wanted in zip(decoder.lanes[lane], encoder.lanes[lane], strict=True):
+            assert (slots.conditions == wanted.conditions).all()
+            assert (slots.states.positions == wanted.states.positions).all()
+
+
+def test_what_waits_for_late_changes_is_given_up_with_the_mask() -> None:
+    layout = small_layout(1, (40,), segment_frames=50)
+    snapshots, slices = made(layout, 4)
+    decoder = loaded(layout, snapshots)
+    decoder.apply(1, slices[1].mask.data, [None])
+    assert decoder.log_bytes
+    decoder.apply(2, None, [None])
+    assert not decoder.log_bytes
+    assert decoder.late(1, 0, slices[1].changes[0].data) is None
+    assert decoder.late(2, 0, slices[2].changes[0].data) is None
+    assert set(conditions(decoder, 0)) == {UNKNOWN}
+
+
+def test_a_change_that_a_late_one_shows_to_be_wrong_counts_as_missing() -> None:
+    """While a slot is unknown its sums are not made, so nobody can tell that one is wrong."""
+    layout = small_layout(1, (2,), segment_frames=50)
+    edge = States(np.array([[POSITION_LIMIT - 1, 0, 0]], np.int32), np.zeros((1, 10), np.uint8))
+    inside = States(edge.positions - np.int32(9), edge.attributes)
+    nothing = States.zeros(0, 0)
+
+    def mask(birth: int, first: int, second: int) -> bytes:
+        statuses, history = np.array([first, second], np.uint8), MaskHistory(layout)
+        if birth == 2:
+            history.note(1, np.array([NEW, KEPT], np.uint8))
+        return encode_mask(layout, birth, statuses, history.of(birth)).data
+
+    def change(birth: int, before: States, predicted: States, new: States) -> bytes:
+        newcomers = Newcomers(new, np.zeros(len(new), np.bool_), Splats.empty())
+        offsets = np.zeros(len(new), np.uint8)
+        return encode_change(0, birth, before, predicted, newcomers, offsets).data
+
+    empty = [Slots(2, 0, EMPTY)]
+    decoder = SlotDecoder(layout)
+    decoder.load(encode_snapshot(layout, 0, 0, empty).data)
+    decoder.apply(1, mask(1, NEW, KEPT), [None])
+    # Beyond the edge, if the first was there; and the second slot is new.
+    decoder.apply(2, mask(2, PREDICTED, NEW), [change(2, inside, edge, inside)])
+    assert conditions(decoder, 0) == [UNKNOWN, ON_LATTICE]
+    shown = decoder.late(1, 0, change(1, nothing, nothing, edge))
+    assert shown is not None
+    assert shown.rows is not None
+    assert shown.rows.tolist() == [0, 1]
+    assert conditions(decoder, 0) == [UNKNOWN, UNKNOWN]
+    assert decoder.log_bytes == 0

@@ -16,7 +16,7 @@ from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
 from player.render.cpu import render_splats
 from trainer.fit.budget import ByteBudget
-from trainer.fit.change import ChangeScores
+from trainer.fit.changescores import ChangeScores
 from trainer.fit.config import FitConfig
 from trainer.fit.leases import LeaseConfig, Leases
 from trainer.fit.mcmc import McmcConfig
@@ -40,6 +40,7 @@ def config(swin_size: int, **lease: float) -> FitConfig:
         num_gs=90,
         swin_size=swin_size,
         genesis_iterations=300,
+        settle_rounds=1,
         window_iterations=60,
         calm_from=0.7,
         prefix_share=0.2,
@@ -221,6 +222,6 @@ def test_a_trainer_keeps_to_the_bytes_that_it_may_send() -> None:
     for window in trainer.windows():
         active.append(int((window.updates[-1].statuses != KEPT).sum()))
         trainer.spent(window, 10 * active[-1])
-    assert active[0] == 90
+    assert active[0] >= 80  # of 90: all that show something
     assert max(active[1:]) <= 20 + 5  # the price is 5 at first; renewal comes on top
     assert min(active[1:]) >= 5

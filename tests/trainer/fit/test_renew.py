@@ -229,6 +229,7 @@ CONFIG = FitConfig(
     num_gs=300,
     swin_size=3,
     genesis_iterations=150,
+    settle_rounds=0,
     window_iterations=20,
     mcmc=McmcConfig(renew_share=0.2),
 )

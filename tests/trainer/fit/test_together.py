@@ -32,7 +32,7 @@ def test_gradients_are_summed_over_those_that_move() -> None:
 
 def test_noise_averages_out_and_motion_stays() -> None:
     rng = np.random.default_rng(0)
-    gradients = (rng.normal(size=(400, 3)) + (0.3, 0, 0)).astype(np.float32)
+    gradients = rng.normal((0.3, 0, 0), 1, (400, 3)).astype(np.float32)
     move_together(gradients, np.arange(400, dtype=np.int32), np.zeros(400, np.int32))
     direction = gradients[0] / np.linalg.norm(gradients[0])
     assert direction[0] > 0.95

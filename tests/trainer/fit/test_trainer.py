@@ -98,6 +98,7 @@ CONFIG = FitConfig(
     num_gs=90,
     swin_size=SWIN,
     genesis_iterations=300,
+    settle_rounds=0,
     window_iterations=100,
     mcmc=replace(McmcConfig(), relocate_period=25, opacity_reg=1e-3, scale_reg=1e-3),
 )

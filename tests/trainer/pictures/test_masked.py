@@ -179,14 +179,19 @@ def write_stream(path: Path, capture_path: Path) -> tuple[float, ...]:
 
 
 def test_scores_see_only_what_counts(tmp_path: Path) -> None:
-    noted, scored = [], list[list[LayerScore]]()
+    noted, scored, moving = [], list[list[LayerScore]](), []
     for name, garbage, masked in (("a", 9, True), ("b", 200, True), ("c", 200, False)):
         write_masked(tmp_path / name, garbage, masked)
         noted.append(write_stream(tmp_path / f"{name}.s", tmp_path / name))
         config = EvaluateConfig(tmp_path / f"{name}.s", tmp_path / name)
-        scored.append(evaluate_stream(config).layers)
+        found = evaluate_stream(config)
+        scored.append(found.layers)
+        moving.append(found.moving_share)
     assert noted[0] == noted[1]
     assert scored[0] == scored[1]
+    # Only the garbage comes and goes.
+    assert moving[0] == moving[1] == 0
+    assert moving[2]
     assert noted[1] != noted[2]
     for with_masks, without in zip(scored[1], scored[2], strict=True):
         assert with_masks.psnr_db != pytest.approx(without.psnr_db, abs=0.01)

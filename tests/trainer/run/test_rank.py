@@ -141,7 +141,9 @@ def test_a_trainers_slices_fall_by_what_they_show(swin_size: int) -> None:
     rng = np.random.default_rng(1)
     points = rng.uniform(-0.7, 0.7, (24, 3)).astype(np.float32)
     initial = initial_splats(points, rng.integers(0, 255, (24, 3), dtype=np.uint8), 0)
-    config = FitConfig(num_gs=24, swin_size=swin_size, genesis_iterations=40, window_iterations=10)
+    config = FitConfig(
+        num_gs=24, swin_size=swin_size, genesis_iterations=40, settle_rounds=0, window_iterations=10
+    )
     trainer = Trainer(config, Grey(), initial, NEAR_M)
     found: list[Slice] = []
     for window in trainer.windows():

@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +21,27 @@ from trainer.run.checkpoint import CHECKPOINT_NAME, load_checkpoint, save_checkp
 from trainer.run.runlog import LOG_NAME
 
 FRAMES = 6
-SETTINGS = (
-    "--num-gs", 200, "--swin-size", 2, "--genesis-iterations", 60, "--window-iterations", 40,
+COMMON = (
+    "--num-gs", 200, "--genesis-iterations", 60, "--settle-rounds", 1, "--window-iterations", 40,
     "--segment-frames", 4, "--mcmc.relocate-period", 10,
 )  # fmt: skip
+SETTINGS = (*COMMON, "--swin-size", 2)
+SETTINGS_OF = {
+    "lattice": SETTINGS,
+    "one frame": COMMON,
+    "budget": (*COMMON, "--lease.bytes-per-frame", 300, "--lease.active-share", 0.9),
+    "compact": (*SETTINGS, "--profile", "compact"),
+}
+"""Each kind of run: version 2 with leases of two frames, of one, with a bound on bytes (what is
+owed must survive), and version 1."""
+
+
+@dataclass(frozen=True)
+class Whole:
+    """A run that was never stopped."""
+
+    settings: tuple[object, ...]
+    contents: dict[str, bytes]
 
 
 @pytest.fixture(scope="module")
@@ -42,18 +60,34 @@ def contents(stream: Path) -> dict[str, bytes]:
     }
 
 
+def trained_whole(capture: Path, kind: str) -> Whole:
+    stream = capture.parent / f"whole {kind}"
+    run_ok("swings-train", capture, stream, *SETTINGS_OF[kind])
+    assert not (stream / CHECKPOINT_NAME).exists()
+    assert StreamReader(stream).manifest.has_slots == (kind != "compact")
+    return Whole(SETTINGS_OF[kind], contents(stream))
+
+
+@pytest.fixture(scope="module", params=SETTINGS_OF)
+def whole(request: pytest.FixtureRequest, capture: Path) -> Whole:
+    return trained_whole(capture, request.param)
+
+
 @pytest.fixture(scope="module")
 def uninterrupted(capture: Path) -> dict[str, bytes]:
-    stream = capture.parent / "whole"
-    run_ok("swings-train", capture, stream, *SETTINGS)
-    assert not (stream / CHECKPOINT_NAME).exists()
-    return contents(stream)
+    return trained_whole(capture, "lattice").contents
 
 
-def start_until(capture: Path, stream: Path, windows: int, *more: object) -> subprocess.Popen[str]:
+def start_until(
+    capture: Path,
+    stream: Path,
+    windows: int,
+    *more: object,
+    settings: tuple[object, ...] = SETTINGS,
+) -> subprocess.Popen[str]:
     """A training process that has written `windows` checkpoints after its first one."""
     process = subprocess.Popen(
-        command("swings-train", capture, stream, *SETTINGS, *more),
+        command("swings-train", capture, stream, *settings, *more),
         env=environment(),
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
@@ -72,12 +106,13 @@ def start_until(capture: Path, stream: Path, windows: int, *more: object) -> sub
 
 
 def test_killed_at_any_moment_and_resumed_it_writes_the_same_bytes(
-    capture: Path, uninterrupted: dict[str, bytes], tmp_path: Path
+    capture: Path, whole: Whole, tmp_path: Path
 ) -> None:
     stream = tmp_path / "stream"
     kills = 0
     for windows in (0, 2, 1):
-        process = start_until(capture, stream, windows, *(["--resume"] if kills else []))
+        resume = ["--resume"] if kills else []
+        process = start_until(capture, stream, windows, *resume, settings=whole.settings)
         if process.poll() is None:
             process.kill()
             kills += 1
@@ -87,8 +122,8 @@ def test_killed_at_any_moment_and_resumed_it_writes_the_same_bytes(
             reader.active_splats(frame, reader.manifest.num_layers)
     assert kills >= 2
     if (stream / CHECKPOINT_NAME).exists():
-        run_ok("swings-train", capture, stream, *SETTINGS, "--resume")
-    assert contents(stream) == uninterrupted
+        run_ok("swings-train", capture, stream, *whole.settings, "--resume")
+    assert contents(stream) == whole.contents
 
 
 def test_ctrl_c_ends_the_window_and_can_be_resumed(

@@ -38,7 +38,8 @@ def test_a_run_logs_every_frame_and_draws_snapshots(tmp_path: Path) -> None:
     np.savez(tmp_path / "points.npz", xyz=xyz, rgb=np.full((50, 3), 99, np.uint8))
     run_ok(
         "swings-train", tmp_path / "capture", stream, "--num-gs", 200, "--swin-size", 2,
-        "--genesis-iterations", 30, "--window-iterations", 20, "--segment-frames", 2,
+        "--genesis-iterations", 30, "--settle-rounds", 1, "--window-iterations", 20,
+        "--segment-frames", 2,
         "--snapshot-every", 2, "--points", tmp_path / "points.npz",
     )  # fmt: skip
     records = [json.loads(line) for line in (stream / LOG_NAME).read_text().splitlines()]
@@ -67,7 +68,7 @@ def test_time_left_is_that_of_the_iterations_left(tmp_path: Path) -> None:
             self.last_db = [20.0, 25.5]
 
     now_s = [100.0]
-    config = FitConfig(num_gs=10, genesis_iterations=200, window_iterations=50)
+    config = FitConfig(num_gs=10, genesis_iterations=150, settle_rounds=1, window_iterations=50)
     with RunLog(tmp_path / "log") as log, progress_bar(Console(quiet=True)) as bar:
         monitor = Monitor(bar, log, config, 5, lambda: now_s[0])
         now_s[0] += 7  # before training begins

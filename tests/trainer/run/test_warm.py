@@ -17,6 +17,7 @@ import sys
 from pathlib import Path
 from numba.core.dispatcher import Dispatcher
 from rich.console import Console
+from codec.profiles.profile import Profile
 from trainer.fit.config import FitConfig
 from trainer.run.config import TrainConfig
 from trainer.run.job import train_stream
@@ -37,9 +38,12 @@ compile_kernels(sh_degree)
 before = known()
 assert len(before) > 20, before
 fit = FitConfig(
-    num_gs=60, swin_size=2, sh_degree=sh_degree, genesis_iterations=101, window_iterations=101
+    num_gs=60, swin_size=2, sh_degree=sh_degree, genesis_iterations=101, settle_rounds=1,
+    window_iterations=101,
 )
-train_stream(TrainConfig(capture, stream, fit=fit), Console(quiet=True))
+for profile in (Profile.LATTICE, Profile.COMPACT):
+    job = TrainConfig(capture, stream / profile, profile=profile, fit=fit)
+    train_stream(job, Console(quiet=True))
 for name, at, signature in sorted(known() - before, key=str):
     print(name, at, signature)
 """

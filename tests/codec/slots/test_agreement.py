@@ -1,0 +1,221 @@
+"""codec.slots and the plain implementation of tests/goldens, which was written from FORMAT.md
+alone, mean the same by the same bytes: integer for integer, bit for bit, and refuse the same.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.goldens.slots_cases import make_shape
+from tests.goldens.slots_decoder import Shape
+from tests.goldens.slots_encoder import RandomStream
+from tests.support.slots.plain import (
+    BothReaders,
+    Chunks,
+    encoded_chunks,
+    layout_of,
+    plain_chunks,
+    try_snapshot,
+    updates_of,
+)
+from tests.support.slots.updates import patternless_updates
+
+NUM_FRAMES = 14
+
+shapes = st.builds(
+    make_shape,
+    swin_size=st.sampled_from([1, 2, 3]),
+    segment_frames=st.sampled_from([1, 3, 5, 9]),
+    k=st.sampled_from([1, 4]),
+    slots=st.sampled_from([(1,), (9,), (6, 5), (1, 4, 3)]),
+)
+seeds = st.integers(0, 1 << 32)
+
+
+@st.composite
+def streams(draw: st.DrawFn) -> tuple[Shape, Chunks]:
+    """A stream of either encoder."""
+    shape, seed = draw(shapes), draw(seeds)
+    if draw(st.booleans()):
+        return shape, plain_chunks(RandomStream(shape, NUM_FRAMES, seed))
+    updates = patternless_updates(layout_of(shape), NUM_FRAMES, seed, draw(st.booleans()))
+    return shape, encoded_chunks(layout_of(shape), updates)
+
+
+@given(shapes, seeds)
+@settings(max_examples=25)
+def test_both_encoders_make_the_same_bytes(shape: Shape, seed: int) -> None:
+    stream = RandomStream(shape, NUM_FRAMES, seed)
+    assert encoded_chunks(layout_of(shape), updates_of(stream)) == plain_chunks(stream)
+
+
+@given(streams(), st.data())
+@settings(max_examples=25)
+def test_who_has_all_and_who_joins_hold_the_same(
+    stream: tuple[Shape, Chunks], data: st.DataObject
+) -> None:
+    shape, chunks = stream
+    first = data.draw(st.sampled_from(sorted(chunks.snapshots)))
+    layers = data.draw(st.integers(1, len(shape.slots)))
+    both = BothReaders(shape, layers)
+    for snapshot in chunks.snapshots[first][:layers]:
+        both.load(snapshot)
+    both.check()
+    for birth in range(first + 1, NUM_FRAMES):
+        both.apply(birth, chunks.masks[birth], chunks.changes[birth][:layers])
+
+
+@given(streams(), seeds)
+@settings(max_examples=40)
+def test_who_lacks_something_holds_the_same(stream: tuple[Shape, Chunks], seed: int) -> None:
+    """Packets that never come, or late; masks that never come; snapshots of some layers."""
+    (shape, chunks), rng = stream, np.random.default_rng(seed)
+    missing_mask, missing_change = rng.choice([0, 0.05, 0.3]), rng.choice([0, 0.1, 0.4])
+    both = BothReaders(shape)
+    waiting: list[tuple[int, int]] = []
+    for snapshot in chunks.snapshots[0]:
+        if rng.random() < 0.9 or both.decoder.frame is None:
+            both.load(snapshot)
+    both.check()
+    for birth in range(1, NUM_FRAMES):
+        changes: list[bytes | None] = []
+        for layer, change in enumerate(chunks.changes[birth]):
+            lacks = rng.random() < missing_change
+            changes.append(None if lacks else change)
+            if lacks:
+                waiting.append((birth, layer))
+        both.apply(birth, None if rng.random() < missing_mask else chunks.masks[birth], changes)
+        for snapshot in chunks.snapshots.get(birth, []):
+            if rng.random() < 0.4:
+                both.load(snapshot)
+        both.check()
+        rng.shuffle(waiting)
+        for _ in range(rng.integers(0, len(waiting) + 1)):
+            late_birth, layer = waiting.pop()
+            assert both.late(late_birth, layer, chunks.changes[late_birth][layer])
+
+
+@given(streams(), seeds)
+@settings(max_examples=40)
+def test_who_takes_wrong_changes_late_holds_the_same(
+    stream: tuple[Shape, Chunks], seed: int
+) -> None:
+    """A wrong one that is taken makes later ones wrong, whether they came before it or not."""
+    (shape, chunks), rng = stream, np.random.default_rng(seed)
+    both = BothReaders(shape)
+    waiting: list[tuple[int, int]] = []
+    for snapshot in chunks.snapshots[0]:
+        both.load(snapshot)
+    for birth in range(1, NUM_FRAMES):
+        changes: list[bytes | None] = [*chunks.changes[birth]]
+        for lacking in np.flatnonzero(rng.random(len(changes)) < 0.3).tolist():
+            changes[lacking] = None
+            waiting.append((birth, lacking))
+        both.apply_what_fits(birth, chunks.masks[birth], changes)
+        rng.shuffle(waiting)
+        for late_birth, layer in waiting[: rng.integers(0, 3)]:
+            change = chunks.changes[late_birth][layer]
+            (wrong,) = mutants(change, rng, 1)
+            if rng.random() < 0.5:
+                wrong = other_opacities(change, shape, rng)
+            if both.late(late_birth, layer, wrong):
+                waiting.remove((late_birth, layer))
+
+
+def other_opacities(change: bytes, shape: Shape, rng: np.random.Generator) -> bytes:
+    """`change` with any opacities of the new, so that those predicted from them go wrong."""
+    predicted, new, long = struct.unpack_from("<3I", change, 12)
+    num_planes = 10 + 3 * shape.num_coefficients
+    end = 32 + num_planes * (predicted + new) + 4 * long
+    levels = min(lattice.opacity_levels for lattice in shape.lattice)
+    opacities: bytes = rng.integers(0, levels, new).astype(np.uint8).tobytes()
+    return change[: end - new] + opacities + change[end:]
+
+
+def mutants(data: bytes, rng: np.random.Generator, count: int) -> Iterator[bytes]:
+    """`data` with some bytes altered, most often in front; sometimes longer or shorter."""
+    for _ in range(count):
+        wrong = bytearray(data)
+        for _ in range(rng.integers(1, 3)):
+            place = rng.integers(len(wrong) if rng.random() < 0.7 else min(len(wrong), 40))
+            near = (wrong[place] + int(rng.integers(-2, 3))) % 256
+            wrong[place] = rng.choice([near, wrong[place] ^ 1 << int(rng.integers(8)), 0, 255])
+        kind = rng.random()
+        if kind < 0.05:
+            del wrong[rng.integers(len(wrong)) :]
+        elif kind < 0.1:
+            wrong += rng.bytes(int(rng.integers(1, 5)))
+        yield bytes(wrong)
+
+
+@given(streams(), seeds)
+@settings(max_examples=10)
+def test_both_refuse_the_same_slices(stream: tuple[Shape, Chunks], seed: int) -> None:
+    (shape, chunks), rng = stream, np.random.default_rng(seed)
+    both = BothReaders(shape)
+    for snapshot in chunks.snapshots[0]:
+        if rng.random() < 0.7 or both.decoder.frame is None:
+            both.load(snapshot)
+    for birth in range(1, NUM_FRAMES):
+        mask, changes = chunks.masks[birth], chunks.changes[birth]
+        assert both.try_slice(birth, mask, changes)
+        for wrong in mutants(mask, rng, 12):
+            if both.try_mask(birth, wrong):
+                both.try_slice(birth, wrong, [None] * len(changes))
+                both.try_slice(birth, wrong, changes)
+        for layer, change in enumerate(changes):
+            for wrong in mutants(change, rng, 12):
+                both.try_slice(birth, mask, [*changes[:layer], wrong, *changes[layer + 1 :]])
+        here = [None if rng.random() < 0.1 else change for change in changes]
+        both.apply(birth, mask, here)
+
+
+@given(streams(), seeds)
+@settings(max_examples=10)
+def test_both_refuse_the_same_snapshots(stream: tuple[Shape, Chunks], seed: int) -> None:
+    (shape, chunks), rng = stream, np.random.default_rng(seed)
+    for snapshots in chunks.snapshots.values():
+        for snapshot in snapshots:
+            assert try_snapshot(shape, snapshot)
+            for wrong in mutants(snapshot, rng, 20):
+                try_snapshot(shape, wrong)
+
+
+def test_mutants_are_taken_and_refused() -> None:
+    """So that the tests above say something of both."""
+    shape, rng = make_shape(), np.random.default_rng(0)
+    chunks = plain_chunks(RandomStream(shape, 2, 3))
+    both = BothReaders(shape)
+    for snapshot in chunks.snapshots[0]:
+        both.load(snapshot)
+    masks = [both.try_mask(1, wrong) for wrong in mutants(chunks.masks[1], rng, 300)]
+    slices = [
+        both.try_slice(1, chunks.masks[1], [wrong, None])
+        for wrong in mutants(chunks.changes[1][0], rng, 300)
+    ]
+    snapshots = [try_snapshot(shape, wrong) for wrong in mutants(chunks.snapshots[0][0], rng, 300)]
+    for taken in (masks, slices, snapshots):
+        assert 20 < sum(taken) < 280
+
+
+def test_counts_and_escapes_that_both_refuse() -> None:
+    """Every count of a change, one more and one less and huge, with the others as they were."""
+    shape = make_shape(swin_size=1, slots=(12,))
+    for seed in range(6):
+        chunks = plain_chunks(RandomStream(shape, 3, seed))
+        both = BothReaders(shape)
+        both.load(chunks.snapshots[0][0])
+        for birth in (1, 2):
+            mask, change = chunks.masks[birth], chunks.changes[birth][0]
+            counts = struct.unpack_from("<5I", change, 12)
+            for at, count in enumerate(counts):
+                for other in (count + 1, max(count - 1, 0), 0, 1 << 31, (1 << 32) - 1):
+                    wrong = [*counts[:at], other, *counts[at + 1 :]]
+                    data = change[:12] + struct.pack("<5I", *wrong) + change[32:]
+                    assert both.try_slice(birth, mask, [data]) == (other == count)
+            both.apply(birth, mask, [change])

@@ -1,0 +1,276 @@
+"""Streams of slots for two implementations, and a reader of each: codec.slots and the plain one of
+tests/goldens, which knows nothing of the package.
+"""
+
+from __future__ import annotations
+
+import copy
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from itertools import chain
+
+import numpy as np
+
+from codec.errors import CodecError
+from codec.slice import HIDDEN
+from codec.slots.lattice import Lattice, States, num_attributes
+from codec.slots.mask import decode_mask
+from codec.slots.slotdecoder import SlotDecoder
+from codec.slots.slotencoder import SlotEncoder
+from codec.slots.slotlayout import SlotLayout
+from codec.slots.slotstate import EMPTY, ON_LATTICE, UNKNOWN
+from codec.slots.update import NEW, PREDICTED, Update
+from codec.splats import Splats, array_shapes
+from tests.goldens import slots_decoder as plain
+from tests.goldens.slots_encoder import RandomStream, encode_snapshot
+from tests.goldens.slots_reader import AppliedSlice, Reader
+
+
+def layout_of(shape: plain.Shape) -> SlotLayout:
+    names = [field.name for field in fields(plain.Lattice)]
+    lattices = [Lattice(**{n: getattr(one, n) for n in names}) for one in shape.lattice]
+    sh_degree = {1: 0, 4: 1, 9: 2, 16: 3}[shape.num_coefficients]
+    return SlotLayout(
+        shape.swin_size, shape.slots, sh_degree, tuple(lattices), shape.segment_frames
+    )
+
+
+@dataclass(frozen=True)
+class Chunks:
+    """A stream as its chunks; those of layers in a row for each birth from 0 on."""
+
+    masks: list[bytes]
+    changes: list[list[bytes]]
+    snapshots: dict[int, list[bytes]]
+    """By the first frame of each segment."""
+
+
+def encoded_chunks(layout: SlotLayout, updates: Sequence[Update]) -> Chunks:
+    """What codec.slots makes of `updates`."""
+    encoder, made = SlotEncoder(layout), Chunks([], [], {})
+    for update in updates:
+        slice_ = encoder.append(update)
+        if slice_ is None:
+            continue
+        made.masks.append(slice_.mask.data)
+        made.changes.append([change.data for change in slice_.changes])
+        if update.birth % layout.segment_frames == 0:
+            made.snapshots[update.birth] = [chunk.data for chunk in encoder.snapshots()]
+    return made
+
+
+def plain_chunks(stream: RandomStream) -> Chunks:
+    """What the plain encoder made."""
+    shape, snapshots = stream.shape, {}
+    for first in range(0, len(stream.masks), shape.segment_frames):
+        snapshots[first] = [
+            encode_snapshot(stream.truth[first], first, layer, shape)
+            for layer in range(len(shape.slots))
+        ]
+    return Chunks(stream.mask_chunks, stream.changes, snapshots)
+
+
+def updates_of(stream: RandomStream) -> list[Update]:
+    """What a trainer would have handed over for `stream`."""
+    shape, updates = stream.shape, []
+    for birth in range(1 - shape.swin_size, len(stream.masks)):
+        lane = stream.truth[max(birth, 0)][birth % shape.swin_size]
+        slots = list(chain(*lane))
+        if birth > 0:
+            statuses = list(chain(*stream.masks[birth]))
+        else:
+            statuses = [NEW if isinstance(slot, plain.Gaussian) else 0 for slot in slots]
+        pairs = zip(statuses, slots, strict=True)
+        coded = [g for s, g in pairs if s in (PREDICTED, NEW) and isinstance(g, plain.Gaussian)]
+        updates.append(_update(layout_of(shape).sh_degree, birth, statuses, coded))
+    return updates
+
+
+def _update(sh_degree: int, birth: int, statuses: list[int], coded: list[plain.Gaussian]) -> Update:
+    positions = np.array([g.position for g in coded], np.int32).reshape(-1, 3)
+    attributes = np.array([[a & 255 for a in g.attributes] for g in coded], np.uint8)
+    escapes = [g.escaped for g in coded if g.escaped]
+    columns = [
+        [e.mean for e in escapes],
+        [e.log_scales for e in escapes],
+        [e.quat for e in escapes],
+        [e.logit_opacity for e in escapes],
+        [e.sh for e in escapes],
+    ]
+    shapes = array_shapes(len(escapes), sh_degree)
+    return Update(
+        birth,
+        np.array(statuses, np.uint8),
+        States(positions, attributes.reshape(-1, num_attributes(sh_degree))),
+        np.array([g.start - birth for g in coded], np.uint8),
+        np.array([g.escaped is not None for g in coded], np.bool_),
+        Splats(*(np.array(c, np.float32).reshape(s) for c, s in zip(columns, shapes, strict=True))),
+    )
+
+
+Held = list[list[list[object]]]
+"""[lane][layer][slot] a word, or of a Gaussian its start, its integers and the bits of its floats.
+A start that has passed is that of the frame: two readers may tell it differently."""
+
+
+def held(decoder: SlotDecoder) -> Held:
+    """What a decoder of codec.slots holds."""
+    layout, frame = decoder.layout, decoder.frame
+    assert frame is not None
+    found: Held = [[] for _ in decoder.lanes]
+    for part in decoder.window(frame):
+        lane = layout.lane(part.birth)
+        flat = [array.reshape(len(array), -1) for array in part.splats.arrays]
+        for slots, first in zip(decoder.lanes[lane], layout.row_edges, strict=False):
+            row: list[object] = []
+            for slot, condition in enumerate(slots.conditions):
+                offset = int(part.start_offsets[first + slot])
+                assert (offset == HIDDEN) == (condition in (UNKNOWN, EMPTY))
+                if offset == HIDDEN:
+                    row.append("unknown" if condition == UNKNOWN else "empty")
+                    continue
+                bits = b"".join(array[first + slot].tobytes() for array in flat)
+                integers = None
+                if condition == ON_LATTICE:
+                    attributes = slots.states.attributes[slot]
+                    signed = attributes[:-1].view(np.int8).tolist()
+                    position = slots.states.positions[slot].tolist()
+                    integers = (*position, *signed, int(attributes[-1]))
+                row.append((max(part.birth + offset, frame), integers, bits))
+            found[lane].append(row)
+    return found
+
+
+def plainly_held(reader: Reader, frame: int, num_layers: int) -> Held:
+    """What the plain reader holds of layers 0..num_layers-1."""
+
+    def one(slot: plain.Slot, lattice: plain.Lattice) -> object:
+        if isinstance(slot, plain.Hole):
+            return slot.value
+        f = plain.to_floats(slot, lattice)
+        numbers = [*f.mean, *f.log_scales, *f.quat, f.logit_opacity, *chain(*f.sh)]
+        integers = None if slot.escaped else (*slot.position, *slot.attributes)
+        return max(slot.start, frame), integers, struct.pack(f"<{len(numbers)}f", *numbers)
+
+    lattices = reader.shape.lattice[:num_layers]
+    return [
+        [[one(slot, lat) for slot in row] for row, lat in zip(lane, lattices, strict=False)]
+        for lane in reader.lanes
+    ]
+
+
+class BothReaders:
+    """A reader of each implementation, to both of which the same happens. Whatever does, what they
+    hold is the same afterwards."""
+
+    def __init__(self, shape: plain.Shape, num_layers: int | None = None) -> None:
+        self.decoder = SlotDecoder(layout_of(shape), num_layers)
+        self.reader = Reader(shape)
+
+    def check(self) -> None:
+        frame, num_layers = self.decoder.frame, self.decoder.num_layers
+        assert frame is not None
+        assert held(self.decoder) == plainly_held(self.reader, frame, num_layers)
+
+    def load(self, snapshot: bytes) -> None:
+        self.decoder.load(snapshot)
+        self.reader.load(snapshot)
+
+    def apply(self, birth: int, mask: bytes | None, changes: Sequence[bytes | None]) -> None:
+        self.decoder.apply(birth, mask, changes)
+        self._apply_plainly(birth, mask, changes)
+        self.check()
+
+    def apply_what_fits(self, birth: int, mask: bytes, changes: Sequence[bytes | None]) -> None:
+        """Applies a slice without those changes that break a rule."""
+        fits = [
+            data is None or self._fits_plainly(birth, mask, [None] * layer + [data])
+            for layer, data in enumerate(changes)
+        ]
+        assert self.decoder.history.is_readable(birth)
+        try:
+            copy.deepcopy(self.decoder).apply(birth, mask, changes)
+        except CodecError:
+            assert not all(fits)
+        else:
+            assert all(fits)
+        pairs = zip(changes, fits, strict=True)
+        self.apply(birth, mask, [data if fit else None for data, fit in pairs])
+
+    def late(self, birth: int, layer: int, change: bytes) -> bool:
+        """Whether `change` was taken, or of no use any more."""
+        taken = True
+        try:
+            self.decoder.late(birth, layer, change)
+        except CodecError:
+            taken = False
+        self.reader.late(birth, layer, change)
+        self.check()
+        if not taken:
+            del self.reader.applied[birth].changes[layer]
+        return taken
+
+    def try_mask(self, birth: int, mask: bytes) -> bool:
+        """Whether both take `mask` as the next; they must say the same."""
+        decoder = self.decoder
+        wanted = self.reader.statuses(AppliedSlice(birth, mask, {}, {}))
+        try:
+            statuses = decode_mask(decoder.layout, birth, mask, decoder.history.of(birth))
+        except CodecError:
+            assert wanted is None
+            return False
+        assert wanted is not None
+        assert statuses.tolist() == list(chain(*wanted))
+        return True
+
+    def try_slice(self, birth: int, mask: bytes, changes: Sequence[bytes | None]) -> bool:
+        """Whether both take the slice as the next; they must hold the same then. They are left as
+        they were."""
+        other = copy.deepcopy(self)
+        fits = other._fits_plainly(birth, mask, changes)
+        try:
+            other.decoder.apply(birth, mask, changes)
+        except CodecError:
+            assert not fits
+            return False
+        assert fits
+        other._apply_plainly(birth, mask, changes)
+        other.check()
+        return True
+
+    def _apply_plainly(
+        self, birth: int, mask: bytes | None, changes: Sequence[bytes | None]
+    ) -> None:
+        here = {layer: data for layer, data in enumerate(changes) if data is not None}
+        self.reader.apply(birth, mask, here)
+
+    def _fits_plainly(self, birth: int, mask: bytes, changes: Sequence[bytes | None]) -> bool:
+        lane = self.reader.lanes[birth % self.reader.shape.swin_size]
+        here = {layer: data for layer, data in enumerate(changes) if data is not None}
+        slice_ = AppliedSlice(birth, mask, here, dict(enumerate(lane)))
+        slice_.statuses = self.reader.statuses(slice_)
+        if slice_.statuses is None:
+            return False
+        try:
+            for layer in here:
+                self.reader.changed(slice_, slice_.statuses[layer], layer)
+        except AssertionError:
+            return False
+        return True
+
+
+def try_snapshot(shape: plain.Shape, snapshot: bytes) -> bool:
+    """Whether readers of both kinds take `snapshot` as their first; what they hold must be the
+    same then."""
+    both = BothReaders(shape)
+    both.reader.load(snapshot)
+    known = any(slot is not plain.Hole.UNKNOWN for s in both.reader.lanes for r in s for slot in r)
+    try:
+        both.decoder.load(snapshot)
+    except CodecError:
+        assert not known
+        return False
+    assert known
+    both.check()
+    return True

@@ -1,0 +1,231 @@
+"""Moving pixels: which they are, and what a stream of known pictures scores on them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from PIL import Image
+from rich.console import Console
+
+from codec.profiles.profile import Profile
+from codec.slice import Slice
+from codec.splats import Splats
+from codec.stream import StreamWriter
+from codec.stream.manifest import Manifest
+from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, write_dynamic3dgs
+from tests.support.tiny_stream import tiny_manifest
+from trainer.capture.capture import Mask, Picture
+from trainer.capture.layout import open_capture
+from trainer.pictures.shot import Shot
+from trainer.score.evaluate import EvaluateConfig, Evaluation, evaluate_stream
+from trainer.score.moving import MIN_MOVING_PX, movement_of
+from trainer.score.picture import captured
+
+FRAMES = 4
+GREY = 40
+BLOCK = (slice(10, 20), slice(10, 30))
+"""Of 200 pixels. A jump by 60 moves them and the 60 beside them, whose means change by 20; the
+means at its corners change by 6.7."""
+BLOCK_PX, BESIDE_PX = 200, 60
+BRIGHTNESS = (40, 100, 160, 165)
+"""Of the block, frame by frame: from frame 2 to 3 it stands still."""
+
+
+def grey(value: int, size: tuple[int, int] = (30, 40)) -> Picture:
+    return np.full((*size, 3), value, np.uint8)
+
+
+def changed(by: int, where: tuple[slice, slice], channel: slice = slice(None)) -> Picture:
+    picture = grey(GREY)
+    picture[(*where, channel)] += np.uint8(by)
+    return picture
+
+
+def moving(before: Picture, now: Picture, mask: Mask | None = None) -> npt.NDArray[np.bool_]:
+    return movement_of(Shot(before), Shot(now, mask)).pixels
+
+
+@pytest.mark.parametrize(("change", "moves"), [(12, False), (13, True)])
+def test_a_pixel_moves_if_it_changes_by_more_than_moving(change: int, moves: bool) -> None:
+    for start in (0, 1, 100, 242):
+        for a, b in ((start, start + change), (start + change, start)):
+            assert (moving(grey(a), grey(b)) == moves).all()
+
+
+@pytest.mark.parametrize("channel", [0, 1, 2])
+def test_one_channel_is_enough(channel: int) -> None:
+    whole = (slice(None), slice(None))
+    assert moving(grey(GREY), changed(13, whole, slice(channel, channel + 1))).all()
+
+
+def test_the_mean_of_3x3_decides() -> None:
+    expected = np.zeros((30, 40), bool)
+    assert np.array_equal(moving(grey(GREY), changed(108, np.s_[5:6, 7:8])), expected)
+    expected[4:7, 6:9] = True
+    assert np.array_equal(moving(grey(GREY), changed(109, np.s_[5:6, 7:8])), expected)
+    # In the corner the nearest pixel stands for those beyond: 4 of 9 are the one that changed.
+    expected[:] = False
+    expected[0, 0] = True
+    assert np.array_equal(moving(grey(GREY), changed(28, np.s_[0:1, 0:1])), expected)
+    assert not moving(grey(GREY), changed(27, np.s_[0:1, 0:1])).any()
+
+
+def test_noise_that_its_mean_evens_out_does_not_move() -> None:
+    now = grey(GREY)
+    now[::2, ::2] += 20
+    now[1::2, 1::2] -= 20
+    assert not moving(grey(GREY), now).any()
+
+
+def test_what_a_mask_ignores_neither_moves_nor_moves_its_neighbours() -> None:
+    now = grey(GREY + 13)
+    mask = np.ones((30, 40), np.uint8)
+    mask[8:20, 8:20] = 0
+    now[8:20, 8:20] = 0
+    for masks in ((None, mask), (mask, None), (mask, mask)):
+        found = movement_of(Shot(grey(GREY), masks[0]), Shot(now, masks[1]))
+        assert np.array_equal(found.pixels, mask > 0)
+        assert found.counting == found.moving == 30 * 40 - 144
+    # The other way round: what is ignored jumps, the rest stands still.
+    still = grey(GREY)
+    still[8:20, 8:20] = 255
+    assert moving(grey(GREY), still).any()
+    assert not moving(grey(GREY), still, mask).any()
+    assert not moving(grey(GREY), still, np.zeros_like(mask)).any()
+
+
+def test_psnr_is_that_of_the_moving_pixels_alone() -> None:
+    before, now = grey(GREY), changed(60, BLOCK)
+    found = movement_of(Shot(before), Shot(now))
+    assert found.moving == BLOCK_PX + BESIDE_PX
+    truth = captured(now)
+    shown = truth.copy()
+    shown[~found.pixels] = 1  # of no consequence
+    shown[found.pixels] += np.float32(0.1)
+    assert found.psnr_db(shown, truth) == pytest.approx(20, abs=1e-4)
+
+
+@pytest.mark.parametrize("missing", [0, 1])
+def test_few_moving_pixels_give_no_score(missing: int) -> None:
+    mask = np.zeros((30, 40), np.uint8)
+    mask.ravel()[: MIN_MOVING_PX - missing] = 1
+    found = movement_of(Shot(grey(0)), Shot(grey(99), mask))
+    assert found.moving == MIN_MOVING_PX - missing
+    score = found.psnr_db(np.zeros((30, 40, 3), np.float32), np.ones((30, 40, 3), np.float32))
+    assert score is None if missing else score == pytest.approx(0)
+
+
+def write_moving_capture(root: Path) -> None:
+    """Its held-out camera sees a grey block on a grey wall, see BRIGHTNESS."""
+    write_dynamic3dgs(root, num_cameras=3, num_frames=FRAMES)
+    for frame, brightness in enumerate(BRIGHTNESS):
+        picture = grey(GREY, (HEIGHT_PX, WIDTH_PX))
+        picture[BLOCK] = brightness
+        Image.fromarray(picture).save(root / f"ims/1/{frame:06d}.png")
+
+
+def write_black_stream(path: Path, capture: Path) -> None:
+    """A stream whose Gaussians cannot be seen."""
+    cameras = tuple(c.camera for c in open_capture(capture).cameras)
+    manifest: Manifest = replace(
+        tiny_manifest(Profile.RAW), cameras=cameras, default_camera=cameras[0].name
+    )
+    count = manifest.slice_size
+    splats = Splats(
+        np.zeros((count, 3), np.float32),
+        np.full((count, 3), -3, np.float32),
+        np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
+        np.full(count, -20, np.float32),
+        np.zeros((count, 1, 3), np.float32),
+    )
+    with StreamWriter.create(path, manifest) as writer:
+        for birth in range(manifest.first_birth, FRAMES):
+            writer.append(Slice(birth, splats, np.zeros(count, np.uint8)))
+
+
+def expected_db(brightness: int) -> float:
+    """Of black in the place of the block and what lies beside it."""
+    squares = BLOCK_PX * brightness**2 + BESIDE_PX * GREY**2
+    return -10 * float(np.log10(squares / (BLOCK_PX + BESIDE_PX) / 255**2))
+
+
+MEAN_DB = (expected_db(100) + expected_db(160)) / 2
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """With a capture and a black stream of it."""
+    root = tmp_path_factory.mktemp("moving")
+    write_moving_capture(root / "capture")
+    write_black_stream(root / "stream", root / "capture")
+    return root
+
+
+def evaluate(folder: Path, every: int = 1) -> Evaluation:
+    return evaluate_stream(EvaluateConfig(folder / "stream", folder / "capture", every=every))
+
+
+def test_a_stream_is_scored_on_what_moves(folder: Path) -> None:
+    found = evaluate(folder)
+    assert found.moving_share == pytest.approx(2 * 260 / (3 * HEIGHT_PX * WIDTH_PX))
+    for score in found.layers:
+        nothing, *moved, still = score.per_frame_moving_psnr_db
+        assert nothing is None
+        assert still is None
+        assert moved == pytest.approx([expected_db(100), expected_db(160)], abs=1e-3)
+        assert score.moving_psnr_db == pytest.approx(MEAN_DB, abs=1e-3)
+
+
+def test_every_nth_frame_is_still_compared_with_the_one_before(folder: Path) -> None:
+    found = evaluate(folder, every=2)
+    first, second = found.layers[-1].per_frame_moving_psnr_db
+    assert first is None
+    assert second == pytest.approx(expected_db(160), abs=1e-3)
+    assert found.moving_share == pytest.approx(260 / (HEIGHT_PX * WIDTH_PX))
+    alone = evaluate(folder, every=FRAMES)
+    assert alone.moving_share is None
+    assert alone.layers[-1].per_frame_moving_psnr_db == [None]
+
+
+def test_stillness_gives_none(tmp_path: Path) -> None:
+    write_dynamic3dgs(tmp_path / "capture", num_cameras=3, num_frames=FRAMES)
+    write_black_stream(tmp_path / "stream", tmp_path / "capture")
+    found = evaluate(tmp_path)
+    assert found.moving_share == 0
+    assert all(score.moving_psnr_db is None for score in found.layers)
+    assert all(score.per_frame_moving_psnr_db == [None] * FRAMES for score in found.layers)
+
+
+def table_rows(found: Evaluation) -> dict[str, list[str]]:
+    """What the table says in 80 columns: of each row its cells, by the first one."""
+    console = Console(width=80, file=StringIO())
+    with console.capture() as shown:
+        console.print(found.table())
+    lines = shown.get().splitlines()
+    assert max(map(len, lines)) <= 80
+    assert "7.5% of pixels move" in lines[0]
+    cells = [[cell.strip() for cell in line.split("│")[1:-1]] for line in lines if "│" in line]
+    return {first: others for first, *others in cells}
+
+
+def test_the_table_tells_what_moves_and_each_camera(folder: Path) -> None:
+    found = evaluate(folder)
+    long = [replace(s, bytes_per_frame=123_456, bits_per_second=29.6e6) for s in found.layers]
+    for shown in (found, replace(found, stream="stream", layers=long)):
+        rows = table_rows(replace(shown, stream="stream"))
+        assert list(rows) == ["1", "2", "camera cam01"]
+        assert rows["2"][1] == f"{MEAN_DB:.2f}"
+        assert rows["camera cam01"] == [f"{found.layers[-1].psnr_db:.2f}", *[""] * 6]
+
+
+def test_a_long_or_odd_name_of_a_camera_is_told_whole(folder: Path) -> None:
+    found = evaluate(folder)
+    name = "[b]" + "kitchen" * 6
+    layers = [replace(s, per_camera_psnr_db={name: 20.0}) for s in found.layers]
+    rows = table_rows(replace(found, stream="stream", layers=layers))
+    assert "".join(rows) == f"12camera{name}"
