@@ -71,7 +71,7 @@ def decode_snapshot(layout: SlotLayout, data: bytes | memoryview) -> Snapshot:
             BIRTH_AT,
         )
     count = layout.slots[header.layer]
-    size = (layout.swin_size * count + 7) // 8
+    size = layout.flags_bytes(header.layer)
     if len(data) < HEADER_BYTES + size:
         raise CorruptError("snapshot: too short for its flags", len(data))
     bits = np.unpackbits(np.frombuffer(data, np.uint8, size, HEADER_BYTES), bitorder="little").view(
