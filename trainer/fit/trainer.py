@@ -385,11 +385,14 @@ class Trainer:
             slots = rows % config.num_gs
             mine = (slots >= lane.start) & (slots < lane.stop)
             active = leases.choose(slots[mine], scores[mine])
+            traded = leases.trades(slots[mine], contributions[mine])
+            generations.trade(*traded)
             least = leases.least(slots[mine], contributions[mine], config.mcmc.renew_share)
+            least = least[~np.isin(least, traded[0])]  # those matter now
         found = missing_splats(
             seen, len(least), self._near_m, self._far_m, config.sh_degree, self._rng
         )
         if leases is not None:
             least = self._rng.permutation(least).astype(np.int32)
-            lifespans.take_up(np.union1d(active, least[: len(found)]))
+            lifespans.take_up(np.unique(np.concatenate([active, *traded, least[: len(found)]])))
         generations.place(least[: len(found)], found, frame)
