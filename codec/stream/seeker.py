@@ -24,8 +24,9 @@ def join(find: FindObject, manifest: Manifest, frame: int, decoder: SlotDecoder)
     try:
         for layer in range(decoder.num_layers):
             found = find(segment, snapshot_part(layer))
+            snapshot = found.content(first)
             try:
-                decoder.load(found.content(first), layer, first)
+                decoder.load(snapshot, layer, first)
             except CodecError as error:
                 raise found.blamed(error, first) from error
         roll(find, manifest, frame, decoder)
