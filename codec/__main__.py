@@ -19,7 +19,8 @@ Folder = Annotated[Path, tyro.conf.arg(metavar="STREAM")]
 
 @dataclass(frozen=True, slots=True)
 class Info:
-    """Say what a stream holds, from its manifest and index alone."""
+    """Say what a stream holds, from its manifest and index; where slots last (version 2), also
+    from its masks."""
 
     stream: tyro.conf.Positional[Folder]
     """Folder of the stream."""

@@ -27,6 +27,7 @@ from codec.stream.playrecord import (
     ErrorRecord,
     Record,
     SliceRecord,
+    SnapshotRecord,
     StartRecord,
     encode_record,
 )
@@ -153,6 +154,9 @@ def seeds() -> Iterator[tuple[str, str, bytes]]:
     yield "manifest", "plain", made_manifest().to_json()
     yield "record", "all", records()
     yield "sealed_record", "slice", encode_record(SliceRecord(7, (b"ab", b"c")))[4:]
+    yield "sealed_record", "masked", encode_record(SliceRecord(7, (b"ab",), b"mask"))[4:]
+    yield "sealed_record", "mask-only", encode_record(SliceRecord(7, (), b"mask"))[4:]
+    yield "sealed_record", "snapshot", encode_record(SnapshotRecord(8, 1, (b"ab", b"c")))[4:]
     yield "sealed_record", "end", encode_record(EndRecord(3))[4:]
     yield "sealed_record", "start", encode_record(StartRecord(2, 5, b"{}"))[4:]
     yield "sealed_record", "error", encode_record(ErrorRecord("no"))[4:]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from aiohttp import web
 
 from codec.stream.index import INDEX_NAME
-from codec.stream.manifest import MANIFEST_NAME
+from codec.stream.manifest import MANIFEST_NAME, MASKS
 
 from . import objects, pages
 from .config import ServerConfig
@@ -15,6 +15,9 @@ from .play import play
 from .state import STATE, ServerState
 
 _NUMBER = "0|[1-9][0-9]{0,8}"
+
+_PART = f"{_NUMBER}|{MASKS}|snapshot-(?:{_NUMBER})"
+"""What a segment has an object of; which of them there are, the stream says."""
 
 
 def make_app(library: Library, config: ServerConfig) -> web.Application:
@@ -35,7 +38,7 @@ def make_app(library: Library, config: ServerConfig) -> web.Application:
             web.get(f"{stream}/{MANIFEST_NAME}", objects.manifest),
             web.get(f"{stream}/{INDEX_NAME}", objects.index),
             web.get(
-                f"{stream}/segments/{{segment:{_NUMBER}}}/{{layer:{_NUMBER}}}",
+                f"{stream}/segments/{{segment:{_NUMBER}}}/{{layer:{_PART}}}",
                 objects.segment_object,
             ),
             web.get(f"{stream}/play", play, allow_head=False),

@@ -6,11 +6,13 @@ import asyncio
 from collections import OrderedDict
 
 from codec.stream.integrity import CheckedObject
+from codec.stream.manifest import Part
 
 from .library import ServedStream
 from .metrics import Metrics
 
-Key = tuple[str, int, int]
+Key = tuple[str, int, Part]
+"""Stream, segment and part."""
 
 
 class ObjectCache:
@@ -26,9 +28,9 @@ class ObjectCache:
         self._loading: dict[Key, asyncio.Task[CheckedObject]] = {}
         self.size_bytes = 0
 
-    async def load(self, stream: ServedStream, segment: int, layer: int) -> CheckedObject:
-        """The object of (segment, layer), which `stream` has. Raises CodecError for a bad file."""
-        key = (stream.name, segment, layer)
+    async def load(self, stream: ServedStream, segment: int, part: Part) -> CheckedObject:
+        """The object of (segment, part), which `stream` has. Raises CodecError for a bad file."""
+        key = (stream.name, segment, part)
         found = self._objects.get(key)
         if found is not None:
             self._metrics.cache_hits.add(1)

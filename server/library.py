@@ -1,6 +1,6 @@
 """The streams that are served: a table of names, never a way from a URL to a file.
 
-Rule: a request finds a stream by its name in the table and an object by its numbers in the index.
+Rule: a request finds a stream by its name in the table and an object by its place in the index.
 """
 
 from __future__ import annotations
@@ -10,12 +10,13 @@ import hashlib
 import logging
 import re
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 
 from codec.errors import SwingsError
-from codec.stream.index import INDEX_NAME, pack_record, record_bytes
+from codec.stream.index import INDEX_NAME, pack_record
 from codec.stream.integrity import CheckedObject
-from codec.stream.manifest import MANIFEST_NAME, Manifest
+from codec.stream.manifest import MANIFEST_NAME, MASKS, Manifest, Part, snapshot_part
 from codec.stream.reader import StreamReader
 
 from .errors import ServerError
@@ -66,7 +67,7 @@ class ServedStream:
             manifest_sha256=hashlib.sha256(manifest_json).hexdigest(),
             num_segments=len(records),
             num_frames=self._reader.num_frames,
-            index_bytes=len(records) * record_bytes(manifest.num_layers),
+            index_bytes=self._reader.index_bytes,
             index_sha256=self._index_hash.hexdigest(),
         )
 
@@ -95,15 +96,21 @@ class ServedStream:
     def live(self) -> bool:
         return self.view.manifest.live
 
-    def has_object(self, segment: int, layer: int) -> bool:
+    @property
+    def has_slots(self) -> bool:
+        return self.view.manifest.has_slots
+
+    def has_object(self, segment: int, part: Part) -> bool:
         view = self.view
-        return 0 <= segment < view.num_segments and 0 <= layer < view.manifest.num_layers
+        return 0 <= segment < view.num_segments and part in view.manifest.parts
 
-    def object_bytes(self, segment: int, layer: int) -> int:
-        return self._reader.records[segment].object_bytes[layer]
+    def object_bytes(self, segment: int, part: Part) -> int:
+        number = self.view.manifest.part_number(part)
+        return self._reader.records[segment].part_bytes[number]
 
-    def object_sha256(self, segment: int, layer: int) -> str:
-        return self._reader.records[segment].object_sha256[layer].hex()
+    def object_sha256(self, segment: int, part: Part) -> str:
+        number = self.view.manifest.part_number(part)
+        return self._reader.records[segment].part_sha256[number].hex()
 
     def births(self, segment: int) -> range:
         """The births of the slices in `segment`."""
@@ -112,13 +119,22 @@ class ServedStream:
     def slice_bytes(self, birth: int) -> tuple[float, ...]:
         """Mean bytes of a slice in the segment of `birth` with 1, 2, ... layers."""
         segment = self.view.manifest.segment_of(birth)
+        masks_bytes = self.object_bytes(segment, MASKS) if self.has_slots else 0
         sizes = self._reader.records[segment].object_bytes
         count = len(self.births(segment))
-        return tuple(sum(sizes[:n]) / count for n in range(1, len(sizes) + 1))
+        return tuple(total / count for total in accumulate(sizes, initial=masks_bytes))[1:]
 
-    def read_object(self, segment: int, layer: int) -> CheckedObject:
+    def snapshot_bytes(self, frame: int) -> tuple[float, ...]:
+        """Bytes of the snapshots of 1, 2, ... layers at the first frame of the segment of
+        `frame`."""
+        manifest = self.view.manifest
+        segment = manifest.segment_of(frame)
+        parts = map(snapshot_part, range(manifest.num_layers))
+        return tuple(accumulate(self.object_bytes(segment, part) for part in parts))
+
+    def read_object(self, segment: int, part: Part) -> CheckedObject:
         """The object, checked against the index. Blocks."""
-        return self._reader.read_object(segment, layer)
+        return self._reader.read_object(segment, part)
 
     def read_index(self, start: int, stop: int) -> bytes:
         """Bytes start..stop-1 of index.bin, which the view must hold. Blocks."""

@@ -67,7 +67,7 @@ class Metrics:
         )
         self.layer_bytes = CounterFamily(
             "swings_layer_bytes_total",
-            "Bytes of objects or packets sent, by layer and by how they went.",
+            "Bytes of objects or packets sent, by layer, mask or snapshot, and by how they went.",
             "via",
             "layer",
         )

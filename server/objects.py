@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 from aiohttp import web
 
+from codec.stream.manifest import Part
+
 from .byterange import ByteRange, Unsatisfiable, parse_range
 from .connection import PIECE_BYTES, Connection
 from .errors import RequestError
@@ -61,22 +63,24 @@ async def index(request: web.Request) -> web.StreamResponse:
 
 async def segment_object(request: web.Request) -> web.StreamResponse:
     state = request.app[STATE]
-    segment, layer = int(request.match_info["segment"]), int(request.match_info["layer"])
+    segment, name = int(request.match_info["segment"]), request.match_info["layer"]
+    part: Part = int(name) if name.isdigit() else name
     stream = state.library.streams.get(request.match_info["stream"])
     # What the view has never changes; only for what it lacks is a look at the disk worth its time.
-    if stream is None or not stream.has_object(segment, layer):
+    if stream is None or not stream.has_object(segment, part):
         stream = await find_stream(request)
-    if not stream.has_object(segment, layer):
-        raise RequestError(404, f"{stream.name} has no segment {segment} layer {layer}")
+    if not stream.has_object(segment, part):
+        raise RequestError(404, f"{stream.name} has no segment {segment} layer {name}")
 
     async def read(start: int, stop: int) -> memoryview:
-        loaded = await state.cache.load(stream, segment, layer)
-        state.metrics.layer_bytes.add(stop - start, "object", str(layer))
+        loaded = await state.cache.load(stream, segment, part)
+        # The stream has this part, so the label is one of its parts.
+        state.metrics.layer_bytes.add(stop - start, "object", name)
         return memoryview(loaded.data)[start:stop]
 
     content = Content(
-        stream.object_bytes(segment, layer),
-        stream.object_sha256(segment, layer),
+        stream.object_bytes(segment, part),
+        stream.object_sha256(segment, part),
         "application/octet-stream",
         IMMUTABLE,
         read,

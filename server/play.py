@@ -7,24 +7,33 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from aiohttp import web
 
 from codec.errors import SwingsError
 from codec.stream.integrity import CheckedObject
+from codec.stream.manifest import MASKS, Part, snapshot_part
 from codec.stream.playrecord import (
     CONTENT_TYPE,
     EndRecord,
     ErrorRecord,
     Record,
     SliceRecord,
+    SnapshotRecord,
     StartRecord,
     encode_record,
 )
 from server.abr.policy import FixedPolicy, LayerPolicy, Policy
-from server.abr.session import Finished, PlaySession, SendSlice, WaitForFrames, WaitUntil
+from server.abr.session import (
+    Finished,
+    PlaySession,
+    SendSlice,
+    SendSnapshots,
+    WaitForFrames,
+    WaitUntil,
+)
 
 from .connection import Connection, StalledError
 from .errors import RequestError
@@ -37,6 +46,9 @@ RETRY_AFTER_S = 5
 """Seconds after which a client that was refused may try again."""
 
 MAX_FRAME = 2**31 - 1
+
+SNAPSHOTS_BYTES = 1 << 20
+"""Bytes of snapshots after which a record ends, and the next layer goes into another one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +148,7 @@ class _Play:
             query.until_frame,
         )
         self._segment = -1
-        self._objects: list[CheckedObject] = []
+        self._objects: dict[Part, CheckedObject] = {}
 
     async def run(self) -> str:
         """Sends the whole play; gives how it ended."""
@@ -167,6 +179,9 @@ class _Play:
                 case SendSlice(birth=birth, num_layers=num_layers):
                     waiting_since_s = None
                     await self._send_slice(birth, num_layers)
+                case SendSnapshots() as send:
+                    waiting_since_s = None
+                    await self._send_snapshots(send)
                 case WaitUntil(time_s=time_s):
                     await self._pause(time_s - now_s)
                 case WaitForFrames():
@@ -185,16 +200,35 @@ class _Play:
     async def _send_slice(self, birth: int, num_layers: int) -> None:
         segment = self._stream.view.manifest.segment_of(birth)
         if segment != self._segment:
-            self._segment, self._objects = segment, []
-        while len(self._objects) < num_layers:
-            layer = len(self._objects)
-            self._objects.append(await self._state.cache.load(self._stream, segment, layer))
-        packets = tuple(layer.packet(birth) for layer in self._objects[:num_layers])
-        await self._send(SliceRecord(birth, packets))
-        metrics = self._state.metrics
-        metrics.slices.add(1, str(num_layers))
-        for layer, packet in enumerate(packets):
-            metrics.layer_bytes.add(len(packet), "play", str(layer))
+            self._segment, self._objects = segment, {}
+        parts: list[Part] = [*range(num_layers), *([MASKS] if self._stream.has_slots else [])]
+        for part in parts:
+            if part not in self._objects:
+                loaded = await self._state.cache.load(self._stream, segment, part)
+                self._objects[part] = loaded
+        packets = [self._objects[part].packet(birth) for part in parts]
+        mask = packets[num_layers] if self._stream.has_slots else None
+        await self._send(SliceRecord(birth, tuple(packets[:num_layers]), mask))
+        self._state.metrics.slices.add(1, str(num_layers))
+        self._count(parts, packets)
+
+    async def _send_snapshots(self, send: SendSnapshots) -> None:
+        """Sends the snapshots in records of not much more than SNAPSHOTS_BYTES."""
+        segment = self._stream.view.manifest.segment_of(send.frame)
+        first, packets = send.first_layer, list[bytes]()
+        for layer in range(send.first_layer, send.num_layers):
+            part = snapshot_part(layer)
+            loaded = await self._state.cache.load(self._stream, segment, part)
+            packets.append(loaded.packet(send.frame))
+            if sum(map(len, packets)) < SNAPSHOTS_BYTES and layer + 1 < send.num_layers:
+                continue
+            await self._send(SnapshotRecord(send.frame, first, tuple(packets)))
+            self._count([snapshot_part(n) for n in range(first, layer + 1)], packets)
+            first, packets = layer + 1, []
+
+    def _count(self, parts: Sequence[Part], packets: Sequence[bytes]) -> None:
+        for part, packet in zip(parts, packets, strict=True):
+            self._state.metrics.layer_bytes.add(len(packet), "play", str(part))
 
     async def _send(self, record: Record) -> None:
         data = encode_record(record)

@@ -15,9 +15,9 @@ from codec.errors import CodecError, CorruptError, InvalidError
 from codec.slice import Slice, window_births
 from codec.splats import Splats
 
-from .change import decode_change
 from .lattice import Bytes
 from .mask import MaskHistory, decode_mask
+from .slotchange import decode_change
 from .slotchunk import BIRTH_AT, LAYER_AT
 from .slotlayout import SlotLayout
 from .slotstate import UNKNOWN, Delta, Rows, Slots, empty_arrays

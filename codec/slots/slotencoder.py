@@ -11,9 +11,9 @@ from codec.coders.coder import EncodedChunk
 from codec.errors import InvalidError
 from codec.slice import HIDDEN, window_births
 
-from .change import Newcomers, encode_change
 from .lattice import Bytes, States
 from .mask import MaskHistory, encode_mask
+from .slotchange import Newcomers, encode_change
 from .slotdecoder import SlotDecoder
 from .slotlayout import SlotLayout
 from .slotstate import EMPTY, ESCAPED, ON_LATTICE, Delta, Rows, Slots

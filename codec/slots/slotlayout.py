@@ -124,9 +124,12 @@ class SlotLayout:
     def max_snapshot_bytes(self, layer: int) -> int:
         """Bytes of the longest snapshot of `layer`."""
         count = self.swin_size * self.slots[layer]
-        flags_bytes = (count + 7) // 8
-        most = HEADER_BYTES + flags_bytes + COUNTS_BYTES + count * self._max_slot_bytes
+        most = HEADER_BYTES + self.flags_bytes(layer) + COUNTS_BYTES + count * self._max_slot_bytes
         return min(most, MAX_SLOT_CHUNK_BYTES)
+
+    def flags_bytes(self, layer: int) -> int:
+        """Bytes of the flags in a snapshot of `layer`: a bit for each slot of each lane."""
+        return (self.swin_size * self.slots[layer] + 7) // 8
 
     @property
     def _max_slot_bytes(self) -> int:

@@ -17,8 +17,8 @@ from codec.profiles.quantise import opacity_logits
 from codec.slice import HIDDEN
 from codec.splats import Floats, Splats, array_shapes
 
-from .change import Change, Newcomers
 from .lattice import Bytes, Lattice, States, dequantise_into
+from .slotchange import Change, Newcomers
 from .update import ENDED, NEW, PREDICTED
 
 UNKNOWN, EMPTY, ON_LATTICE, ESCAPED = 0, 1, 2, 3

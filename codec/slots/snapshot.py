@@ -12,8 +12,8 @@ from codec.errors import CodecError, CorruptError, InvalidError
 from codec.slice import window_births
 from codec.splats import Splats
 
-from .change import Newcomers, encode_body, finish_chunk, read_body
 from .lattice import States
+from .slotchange import Newcomers, encode_body, finish_chunk, read_body
 from .slotchunk import BIRTH_AT, LAYER_AT, Kind, SlotHeader
 from .slotlayout import HEADER_BYTES, SlotLayout
 from .slotstate import EMPTY, ESCAPED, ON_LATTICE, UNKNOWN, Slots, holds
@@ -71,7 +71,7 @@ def decode_snapshot(layout: SlotLayout, data: bytes | memoryview) -> Snapshot:
             BIRTH_AT,
         )
     count = layout.slots[header.layer]
-    size = (layout.swin_size * count + 7) // 8
+    size = layout.flags_bytes(header.layer)
     if len(data) < HEADER_BYTES + size:
         raise CorruptError("snapshot: too short for its flags", len(data))
     bits = np.unpackbits(np.frombuffer(data, np.uint8, size, HEADER_BYTES), bitorder="little").view(

@@ -47,24 +47,22 @@ class StartRecord:
 
 @dataclass(frozen=True, slots=True)
 class SliceRecord:
-    """One slice: the packets of its layers 0, 1, ... (decode_packet).
-
-    In version 2 they are its changes, which may be none, and the mask comes with them.
-    """
+    """One slice: the packets of its layers 0, 1, ..., at least one unless there is a mask."""
 
     birth: int
     packets: tuple[bytes, ...]
     mask: bytes | None = None
+    """The packet of its mask (version 2; else none)."""
 
 
 @dataclass(frozen=True, slots=True)
 class SnapshotRecord:
-    """The snapshots of layers `first_layer`, `first_layer` + 1, ... at a segment's first frame, to
-    be loaded after the slice born then (version 2)."""
+    """Layers as they are after the slice of `frame`, the first of a segment (version 2)."""
 
     frame: int
     first_layer: int
     packets: tuple[bytes, ...]
+    """The snapshots of the layers first_layer, first_layer + 1, ..., at least one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +83,8 @@ Record = StartRecord | SliceRecord | SnapshotRecord | EndRecord | ErrorRecord
 
 
 def encode_record(record: Record) -> bytes:
-    """The record's bytes, length first."""
+    """The record's bytes, length first. Raises InvalidError if no reader would take them."""
+    _check(record)
     match record:
         case StartRecord():
             value: dict[str, Any] = {
@@ -115,6 +114,26 @@ def encode_record(record: Record) -> bytes:
     if len(body) > MAX_RECORD_BYTES:
         raise InvalidError(f"play: a record of {len(body)} bytes, at most {MAX_RECORD_BYTES}")
     return LENGTH.pack(len(body)) + body
+
+
+def _check(record: Record) -> None:
+    """Raises InvalidError if a number or the packets of `record` break a rule."""
+    match record:
+        case StartRecord():
+            sound = 0 <= record.from_frame < 1 << 31 and 0 <= record.num_frames < 1 << 31
+        case SliceRecord():
+            least = int(record.mask is None)
+            sound = least <= len(record.packets) <= MAX_LAYERS
+            sound &= -(1 << 31) <= record.birth < 1 << 31
+        case SnapshotRecord():
+            sound = 0 <= record.frame < 1 << 31 and record.first_layer >= 0
+            sound &= 1 <= len(record.packets) <= MAX_LAYERS - record.first_layer
+        case EndRecord():
+            sound = 0 <= record.num_frames < 1 << 31
+        case ErrorRecord():
+            sound = True
+    if not sound:
+        raise InvalidError(f"play: a {type(record).__name__} with a number that no reader takes")
 
 
 def _field(value: dict[str, Any], key: str, kind: type) -> Any:
@@ -175,14 +194,15 @@ def decode_record(body: bytes | memoryview) -> Record:
                 _count(value, "from"), _count(value, "num_frames"), _field(value, "manifest", bytes)
             )
         case "slice":
-            mask = _field(value, "mask", bytes) if "mask" in value else None
-            packets = _packets(value, least=1 if mask is None else 0)
+            # Version 1 has no masks, and ignores what is called so.
+            mask = value.get("mask") if type(value.get("mask")) is bytes else None
+            packets = _packets(value, int(mask is None))
             birth: int = _field(value, "birth", int)
             if not -(1 << 31) <= birth < 1 << 31:
                 raise CorruptError(f"play: a slice born at {birth}")
             return SliceRecord(birth, packets, mask)
         case "snapshot":
-            packets = _packets(value, least=1)
+            packets = _packets(value, 1)
             first_layer = _count(value, "first")
             if first_layer + len(packets) > MAX_LAYERS:
                 raise CorruptError(

@@ -19,6 +19,7 @@ from codec.stream.object import MAX_OBJECT_BYTES
 from codec.stream.reader import StreamReader, read_stream_file
 
 from .slotaudit import verify_slots
+from .slotcensus import SlotSummary, count_slots, describe_slots, summarise_slots
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,8 +30,10 @@ class LayerSummary:
     gaussians_share: float
     """Share of the Gaussians, 0 to 1."""
     size_bytes: int
+    """Of the objects that one fetches who plays from frame 0; in version 2 with the masks and the
+    snapshots of frame 0."""
     bitrate_bps: float
-    """Bits for each second of play; the genesis window counts."""
+    """Bits of them for each second of play."""
     psnr_db: float | None
     """Mean over the frames of the segments whose quality the index knows; None if it knows none."""
 
@@ -54,35 +57,45 @@ class StreamSummary:
     segment_frames: int
     size_bytes: int
     """Manifest, index and objects."""
+    played_bytes: int
+    """What of them one fetches who plays from frame 0: less than all only in version 2, where
+    snapshots are for those who join later."""
     bytes_per_gaussian: float
-    """Of the objects, over the Gaussians that all slices would have at full count."""
+    """Of the objects that one fetches who plays from frame 0, over the Gaussians that they bring:
+    in version 1 those that all slices would have at full count, in version 2 those of frame 0 and
+    all that change or are new later."""
     layers: tuple[LayerSummary, ...]
+    slots: SlotSummary | None
+    """Only in version 2."""
 
 
 def summarise(path: Path) -> StreamSummary:
-    """The summary of the stream at `path`, from its manifest and index alone."""
+    """The summary of the stream at `path`, from its manifest and index; in version 2 also from its
+    masks and the snapshots of frame 0. Raises a CodecError."""
     return _summary(StreamReader(path))
 
 
 def _summary(reader: StreamReader) -> StreamSummary:
     manifest = reader.manifest
     duration_s = reader.num_frames / manifest.fps
-    totals = [
-        sum(record.object_bytes[layer] for record in reader.records)
-        for layer in range(manifest.num_layers)
-    ]
+    records = reader.records
+    census = count_slots(reader) if manifest.has_slots else None
+    sizes = [_played_bytes(records, n) for n in range(1, manifest.num_layers + 1)]
     layers = tuple(
         LayerSummary(
             n,
             sum(manifest.layers[:n]),
-            sum(totals[:n]),
-            sum(totals[:n]) * 8 / duration_s if duration_s else 0.0,
-            _mean_psnr_db(reader.records, n),
+            size,
+            size * 8 / duration_s if duration_s else 0.0,
+            _mean_psnr_db(records, n),
         )
-        for n in range(1, manifest.num_layers + 1)
+        for n, size in enumerate(sizes, start=1)
     )
-    num_slices = reader.num_frames + manifest.swin_size - 1 if reader.num_frames else 0
-    gaussians = num_slices * manifest.slice_size
+    if census is None:
+        num_slices = reader.num_frames + manifest.swin_size - 1 if reader.num_frames else 0
+        gaussians = num_slices * manifest.slice_size
+    else:
+        gaussians = int(census.brought.sum())
     return StreamSummary(
         title=manifest.title,
         profile=manifest.profile.value,
@@ -97,10 +110,22 @@ def _summary(reader: StreamReader) -> StreamSummary:
         num_cameras=len(manifest.cameras),
         num_segments=len(reader.records),
         segment_frames=manifest.segment_frames,
-        size_bytes=reader.overhead_bytes + sum(sum(r.part_bytes) for r in reader.records),
-        bytes_per_gaussian=sum(totals) / gaussians if gaussians else 0.0,
+        size_bytes=reader.overhead_bytes + sum(sum(r.part_bytes) for r in records),
+        played_bytes=reader.overhead_bytes + sizes[-1],
+        bytes_per_gaussian=sizes[-1] / gaussians if gaussians else 0.0,
         layers=layers,
+        slots=None if census is None else summarise_slots(reader, census),
     )
+
+
+def _played_bytes(records: list[SegmentRecord], num_layers: int) -> int:
+    """Of the objects that one fetches who plays `num_layers` layers from frame 0."""
+    total = 0
+    for record in records:
+        total += sum(record.object_bytes[:num_layers]) + sum(record.side_bytes[:1])
+        if record.segment == 0:
+            total += sum(record.side_bytes[1 : num_layers + 1])
+    return total
 
 
 def _mean_psnr_db(records: list[SegmentRecord], num_layers: int) -> float | None:
@@ -117,16 +142,23 @@ def describe(summary: StreamSummary) -> str:
     """`summary` for people, one fact on each line."""
     s = summary
     state = "live, may still grow" if s.live else "finished"
+    frames = "1 frame" if s.swin_size == 1 else f"{s.swin_size} frames"
+    share = f"{s.slice_size} a slice, live {frames}"
+    size = f"{s.played_bytes} bytes, {s.bytes_per_gaussian:.2f} bytes a Gaussian"
+    if s.slots is not None:
+        share = f"in leases of {frames}"
+        snapshots_bytes = s.size_bytes - s.played_bytes
+        size += f" that is sent; {snapshots_bytes} bytes of snapshots for those who join"
     lines = [
         f"title        {s.title or '-'}",
         f"state        {state}",
         f"length       {s.num_frames} frames, {s.duration_s:.1f} s at {s.fps:g} fps",
-        f"Gaussians    {s.num_gs} active, {s.slice_size} a slice, live {s.swin_size} frames",
+        f"Gaussians    {s.num_gs} active, {share}",
         f"colour       SH degree {s.sh_degree}",
         f"profile      {s.profile}",
         f"cameras      {s.num_cameras}",
         f"segments     {s.num_segments} of {s.segment_frames} frames",
-        f"size         {s.size_bytes} bytes, {s.bytes_per_gaussian:.2f} bytes a Gaussian",
+        f"size         {size}",
     ]
     lines += [
         f"layers 0..{layer.layers - 1:<2} {layer.size_bytes:>12} bytes"
@@ -135,6 +167,8 @@ def describe(summary: StreamSummary) -> str:
         + ("" if layer.psnr_db is None else f"  {layer.psnr_db:>6.2f} dB")
         for layer in s.layers
     ]
+    if s.slots is not None:
+        lines += describe_slots(s.slots)
     return "\n".join(lines)
 
 

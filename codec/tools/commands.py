@@ -81,5 +81,6 @@ def _export_static(config: Export) -> str:
     share = 100 * made.size_bytes / made.source_bytes
     return (
         f"{config.out}: {made.num_frames} frames in {made.num_segments} segments for any web "
-        f"server, {made.size_bytes} bytes, {share:.1f} % of {config.stream}"
+        f"server, {made.size_bytes} bytes, {share:.1f} % of the {made.source_bytes} of "
+        f"{config.stream}"
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib.backends.backend_agg
@@ -14,12 +15,19 @@ from matplotlib.axes import Axes
 from codec.errors import InvalidError
 from codec.files import write_atomic
 from codec.pose import Doubles
+from codec.slots.update import ENDED, NEW, PREDICTED
 from codec.stream.index import SegmentRecord
 from codec.stream.reader import StreamReader
+
+from .slotcensus import count_slots
 
 LAYER_COLOURS = ("#33307a", "#2a78b5", "#2fa58a", "#e3a72f")
 """Of layers 0, 1, ...: the most important is the darkest. More layers take steps between."""
 MEAN_COLOUR = "#b3411b"
+MASKS_COLOUR = "#7d7d7d"
+FIRST_COLOUR = "#d5b9cd"
+JOIN_COLOUR = "#9c4f8a"
+STATUS_COLOURS = {"predicted": "#4a8f3c", "new": "#d98f2b", "ended": "#a8a8a8"}
 MAX_TITLE_CHARS = 60
 MAX_LEGEND_ROWS = 8
 
@@ -34,28 +42,77 @@ def bitrates_bps(records: Sequence[SegmentRecord], fps: float) -> Doubles:
     return np.asarray(8 * sizes / seconds[:, None])
 
 
+@dataclass(frozen=True, slots=True)
+class Band:
+    """One of several quantities that are drawn on top of each other."""
+
+    label: str
+    colour: str | Doubles
+    values: Doubles  # (segments,)
+
+
+def played_bands(reader: StreamReader) -> list[Band]:
+    """The bitrates, in Mbit/s, of all that one fetches who plays from frame 0: layer after layer;
+    in version 2 the masks first, and last the snapshots of frame 0."""
+    records, manifest = reader.records, reader.manifest
+    rates_mbps = bitrates_bps(records, manifest.fps).T / 1e6
+    colours = _layer_colours(manifest.num_layers)
+    bands = [
+        Band(f"layer {layer}", *of_layer)
+        for layer, of_layer in enumerate(zip(colours, rates_mbps, strict=True))
+    ]
+    if manifest.has_slots:
+        sides_mbps = _sides_mbps(reader)
+        first = np.where(np.arange(len(records)) == 0, sides_mbps[:, 1:].sum(axis=1), 0.0)
+        bands.insert(0, Band("masks", MASKS_COLOUR, sides_mbps[:, 0]))
+        bands.append(Band("snapshots of frame 0", FIRST_COLOUR, first))
+    return bands
+
+
+def _sides_mbps(reader: StreamReader) -> Doubles:
+    """(segments, 1 + layers) the bitrates of the masks, then of each snapshot (version 2)."""
+    seconds = np.array([record.num_frames for record in reader.records]) / reader.manifest.fps
+    sizes = np.array([record.side_bytes for record in reader.records], np.float64)
+    return np.asarray(8e-6 * sizes / seconds[:, None])
+
+
+def slot_bands(reader: StreamReader) -> list[Band]:
+    """How many slots a slice does not keep, as a mean of each segment (version 2)."""
+    counts = count_slots(reader).statuses.sum(axis=1)
+    counts[0] = 0  # in the snapshots
+    starts = [record.first_frame for record in reader.records]
+    # What is born at frame 0 does not count.
+    slices = np.array([record.num_frames - (not record.segment) for record in reader.records])
+    means = np.add.reduceat(counts, starts) / np.maximum(slices, 1)[:, None]
+    statuses = PREDICTED, NEW, ENDED
+    named = zip(STATUS_COLOURS.items(), statuses, strict=True)
+    return [Band(name, colour, means[:, status]) for (name, colour), status in named]
+
+
 def draw_stream(stream: Path, picture: Path) -> None:
-    """Draws the bitrate of each layer and, where the index knows it, the PSNR over time, as a PNG
-    at `picture` that appears at once and whole. Raises a SwingsError."""
+    """Draws the bitrate of each layer, where the index knows it the PSNR, and in version 2 what
+    becomes of the slots, over time, as a PNG at `picture` that appears at once and whole. Raises a
+    SwingsError."""
     reader = StreamReader(stream)
     records, manifest = reader.records, reader.manifest
     if not records:
         raise InvalidError(f"{stream} has no frames yet; there is nothing to draw")
     edges_s = np.array([r.first_frame for r in records] + [reader.num_frames]) / manifest.fps
-    rates_mbps = bitrates_bps(records, manifest.fps) / 1e6
     psnrs_db = np.array([record.psnr_db for record in records], np.float64)
     scored = not np.isnan(psnrs_db).all()
+    num_panels = 1 + scored + manifest.has_slots
     figure = matplotlib.figure.Figure(
-        figsize=(11, 7.5 if scored else 5), dpi=110, facecolor="white", layout="constrained"
+        figsize=(11, 2.5 + 2.5 * num_panels), dpi=110, facecolor="white", layout="constrained"
     )
     matplotlib.backends.backend_agg.FigureCanvasAgg(figure)
-    panels = figure.subplots(1 + scored, 1, sharex=True, squeeze=False)[:, 0]
-    colours = _layer_colours(manifest.num_layers)
+    panels = list(figure.subplots(num_panels, 1, sharex=True, squeeze=False)[:, 0])
     duration_s = reader.num_frames / manifest.fps
-    mean_mbps = 8e-6 * sum(sum(record.object_bytes) for record in records) / duration_s
-    _draw_rates(panels[0], edges_s, rates_mbps, colours, mean_mbps)
+    mean_mbps = 8e-6 * sum(record.played_bytes for record in records) / duration_s
+    _draw_rates(panels[0], edges_s, reader, mean_mbps)
     if scored:
-        _draw_psnrs(panels[1], edges_s, psnrs_db, colours)
+        _draw_psnrs(panels[1], edges_s, psnrs_db, _layer_colours(manifest.num_layers))
+    if manifest.has_slots:
+        _draw_slots(panels[-1], edges_s, reader)
     panels[-1].set_xlabel("time (s)")
     for axes in panels:
         axes.set_xlim(edges_s[0], edges_s[-1])
@@ -91,23 +148,39 @@ def _steps(values: Doubles) -> Doubles:
     return np.append(values, values[-1:])
 
 
-def _draw_rates(
-    axes: Axes, edges_s: Doubles, rates_mbps: Doubles, colours: list[Doubles], mean_mbps: float
-) -> None:
-    tops = np.cumsum(rates_mbps, axis=1)
-    below = np.zeros(len(tops))
-    for layer, colour in enumerate(colours):
+def _draw_bands(axes: Axes, edges_s: Doubles, bands: Sequence[Band]) -> None:
+    below = np.zeros(len(edges_s) - 1)
+    for band in bands:
+        top = below + band.values
         axes.fill_between(
             edges_s,
             _steps(below),
-            _steps(tops[:, layer]),
+            _steps(top),
             step="post",
-            color=colour,
+            color=band.colour,
             linewidth=0,
-            label=f"layer {layer}",
+            label=band.label,
         )
-        below = tops[:, layer]
-    axes.stairs(tops[:, -1], edges_s, baseline=None, color="black", linewidth=1, label="total")
+        below = top
+    axes.stairs(below, edges_s, baseline=None, color="black", linewidth=1, label="total")
+    axes.set_ylim(bottom=0)
+
+
+def _draw_rates(axes: Axes, edges_s: Doubles, reader: StreamReader, mean_mbps: float) -> None:
+    _draw_bands(axes, edges_s, played_bands(reader))
+    carried = "the window of frame 0"
+    if reader.manifest.has_slots:
+        carried = "the snapshots of frame 0"
+        if len(reader.records) > 1:
+            axes.stairs(
+                _sides_mbps(reader)[1:, 1:].sum(axis=1),
+                edges_s[1:],
+                baseline=None,
+                color=JOIN_COLOUR,
+                linestyle=":",
+                linewidth=1.5,
+                label="snapshots, if one joins",
+            )
     axes.axhline(
         mean_mbps,
         color=MEAN_COLOUR,
@@ -118,7 +191,16 @@ def _draw_rates(
     axes.set_ylim(bottom=0)
     axes.set_ylabel("bitrate (Mbit/s)")
     axes.set_title(
-        "bitrate of each segment; the first also carries the window of frame 0",
+        f"bitrate of each segment; the first also carries {carried}", fontsize=10, loc="left"
+    )
+    _legend(axes)
+
+
+def _draw_slots(axes: Axes, edges_s: Doubles, reader: StreamReader) -> None:
+    _draw_bands(axes, edges_s, slot_bands(reader))
+    axes.set_ylabel("slots a slice")
+    axes.set_title(
+        f"what becomes of the {reader.manifest.slice_size} slots of a slice; all others are kept",
         fontsize=10,
         loc="left",
     )

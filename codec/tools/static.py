@@ -10,15 +10,19 @@ import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from codec.coders.coder import Coder, decompress
+from codec.coders.coder import Coder
 from codec.errors import InvalidError
 from codec.files import temporary_beside, write_atomic
+from codec.slots.slotchange import encoded_elsewhere as slots_encoded_elsewhere
+from codec.slots.slotchunk import Kind
 from codec.stream.chunk import encoded_elsewhere
 from codec.stream.index import INDEX_NAME, SegmentRecord, pack_record
-from codec.stream.integrity import fitting_slice
-from codec.stream.manifest import MANIFEST_NAME, OBJECT_URL, object_file
+from codec.stream.integrity import CheckedObject, fitting_slice
+from codec.stream.manifest import MANIFEST_NAME, MASKS, OBJECT_URL, object_file
 from codec.stream.object import encode_packet, join_packets
 from codec.stream.reader import StreamReader
+
+from .slotaudit import verify_slots
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +59,7 @@ def export_static(stream: Path, out: Path) -> StaticExport:
     except BaseException:
         shutil.rmtree(temporary, ignore_errors=True)
         raise
-    objects_bytes = sum(sum(record.object_bytes) for record in reader.records)
+    objects_bytes = sum(sum(record.part_bytes) for record in reader.records)
     return StaticExport(
         reader.num_frames,
         len(reader.records),
@@ -67,6 +71,8 @@ def export_static(stream: Path, out: Path) -> StaticExport:
 def _write(reader: StreamReader, folder: Path) -> int:
     """Writes all files; gives their bytes, less those of a poster."""
     folder.mkdir()
+    if reader.manifest.has_slots:
+        verify_slots(reader)
     # The objects lie here now, whatever other place the manifest of the source names.
     manifest = replace(reader.manifest, live=False, object_url=OBJECT_URL)
     records = [_write_segment(reader, record, folder) for record in reader.records]
@@ -75,34 +81,48 @@ def _write(reader: StreamReader, folder: Path) -> int:
     described = manifest.to_json()
     write_atomic(folder / MANIFEST_NAME, described)
     _copy_poster(reader, folder)
-    return len(described) + len(index) + sum(sum(record.object_bytes) for record in records)
+    return len(described) + len(index) + sum(sum(record.part_bytes) for record in records)
 
 
 def _write_segment(reader: StreamReader, record: SegmentRecord, folder: Path) -> SegmentRecord:
     """Writes the objects of a segment; gives its record in the new index."""
     manifest, segment = reader.manifest, record.segment
-    sources = [reader.read_object(segment, layer) for layer in range(manifest.num_layers)]
-    for birth in manifest.births(segment, record.num_frames):  # only to refuse what is wrong
-        chunks = (source.chunk(birth) for source in sources)
-        fitting_slice(chunks, manifest, lambda layer: sources[layer].name)
-    limit_bytes = manifest.chunk_bounds.max_bytes
+    sources = [reader.read_object(segment, part) for part in manifest.parts]
+    if not manifest.has_slots:
+        for birth in manifest.births(segment, record.num_frames):  # only to refuse what is wrong
+            chunks = (source.chunk(birth) for source in sources)
+            fitting_slice(chunks, manifest, lambda layer: sources[layer].name)
     sizes, hashes = [], []
-    for layer, source in enumerate(sources):
-        packets = [
-            (entry.birth, _recoded(source.packet(entry.birth), limit_bytes))
-            for entry in source.entries
-        ]
-        data = join_packets(packets, Coder.GZIP)
-        path = object_file(folder, segment, layer)
+    for source in sources:
+        data = join_packets(
+            [(entry.birth, _recoded(source, entry.birth)) for entry in source.entries],
+            Coder.GZIP,
+            manifest.version,
+        )
+        path = object_file(folder, segment, source.part)
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(path, data)
         sizes.append(len(data))
         hashes.append(hashlib.sha256(data).digest())
-    return replace(record, object_bytes=tuple(sizes), object_sha256=tuple(hashes))
+    layers = manifest.num_layers
+    return replace(
+        record,
+        object_bytes=tuple(sizes[:layers]),
+        object_sha256=tuple(hashes[:layers]),
+        side_bytes=tuple(sizes[layers:]),
+        side_sha256=tuple(hashes[layers:]),
+    )
 
 
-def _recoded(packet: bytes, limit_bytes: int) -> bytes:
-    return encode_packet(encoded_elsewhere(decompress(packet, limit_bytes)), Coder.GZIP)
+def _recoded(source: CheckedObject, birth: int) -> bytes:
+    """The packet of `birth`, coded with gzip."""
+    data, manifest, part = source.content(birth), source.manifest, source.part
+    if not manifest.has_slots:
+        return encode_packet(encoded_elsewhere(data), Coder.GZIP)
+    kind = Kind.CHANGE if type(part) is int else Kind.SNAPSHOT
+    if part == MASKS:
+        kind = Kind.MASK
+    return encode_packet(slots_encoded_elsewhere(manifest.slot_layout, kind, data), Coder.GZIP)
 
 
 def _copy_poster(reader: StreamReader, folder: Path) -> None:

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from codec.framerange import FrameRange
-from codec.slice import window_births
 from codec.stream import StreamReader
 from codec.stream.manifest import Manifest
 
-from .source import ReceivedSlice, check_frames, check_layers, segment_slices
+from .segments import SegmentPlay
+from .source import ReceivedSlice, check_frames, check_layers
 
 
 class DirectorySource:
@@ -30,19 +30,16 @@ class DirectorySource:
         return self._reader.manifest
 
     def slices(self) -> Iterator[ReceivedSlice]:
-        reader, end = self._reader, self.frames.end
-        birth = window_births(self.frames.first, self.manifest.swin_size).start
-        while end is None or birth < end:
-            segment = self.manifest.segment_of(birth)
+        reader = self._reader
+        play = SegmentPlay(self.manifest, self._layers, self.frames)
+        while (segment := play.segment) is not None:
             if segment >= len(reader.records):
                 if self.manifest.live and reader.refresh():
                     continue
                 return
-            objects = [reader.read_object(segment, layer) for layer in range(self._layers)]
-            self.received_bytes += sum(len(layer.data) for layer in objects)
-            for received in segment_slices(objects, birth, end):
-                yield received
-                birth = received.slice.birth + 1
+            objects = {part: reader.read_object(segment, part) for part in play.parts}
+            self.received_bytes += sum(len(found.data) for found in objects.values())
+            yield from play.slices(objects)
 
     def interrupt(self) -> None:
         """Nothing here waits for longer than a read of the disk."""

@@ -7,14 +7,14 @@ from urllib.parse import urljoin
 
 from codec.errors import CodecError
 from codec.framerange import FrameRange
-from codec.slice import window_births
 from codec.stream.index import INDEX_NAME, SegmentRecord
 from codec.stream.integrity import MAX_INDEX_BYTES, CheckedObject, read_index
-from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest
+from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest, Part
 
 from .fetch import BrokenError, Fetcher, FetchError
 from .retry import Retry, RetryConfig
-from .source import ReceivedSlice, check_frames, check_layers, segment_slices
+from .segments import SegmentPlay
+from .source import ReceivedSlice, check_frames, check_layers
 
 
 def fetch_manifest(fetcher: Fetcher, url: str) -> Manifest | None:
@@ -84,21 +84,18 @@ class HostedSource:
             except BrokenError as error:
                 self._fetcher.pause(retry.delay_s(error))
 
-    def _object(self, record: SegmentRecord, layer: int) -> CheckedObject:
-        url = urljoin(self._base, self.manifest.object_path(record.segment, layer))
-        data = self._get(url, record.object_bytes[layer])
-        return CheckedObject.check(url, data, self.manifest, record, layer)
+    def _object(self, record: SegmentRecord, part: Part) -> CheckedObject:
+        manifest = self.manifest
+        url = urljoin(self._base, manifest.object_path(record.segment, part))
+        data = self._get(url, record.part_bytes[manifest.part_number(part)])
+        return CheckedObject.check(url, data, manifest, record, part)
 
     def slices(self) -> Iterator[ReceivedSlice]:
-        manifest, end = self.manifest, self.frames.end
-        assert end is not None  # a hosted stream is opened as finished
-        birth = window_births(self.frames.first, manifest.swin_size).start
-        while birth < end:
-            record = self._records[manifest.segment_of(birth)]
-            objects = [self._object(record, layer) for layer in range(self._layers)]
-            for received in segment_slices(objects, birth, end):
-                yield received
-                birth = received.slice.birth + 1
+        # Its frames have an end: a hosted stream is opened as finished.
+        play = SegmentPlay(self.manifest, self._layers, self.frames)
+        while (segment := play.segment) is not None:
+            record = self._records[segment]
+            yield from play.slices({part: self._object(record, part) for part in play.parts})
 
     def interrupt(self) -> None:
         self._fetcher.interrupt()

@@ -10,9 +10,6 @@ from collections.abc import Iterator
 
 from codec.errors import CodecError, CorruptError
 from codec.framerange import FrameRange
-from codec.slice import window_births
-from codec.stream.chunk import Chunk
-from codec.stream.integrity import decode_fitting_packet, fitting_slice
 from codec.stream.manifest import Manifest
 from codec.stream.playrecord import (
     CONTENT_TYPE,
@@ -21,10 +18,12 @@ from codec.stream.playrecord import (
     Record,
     RecordParser,
     SliceRecord,
+    SnapshotRecord,
     StartRecord,
 )
 
 from .fetch import BrokenError, Fetcher, FetchError, OpenResponse
+from .receiver import open_receiver
 from .retry import Retry, RetryConfig
 from .source import ReceivedSlice, check_frames, check_layers
 
@@ -58,9 +57,10 @@ class ServedSource:
         try:
             start = self._connect(frames.first)
             self.manifest = self._manifest_of(start)
-            check_layers(layers, self.manifest, name)
+            most = check_layers(layers, self.manifest, name)
             self._num_frames = start.num_frames
             self.frames = check_frames(frames, self.manifest, self._num_frames, name)
+            self._receiver = open_receiver(name, self.manifest, most, self.frames)
         except BaseException:
             self._disconnect()
             raise
@@ -127,12 +127,11 @@ class ServedSource:
 
     def slices(self) -> Iterator[ReceivedSlice]:
         retry = Retry(self._retry_config)
-        birth = window_births(self.frames.first, self.manifest.swin_size).start
-        connected = True
+        connected, receiver = True, self._receiver
         while True:
             try:
                 if not connected:
-                    self._reconnect(birth)
+                    self._reconnect()
                     connected = True
                 record = self._next_record()
             except BrokenError as error:
@@ -140,55 +139,32 @@ class ServedSource:
                 self._disconnect()
                 self._fetcher.pause(retry.delay_s(error))
                 continue
-            if isinstance(record, SliceRecord):
-                if record.birth < birth:
-                    continue  # a new connection may begin with slices that came before
-                yield self._decode(record, birth)
-                retry.progress()
-                birth += 1
-            elif isinstance(record, EndRecord):
+            if isinstance(record, EndRecord):
+                yield from receiver.finish()
                 end = record.num_frames
                 if self._asked.end is not None:
                     end = min(end, self._asked.end)
-                if birth < end:
-                    raise CorruptError(f"{self.name}: the stream ended before frame {birth}")
+                if receiver.next_birth < end:
+                    message = f"the stream ended before frame {receiver.next_birth}"
+                    raise CorruptError(f"{self.name}: {message}")
                 return
-            else:
+            if not isinstance(record, SliceRecord | SnapshotRecord):
                 raise CorruptError(f"{self.name}: a second start record")
-            if self._asked.end is not None and birth >= self._asked.end:
+            for received in receiver.take(record):
+                yield received
+                retry.progress()
+            if self._asked.end is not None and receiver.next_birth >= self._asked.end:
                 return
 
-    def _reconnect(self, birth: int) -> None:
-        # The window of this frame begins with the missing slice; near the end there is no such
-        # frame, and the window of the last one begins with slices that came already.
-        self._num_frames = max(self._num_frames, birth)
-        last = self._num_frames if self._asked.end is None else self._asked.end
-        frame = min(birth + self.manifest.swin_size, self._num_frames, last) - 1
-        start = self._connect(max(frame, self.frames.first))
+    def _reconnect(self) -> None:
+        self._num_frames = max(self._num_frames, self._receiver.next_birth)
+        end = self._asked.end
+        last = self._num_frames if end is None else min(self._num_frames, end)
+        start = self._connect(self._receiver.rejoin(last))
         manifest = self._manifest_of(start)
         if manifest.with_live(False).to_json() != self.manifest.with_live(False).to_json():
             raise CorruptError(f"{self.name}: the stream was replaced by another one")
         self._num_frames = max(self._num_frames, start.num_frames)
-
-    def _decode(self, record: SliceRecord, birth: int) -> ReceivedSlice:
-        if record.birth != birth:
-            message = f"the slice born at {record.birth} came before {birth}"
-            raise CorruptError(f"{self.name}: {message}")
-        slice = fitting_slice(
-            self._chunks(record), self.manifest, lambda layer: self._name_of(record, layer)
-        )
-        return ReceivedSlice(slice, len(record.packets), sum(map(len, record.packets)))
-
-    def _chunks(self, record: SliceRecord) -> Iterator[Chunk]:
-        for layer, packet in enumerate(record.packets):
-            try:
-                chunk = decode_fitting_packet(packet, self.manifest, record.birth, layer)
-            except CodecError as error:
-                raise error.within(self._name_of(record, layer)) from error
-            yield chunk
-
-    def _name_of(self, record: SliceRecord, layer: int) -> str:
-        return f"{self.name}: layer {layer} of the slice born at {record.birth}"
 
     def _disconnect(self) -> None:
         if self._response is not None:

@@ -5,14 +5,13 @@ Every source gives a manifest at once and then slices in birth order, each with 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
 from codec.errors import InvalidError
 from codec.framerange import FrameRange
 from codec.slice import Slice
-from codec.stream.integrity import CheckedObject, fitting_slice
 from codec.stream.manifest import Manifest
 
 
@@ -92,24 +91,3 @@ def check_frames(frames: FrameRange, manifest: Manifest, num_frames: int, name: 
     if frames.end is not None or manifest.live:
         return frames
     return FrameRange(frames.first, num_frames)
-
-
-def segment_slices(
-    objects: Sequence[CheckedObject], first_birth: int, end_birth: int | None
-) -> Iterator[ReceivedSlice]:
-    """The slices of a segment born from `first_birth` on, decoded as they are asked for.
-
-    objects: those of its layers 0, 1, ... end_birth: the first birth that is not wanted any more;
-    None takes all.
-    """
-    manifest = objects[0].manifest
-    for entry in objects[0].entries:
-        birth = entry.birth
-        if birth < first_birth:
-            continue
-        if end_birth is not None and birth >= end_birth:
-            return
-        chunks = (layer.chunk(birth) for layer in objects)
-        slice = fitting_slice(chunks, manifest, lambda layer: objects[layer].name)
-        wire_bytes = sum(layer.entry(birth).size for layer in objects)
-        yield ReceivedSlice(slice, len(objects), wire_bytes)

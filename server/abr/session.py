@@ -2,11 +2,15 @@
 
 Rule: the client is taken to show frames in real time from the moment that its first window has left
 the server whole; a slice that comes late stops that clock until it is there.
+
+Where slots last (format version 2) a slice changes what the client holds. So a layer that was left
+out once is left out until a snapshot of it is sent, and that can be at a segment's first frame
+only. A play begins with snapshots, too.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from codec.errors import InvalidError
@@ -29,13 +33,15 @@ class SessionConfig:
     """Seconds within which the first picture should be complete, quality permitting."""
     poll_s: float = 0.02
     """Seconds between two looks at a send queue that drains during a pause."""
+    take_up_share: float = 0.5
+    """Share of the lead that may be spent on snapshots of layers that are taken up again."""
 
     def __post_init__(self) -> None:
         if not 0 < self.burst_s <= self.target_lead_s:
             raise InvalidError(
                 f"burst_s {self.burst_s} is not in 0..target_lead_s {self.target_lead_s}"
             )
-        for name in ("blind_lead_s", "start_s", "poll_s"):
+        for name in ("blind_lead_s", "start_s", "poll_s", "take_up_share"):
             if not getattr(self, name) > 0:
                 raise InvalidError(f"{name} is {getattr(self, name)}; it must be positive")
 
@@ -62,8 +68,18 @@ class Media(Protocol):
         """Whether num_frames may still grow."""
         ...
 
+    @property
+    def has_slots(self) -> bool:
+        """Whether slots last: format version 2."""
+        ...
+
     def slice_bytes(self, birth: int) -> tuple[float, ...]:
         """Bytes of a slice about `birth` with 1, 2, ... layers."""
+        ...
+
+    def snapshot_bytes(self, frame: int) -> tuple[float, ...]:
+        """Bytes of the snapshots of 1, 2, ... layers at the first frame of the segment of `frame`.
+        Asked for only where slots last."""
         ...
 
 
@@ -72,6 +88,16 @@ class SendSlice:
     """Send the slice born at `birth` with its layers 0..num_layers-1; tell `sending`."""
 
     birth: int
+    num_layers: int
+
+
+@dataclass(frozen=True, slots=True)
+class SendSnapshots:
+    """Send the snapshots of the layers first_layer..num_layers-1 at `frame`, the first of a
+    segment, all together; tell `sending`."""
+
+    frame: int
+    first_layer: int
     num_layers: int
 
 
@@ -92,7 +118,7 @@ class Finished:
     """All that was asked for has been sent."""
 
 
-Decision = SendSlice | WaitUntil | WaitForFrames | Finished
+Decision = SendSlice | SendSnapshots | WaitUntil | WaitForFrames | Finished
 
 
 class PlaySession:
@@ -116,7 +142,13 @@ class PlaySession:
         self._until_frame = until_frame
         self._started_s = now_s
         self.next_birth = first_frame - media.swin_size + 1
-        """Birth of the slice that is sent next."""
+        """Birth of the slice that is sent next; before the first snapshots, their frame."""
+        self._held: int | None = None
+        """Layers of which the client holds every slot; None where slices are whole."""
+        self._take_up: SendSnapshots | None = None
+        if media.has_slots:
+            self.next_birth = first_frame // media.segment_frames * media.segment_frames
+            self._held = 0
         self._resting = False
         # When the client shows first_frame, shifted by every stall; None until the window has left.
         self._playing_since_s: float | None = None
@@ -150,7 +182,12 @@ class PlaySession:
         last = media.num_frames
         if self._until_frame is not None:
             last = min(last, self._until_frame)
-        # The births before 0 come with the first segment.
+        if self._take_up is not None:
+            # It belongs between the slices of this frame and the next one.
+            snapshots, self._take_up = self._take_up, None
+            self._held = snapshots.num_layers
+            return snapshots
+        # The births before 0 come with the first segment, and so do snapshots.
         if not media.num_frames or self.next_birth >= last:
             done = self._until_frame is not None and self.next_birth >= self._until_frame
             return Finished() if done or not media.live else WaitForFrames()
@@ -167,10 +204,44 @@ class PlaySession:
                 return WaitUntil(now_s + pause_s)
             if self._is_far_ahead_blind(now_s):
                 return WaitUntil(now_s + config.poll_s)
-        layers = self._policy.choose_layers(self._situation(now_s, lead_s, last, missing))
+        if self._held == 0:
+            return self._join(self._situation(now_s, lead_s, last, missing))
+        layers = self._held
+        if not missing or layers is None:
+            situation = self._situation(now_s, lead_s, last, missing)
+            layers = self._policy.choose_layers(situation)
+            if self._held is not None:
+                layers = self._clip(layers, self._held, situation)
         decision = SendSlice(self.next_birth, layers)
         self.next_birth += 1
         return decision
+
+    def _join(self, situation: Situation) -> SendSnapshots:
+        """Begins with the snapshots of as many layers as fit, with the slices up to the first
+        frame, the time that is left."""
+        media, frame = self._media, self.next_birth
+        num_slices = self._first_frame - frame
+        sizes = zip(media.snapshot_bytes(frame), media.slice_bytes(frame), strict=True)
+        window_bytes = tuple(snapshot + num_slices * slice for snapshot, slice in sizes)
+        due = replace(situation, slice_bytes=window_bytes, missing_slices=1)
+        self._held = self._policy.choose_layers(due)
+        self.next_birth += 1
+        return SendSnapshots(frame, 0, self._held)
+
+    def _clip(self, wanted: int, held: int, situation: Situation) -> int:
+        """How many of the `wanted` layers the next slice gets, of which `held` are of use. What
+        lacks is taken up after it where that can be."""
+        frame = self.next_birth
+        self._held = min(wanted, held)
+        if wanted > held and frame % self._media.segment_frames == 0:
+            sizes, rate_bps = self._media.snapshot_bytes(frame), situation.rate_bps
+            budget_s = self._config.take_up_share * situation.lead_s
+            for layers in range(wanted, held, -1):
+                cost_bits = 8 * (sizes[layers - 1] - sizes[held - 1])
+                if rate_bps is None or cost_bits <= budget_s * rate_bps:
+                    self._take_up = SendSnapshots(frame, held, layers)
+                    break
+        return self._held
 
     def _is_far_ahead_blind(self, now_s: float) -> bool:
         """Whether enough has been sent before anything is known of the link.

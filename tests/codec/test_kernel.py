@@ -21,17 +21,26 @@ kept = [survives(decode_chunk, chunk) for chunk in hostile_chunks(int(sys.argv[1
 print(sum(kept))
 """
 
+HOSTILE_SLOTS = """
+import sys
+from tests.support.slots.hostile_slots import hostile_slots
+print(hostile_slots(int(sys.argv[1])))
+"""
+
 # The codec's are enough: every kernel is made by the same decorator.
 KERNELS = """
 from numba.core.dispatcher import Dispatcher
 from codec.profiles import compact, morton, orientation, quantise
+from codec.slots import lattice, mask, rangecoder, residual
 from codec.stream.chunk import decode_chunk
 from tests.support.hostile import survives
 from tests.support.hostile_chunks import hostile_chunks
+from tests.support.slots.hostile_slots import hostile_slots
 assert any([survives(decode_chunk, chunk) for chunk in hostile_chunks(20)])
+assert hostile_slots(20)
 kernels = {
     value
-    for module in (compact, morton, orientation, quantise)
+    for module in (compact, morton, orientation, quantise, lattice, mask, rangecoder, residual)
     for value in vars(module).values()
     if isinstance(value, Dispatcher)
 }
@@ -85,11 +94,13 @@ def test_hostile_chunks_never_lead_a_kernel_out_of_bounds(
     environment = {mode: "1", "NUMBA_CACHE_DIR": str(tmp_path)}
     (kept,) = output_of(HOSTILE, str(count), **environment)
     assert 0.2 * count < kept < 0.8 * count
+    (taken,) = output_of(HOSTILE_SLOTS, str(count), **environment)
+    assert 0.1 * count < taken < 0.9 * count
 
 
 def test_kernels_are_compiled_once(tmp_path: Path) -> None:
     kernels, compiled, loaded = output_of(KERNELS, NUMBA_CACHE_DIR=str(tmp_path))
-    assert kernels >= 8
+    assert kernels >= 20
     assert compiled > 0
     assert loaded == 0
     _, compiled, loaded = output_of(KERNELS, NUMBA_CACHE_DIR=str(tmp_path))

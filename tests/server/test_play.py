@@ -37,8 +37,10 @@ from tests.support.running_server import (
     make_stream,
     on_server,
     parse_records,
+    play,
     quick_config,
     random_slice,
+    slices_of,
     small_manifest,
 )
 
@@ -51,18 +53,6 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     make_stream(folder / "long", 240, slice_size=200, fps=60)
     make_stream(folder / "wide", 9, slice_size=10_000, fps=30)  # more than sockets hold
     return folder
-
-
-async def play(client: aiohttp.ClientSession, stream: str, query: str = "") -> list[Record]:
-    async with client.get(f"/v1/streams/{stream}/play{query}") as response:
-        assert response.status == 200, await response.text()
-        assert response.content_type == "application/x-swings-play"
-        assert response.headers["Cache-Control"] == "no-store"
-        return parse_records([piece async for piece, _ in response.content.iter_chunks()])
-
-
-def slices_of(records: Iterable[Record]) -> list[SliceRecord]:
-    return [record for record in records if isinstance(record, SliceRecord)]
 
 
 def packets_on_disk(path: Path) -> dict[tuple[int, int], bytes]:

@@ -18,7 +18,7 @@ from codec.slice import Slice
 from codec.splats import Splats
 from codec.stream import StreamWriter
 from codec.stream.manifest import Manifest
-from codec.stream.playrecord import Record, RecordParser
+from codec.stream.playrecord import Record, RecordParser, SliceRecord
 from server.abr.session import SessionConfig
 from server.app import make_app
 from server.config import ServerConfig
@@ -136,6 +136,19 @@ def parse_records(pieces: Iterable[bytes]) -> list[Record]:
     records = [record for piece in pieces for record in parser.feed(piece)]
     assert parser.pending_bytes == 0
     return records
+
+
+async def play(client: aiohttp.ClientSession, stream: str, query: str = "") -> list[Record]:
+    """The records of a /play."""
+    async with client.get(f"/v1/streams/{stream}/play{query}") as response:
+        assert response.status == 200, await response.text()
+        assert response.content_type == "application/x-swings-play"
+        assert response.headers["Cache-Control"] == "no-store"
+        return parse_records([piece async for piece, _ in response.content.iter_chunks()])
+
+
+def slices_of(records: Iterable[Record]) -> list[SliceRecord]:
+    return [record for record in records if isinstance(record, SliceRecord)]
 
 
 async def raw_request(port: int, request: bytes, timeout_s: float = 5.0) -> bytes:

@@ -39,7 +39,7 @@ class LeaseConfig:
     refresh_share: float = 0.02
     """Share of a slice's slots, those whose lease is the oldest, that is trained in any case, so
     that the still part of a scene goes on learning."""
-    hold: float = 0.5
+    hold: float = 0.75
     """A value within so many steps of the one that a player has is not sent: 0.5 rounds to the
     nearest; more makes a stream smaller and coarser."""
     bytes_per_frame: float | None = None

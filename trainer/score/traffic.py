@@ -6,11 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from codec.slots.mask import MaskHistory, decode_mask
-from codec.slots.snapshot import decode_snapshot
-from codec.slots.update import PREDICTED
 from codec.stream import StreamReader
-from codec.stream.manifest import MASKS, snapshot_part
+from codec.tools.slotcensus import count_slots
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,30 +38,10 @@ def traffic(reader: StreamReader) -> list[Traffic]:
             )
             for n, share in zip(layers, shares, strict=True)
         ]
-    brought = np.cumsum(_brought(reader))
+    brought = np.cumsum(count_slots(reader).brought)
     found = []
     for n in layers:
         played = sum(sum(record.object_bytes[:n]) + record.side_bytes[0] for record in records)
         snapshots = [sum(record.side_bytes[1 : n + 1]) for record in records]
         found.append(Traffic(played + sum(snapshots[:1]), int(brought[n - 1]), sum(snapshots[1:])))
     return found
-
-
-def _brought(reader: StreamReader) -> list[int]:
-    """How many Gaussians each layer of a stream of version 2 brings to one who plays it."""
-    layout = reader.manifest.slot_layout
-    edges = layout.row_edges
-    counts = []
-    for layer in range(layout.num_layers):
-        snapshot = decode_snapshot(layout, reader.read_object(0, snapshot_part(layer)).content(0))
-        counts.append(sum(len(slots.newcomers()) for slots in snapshot.lanes))
-    history = MaskHistory(layout)
-    for record in reader.records:
-        masks = reader.read_object(record.segment, MASKS)
-        for birth in range(record.first_frame, record.first_frame + record.num_frames):
-            statuses = decode_mask(layout, birth, masks.content(birth), history.of(birth))
-            history.note(birth, statuses)
-            is_sent = statuses >= PREDICTED
-            for layer in range(layout.num_layers):
-                counts[layer] += int(is_sent[edges[layer] : edges[layer + 1]].sum())
-    return counts

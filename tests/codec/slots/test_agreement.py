@@ -71,7 +71,7 @@ def test_who_has_all_and_who_joins_hold_the_same(
 
 
 @given(streams(), seeds)
-@settings(max_examples=60)
+@settings(max_examples=40)
 def test_who_lacks_something_holds_the_same(stream: tuple[Shape, Chunks], seed: int) -> None:
     """Packets that never come, or late; masks that never come; snapshots of some layers."""
     (shape, chunks), rng = stream, np.random.default_rng(seed)
@@ -154,7 +154,7 @@ def mutants(data: bytes, rng: np.random.Generator, count: int) -> Iterator[bytes
 
 
 @given(streams(), seeds)
-@settings(max_examples=25)
+@settings(max_examples=10)
 def test_both_refuse_the_same_slices(stream: tuple[Shape, Chunks], seed: int) -> None:
     (shape, chunks), rng = stream, np.random.default_rng(seed)
     both = BothReaders(shape)
@@ -176,7 +176,7 @@ def test_both_refuse_the_same_slices(stream: tuple[Shape, Chunks], seed: int) ->
 
 
 @given(streams(), seeds)
-@settings(max_examples=25)
+@settings(max_examples=10)
 def test_both_refuse_the_same_snapshots(stream: tuple[Shape, Chunks], seed: int) -> None:
     (shape, chunks), rng = stream, np.random.default_rng(seed)
     for snapshots in chunks.snapshots.values():

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
-from codec.slots.change import Change, Newcomers, decode_change, encode_change
 from codec.slots.lattice import POSITION_LIMIT, Bytes, Lattice, States
+from codec.slots.slotchange import Change, Newcomers, decode_change, encode_change
 from codec.slots.slotchunk import SLOT_HEADER
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.slotencoder import SlotEncoder

@@ -8,9 +8,9 @@ import pytest
 from codec.errors import CorruptError, InvalidError
 from codec.slice import HIDDEN
 from codec.slots import slotdecoder
-from codec.slots.change import Newcomers, encode_change
 from codec.slots.lattice import POSITION_LIMIT, States
 from codec.slots.mask import MaskHistory, decode_mask, encode_mask
+from codec.slots.slotchange import Newcomers, encode_change
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.slotencoder import EncodedSlice, SlotEncoder
 from codec.slots.slotlayout import SlotLayout

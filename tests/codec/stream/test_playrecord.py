@@ -27,25 +27,20 @@ from codec.stream.playrecord import (
 from tests.support.hostile import flips, survives, truncations
 
 frames = st.integers(0, 2**31 - 1)
+births = st.integers(-(2**31), 2**31 - 1)
+packets = st.binary(max_size=50)
+
+
+def some(least: int, most: int = 16) -> st.SearchStrategy[tuple[bytes, ...]]:
+    return st.lists(packets, min_size=least, max_size=most).map(tuple)
+
+
 records: st.SearchStrategy[Record] = st.one_of(
     st.builds(StartRecord, frames, frames, st.binary(max_size=50)),
-    st.builds(
-        SliceRecord,
-        st.integers(-254, 2**31 - 1),
-        st.lists(st.binary(max_size=50), min_size=1, max_size=16).map(tuple),
-    ),
-    st.builds(
-        SliceRecord,
-        st.integers(-254, 2**31 - 1),
-        st.lists(st.binary(max_size=50), max_size=16).map(tuple),
-        st.binary(max_size=50),
-    ),
-    st.builds(
-        SnapshotRecord,
-        frames,
-        st.integers(0, 4),
-        st.lists(st.binary(max_size=50), min_size=1, max_size=12).map(tuple),
-    ),
+    st.builds(SliceRecord, births, some(1)),
+    st.builds(SliceRecord, births, some(0), packets),
+    st.builds(SnapshotRecord, frames, st.integers(0, 4), some(1, 12)),
+    st.builds(SnapshotRecord, frames, st.just(15), some(1, 1)),
     st.builds(EndRecord, frames),
     st.builds(ErrorRecord, st.text(max_size=100)),
 )
@@ -76,44 +71,32 @@ def test_byte_by_byte() -> None:
     assert received == sent
 
 
-def test_records_of_version_2() -> None:
-    record = SliceRecord(-1, (), b"m")
-    body = b"\x84\xa4kind\xa5slice\xa5birth\xff\xa6frames\x90\xa4mask\xc4\x01m"
-    assert encode_record(record) == struct.pack("<I", len(body)) + body
-    snapshot = {"kind": "snapshot", "frame": 8, "first": 1, "frames": [b"a", b"b"]}
-    assert msgpack.unpackb(encode_record(SnapshotRecord(8, 1, (b"a", b"b")))[4:]) == snapshot
-    wrong: list[dict[str, Any]] = [
-        {"kind": "slice", "birth": 0, "frames": [], "mask": "text"},
-        {"kind": "slice", "birth": 0, "frames": []},
-        {**snapshot, "frames": []},
-        {**snapshot, "first": 15},
-        {**snapshot, "first": -1},
-        {**snapshot, "frame": -1},
-        {**snapshot, "frame": 1 << 31},
-        {**snapshot, "frames": [b""] * 16},
-        {"kind": "snapshot", "frame": 8, "frames": [b"a"]},
-    ]
-    for value in wrong:
-        with pytest.raises(CorruptError):
-            decode_record(msgpack.packb(value))
-
-
 def test_the_bytes_are_pinned() -> None:
     record = SliceRecord(-1, (b"ab",))
     body = b"\x83\xa4kind\xa5slice\xa5birth\xff\xa6frames\x91\xc4\x02ab"
     assert encode_record(record) == struct.pack("<I", len(body)) + body
+    record = SliceRecord(3, (), b"m")
+    body = b"\x84\xa4kind\xa5slice\xa5birth\x03\xa6frames\x90\xa4mask\xc4\x01m"
+    assert encode_record(record) == struct.pack("<I", len(body)) + body
+    snapshot = msgpack.unpackb(encode_record(SnapshotRecord(30, 2, (b"a", b"b")))[4:])
+    assert snapshot == {"kind": "snapshot", "frame": 30, "first": 2, "frames": [b"a", b"b"]}
     start = msgpack.unpackb(encode_record(StartRecord(1, 2, b"m"))[4:])
     assert start == {"kind": "start", "from": 1, "num_frames": 2, "manifest": b"m"}
 
 
 def test_truncations_wait_and_flips_never_crash() -> None:
-    data = encode_record(SliceRecord(5, (b"frame-0", b"frame-1")))
-    for cut in truncations(data):
-        parser = RecordParser()
-        assert parser.feed(cut) == []
-        assert parser.pending_bytes == len(cut)
-    for altered in flips(data):
-        survives(parse, altered)
+    for record in (
+        SliceRecord(5, (b"frame-0", b"frame-1")),
+        SliceRecord(5, (b"change-0",), b"mask"),
+        SnapshotRecord(30, 1, (b"snapshot-1",)),
+    ):
+        data = encode_record(record)
+        for cut in truncations(data):
+            parser = RecordParser()
+            assert parser.feed(cut) == []
+            assert parser.pending_bytes == len(cut)
+        for altered in flips(data):
+            survives(parse, altered)
 
 
 @given(st.binary(max_size=100))
@@ -141,6 +124,21 @@ def test_noise(noise: bytes) -> None:
         {"kind": "slice", "birth": 1, "frames": {}},
         {"kind": "slice", "birth": 1 << 40, "frames": [b""]},
         {"kind": "slice", "birth": 1.0, "frames": [b""]},
+        {"kind": "slice", "birth": 1, "frames": [b""] * 17, "mask": b""},
+        {"kind": "slice", "birth": 1, "mask": b""},
+        {"kind": "slice", "birth": 1, "frames": [], "mask": "text"},
+        {"kind": "slice", "birth": 1, "frames": [], "mask": [b""]},
+        {"kind": "snapshot", "frame": 0, "first": 0, "frames": []},
+        {"kind": "snapshot", "frame": 0, "first": 0, "frames": [b""] * 17},
+        {"kind": "snapshot", "frame": 0, "first": 0, "frames": [0]},
+        {"kind": "snapshot", "frame": 0, "first": 16, "frames": [b""]},
+        {"kind": "snapshot", "frame": 0, "first": 15, "frames": [b""] * 2},
+        {"kind": "snapshot", "frame": 0, "first": -1, "frames": [b""]},
+        {"kind": "snapshot", "frame": 0, "first": False, "frames": [b""]},
+        {"kind": "snapshot", "frame": -1, "first": 0, "frames": [b""]},
+        {"kind": "snapshot", "frame": 1 << 31, "first": 0, "frames": [b""]},
+        {"kind": "snapshot", "first": 0, "frames": [b""]},
+        {"kind": "snapshot", "frame": 0, "frames": [b""]},
         {"kind": "end", "num_frames": 1 << 31},
         {"kind": "error", "message": b"bytes"},
         {1: 2},
@@ -150,6 +148,34 @@ def test_noise(noise: bytes) -> None:
 def test_maps_that_are_not_records(value: Any) -> None:
     with pytest.raises(CorruptError):
         decode_record(msgpack.packb(value))
+
+
+def test_a_slice_of_version_1_ignores_what_is_called_a_mask() -> None:
+    for mask in ("text", 7, [b"x"], None):
+        value = {"kind": "slice", "birth": 1, "frames": [b"a"], "mask": mask}
+        assert decode_record(msgpack.packb(value)) == SliceRecord(1, (b"a",))
+
+
+@pytest.mark.parametrize(
+    "record",
+    [
+        SliceRecord(1, ()),
+        SliceRecord(1, (b"",) * 17),
+        SliceRecord(1, (b"",) * 17, b"mask"),
+        SnapshotRecord(0, 0, ()),
+        SnapshotRecord(0, 0, (b"",) * 17),
+        SnapshotRecord(0, 16, (b"",)),
+        SnapshotRecord(0, 15, (b"",) * 2),
+        SnapshotRecord(0, -1, (b"",)),
+        SnapshotRecord(-1, 0, (b"",)),
+        SliceRecord(1 << 31, (b"",)),
+        EndRecord(1 << 31),
+        StartRecord(-1, 0, b""),
+    ],
+)
+def test_what_no_reader_takes_is_not_written(record: Record) -> None:
+    with pytest.raises(InvalidError):
+        encode_record(record)
 
 
 def test_a_record_that_is_too_long_is_refused_at_its_length() -> None:

@@ -7,7 +7,7 @@ is touched: a `Change` is what the bytes say, and `Slots` says what becomes of i
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 
@@ -93,10 +93,28 @@ def finish_chunk(
         raise InvalidError(
             f"{header.name}: {len(data)} bytes, at most {MAX_SLOT_CHUNK_BYTES}; use fewer slots"
         )
-    begin = len(data) - len(body)
-    # What stands before the first plane is one part, or two if there are flags.
-    inner = {begin + edge for edge in body_edges[1:]}
-    return EncodedChunk(header.birth, data, sorted({0, *({begin} if first else ()), *inner}))
+    return EncodedChunk(header.birth, data, _chunk_edges(len(first), body_edges))
+
+
+def _chunk_edges(first_bytes: int, body_edges: Iterable[int]) -> list[int]:
+    """The edges of a chunk with `first_bytes` between its header and its body."""
+    begin = HEADER_BYTES + first_bytes
+    # What stands before the first plane is one part, or two if there is something first.
+    inner = {begin + edge for edge in body_edges} - {begin}
+    return sorted({0, *({begin} if first_bytes else ()), *inner})
+
+
+def encoded_elsewhere(layout: SlotLayout, kind: Kind, data: bytes) -> EncodedChunk:
+    """The chunk of `kind` in `data`, which can be decoded, to be compressed once more."""
+    header = SlotHeader.read(data, kind)
+    if kind is Kind.MASK:
+        return EncodedChunk(header.birth, data, (0, len(data)))
+    first_bytes = layout.flags_bytes(header.layer) if kind is Kind.SNAPSHOT else 0
+    counts = COUNTS.unpack_from(data, HEADER_BYTES + first_bytes)
+    head, predicted, longs, new, *rest = _part_sizes(layout, counts, header.has_start_offsets)
+    planes = layout.num_planes
+    sizes = head, *[predicted // planes] * planes, longs, *[new // planes] * planes, *rest
+    return EncodedChunk(header.birth, data, _chunk_edges(first_bytes, accumulate(sizes)))
 
 
 def encode_change(
@@ -145,7 +163,7 @@ def read_body(
     if len(body) < COUNTS.size:
         raise CorruptError(f"change: {len(body)} bytes are too few for its counts", len(body))
     counts = COUNTS.unpack_from(body)
-    predicted, new, long, escapes, low_bit_bytes = counts
+    predicted, new = counts[:2]
     limits = num_predicted, num_new, 3 * num_predicted, num_new
     names = "predicted", "new", "long residuals", "escapes"
     for n, (name, found, limit) in enumerate(zip(names, counts, limits, strict=False)):
@@ -153,16 +171,7 @@ def read_body(
             rule = "the mask says" if n < 2 else "at most"
             raise CorruptError(f"change: {found} {name}, {rule} {limit}", 4 * n)
     levels, sh_degree = layout.lattices[layer].opacity_levels, layout.sh_degree
-    sizes = (
-        COUNTS.size,
-        layout.num_planes * predicted,
-        4 * long,
-        layout.num_planes * new,
-        low_bit_bytes,
-        4 * escapes,
-        bytes_per_gaussian(sh_degree) * escapes,
-        new if has_start_offsets else 0,
-    )
+    sizes = _part_sizes(layout, counts, has_start_offsets)
     ends = list(accumulate(sizes))
     if ends[-1] != len(body):
         raise CorruptError(f"change: a body of {len(body)} bytes, its counts say {ends[-1]}")
@@ -180,6 +189,23 @@ def read_body(
                 f"change: start offset {offsets.max()} of {layout.swin_size} frames", ends[6]
             )
     return Change(residuals, longs, newcomers, offsets, levels)
+
+
+def _part_sizes(
+    layout: SlotLayout, counts: Sequence[int], has_start_offsets: bool
+) -> tuple[int, ...]:
+    """Bytes of the parts of a body with these COUNTS, in order."""
+    predicted, new, long, escapes, low_bit_bytes = counts
+    return (
+        COUNTS.size,
+        layout.num_planes * predicted,
+        4 * long,
+        layout.num_planes * new,
+        low_bit_bytes,
+        4 * escapes,
+        bytes_per_gaussian(layout.sh_degree) * escapes,
+        new if has_start_offsets else 0,
+    )
 
 
 def _with_escapes(states: States, numbers: memoryview, floats: memoryview) -> Newcomers:

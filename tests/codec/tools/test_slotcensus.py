@@ -1,0 +1,135 @@
+"""swings-stream info of a stream whose slots last: counts, bytes, and the picture of them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from codec.errors import CodecError
+from codec.slots.update import Update
+from codec.stream import StreamReader, StreamWriter
+from codec.tools.audit import describe, summarise
+from codec.tools.plot import JOIN_COLOUR, STATUS_COLOURS, draw_stream, played_bands, slot_bands
+from codec.tools.slotcensus import count_slots
+from tests.support.commands import run_ok
+from tests.support.slots.folder import slots_manifest, write_slots
+from tests.support.slots.updates import Model, small_layout
+
+LAYOUT = small_layout(3, (9, 6), 0, 4)
+NUM_FRAMES = 10
+
+
+@pytest.fixture(scope="module")
+def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("census") / "stream"
+    write_slots(path, NUM_FRAMES, LAYOUT)
+    return path
+
+
+@pytest.fixture(scope="module")
+def updates(tmp_path_factory: pytest.TempPathFactory) -> list[Update]:
+    return write_slots(tmp_path_factory.mktemp("census") / "again", NUM_FRAMES, LAYOUT)
+
+
+def size_of(stream: Path, pattern: str) -> int:
+    return sum(path.stat().st_size for path in stream.glob(pattern))
+
+
+def test_slots_are_counted_as_the_updates_say(stream: Path, updates: list[Update]) -> None:
+    census = count_slots(StreamReader(stream))
+    assert census.statuses[0].tolist() == [[9, 0, 0, 0], [6, 0, 0, 0]]
+    for update in updates:
+        if update.birth > 0:
+            for layer, part in enumerate((update.statuses[:9], update.statuses[9:])):
+                found = census.statuses[update.birth, layer].tolist()
+                assert found == [int((part == status).sum()) for status in range(4)]
+    model = Model(LAYOUT)
+    for update in updates[:3]:
+        model.take(update)
+    held = [row < 9 for (_, row), slot in model.held.items() if slot is not None]
+    assert census.first.tolist() == [held.count(True), held.count(False)]
+    later = sum(int((u.statuses >= 2).sum()) for u in updates if u.birth > 0)
+    assert census.brought.sum() == len(held) + later
+
+
+def test_bytes_are_those_of_the_files(stream: Path) -> None:
+    told = summarise(stream)
+    assert told.slots is not None
+    everything = size_of(stream, "**/*.*") + size_of(stream, "segments/*/*")
+    assert told.size_bytes == everything
+    joins = size_of(stream, "segments/[12]/snapshot-*")
+    assert told.played_bytes == everything - joins
+    assert sum(told.slots.join_snapshot_bytes) == joins
+    assert told.slots.mask_bytes == size_of(stream, "segments/*/masks")
+    for layer in range(2):
+        assert told.slots.change_bytes[layer] == size_of(stream, f"segments/*/{layer}")
+        first = size_of(stream, f"segments/0/snapshot-{layer}")
+        assert told.slots.first_snapshot_bytes[layer] == first
+    lower = size_of(stream, "segments/*/masks") + size_of(stream, "segments/*/0")
+    assert told.layers[0].size_bytes == lower + size_of(stream, "segments/0/snapshot-0")
+    overhead = size_of(stream, "*.*")
+    assert told.layers[1].size_bytes == told.played_bytes - overhead
+    brought = count_slots(StreamReader(stream)).brought.sum()
+    assert told.bytes_per_gaussian == pytest.approx(told.layers[1].size_bytes / brought)
+    means = [sum(mean) for mean in (told.slots.kept, told.slots.predicted, told.slots.new)]
+    assert sum(means) + sum(told.slots.ended) == pytest.approx(15)
+
+
+def test_people_and_programs_are_told_the_same(stream: Path) -> None:
+    told = json.loads(run_ok("swings-stream", "info", stream, "--json"))
+    assert told["slots"]["slots"] == [9, 6]
+    text = run_ok("swings-stream", "info", stream)
+    assert "45 active, in leases of 3 frames" in text
+    joins = sum(told["slots"]["join_snapshot_bytes"])
+    assert f"{told['played_bytes']} bytes, " in text
+    assert f"; {joins} bytes of snapshots for those who join\n" in text
+    assert f"slots        15 a slice; as a mean {sum(told['slots']['kept']):.1f} kept, " in text
+    for layer in range(2):
+        assert f"{told['slots']['change_bytes'][layer]} bytes; of {LAYOUT.slots[layer]}" in text
+
+
+def test_a_stream_of_one_frame_and_one_without_any(tmp_path: Path) -> None:
+    write_slots(tmp_path / "one", 1, small_layout(1, (4,), 1, 4))
+    told = summarise(tmp_path / "one")
+    assert "4 active, in leases of 1 frame\n" in describe(told)
+    assert told.slots is not None
+    assert (told.slots.kept, told.slots.join_snapshot_bytes) == ((0.0,), (0,))
+    draw_stream(tmp_path / "one", tmp_path / "one.png")
+    StreamWriter.create(tmp_path / "none", slots_manifest(LAYOUT)).abort()
+    told = summarise(tmp_path / "none")
+    assert (told.num_frames, told.bytes_per_gaussian) == (0, 0.0)
+    assert "live, may still grow" in describe(told)
+
+
+@pytest.mark.parametrize("name", ["1/masks", "0/snapshot-1"])
+def test_what_is_altered_is_named(name: str, tmp_path: Path) -> None:
+    write_slots(tmp_path / "s", NUM_FRAMES, LAYOUT)
+    path = tmp_path / "s" / "segments" / name
+    path.write_bytes(path.read_bytes()[:-1] + b"\0")
+    with pytest.raises(CodecError, match=f"segments/{name}: "):
+        summarise(tmp_path / "s")
+
+
+def test_what_is_drawn(stream: Path, updates: list[Update], tmp_path: Path) -> None:
+    reader = StreamReader(stream)
+    bands = played_bands(reader)
+    names = ["masks", "layer 0", "layer 1", "snapshots of frame 0"]
+    assert [band.label for band in bands] == names
+    seconds = [4 / 25, 4 / 25, 2 / 25]
+    total = np.sum([band.values for band in bands], axis=0)
+    for record, length, mbps in zip(reader.records, seconds, total, strict=True):
+        assert mbps == pytest.approx(8e-6 * record.played_bytes / length)
+    predicted = slot_bands(reader)[0].values
+    for segment, births in enumerate(((1, 2, 3), (4, 5, 6, 7), (8, 9))):
+        counts = [int((u.statuses == 2).sum()) for u in updates if u.birth in births]
+        assert predicted[segment] == pytest.approx(sum(counts) / len(births))
+    draw_stream(stream, tmp_path / "drawn.png")
+    with Image.open(tmp_path / "drawn.png") as picture:
+        drawn = np.asarray(picture.convert("RGB"))
+    for colour in (*STATUS_COLOURS.values(), JOIN_COLOUR):
+        rgb = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+        assert (drawn == rgb).all(axis=2).sum() > 20, colour
