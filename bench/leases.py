@@ -46,6 +46,7 @@ COLOURS = ("#1f5fbf", "#d9480f", "#2b8a3e", "#862e9c", "#0b7285", "#a61e4d", "#5
 """Of the choices."""
 CHOSEN = "as chosen"
 """The name of the setting that others change."""
+NO_LEASES = ", no leases"
 
 
 @dataclass(frozen=True)
@@ -72,8 +73,10 @@ class LeasesConfig(TrialsConfig):
     together_shares: tuple[float, ...] = (0.0,)
     """Share of a window in which all Gaussians of a large cell move as one."""
     prefix_shares: tuple[float, ...] = (0.0, 0.3)
-    """Share of the iterations that render only the first layers."""
-    holds: tuple[float, ...] = (1.0, 2.0)
+    """Share of a later window's iterations that render only the first layers."""
+    settle_prefix_shares: tuple[float, ...] = (0.0, 0.5)
+    """The same while genesis settles."""
+    holds: tuple[float, ...] = (0.5, 1.5)
     """Steps that a value may be off before it is sent."""
 
 
@@ -96,6 +99,9 @@ def settings(config: LeasesConfig) -> list[Setting]:
         "settle_rounds": {n: replace(base, settle_rounds=n) for n in config.settlings},
         "together_share": {s: replace(base, together_share=s) for s in config.together_shares},
         "prefix_share": {s: replace(base, prefix_share=s) for s in config.prefix_shares},
+        "settle_prefix_share": {
+            s: replace(base, settle_prefix_share=s) for s in config.settle_prefix_shares
+        },
         "hold": {steps: lease(hold=steps) for steps in config.holds},
     }
     found = [Setting(CHOSEN, CHOSEN, base, Profile.LATTICE)]
@@ -103,7 +109,7 @@ def settings(config: LeasesConfig) -> list[Setting]:
         for value, fit in values.items():
             name = f"{choice} {value:,g}"
             if fit.lease.active_share == 1:
-                name += ", no leases"
+                name += NO_LEASES
             if all(fit != other.fit for other in found):
                 found.append(Setting(choice, name, fit, Profile.LATTICE))
     return found
@@ -214,7 +220,8 @@ def draw(outcomes: Outcomes, config: LeasesConfig) -> None:
         f"{config.window_iterations:,}, then {config.window_iterations:,} iterations{seeds}",
         fontsize=11,
     )
-    figure.legend(loc="outside lower center", ncols=4, fontsize=9)
+    handles, names = rates.get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=4, fontsize=9)
     config.out.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(config.out, dpi=120, metadata={"Software": None})
 
@@ -239,7 +246,7 @@ def draw_rates(axes: matplotlib.axes.Axes, outcomes: Outcomes) -> None:
         )  # fmt: skip
         for setting in mine:
             axes.annotate(
-                setting.name.split(" ", 1)[1] if group != CHOSEN else "", points[setting],
+                setting.name.removeprefix(group).removesuffix(NO_LEASES), points[setting],
                 xytext=(5, 4), textcoords="offset points", fontsize=8, color=colour,
             )  # fmt: skip
     axes.set_xlabel("kB a frame after frame 0")
@@ -249,15 +256,12 @@ def draw_rates(axes: matplotlib.axes.Axes, outcomes: Outcomes) -> None:
 def draw_layers(axes: matplotlib.axes.Axes, outcomes: Outcomes) -> None:
     """PSNR by number of layers: what training on the first layers is worth."""
     for setting, found in outcomes.items():
-        if setting.group not in (CHOSEN, "prefix_share"):
+        if setting.group not in (CHOSEN, "prefix_share", "settle_prefix_share"):
             continue
         y_db = np.mean([o.layers_db for o in found], axis=0)
         x = range(1, len(y_db) + 1)
-        axes.plot(x, y_db, "-o", markersize=4, linewidth=1.2)
-        axes.annotate(
-            f"prefix_share {setting.fit.prefix_share:g}", (1, y_db[0]), xytext=(6, -3),
-            textcoords="offset points", fontsize=8,
-        )  # fmt: skip
+        axes.plot(x, y_db, "-o", markersize=4, linewidth=1.2, label=setting.name)
+    axes.legend(fontsize=8)
     axes.set_xticks(range(1, 1 + len(next(iter(outcomes.values()))[0].layers_db)))
     axes.set_xlabel("layers")
     axes.set_title("with the first layers only", fontsize=10)

@@ -77,6 +77,7 @@ def test_it_measures_once_and_draws(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         sizes=(30,),
         settlings=(0,),
         prefix_shares=(0.5,),
+        settle_prefix_shares=(0.0,),
         holds=(2.0,),
     )
     outcomes = measure(config, settings(config), examine)
