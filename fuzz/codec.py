@@ -30,6 +30,7 @@ from contextlib import suppress
 
 import zstandard
 
+from codec.coders.coder import decompress
 from codec.errors import CodecError
 from codec.interop.formats import decode_any
 from codec.interop.spz import ENTRY, HEADER_V4, decode_spz
@@ -38,9 +39,11 @@ from codec.splats import Splats
 from codec.stream.chunk import decode_chunk, encode_chunk
 from codec.stream.index import CHECKSUM, pack_record, parse_index, record_bytes
 from codec.stream.layers import MAX_LAYERS
-from codec.stream.manifest import Manifest
+from codec.stream.manifest import SLOTS_VERSION, Manifest
 from codec.stream.object import decode_object, decode_packet, object_packets, read_object_table
 from codec.stream.playrecord import RecordParser, encode_record
+
+from .slots import fuzz_change, fuzz_mask, fuzz_slots, fuzz_snapshot
 
 
 def same(a: Splats, b: Splats) -> bool:
@@ -68,24 +71,44 @@ def fuzz_object(data: bytes) -> None:
     assert [chunk.birth for chunk in decode_object(data)] == [entry.birth for entry in entries]
 
 
-def fuzz_index(data: bytes) -> None:
+def fuzz_slot_object(data: bytes) -> None:
+    """The table of an object of version 2, and its packets."""
+    entries = read_object_table(data, SLOTS_VERSION)
+    packets = object_packets(data, SLOTS_VERSION)
+    assert [birth for birth, _ in packets] == [entry.birth for entry in entries]
+    for _, packet in packets:
+        decompress(packet, 1 << 20)
+
+
+def fuzz_index(data: bytes, has_slots: bool = False) -> None:
     """Records of the index; the first byte says of how many layers."""
     layers, data = data[0] % MAX_LAYERS + 1, data[1:]
-    records = parse_index(data, layers)
+    records = parse_index(data, layers, has_slots=has_slots)
     packed = b"".join(map(pack_record, records))
-    assert len(packed) == len(records) * record_bytes(layers) <= len(data)
+    assert len(packed) == len(records) * record_bytes(layers, has_slots) <= len(data)
     # By their bytes, for a NaN does not equal itself.
-    assert b"".join(map(pack_record, parse_index(packed, layers))) == packed
+    again = parse_index(packed, layers, has_slots=has_slots)
+    assert b"".join(map(pack_record, again)) == packed
 
 
-def fuzz_sealed_index(data: bytes) -> None:
+def fuzz_slot_index(data: bytes) -> None:
+    """Records of the index of version 2."""
+    fuzz_index(data, has_slots=True)
+
+
+def fuzz_sealed_slot_index(data: bytes) -> None:
+    """Records of version 2 whose checksums are right."""
+    fuzz_sealed_index(data, has_slots=True)
+
+
+def fuzz_sealed_index(data: bytes, has_slots: bool = False) -> None:
     """Records of the index whose checksums are right, so that what is behind them is reached."""
-    size = record_bytes(data[0] % MAX_LAYERS + 1)
+    size = record_bytes(data[0] % MAX_LAYERS + 1, has_slots)
     sealed = data[:1]
     for start in range(1, len(data) - size + 1, size):
         body = data[start : start + size - CHECKSUM.size]
         sealed += body + CHECKSUM.pack(zlib.crc32(body))
-    fuzz_index(sealed)
+    fuzz_index(sealed, has_slots)
 
 
 def fuzz_manifest(data: bytes) -> None:
@@ -94,7 +117,8 @@ def fuzz_manifest(data: bytes) -> None:
     assert Manifest.from_json(manifest.to_json()).to_json() == manifest.to_json()
     assert manifest.object_path(3, 1)
     assert manifest.camera().name == manifest.default_camera
-    assert len(manifest.births(0, 1)) == manifest.swin_size
+    assert len(manifest.births(0, 1)) == (1 if manifest.has_slots else manifest.swin_size)
+    assert all(manifest.max_content_bytes(part) > 0 for part in manifest.parts)
 
 
 def fuzz_record(data: bytes) -> None:
@@ -165,6 +189,13 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
     "inflated_spz": fuzz_inflated_spz,
     "inflated_spz_4": fuzz_inflated_spz_4,
     "sealed_gzip": fuzz_sealed_gzip,
+    "mask": fuzz_mask,
+    "change": fuzz_change,
+    "snapshot": fuzz_snapshot,
+    "slots": fuzz_slots,
+    "slot_object": fuzz_slot_object,
+    "slot_index": fuzz_slot_index,
+    "sealed_slot_index": fuzz_sealed_slot_index,
 }
 """The parsers by name. Only ever append: the first byte of an input counts in this order."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from codec.slice import Slice
 from codec.splats import Floats, Splats, sh_count
 from codec.stream.chunk import encode_chunk
 from codec.stream.index import SegmentRecord, pack_record
-from codec.stream.manifest import Manifest
+from codec.stream.manifest import SLOTS_VERSION, Manifest
 from codec.stream.object import encode_object, encode_packet
 from codec.stream.playrecord import (
     EndRecord,
@@ -33,6 +34,8 @@ from codec.stream.playrecord import (
 )
 
 from .codec import TARGETS
+from .slots import LAYOUTS
+from .slotseed import slot_seeds
 
 CORPUS = Path(__file__).parent / "corpus"
 
@@ -75,6 +78,19 @@ def made_manifest() -> Manifest:
         cameras=(Camera("front", 64, 48, 50.0, 50.0, 32.0, 24.0, np.eye(4)),),
         default_camera="front",
         live=True,
+    )
+
+
+def made_slots_manifest() -> Manifest:
+    layout = LAYOUTS[0]
+    return replace(
+        made_manifest(),
+        version=SLOTS_VERSION,
+        profile=Profile.LATTICE,
+        swin_size=layout.swin_size,
+        num_gs=layout.swin_size * layout.num_slots,
+        slots=layout.slots,
+        lattice=layout.lattices,
     )
 
 
@@ -173,6 +189,8 @@ def seeds() -> Iterator[tuple[str, str, bytes]]:
     chunk = encode_chunk(made_slice(3, 5, 0), 0, Profile.COMPACT).data
     yield "sealed_gzip", "compact", len(chunk).to_bytes(4, "little") + chunk
     yield "splat", "six", encode_splat(made_splats(6, 0))
+    yield "manifest", "slots", made_slots_manifest().to_json()
+    yield from slot_seeds()
 
 
 def found() -> Iterator[tuple[str, str, bytes]]:

@@ -13,6 +13,8 @@ from codec.stream.manifest import Manifest
 from codec.stream.playrecord import MAX_TEXT_BYTES, ErrorRecord, decode_record, encode_record
 from fuzz.codec import TARGETS, accepts
 from fuzz.seed import CORPUS, found, made_manifest, seeds
+from fuzz.slots import LAYOUTS, run_script
+from fuzz.slotseed import NUM_FRAMES
 from tests.support.hostile import survives
 
 FILES = sorted(CORPUS.iterdir())
@@ -59,6 +61,15 @@ def test_what_is_near_a_file_of_the_corpus(path: Path) -> None:
             if len(altered) < 2:
                 break
         accepts(bytes(altered))
+
+
+def test_a_reader_takes_every_step_of_a_whole_script_and_most_of_a_torn_one() -> None:
+    """So the fuzzer starts deep in the reader of slots."""
+    for number, layout in enumerate(LAYOUTS):
+        foods = {what: food for target, what, food in seeds() if target == "slots"}
+        num_loads = len(layout.slots)
+        assert run_script(foods[f"whole-{number}"]) == num_loads + NUM_FRAMES - 1
+        assert run_script(foods[f"torn-{number}"]) >= num_loads + NUM_FRAMES - 1 + 4
 
 
 def test_the_law_can_be_broken(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,11 +7,16 @@ from __future__ import annotations
 
 import json
 
+from tests.goldens import slots_pinned
 from tests.goldens.cases import CASES, CODERS, FILE, OBJECTS_FILE, object_record, record
 
 
 def main() -> None:
-    tables = {FILE: [record(c) for c in CASES], OBJECTS_FILE: [object_record(c) for c in CODERS]}
+    tables = {
+        FILE: [record(c) for c in CASES],
+        OBJECTS_FILE: [object_record(c) for c in CODERS],
+        slots_pinned.FILE: [slots_pinned.slot_record(c) for c in slots_pinned.SLOT_CASES],
+    }
     for file, rows in tables.items():
         file.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 

@@ -1,0 +1,193 @@
+"""The parsers of version 2 under the law of fuzz/codec.py: masks, changes, snapshots, and a reader
+to which they happen.
+
+The first byte of the food chooses the layout (`LAYOUTS`).
+"""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+
+from codec.errors import CodecError, CorruptError
+from codec.slots.lattice import Lattice, States
+from codec.slots.mask import decode_mask, encode_mask
+from codec.slots.slotchange import decode_change, encode_change
+from codec.slots.slotchunk import SLOT_HEADER, Kind, SlotHeader
+from codec.slots.slotdecoder import MIN_LOG_BYTES, SlotDecoder
+from codec.slots.slotencoder import SlotEncoder
+from codec.slots.slotlayout import HEADER_BYTES, SlotLayout
+from codec.slots.slotstate import UNKNOWN, Slots
+from codec.slots.snapshot import decode_snapshot, encode_snapshot
+
+LATTICE = Lattice(0.01, 0.125, 1 / 60, 0.056, 41)
+LAYOUTS = (
+    SlotLayout(2, (5, 3), 0, (LATTICE,) * 2, 4),
+    SlotLayout(1, (9,), 1, (Lattice(1e-6, 1e6, 1e6, 1e6, 256, -1e3),), 3),
+    SlotLayout(3, (1, 4, 2), 0, (LATTICE,) * 3, 1),
+)
+
+LOAD, APPLY, LATE = range(3)
+"""What happens to a reader in a script."""
+
+STEP = struct.Struct("<BBBBH")
+"""Of a step: what happens, which parts are missing, layer, age of the slice, and how many bytes
+follow."""
+
+Step = tuple[int, int, int, int, bytes]
+"""What happens, which parts are missing, layer, age of the slice, the bytes."""
+
+PART = struct.Struct("<H")
+"""In front of each part of a slice: its bytes."""
+
+
+def state_bytes(slots: Slots) -> bytes:
+    """All that slots hold; the order in which escapes are kept means nothing."""
+    order = np.argsort(slots.escape_rows, kind="stable")
+    arrays = (
+        slots.conditions,
+        slots.states.positions,
+        slots.states.attributes,
+        slots.starts,
+        slots.escape_rows[order],
+        *slots.escapes.take(order).arrays,
+    )
+    return b"".join(array.tobytes() for array in arrays)
+
+
+def fuzz_mask(data: bytes) -> None:
+    """A mask, after as many bytes as there are slots: what earlier masks said of each."""
+    layout, data = LAYOUTS[data[0] % len(LAYOUTS)], data[1:]
+    history = np.frombuffer(data[: layout.num_slots].ljust(layout.num_slots, b"\0"), np.uint8) & 3
+    food = data[layout.num_slots :]
+    birth = SLOT_HEADER.unpack_from(food)[-1] if len(food) >= HEADER_BYTES else 0
+    statuses = decode_mask(layout, birth, food, history)
+    assert len(food) <= layout.max_mask_bytes
+    again = encode_mask(layout, birth, statuses, history).data
+    assert (decode_mask(layout, birth, again, history) == statuses).all()
+
+
+def fuzz_change(data: bytes) -> None:
+    """A change whose counts are as a mask would say, if there are slots for them."""
+    layout, food = LAYOUTS[data[0] % len(LAYOUTS)], data[1:]
+    header = SlotHeader.read(food, Kind.CHANGE)
+    layer = header.layer % layout.num_layers
+    predicted = new = 0
+    if len(food) >= HEADER_BYTES + 8:
+        predicted, new = struct.unpack_from("<II", food, HEADER_BYTES)
+    predicted = min(predicted, layout.slots[layer])
+    new = min(new, layout.slots[layer] - predicted)
+    change = decode_change(layout, layer, header.birth, food, predicted, new)
+    assert len(food) <= layout.max_change_bytes(layer)
+    before = States.zeros(predicted, layout.sh_degree)
+    try:
+        moved = change.predict(before, np.ones(predicted, np.bool_))
+    except CodecError:  # from other states it may be right
+        return
+    encoded = encode_change(layer, header.birth, before, moved, change.new, change.start_offsets)
+    again = decode_change(layout, layer, header.birth, encoded.data, predicted, new)
+    known = np.arange(predicted) % 2 == 0
+    assert again.predict(before, known).positions.tobytes() == (
+        change.predict(before, known).positions.tobytes()
+    )
+    assert again.new.escaped.tobytes() == change.new.escaped.tobytes()
+    assert (again.start_offsets == change.start_offsets).all()
+
+
+def fuzz_snapshot(data: bytes) -> None:
+    """A snapshot of any layer and segment."""
+    layout, food = LAYOUTS[data[0] % len(LAYOUTS)], data[1:]
+    snapshot = decode_snapshot(layout, food)
+    assert len(food) <= layout.max_snapshot_bytes(snapshot.layer)
+    encoded = encode_snapshot(layout, snapshot.layer, snapshot.frame, snapshot.lanes).data
+    again = decode_snapshot(layout, encoded)
+    # A start that has passed is 0 then, and an escape's integers are zeros.
+    assert encode_snapshot(layout, again.layer, again.frame, again.lanes).data == encoded
+    for one, other in zip(snapshot.lanes, again.lanes, strict=True):
+        assert (one.conditions == other.conditions).all()
+        assert one.states.positions.tobytes() == other.states.positions.tobytes()
+
+
+def fuzz_slots(data: bytes) -> None:
+    """A reader to which a script of STEPs happens. What it refuses leaves it as it was."""
+    run_script(data)
+
+
+def run_script(data: bytes) -> int:
+    """How many steps of the script the reader took, of as many as it says."""
+    layout = LAYOUTS[data[0] % len(LAYOUTS)]
+    decoder, at, taken = SlotDecoder(layout), 1, 0
+    while at + STEP.size <= len(data):
+        what, missing, layer, age, size = STEP.unpack_from(data, at)
+        food = data[at + STEP.size : at + STEP.size + size]
+        at += STEP.size + size
+        before, frame = _held(decoder), decoder.frame
+        try:
+            _step(decoder, what % 3, missing, layer, age, food)
+            taken += 1
+        except CodecError:
+            assert (_held(decoder), decoder.frame) == (before, frame)
+        _check(decoder)
+    return taken
+
+
+def _held(decoder: SlotDecoder) -> list[bytes]:
+    return [state_bytes(slots) for lane in decoder.lanes for slots in lane]
+
+
+def _step(decoder: SlotDecoder, what: int, missing: int, layer: int, age: int, food: bytes) -> None:
+    frame = decoder.frame
+    if what == LOAD:
+        decoder.load(food)
+    elif frame is None:
+        raise CorruptError("no snapshot yet")
+    elif what == LATE:
+        decoder.late(frame - age, layer % decoder.num_layers, food)
+    else:
+        parts = _parts(food)[: decoder.num_layers + 1]
+        given = [None if missing >> n & 1 else part for n, part in enumerate(parts)]
+        decoder.apply(frame + 1, given[0] if given else None, given[1:])
+
+
+def _parts(food: bytes) -> list[bytes]:
+    """The parts of a slice: the mask, then the change of each layer."""
+    parts = []
+    at = 0
+    while at + PART.size <= len(food):
+        (size,) = PART.unpack_from(food, at)
+        parts.append(food[at + PART.size : at + PART.size + size])
+        at += PART.size + size
+    return parts
+
+
+def _check(decoder: SlotDecoder) -> None:
+    """What is held can be shown, has a bound, and is what a writer that goes on would send."""
+    if decoder.frame is None:
+        return
+    shown = decoder.window(decoder.frame)
+    assert all(len(part.splats) == decoder.layout.num_slots for part in shown)
+    assert decoder.log_bytes <= MIN_LOG_BYTES
+    known = not any((slots.conditions == UNKNOWN).any() for lane in decoder.lanes for slots in lane)
+    if known and decoder.frame == decoder.layout.segment_start(decoder.frame):
+        other = SlotDecoder(decoder.layout)
+        for chunk in SlotEncoder.resumed(decoder).snapshots():
+            other.load(chunk.data)
+        for mine, its in zip(
+            decoder.window(decoder.frame), other.window(decoder.frame), strict=True
+        ):
+            for a, b in zip(mine.splats.arrays, its.splats.arrays, strict=True):
+                assert a.tobytes() == b.tobytes()
+
+
+def script(layout_number: int, steps: list[Step]) -> bytes:
+    """The food of `fuzz_slots`."""
+    made = bytes([layout_number])
+    for *numbers, food in steps:
+        made += STEP.pack(*numbers, len(food)) + food
+    return made
+
+
+def slice_food(parts: list[bytes]) -> bytes:
+    """A slice in a script: its mask and its changes."""
+    return b"".join(PART.pack(len(part)) + part for part in parts)

@@ -1,0 +1,117 @@
+"""Food for the parsers of version 2, from the project's own encoder."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from codec.coders.coder import Coder, EncodedChunk
+from codec.slots.lattice import States
+from codec.slots.slotencoder import SlotEncoder
+from codec.slots.slotlayout import SlotLayout
+from codec.slots.slotstate import ON_LATTICE
+from codec.slots.update import NEW, PREDICTED, Update
+from codec.splats import Splats, array_shapes
+from codec.stream.index import SegmentRecord, pack_record
+from codec.stream.object import encode_packet, join_packets
+
+from .slots import APPLY, LATE, LAYOUTS, LOAD, Step, script, slice_food
+
+NUM_FRAMES = 6
+
+
+def made_update(encoder: SlotEncoder, rng: np.random.Generator) -> Update:
+    """A valid update that comes next, without a pattern."""
+    layout, birth = encoder.layout, encoder.next_birth
+    lane = encoder.lanes[layout.lane(birth)]
+    conditions = np.concatenate([slots.conditions for slots in lane])
+    statuses = rng.integers(0, 4, layout.num_slots).astype(np.uint8)
+    statuses[(statuses == PREDICTED) & (conditions != ON_LATTICE)] = NEW
+    coded = np.flatnonzero(statuses >= PREDICTED)
+    is_new, count = statuses[coded] == NEW, len(coded)
+    levels = np.repeat([lattice.opacity_levels for lattice in layout.lattices], layout.slots)
+    attributes = rng.integers(0, 256, (count, layout.num_planes - 3)).astype(np.uint8)
+    attributes[:, -1] = rng.integers(0, levels[coded])
+    escaped = is_new & (rng.random(count) < 0.3)
+    shapes = array_shapes(int(escaped.sum()), layout.sh_degree)
+    offsets = rng.integers(0, layout.swin_size, count) * is_new
+    return Update(
+        birth,
+        statuses,
+        States(rng.integers(-400, 400, (count, 3)).astype(np.int32), attributes),
+        offsets.astype(np.uint8),
+        escaped,
+        Splats(*(rng.normal(size=shape).astype(np.float32) + 9 for shape in shapes)),
+    )
+
+
+def made_chunks(
+    layout: SlotLayout,
+) -> tuple[list[EncodedChunk], list[list[EncodedChunk]], dict[int, list[EncodedChunk]]]:
+    """The masks, the changes of each layer, and the snapshots by frame, of a stream."""
+    encoder, rng = SlotEncoder(layout), np.random.default_rng(layout.num_slots)
+    masks: list[EncodedChunk] = []
+    changes: list[list[EncodedChunk]] = []
+    snapshots: dict[int, list[EncodedChunk]] = {}
+    while encoder.next_birth < NUM_FRAMES:
+        encoded = encoder.append(made_update(encoder, rng))
+        if encoded is None:
+            continue
+        masks.append(encoded.mask)
+        changes.append(list(encoded.changes))
+        if encoded.birth == layout.segment_start(encoded.birth):
+            snapshots[encoded.birth] = list(encoder.snapshots())
+    return masks, changes, snapshots
+
+
+def _scripts(number: int) -> Iterator[tuple[str, bytes]]:
+    """What happens to a reader: all in its place, or with much that is missing, late or double."""
+    masks, changes, snapshots = made_chunks(LAYOUTS[number])
+    loads: list[Step] = [(LOAD, 0, 0, 0, chunk.data) for chunk in snapshots[0]]
+    slices = [
+        slice_food([mask.data, *(change.data for change in of_layers)])
+        for mask, of_layers in zip(masks, changes, strict=True)
+    ]
+    whole = [*loads, *((APPLY, 0, 0, 0, food) for food in slices[1:])]
+    yield f"whole-{number}", script(number, whole)
+    torn = list(loads)
+    for birth, food in enumerate(slices[1:], start=1):
+        torn.append((APPLY, 2 if birth < 4 else 1, 0, 0, food))  # the first change, or the mask
+        torn += [(LOAD, 0, 0, 0, chunk.data) for chunk in snapshots.get(birth, [])]
+        if birth == 3:
+            torn += [(LATE, 0, 0, 3 - b, changes[b][0].data) for b in (2, 1, 3, 3)]
+    yield f"torn-{number}", script(number, torn)
+
+
+def made_index() -> bytes:
+    """Two records of two layers of version 2, after the byte that says how many layers."""
+    hashes = bytes(32), b"\1" * 32, b"\2" * 32
+    records = [
+        SegmentRecord(n, 4 * n, 4 - n, (9, 7), hashes[:2], (30.5, math.nan), (5, 4, 3), hashes)
+        for n in range(2)
+    ]
+    return b"\1" + b"".join(map(pack_record, records))
+
+
+def slot_seeds() -> Iterator[tuple[str, str, bytes]]:
+    """(target, what it is, food), as in fuzz/seed.py."""
+    for number, layout in enumerate(LAYOUTS):
+        masks, changes, snapshots = made_chunks(layout)
+        head = bytes([number])
+        # The second mask of a segment is read as if none had come before.
+        history = bytes(layout.num_slots)
+        first = 1 if layout.segment_frames > 1 else 0
+        yield "mask", str(number), head + history + masks[first].data
+        yield "change", str(number), head + changes[-1][-1].data
+        last = snapshots[max(snapshots)]
+        yield "snapshot", str(number), head + last[0].data
+        for what, food in _scripts(number):
+            yield "slots", what, food
+        for coder in Coder:
+            packets = [(mask.birth, encode_packet(mask, coder)) for mask in masks]
+            name = f"{number}-{coder.name.lower()}"
+            yield "slot_object", name, join_packets(packets, coder, 2)
+    yield "slot_index", "two", made_index()
+    yield "sealed_slot_index", "two", made_index()
