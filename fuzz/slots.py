@@ -60,7 +60,7 @@ def fuzz_mask(data: bytes) -> None:
     """A mask, after as many bytes as there are slots: what earlier masks said of each."""
     layout, data = LAYOUTS[data[0] % len(LAYOUTS)], data[1:]
     said = data[: layout.num_slots].ljust(layout.num_slots, b"\0")
-    history = (np.frombuffer(said, np.uint8) & 3).astype(np.uint8)
+    history = np.frombuffer(said, np.uint8) & np.uint8(3)
     food = data[layout.num_slots :]
     birth = SLOT_HEADER.unpack_from(food)[-1] if len(food) >= HEADER_BYTES else 0
     statuses = decode_mask(layout, birth, food, history)

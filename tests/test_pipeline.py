@@ -136,19 +136,21 @@ def frames_of(folder: Path) -> list[np.ndarray]:
     return pictures
 
 
-def test_a_served_stream_shows_what_the_folder_shows(made: Made, tmp_path: Path) -> None:
-    with serving(made.stream) as url:
+@pytest.mark.parametrize("name", ["stream", "lasting"])
+def test_a_served_stream_shows_what_the_folder_shows(name: str, made: Made, tmp_path: Path) -> None:
+    stream: Path = getattr(made, name)
+    with serving(stream) as url:
         for layers in (1, 3):
             played, direct = tmp_path / f"url{layers}", tmp_path / f"folder{layers}"
             common = ("--renderer", "cpu", "--layers", layers, "--camera", "orbit")
             run_ok("swings-play", url, "--capture", played, *common)
-            run_ok("swings-play", made.stream, "--capture", direct, *common)
+            run_ok("swings-play", stream, "--capture", direct, *common)
             ours, theirs = frames_of(played), frames_of(direct)
             assert len(ours) == len(theirs) == FRAMES
             for a, b in zip(ours, theirs, strict=True):
                 assert (a == b).all()
         videos = [tmp_path / "url.mp4", tmp_path / "folder.mp4"]
-        for source, video in zip((url, made.stream), videos, strict=True):
+        for source, video in zip((url, stream), videos, strict=True):
             run_ok("swings-play", source, "--capture", video, "--renderer", "cpu", "--layers", 3)
         assert videos[0].read_bytes() == videos[1].read_bytes()
         mp4 = tmp_path / "out.mp4"
@@ -181,9 +183,10 @@ def test_the_contact_sheet_is_a_picture(made: Made, tmp_path: Path) -> None:
         assert picture.size[0] == 3 * 96
 
 
+@pytest.mark.parametrize("name", ["stream", "lasting"])
 @pytest.mark.parametrize("frame", [0, 4])
-def test_the_renderers_agree_on_a_trained_frame(frame: int, made: Made) -> None:
-    reader = StreamReader(made.stream)
+def test_the_renderers_agree_on_a_trained_frame(frame: int, name: str, made: Made) -> None:
+    reader = StreamReader(getattr(made, name))
     manifest = reader.manifest
     try:
         renderer = GlRenderer(manifest)
@@ -270,15 +273,15 @@ def test_a_wrong_capture_gets_one_line_and_nothing_is_written(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("fault", ["truncated", "altered", "gone", "manifest", "index"])
+@pytest.mark.parametrize("fault", ["truncated", "altered", "gone", "manifest", "index", "masks"])
 @pytest.mark.parametrize("name", ["swings-stream", "swings-eval", "swings-play"])
 def test_a_damaged_stream_gets_one_line(fault: str, name: str, made: Made, tmp_path: Path) -> None:
     stream = tmp_path / "stream"
-    shutil.copytree(made.stream, stream)
-    target = stream / "segments" / "1" / "0"
+    shutil.copytree(made.lasting if fault == "masks" else made.stream, stream)
+    target = stream / "segments" / "1" / ("masks" if fault == "masks" else "0")
     if fault == "truncated":
         target.write_bytes(target.read_bytes()[:-9])
-    elif fault == "altered":
+    elif fault in ("altered", "masks"):
         data = bytearray(target.read_bytes())
         data[len(data) // 2] ^= 1
         target.write_bytes(data)
@@ -298,7 +301,7 @@ def test_a_damaged_stream_gets_one_line(fault: str, name: str, made: Made, tmp_p
         "swings-eval": (stream, made.capture),
         "swings-play": (stream, "--capture", out, "--renderer", "cpu"),
     }
-    word = target.name if target.suffix else str(Path("segments") / "1" / "0")
+    word = target.name if target.suffix else str(Path("segments") / "1" / target.name)
     check_one_line(name, arguments[name], word)
     assert not list(tmp_path.glob("out*"))
 

@@ -24,9 +24,9 @@ def join(find: FindObject, manifest: Manifest, frame: int, decoder: SlotDecoder)
     try:
         for layer in range(decoder.num_layers):
             found = find(segment, snapshot_part(layer))
-            content = found.content(first)
+            snapshot = found.content(first)
             try:
-                decoder.load(content, layer, first)
+                decoder.load(snapshot, layer, first)
             except CodecError as error:
                 raise found.blamed(error, first) from error
         roll(find, manifest, frame, decoder)

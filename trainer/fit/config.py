@@ -51,9 +51,11 @@ class FitConfig:
     together_share: float = 0.1
     """Share of a window's iterations in which all Gaussians of a large cell move together, and
     again the same share for smaller cells. Only where slots are leased."""
+    settle_prefix_share: float = 0.25
+    """Share of the iterations in which genesis settles that render only the first layers, so that
+    these do without the others. Only where slots are leased."""
     prefix_share: float = 0.1
-    """Share of the iterations that render only the first layers, so that these do without the
-    others. Only where slots are leased."""
+    """The same of later windows."""
     seed: int = 0
     """Seed of every random choice."""
     optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
@@ -85,6 +87,7 @@ class FitConfig:
             "calm_from",
             "prefix_share",
             "settle_renew_share",
+            "settle_prefix_share",
         ):
             if not 0 <= getattr(self, name) <= 1:
                 raise InvalidError(f"{name} {getattr(self, name):g}: choose 0 to 1")

@@ -162,6 +162,16 @@ class Generations:
         if self.leases is not None:
             self.leases.is_other[rows] = True
 
+    def trade(self, rows: Ints, others: Ints) -> None:
+        """Gaussians in training change places: those of `rows` with those of `others`."""
+        order = np.arange(self.num_gs)
+        order[rows], order[others] = others, rows
+        for array in self.values.arrays:
+            array[: self.num_gs] = array[: self.num_gs][order]
+        self.adam.permute(order)
+        if self.leases is not None:
+            self.leases.is_other[rows] = self.leases.is_other[others] = True
+
     def _read(self, rows: slice | Ints) -> Splats:
         return Splats(*(array[rows].copy() for array in self.values.arrays))
 

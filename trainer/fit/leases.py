@@ -26,6 +26,9 @@ Ints = npt.NDArray[np.int32]
 Flags = npt.NDArray[np.bool_]
 Doubles = npt.NDArray[np.float64]
 
+TRADE_GAIN = 4.0
+"""How many times as much a Gaussian of a higher layer must contribute to be worth a trade."""
+
 LEAST_SHOWN = 1 / 255
 """Opacity below which recipe v1 draws nothing."""
 
@@ -39,7 +42,10 @@ class LeaseConfig:
     refresh_share: float = 0.02
     """Share of a slice's slots, those whose lease is the oldest, that is trained in any case, so
     that the still part of a scene goes on learning."""
-    hold: float = 0.5
+    trade_share: float = 0.001
+    """Share of a slice's slots that may change places with one of a higher layer that contributes
+    much more: both are sent anew, so it costs twice what a new Gaussian takes."""
+    hold: float = 0.75
     """A value within so many steps of the one that a player has is not sent: 0.5 rounds to the
     nearest; more makes a stream smaller and coarser."""
     bytes_per_frame: float | None = None
@@ -47,7 +53,7 @@ class LeaseConfig:
     slice may have at most."""
 
     def __post_init__(self) -> None:
-        for name in ("active_share", "refresh_share"):
+        for name in ("active_share", "refresh_share", "trade_share"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InvalidError(f"{name} {getattr(self, name):g}: choose 0 to 1")
         if self.bytes_per_frame is not None and not self.bytes_per_frame > 0:
@@ -148,6 +154,25 @@ class Leases:
             for layer, slots in enumerate(self.slots)
         ]
         return np.concatenate(parts).astype(np.int32)
+
+    def trades(self, rows: Ints, contributions: npt.NDArray[np.float32]) -> tuple[Ints, Ints]:
+        """Pairs of `rows`, the slots of one slice, that had better change places: the first of each
+        lies in a lower layer than the second, which contributes over TRADE_GAIN times as much. At
+        most `trade_share` of the slice, those that gain most first."""
+        most = round(self.config.trade_share * len(rows))
+        low, high = (np.zeros(0, np.int32) for _ in range(2))
+        layers = self.layers[rows]
+        for layer in range(len(self.slots) - 1):
+            below, above = np.flatnonzero(layers == layer), np.flatnonzero(layers > layer)
+            above = above[~np.isin(rows[above], high)]
+            count = min(most - len(low), len(below), len(above))
+            least = below[np.argsort(contributions[below], kind="stable")[:count]]
+            best = above[np.argsort(-contributions[above], kind="stable")[:count]]
+            worth = contributions[best] > TRADE_GAIN * contributions[least]
+            worth &= self.is_shown[rows[best]]
+            low = np.concatenate([low, rows[least[worth]]])
+            high = np.concatenate([high, rows[best[worth]]])
+        return low.astype(np.int32), high.astype(np.int32)
 
     def mature(
         self, birth: int, lane: slice, is_active: Flags, splats: Splats, start_offsets: Ints

@@ -32,6 +32,7 @@ from .generations import Generations
 from .leases import Leases
 from .optimiser import GATE_STEEPNESS, add_noise
 from .renew import Comparer, missing_splats
+from .schedule import Schedule
 from .together import cells_of, move_together
 
 Floats = npt.NDArray[np.float32]
@@ -49,7 +50,9 @@ LAYERED_FROM = 0.6
 """Share of genesis after which layers are told apart, and trained to do without those above, if it
 does not settle: otherwise they are as the first round begins."""
 
-TOGETHER_SIZES = (0.1, 0.03)
+TOGETHER_SIZES = (0.05, 0.02)
+"""Sides of the cells in which Gaussians move together, one after the other, over the scene's
+extent."""
 
 PROGRESS_PERIOD = 20
 """Iterations between two reports of progress."""
@@ -94,27 +97,6 @@ class Observer:
 
     def window_ended(self, first_frame: int) -> None:
         """The window's slices have been taken, and the next window has been asked for."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Schedule:
-    """What differs between genesis and the windows after it."""
-
-    iterations: int
-    half_until: float  # the iteration from which on shots are whole
-    means_lr: float  # at the beginning, times the scene's extent
-    means_lr_end: float  # the same at the end
-    noise_lr: float
-
-    def calm(self, iteration: int, calm_from: float, end: float) -> float:
-        """What the learning rates but that of positions are multiplied by."""
-        done = iteration / self.iterations
-        return float(end ** ((done - calm_from) / (1 - calm_from))) if done > calm_from else 1.0
-
-    def means_lr_m(self, iteration: int, extent_m: float) -> float:
-        """The learning rate of positions, which falls log-linearly."""
-        decay = self.means_lr_end / self.means_lr
-        return float(extent_m * self.means_lr * decay ** (iteration / self.iterations))
 
 
 def scene_extent_m(cameras: Sequence[Camera]) -> float:
@@ -180,17 +162,15 @@ class Trainer:
             end = min(first_frame + self._config.swin_size, self._pictures.num_frames)
             frames = range(first_frame, end)
             if first_frame == 0:
-                self._train(frames, self._genesis_schedule())
+                self._train(frames, Schedule.genesis(self._config, self._coarse_share))
                 for done in range(self._config.settle_rounds):
                     self._renew(0)
                     rate = self._config.optimiser.settle_means_lr
-                    self._train(frames, self._window_schedule(rate), done)
-                if self._leases is not None and not self._config.prefix_share:
-                    self._leases.rank(self._contributions(0))
+                    self._train(frames, Schedule.window(self._config, rate), done)
                 self._generations.stagger(self._rng)
             else:
                 rate = self._config.optimiser.window_means_lr
-                self._train(frames, self._window_schedule(rate))
+                self._train(frames, Schedule.window(self._config, rate))
             self._next_window += 1
             if self._leases is None:
                 yield Window(frames, tuple(self._generations.mature(self._next_window)))
@@ -259,28 +239,7 @@ class Trainer:
         self._rng.bit_generator.state = json.loads(state["random"].tobytes())
         self._next_window, self._steps = (int(n) for n in state["counters"])
 
-    def _genesis_schedule(self) -> _Schedule:
-        config, rates = self._config, self._config.optimiser
-        return _Schedule(
-            config.genesis_iterations,
-            self._coarse_share * config.genesis_iterations,
-            rates.means_lr,
-            rates.means_lr_end,
-            config.mcmc.noise_lr,
-        )
-
-    def _window_schedule(self, means_lr: float) -> _Schedule:
-        """That of a window whose learning rate of positions begins at `means_lr`."""
-        config, rates = self._config, self._config.optimiser
-        return _Schedule(
-            config.window_iterations,
-            0,
-            means_lr,
-            means_lr * rates.window_means_lr_end / rates.window_means_lr,
-            config.mcmc.window_noise_lr,
-        )
-
-    def _train(self, frames: range, schedule: _Schedule, settled: int | None = None) -> None:
+    def _train(self, frames: range, schedule: Schedule, settled: int | None = None) -> None:
         """Optimises the current generation on the frames of a window. settled: the rounds that
         genesis has settled for already."""
         config, generations = self._config, self._generations
@@ -292,11 +251,11 @@ class Trainer:
             generations.adam.reset(np.arange(config.num_gs))
         last_frame = frames[-1]
         layered_from = schedule.iterations
-        if self._leases is not None and config.prefix_share:
+        if self._leases is not None and len(self._leases.slots) > 1:
             if not genesis or settled is not None:
                 layered_from = 0
             elif not config.settle_rounds:
-                layered_from = round(LAYERED_FROM * schedule.iterations)
+                layered_from = int(LAYERED_FROM * schedule.iterations)
         # Neither genesis nor the last windows of a video.
         brings_new = not genesis and len(frames) == config.swin_size
         if brings_new:
@@ -323,9 +282,10 @@ class Trainer:
             rows = active[frame]
             if genesis and self._leases and not settled and iteration == layered_from:
                 self._leases.rank(self._contributions(0))
-            if iteration >= layered_from and self._rng.random() < config.prefix_share:
+            share = config.settle_prefix_share if genesis else config.prefix_share
+            if iteration >= layered_from and self._rng.random() < share:
                 rows = self._prefix(rows)
-            calm = schedule.calm(iteration, config.calm_from, config.calm_end)
+            calm = schedule.calm(iteration)
             means_lr_m = schedule.means_lr_m(iteration, self._extent_m)
             noise = schedule.noise_lr * means_lr_m
             cells = None
@@ -381,7 +341,9 @@ class Trainer:
         """Those of `rows` that lie in the first layers, at random how many of them."""
         leases = self._leases
         assert leases is not None
-        layers = int(self._rng.integers(1, len(leases.slots)))
+        # All but the last layer alone lack little, and learn with the whole.
+        chances = np.minimum(np.arange(len(leases.slots) - 1, 0, -1), 2)
+        layers = 1 + int(self._rng.choice(len(chances), p=chances / chances.sum()))
         return rows[leases.layers[rows % self._config.num_gs] < layers]
 
     def _renew(self, frame: int) -> None:
@@ -423,11 +385,14 @@ class Trainer:
             slots = rows % config.num_gs
             mine = (slots >= lane.start) & (slots < lane.stop)
             active = leases.choose(slots[mine], scores[mine])
+            traded = leases.trades(slots[mine], contributions[mine])
+            generations.trade(*traded)
             least = leases.least(slots[mine], contributions[mine], config.mcmc.renew_share)
+            least = least[~np.isin(least, traded[0])]  # those matter now
         found = missing_splats(
             seen, len(least), self._near_m, self._far_m, config.sh_degree, self._rng
         )
         if leases is not None:
             least = self._rng.permutation(least).astype(np.int32)
-            lifespans.take_up(np.union1d(active, least[: len(found)]))
+            lifespans.take_up(np.unique(np.concatenate([active, *traded, least[: len(found)]])))
         generations.place(least[: len(found)], found, frame)

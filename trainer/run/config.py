@@ -84,19 +84,24 @@ class TrainConfig:
             raise InvalidError("name the folder to write the stream to, or --check PNG")
         if self.point_share is not None and not 0 <= self.point_share <= 1:
             raise InvalidError(f"point_share {self.point_share:g}: choose 0 to 1")
-        if self.profile is Profile.LATTICE:
-            if self.raw_stream is not None:
-                raise InvalidError(
-                    "--raw-stream shows what a profile costs, and with lattice the trainer sees "
-                    "nothing else; train with --profile compact"
-                )
-            if self.rank != "contribution":
-                raise InvalidError(
-                    f"--rank {self.rank} orders slices that are sent whole; with profile lattice "
-                    "slots are ranked by contribution"
-                )
         if self.snapshot_every < 0:
             raise InvalidError(f"snapshot_every {self.snapshot_every}: choose 0 or more")
+
+    def check_profile(self) -> None:
+        """Raises InvalidError for an option that the profile leaves without a meaning. Not part of
+        making a config, where the parser of the command line would put a box around the line."""
+        if self.profile is not Profile.LATTICE:
+            return
+        if self.raw_stream is not None:
+            raise InvalidError(
+                "--raw-stream shows what a profile costs, and with lattice the trainer sees "
+                "nothing else; train with --profile compact"
+            )
+        if self.rank != "contribution":
+            raise InvalidError(
+                f"--rank {self.rank} orders slices that are sent whole, and with lattice slots "
+                "are ranked by contribution; leave it out, or train with --profile compact"
+            )
 
     @property
     def target(self) -> Path:

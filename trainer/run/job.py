@@ -59,6 +59,7 @@ def train_stream(
     Raises SwingsError before anything is written when the capture or the settings cannot work; what
     stops it later leaves a valid, shorter stream and a checkpoint to resume from.
     """
+    config.check_profile()
     targets = check_targets(config)
     prepared = prepare(config)
     settings = shared_settings(config, prepared)

@@ -346,6 +346,19 @@ def test_what_a_faulty_writer_would_do_is_named(stream: Path, tmp_path: Path) ->
         verify_stream(stream)
 
 
+@pytest.mark.parametrize("part", [MASKS, "0", snapshot_part(0)])
+def test_a_packet_that_was_altered_is_named_once(stream: Path, part: str) -> None:
+    (birth, packet), *others = packets_of(stream, 0, part)
+    put_part(stream, 0, part, [(birth, packet[:-1] + bytes([packet[-1] ^ 1])), *others])
+    with pytest.raises(CorruptError, match="checksum") as caught:
+        verify_stream(stream)
+    assert str(caught.value).count("segments") == 1
+    if part == snapshot_part(0):
+        with pytest.raises(CorruptError, match="checksum") as caught:
+            StreamReader(stream).window(0, 1)
+        assert str(caught.value).count("segments") == 1
+
+
 def test_summary(whole: Path) -> None:
     summary = summarise(whole)
     on_disk = sum(len(data) for data in files(whole).values())

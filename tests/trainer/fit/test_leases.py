@@ -18,6 +18,7 @@ from player.render.cpu import render_splats
 from trainer.fit.budget import ByteBudget
 from trainer.fit.changescores import ChangeScores
 from trainer.fit.config import FitConfig
+from trainer.fit.generations import Generations
 from trainer.fit.leases import LeaseConfig, Leases
 from trainer.fit.mcmc import McmcConfig
 from trainer.fit.trainer import Trainer
@@ -225,3 +226,27 @@ def test_a_trainer_keeps_to_the_bytes_that_it_may_send() -> None:
     assert active[0] >= 80  # of 90: all that show something
     assert max(active[1:]) <= 20 + 5  # the price is 5 at first; renewal comes on top
     assert min(active[1:]) >= 5
+
+
+def test_a_gaussian_that_matters_comes_into_a_lower_layer() -> None:
+    leases = Leases(LeaseConfig(trade_share=0.2), layout(1, 4, 3, 3))
+    leases.is_shown[:] = True
+    contributions = np.array([9, 1, 9, 9, 5, 3, 5, 8, 3.9, 9], np.float32)
+    rows = np.arange(10, dtype=np.int32)
+    low, high = leases.trades(rows, contributions)
+    assert (low.tolist(), high.tolist()) == ([1], [9])  # 8 is not over four times 3
+    leases.is_shown[9] = False
+    assert leases.trades(rows, contributions)[0].tolist() == []
+
+
+def test_who_changes_places_takes_everything_along() -> None:
+    leases = Leases(LeaseConfig(), layout(1, 50, 40))
+    generations = Generations(config(1), start(), leases)
+    leases.is_other[:] = False
+    generations.adam.steps[:] = np.arange(90)
+    before = [array[:90].copy() for array in generations.values.arrays]
+    generations.trade(np.array([3, 7]), np.array([60, 80]))
+    for was, now in zip(before, generations.values.arrays, strict=True):
+        assert (now[[3, 7, 60, 80]] == was[[60, 80, 3, 7]]).all()
+    assert generations.adam.steps[[3, 60]].tolist() == [60, 3]
+    assert np.flatnonzero(leases.is_other).tolist() == [3, 7, 60, 80]

@@ -9,7 +9,10 @@ from pathlib import Path
 import pytest
 
 from codec.profiles.profile import Profile
+from codec.stream import StreamReader
+from codec.stream.manifest import VERSION
 from tests.support.commands import run, run_ok
+from tests.support.tiny_capture import write_dynerf
 from trainer.fit.config import FitConfig
 from trainer.run.config import TrainConfig
 from trainer.run.preset import PRESETS, parse_with_preset
@@ -55,3 +58,56 @@ def test_help_shows_the_defaults_of_a_preset_and_completion_knows_every_option()
         assert "(default: paper)" in told or not arguments
     completion = run_ok("swings-train", "--tyro-print-completion", "bash", "--preset", "paper")
     assert "--genesis-iterations" in completion
+
+
+def test_preset_paper_is_the_papers_training_and_version_1(tmp_path: Path) -> None:
+    config = parse("--preset", "paper")
+    fit = config.fit
+    assert config.profile is Profile.PAPER
+    assert (fit.num_gs, fit.swin_size, fit.sh_degree) == (200_000, 5, 1)
+    assert (fit.genesis_iterations, fit.window_iterations) == (30_000, 2_000)
+    # What the paper does not have: settling, calm, renewal.
+    assert (fit.settle_rounds, fit.calm_from, fit.mcmc.renew_share) == (0, 1.0, 0.0)
+    assert fit.iterations(0) == 30_000
+    write_dynerf(tmp_path / "capture", num_cameras=4, num_frames=3)
+    stream = tmp_path / "stream"
+    run_ok(
+        "swings-train", tmp_path / "capture", stream, "--preset", "paper", "--num-gs", 100,
+        "--genesis-iterations", 5, "--window-iterations", 2,
+    )  # fmt: skip
+    reader = StreamReader(stream)
+    manifest = reader.manifest
+    assert (manifest.version, manifest.profile, manifest.swin_size) == (VERSION, Profile.PAPER, 5)
+    assert (manifest.slots, manifest.lattice) == ((), ())
+    # Nothing is leased: every slice is sent whole.
+    for birth in reader.births:
+        part = reader.slice(birth, manifest.num_layers)
+        assert part.rows is None
+        assert len(part.splats) == 20
+    assert {p.name for p in (stream / "segments/0").iterdir()} == set("0123")
+
+
+def test_without_a_preset_slots_last() -> None:
+    config = parse()
+    assert config.profile is Profile.LATTICE
+    assert config.fit.swin_size == 1
+    assert 0 < config.fit.lease.active_share < 1
+
+
+@pytest.mark.parametrize(
+    ("more", "word"),
+    [
+        (("--raw-stream", "raw"), "--raw-stream"),
+        (("--rank", "opacity"), "--rank opacity"),
+        (("--rank", "coverage"), "--rank coverage"),
+        (("--profile", "lattice", "--preset", "paper"), "--rank opacity"),
+    ],
+)
+def test_what_slots_cannot_do_is_one_line(more: Sequence[str], word: str, tmp_path: Path) -> None:
+    write_dynerf(tmp_path / "capture", num_cameras=4, num_frames=3)
+    done = run("swings-train", tmp_path / "capture", tmp_path / "out", *more)
+    assert done.returncode == 1
+    (line,) = done.stderr.strip().splitlines()
+    assert line.startswith("swings-train: ")
+    assert word in line
+    assert [path.name for path in tmp_path.iterdir()] == ["capture"]

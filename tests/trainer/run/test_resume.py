@@ -8,14 +8,20 @@ import subprocess
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from codec.errors import InvalidError
+from codec.slice import Slice
+from codec.slots.update import Update
 from codec.stream import StreamReader
 from tests.support.commands import command, environment, run, run_ok
+from tests.support.slots.updates import patternless_updates, small_layout
 from tests.support.tiny_capture import write_dynerf
+from tests.support.tiny_stream import tiny_slice
 from trainer.errors import CheckpointError
 from trainer.run.checkpoint import CHECKPOINT_NAME, load_checkpoint, save_checkpoint
 from trainer.run.runlog import LOG_NAME
@@ -62,7 +68,8 @@ def contents(stream: Path) -> dict[str, bytes]:
 
 def trained_whole(capture: Path, kind: str) -> Whole:
     stream = capture.parent / f"whole {kind}"
-    run_ok("swings-train", capture, stream, *SETTINGS_OF[kind])
+    if not stream.exists():
+        run_ok("swings-train", capture, stream, *SETTINGS_OF[kind])
     assert not (stream / CHECKPOINT_NAME).exists()
     assert StreamReader(stream).manifest.has_slots == (kind != "compact")
     return Whole(SETTINGS_OF[kind], contents(stream))
@@ -180,6 +187,34 @@ def test_a_damaged_checkpoint_is_told(tmp_path: Path) -> None:
         path.write_bytes(data[:size])
         with pytest.raises(CheckpointError):
             load_checkpoint(path, {"seed": 1})
+
+
+@pytest.mark.parametrize("sh_degree", [0, 1])
+def test_updates_come_back_from_a_checkpoint(sh_degree: int, tmp_path: Path) -> None:
+    path = tmp_path / CHECKPOINT_NAME
+    layout = small_layout(2, (9, 6), sh_degree, 4)
+    updates = patternless_updates(layout, 5, wild=True)
+    assert any(len(update.escapes) for update in updates)
+    updates.append(Update.keeping(5, layout))  # nothing but zeros
+    slices = [tiny_slice(birth) for birth in (-1, 0)]
+    save_checkpoint(path, {}, [*slices, *updates], {})
+    found = load_checkpoint(path, {}).pending
+    assert [part.birth for part in found] == [-1, 0, *(update.birth for update in updates)]
+    for part, before in zip(found, [*slices, *updates], strict=True):
+        assert type(part) is type(before)
+        for mine, theirs in zip(arrays_of(part), arrays_of(before), strict=True):
+            assert mine.dtype == theirs.dtype
+            assert np.array_equal(mine, theirs)
+
+
+def arrays_of(part: Slice | Update) -> list[npt.NDArray[Any]]:
+    """All that it holds but its birth."""
+    if isinstance(part, Slice):
+        return [*part.splats.arrays, part.start_offsets]
+    return [
+        part.statuses, part.states.positions, part.states.attributes, part.start_offsets,
+        part.escaped, *part.escapes.arrays,
+    ]  # fmt: skip
 
 
 def test_the_run_that_compiles_the_kernels_writes_the_same_bytes(

@@ -48,8 +48,16 @@ def test_a_run_logs_every_frame_and_draws_snapshots(tmp_path: Path) -> None:
     assert all(r["iterations_per_s"] > 0 for r in records)
     assert records[-1]["left_s"] == 0 < records[0]["left_s"]
     assert records[-1]["psnr_db"] > 5
-    on_disk = sum(f.stat().st_size for f in (stream / "segments").rglob("*") if f.is_file())
-    assert records[-1]["bytes_per_frame"] <= on_disk
+    # Of the segments that are whole by then: no snapshot but those of frame 0.
+    for frame in (1, 3):
+        played = sum(
+            file.stat().st_size
+            for segment in range(frame // 2 + 1)
+            for file in (stream / "segments" / str(segment)).iterdir()
+            if segment == 0 or not file.name.startswith("snapshot")
+        )
+        assert records[frame]["bytes_per_frame"] == round(played / (frame + 1))
+    assert any((stream / "segments" / "1").glob("snapshot-*"))
     assert sorted(p.name for p in (stream / "snapshots").iterdir()) == [
         f"{frame:06d}.png" for frame in (0, 2, 4)
     ]

@@ -1,0 +1,279 @@
+"""What slots that last are worth: leases off and on, how much is active, prediction, and what else
+was chosen for them.
+
+Usage: scripts/bench leases CAPTURE --out docs/leases.png
+
+One choice is changed at a time. Every setting is trained once per seed and scored from its decoded
+files on the held-out cameras; finished runs are kept as JSON in --work, as those of `scripts/bench
+ablate` are. kB a frame is what a slice takes, mask and changes: that is what the stream takes over
+time. What frame 0 begins with, the snapshots, stands beside it. "unpredicted" is what the same
+slices would take if every Gaussian that they send were coded by itself, as a new one.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
+import matplotlib.axes
+import matplotlib.backends.backend_agg
+import matplotlib.figure
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from bench.ablate import Outcomes, Setting, TrialsConfig, mean, measure, spread
+from codec.console import run_command
+from codec.errors import InvalidError
+from codec.profiles.profile import Profile
+from codec.slots.lattice import Bytes, States
+from codec.slots.slotdecoder import SlotDecoder
+from codec.slots.slotencoder import SlotEncoder
+from codec.slots.slotstate import ESCAPED
+from codec.slots.update import NEW, PREDICTED, Update
+from codec.splats import Splats
+from codec.stream import StreamReader
+from codec.stream.manifest import MASKS
+from codec.stream.object import encode_packet
+from trainer.fit.config import FitConfig
+
+COLOURS = ("#1f5fbf", "#d9480f", "#2b8a3e", "#862e9c", "#0b7285", "#a61e4d", "#5c940d", "#b8860b")
+"""Of the choices."""
+CHOSEN = "as chosen"
+"""The name of the setting that others change."""
+NO_LEASES = ", no leases"
+
+
+@dataclass(frozen=True)
+class LeasesConfig(TrialsConfig):
+    """Trains a capture with one choice of version 2 changed at a time; tabulates and draws what it
+    gives."""
+
+    seeds: int = 1
+    """Runs of each setting, by seed; their spread tells which differences mean something."""
+    out: Path = Path("docs/leases.png")
+    """The plot to write."""
+    num_gs: int = 10_000
+    """Gaussians active in a frame, if nothing else is said."""
+    settle_rounds: int = 6
+    """How often genesis settles, if nothing else is said."""
+    active_shares: tuple[float, ...] = (1.0, 0.5, 0.15)
+    """Share of a slice that is trained and sent; 1 switches leases off."""
+    swin_sizes: tuple[int, ...] = (2, 5)
+    """Frames that a lease lasts."""
+    sizes: tuple[int, ...] = (5_000, 20_000)
+    """Gaussians active in a frame."""
+    settlings: tuple[int, ...] = (0, 12)
+    """How often genesis settles."""
+    together_shares: tuple[float, ...] = (0.0,)
+    """Share of a window in which all Gaussians of a large cell move as one."""
+    prefix_shares: tuple[float, ...] = (0.0, 0.3)
+    """Share of a later window's iterations that render only the first layers."""
+    settle_prefix_shares: tuple[float, ...] = (0.0, 0.5)
+    """The same while genesis settles."""
+    holds: tuple[float, ...] = (0.5, 1.5)
+    """Steps that a value may be off before it is sent."""
+
+
+def settings(config: LeasesConfig) -> list[Setting]:
+    """The chosen one, then each choice with its other values."""
+    base = FitConfig(
+        num_gs=config.num_gs,
+        genesis_iterations=config.genesis_iterations,
+        settle_rounds=config.settle_rounds,
+        window_iterations=config.window_iterations,
+    )
+
+    def lease(**changed: float) -> FitConfig:
+        return replace(base, lease=replace(base.lease, **changed))
+
+    choices: dict[str, dict[float, FitConfig]] = {
+        "active_share": {share: lease(active_share=share) for share in config.active_shares},
+        "swin_size": {size: replace(base, swin_size=size) for size in config.swin_sizes},
+        "num_gs": {size: replace(base, num_gs=size) for size in config.sizes},
+        "settle_rounds": {n: replace(base, settle_rounds=n) for n in config.settlings},
+        "together_share": {s: replace(base, together_share=s) for s in config.together_shares},
+        "prefix_share": {s: replace(base, prefix_share=s) for s in config.prefix_shares},
+        "settle_prefix_share": {
+            s: replace(base, settle_prefix_share=s) for s in config.settle_prefix_shares
+        },
+        "hold": {steps: lease(hold=steps) for steps in config.holds},
+    }
+    found = [Setting(CHOSEN, CHOSEN, base, Profile.LATTICE)]
+    for choice, values in choices.items():
+        for value, fit in values.items():
+            name = f"{choice} {value:,g}"
+            if fit.lease.active_share == 1:
+                name += NO_LEASES
+            if all(fit != other.fit for other in found):
+                found.append(Setting(choice, name, fit, Profile.LATTICE))
+    return found
+
+
+def recoded(reader: StreamReader, predicts: bool = False) -> Iterator[list[bytes]]:
+    """The packets of each slice from frame 1 on, mask first: as they are, or as they would be if
+    all that is predicted were new."""
+    manifest = reader.manifest
+    decoder = reader.decoder_at(0, manifest.num_layers)
+    for birth in range(1, reader.num_frames):
+        mask, *changes = (
+            reader.read_object(manifest.segment_of(birth), part).content(birth)
+            for part in (MASKS, *range(manifest.num_layers))
+        )
+        encoder = SlotEncoder.resumed(decoder)
+        statuses = decoder.statuses(birth, mask, changes)
+        decoder.apply(birth, mask, changes)
+        update = told_update(decoder, birth, statuses)
+        if not predicts:
+            statuses = np.where(statuses == PREDICTED, NEW, statuses).astype(np.uint8)
+            update = replace(update, statuses=statuses)
+        encoded = encoder.encode(update)
+        assert encoded is not None  # nothing is born before frame 0 here
+        yield [encode_packet(chunk) for chunk in (encoded.mask, *encoded.changes)]
+
+
+def told_update(decoder: SlotDecoder, birth: int, statuses: Bytes) -> Update:
+    """What a writer was told of the slice that `decoder`, which holds all layers, applied last."""
+    layout = decoder.layout
+    states, starts, escaped, escapes = [], [], [], []
+    for layer, slots in enumerate(decoder.lanes[layout.lane(birth)]):
+        part = statuses[layout.row_edges[layer] : layout.row_edges[layer + 1]]
+        sent = np.flatnonzero(part >= PREDICTED)
+        states.append(slots.states.take(sent))
+        starts.append(slots.starts[sent])
+        escaped.append(slots.conditions[sent] == ESCAPED)
+        order = np.argsort(slots.escape_rows, kind="stable")
+        order = order[np.isin(slots.escape_rows[order], sent)]
+        escapes.append(slots.escapes.take(order))
+    return Update(
+        birth,
+        statuses,
+        States.concatenate(states),
+        np.concatenate(starts),
+        np.concatenate(escaped),
+        Splats.concatenate(escapes),
+    )
+
+
+def examine(reader: StreamReader) -> dict[str, float]:
+    """Bytes of a slice without prediction, and of the snapshots of frame 0."""
+    without = [sum(map(len, packets)) for packets in recoded(reader)]
+    return {
+        "unpredicted_bytes": sum(without) / max(len(without), 1),
+        "first_bytes": sum(reader.records[0].side_bytes[1:]),
+    }
+
+
+def table_of(outcomes: Outcomes) -> Table:
+    """Means over the seeds; differences are to the chosen setting, seed by seed."""
+    table = Table(box=box.MARKDOWN)
+    table.add_column("setting", no_wrap=True)
+    for name in (
+        "PSNR dB", "dB to chosen", "moving dB", "flicker", "kB a frame", "unpredicted",
+        "frame 0 kB", "dB of 1, 2, ... layers", "seconds",
+    ):  # fmt: skip
+        table.add_column(name, justify="right")
+    chosen = next(iter(outcomes.values()))
+    for setting, found in outcomes.items():
+        gains_db = [o.psnr_db - c.psnr_db for o, c in zip(found, chosen, strict=True)]
+        layers_db = np.mean([o.layers_db for o in found], axis=0)
+        table.add_row(
+            setting.name,
+            spread([o.psnr_db for o in found], ".2f"),
+            "-" if found is chosen else spread(gains_db, "+.2f"),
+            known_mean([o.moving_db for o in found], ".2f"),
+            known_mean([o.flicker for o in found], ".3f"),
+            f"{mean([o.bytes_per_frame for o in found]) / 1e3:.1f}",
+            f"{mean([o.more['unpredicted_bytes'] for o in found]) / 1e3:.1f}",
+            f"{mean([o.more['first_bytes'] for o in found]) / 1e3:.1f}",
+            " ".join(f"{db:.1f}" for db in layers_db[:-1]),
+            f"{mean([o.seconds for o in found]):.0f}",
+        )
+    return table
+
+
+def known_mean(values: Sequence[float | None], form: str) -> str:
+    """Of those that are there."""
+    known = [value for value in values if value is not None]
+    return format(mean(known), form) if known else "-"
+
+
+def draw(outcomes: Outcomes, config: LeasesConfig) -> None:
+    figure = matplotlib.figure.Figure(figsize=(11, 5.4), layout="constrained")
+    matplotlib.backends.backend_agg.FigureCanvasAgg(figure)
+    rates, layers = figure.subplots(1, 2, width_ratios=(3, 2))
+    draw_rates(rates, outcomes)
+    draw_layers(layers, outcomes)
+    for axes in (rates, layers):
+        axes.set_ylabel("PSNR, dB, held-out cameras")
+        axes.margins(x=0.12, y=0.12)
+        axes.grid(alpha=0.3)
+    seeds = f", mean of {config.seeds} seeds" if config.seeds > 1 else ""
+    figure.suptitle(
+        f"{config.capture.resolve().name} at {config.scale:g}, frames {config.frames}, "
+        f"{config.genesis_iterations:,} + {config.settle_rounds} times "
+        f"{config.window_iterations:,}, then {config.window_iterations:,} iterations{seeds}",
+        fontsize=11,
+    )
+    handles, names = rates.get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=4, fontsize=9)
+    config.out.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(config.out, dpi=120, metadata={"Software": None})
+
+
+def draw_rates(axes: matplotlib.axes.Axes, outcomes: Outcomes) -> None:
+    """A point for each setting, joined with the chosen one by choice."""
+    points = {
+        setting: (mean([o.bytes_per_frame for o in found]) / 1e3, mean([o.psnr_db for o in found]))
+        for setting, found in outcomes.items()
+    }
+    chosen = next(iter(outcomes))
+    for number, group in enumerate(dict.fromkeys(s.group for s in outcomes)):
+        mine = [setting for setting in outcomes if setting.group == group]
+        colour = "black" if group == CHOSEN else COLOURS[(number - 1) % len(COLOURS)]
+        line = sorted(points[setting] for setting in {chosen, *mine})
+        axes.plot(
+            *zip(*line, strict=True), "-", color=colour, linewidth=1, zorder=1 + (group == CHOSEN)
+        )
+        axes.plot(
+            *zip(*(points[setting] for setting in mine), strict=True), "o", color=colour,
+            markersize=6, label=group, zorder=3,
+        )  # fmt: skip
+        for setting in mine:
+            axes.annotate(
+                setting.name.removeprefix(group).removesuffix(NO_LEASES), points[setting],
+                xytext=(5, 4), textcoords="offset points", fontsize=8, color=colour,
+            )  # fmt: skip
+    axes.set_xlabel("kB a frame after frame 0")
+    axes.set_title("a point for each setting", fontsize=10)
+
+
+def draw_layers(axes: matplotlib.axes.Axes, outcomes: Outcomes) -> None:
+    """PSNR by number of layers: what training on the first layers is worth."""
+    for setting, found in outcomes.items():
+        if setting.group not in (CHOSEN, "prefix_share", "settle_prefix_share"):
+            continue
+        y_db = np.mean([o.layers_db for o in found], axis=0)
+        x = range(1, len(y_db) + 1)
+        axes.plot(x, y_db, "-o", markersize=4, linewidth=1.2, label=setting.name)
+    axes.legend(fontsize=8)
+    axes.set_xticks(range(1, 1 + len(next(iter(outcomes.values()))[0].layers_db)))
+    axes.set_xlabel("layers")
+    axes.set_title("with the first layers only", fontsize=10)
+
+
+def run(config: LeasesConfig) -> None:
+    if config.seeds < 1:
+        raise InvalidError("name at least one seed")
+    outcomes = measure(config, settings(config), examine)
+    Console(width=150).print(table_of(outcomes))
+    draw(outcomes, config)
+
+
+if __name__ == "__main__":
+    run_command(LeasesConfig, run, "scripts/bench leases", "Compares the choices of version 2.")
