@@ -36,10 +36,10 @@ from codec.errors import CodecError
 from codec.interop.formats import decode_any
 from codec.interop.spz import ENTRY, HEADER_V4, decode_spz
 from codec.profiles.profile import Profile
+from codec.slots.slotlayout import MAX_LAYERS
 from codec.splats import Splats
 from codec.stream.chunk import decode_chunk, encode_chunk
 from codec.stream.index import CHECKSUM, pack_record, parse_index, record_bytes
-from codec.stream.layers import MAX_LAYERS
 from codec.stream.manifest import SLOTS_VERSION, Manifest
 from codec.stream.object import decode_object, decode_packet, object_packets, read_object_table
 from codec.stream.playrecord import RecordParser, encode_record

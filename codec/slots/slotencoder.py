@@ -75,14 +75,21 @@ class SlotEncoder:
         """Another encoder that holds the same."""
         made = SlotEncoder.__new__(SlotEncoder)
         made.layout, made.next_birth = self.layout, self.next_birth
-        made.lanes = [list(lane) for lane in self.lanes]  # `take` replaces slots
+        made.lanes = [list(lane) for lane in self.lanes]  # `append` replaces slots
         made.history = self.history.copy()
         return made
 
     def append(self, update: Update) -> EncodedSlice | None:
-        """`encode`, then `take`."""
+        """`encode`, and goes on to the slice of `update`."""
         encoded = self.encode(update)
-        self.take(update)
+        lane = self.lanes[self.layout.lane(update.birth)]
+        for part in self._parts(update):
+            slots = part.slots.copy()
+            slots.advance(_delta(part))
+            lane[part.layer] = slots
+        if update.birth > 0:
+            self.history.note(update.birth, update.statuses)
+        self.next_birth = update.birth + 1
         return encoded
 
     def encode(self, update: Update) -> EncodedSlice | None:
@@ -107,18 +114,6 @@ class SlotEncoder:
             for part in self._parts(update)
         )
         return EncodedSlice(birth, mask, tuple(changes))
-
-    def take(self, update: Update) -> None:
-        """Goes on to the slice of `update`."""
-        self._check(update)
-        lane = self.lanes[self.layout.lane(update.birth)]
-        for part in self._parts(update):
-            slots = part.slots.copy()
-            slots.advance(_delta(part))
-            lane[part.layer] = slots
-        if update.birth > 0:
-            self.history.note(update.birth, update.statuses)
-        self.next_birth = update.birth + 1
 
     def snapshots(self) -> tuple[EncodedChunk, ...]:
         """The snapshot of each layer as it is now, at the first frame of a segment."""

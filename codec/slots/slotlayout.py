@@ -25,8 +25,10 @@ MAX_SEGMENT_SLOTS = 1 << 28
 MAX_MASK_BYTES_PER_SLOT = 4
 """Three bits at most, each of which costs 10.5 at most: a probability stays above 3 in 4096."""
 
-MAX_SLOT_LAYERS = 16
-MAX_SLOT_SEGMENT_FRAMES = 4096
+MAX_LAYERS = 16
+"""Layers of a slice: what a manifest, an index record and a chunk may name."""
+
+MAX_SEGMENT_FRAMES = 4096
 
 HEADER_BYTES = 12
 """In front of every chunk of version 2."""
@@ -56,8 +58,8 @@ class SlotLayout:
     def __post_init__(self) -> None:
         if not 1 <= self.swin_size <= MAX_SWIN_SIZE:
             raise InvalidError(f"slots: swin_size {self.swin_size} is not in 1..{MAX_SWIN_SIZE}")
-        if not 1 <= len(self.slots) <= MAX_SLOT_LAYERS:
-            raise InvalidError(f"slots: {len(self.slots)} layers, expected 1 to {MAX_SLOT_LAYERS}")
+        if not 1 <= len(self.slots) <= MAX_LAYERS:
+            raise InvalidError(f"slots: {len(self.slots)} layers, expected 1 to {MAX_LAYERS}")
         if min(self.slots) < 1 or sum(self.slots) > MAX_SLOTS:
             raise InvalidError(
                 f"slots: {self.slots[:16]} are not at least 1 each and {MAX_SLOTS} together at most"
@@ -73,10 +75,9 @@ class SlotLayout:
             raise InvalidError(
                 f"slots: {len(self.lattices)} lattices for {len(self.slots)} layers; give one each"
             )
-        if not 1 <= self.segment_frames <= MAX_SLOT_SEGMENT_FRAMES:
+        if not 1 <= self.segment_frames <= MAX_SEGMENT_FRAMES:
             raise InvalidError(
-                f"slots: segment_frames {self.segment_frames} is not in "
-                f"1..{MAX_SLOT_SEGMENT_FRAMES}"
+                f"slots: segment_frames {self.segment_frames} is not in 1..{MAX_SEGMENT_FRAMES}"
             )
         if self.segment_frames * self.num_slots > MAX_SEGMENT_SLOTS:
             raise InvalidError(

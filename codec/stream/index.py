@@ -11,8 +11,7 @@ import zlib
 from dataclasses import dataclass
 
 from codec.errors import CorruptError, InvalidError
-
-from .layers import MAX_LAYERS
+from codec.slots.slotlayout import MAX_LAYERS
 
 INDEX_NAME = "index.bin"
 

@@ -13,15 +13,13 @@ import numpy as np
 
 from codec.errors import CorruptError, InvalidError
 from codec.slice import Slice
+from codec.slots.slotlayout import MAX_LAYERS
 from codec.splats import Floats, Splats
 
 from .chunk import Chunk
 
 RankFunction = Callable[[Splats], Floats]
 """Gives (N,) importances; the higher, the earlier the layer."""
-
-MAX_LAYERS = 16
-"""Layers of a slice: what a manifest, an index record and a chunk may name."""
 
 
 def opacity_rank(splats: Splats) -> Floats:

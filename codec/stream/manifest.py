@@ -20,11 +20,11 @@ from codec.errors import CorruptError, InvalidError, UnsupportedError
 from codec.profiles.profile import Profile
 from codec.slice import MAX_SWIN_SIZE, window_births
 from codec.slots.lattice import Lattice
-from codec.slots.slotlayout import SlotLayout
+from codec.slots.slotlayout import MAX_LAYERS, MAX_SEGMENT_FRAMES, SlotLayout
 from codec.splats import MAX_SH_DEGREE
 
 from .chunk import MAX_SPLATS_PER_CHUNK, ChunkBounds
-from .layers import MAX_LAYERS, check_shares
+from .layers import check_shares
 from .manifestjson import (
     lattice_of,
     lattice_to_json,
@@ -50,7 +50,6 @@ MAX_MANIFEST_BYTES = 1 << 20
 """Longest manifest.json read, in bytes; 256 cameras need about 200 KB."""
 
 MAX_CAMERAS = 256
-MAX_SEGMENT_FRAMES = 4096
 MAX_NUM_GS = 1 << 24
 """Most active Gaussians: far above what any player can draw."""
 

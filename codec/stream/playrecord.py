@@ -12,8 +12,7 @@ from typing import Any
 import msgpack
 
 from codec.errors import CorruptError, InvalidError
-
-from .layers import MAX_LAYERS
+from codec.slots.slotlayout import MAX_LAYERS
 
 LENGTH = struct.Struct("<I")
 

@@ -27,7 +27,7 @@ def drawn_splats(
     degree = draw(st.integers(0, max_degree))
     rng = np.random.default_rng(draw(st.integers(0, 1 << 32)))
     quats = rng.normal(size=(count, 4)) * 10 ** rng.uniform(-3, 3, (count, 1))
-    # Some lie on an axis, where components vanish and the largest is no longer unique.
+    # Some lie on an axis, where components vanish and several are the largest.
     axes = rng.integers(-1, 2, (count, 4))
     on_axis = (rng.random(count) < 0.3) & axes.any(axis=1)
     quats[on_axis] = axes[on_axis]

@@ -82,9 +82,7 @@ class Generations:
         else:
             order = self.leases.deal(self.values.means[: self.num_gs], rng)
         self.lifespans.stagger()
-        for array in self.values.arrays:
-            array[: self.num_gs] = array[: self.num_gs][order]
-        self.adam.permute(order)
+        self._move(np.arange(self.num_gs), order)
 
     def mature(self, first_frame: int) -> list[Slice]:
         """Freezes what no frame from `first_frame` on may change, and gives it in the order of
@@ -164,13 +162,15 @@ class Generations:
 
     def trade(self, rows: Ints, others: Ints) -> None:
         """Gaussians in training change places: those of `rows` with those of `others`."""
-        order = np.arange(self.num_gs)
-        order[rows], order[others] = others, rows
-        for array in self.values.arrays:
-            array[: self.num_gs] = array[: self.num_gs][order]
-        self.adam.permute(order)
+        self._move(np.concatenate([rows, others]), np.concatenate([others, rows]))
         if self.leases is not None:
             self.leases.is_other[rows] = self.leases.is_other[others] = True
+
+    def _move(self, rows: npt.NDArray[np.integer], origins: npt.NDArray[np.integer]) -> None:
+        """Row rows[i] takes over what is trained in row origins[i]."""
+        for array in self.values.arrays:
+            array[rows] = array[origins]
+        self.adam.move(rows, origins)
 
     def _read(self, rows: slice | Ints) -> Splats:
         return Splats(*(array[rows].copy() for array in self.values.arrays))

@@ -117,12 +117,12 @@ class Adam:
                 array[rows] = 0
         self.steps[rows] = 0
 
-    def permute(self, order: npt.NDArray[np.integer]) -> None:
-        """Row i takes over the history of row order[i]."""
+    def move(self, rows: npt.NDArray[np.integer], origins: npt.NDArray[np.integer]) -> None:
+        """Row rows[i] takes over the history of row origins[i]."""
         for state in (self.first, self.second):
             for array in state.arrays:
-                array[:] = array[order]
-        self.steps[:] = self.steps[order]
+                array[rows] = array[origins]
+        self.steps[rows] = self.steps[origins]
 
     def step(
         self,

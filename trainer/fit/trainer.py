@@ -196,13 +196,11 @@ class Trainer:
         sums = np.zeros(2 * generations.num_gs, np.float64)
         for frame in window.frames:
             rows = generations.lifespans.active_rows(frame)
-            masks = [self._pictures.mask(c, frame) for c in range(len(self._views))]
-            sums[rows] += summed_contribution(generations.values, rows, self._views, masks)
+            sums[rows] += self._contributions(rows, frame)
         return [sums[generations.matured_rows(part.birth)] for part in window.slices]
 
-    def _contributions(self, frame: int) -> Doubles:
-        """(num_gs,) what the Gaussians of genesis contribute to a frame of all training views."""
-        rows = self._generations.lifespans.active_rows(frame)
+    def _contributions(self, rows: Ints, frame: int) -> Doubles:
+        """(M,) what the Gaussians `rows`, all that show, contribute to a frame of all views."""
         masks = [self._pictures.mask(c, frame) for c in range(len(self._views))]
         return summed_contribution(self._generations.values, rows, self._views, masks)
 
@@ -264,8 +262,10 @@ class Trainer:
             for birth in frames if first_is_new else frames[-1:]:
                 self._begin_slice(birth)
         active = {f: generations.lifespans.active_rows(f) for f in frames}
-        means = generations.values.means[: config.num_gs]
-        together = [cells_of(means, size * self._extent_m) for size in TOGETHER_SIZES]
+        together: list[Ints] = []
+        if brings_new and self._leases is not None and config.together_share:
+            means = generations.values.means[: config.num_gs]
+            together = [cells_of(means, size * self._extent_m) for size in TOGETHER_SIZES]
         # Where most slots are kept, what their tiles show reaches no gradient.
         whole = genesis or self._leases is None
         ages = generations.lifespans.ages(frames.start)
@@ -281,7 +281,7 @@ class Trainer:
                 view, shot = self._half_views[camera], shot.half()
             rows = active[frame]
             if genesis and self._leases and not settled and iteration == layered_from:
-                self._leases.rank(self._contributions(0))
+                self._leases.rank(self._contributions(active[0], 0))
             share = config.settle_prefix_share if genesis else config.prefix_share
             if iteration >= layered_from and self._rng.random() < share:
                 rows = self._prefix(rows)
@@ -289,8 +289,8 @@ class Trainer:
             means_lr_m = schedule.means_lr_m(iteration, self._extent_m)
             noise = schedule.noise_lr * means_lr_m
             cells = None
-            if brings_new and self._leases is not None:
-                level = int(iteration / (config.together_share * schedule.iterations + 1e-9))
+            if together:
+                level = int(iteration / (config.together_share * schedule.iterations))
                 cells = together[level] if level < len(together) else None
             loss = self._step(camera, view, shot, rows, ages, means_lr_m, noise, calm, whole, cells)
             done = iteration + 1
