@@ -69,7 +69,10 @@ class MaskHistory:
 
 
 def encode_mask(layout: SlotLayout, birth: int, statuses: Bytes, history: Bytes) -> EncodedChunk:
-    """The mask of (S,) `statuses`, of which `history` is `MaskHistory.of(birth)`."""
+    """The mask of (S,) `statuses`, of which `history` is `MaskHistory.of(birth)`; of no bytes if it
+    keeps all."""
+    if not statuses.any():
+        return EncodedChunk(birth, b"", (0, 0))
     out = np.zeros(layout.max_mask_bytes, np.uint8)
     size = _encode(statuses, history, np.array(layout.row_edges), new_model(CONTEXTS), out)
     head = SlotHeader(Kind.MASK, 0, birth).pack()
@@ -80,7 +83,10 @@ def encode_mask(layout: SlotLayout, birth: int, statuses: Bytes, history: Bytes)
 def decode_mask(
     layout: SlotLayout, birth: int, data: bytes | memoryview, history: Bytes
 ) -> npt.NDArray[np.uint8]:
-    """(S,) the statuses in the mask `data` of `birth`. Raises a CodecError."""
+    """(S,) the statuses in the mask `data` of `birth`; without data all are kept. Raises a
+    CodecError."""
+    if not data:
+        return np.full(layout.num_slots, KEPT, np.uint8)
     SlotHeader.read(data, Kind.MASK).expect(birth, 0)
     body = np.frombuffer(data, np.uint8, offset=HEADER_BYTES)
     statuses = np.empty(layout.num_slots, np.uint8)

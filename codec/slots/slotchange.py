@@ -125,7 +125,10 @@ def encode_change(
     new: Newcomers,
     start_offsets: Bytes,
 ) -> EncodedChunk:
-    """The change of `layer` that the slice born at `birth` brings; see `encode_body`."""
+    """The change of `layer` that the slice born at `birth` brings, of no bytes if it brings
+    nothing; see `encode_body`."""
+    if not len(predicted) and not len(new):
+        return EncodedChunk(birth, b"", (0, 0))
     offsets = start_offsets if start_offsets.any() else None
     body, edges = encode_body(before, predicted, new, offsets)
     header = SlotHeader(Kind.CHANGE, layer, birth, offsets is not None)
@@ -140,7 +143,10 @@ def decode_change(
     num_predicted: int,
     num_new: int,
 ) -> Change:
-    """The change in `data`, whose counts are those of the mask. Raises a CodecError."""
+    """The change in `data`, whose counts are those of the mask; without data it brings nothing.
+    Raises a CodecError."""
+    if not data:
+        return _nothing(layout, layer, num_predicted, num_new)
     header = SlotHeader.read(data, Kind.CHANGE)
     header.expect(birth, layer)
     body = memoryview(data)[HEADER_BYTES:]
@@ -148,6 +154,15 @@ def decode_change(
         return read_body(layout, layer, body, num_predicted, num_new, header.has_start_offsets)
     except CodecError as error:
         raise error.moved(HEADER_BYTES) from error
+
+
+def _nothing(layout: SlotLayout, layer: int, num_predicted: int, num_new: int) -> Change:
+    """The change that has no packet."""
+    if num_predicted or num_new:
+        raise CorruptError(
+            f"change: there is none, but the mask says {num_predicted} predicted, {num_new} new"
+        )
+    return read_body(layout, layer, memoryview(bytes(COUNTS.size)), 0, 0, False)
 
 
 def read_body(

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from codec.coders.coder import EncodedChunk, decompress
+from codec.coders.coder import EncodedChunk
 from codec.errors import InvalidError
 from codec.slice import Slice, window_births
 from codec.slots.slotdecoder import SlotDecoder
@@ -21,7 +21,7 @@ from codec.slots.update import Update
 from .chunk import encode_chunk
 from .layers import RankFunction, merge_layers, split_layers
 from .manifest import MASKS, SLOTS_VERSION, Manifest, Part, snapshot_part
-from .object import decode_packet, encode_packet, join_packets
+from .object import decode_packet, encode_packet, join_packets, packet_content
 
 Quality = Callable[[int, Sequence[Slice]], Sequence[float] | None]
 """Takes a birth and, for 1, 2, ... layers, the whole decoded slice. Gives the PSNR in dB of the
@@ -213,7 +213,7 @@ class SlotDraft:
 
     def _content(self, part: Part) -> bytes:
         """The chunk in the last packet of `part`."""
-        return decompress(self.packets[part][-1][1], self.manifest.max_content_bytes(part))
+        return packet_content(self.packets[part][-1][1], self.manifest.max_content_bytes(part))
 
     def objects(self) -> dict[Part, bytes]:
         return {

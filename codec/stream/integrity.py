@@ -8,17 +8,17 @@ exactly as the format tells.
 from __future__ import annotations
 
 import hashlib
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from codec.coders.coder import decompress
 from codec.errors import CodecError, CorruptError
 from codec.slice import Slice
 
 from .chunk import BIRTH_OFFSET, LAYER_OFFSET, PROFILE_OFFSET, SH_DEGREE_OFFSET, Chunk
 from .index import SegmentRecord, parse_index, record_bytes, side_offset, size_offset
 from .layers import merge_layers
-from .manifest import Manifest, Part
+from .manifest import Manifest, Part, is_snapshot
 from .object import (
     MAX_OBJECT_BYTES,
     NUM_CHUNKS_OFFSET,
@@ -28,6 +28,8 @@ from .object import (
     entry_offset,
     entry_packet,
     error_in_object,
+    object_end,
+    packet_content,
     read_object_table,
 )
 
@@ -97,24 +99,37 @@ def object_table(
 ) -> tuple[ChunkEntry, ...]:
     """The table of the object `data`, of which the packets may be cut short.
 
-    Its births are those of the segment, and it ends where `record` says that the object ends.
+    Its births are those of the segment, where version 2 may leave some out, and it ends where
+    `record` says that the object ends.
     """
     entries = read_object_table(data, manifest.version)
     births = manifest.part_births(record.segment, record.num_frames, part)
+    if manifest.has_slots and not is_snapshot(part):
+        _check_some_births(entries, births)
+    else:
+        _check_all_births(entries, births)
+    end = object_end(entries)
+    size = record.part_bytes[manifest.part_number(part)]
+    if end != size:
+        at = entry_offset(len(entries)) - 4 if entries else NUM_CHUNKS_OFFSET  # the last size
+        raise CorruptError(f"object: its table says {end} bytes, the index {size}", at)
+    return tuple(entries)
+
+
+def _check_all_births(entries: Sequence[ChunkEntry], births: range) -> None:
     message = f"object: its births are not {births[0]}..{births[-1]}"
     for n, (entry, birth) in enumerate(zip(entries, births, strict=False)):
         if entry.birth != birth:
             raise CorruptError(message, entry_offset(n))
     if len(entries) != len(births):
         raise CorruptError(message, NUM_CHUNKS_OFFSET)
-    end = entries[-1].offset + entries[-1].size
-    size = record.part_bytes[manifest.part_number(part)]
-    if end != size:
-        raise CorruptError(
-            f"object: its table says {end} bytes, the index {size}",
-            entry_offset(len(entries)) - 4,  # the last size
-        )
-    return tuple(entries)
+
+
+def _check_some_births(entries: Sequence[ChunkEntry], births: range) -> None:
+    for n, entry in enumerate(entries):
+        if entry.birth not in births:
+            message = f"object: birth {entry.birth} is not one of {births[0]}..{births[-1]}"
+            raise CorruptError(message, entry_offset(n))
 
 
 def check_chunk(chunk: Chunk, manifest: Manifest, birth: int, layer: int) -> None:
@@ -188,6 +203,8 @@ class CheckedObject:
     entries: tuple[ChunkEntry, ...]
     manifest: Manifest
     part: Part
+    births: range
+    """Of the slices that it is of; version 2 has no entry for one that changes nothing in it."""
 
     @staticmethod
     def check(
@@ -199,38 +216,51 @@ class CheckedObject:
             entries = object_table(data, manifest, record, part)
         except CodecError as error:
             raise error.within(name) from error
-        return CheckedObject(name, data, entries, manifest, part)
+        births = manifest.part_births(record.segment, record.num_frames, part)
+        return CheckedObject(name, data, entries, manifest, part, births)
 
-    def entry(self, birth: int) -> ChunkEntry:
-        """Where the packet of the slice born at `birth`, one of this segment, lies."""
-        return self.entries[birth - self.entries[0].birth]
+    def entry(self, birth: int) -> ChunkEntry | None:
+        """Where the packet of the slice born at `birth`, one of this segment, lies; None if the
+        slice changes nothing here."""
+        at = bisect_left(self.entries, birth, key=lambda entry: entry.birth)
+        if at < len(self.entries) and self.entries[at].birth == birth:
+            return self.entries[at]
+        assert birth in self.births, birth
+        return None
 
     def packet(self, birth: int) -> bytes:
-        """The packet of the slice born at `birth`, as it is."""
+        """The packet of the slice born at `birth`, as it is; no bytes if it changes nothing."""
         entry = self.entry(birth)
-        return self.data[entry.offset : entry.offset + entry.size]
+        return self.data[entry.offset : entry.offset + entry.size] if entry else b""
 
     def chunk(self, birth: int) -> Chunk:
         """The chunk of the slice born at `birth` (version 1). Raises a CodecError that names the
         object."""
+        entry = self.entry(birth)
+        assert entry is not None, "version 1 has one of every birth"
         try:
-            return decode_fitting_chunk(self.data, self.entry(birth), self.manifest, int(self.part))
+            return decode_fitting_chunk(self.data, entry, self.manifest, int(self.part))
         except CodecError as error:
             raise error.within(self.name) from error
 
     def content(self, birth: int) -> bytes:
-        """The chunk of `birth` as bytes: a mask, a change or a snapshot (version 2). Raises a
-        CodecError that names the object."""
+        """The chunk of `birth` as bytes: a mask, a change or a snapshot (version 2), or none.
+        Raises a CodecError that names the object."""
+        entry = self.entry(birth)
+        if entry is None:
+            return b""
         try:
-            packet = entry_packet(self.data, self.entry(birth))
-            limit_bytes = self.manifest.max_content_bytes(self.part)
+            packet = entry_packet(self.data, entry)
             try:
-                return decompress(packet, limit_bytes)
+                return packet_content(packet, self.manifest.max_content_bytes(self.part))
             except CodecError as error:
-                raise error_in_object(error, self.entry(birth)) from error
+                raise error_in_object(error, entry) from error
         except CodecError as error:
             raise error.within(self.name) from error
 
     def blamed(self, error: CodecError, birth: int) -> CodecError:
         """`error`, whose place is one in the chunk of `birth`, as one that names the object."""
-        return error_in_object(error, self.entry(birth)).within(self.name)
+        entry = self.entry(birth)
+        if entry is None:
+            return error.reworded(f"{self.name}: {error} (birth {birth})", None)
+        return error_in_object(error, entry).within(self.name)

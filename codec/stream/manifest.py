@@ -73,6 +73,11 @@ def snapshot_part(layer: int) -> str:
     return f"snapshot-{layer}"
 
 
+def is_snapshot(part: Part) -> bool:
+    """Whether `part` is what `snapshot_part` gives."""
+    return type(part) is str and part != MASKS
+
+
 def object_file(stream: Path, segment: int, part: Part) -> Path:
     """Where the object of (segment, part) lies in the folder `stream`.
 
@@ -293,9 +298,9 @@ class Manifest:
         return range(begin, first + num_frames)
 
     def part_births(self, segment: int, num_frames: int, part: Part) -> range:
-        """The births of the packets in the object of `part`, see `births`."""
+        """The births that the object of `part` may have packets of, see `births`."""
         births = self.births(segment, num_frames)
-        return births[:1] if type(part) is str and part != MASKS else births
+        return births[:1] if is_snapshot(part) else births
 
     def with_live(self, live: bool) -> Manifest:
         return replace(self, live=live)

@@ -54,8 +54,19 @@ class ChunkEntry:
 
 
 def encode_packet(chunk: EncodedChunk, coder: Coder = Coder.ZSTD) -> bytes:
-    """`chunk` as one packet with content size and checksum."""
-    return compress(chunk.data, chunk.edges, coder)
+    """`chunk` as one packet with content size and checksum; a chunk of no bytes as no bytes."""
+    return compress(chunk.data, chunk.edges, coder) if chunk.data else b""
+
+
+def packet_content(packet: bytes | memoryview, limit_bytes: int) -> bytes:
+    """The bytes of the chunk in `packet`, at most `limit_bytes`: in version 2 none if the packet
+    has none. Raises CorruptError."""
+    if not packet:
+        return b""
+    content = decompress(packet, limit_bytes)
+    if not content:
+        raise CorruptError("packet: holds nothing; one that says so has no bytes")
+    return content
 
 
 def decode_packet(data: bytes | memoryview, bounds: ChunkBounds = ANY_CHUNK) -> Chunk:
@@ -70,8 +81,10 @@ def join_packets(
     packets: Sequence[tuple[int, bytes]], coder: Coder = Coder.ZSTD, version: int = VERSION
 ) -> bytes:
     """The object of (birth, packet) pairs in order of birth; `coder` is that of all the packets,
-    `version` that of the stream."""
-    if not 1 <= len(packets) <= MAX_CHUNKS_PER_OBJECT:
+    `version` that of the stream. Version 2 leaves out packets of no bytes."""
+    if version != VERSION:
+        packets = [(birth, packet) for birth, packet in packets if packet]
+    if not _least_chunks(version) <= len(packets) <= MAX_CHUNKS_PER_OBJECT:
         raise InvalidError(f"object: {len(packets)} chunks, expected 1 to {MAX_CHUNKS_PER_OBJECT}")
     births = [birth for birth, _ in packets]
     if any(b <= a for a, b in pairwise(births)):
@@ -85,6 +98,11 @@ def join_packets(
         parts.append(ENTRY.pack(birth, offset, len(packet)))
         offset += len(packet)
     return b"".join((*parts, *(packet for _, packet in packets)))
+
+
+def _least_chunks(version: int) -> int:
+    """Chunks in an object of a stream of `version`; from 2 on what changes nothing has none."""
+    return 1 if version == VERSION else 0
 
 
 def encode_object(chunks: Sequence[EncodedChunk], coder: Coder = Coder.ZSTD) -> bytes:
@@ -120,7 +138,7 @@ def read_object_table(data: bytes | memoryview, version: int = VERSION) -> list[
         raise UnsupportedError(f"object: coder {coder}; this program reads {known}", CODER_OFFSET)
     if zero:
         raise CorruptError(f"object: {zero} where 0 belongs", 14)
-    if not 1 <= count <= MAX_CHUNKS_PER_OBJECT:
+    if not _least_chunks(version) <= count <= MAX_CHUNKS_PER_OBJECT:
         raise CorruptError(f"object: a table of {count} chunks", NUM_CHUNKS_OFFSET)
     end = HEAD.size + ENTRY.size * count
     if following + 8 != end:
@@ -158,9 +176,16 @@ def entry_packet(data: bytes | memoryview, entry: ChunkEntry) -> memoryview:
     return packet
 
 
+def object_end(entries: Sequence[ChunkEntry]) -> int:
+    """Where an object with these entries ends."""
+    if not entries:
+        return HEAD.size
+    return entries[-1].offset + entries[-1].size
+
+
 def _whole_table(data: bytes | memoryview, version: int = VERSION) -> list[ChunkEntry]:
     entries = read_object_table(data, version)
-    end = entries[-1].offset + entries[-1].size
+    end = object_end(entries)
     if len(data) != end:
         raise CorruptError(f"object: {len(data)} bytes, its table says {end}", min(len(data), end))
     return entries

@@ -46,7 +46,8 @@ class StartRecord:
 
 @dataclass(frozen=True, slots=True)
 class SliceRecord:
-    """One slice: the packets of its layers 0, 1, ..., at least one unless there is a mask."""
+    """One slice: the packets of its layers 0, 1, ..., at least one unless there is a mask. Of no
+    bytes, with a mask, where nothing changes."""
 
     birth: int
     packets: tuple[bytes, ...]

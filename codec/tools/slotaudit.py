@@ -56,7 +56,8 @@ def _whole_object(reader: StreamReader, record: SegmentRecord, part: Part) -> Ch
     except CodecError as error:
         # What was altered is told by its table or its packets: a hash does not say where.
         raise _told(error, damage).within(path) from error
-    made = CheckedObject(str(path), data, entries, manifest, part)
+    births = manifest.part_births(record.segment, record.num_frames, part)
+    made = CheckedObject(str(path), data, entries, manifest, part, births)
     try:
         for entry in entries:
             made.content(entry.birth)
@@ -75,7 +76,7 @@ def _told(error: CodecError, damage: CodecError | None) -> CodecError:
 
 
 def _check_first_slice(decoder: SlotDecoder, segment: dict[Part, CheckedObject]) -> None:
-    """The slice born at 0 is in the snapshots: its own packets keep all slots."""
+    """The slice born at 0 is in the snapshots: its own packets, if any, keep all slots."""
     masks = segment[MASKS]
     layers = [segment[layer] for layer in range(decoder.num_layers)]
 

@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Protocol
 
-from codec.coders.coder import decompress
 from codec.errors import CodecError, CorruptError
 from codec.framerange import FrameRange
 from codec.slice import window_births
 from codec.stream.chunk import Chunk
 from codec.stream.integrity import decode_fitting_packet, fitting_slice
 from codec.stream.manifest import MASKS, Manifest, Part, snapshot_part
+from codec.stream.object import packet_content
 from codec.stream.playrecord import SliceRecord, SnapshotRecord
 
 from .slotplay import SlotPlay
@@ -164,4 +164,4 @@ class SlotReceiver:
         self._play.apply(record.birth, contents[0], contents[1:], wire_bytes, blamed)
 
     def _content(self, packet: bytes, part: Part) -> bytes:
-        return decompress(packet, self._manifest.max_content_bytes(part))
+        return packet_content(packet, self._manifest.max_content_bytes(part))

@@ -70,18 +70,18 @@ class SegmentPlay:
 
     def _births(self, objects: Objects) -> Iterator[int]:
         """The births of the segment that are wanted."""
-        for entry in objects[0].entries:
-            if self._end is not None and entry.birth >= self._end:
+        for birth in objects[0].births:
+            if self._end is not None and birth >= self._end:
                 return
-            if entry.birth >= self._first_birth:
-                yield entry.birth
+            if birth >= self._first_birth:
+                yield birth
 
     def _whole(self, objects: Objects) -> Iterator[ReceivedSlice]:
         layers = range(self._num_layers)
         for birth in self._births(objects):
             chunks = (objects[layer].chunk(birth) for layer in layers)
             slice = fitting_slice(chunks, self._manifest, lambda layer: objects[layer].name)
-            wire_bytes = sum(objects[layer].entry(birth).size for layer in layers)
+            wire_bytes = sum(len(objects[layer].packet(birth)) for layer in layers)
             yield ReceivedSlice(slice, len(layers), wire_bytes)
 
     def _changes(self, play: SlotPlay, objects: Objects) -> Iterator[ReceivedSlice]:
@@ -91,7 +91,7 @@ class SegmentPlay:
                 found = objects[snapshot_part(layer)]
                 snapshot = found.content(frame)
                 try:
-                    play.load(frame, layer, snapshot, found.entry(frame).size)
+                    play.load(frame, layer, snapshot, len(found.packet(frame)))
                 except CodecError as error:
                     raise found.blamed(error, frame) from error
             # The slice of this frame is in the snapshots.
@@ -100,7 +100,7 @@ class SegmentPlay:
         parts: list[Part] = [MASKS, *range(self._num_layers)]
         for birth in self._births(objects):
             mask, *changes = [objects[part].content(birth) for part in parts]
-            wire_bytes = sum(objects[part].entry(birth).size for part in parts)
+            wire_bytes = sum(len(objects[part].packet(birth)) for part in parts)
             play.apply(birth, mask, changes, wire_bytes, _blamed(objects, birth))
             yield from play.ready()
 

@@ -76,7 +76,7 @@ def decode_object(data: bytes, wanted: int = 1, largest: int = LARGEST_CHUNK) ->
     assert (skippable, following) == (0x184D2A50, 12 + 12 * count)
     assert (magic, version, zero) == (b"SWGO", wanted, 0)
     assert coder in (1, 2)
-    assert 1 <= count <= 16384
+    assert (1 if wanted == 1 else 0) <= count <= 16384
     assert len(data) >= 20 + 12 * count
     chunks, end, births = [], 20 + 12 * count, []
     for entry in range(count):

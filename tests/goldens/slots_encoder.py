@@ -205,6 +205,8 @@ def compressed(chunk: bytes, coder: int, largest: int = LARGEST_CHUNK) -> bytes:
 
 
 def encode_object(chunks: Sequence[bytes], coder: int, largest: int = LARGEST_CHUNK) -> bytes:
+    """Leaves out chunks of no bytes."""
+    chunks = [chunk for chunk in chunks if chunk]
     packets = [compressed(chunk, coder, largest) for chunk in chunks]
     count = len(packets)
     table = struct.pack("<II4sBBHI", 0x184D2A50, 12 + 12 * count, b"SWGO", 2, coder, 0, count)
@@ -238,9 +240,17 @@ def encode_record(files: dict[str, bytes], segment: int, num_frames: int, shape:
 class RandomStream:
     """A stream of noise, with all that may occur in one, and the truth about each frame."""
 
-    def __init__(self, shape: Shape, num_frames: int, seed: int, still: bool = False) -> None:
+    def __init__(
+        self,
+        shape: Shape,
+        num_frames: int,
+        seed: int,
+        still: bool = False,
+        spelled_out: bool = False,
+    ) -> None:
         self.shape = shape
         self.still = still  # nothing ever changes
+        self.spelled_out = spelled_out  # what changes nothing has packets, too
         self.random = random.Random(seed)
         self.masks: list[Statuses] = []
         self.mask_chunks: list[bytes] = []
@@ -311,7 +321,8 @@ class RandomStream:
         earlier = (birth - self.shape.swin_size, birth - 2 * self.shape.swin_size)
         before = [self.masks[b] for b in earlier if b > first]
         self.masks.append(mask)
-        self.mask_chunks.append(head(MASK, birth) + encode_mask(mask, before))
+        is_told = self.spelled_out or any(map(any, mask))
+        self.mask_chunks.append(head(MASK, birth) + encode_mask(mask, before) if is_told else b"")
         self.changes.append([])
         for layer, (slots, statuses) in enumerate(zip(lane, mask, strict=True)):
             pairs, new = [], []
@@ -328,7 +339,9 @@ class RandomStream:
             body = encode_change(
                 pairs, new, self.shape.num_coefficients, starts if any(starts) else None
             )
-            self.changes[birth].append(head(CHANGE, birth, layer, int(any(starts))) + body)
+            is_told = self.spelled_out or pairs or new
+            chunk = head(CHANGE, birth, layer, int(any(starts))) + body
+            self.changes[birth].append(chunk if is_told else b"")
 
     def write(self, folder: Path, coder: int = 1) -> None:
         shape, num_layers = self.shape, len(self.shape.slots)

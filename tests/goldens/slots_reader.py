@@ -60,7 +60,8 @@ class Reader:
             slice_.before.pop(head.layer, None)
 
     def apply(self, birth: int, mask: bytes | None, changes: dict[int, bytes]) -> None:
-        """Applies one slice: its mask, and the changes that are at hand, by layer."""
+        """Applies one slice: its mask, and the changes that are at hand, by layer. One of no bytes
+        says that nothing changes."""
         lane = self.lanes[birth % self.shape.swin_size]
         self.applied[birth] = AppliedSlice(birth, mask, dict(changes), dict(enumerate(lane)))
         self.apply_again(birth)
@@ -95,8 +96,10 @@ class Reader:
             return None
         first = slice_.birth - slice_.birth % self.shape.segment_frames
         try:
-            assert decode_head(slice_.mask, MASK, self.shape).birth == slice_.birth
             before = list(self.masks_before(slice_.birth, first))
+            if not slice_.mask:
+                return [[KEPT] * count for count in self.shape.slots]
+            assert decode_head(slice_.mask, MASK, self.shape).birth == slice_.birth
             return decode_mask(slice_.mask[12:], self.shape.slots, before)
         except AssertionError:
             return None
@@ -126,9 +129,13 @@ class Reader:
     def changed(self, slice_: AppliedSlice, statuses: list[int], layer: int) -> list[Slot]:
         """The slots of a layer after the slice, with its change."""
         chunk = slice_.changes[layer]
+        counts = (statuses.count(PREDICTED), statuses.count(NEW))
+        if not chunk:
+            assert counts == (0, 0)
+            pairs = zip(slice_.before[layer], statuses, strict=True)
+            return [Hole.EMPTY if status == ENDED else slot for slot, status in pairs]
         head = decode_head(chunk, CHANGE, self.shape)
         assert (head.layer, head.birth) == (layer, slice_.birth)
-        counts = (statuses.count(PREDICTED), statuses.count(NEW))
         change = decode_change(chunk[12:], self.shape, layer, counts, head.has_starts)
         residuals, gaussians = iter(change.predicted), iter(change.new)
         lattice = self.shape.lattice[layer]

@@ -12,7 +12,7 @@ import msgpack
 import pytest
 
 from tests.goldens.format_decoder import decode_object, f32
-from tests.goldens.slots_cases import COARSE, FINE, make_shape
+from tests.goldens.slots_cases import COARSE, FINE, assert_same, make_shape
 from tests.goldens.slots_decoder import (
     CHANGE,
     ENDED,
@@ -246,7 +246,7 @@ def test_starts_are_below_swin_size() -> None:
 def test_hostile_chunks_are_refused_or_decoded() -> None:
     """Nothing but a refusal comes of them, whatever the bytes."""
     shape, rng = make_shape(), random.Random(5)
-    stream = RandomStream(shape, 12, 7)
+    stream = RandomStream(shape, 12, 7, spelled_out=True)
     masks, refused = stream.masks, 0
     for turn in range(2000):
         birth, layer = rng.randrange(1, 12), rng.randrange(2)
@@ -288,7 +288,7 @@ def test_a_chunk_is_never_larger_than_its_slots_can_fill() -> None:
 
 def test_a_packet_that_inflates_beyond_its_slots_is_refused(tmp_path: Path) -> None:
     shape = make_shape()
-    stream = RandomStream(shape, 3, 6)
+    stream = RandomStream(shape, 3, 6, spelled_out=True)
     largest = largest_content("masks", shape)
     assert len(decode_object(encode_object(stream.mask_chunks, 1), 2, largest)) == 3
     stream.mask_chunks[1] += bytes(10**6)
@@ -308,16 +308,27 @@ def test_a_play_record_that_no_reader_would_take_is_refused() -> None:
 
 
 @pytest.mark.parametrize("coder", [1, 2])
-def test_every_birth_has_its_packets_even_where_nothing_changes(tmp_path: Path, coder: int) -> None:
+def test_what_changes_nothing_takes_nothing_or_says_so(tmp_path: Path, coder: int) -> None:
     shape = make_shape()
-    stream = RandomStream(shape, 10, 6, still=True)
-    stream.write(tmp_path / "s", coder)
+    for spelled_out in (False, True):
+        stream = RandomStream(shape, 10, 6, still=True, spelled_out=spelled_out)
+        stream.write(path := tmp_path / str(spelled_out), coder)
+        for frame in (0, 6, 9):
+            assert_same(state_at(path, frame, 2), stream.truth[frame], frame)
+        folder = StreamFolder(path)
+        for name in ("masks", "0", "1"):
+            chunks = [*folder.chunks(0, name).values(), *folder.chunks(1, name).values()]
+            assert len(chunks) == 10
+            assert all(map(bool, chunks)) == spelled_out
+            assert spelled_out or folder.index[1].files[name].size == 20
+
+
+def test_a_birth_of_another_segment_is_refused(tmp_path: Path) -> None:
+    shape = make_shape()
+    stream = RandomStream(shape, 10, 6, spelled_out=True)
+    stream.write(tmp_path / "s")
     folder = StreamFolder(tmp_path / "s")
-    for name in ("masks", "0", "1"):
-        chunks = [*folder.chunks(0, name).values(), *folder.chunks(1, name).values()]
-        assert len(chunks) == 10
-        assert max(map(len, chunks)) <= 12 + 20
-    files = {name: encode_object(stream.mask_chunks[1:7], 1) for name in folder.index[0].files}
+    files = {name: encode_object(stream.mask_chunks[1:8], 1) for name in folder.index[0].files}
     (tmp_path / "s" / "segments" / "0" / "masks").write_bytes(files["masks"])
     record = encode_record(files, 0, 7, shape)
     data = (tmp_path / "s" / "index.bin").read_bytes()
@@ -330,13 +341,13 @@ def test_the_slice_born_at_0_keeps_all_slots() -> None:
     shape = make_shape()
     stream = RandomStream(shape, 1, 6)
     assert stream.masks[0] == [[KEPT] * 9, [KEPT] * 5]
-    for layer in (0, 1):
-        assert decode_change(stream.changes[0][layer][12:], shape, layer, (0, 0), False).new == []
+    assert stream.mask_chunks[0] == b""
+    assert stream.changes[0] == [b"", b""]
 
 
 def test_what_a_reader_of_whole_objects_counts() -> None:
     shape = make_shape()
-    stream = RandomStream(shape, 7, 6)
+    stream = RandomStream(shape, 7, 6, spelled_out=True)
     assert decoded_whole("masks", stream.mask_chunks, shape) == 7 * 14
     for layer in (0, 1):
         chunks = [changes[layer] for changes in stream.changes]

@@ -39,10 +39,11 @@ seeds = st.integers(0, 1 << 32)
 
 @st.composite
 def streams(draw: st.DrawFn) -> tuple[Shape, Chunks]:
-    """A stream of either encoder."""
+    """A stream of either encoder, or with the packets that a writer leaves out."""
     shape, seed = draw(shapes), draw(seeds)
     if draw(st.booleans()):
-        return shape, plain_chunks(RandomStream(shape, NUM_FRAMES, seed))
+        stream = RandomStream(shape, NUM_FRAMES, seed, spelled_out=draw(st.booleans()))
+        return shape, plain_chunks(stream)
     updates = patternless_updates(layout_of(shape), NUM_FRAMES, seed, draw(st.booleans()))
     return shape, encoded_chunks(layout_of(shape), updates)
 
@@ -129,6 +130,8 @@ def test_who_takes_wrong_changes_late_holds_the_same(
 
 def other_opacities(change: bytes, shape: Shape, rng: np.random.Generator) -> bytes:
     """`change` with any opacities of the new, so that those predicted from them go wrong."""
+    if not change:
+        return change
     predicted, new, long = struct.unpack_from("<3I", change, 12)
     num_planes = 10 + 3 * shape.num_coefficients
     end = 32 + num_planes * (predicted + new) + 4 * long
@@ -140,7 +143,7 @@ def other_opacities(change: bytes, shape: Shape, rng: np.random.Generator) -> by
 def mutants(data: bytes, rng: np.random.Generator, count: int) -> Iterator[bytes]:
     """`data` with some bytes altered, most often in front; sometimes longer or shorter."""
     for _ in range(count):
-        wrong = bytearray(data)
+        wrong = bytearray(data or rng.bytes(int(rng.integers(1, 40))))
         for _ in range(rng.integers(1, 3)):
             place = rng.integers(len(wrong) if rng.random() < 0.7 else min(len(wrong), 40))
             near = (wrong[place] + int(rng.integers(-2, 3))) % 256
@@ -207,7 +210,7 @@ def test_counts_and_escapes_that_both_refuse() -> None:
     """Every count of a change, one more and one less and huge, with the others as they were."""
     shape = make_shape(swin_size=1, slots=(12,))
     for seed in range(6):
-        chunks = plain_chunks(RandomStream(shape, 3, seed))
+        chunks = plain_chunks(RandomStream(shape, 3, seed, spelled_out=True))
         both = BothReaders(shape)
         both.load(chunks.snapshots[0][0])
         for birth in (1, 2):

@@ -15,8 +15,12 @@ from codec.errors import SwingsError
 from codec.framerange import FrameRange
 from codec.slice import window_births
 from codec.slots.slotlayout import SlotLayout
+from codec.slots.update import Update
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import MASKS, snapshot_part
+from codec.tools.audit import verify_stream
+from codec.tools.slotcensus import count_slots, summarise_slots
+from codec.tools.static import export_static
 from player.source.fetch import Fetcher
 from player.source.locate import open_source
 from player.source.retry import RetryConfig
@@ -67,15 +71,13 @@ def packet_bytes(reader: StreamReader, first: int, end: int, layers: int) -> int
     manifest = reader.manifest
     segment = manifest.segment_of(first)
     start = segment * manifest.segment_frames
-    snapshots = [
-        reader.read_object(segment, snapshot_part(n)).entry(start).size for n in range(layers)
-    ]
+    snapshots = [reader.read_object(segment, snapshot_part(n)).packet(start) for n in range(layers)]
     slices = [
-        reader.read_object(manifest.segment_of(birth), part).entry(birth).size
+        reader.read_object(manifest.segment_of(birth), part).packet(birth)
         for birth in range(start + 1, end)
         for part in (MASKS, *range(layers))
     ]
-    return sum(snapshots) + sum(slices)
+    return sum(map(len, snapshots + slices))
 
 
 layouts = st.builds(
@@ -115,6 +117,30 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def server(library: Path) -> Iterator[ServerProcess]:
     with served(library) as server:
         yield server
+
+
+def test_a_model_that_stands_still_takes_nothing_after_its_first_frame(
+    library: Path, server: ServerProcess, tmp_path: Path
+) -> None:
+    path, layout = library / "still", small_layout(2, (40, 30), 0, 10)
+    first, *_ = patternless_updates(layout, 1)
+    with StreamWriter.create(path, slot_manifest(layout, fps=300.0)) as writer:
+        writer.append(first)
+        for birth in range(30):
+            writer.append(Update.keeping(birth, layout))
+            assert writer.slice_bytes == 0
+    reader = StreamReader(path)
+    assert all(record.side_bytes[0] == 20 for record in reader.records)
+    assert all(size == 20 for record in reader.records for size in record.object_bytes)
+    export_static(path, tmp_path / "gzip")
+    assert verify_stream(tmp_path / "gzip").num_frames == verify_stream(path).num_frames == 30
+    assert summarise_slots(reader, count_slots(reader)).kept == (40, 30)
+    with static_host(library) as host:
+        urls = f"{host}/still", f"{server.url}/watch/still"
+        for source in (str(path), str(tmp_path / "gzip"), *urls):
+            got = read_all(source, FrameRange(), 2)
+            check_play(reader, got, FrameRange(), 2)
+            assert not any(received.wire_bytes for received in got[2:])
 
 
 @pytest.mark.parametrize("layers", [1, 2, 3])
