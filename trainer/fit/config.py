@@ -39,6 +39,9 @@ class FitConfig:
     newest_share: float = 0.5
     """Share of a window's iterations that is spent on its newest frame, where no earlier window has
     seen it."""
+    error_share: float = 0.5
+    """Share of the iterations that goes to cameras by how much is wrong in their pictures; the rest
+    is for all alike."""
     dssim_weight: float = 0.2
     """Weight of 1 - SSIM beside L1. 3DGS."""
     colour_lr: float = 1e-3
@@ -85,6 +88,7 @@ class FitConfig:
             "newest_share",
             "dssim_weight",
             "calm_from",
+            "error_share",
             "prefix_share",
             "settle_renew_share",
             "settle_prefix_share",

@@ -26,6 +26,7 @@ from trainer.step.backend import Backend
 from trainer.step.contribution import summed_contribution
 from trainer.step.raster import Parameters, View
 
+from .cameradraws import CameraDraws
 from .colour import CameraColour
 from .config import FitConfig
 from .generations import Generations
@@ -144,6 +145,7 @@ class Trainer:
         self._leases = None if layout is None else Leases(config.lease, layout)
         self._generations = Generations(config, initial, self._leases)
         self._colour = CameraColour(len(cameras), config.colour_lr)
+        self._cameras = CameraDraws(len(cameras), config.error_share)
         self._rng = np.random.default_rng(config.seed)
         self._next_window = 0
         self._steps = 0
@@ -218,6 +220,7 @@ class Trainer:
         return {
             **self._generations.state(),
             **self._colour.state(),
+            **self._cameras.state(),
             "random": np.frombuffer(random.encode(), np.uint8),
             "counters": np.array([self._next_window, self._steps], np.int64),
         }
@@ -275,7 +278,7 @@ class Trainer:
             frame = int(self._rng.integers(frames.start, frames.stop))
             if brings_new and self._rng.random() < config.newest_share:
                 frame = last_frame
-            camera = int(self._rng.integers(len(self._views)))
+            camera = self._cameras.draw(self._rng)
             view, shot = self._views[camera], self._pictures.shot(camera, frame)
             if iteration < schedule.half_until:
                 view, shot = self._half_views[camera], shot.half()
@@ -283,7 +286,8 @@ class Trainer:
             if genesis and self._leases and not settled and iteration == layered_from:
                 self._leases.rank(self._contributions(active[0], 0))
             share = config.settle_prefix_share if genesis else config.prefix_share
-            if iteration >= layered_from and self._rng.random() < share:
+            has_all = iteration < layered_from or self._rng.random() >= share
+            if not has_all:
                 rows = self._prefix(rows)
             calm = schedule.calm(iteration)
             means_lr_m = schedule.means_lr_m(iteration, self._extent_m)
@@ -293,6 +297,8 @@ class Trainer:
                 level = int(iteration / (config.together_share * schedule.iterations))
                 cells = together[level] if level < len(together) else None
             loss = self._step(camera, view, shot, rows, ages, means_lr_m, noise, calm, whole, cells)
+            if has_all:
+                self._cameras.note(camera, loss)
             done = iteration + 1
             period = config.mcmc.relocate_period
             if done % period == 0 and done <= config.mcmc.relocate_until * schedule.iterations:

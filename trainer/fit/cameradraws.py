@@ -1,0 +1,50 @@
+"""Which camera an iteration looks through: in turn, and more often where more is wrong."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+
+class CameraDraws:
+    """Draws cameras by their errors, so that none falls behind its share for long.
+
+    Every draw adds its share to what each camera is owed; one of those that are owed most is drawn
+    and pays 1. So it is a shuffle of all cameras while they are equally wrong.
+    """
+
+    def __init__(self, num_cameras: int, error_share: float) -> None:
+        """error_share: of the draws, that which goes by errors; the rest is for all alike."""
+        self._error_share = error_share
+        self._owed = np.zeros(num_cameras)
+        self._losses = np.zeros(num_cameras)
+
+    def state(self) -> dict[str, npt.NDArray[Any]]:
+        """What changes while training. Views, not copies."""
+        return {"cameras_owed": self._owed, "cameras_losses": self._losses}
+
+    @property
+    def shares(self) -> npt.NDArray[np.float64]:
+        """(C,) how often each camera is drawn, as a share of all draws."""
+        count = len(self._losses)
+        even = np.full(count, 1 / count)
+        seen = self._losses > 0
+        if not seen.any():
+            return even
+        # Who has not been seen yet is taken to be as wrong as the others are.
+        losses = np.where(seen, self._losses, self._losses[seen].mean())
+        return (1 - self._error_share) * even + self._error_share * losses / losses.sum()
+
+    def draw(self, rng: np.random.Generator) -> int:
+        """The camera of the next iteration."""
+        self._owed += self.shares
+        most = np.flatnonzero(self._owed > self._owed.max() - 0.5)
+        camera = int(rng.choice(most))
+        self._owed[camera] -= 1
+        return camera
+
+    def note(self, camera: int, loss: float) -> None:
+        """Takes in the loss of an iteration that looked through `camera`."""
+        self._losses[camera] = loss
