@@ -98,6 +98,16 @@ class Splats:
         """The Gaussians at `rows`, in that order."""
         return Splats(*(array[rows] for array in self.arrays))
 
+    def with_degree(self, sh_degree: int) -> Splats:
+        """These Gaussians without the harmonics above `sh_degree`, and zeros for those that they
+        lack."""
+        count = sh_count(sh_degree)
+        lacking = max(count - self.sh.shape[1], 0)
+        if self.sh.shape[1] == count:
+            return self
+        sh = np.pad(self.sh[:, :count], ((0, 0), (0, lacking), (0, 0)))
+        return Splats(*self.arrays[:4], sh)
+
     @staticmethod
     def empty(sh_degree: int = 0) -> Splats:
         return Splats(*(np.zeros(shape, np.float32) for shape in array_shapes(0, sh_degree)))

@@ -20,7 +20,7 @@ from codec.errors import InvalidError
 from codec.pose import Doubles
 from codec.profiles.profile import Profile
 from codec.slice import Slice
-from codec.splats import Splats, sh_count
+from codec.splats import Splats
 from codec.stream.chunk import MAX_SPLATS_PER_CHUNK
 from codec.stream.layers import RANKS, Rank
 from codec.stream.manifest import Manifest, Point
@@ -152,14 +152,6 @@ def _point(values: Doubles) -> Point:
     return x, y, z
 
 
-def _with_degree(splats: Splats, sh_degree: int) -> Splats:
-    """`splats` with zeros for the harmonics that it lacks."""
-    lacking = sh_count(sh_degree) - splats.sh.shape[1]
-    if not lacking:
-        return splats
-    return replace(splats, sh=np.pad(splats.sh, ((0, 0), (0, lacking), (0, 0))))
-
-
 def import_stream(source: Path, stream: Path, options: ImportOptions) -> Manifest:
     """Writes a finished stream at `stream` of the file or numbered folder `source`.
 
@@ -182,7 +174,7 @@ def import_stream(source: Path, stream: Path, options: ImportOptions) -> Manifes
             )
         survey = survey.joined(other)
     title = source.resolve().name if options.title is None else options.title
-    splats = _with_degree(splats, survey.sh_degree)
+    splats = splats.with_degree(survey.sh_degree)
     filler = None
     if has_slots:
         filler = SlotFiller(splats, LAYERS, RANKS[options.rank])
@@ -193,7 +185,7 @@ def import_stream(source: Path, stream: Path, options: ImportOptions) -> Manifes
     with StreamWriter.create(stream, manifest, options.rank) as writer:
         for birth, file in enumerate(files):
             if birth:
-                splats = _with_degree(read_splats(file, MAX_SPLATS_PER_CHUNK), survey.sh_degree)
+                splats = read_splats(file, MAX_SPLATS_PER_CHUNK).with_degree(survey.sh_degree)
             if filler is None:
                 writer.append(Slice(birth, splats, np.zeros(len(splats), np.uint8)))
             else:

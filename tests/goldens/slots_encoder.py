@@ -339,7 +339,7 @@ class RandomStream:
             body = encode_change(
                 pairs, new, self.shape.num_coefficients, starts if any(starts) else None
             )
-            is_told = self.spelled_out or pairs or new
+            is_told = bool(self.spelled_out or pairs or new)
             chunk = head(CHANGE, birth, layer, int(any(starts))) + body
             self.changes[birth].append(chunk if is_told else b"")
 

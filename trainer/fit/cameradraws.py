@@ -35,7 +35,8 @@ class CameraDraws:
             return even
         # Who has not been seen yet is taken to be as wrong as the others are.
         losses = np.where(seen, self._losses, self._losses[seen].mean())
-        return (1 - self._error_share) * even + self._error_share * losses / losses.sum()
+        shares: npt.NDArray[np.float64] = losses / losses.sum()
+        return (1 - self._error_share) * even + self._error_share * shares
 
     def draw(self, rng: np.random.Generator) -> int:
         """The camera of the next iteration."""

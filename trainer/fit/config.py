@@ -25,7 +25,8 @@ class FitConfig:
     sh_degree: int = 0
     """Degree of the colour's spherical harmonics, 0 or 1. The paper trains 1 and streams 0."""
     genesis_iterations: int = 3_000
-    """Iterations of the first window, before it settles. Paper: 30,000 on a GPU."""
+    """Iterations of the first window, before it settles; 0 where its Gaussians are given. Paper:
+    30,000 on a GPU."""
     coarse_share: float = 0.6
     """Share of genesis, from its beginning, that sees pictures of half the size, so that shapes
     settle where the cameras agree before detail is learned by heart; 0 switches it off."""
@@ -81,8 +82,10 @@ class FitConfig:
             raise InvalidError(f"sh_degree {self.sh_degree}: choose 0 or 1")
         if self.settle_rounds < 0:
             raise InvalidError(f"settle_rounds {self.settle_rounds}: choose 0 or more")
-        if self.genesis_iterations < 1 or self.window_iterations < 1:
-            raise InvalidError("genesis_iterations and window_iterations must be at least 1")
+        if self.genesis_iterations < 0 or self.window_iterations < 1:
+            raise InvalidError("genesis_iterations below 0, or window_iterations below 1")
+        if not self.genesis_iterations and not self.settle_rounds:
+            raise InvalidError("genesis_iterations 0 and settle_rounds 0 leave nothing to train")
         for name in (
             "coarse_share",
             "newest_share",

@@ -45,6 +45,10 @@ class TrainConfig:
     point_share: float | None = None
     """Share of the first Gaussians taken from the capture's points, if it has any; seeds fill the
     rest. By default how evenly the points lie over the pictures (0 to 1), but 0.3 at least."""
+    initial: Path | None = None
+    """Gaussians of the first frame, trained elsewhere or exported from a stream, in place of points
+    and seeds: a .ply, .splat or .spz with num_gs of them. With --genesis-iterations 0 they only
+    settle."""
     layers: tuple[float, ...] = (0.35, 0.15, 0.2, 0.3)
     """Share of a slice's Gaussians in each layer, most important first; the sum is 1. A smaller
     first layer leaves holes, and the last third of the Gaussians adds little."""

@@ -8,12 +8,14 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from codec.errors import InvalidError
 from codec.framerange import FrameRange
+from codec.interop.formats import read_splats
 from codec.profiles.profile import Profile
 from codec.slots.lattice import Lattice
 from codec.splats import Splats
@@ -22,6 +24,7 @@ from trainer.capture.capture import Capture, check_trainable
 from trainer.capture.layout import open_capture
 from trainer.capture.points import points_evenness, read_points_file
 from trainer.errors import CaptureError
+from trainer.fit.config import FitConfig
 from trainer.fit.trainer import FALLBACK_FAR_M
 from trainer.pictures.feed import Pictures
 from trainer.pictures.framecache import FrameCache
@@ -51,6 +54,8 @@ class Prepared:
     far_m: float
     """Depths between which the scene lies."""
     backend: Backend
+    initial: Splats | None = None
+    """What the first frame begins with, if it is given."""
 
 
 def prepare(config: TrainConfig) -> Prepared:
@@ -61,7 +66,20 @@ def prepare(config: TrainConfig) -> Prepared:
     check_trainable(capture)
     frames = FrameRange.parse(config.frames).of(capture.num_frames, capture.root)
     near_m, far_m = _depths(capture, config)
-    return Prepared(capture, frames, near_m, far_m, config.fit.backend(config.backend))
+    initial = None
+    if config.initial is not None and not config.resume:
+        initial = _read_initial(config.initial, config.fit)
+    elif config.fit.genesis_iterations == 0 and not config.resume:
+        raise InvalidError("genesis_iterations 0 is for Gaussians that are given; see --initial")
+    return Prepared(capture, frames, near_m, far_m, config.fit.backend(config.backend), initial)
+
+
+def _read_initial(path: Path, fit: FitConfig) -> Splats:
+    """The Gaussians in a file, in the wanted SH degree."""
+    splats = read_splats(path)
+    if len(splats) != fit.num_gs:
+        raise InvalidError(f"{path}: {len(splats)} Gaussians; set --num-gs {len(splats)}")
+    return splats.with_degree(fit.sh_degree)
 
 
 def _depths(capture: Capture, config: TrainConfig) -> tuple[float, float]:
@@ -104,7 +122,10 @@ def _fingerprint(capture: Capture, frame: int) -> str:
 
 
 def first_gaussians(config: TrainConfig, prepared: Prepared, pictures: Pictures) -> Splats:
-    """num_gs Gaussians: of the capture's points, the rest seeded where the cameras agree."""
+    """num_gs Gaussians: those given, or of the capture's points, and the rest seeded where the
+    cameras agree."""
+    if prepared.initial is not None:
+        return prepared.initial
     fit, points, cameras = config.fit, prepared.capture.points, pictures.cameras
     rng = np.random.default_rng(fit.seed)
     positions, colours = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8)
@@ -156,7 +177,8 @@ def make_manifest(
     lattice: tuple[Lattice, ...] = ()
     if config.profile is Profile.LATTICE:
         slots = layer_slots(config.layers, config.fit.num_gs // config.fit.swin_size)
-        lattice = (Lattice.suiting(initial, GROWN),) * len(slots)
+        grown = GROWN if prepared.initial is None else 1
+        lattice = (Lattice.suiting(initial, grown),) * len(slots)
     return Manifest(
         version=SLOTS_VERSION if slots else VERSION,
         fps=capture.fps,
