@@ -40,7 +40,9 @@ def test_a_preset_gives_the_defaults_and_options_override_them(spelling: Sequenc
 def test_without_a_preset_the_defaults_are_those_of_cpu() -> None:
     assert asdict(parse()) == asdict(parse("--preset", "cpu"))
     assert parse().fit == FitConfig()
-    assert parse("--preset", "fast").fit.window_iterations < FitConfig().window_iterations
+    fast, cpu, fine = (parse("--preset", name).fit for name in ("fast", "cpu", "fine"))
+    assert fast.window_iterations < cpu.window_iterations < fine.window_iterations
+    assert fast.iterations(0) < cpu.iterations(0) < fine.iterations(0)
 
 
 def test_an_unknown_preset_is_refused(tmp_path: Path) -> None:
