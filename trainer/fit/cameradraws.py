@@ -15,9 +15,7 @@ class CameraDraws:
     and pays 1. So it is a shuffle of all cameras while they are equally wrong.
     """
 
-    def __init__(self, num_cameras: int, error_share: float) -> None:
-        """error_share: of the draws, that which goes by errors; the rest is for all alike."""
-        self._error_share = error_share
+    def __init__(self, num_cameras: int) -> None:
         self._owed = np.zeros(num_cameras)
         self._losses = np.zeros(num_cameras)
 
@@ -25,9 +23,9 @@ class CameraDraws:
         """What changes while training. Views, not copies."""
         return {"cameras_owed": self._owed, "cameras_losses": self._losses}
 
-    @property
-    def shares(self) -> npt.NDArray[np.float64]:
-        """(C,) how often each camera is drawn, as a share of all draws."""
+    def shares(self, error_share: float) -> npt.NDArray[np.float64]:
+        """(C,) how often each camera is drawn, as a share of all draws. error_share: of them, those
+        that go by errors; the rest is for all alike."""
         count = len(self._losses)
         even = np.full(count, 1 / count)
         seen = self._losses > 0
@@ -36,11 +34,11 @@ class CameraDraws:
         # Who has not been seen yet is taken to be as wrong as the others are.
         losses = np.where(seen, self._losses, self._losses[seen].mean())
         shares: npt.NDArray[np.float64] = losses / losses.sum()
-        return (1 - self._error_share) * even + self._error_share * shares
+        return (1 - error_share) * even + error_share * shares
 
-    def draw(self, rng: np.random.Generator) -> int:
-        """The camera of the next iteration."""
-        self._owed += self.shares
+    def draw(self, rng: np.random.Generator, error_share: float) -> int:
+        """The camera of the next iteration; error_share as in `shares`."""
+        self._owed += self.shares(error_share)
         most = np.flatnonzero(self._owed > self._owed.max() - 0.5)
         camera = int(rng.choice(most))
         self._owed[camera] -= 1

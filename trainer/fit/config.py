@@ -41,8 +41,8 @@ class FitConfig:
     """Share of a window's iterations that is spent on its newest frame, where no earlier window has
     seen it."""
     error_share: float = 0.5
-    """Share of the iterations that goes to cameras by how much is wrong in their pictures; the rest
-    is for all alike."""
+    """Share of a later window's iterations that goes to cameras by how much is wrong where they see
+    what is trained; the rest is for all alike. Only where slots are leased."""
     dssim_weight: float = 0.2
     """Weight of 1 - SSIM beside L1. 3DGS."""
     colour_lr: float = 1e-3

@@ -145,7 +145,7 @@ class Trainer:
         self._leases = None if layout is None else Leases(config.lease, layout)
         self._generations = Generations(config, initial, self._leases)
         self._colour = CameraColour(len(cameras), config.colour_lr)
-        self._cameras = CameraDraws(len(cameras), config.error_share)
+        self._cameras = CameraDraws(len(cameras))
         self._rng = np.random.default_rng(config.seed)
         self._next_window = 0
         self._steps = 0
@@ -271,6 +271,8 @@ class Trainer:
             together = [cells_of(means, size * self._extent_m) for size in TOGETHER_SIZES]
         # Where most slots are kept, what their tiles show reaches no gradient.
         whole = genesis or self._leases is None
+        # The loss of a whole picture says more of its camera than of what is still wrong.
+        error_share = 0.0 if whole else config.error_share
         ages = generations.lifespans.ages(frames.start)
         if genesis:
             ages[:] = 0
@@ -278,7 +280,7 @@ class Trainer:
             frame = int(self._rng.integers(frames.start, frames.stop))
             if brings_new and self._rng.random() < config.newest_share:
                 frame = last_frame
-            camera = self._cameras.draw(self._rng)
+            camera = self._cameras.draw(self._rng, error_share)
             view, shot = self._views[camera], self._pictures.shot(camera, frame)
             if iteration < schedule.half_until:
                 view, shot = self._half_views[camera], shot.half()
@@ -297,7 +299,7 @@ class Trainer:
                 level = int(iteration / (config.together_share * schedule.iterations))
                 cells = together[level] if level < len(together) else None
             loss = self._step(camera, view, shot, rows, ages, means_lr_m, noise, calm, whole, cells)
-            if has_all:
+            if has_all and not whole:
                 self._cameras.note(camera, loss)
             done = iteration + 1
             period = config.mcmc.relocate_period

@@ -29,8 +29,8 @@ class TrainConfig:
     """Train nothing: read the first and the last frame of every camera, say what was understood,
     and draw cameras and points to this PNG."""
     preset: Preset = "cpu"
-    """Defaults to start from: cpu (minutes on two cores), fast (a first look), fine (an hour or two),
-    or paper (its settings, made for a GPU); other options override them."""
+    """Defaults to start from: cpu (minutes on two cores), fast (a first look), fine (an hour or
+    two), or paper (its settings, made for a GPU); other options override them."""
     frames: str = ":"
     """Frames of the capture to train, A:B; A included, B not."""
     scale: float = 1.0

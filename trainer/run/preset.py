@@ -53,7 +53,6 @@ PRESETS: Mapping[Preset, Callable[..., TrainConfig]] = {
             settle_rounds=0,  # not in the paper
             calm_from=1.0,  # not in the paper
             coarse_share=0.0,  # not in the paper
-            error_share=0.0,  # not in the paper
             newest_share=0.0,  # Algorithm 1: frames of the window evenly
             colour_lr=0.0,  # not in the paper
             optimiser=OptimiserConfig(
