@@ -74,6 +74,8 @@ def test_an_entropy_coder_is_told_the_same_edges_as_at_first(layout: SlotLayout)
         if update.birth % layout.segment_frames == 0:
             chunks += [(Kind.SNAPSHOT, chunk) for chunk in encoder.snapshots()]
         for kind, chunk in chunks:
+            if not chunk.data:  # nothing changes, and there is no packet
+                continue
             again = encoded_elsewhere(layout, kind, chunk.data)
             assert (again.birth, again.data) == (chunk.birth, chunk.data)
             assert list(again.edges) == list(chunk.edges)
