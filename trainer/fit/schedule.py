@@ -1,10 +1,29 @@
-"""What changes from iteration to iteration of a window: sizes of pictures and learning rates."""
+"""What is done in the iterations of a window, and how its learning rates fall."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+import numpy.typing as npt
+
 from .config import FitConfig
+
+Floats = npt.NDArray[np.float32]
+Ints = npt.NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True)
+class Rates:
+    """How far one iteration moves the parameters."""
+
+    means_lr_m: float
+    """Learning rate of positions, metres."""
+    noise_m: float
+    """The noise's."""
+    calm: float
+    """What the other learning rates are multiplied by."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,12 +71,45 @@ class Schedule:
             config.calm_end,
         )
 
-    def means_lr_m(self, iteration: int, extent_m: float) -> float:
-        """The learning rate of positions, metres, which falls log-linearly."""
+    def rates(self, iteration: int, extent_m: float) -> Rates:
+        """Those of an iteration, which fall log-linearly."""
         decay = self.means_lr_end / self.means_lr
-        return float(extent_m * self.means_lr * decay ** (iteration / self.iterations))
-
-    def calm(self, iteration: int) -> float:
-        """What the other learning rates are multiplied by; falls log-linearly."""
+        means_lr_m = float(extent_m * self.means_lr * decay ** (iteration / self.iterations))
         over = iteration / self.iterations - self.calm_from
-        return float(self.calm_end ** (over / (1 - self.calm_from))) if over > 0 else 1.0
+        calm = float(self.calm_end ** (over / (1 - self.calm_from))) if over > 0 else 1.0
+        return Rates(means_lr_m, self.noise_lr * means_lr_m, calm)
+
+
+@dataclass(frozen=True, slots=True)
+class WindowPlan:
+    """How one window is trained."""
+
+    frames: range
+    schedule: Schedule
+    before: int
+    """Iterations of this window that earlier plans have done."""
+    is_ranked: bool
+    """Whether its Gaussians are put into layers at `layered_from`."""
+    layered_from: int
+    """The iteration from which on layers are told apart."""
+    prefix_share: float
+    """Share of the iterations from there on that render only the first layers."""
+    newest_share: float
+    """Share of the iterations that see the newest frame in any case."""
+    error_share: float
+    """Share of the iterations that goes to cameras by how much is wrong in them."""
+    whole: bool
+    """Whether all of a picture is compared, see `Backend.step`."""
+    ages: Floats
+    """(N,) frames that each Gaussian has lived."""
+    together: Sequence[Ints]
+    """(N,) the cell of each Gaussian, for ever smaller cells whose Gaussians move together."""
+    together_share: float
+    """Share of the iterations that each size of cells gets."""
+
+    def cells(self, iteration: int) -> Ints | None:
+        """The cells of an iteration; None if each Gaussian moves by itself."""
+        if not self.together:
+            return None
+        level = int(iteration / (self.together_share * self.schedule.iterations))
+        return self.together[level] if level < len(self.together) else None

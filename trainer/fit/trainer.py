@@ -21,7 +21,6 @@ from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import KEPT, Update
 from codec.splats import Splats
 from trainer.pictures.feed import Pictures
-from trainer.pictures.shot import Shot
 from trainer.step.backend import Backend
 from trainer.step.contribution import summed_contribution
 from trainer.step.raster import Parameters, View
@@ -33,7 +32,7 @@ from .generations import Generations
 from .leases import Leases
 from .optimiser import GATE_STEEPNESS, add_noise
 from .renew import Comparer, missing_splats
-from .schedule import Schedule
+from .schedule import Schedule, WindowPlan
 from .together import cells_of, move_together
 
 Floats = npt.NDArray[np.float32]
@@ -164,15 +163,16 @@ class Trainer:
             end = min(first_frame + self._config.swin_size, self._pictures.num_frames)
             frames = range(first_frame, end)
             if first_frame == 0:
-                self._train(frames, Schedule.genesis(self._config, self._coarse_share))
+                schedule = Schedule.genesis(self._config, self._coarse_share)
+                self._train(self._plan(frames, schedule))
                 for done in range(self._config.settle_rounds):
                     self._renew(0)
                     rate = self._config.optimiser.settle_means_lr
-                    self._train(frames, Schedule.window(self._config, rate), done)
+                    self._train(self._plan(frames, Schedule.window(self._config, rate), done))
                 self._generations.stagger(self._rng)
             else:
                 rate = self._config.optimiser.window_means_lr
-                self._train(frames, Schedule.window(self._config, rate))
+                self._train(self._plan(frames, Schedule.window(self._config, rate)))
             self._next_window += 1
             if self._leases is None:
                 yield Window(frames, tuple(self._generations.mature(self._next_window)))
@@ -240,19 +240,16 @@ class Trainer:
         self._rng.bit_generator.state = json.loads(state["random"].tobytes())
         self._next_window, self._steps = (int(n) for n in state["counters"])
 
-    def _train(self, frames: range, schedule: Schedule, settled: int | None = None) -> None:
-        """Optimises the current generation on the frames of a window. settled: the rounds that
-        genesis has settled for already."""
-        config, generations = self._config, self._generations
+    def _plan(self, frames: range, schedule: Schedule, settled: int | None = None) -> WindowPlan:
+        """How a window is trained; gives it its new slices. settled: the rounds that genesis has
+        settled for already."""
+        config, generations, leases = self._config, self._generations, self._leases
         genesis = frames.start == 0
         before = 0
         if settled is not None:
             before = config.genesis_iterations + settled * config.window_iterations
-        if not genesis and not config.optimiser.carry_adam:
-            generations.adam.reset(np.arange(config.num_gs))
-        last_frame = frames[-1]
         layered_from = schedule.iterations
-        if self._leases is not None and len(self._leases.slots) > 1:
+        if leases is not None and len(leases.slots) > 1:
             if not genesis or settled is not None:
                 layered_from = 0
             elif not config.settle_rounds:
@@ -261,86 +258,89 @@ class Trainer:
         brings_new = not genesis and len(frames) == config.swin_size
         if brings_new:
             # The window after genesis is the first of all its slices.
-            first_is_new = self._leases is not None and frames.start == 1
+            first_is_new = leases is not None and frames.start == 1
             for birth in frames if first_is_new else frames[-1:]:
                 self._begin_slice(birth)
-        active = {f: generations.lifespans.active_rows(f) for f in frames}
         together: list[Ints] = []
-        if brings_new and self._leases is not None and config.together_share:
+        if brings_new and leases is not None and config.together_share:
             means = generations.values.means[: config.num_gs]
             together = [cells_of(means, size * self._extent_m) for size in TOGETHER_SIZES]
-        # Where most slots are kept, what their tiles show reaches no gradient.
-        whole = genesis or self._leases is None
-        # The loss of a whole picture says more of its camera than of what is still wrong.
-        error_share = 0.0 if whole else config.error_share
         ages = generations.lifespans.ages(frames.start)
         if genesis:
             ages[:] = 0
-        for iteration in range(schedule.iterations):
+        # Where most slots are kept, what their tiles show reaches no gradient.
+        whole = genesis or leases is None
+        return WindowPlan(
+            frames=frames,
+            schedule=schedule,
+            before=before,
+            is_ranked=genesis and leases is not None and not settled,
+            layered_from=layered_from,
+            prefix_share=config.settle_prefix_share if genesis else config.prefix_share,
+            newest_share=config.newest_share if brings_new else 0.0,
+            # The loss of a whole picture says more of its camera than of what is still wrong.
+            error_share=0.0 if whole else config.error_share,
+            whole=whole,
+            ages=ages,
+            together=together,
+            together_share=config.together_share,
+        )
+
+    def _train(self, plan: WindowPlan) -> None:
+        """Optimises the current generation on the frames of a window."""
+        config, generations, frames = self._config, self._generations, plan.frames
+        if frames.start and not config.optimiser.carry_adam:
+            generations.adam.reset(np.arange(config.num_gs))
+        active = {f: generations.lifespans.active_rows(f) for f in frames}
+        for iteration in range(plan.schedule.iterations):
             frame = int(self._rng.integers(frames.start, frames.stop))
-            if brings_new and self._rng.random() < config.newest_share:
-                frame = last_frame
-            camera = self._cameras.draw(self._rng, error_share)
-            view, shot = self._views[camera], self._pictures.shot(camera, frame)
-            if iteration < schedule.half_until:
-                view, shot = self._half_views[camera], shot.half()
+            if plan.newest_share and self._rng.random() < plan.newest_share:
+                frame = frames[-1]
+            camera = self._cameras.draw(self._rng, plan.error_share)
             rows = active[frame]
-            if genesis and self._leases and not settled and iteration == layered_from:
+            if plan.is_ranked and iteration == plan.layered_from and self._leases is not None:
                 self._leases.rank(self._contributions(active[0], 0))
-            share = config.settle_prefix_share if genesis else config.prefix_share
-            has_all = iteration < layered_from or self._rng.random() >= share
+            has_all = iteration < plan.layered_from or self._rng.random() >= plan.prefix_share
             if not has_all:
                 rows = self._prefix(rows)
-            calm = schedule.calm(iteration)
-            means_lr_m = schedule.means_lr_m(iteration, self._extent_m)
-            noise = schedule.noise_lr * means_lr_m
-            cells = None
-            if together:
-                level = int(iteration / (config.together_share * schedule.iterations))
-                cells = together[level] if level < len(together) else None
-            loss = self._step(camera, view, shot, rows, ages, means_lr_m, noise, calm, whole, cells)
-            if has_all and not whole:
+            loss = self._step(plan, iteration, camera, frame, rows)
+            if has_all and not plan.whole:
                 self._cameras.note(camera, loss)
             done = iteration + 1
-            period = config.mcmc.relocate_period
-            if done % period == 0 and done <= config.mcmc.relocate_until * schedule.iterations:
-                generations.relocate(last_frame, config.mcmc.dead_opacity, self._rng)
+            period, until = config.mcmc.relocate_period, config.mcmc.relocate_until
+            if done % period == 0 and done <= until * plan.schedule.iterations:
+                generations.relocate(frames[-1], config.mcmc.dead_opacity, self._rng)
                 active = {f: generations.lifespans.active_rows(f) for f in frames}
-            if done % PROGRESS_PERIOD == 0 or done == schedule.iterations:
+            if done % PROGRESS_PERIOD == 0 or done == plan.schedule.iterations:
                 total = config.iterations(frames.start)
-                progress = Progress(frames.start, before + done, total, loss)
+                progress = Progress(frames.start, plan.before + done, total, loss)
                 for observer in self._observers:
                     observer.progressed(progress)
 
-    def _step(
-        self,
-        camera: int,
-        view: View,
-        shot: Shot,
-        rows: Ints,
-        ages: Floats,
-        means_lr_m: float,
-        noise: float,
-        calm: float,
-        whole: bool,
-        cells: Ints | None,
-    ) -> float:
-        """One iteration on the Gaussians `rows`; gives the loss."""
+    def _step(self, plan: WindowPlan, iteration: int, camera: int, frame: int, rows: Ints) -> float:
+        """One iteration on the Gaussians `rows`, seen by a camera at a frame; gives the loss."""
         config, values = self._config, self._generations.values
+        view, shot = self._views[camera], self._pictures.shot(camera, frame)
+        if iteration < plan.schedule.half_until:
+            view, shot = self._half_views[camera], shot.half()
         loss = self._backend.step(
             values, rows, view, shot, self._colour.gain(camera), self._colour.bias(camera),
-            config.num_gs, self._gradients, whole,
+            config.num_gs, self._gradients, plan.whole,
         )  # fmt: skip
         trainable = rows[rows < config.num_gs]
+        cells = plan.cells(iteration)
         if cells is not None:
             move_together(self._gradients.means, trainable, cells)
-        self._generations.adam.step(values, self._gradients, trainable, means_lr_m, ages, calm)
+        rates = plan.schedule.rates(iteration, self._extent_m)
+        self._generations.adam.step(
+            values, self._gradients, trainable, rates.means_lr_m, plan.ages, rates.calm
+        )
         if loss.gain_grad is not None and loss.bias_grad is not None:
             self._colour.step(camera, loss.gain_grad, loss.bias_grad)
         add_noise(
             values.means, values.log_scales, values.quats, values.logit_opacities, trainable,
-            np.float32(noise), np.float32(config.mcmc.dead_opacity), np.float32(GATE_STEEPNESS),
-            config.seed * 1_000_003 + self._steps,
+            np.float32(rates.noise_m), np.float32(config.mcmc.dead_opacity),
+            np.float32(GATE_STEEPNESS), config.seed * 1_000_003 + self._steps,
         )  # fmt: skip
         self._steps += 1
         return loss.value
