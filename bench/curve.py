@@ -44,6 +44,8 @@ from trainer.score.evaluate import EvaluateConfig, Evaluation, LayerScore, evalu
 COLOURS = ("#1f5fbf", "#d9480f", "#2b8a3e", "#862e9c", "#0b7285", "#a61e4d", "#5c940d", "#6b7280")
 """Of the streams, in turns."""
 PUBLISHED_COLOUR = "#212529"
+DECADE = 10
+"""Rates that lie further apart leave no room for many ticks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,7 +201,9 @@ def draw_rates(
             fontsize=8, color=PUBLISHED_COLOUR,
         )  # fmt: skip
     axes.set_xscale("log")
-    axes.xaxis.set_major_locator(matplotlib.ticker.LogLocator(subs=(1, 1.5, 2, 3, 5, 7)))
+    low, high = axes.get_xlim()
+    subs = (1, 1.5, 2, 3, 5, 7) if high < DECADE * low else (1, 3)
+    axes.xaxis.set_major_locator(matplotlib.ticker.LogLocator(subs=subs))
     axes.xaxis.set_major_formatter(matplotlib.ticker.FormatStrFormatter("%g"))
     axes.xaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
     axes.set_xlabel("kB a frame, logarithmic; all that one who plays from frame 0 fetches")
