@@ -26,7 +26,7 @@ def altered(data: bytes, rng: random.Random) -> bytes:
         made = made[: rng.randrange(len(made) + 1)]
     elif kind == 3:
         made += bytes(rng.choice(BYTES) for _ in range(rng.randrange(1, 9)))
-    elif kind > 3:
+    elif kind > 3 and len(made) > 12:
         for _ in range(rng.randrange(1, 4)):
             made[rng.randrange(12, len(made))] = rng.choice(BYTES)
     return bytes(made)
