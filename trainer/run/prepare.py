@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,6 @@ from trainer.capture.capture import Capture, check_trainable
 from trainer.capture.layout import open_capture
 from trainer.capture.points import points_evenness, read_points_file
 from trainer.errors import CaptureError
-from trainer.fit.config import FitConfig
 from trainer.fit.trainer import FALLBACK_FAR_M
 from trainer.pictures.feed import Pictures
 from trainer.pictures.framecache import FrameCache
@@ -66,16 +64,17 @@ def prepare(config: TrainConfig) -> Prepared:
     check_trainable(capture)
     frames = FrameRange.parse(config.frames).of(capture.num_frames, capture.root)
     near_m, far_m = _depths(capture, config)
-    initial = None
-    if config.initial is not None and not config.resume:
-        initial = _read_initial(config.initial, config.fit)
-    elif config.fit.genesis_iterations == 0 and not config.resume:
-        raise InvalidError("genesis_iterations 0 is for Gaussians that are given; see --initial")
+    initial = None if config.resume else _given_gaussians(config)
     return Prepared(capture, frames, near_m, far_m, config.fit.backend(config.backend), initial)
 
 
-def _read_initial(path: Path, fit: FitConfig) -> Splats:
-    """The Gaussians in a file, in the wanted SH degree."""
+def _given_gaussians(config: TrainConfig) -> Splats | None:
+    """Those of the file that the first frame begins with, if there is one."""
+    path, fit = config.initial, config.fit
+    if path is None:
+        if not fit.genesis_iterations:
+            raise InvalidError("genesis_iterations 0 is for given Gaussians; see --initial")
+        return None
     splats = read_splats(path)
     if len(splats) != fit.num_gs:
         raise InvalidError(f"{path}: {len(splats)} Gaussians; set --num-gs {len(splats)}")

@@ -127,6 +127,22 @@ def warm() -> None:
         StreamReader(Path(folder) / "stream").active_splats(5, 2)
 
 
+def mask_of(body: Callable[[int], bytes]) -> Hostile:
+    """A mask of so many bytes from `body`."""
+    return lambda: compress(head(Kind.MASK, 5) + body(4 * N)), read_mask, N * (4 + 2)
+
+
+def beyond(
+    kind: Kind, birth: int, part: str, read: Callable[[Path], object] = read_last
+) -> Hostile:
+    """A packet of `part` that inflates to far more than its slots can fill."""
+    return (
+        lambda: compress(head(kind, birth) + bytes(100 << 20)),
+        lambda data: read_folder(part, data, read),
+        0,
+    )
+
+
 SLOT_CASES: dict[str, Hostile] = {
     "change, all escaped": (
         lambda: escaped_change(3),
@@ -140,36 +156,12 @@ SLOT_CASES: dict[str, Hostile] = {
         N * (13 + 4 + FLOAT_BYTES),
     ),
     "full snapshot": (full_snapshot, read_snapshot, N * (13 + 3 * STATE_BYTES)),
-    "mask of zeros": (
-        lambda: compress(head(Kind.MASK, 5) + bytes(4 * N)),
-        read_mask,
-        N * (4 + 2),
-    ),
-    "mask of noise": (
-        lambda: compress(head(Kind.MASK, 5) + os.urandom(4 * N)),
-        read_mask,
-        N * (4 + 2),
-    ),
-    "mask beyond its slots": (
-        lambda: compress(head(Kind.MASK, 1) + bytes(100 << 20)),
-        lambda data: read_folder("masks", data, read_last),
-        0,
-    ),
-    "change beyond its slots": (
-        lambda: compress(head(Kind.CHANGE, 1) + bytes(100 << 20)),
-        lambda data: read_folder("1", data, read_last),
-        0,
-    ),
-    "snapshot beyond its slots": (
-        lambda: compress(head(Kind.SNAPSHOT, 0) + bytes(100 << 20)),
-        lambda data: read_folder("snapshot-0", data, read_last),
-        0,
-    ),
-    "verify beyond its slots": (
-        lambda: compress(head(Kind.CHANGE, 1) + bytes(100 << 20)),
-        lambda data: read_folder("0", data, verify_stream),
-        0,
-    ),
+    "mask of zeros": mask_of(bytes),
+    "mask of noise": mask_of(os.urandom),
+    "mask beyond its slots": beyond(Kind.MASK, 1, "masks"),
+    "change beyond its slots": beyond(Kind.CHANGE, 1, "1"),
+    "snapshot beyond its slots": beyond(Kind.SNAPSHOT, 0, "snapshot-0"),
+    "verify beyond its slots": beyond(Kind.CHANGE, 1, "0", verify_stream),
     "sizes of masks and snapshots in an index": (lambda: b"", lying_sizes, 0),
     "empty slots": (lambda: b"", empty_slots, N * 4 * (STATE_BYTES + FLOAT_BYTES)),
 }
