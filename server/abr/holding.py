@@ -1,0 +1,93 @@
+"""What a client holds of a stream, or will hold when all that was sent has come.
+
+Rule: layers 0..n of a slice are worth something together; a layer without those before it is not.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from itertools import accumulate
+
+from .media import Media, SegmentSizes
+
+
+class Holding(ABC):
+    """The packets that are there, as far as they are of use."""
+
+    def __init__(self, media: Media, first_frame: int) -> None:
+        self.media = media
+        self.first_frame = first_frame
+
+    @property
+    @abstractmethod
+    def end_frame(self) -> int:
+        """The first frame that cannot show: layer 0 of what it needs is not all here."""
+
+    @abstractmethod
+    def add(self, birth: int, first_layer: int, end_layer: int) -> None:
+        """Adds the packets of layers first_layer..end_layer-1 of a slice."""
+
+    @abstractmethod
+    def add_snapshots(self, frame: int, first_layer: int, end_layer: int) -> None:
+        """Adds the snapshots of these layers at `frame`."""
+
+    @abstractmethod
+    def shares(self, frame: int) -> list[float]:
+        """How much of each layer shows in `frame`, 0 to 1, never rising from layer to layer."""
+
+    @abstractmethod
+    def forget(self, frame: int) -> None:
+        """Frames before `frame` are not asked for any more."""
+
+    def layers(self, frame: int) -> float:
+        """Layers that show in `frame`; a part of one counts as that part."""
+        return sum(self.shares(frame))
+
+    def psnr_db(self, frame: int) -> float:
+        """What the index promises for `frame` as it shows, dB."""
+        gains = self.media.sizes(frame).gains_db
+        shares = self.shares(frame)
+        # Layer 0 is there, or else the frame does not show.
+        return gains[0] + sum(g * s for g, s in zip(gains[1:], shares[1:], strict=True))
+
+
+class SliceHolding(Holding):
+    """Version 1: a slice shows for swin_size frames, whatever the others have."""
+
+    def __init__(self, media: Media, first_frame: int) -> None:
+        super().__init__(media, first_frame)
+        self.first_birth = first_frame - media.swin_size + 1
+        self._levels: dict[int, int] = {}
+        self._end_birth = self.first_birth
+
+    @property
+    def end_frame(self) -> int:
+        return max(self._end_birth, self.first_frame)
+
+    def level(self, birth: int) -> int:
+        """How many layers of the slice are here, from layer 0 on."""
+        return self._levels.get(birth, 0)
+
+    def add(self, birth: int, first_layer: int, end_layer: int) -> None:
+        level = self._levels.get(birth, 0)
+        if first_layer <= level:
+            self._levels[birth] = max(level, end_layer)
+        while self._levels.get(self._end_birth):
+            self._end_birth += 1
+
+    def add_snapshots(self, frame: int, first_layer: int, end_layer: int) -> None:
+        raise TypeError("whole slices have no snapshots")
+
+    def shares(self, frame: int) -> list[float]:
+        swin_size, levels = self.media.swin_size, self._levels
+        counts = [0] * (self.media.num_layers + 1)
+        for birth in range(frame - swin_size + 1, frame + 1):
+            counts[levels.get(birth, 0)] += 1
+        above = list(accumulate(reversed(counts[1:])))
+        return [count / swin_size for count in reversed(above)]
+
+    def forget(self, frame: int) -> None:
+        oldest = frame - self.media.swin_size + 1
+        for birth in [b for b in self._levels if b < oldest]:
+            if birth < self._end_birth:
+                del self._levels[birth]

@@ -1,0 +1,1 @@
+"""Links: how long bytes take to pass, from traces or made up."""

@@ -1,0 +1,112 @@
+"""The stream as delivery sees it: what each packet takes, and what it gives.
+
+Rule: sizes and qualities only; the bytes themselves are somebody else's.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
+from typing import Protocol
+
+from codec.stream.index import SegmentRecord
+from codec.stream.manifest import Manifest
+
+UNKNOWN_GAIN_DB = 3.0
+"""What doubling a stream is taken to gain where the index does not say, dB."""
+
+SENT_SHARE_OF_WHOLE = 0.4
+"""Bytes of a Gaussian that a slice predicts, as a share of what it takes in a snapshot. Measured
+on the basketball, docs/RESULTS.md."""
+
+
+@dataclass(frozen=True)
+class SegmentSizes:
+    """What the slices of a segment take and give; the tuples have one entry for each layer."""
+
+    layer_bytes: tuple[float, ...]
+    """Mean bytes of a slice's packet of this layer; that of the mask is counted with layer 0."""
+    psnr_db: tuple[float, ...]
+    """PSNR of the layers up to this one together, dB; rising."""
+    snapshot_bytes: tuple[float, ...] = ()
+    """Of the layer's snapshot at the segment's first frame (version 2; else none)."""
+    changed_shares: tuple[float, ...] = ()
+    """Share of the layer's slots that a slice changes (version 2; else none)."""
+
+    @cached_property
+    def gains_db(self) -> tuple[float, ...]:
+        """What each layer adds to those before it, dB; of layer 0 its PSNR."""
+        return (self.psnr_db[0], *(b - a for a, b in zip(self.psnr_db, self.psnr_db[1:])))
+
+    @cached_property
+    def slice_bytes(self) -> tuple[float, ...]:
+        """Mean bytes of a slice with 1, 2, ... layers."""
+        return tuple(accumulate(self.layer_bytes))
+
+
+class Media(Protocol):
+    """The stream that is delivered; it may grow between two calls."""
+
+    @property
+    def fps(self) -> float: ...
+
+    @property
+    def swin_size(self) -> int: ...
+
+    @property
+    def segment_frames(self) -> int: ...
+
+    @property
+    def num_frames(self) -> int:
+        """Frames that can be sent now."""
+        ...
+
+    @property
+    def live(self) -> bool:
+        """Whether num_frames may still grow."""
+        ...
+
+    @property
+    def has_slots(self) -> bool:
+        """Whether slots last: format version 2."""
+        ...
+
+    @property
+    def num_layers(self) -> int: ...
+
+    def sizes(self, birth: int) -> SegmentSizes:
+        """Of the segment of the slice born at `birth`, which may lie before 0."""
+        ...
+
+
+def rising(psnr_db: Sequence[float], layer_bytes: Sequence[float]) -> tuple[float, ...]:
+    """`psnr_db` without what no player can use: never falling from one layer to the next, and
+    guessed from the sizes where it is unknown."""
+    totals = list(accumulate(layer_bytes))
+    if any(map(math.isnan, psnr_db)):
+        whole = max(totals[-1], 1.0)
+        psnr_db = [30 + UNKNOWN_GAIN_DB * math.log2(max(t, 1.0) / whole) for t in totals]
+    return tuple(accumulate(psnr_db, max))
+
+
+def segment_sizes(record: SegmentRecord, manifest: Manifest) -> SegmentSizes:
+    """What the index says of a segment."""
+    births = len(manifest.births(record.segment, record.num_frames))
+    layer_bytes = [size / births for size in record.object_bytes]
+    if not manifest.has_slots:
+        return SegmentSizes(tuple(layer_bytes), rising(record.psnr_db, layer_bytes))
+    masks_bytes, *snapshot_bytes = record.side_bytes
+    shares = [
+        min(1.0, sent / max(1.0, SENT_SHARE_OF_WHOLE * whole))
+        for sent, whole in zip(layer_bytes, snapshot_bytes, strict=True)
+    ]
+    layer_bytes[0] += masks_bytes / births
+    return SegmentSizes(
+        tuple(layer_bytes),
+        rising(record.psnr_db, layer_bytes),
+        tuple(map(float, snapshot_bytes)),
+        tuple(shares),
+    )

@@ -1,0 +1,1 @@
+"""Policies: what a client is sent next. Each is one file.."""

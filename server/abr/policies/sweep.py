@@ -1,0 +1,109 @@
+"""Our policy: of all that the client lacks, what is worth most per byte and cannot wait.
+
+Every layer offers the first packet of it that can still come in time. A packet is worth what its
+layer adds to the picture (index.bin), for as long as it will show, per byte; and the less the later
+it is due, for it can be sent later as well:
+
+    priority = gain_db * share of its life that is left / bytes * exp(-slack / patience)
+
+Layer 0 counts as much as a stall costs. So the leads of the layers order themselves, layer 0 far
+ahead and each other one behind the one before it, without a floor or a threshold: the link breaks
+down, and the upper layers starve first; it comes back, and what is due next is mended first.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from codec.errors import InvalidError
+
+from ..holding import SliceHolding
+from ..outlook import Outlook, Send, SendSlices
+
+
+@dataclass(frozen=True, slots=True)
+class SweepConfig:
+    """What a `Sweep` weighs."""
+
+    base_patience_s: float = 2.0
+    """The same for layer 0."""
+    patience_s: float = 1.0
+    """Seconds that a packet can wait until sending it now counts e times less."""
+    stall_db: float = 60.0
+    """What a frame of layer 0 is worth: what a stall of one frame costs, dB."""
+    hold_s: float = 4.0
+    """Seconds for which a layer that is taken up again is counted on, at most (version 2)."""
+    settle_s: float = 0.5
+    """Seconds of that which count for nothing: a layer that comes and goes is a nuisance."""
+    safety: float = 0.9
+    """Share of the estimated rate that is planned with."""
+    least_life: float = 0.5
+    """Share of a packet's life that must be left for it to be sent, except of layer 0."""
+
+    def __post_init__(self) -> None:
+        if not (self.patience_s > 0 and self.stall_db > 0):
+            raise InvalidError(f"patience_s {self.patience_s} and stall_db {self.stall_db} are > 0")
+        if not (0 < self.safety <= 2 and 0 <= self.least_life <= 1):
+            raise InvalidError(f"safety {self.safety} or least_life {self.least_life} is off")
+
+
+class SliceSweep:
+    """For version 1, where each packet of a slice is worth something by itself."""
+
+    def __init__(self, config: SweepConfig | None = None) -> None:
+        self._config = config or SweepConfig()
+        self._next: list[int] | None = None
+        """Of each layer a birth before which no slice lacks just this layer."""
+
+    def choose(self, outlook: Outlook) -> Send | None:
+        holding = outlook.holding
+        assert isinstance(holding, SliceHolding)
+        config, media = self._config, outlook.media
+        if self._next is None:
+            self._next = [holding.first_birth] * media.num_layers
+        rate_bps = config.safety * outlook.rate_bps
+        free_s = outlook.now_s + outlook.latency_s + 8 * outlook.queued_bytes / rate_bps
+        best, chosen = 0.0, None
+        for layer in range(media.num_layers):
+            found = self._first(outlook, holding, layer, free_s, rate_bps)
+            if found is not None and found[0] > best:
+                best, chosen = found[0], (layer, found[1])
+        if chosen is None:
+            return None
+        layer, birth = chosen
+        size = media.sizes(birth).layer_bytes[layer]
+        most = max(1, int(rate_bps * outlook.run_s / 8 / size))
+        end = birth + 1
+        while end < outlook.end_birth and end - birth < most and holding.level(end) == layer:
+            end += 1
+        self._next[layer] = end
+        if layer + 1 < media.num_layers:
+            self._next[layer + 1] = min(self._next[layer + 1], birth)
+        return SendSlices(range(birth, end), layer, layer + 1)
+
+    def _first(
+        self, outlook: Outlook, holding: SliceHolding, layer: int, free_s: float, rate_bps: float
+    ) -> tuple[float, int] | None:
+        """The first slice that lacks just `layer` and still shows it long enough: its priority
+        and its birth."""
+        assert self._next is not None
+        config, media = self._config, outlook.media
+        swin_size, fps = media.swin_size, media.fps
+        for birth in range(self._next[layer], outlook.end_birth):
+            if holding.level(birth) != layer:
+                continue
+            sizes = media.sizes(birth)
+            size = sizes.layer_bytes[layer]
+            slack_s = outlook.due_s(birth) - free_s - 8 * size / rate_bps
+            gain_db = sizes.gains_db[layer] if layer else config.stall_db
+            if layer:
+                life = min(swin_size, birth + swin_size - outlook.clock.first_frame)
+                life -= max(0.0, -slack_s) * fps
+                if life < config.least_life * swin_size:
+                    continue
+                gain_db *= life / swin_size
+            self._next[layer] = birth
+            patience_s = config.patience_s if layer else config.base_patience_s
+            return gain_db / size * math.exp(-max(0.0, slack_s) / patience_s), birth
+        return None

@@ -1,0 +1,162 @@
+"""A play in virtual time: the real session and policy, a link of a trace, and a client."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+from ..link.link import Link
+from ..media import Media
+from ..outlook import Policy, Send, SendSlices, SendSnapshots
+from ..playout import PlayoutClock
+from ..session import (
+    Finished,
+    PlaySession,
+    SessionConfig,
+    WaitForFrames,
+    WaitForNews,
+    WaitUntil,
+    open_holding,
+)
+
+PIECE_BYTES = 16 * 1024
+"""Bytes after which a longer record is acknowledged in part."""
+
+
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """Something has come whole."""
+
+    time_s: float
+    sent_s: float
+    num_bytes: float
+    what: Send
+
+
+@dataclass(slots=True)
+class Simulated:
+    """What a simulated play was."""
+
+    arrivals: list[Arrival] = field(default_factory=list)
+    estimates: list[tuple[float, float, float]] = field(default_factory=list)
+    """(time, estimated rate in bit/s, unacknowledged bytes) at each decision to send."""
+    ended_s: float = 0.0
+
+
+def send_bytes(media: Media, send: Send) -> float:
+    """What `send` takes on the wire."""
+    layers = range(send.first_layer, send.end_layer)
+    if isinstance(send, SendSnapshots):
+        return sum(media.sizes(send.frame).snapshot_bytes[layer] for layer in layers)
+    return sum(
+        media.sizes(birth).layer_bytes[layer] for birth in send.births for layer in layers
+    )
+
+
+def simulate(
+    media: Media,
+    policy: Policy,
+    link: Link,
+    config: SessionConfig | None = None,
+    first_frame: int = 0,
+    until_frame: int | None = None,
+    at_most_s: float = 1e5,
+    keep_estimates: bool = False,
+) -> Simulated:
+    """Plays `media` to its end, or for `at_most_s` seconds."""
+    session = PlaySession(media, policy, config or SessionConfig(), 0.0, first_frame, until_frame)
+    result = Simulated()
+    underway: deque[tuple[float, float, Arrival | None]] = deque()  # time, bytes, whole with it
+    now_s = free_s = acked_bytes = 0.0
+    while now_s < at_most_s:
+        decision = session.decide(now_s)
+        if isinstance(decision, SendSlices | SendSnapshots):
+            num_bytes = send_bytes(media, decision)
+            session.sent(decision, num_bytes, now_s)
+            left = num_bytes
+            free_s = max(free_s, now_s)
+            while left > 0:
+                piece = min(left, PIECE_BYTES)
+                left -= piece
+                free_s = link.passed_s(free_s, piece)
+                comes_s = free_s + link.at(free_s).latency_s
+                if underway:
+                    comes_s = max(comes_s, underway[-1][0])
+                whole = None if left > 0 else Arrival(comes_s, now_s, num_bytes, decision)
+                underway.append((comes_s, piece, whole))
+            if keep_estimates:
+                estimate = (now_s, session.rate_bps or 0.0, session.queued_bytes)
+                result.estimates.append(estimate)
+            continue
+        until_s = at_most_s
+        if isinstance(decision, Finished) and not underway:
+            break
+        if isinstance(decision, WaitUntil):
+            until_s = decision.time_s
+        elif isinstance(decision, WaitForFrames):
+            until_s = now_s + 0.05
+        elif isinstance(decision, WaitForNews):
+            assert underway, "nothing is on its way, and the session waits for it"
+        now_s = min(until_s, underway[0][0]) if underway else until_s
+        while underway and underway[0][0] <= now_s:
+            _, piece, whole = underway.popleft()
+            acked_bytes += piece
+            if whole is not None:
+                result.arrivals.append(whole)
+        session.acknowledge(now_s, acked_bytes)
+    result.ended_s = now_s
+    return result
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A frame as the client showed it."""
+
+    frame: int
+    due_s: float
+    shown_s: float
+    layers: float
+    psnr_db: float
+
+
+def play_out(
+    media: Media, result: Simulated, config: SessionConfig, first_frame: int, until_frame: int
+) -> tuple[list[Shown], PlayoutClock]:
+    """The frames that a client shows to whom `result` arrives."""
+    clock = PlayoutClock(first_frame, media.fps, config.playout, until_frame)
+    ready = open_holding(media, first_frame)
+    # When each frame shows goes by layer 0 alone.
+    ends: list[tuple[float, int]] = []
+    for arrival in result.arrivals:
+        _add(ready, arrival.what)
+        if not ends or ready.end_frame > ends[-1][1]:
+            ends.append((arrival.time_s, ready.end_frame))
+    holding = open_holding(media, first_frame)
+    shown: list[Shown] = []
+    arrivals, n = result.arrivals, 0
+    frame = first_frame
+    for k, (time_s, end_frame) in enumerate(ends):
+        clock.ready_until(end_frame, time_s)
+        later_s = ends[k + 1][0] if k + 1 < len(ends) else float("inf")
+        while clock.started_s is not None and frame < min(clock.end_frame, until_frame):
+            shown_s = clock.due_s(frame)
+            if clock.stall is not None or shown_s > later_s:
+                break
+            while n < len(arrivals) and arrivals[n].time_s <= shown_s + 1e-9:
+                _add(holding, arrivals[n].what)
+                n += 1
+            shares = holding.shares(frame)
+            gains = media.sizes(frame).gains_db
+            psnr = gains[0] + sum(g * s for g, s in zip(gains[1:], shares[1:], strict=True))
+            shown.append(Shown(frame, shown_s, shown_s, sum(shares), psnr))
+            holding.forget(frame)
+            frame += 1
+    return shown, clock
+
+
+def _add(holding: object, what: Send) -> None:
+    if isinstance(what, SendSlices):
+        for birth in what.births:
+            holding.add(birth, what.first_layer, what.end_layer)  # type: ignore[attr-defined]
+    else:
+        holding.add_snapshots(what.frame, what.first_layer, what.end_layer)  # type: ignore[attr-defined]
