@@ -85,6 +85,13 @@ class SlotDecoder:
         """What the slots hold, lane after lane, layer after layer."""
         self.history = MaskHistory(layout)
         self._missed: dict[tuple[int, int], _Missed] = {}
+        self._said: dict[int, Bytes] = {}
+        """By birth the statuses of this segment's slices, for a snapshot that comes late."""
+        self._altered = [
+            [np.zeros(count, np.bool_) for count in layout.slots[: self.num_layers]]
+            for _ in range(layout.swin_size)
+        ]
+        """What has changed of the slots since their lane was handed out by `apply`."""
 
     def copy(self) -> SlotDecoder:
         """Another decoder that holds the same, without what late changes need."""
@@ -94,14 +101,17 @@ class SlotDecoder:
         made.history = self.history.copy()
         return made
 
-    def load(self, data: Data, layer: int | None = None, frame: int | None = None) -> None:
+    def load(self, data: Data, layer: int | None = None, frame: int | None = None) -> bool:
         """Takes in the snapshot `data`, in place of what is here of its layer.
 
         layer, frame: which snapshot it should be; None takes that of any layer, and the first one
-        of any segment. A later one must be of the slice that was applied last.
+        of any segment, then that of the segment of the last slice. It may come late, after slices
+        of its segment, and so may the changes since.
+        Gives whether it is of use: that of an earlier segment is not, nor one of what is here.
         """
         snapshot = decode_snapshot(self.layout, data)
-        frame = self.frame if frame is None else frame
+        if frame is None and self.frame is not None:
+            frame = self.layout.segment_start(self.frame)
         if frame is not None and snapshot.frame != frame:
             raise CorruptError(
                 f"snapshot: of frame {snapshot.frame} where that of {frame} belongs", BIRTH_AT
@@ -110,17 +120,43 @@ class SlotDecoder:
             raise CorruptError(
                 f"snapshot: of layer {snapshot.layer} where that of {layer} belongs", LAYER_AT
             )
-        if self.frame is not None and self.frame != frame:
+        if self.frame is not None and snapshot.frame > self.frame:
             raise InvalidError(f"the slices have come to {self.frame}, the snapshot to {frame}")
         if snapshot.layer >= self.num_layers:
             raise InvalidError(f"snapshot: of layer {snapshot.layer}, held are {self.num_layers}")
-        births = window_births(snapshot.frame, self.layout.swin_size)
-        for birth, slots in zip(births, snapshot.lanes, strict=True):
-            lane = self.layout.lane(birth)
-            self.lanes[lane][snapshot.layer] = slots
-            self._missed.pop((lane, snapshot.layer), None)
         if self.frame is None:
             self.frame = self.joined = snapshot.frame
+        if snapshot.frame != self.layout.segment_start(self.frame):
+            return False
+        births, used = window_births(snapshot.frame, self.layout.swin_size), False
+        for birth, slots in zip(births, snapshot.lanes, strict=True):
+            lane = self.layout.lane(birth)
+            since = range(birth + self.layout.swin_size, self.frame + 1, self.layout.swin_size)
+            if not since or self._can_use_late(lane, snapshot.layer, since):
+                self._begin_anew(lane, snapshot.layer, slots, since)
+                used = True
+        return used
+
+    def _can_use_late(self, lane: int, layer: int, births: range) -> bool:
+        """Whether a snapshot from before `births` adds to a layer of a lane: it lacks more than
+        changes that may still come, and no mask, without which the lane is unknown anyway."""
+        if any(birth not in self._said for birth in births):
+            return False
+        missed = self._missed.get((lane, layer))
+        slots = self.lanes[lane][layer] if missed is None else missed.before
+        return bool((slots.conditions == UNKNOWN).any())
+
+    def _begin_anew(self, lane: int, layer: int, slots: Slots, births: range) -> None:
+        """Puts `slots` in place of a layer of a lane, and applies what is known of `births`."""
+        known = self._missed.pop((lane, layer), None)
+        missed = _Missed(slots)
+        for birth in births:
+            statuses = self._by_layer(self._said[birth])[layer]
+            change = None if known is None else known.since.get(birth, (None, None))[1]
+            missed.since[birth] = statuses, change
+        self._missed[lane, layer] = missed
+        self._replay(lane, layer, missed.since, None)
+        self._altered[lane][layer][:] = True
 
     def apply(
         self,
@@ -138,8 +174,8 @@ class SlotDecoder:
         unless it was that of the segment's first frame.
         blamed: makes of an error the one that is raised, given the layer of the change at fault,
         or None if it is the mask.
-        Gives the slots that changed, as a slice with rows: row r is slot r of the lane, counted
-        over all layers.
+        Gives the slots that changed since the lane's slice before, by late changes and snapshots,
+        too, as a slice with rows: row r is slot r of the lane, counted over all layers.
         """
         if self.frame is None or birth != self.frame + 1:
             last = "nothing" if self.frame is None else f"the slice born at {self.frame}"
@@ -158,9 +194,27 @@ class SlotDecoder:
             else:
                 self._missed.pop((lane, layer), None)
             slots.advance(delta)
+            self._altered[lane][layer] |= parts[layer] != KEPT
         self.history.note(birth, statuses)
+        self._go_on(birth, statuses)
+        return self._hand_out(birth)
+
+    def _go_on(self, birth: int, statuses: Bytes | None) -> None:
+        """Notes that the slices have come to `birth`; statuses: None if its mask is missing."""
+        if birth == self.layout.segment_start(birth):
+            self._said = {}
+        elif statuses is not None:
+            self._said[birth] = statuses.copy()
         self.frame = birth
-        rows = [np.flatnonzero(part != KEPT) for part in parts]
+        while self.said_bytes > max(self._state_bytes(), MIN_LOG_BYTES):
+            del self._said[next(iter(self._said))]
+
+    def _hand_out(self, birth: int) -> Slice:
+        """What has changed in the lane of `birth` since it was handed out last."""
+        altered = self._altered[self.layout.lane(birth)]
+        rows = [np.flatnonzero(of_layer) for of_layer in altered]
+        for of_layer in altered:
+            of_layer[:] = False
         return self._slice(birth, rows, with_rows=True)
 
     def statuses(
@@ -194,41 +248,53 @@ class SlotDecoder:
         self.lanes[lane] = [Slots(count, sh_degree, UNKNOWN) for count in counts]
         for layer in range(self.num_layers):
             self._missed.pop((lane, layer), None)
+        for altered in self._altered[lane]:
+            altered[:] = True
         self.history.note(birth, None)
-        self.frame = birth
-        return self._slice(birth, [np.arange(count) for count in counts], with_rows=True)
+        self._go_on(birth, None)
+        return self._hand_out(birth)
 
-    def late(self, birth: int, layer: int, change: Data) -> Slice | None:
+    def late(self, birth: int, layer: int, change: Data) -> bool:
         """Takes in a change that was missing when its slice was applied.
 
-        Gives what it alters in the lane as it is now, as a slice with rows of the lane's last
-        birth; None if the change is of no use any more. A change after it that does not fit what
-        the slots turn out to hold counts as missing.
+        Gives whether it was still of use; the lane's next slice brings what it altered. A change
+        after it that does not fit what the slots turn out to hold counts as missing.
         """
         lane = self.layout.lane(birth)
         missed = self._missed.get((lane, layer))
         if missed is None or not missed.waits_for(birth):
-            return None
+            return False
         since = dict(missed.since)
         since[birth] = since[birth][0], bytes(change)
-        slots, altered = missed.before.copy(), np.zeros(self.layout.slots[layer], np.bool_)
-        for known, (statuses, known_change) in since.items():
-            try:
-                delta = self._delta(known, layer, slots, statuses, known_change)
-            except CodecError:
-                if known == birth:
-                    raise
-                delta = self._delta(known, layer, slots, statuses, None)
-            slots.advance(delta)
+        self._replay(lane, layer, since, birth)
+        for known, (statuses, _) in since.items():
             if known >= birth:
-                altered |= statuses != KEPT
+                self._altered[lane][layer] |= statuses != KEPT
+        return True
+
+    def _replay(
+        self,
+        lane: int,
+        layer: int,
+        since: dict[int, tuple[Bytes, bytes | None]],
+        checked: int | None,
+    ) -> None:
+        """Applies `since` to a layer of a lane as it was before it missed something. checked: the
+        birth whose change raises if it does not fit; any other counts as missing then."""
+        missed = self._missed[lane, layer]
+        slots = missed.before.copy()
+        for birth, (statuses, change) in since.items():
+            try:
+                delta = self._delta(birth, layer, slots, statuses, change)
+            except CodecError:
+                if birth == checked:
+                    raise
+                delta = self._delta(birth, layer, slots, statuses, None)
+            slots.advance(delta)
         self.lanes[lane][layer] = slots
         missed.since = since
         if not any(map(missed.waits_for, since)):
             del self._missed[lane, layer]
-        rows = [np.zeros(0, np.int64)] * self.num_layers
-        rows[layer] = np.flatnonzero(altered)
-        return self._slice(max(since), rows, with_rows=True)
 
     def whole(self, birth: int, num_layers: int | None = None) -> Slice:
         """The slice born at `birth`, one of the last swin_size, of layers 0..num_layers-1: all
@@ -276,7 +342,7 @@ class SlotDecoder:
             self._missed[key] = _Missed(slots.copy())
         kept = None if change is None else bytes(change)
         self._missed[key].since[birth] = statuses.copy(), kept
-        while self.log_bytes > max(self._state_bytes(), MIN_LOG_BYTES):
+        while self._missed and self.log_bytes > max(self._state_bytes(), MIN_LOG_BYTES):
             # The one that waits longest is given up.
             del self._missed[next(iter(self._missed))]
 
@@ -284,6 +350,11 @@ class SlotDecoder:
     def log_bytes(self) -> int:
         """What is held only because changes may come late."""
         return sum(missed.num_bytes for missed in self._missed.values())
+
+    @property
+    def said_bytes(self) -> int:
+        """What is held only because snapshots may come late."""
+        return sum(said.nbytes for said in self._said.values())
 
     def _state_bytes(self) -> int:
         return sum(slots.num_bytes for lane in self.lanes for slots in lane)

@@ -53,11 +53,16 @@ class Reader:
             assert head.birth % self.shape.segment_frames == 0
         except AssertionError:
             return
+        for slice_ in self.applied.values():  # a packet from before it changes nothing
+            if slice_.birth <= head.birth:
+                slice_.before.pop(head.layer, None)
         for i, lane in enumerate(lanes):
             birth = head.birth - self.shape.swin_size + 1 + i
             self.lanes[birth % self.shape.swin_size][head.layer] = lane
-        for slice_ in self.applied.values():  # a packet from before it changes nothing
-            slice_.before.pop(head.layer, None)
+            later = birth + self.shape.swin_size
+            if later in self.applied:  # the snapshot has come late
+                self.applied[later].before[head.layer] = lane
+                self.apply_again(later)
 
     def apply(self, birth: int, mask: bytes | None, changes: dict[int, bytes]) -> None:
         """Applies one slice: its mask, and the changes that are at hand, by layer. One of no bytes

@@ -74,19 +74,21 @@ def test_who_has_all_and_who_joins_hold_the_same(
 @given(streams(), seeds)
 @settings(max_examples=40)
 def test_who_lacks_something_holds_the_same(stream: tuple[Shape, Chunks], seed: int) -> None:
-    """Packets that never come, or late; masks that never come; snapshots of some layers."""
+    """Packets that never come, or late; masks that never come; snapshots of some layers, some of
+    them late."""
     (shape, chunks), rng = stream, np.random.default_rng(seed)
     missing_mask, missing_change = rng.choice([0, 0.05, 0.3]), rng.choice([0, 0.1, 0.4])
     both = BothReaders(shape)
     waiting: list[tuple[int, int]] = []
-    for snapshot in chunks.snapshots[0]:
-        if rng.random() < 0.9 or both.decoder.frame is None:
+    absent = {layer for layer in range(1, len(shape.slots)) if rng.random() < 0.3}
+    for layer, snapshot in enumerate(chunks.snapshots[0]):
+        if layer not in absent:
             both.load(snapshot)
     both.check()
     for birth in range(1, NUM_FRAMES):
         changes: list[bytes | None] = []
         for layer, change in enumerate(chunks.changes[birth]):
-            lacks = rng.random() < missing_change
+            lacks = layer in absent or rng.random() < missing_change
             changes.append(None if lacks else change)
             if lacks:
                 waiting.append((birth, layer))
@@ -95,6 +97,10 @@ def test_who_lacks_something_holds_the_same(stream: tuple[Shape, Chunks], seed: 
             if rng.random() < 0.4:
                 both.load(snapshot)
         both.check()
+        for layer in [layer for layer in absent if rng.random() < 0.3]:
+            absent.remove(layer)
+            both.load(chunks.snapshots[birth - birth % shape.segment_frames][layer])
+            both.check()
         rng.shuffle(waiting)
         for _ in range(rng.integers(0, len(waiting) + 1)):
             late_birth, layer = waiting.pop()

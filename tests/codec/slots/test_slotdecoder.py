@@ -68,7 +68,10 @@ def test_what_is_out_of_turn_is_refused() -> None:
         decoder.apply(2, *parts(slices[2]))
     decoder.apply(1, *parts(slices[1]))
     with pytest.raises(CorruptError, match="of frame 0 where that of 1 belongs"):
-        decoder.load(snapshots[0])
+        decoder.load(snapshots[0], frame=1)
+    before = state_bytes(decoder)
+    assert not decoder.load(snapshots[0])
+    assert state_bytes(decoder) == before
     with pytest.raises(InvalidError, match="3 changes for 2"):
         decoder.apply(2, slices[2].mask.data, [None] * 3)
     for birth in (-1, 2):
@@ -129,7 +132,7 @@ def test_what_late_changes_need_has_a_bound(monkeypatch: pytest.MonkeyPatch) -> 
         decoder.apply(birth, mask, [changes[0] if birth % 7 else None, changes[1]])
         assert decoder.log_bytes <= max(4000, 2 * state)
     assert decoder.log_bytes > 0
-    assert decoder.late(7, 0, slices[7].changes[0].data) is None
+    assert not decoder.late(7, 0, slices[7].changes[0].data)
 
 
 def test_a_layer_that_is_not_expected_is_not_waited_for() -> None:
@@ -143,7 +146,7 @@ def test_a_layer_that_is_not_expected_is_not_waited_for() -> None:
         assert decoder.log_bytes == 0
         beyond = shown.rows is not None and shown.rows >= 50
         assert (shown.start_offsets[beyond] == HIDDEN).all()
-    assert decoder.late(29, 1, slices[29].changes[1].data) is None
+    assert not decoder.late(29, 1, slices[29].changes[1].data)
 
 
 def test_a_late_change_that_does_not_fit_alters_nothing() -> None:
@@ -158,7 +161,7 @@ def test_a_late_change_that_does_not_fit_alters_nothing() -> None:
     with pytest.raises(CorruptError, match="birth 3 where birth 1 belongs"):
         decoder.late(1, 0, slices[3].changes[0].data)
     assert state_bytes(decoder) == before
-    assert decoder.late(1, 0, changes[0]) is not None
+    assert decoder.late(1, 0, changes[0])
     other = SlotDecoder(layout)
     other.load(snapshots[0])
     for birth in (1, 2):
@@ -254,8 +257,8 @@ def test_what_waits_for_late_changes_is_given_up_with_the_mask() -> None:
     assert decoder.log_bytes
     decoder.apply(2, None, [None])
     assert not decoder.log_bytes
-    assert decoder.late(1, 0, slices[1].changes[0].data) is None
-    assert decoder.late(2, 0, slices[2].changes[0].data) is None
+    assert not decoder.late(1, 0, slices[1].changes[0].data)
+    assert not decoder.late(2, 0, slices[2].changes[0].data)
     assert set(conditions(decoder, 0)) == {UNKNOWN}
 
 
@@ -284,9 +287,9 @@ def test_a_change_that_a_late_one_shows_to_be_wrong_counts_as_missing() -> None:
     # Beyond the edge, if the first was there; and the second slot is new.
     decoder.apply(2, mask(2, PREDICTED, NEW), [change(2, inside, edge, inside)])
     assert conditions(decoder, 0) == [UNKNOWN, ON_LATTICE]
-    shown = decoder.late(1, 0, change(1, nothing, nothing, edge))
-    assert shown is not None
-    assert shown.rows is not None
-    assert shown.rows.tolist() == [0, 1]
+    assert decoder.late(1, 0, change(1, nothing, nothing, edge))
     assert conditions(decoder, 0) == [UNKNOWN, UNKNOWN]
     assert decoder.log_bytes == 0
+    shown = decoder.apply(3, mask(3, KEPT, KEPT), [None])
+    assert shown.rows is not None
+    assert shown.rows.tolist() == [0, 1]
