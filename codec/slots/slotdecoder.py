@@ -132,7 +132,8 @@ class SlotDecoder:
         for birth, slots in zip(births, snapshot.lanes, strict=True):
             lane = self.layout.lane(birth)
             since = range(birth + self.layout.swin_size, self.frame + 1, self.layout.swin_size)
-            if not since or self._can_use_late(lane, snapshot.layer, since):
+            on_time = snapshot.frame == self.frame
+            if on_time or self._can_use_late(lane, snapshot.layer, since):
                 self._begin_anew(lane, snapshot.layer, slots, since)
                 used = True
         return used
