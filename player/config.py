@@ -12,7 +12,7 @@ from codec.console import option
 from codec.errors import InvalidError
 from codec.framerange import FRAMES, FrameRange
 from codec.stream.manifest import Manifest
-from player.link.link import Link
+from server.abr.link.link import Link
 from player.render.renderer import RendererKind
 from player.show.sink import check_output
 from player.view.path import CameraPath, Size, camera_path, check_path

@@ -14,12 +14,12 @@ from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from codec.errors import InvalidError
-from player.link.link import Link
+from server.abr.link.link import Link
 from player.link.relay import Relay
 from player.playout.clock import Clock
 from player.playout.queues import Events
 from player.playout.threads import Threads, render_thread
-from player.playout.timeline import FrameRecord, Playout, PlayoutConfig
+from player.playout.timeline import FrameRecord, Playout, QueueConfig
 from player.render.renderer import Renderer, RendererKind, create_renderer
 from player.show.sink import open_sink, to_bytes
 from player.source.locate import open_source
@@ -31,14 +31,13 @@ from .report import PlaySummary, write_report
 
 Floats = npt.NDArray[np.float32]
 
-CAPTURE_QUEUE = PlayoutConfig(max_frames=1 << 30)
+CAPTURE_QUEUE = QueueConfig(max_frames=1 << 30)
 """A capture's queue is bounded in bytes only. A full queue stops the reading, which a server takes
 for a slow link; a machine that draws slowly should get there as late as possible."""
 
 
 def play(config: PlayConfig) -> PlaySummary:
     """Plays the stream to its end, or until the window is closed."""
-    clock = Clock(real=config.capture is None)
     records: list[FrameRecord] = []
     keep: Callable[[FrameRecord], None] = records.append if config.report else lambda _: None
     with ExitStack() as stack:
@@ -54,6 +53,8 @@ def play(config: PlayConfig) -> PlaySummary:
         source = open_source(config.source, config.frames, config.layers, via)
         stack.callback(source.close)
         path = config.camera.of(source.manifest, config.size, source.frames)
+        # What a server chooses for a frame is known when the frame is due, and not before.
+        clock = Clock(real=config.capture is None or source.adaptive)
         events = Events(_playout(config, source), clock)
         if config.capture is None:
             renderer: Renderer = show_window(path, source, events, keep)
@@ -85,9 +86,8 @@ def _relay(link: Link, url: str) -> Relay:
 
 
 def _playout(config: PlayConfig, source: Source) -> Playout:
-    manifest = source.manifest
-    queue = PlayoutConfig() if config.capture is None else CAPTURE_QUEUE
-    return Playout(source.frames.first, manifest.swin_size, manifest.fps, queue)
+    queue = QueueConfig() if config.capture is None else CAPTURE_QUEUE
+    return Playout(source.manifest, source.frames.first, source.frames.end, queue)
 
 
 def _capture(

@@ -26,6 +26,8 @@ class ServerConfig:
     """Bytes that may wait unsent for one play: the longer the queue, the staler the choice."""
     cache_bytes: int = 256 * 1024 * 1024
     """Bytes of objects kept in memory."""
+    poll_s: float = 0.005
+    """Seconds between two looks at what a client has acknowledged."""
     refresh_s: float = 0.5
     """Seconds between two looks at a live stream, or at the folder for new streams."""
     live_idle_s: float = 60.0
@@ -40,6 +42,7 @@ class ServerConfig:
             "keepalive_timeout_s",
             "shutdown_timeout_s",
             "send_queue_bytes",
+            "poll_s",
             "refresh_s",
             "live_idle_s",
         ):

@@ -10,14 +10,15 @@ import hashlib
 import logging
 import re
 from dataclasses import dataclass
-from itertools import accumulate
 from pathlib import Path
 
 from codec.errors import SwingsError
 from codec.stream.index import INDEX_NAME, pack_record
 from codec.stream.integrity import CheckedObject
-from codec.stream.manifest import MANIFEST_NAME, MASKS, Manifest, Part, snapshot_part
+from codec.stream.manifest import MANIFEST_NAME, Manifest, Part
 from codec.stream.reader import StreamReader
+
+from server.abr.media import SegmentSizes, segment_sizes
 
 from .errors import ServerError
 
@@ -52,6 +53,7 @@ class ServedStream:
         self._folder = folder
         self._index_hash = hashlib.sha256()
         self._num_hashed = 0
+        self._sizes: dict[int, SegmentSizes] = {}
         self._reader = StreamReader(folder)
         self.view = self._look()
 
@@ -100,6 +102,10 @@ class ServedStream:
     def has_slots(self) -> bool:
         return self.view.manifest.has_slots
 
+    @property
+    def num_layers(self) -> int:
+        return self.view.manifest.num_layers
+
     def has_object(self, segment: int, part: Part) -> bool:
         view = self.view
         return 0 <= segment < view.num_segments and part in view.manifest.parts
@@ -116,21 +122,14 @@ class ServedStream:
         """The births of the slices in `segment`."""
         return self.view.manifest.births(segment, self._reader.records[segment].num_frames)
 
-    def slice_bytes(self, birth: int) -> tuple[float, ...]:
-        """Mean bytes of a slice in the segment of `birth` with 1, 2, ... layers."""
+    def sizes(self, birth: int) -> SegmentSizes:
+        """What the index says of the segment of `birth`."""
         segment = self.view.manifest.segment_of(birth)
-        masks_bytes = self.object_bytes(segment, MASKS) if self.has_slots else 0
-        sizes = self._reader.records[segment].object_bytes
-        count = len(self.births(segment))
-        return tuple(total / count for total in accumulate(sizes, initial=masks_bytes))[1:]
-
-    def snapshot_bytes(self, frame: int) -> tuple[float, ...]:
-        """Bytes of the snapshots of 1, 2, ... layers at the first frame of the segment of
-        `frame`."""
-        manifest = self.view.manifest
-        segment = manifest.segment_of(frame)
-        parts = map(snapshot_part, range(manifest.num_layers))
-        return tuple(accumulate(self.object_bytes(segment, part) for part in parts))
+        found = self._sizes.get(segment)
+        if found is None:
+            found = segment_sizes(self._reader.records[segment], self.view.manifest)
+            self._sizes[segment] = found
+        return found
 
     def read_object(self, segment: int, part: Part) -> CheckedObject:
         """The object, checked against the index. Blocks."""

@@ -71,8 +71,10 @@ class Metrics:
             "via",
             "layer",
         )
-        self.slices = CounterFamily(
-            "swings_play_slices_total", "Slices sent by plays, by layer count.", "layers"
+        self.packets = CounterFamily(
+            "swings_play_packets_total",
+            "Packets sent by plays, by layer, mask or snapshot.",
+            "layer",
         )
         self.plays = CounterFamily(
             "swings_plays_total", "Plays that are over, by how they ended.", "outcome"

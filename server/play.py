@@ -1,6 +1,6 @@
-"""GET /v1/streams/{stream}/play: one response, slice by slice, the server choosing the layers.
+"""GET /v1/streams/{stream}/play: one response, packet by packet, the server choosing what comes next.
 
-Rule: a play ends at a slice boundary, with a record that says whether it is complete.
+Rule: a play ends between two records, with one that says whether it is complete.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from codec.stream.playrecord import (
     StartRecord,
     encode_record,
 )
-from server.abr.policy import FixedPolicy, LayerPolicy, Policy
+from server.abr.outlook import SendSlices, SendSnapshots
+from server.abr.policies.choice import fixed_policy, own_policy
 from server.abr.session import (
     Finished,
     PlaySession,
-    SendSlice,
-    SendSnapshots,
     WaitForFrames,
+    WaitForNews,
     WaitUntil,
 )
 
@@ -47,8 +47,8 @@ RETRY_AFTER_S = 5
 
 MAX_FRAME = 2**31 - 1
 
-SNAPSHOTS_BYTES = 1 << 20
-"""Bytes of snapshots after which a record ends, and the next layer goes into another one."""
+KEPT_OBJECTS = 64
+"""Objects that a play keeps at hand, beside those of the cache."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +130,8 @@ class _Play:
     def __init__(
         self, request: web.Request, state: ServerState, stream: ServedStream, query: PlayQuery
     ) -> None:
-        policy: Policy = FixedPolicy(query.num_layers) if query.num_layers else LayerPolicy()
+        layers = query.num_layers
+        policy = own_policy(stream) if layers is None else fixed_policy(layers)
         self.response = web.StreamResponse(
             headers={"Content-Type": CONTENT_TYPE, "Cache-Control": "no-store"}
         )
@@ -147,15 +148,15 @@ class _Play:
             query.from_frame,
             query.until_frame,
         )
-        self._segment = -1
-        self._objects: dict[Part, CheckedObject] = {}
+        self._objects: dict[tuple[int, Part], CheckedObject] = {}
 
     async def run(self) -> str:
         """Sends the whole play; gives how it ended."""
         self._connection.keep_queue_short(self._state.config.send_queue_bytes)
         await self._connection.prepare(self.response)
         view = self._stream.view
-        await self._send(StartRecord(self._from_frame, view.num_frames, view.manifest_json))
+        start = StartRecord(self._from_frame, view.num_frames, view.manifest_json)
+        await self._connection.send(self.response, encode_record(start))
         try:
             outcome, last = await self._send_slices()
         except (SwingsError, OSError) as error:
@@ -163,77 +164,101 @@ class _Play:
                 raise
             log.error("play of %s ended: %s", self._stream.name, error)
             outcome, last = "damaged", ErrorRecord("this stream is damaged on the server")
-        await self._send(last)
+        await self._connection.send(self.response, encode_record(last))
         return outcome
 
     async def _send_slices(self) -> tuple[str, Record]:
-        """Sends slices until there is a reason to stop; gives it, and the last record."""
+        """Sends packets until there is a reason to stop; gives it, and the last record."""
         waiting_since_s: float | None = None
+        config = self._state.config
         while True:
             now_s = self._clock()
             if self._connection.gone:
                 raise ConnectionResetError("the client has gone")
             if self._state.stopping.is_set():
                 return "stopped", self._broken_off("the server is stopping")
-            match self._session.decide(now_s, self._connection.queued_bytes()):
-                case SendSlice(birth=birth, num_layers=num_layers):
-                    waiting_since_s = None
-                    await self._send_slice(birth, num_layers)
+            self._acknowledge()
+            decision = self._session.decide(now_s)
+            if not isinstance(decision, WaitForFrames):
+                waiting_since_s = None
+            match decision:
+                case SendSlices() as send:
+                    await self._send_layers(send)
                 case SendSnapshots() as send:
-                    waiting_since_s = None
                     await self._send_snapshots(send)
+                case WaitForNews():
+                    await self._pause(config.poll_s)
                 case WaitUntil(time_s=time_s):
-                    await self._pause(time_s - now_s)
+                    busy = self._session.queued_bytes > 0
+                    await self._pause(config.poll_s if busy else max(0.0, time_s - now_s))
                 case WaitForFrames():
                     waiting_since_s = now_s if waiting_since_s is None else waiting_since_s
-                    if now_s - waiting_since_s > self._state.config.live_idle_s:
+                    if now_s - waiting_since_s > config.live_idle_s:
                         return "idle", self._broken_off("no new frames have come for a long time")
-                    await self._pause(self._state.config.refresh_s)
-                    await self._state.library.refresh(self._stream, self._clock())
+                    await self._pause(config.poll_s if self._session.queued_bytes else 0.1)
+                    await self._refresh()
                 case Finished():
                     return "complete", EndRecord(self._stream.num_frames)
 
+    def _acknowledge(self) -> None:
+        """Tells the session what of its bytes the client's side has."""
+        queued = self._connection.queued_bytes() - self._head_bytes
+        self._session.acknowledge(self._clock(), self._session.sent_bytes - max(0, queued))
+
+    async def _refresh(self) -> None:
+        """Looks for new frames, from time to time."""
+        now_s = self._clock()
+        if now_s - self._refreshed_s >= self._state.config.refresh_s:
+            self._refreshed_s = now_s
+            await self._state.library.refresh(self._stream, now_s)
+
     def _broken_off(self, reason: str) -> ErrorRecord:
-        resume_frame = max(self._from_frame, self._session.next_birth)
+        resume_frame = max(self._from_frame, self._session.holding.end_frame)
         return ErrorRecord(f"{reason}; play again from frame {resume_frame}")
 
-    async def _send_slice(self, birth: int, num_layers: int) -> None:
+    async def _object(self, birth: int, part: Part) -> CheckedObject:
+        """The object that holds the packet of `birth`; those of the window are kept at hand."""
         segment = self._stream.view.manifest.segment_of(birth)
-        if segment != self._segment:
-            self._segment, self._objects = segment, {}
-        parts: list[Part] = [*range(num_layers), *([MASKS] if self._stream.has_slots else [])]
-        for part in parts:
-            if part not in self._objects:
-                loaded = await self._state.cache.load(self._stream, segment, part)
-                self._objects[part] = loaded
-        packets = [self._objects[part].packet(birth) for part in parts]
-        mask = packets[num_layers] if self._stream.has_slots else None
-        await self._send(SliceRecord(birth, tuple(packets[:num_layers]), mask))
-        self._state.metrics.slices.add(1, str(num_layers))
-        self._count(parts, packets)
+        found = self._objects.get((segment, part))
+        if found is None:
+            found = await self._state.cache.load(self._stream, segment, part)
+            self._objects[segment, part] = found
+            while len(self._objects) > KEPT_OBJECTS:
+                del self._objects[next(iter(self._objects))]
+        return found
+
+    async def _send_layers(self, send: SendSlices) -> None:
+        layers: list[Part] = [*range(send.first_layer, send.end_layer)]
+        masked = self._stream.has_slots and not send.first_layer
+        for birth in send.births:
+            parts = [*layers, MASKS] if masked else layers
+            packets = [(await self._object(birth, part)).packet(birth) for part in parts]
+            mask = packets[-1] if masked else None
+            record = SliceRecord(birth, tuple(packets[: len(layers)]), mask, send.first_layer)
+            one = SendSlices(range(birth, birth + 1), send.first_layer, send.end_layer)
+            await self._send_part(one, record)
+            self._count(parts, packets)
 
     async def _send_snapshots(self, send: SendSnapshots) -> None:
-        """Sends the snapshots in records of not much more than SNAPSHOTS_BYTES."""
-        segment = self._stream.view.manifest.segment_of(send.frame)
-        first, packets = send.first_layer, list[bytes]()
-        for layer in range(send.first_layer, send.num_layers):
+        """Sends the snapshots, each in a record of its own."""
+        for layer in range(send.first_layer, send.end_layer):
             part = snapshot_part(layer)
-            loaded = await self._state.cache.load(self._stream, segment, part)
-            packets.append(loaded.packet(send.frame))
-            if sum(map(len, packets)) < SNAPSHOTS_BYTES and layer + 1 < send.num_layers:
-                continue
-            await self._send(SnapshotRecord(send.frame, first, tuple(packets)))
-            self._count([snapshot_part(n) for n in range(first, layer + 1)], packets)
-            first, packets = layer + 1, []
+            packet = (await self._object(send.frame, part)).packet(send.frame)
+            del self._objects[self._stream.view.manifest.segment_of(send.frame), part]
+            one = SendSnapshots(send.frame, layer, layer + 1)
+            await self._send_part(one, SnapshotRecord(send.frame, layer, (packet,)))
+            self._count([part], [packet])
+
+    async def _send_part(self, send: SendSlices | SendSnapshots, record: Record) -> None:
+        """Sends a record that is what the session has decided, or a part of it."""
+        data = encode_record(record)
+        self._session.sent(send, len(data), self._clock())
+        await self._connection.send(self.response, data)
 
     def _count(self, parts: Sequence[Part], packets: Sequence[bytes]) -> None:
         for part, packet in zip(parts, packets, strict=True):
+            self._state.metrics.packets.add(1, str(part))
             self._state.metrics.layer_bytes.add(len(packet), "play", str(part))
-
-    async def _send(self, record: Record) -> None:
-        data = encode_record(record)
-        self._session.sending(len(data), self._clock(), self._connection.queued_bytes())
-        await self._connection.send(self.response, data)
 
     async def _pause(self, seconds: float) -> None:
         """Waits, but not longer than the server runs."""

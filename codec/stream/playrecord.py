@@ -46,13 +46,15 @@ class StartRecord:
 
 @dataclass(frozen=True, slots=True)
 class SliceRecord:
-    """One slice: the packets of its layers 0, 1, ..., at least one unless there is a mask. Of no
-    bytes, with a mask, where nothing changes."""
+    """Packets of one slice: its layers may come together, apart, late, or never."""
 
     birth: int
     packets: tuple[bytes, ...]
+    """Of the layers first_layer, first_layer + 1, ..., at least one unless there is a mask. Of no
+    bytes where nothing changes (version 2)."""
     mask: bytes | None = None
-    """The packet of its mask (version 2; else none)."""
+    """The packet of its mask, which comes once (version 2; else none)."""
+    first_layer: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +99,8 @@ def encode_record(record: Record) -> bytes:
             value = {"kind": "slice", "birth": record.birth, PACKETS_KEY: list(record.packets)}
             if record.mask is not None:
                 value["mask"] = record.mask
+            if record.first_layer:
+                value["first"] = record.first_layer
         case SnapshotRecord():
             value = {
                 "kind": "snapshot",
@@ -123,7 +127,8 @@ def _check(record: Record) -> None:
             sound = 0 <= record.from_frame < 1 << 31 and 0 <= record.num_frames < 1 << 31
         case SliceRecord():
             least = int(record.mask is None)
-            sound = least <= len(record.packets) <= MAX_LAYERS
+            sound = record.first_layer >= 0 and not (record.first_layer and record.mask is not None)
+            sound &= least <= len(record.packets) <= MAX_LAYERS - record.first_layer
             sound &= -(1 << 31) <= record.birth < 1 << 31
         case SnapshotRecord():
             sound = 0 <= record.frame < 1 << 31 and record.first_layer >= 0
@@ -155,6 +160,16 @@ def _packets(value: dict[str, Any], least: int) -> tuple[bytes, ...]:
     if not least <= len(packets) <= MAX_LAYERS or any(type(p) is not bytes for p in packets):
         raise CorruptError(f"play: a {value['kind']!r} record without packets of its layers")
     return tuple(packets)
+
+
+def _first_layer(value: dict[str, Any], packets: tuple[bytes, ...]) -> int:
+    first_layer = _count(value, "first")
+    if first_layer + len(packets) > MAX_LAYERS:
+        raise CorruptError(
+            f"play: {len(packets)} packets from layer {first_layer} on, of {MAX_LAYERS} layers at "
+            "most"
+        )
+    return first_layer
 
 
 def _flat_list(items: list[Any]) -> list[Any]:
@@ -200,16 +215,13 @@ def decode_record(body: bytes | memoryview) -> Record:
             birth: int = _field(value, "birth", int)
             if not -(1 << 31) <= birth < 1 << 31:
                 raise CorruptError(f"play: a slice born at {birth}")
-            return SliceRecord(birth, packets, mask)
+            first_layer = _first_layer(value, packets) if "first" in value else 0
+            if first_layer and not packets:
+                raise CorruptError(f"play: nothing of the slice born at {birth}")
+            return SliceRecord(birth, packets, None if first_layer else mask, first_layer)
         case "snapshot":
             packets = _packets(value, 1)
-            first_layer = _count(value, "first")
-            if first_layer + len(packets) > MAX_LAYERS:
-                raise CorruptError(
-                    f"play: {len(packets)} snapshots from layer {first_layer} on, of {MAX_LAYERS} "
-                    "layers at most"
-                )
-            return SnapshotRecord(_count(value, "frame"), first_layer, packets)
+            return SnapshotRecord(_count(value, "frame"), _first_layer(value, packets), packets)
         case "end":
             return EndRecord(_count(value, "num_frames"))
         case "error":

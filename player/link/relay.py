@@ -16,7 +16,7 @@ from collections import deque
 
 from codec.errors import SwingsError
 
-from .link import Link
+from server.abr.link.link import Link
 
 log = logging.getLogger(__name__)
 

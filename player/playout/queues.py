@@ -7,7 +7,7 @@ from collections import deque
 
 from codec.errors import SwingsError
 from player.source.fetch import StoppedError
-from player.source.source import ReceivedSlice
+from player.source.source import Packets
 
 from .clock import Clock
 from .timeline import DueFrame, FrameRecord, Playout, PlayoutTotals
@@ -35,8 +35,8 @@ class Events:
     def totals(self) -> PlayoutTotals:
         return self._playout.totals
 
-    def append(self, received: ReceivedSlice) -> None:
-        """Adds a slice that arrived now; waits for room first. Raises StoppedError."""
+    def append(self, packets: Packets) -> None:
+        """Adds packets that arrived now; waits for room first. Raises StoppedError."""
         with self._changed:
             # A capture draws at its own pace. While it holds the stream back no time passes, so
             # that a slow machine is not taken for a slow link.
@@ -48,12 +48,13 @@ class Events:
                 self._clock.start()
             if self._stopped:
                 raise StoppedError("the player stopped")
-            self._playout.push(received, self._clock.now_s())
+            self._playout.push(packets, self._clock.now_s())
             self._changed.notify_all()
 
     def finish(self) -> None:
-        """No slice will follow."""
+        """No packets will follow."""
         with self._changed:
+            self._playout.finish(self._clock.now_s())
             self._finished = True
             self._changed.notify_all()
 

@@ -1,7 +1,8 @@
 """Streaming and rendering in step: the threads of the paper's Algorithm 2.
 
-receive_thread puts what the stream brings into the events queue; update_thread waits until a frame
-is due and moves its slice from the queue to the renderer; render_thread draws. Each stage is
+receive_thread puts the packets that the stream brings into the events queue, and does nothing else:
+while a socket is not read a server sees a slow link. update_thread waits until a frame is due,
+decodes what came into use with it and puts it into the renderer; render_thread draws. Each stage is
 bounded and waits for the next one. An error travels down the line and rises in render_thread, which
 runs in the caller's thread, as windows and OpenGL want it.
 """
@@ -19,6 +20,7 @@ from player.source.fetch import StoppedError
 from player.source.source import Source
 from player.view.path import CameraPath
 
+from .assembler import Assembler, open_assembler
 from .queues import Events, Handoff
 from .timeline import FrameRecord
 
@@ -28,8 +30,8 @@ Floats = npt.NDArray[np.float32]
 def receive_thread(source: Source, events: Events) -> None:
     """Reads the stream into the events queue."""
     try:
-        for received in source.slices():
-            events.append(received)
+        for packets in source.packets():
+            events.append(packets)
         events.finish()
     except StoppedError:
         pass
@@ -37,15 +39,17 @@ def receive_thread(source: Source, events: Events) -> None:
         events.fail(error)
 
 
-def update_thread(events: Events, renderer: Renderer, handoff: Handoff) -> None:
-    """Moves the slices of each frame into the renderer when it is due."""
+def update_thread(
+    events: Events, assembler: Assembler, renderer: Renderer, handoff: Handoff
+) -> None:
+    """Moves what came into use with each frame into the renderer when it is due."""
     try:
         while True:
             handoff.wait_for_room()
             due = events.take()
             if due is None:
                 break
-            for slice in due.slices:
+            for slice in assembler.take(due.record.frame, due.packets):
                 renderer.put(slice)
             handoff.put(due.record)
         handoff.finish()
@@ -83,7 +87,9 @@ class Threads:
 
     def update(self, renderer: Renderer) -> Handoff:
         """Starts update_thread; gives where it hands over its frames. Call it once."""
-        self._start("update", update_thread, self._events, renderer, self._handoff)
+        source = self._source
+        assembler = open_assembler(source.manifest, source.num_layers, source.frames.first)
+        self._start("update", update_thread, self._events, assembler, renderer, self._handoff)
         return self._handoff
 
     def _start(self, name: str, target: Callable[..., None], *arguments: object) -> None:

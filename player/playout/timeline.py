@@ -1,28 +1,31 @@
-"""When each frame is shown: the time line and its bounded queue of slices.
+"""When each frame is shown, and with which packets: the time line and its bounded queue.
 
-Rule: pure. Slices and their arrival times come in, frames and the times at which they show come
-out; nothing here reads a clock, waits or draws.
+Rule: pure. Packets and their arrival times come in, frames and the times at which they show come
+out; nothing here reads a clock, waits, decodes or draws.
 """
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from dataclasses import dataclass
 
-from codec.errors import CorruptError, InvalidError
-from codec.slice import Slice, window_births
-from player.source.source import ReceivedSlice
+from codec.errors import InvalidError
+from codec.stream.manifest import Manifest
+from player.source.source import Packets, SlicePackets
+from server.abr.holding import Holding
+from server.abr.media import SegmentSizes
+from server.abr.playout import PlayoutClock, PlayoutConfig
+from server.abr.slotholding import open_holding
 
 
 @dataclass(frozen=True, slots=True)
-class PlayoutConfig:
+class QueueConfig:
     """Bounds of the queue. When it is full the stream waits: nothing is ever dropped."""
 
-    max_frames: int = 240
+    max_frames: int = 600
     """Frames that may wait in the queue."""
-    max_bytes: int = 512 << 20
-    """Decoded bytes that may wait in the queue. A window always fits, however large it is."""
+    max_bytes: int = 128 << 20
+    """Bytes of packets that may wait in the queue. What the next frame needs always fits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,10 +33,10 @@ class FrameRecord:
     """What became of one frame, in seconds since the player started."""
 
     frame: int
-    layers: int
-    """Layers of the slice that was born in this frame."""
+    layers: float
+    """Layers that show in it: the mean over its slices, or those that are whole in version 2."""
     wire_bytes: int
-    """Bytes of the slices that came with this frame: the whole window at the first one."""
+    """Bytes of the packets that came into use with this frame."""
     due_s: float
     """When it should have shown: a frame time after the one before; the first, when it did."""
     shown_s: float
@@ -47,10 +50,10 @@ class FrameRecord:
 
 @dataclass(frozen=True, slots=True)
 class DueFrame:
-    """A frame to show now, and the slices that it needs beyond those shown before."""
+    """A frame to show now, and the packets that came into use with it."""
 
     record: FrameRecord
-    slices: tuple[Slice, ...]
+    packets: tuple[Packets, ...]
 
 
 @dataclass(slots=True)
@@ -62,9 +65,11 @@ class PlayoutTotals:
     """From the start of the player to its first picture."""
     stalls: int = 0
     stalled_s: float = 0.0
-    layers: int = 0
-    """Sum over the frames of the layers of the slice born in each."""
+    layers: float = 0.0
+    """Sum over the frames of the layers that show."""
     wire_bytes: int = 0
+    late_packets: int = 0
+    """Packets that came after the first frame that they could show in."""
     most_frames_waiting: int = 0
     most_bytes_waiting: int = 0
 
@@ -73,115 +78,155 @@ class PlayoutTotals:
         return self.layers / self.frames if self.frames else 0.0
 
 
-class Playout:
-    """The time line of one playback from `first_frame` on.
+class PlayedMedia:
+    """A stream as a client knows it that has its manifest and no more."""
 
-    The first frame shows when its whole window has arrived. Every later one is due one frame time
-    after the one before was shown; a slice that is not there by then stalls the picture, and what
-    follows moves with it.
+    def __init__(self, manifest: Manifest) -> None:
+        self.fps = manifest.fps
+        self.swin_size = manifest.swin_size
+        self.segment_frames = manifest.segment_frames
+        self.num_layers = manifest.num_layers
+        self.has_slots = manifest.has_slots
+        self.num_frames = 0
+        self.live = manifest.live
+        nothing = (0.0,) * self.num_layers
+        # A layer that lacks a change does not count as shown.
+        self._sizes = SegmentSizes(nothing, nothing, nothing, (1.0,) * self.num_layers)
+
+    def sizes(self, birth: int) -> SegmentSizes:
+        return self._sizes
+
+
+@dataclass(slots=True)
+class _Waiting:
+    """Packets that no frame has used yet."""
+
+    packets: Packets
+    came_s: float
+
+
+def _frame_of(packets: Packets) -> int:
+    """The first frame that the packets can show in; below 0 in the first window."""
+    return packets.birth if isinstance(packets, SlicePackets) else packets.frame
+
+
+def _add(holding: Holding, packets: Packets) -> None:
+    if isinstance(packets, SlicePackets):
+        holding.add(packets.birth, packets.first_layer, packets.end_layer)
+    else:
+        holding.add_snapshots(packets.frame, packets.first_layer, packets.end_layer)
+
+
+class Playout:
+    """The time line of one playback; `PlayoutClock` says when a frame shows.
+
+    A frame shows with all that has come by then, of its own slice and of those before it. What
+    comes later shows from the next frame on.
     """
 
     def __init__(
-        self, first_frame: int, swin_size: int, fps: float, config: PlayoutConfig | None = None
+        self,
+        manifest: Manifest,
+        first_frame: int,
+        until_frame: int | None = None,
+        queue: QueueConfig | None = None,
+        config: PlayoutConfig | None = None,
     ) -> None:
-        if first_frame < 0 or swin_size < 1 or not fps > 0:
-            raise InvalidError(f"playout: frame {first_frame}, window {swin_size}, {fps} fps")
-        self._config = config or PlayoutConfig()
-        self._first_frame = first_frame
-        self._frame_s = 1.0 / fps
-        self._queue: deque[tuple[ReceivedSlice, float]] = deque()
+        media = PlayedMedia(manifest)
+        self._queue = queue or QueueConfig()
+        self._clock = PlayoutClock(first_frame, media.fps, config, until_frame)
+        self._here = open_holding(media, first_frame)
+        self._shown = open_holding(media, first_frame)
+        self._waiting: dict[int, deque[_Waiting]] = {}
         self._queue_bytes = 0
         self._next_frame = first_frame
-        self._swin_size = swin_size
-        self.next_birth = window_births(first_frame, swin_size).start
-        """Birth of the slice that `push` wants next."""
-        self._last_arrival_s = -math.inf
-        # Due times are counted from the last start or stall, not summed up frame by frame.
-        self._base_frame = first_frame
-        self._base_s = 0.0
+        self._last_came_s = 0.0
         self.totals = PlayoutTotals()
 
     @property
     def frames_waiting(self) -> int:
-        """Frames that are complete in the queue."""
-        return self.next_birth - self._next_frame if self._ready else 0
-
-    @property
-    def _needed(self) -> int:
-        """Slices that the next frame takes out of the queue."""
-        return self._swin_size if self._next_frame == self._first_frame else 1
+        """Frames that can show and have not."""
+        return self._clock.end_frame - self._next_frame if self._ready else 0
 
     @property
     def _ready(self) -> bool:
-        return len(self._queue) >= self._needed
+        return self._clock.started_s is not None and self._next_frame < self._clock.end_frame
 
     @property
     def has_room(self) -> bool:
-        """Whether `push` takes a slice now; always while the next frame is not complete."""
+        """Whether `push` takes packets now; always while the next frame is not complete."""
         return not self._ready or (
-            self.frames_waiting < self._config.max_frames
-            and self._queue_bytes < self._config.max_bytes
+            self.frames_waiting < self._queue.max_frames
+            and self._queue_bytes < self._queue.max_bytes
         )
 
-    def push(self, received: ReceivedSlice, now_s: float) -> None:
-        """Takes the slice born at `next_birth`, which arrived at `now_s`.
-
-        Raises CorruptError when it is another one, and InvalidError when the queue is full.
-        """
-        if received.slice.birth != self.next_birth:
-            raise CorruptError(
-                f"the stream brought the slice born at {received.slice.birth} where "
-                f"{self.next_birth} belongs"
-            )
+    def push(self, packets: Packets, now_s: float) -> None:
+        """Takes packets that came at `now_s`. Raises InvalidError when the queue is full."""
         if not self.has_room:
             raise InvalidError("playout: the queue is full; wait for room")
-        self._last_arrival_s = max(now_s, self._last_arrival_s)
-        self._queue.append((received, self._last_arrival_s))
-        self._queue_bytes += received.memory_bytes
-        self.next_birth += 1
+        self._last_came_s = now_s = max(now_s, self._last_came_s)
+        _add(self._here, packets)
+        frame = _frame_of(packets)
+        self._waiting.setdefault(frame, deque()).append(_Waiting(packets, now_s))
+        self._queue_bytes += packets.wire_bytes
+        self._clock.ready_until(self._here.end_frame, now_s)
         totals = self.totals
         totals.most_frames_waiting = max(totals.most_frames_waiting, self.frames_waiting)
         totals.most_bytes_waiting = max(totals.most_bytes_waiting, self._queue_bytes)
 
-    def _times_s(self) -> tuple[float, float]:
-        """(due, shown) of the next frame, which is complete."""
-        complete_s = self._queue[self._needed - 1][1]
-        if self._next_frame == self._first_frame:
-            return complete_s, complete_s
-        due_s = self._base_s + (self._next_frame - self._base_frame) * self._frame_s
-        return due_s, max(due_s, complete_s)
+    def finish(self, now_s: float) -> None:
+        """No packets will come: what is there shows, however little it is."""
+        self._clock.until_frame = self._here.end_frame
+        self._clock.ready_until(self._here.end_frame, max(now_s, self._last_came_s))
 
     @property
     def next_shown_s(self) -> float | None:
         """When the next frame shows; None while a slice of it has not arrived."""
-        return self._times_s()[1] if self._ready else None
+        return self._clock.times_s(self._next_frame)[1] if self._ready else None
 
-    def take(self, now_s: float = math.inf) -> DueFrame | None:
+    def take(self, now_s: float = float("inf")) -> DueFrame | None:
         """The next frame if it shows at or before `now_s`, else None."""
         if not self._ready:
             return None
-        due_s, shown_s = self._times_s()
+        frame = self._next_frame
+        due_s, shown_s = self._clock.times_s(frame)
         if shown_s > now_s:
             return None
-        taken = [self._queue.popleft()[0] for _ in range(self._needed)]
-        self._queue_bytes -= sum(received.memory_bytes for received in taken)
-        record = FrameRecord(
-            self._next_frame,
-            taken[-1].layers,
-            sum(received.wire_bytes for received in taken),
-            due_s,
-            shown_s,
-        )
+        taken = list(self._used(frame, shown_s))
+        for packets in taken:
+            _add(self._shown, packets)
+        wire_bytes = sum(packets.wire_bytes for packets in taken)
+        self._queue_bytes -= wire_bytes
+        record = FrameRecord(frame, self._shown.layers(frame), wire_bytes, due_s, shown_s)
         totals = self.totals
-        if self._next_frame == self._first_frame:
+        if not totals.frames:
             totals.startup_s = shown_s
-        if self._next_frame == self._first_frame or record.late:
-            self._base_frame, self._base_s = self._next_frame, shown_s
         if record.late:
             totals.stalls += 1
             totals.stalled_s += shown_s - due_s
         totals.frames += 1
         totals.layers += record.layers
-        totals.wire_bytes += record.wire_bytes
+        totals.wire_bytes += wire_bytes
         self._next_frame += 1
-        return DueFrame(record, tuple(received.slice for received in taken))
+        self._clock.forget(self._next_frame)
+        self._here.forget(self._next_frame)
+        self._shown.forget(frame)
+        return DueFrame(record, tuple(taken))
+
+    def _used(self, frame: int, shown_s: float) -> list[Packets]:
+        """Takes the packets out of the queue that `frame` is the first to show, in order of birth,
+        a snapshot behind the slice of its frame."""
+        used: list[Packets] = []
+        for birth in sorted(birth for birth in self._waiting if birth <= frame):
+            waiting = self._waiting[birth]
+            come = [one.packets for one in waiting if one.came_s <= shown_s]
+            if len(come) == len(waiting):
+                del self._waiting[birth]
+            else:
+                self._waiting[birth] = deque(one for one in waiting if one.came_s > shown_s)
+            if birth < frame and self.totals.frames:
+                self.totals.late_packets += len(come)
+            used += come
+        return used
+
+

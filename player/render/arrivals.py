@@ -13,7 +13,7 @@ class Arrivals(Generic[Item]):
     """Holds each slice until a frame at or after its birth is drawn.
 
     Until then its lane belongs to a slice that still shows. None is left out, as a later one may
-    change only some of its rows. Whoever puts must keep the queue short: the update thread waits
+    change only some of its rows. One that was put before may come again, with more layers. Whoever puts must keep the queue short: the update thread waits
     for the render thread when it is a few frames ahead.
     """
 
@@ -22,7 +22,7 @@ class Arrivals(Generic[Item]):
         self._waiting: deque[tuple[int, Item]] = deque()
 
     def put(self, birth: int, item: Item) -> None:
-        """Adds the slice born at `birth`; births must ascend."""
+        """Adds the slice born at `birth`."""
         with self._lock:
             self._waiting.append((birth, item))
 

@@ -10,7 +10,7 @@ from codec.stream import StreamReader
 from codec.stream.manifest import Manifest
 
 from .segments import SegmentPlay
-from .source import ReceivedSlice, check_frames, check_layers
+from .source import Packets, check_frames, check_layers
 
 
 class DirectorySource:
@@ -20,7 +20,8 @@ class DirectorySource:
         """layers: None takes all."""
         self._reader = reader = StreamReader(path)
         self.name = str(path)
-        self._layers = check_layers(layers, reader.manifest, self.name)
+        self.adaptive = False
+        self.num_layers = check_layers(layers, reader.manifest, self.name)
         self.frames = check_frames(frames, reader.manifest, reader.num_frames, self.name)
         self.received_bytes = reader.overhead_bytes
 
@@ -29,9 +30,9 @@ class DirectorySource:
         """As it is on disk now: a live stream may end while it is played."""
         return self._reader.manifest
 
-    def slices(self) -> Iterator[ReceivedSlice]:
+    def packets(self) -> Iterator[Packets]:
         reader = self._reader
-        play = SegmentPlay(self.manifest, self._layers, self.frames)
+        play = SegmentPlay(self.manifest, self.num_layers, self.frames)
         while (segment := play.segment) is not None:
             if segment >= len(reader.records):
                 if self.manifest.live and reader.refresh():
@@ -39,7 +40,7 @@ class DirectorySource:
                 return
             objects = {part: reader.read_object(segment, part) for part in play.parts}
             self.received_bytes += sum(len(found.data) for found in objects.values())
-            yield from play.slices(objects)
+            yield from play.packets(objects)
 
     def interrupt(self) -> None:
         """Nothing here waits for longer than a read of the disk."""

@@ -14,7 +14,7 @@ from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest, Part
 from .fetch import BrokenError, Fetcher, FetchError
 from .retry import Retry, RetryConfig
 from .segments import SegmentPlay
-from .source import ReceivedSlice, check_frames, check_layers
+from .source import Packets, check_frames, check_layers
 
 
 def fetch_manifest(fetcher: Fetcher, url: str) -> Manifest | None:
@@ -52,7 +52,8 @@ class HostedSource:
         self._base = base
         self._fetcher = fetcher
         self._retry = retry or RetryConfig()
-        self._layers = check_layers(layers, manifest, name)
+        self.adaptive = False
+        self.num_layers = check_layers(layers, manifest, name)
         self._records = self._read_index()
         last = self._records[-1] if self._records else None
         num_frames = last.first_frame + last.num_frames if last else 0
@@ -90,12 +91,12 @@ class HostedSource:
         data = self._get(url, record.part_bytes[manifest.part_number(part)])
         return CheckedObject.check(url, data, manifest, record, part)
 
-    def slices(self) -> Iterator[ReceivedSlice]:
+    def packets(self) -> Iterator[Packets]:
         # Its frames have an end: a hosted stream is opened as finished.
-        play = SegmentPlay(self.manifest, self._layers, self.frames)
+        play = SegmentPlay(self.manifest, self.num_layers, self.frames)
         while (segment := play.segment) is not None:
             record = self._records[segment]
-            yield from play.slices({part: self._object(record, part) for part in play.parts})
+            yield from play.packets({part: self._object(record, part) for part in play.parts})
 
     def interrupt(self) -> None:
         self._fetcher.interrupt()

@@ -1,167 +1,95 @@
-"""The records of a /play response to slices: what stays the same when a connection breaks.
+"""The records of a /play response to packets: what stays the same when a connection breaks.
 
-Rule: no I/O. Each birth is handed out once and in order, whatever a new connection repeats.
+Rule: no I/O. Layer 0 of the slices comes without a gap; a new connection may repeat some.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Protocol
-
 from codec.errors import CodecError, CorruptError
 from codec.framerange import FrameRange
 from codec.slice import window_births
-from codec.stream.chunk import Chunk
-from codec.stream.integrity import decode_fitting_packet, fitting_slice
-from codec.stream.manifest import MASKS, Manifest, Part, snapshot_part
-from codec.stream.object import packet_content
+from codec.stream.manifest import MASKS, Manifest, Part
 from codec.stream.playrecord import SliceRecord, SnapshotRecord
 
-from .slotplay import SlotPlay
-from .source import ReceivedSlice
+from .source import Packets, SlicePackets, SnapshotPackets
 
 
-class Receiver(Protocol):
-    """What one version makes of slices and snapshots."""
+class Receiver:
+    """Checks what the records of one stream bring against its manifest, and against each other."""
 
-    @property
-    def next_birth(self) -> int:
-        """Birth of the slice that is handed out next."""
-        ...
-
-    def rejoin(self, num_frames: int) -> int:
-        """The frame to ask for after a break, of a stream of `num_frames` frames. What comes next
-        is the answer to that."""
-        ...
-
-    def take(self, record: SliceRecord | SnapshotRecord) -> Iterator[ReceivedSlice]:
-        """The slices to hand out, now that `record` has come. Raises a CodecError that names
-        what is wrong."""
-        ...
-
-    def finish(self) -> Iterator[ReceivedSlice]:
-        """The slices to hand out because no record follows."""
-        ...
-
-
-def open_receiver(name: str, manifest: Manifest, layers: int, frames: FrameRange) -> Receiver:
-    """What receives the slices of `layers` layers at most, for `frames` of the stream `name`."""
-    if manifest.has_slots:
-        return SlotReceiver(name, manifest, layers, frames.first)
-    return SliceReceiver(name, manifest, frames)
-
-
-class SliceReceiver:
-    """Version 1: every slice is whole."""
-
-    def __init__(self, name: str, manifest: Manifest, frames: FrameRange) -> None:
+    def __init__(self, name: str, manifest: Manifest, num_layers: int, frames: FrameRange) -> None:
+        """num_layers: the most that may come."""
         self._name = name
         self._manifest = manifest
-        self._first_frame = frames.first
+        self._num_layers = num_layers
+        self._first_frame = self._asked_frame = frames.first
         self.next_birth = window_births(frames.first, manifest.swin_size).start
+        """The first birth of which layer 0 has not come."""
+        self._joined = not manifest.has_slots
 
     def rejoin(self, num_frames: int) -> int:
+        """The frame to ask for after a break, of a stream of `num_frames` frames."""
+        if self._manifest.has_slots:
+            # At the edge of a live stream the next frame is not there yet.
+            self._joined = False
+            self._asked_frame = max(min(self.next_birth, num_frames - 1), self._first_frame)
+            return self._asked_frame
         # The window of this frame begins with the missing slice; near the end there is no such
         # frame, and the window of the last one begins with slices that came already.
         frame = min(self.next_birth + self._manifest.swin_size, num_frames) - 1
         return max(frame, self._first_frame)
 
-    def take(self, record: SliceRecord | SnapshotRecord) -> Iterator[ReceivedSlice]:
+    def take(self, record: SliceRecord | SnapshotRecord) -> Packets:
+        """The packets of `record`. Raises a CodecError that names what is wrong."""
+        end_layer = record.first_layer + len(record.packets)
+        if end_layer > self._num_layers:
+            what = "a snapshot" if isinstance(record, SnapshotRecord) else "a slice"
+            raise CorruptError(
+                f"{self._name}: {what} with layer {end_layer - 1}, of {self._num_layers} layers"
+            )
         if isinstance(record, SnapshotRecord):
+            return self._snapshots(record)
+        return self._slice(record)
+
+    def _snapshots(self, record: SnapshotRecord) -> Packets:
+        manifest, frame = self._manifest, record.frame
+        if not manifest.has_slots:
             raise CorruptError(f"{self._name}: a snapshot in a stream of whole slices")
-        if record.birth < self.next_birth:
-            return
-        if record.birth != self.next_birth:
-            message = f"the slice born at {record.birth} came before {self.next_birth}"
-            raise CorruptError(f"{self._name}: {message}")
-        if not record.packets:
-            raise CorruptError(f"{self._name}: the slice born at {record.birth} has no layers")
-        slice = fitting_slice(
-            self._chunks(record), self._manifest, lambda layer: self._name_of(record, layer)
-        )
-        self.next_birth += 1
-        yield ReceivedSlice(slice, len(record.packets), sum(map(len, record.packets)))
+        if frame % manifest.segment_frames:
+            raise CorruptError(f"{self._name}: a snapshot of frame {frame}, which begins no segment")
+        if not self._joined:
+            first = self._asked_frame - self._asked_frame % manifest.segment_frames
+            if record.first_layer or frame != first:
+                raise CorruptError(
+                    f"{self._name}: it begins with the snapshot of layer {record.first_layer} at "
+                    f"{frame}, not with that of layer 0 at {first}"
+                )
+            self._joined = True
+            self.next_birth = max(self.next_birth, frame + 1)
 
-    def finish(self) -> Iterator[ReceivedSlice]:
-        return iter(())
+        def blame(error: CodecError, part: Part) -> CodecError:
+            layer = str(part).rpartition("-")[2]
+            return error.within(f"{self._name}: layer {layer} of the snapshot of frame {frame}")
 
-    def _chunks(self, record: SliceRecord) -> Iterator[Chunk]:
-        for layer, packet in enumerate(record.packets):
-            try:
-                chunk = decode_fitting_packet(packet, self._manifest, record.birth, layer)
-            except CodecError as error:
-                raise error.within(self._name_of(record, layer)) from error
-            yield chunk
+        return SnapshotPackets(frame, record.first_layer, record.packets, blame)
 
-    def _name_of(self, record: SliceRecord, layer: int) -> str:
-        return f"{self._name}: layer {layer} of the slice born at {record.birth}"
+    def _slice(self, record: SliceRecord) -> Packets:
+        birth = record.birth
+        what = f"the slice born at {birth}"
+        if not self._joined:
+            raise CorruptError(f"{self._name}: {what} came before a snapshot")
+        if record.first_layer == 0:
+            if birth > self.next_birth:
+                raise CorruptError(f"{self._name}: {what} came before {self.next_birth}")
+            if self._manifest.has_slots and record.mask is None:
+                raise CorruptError(f"{self._name}: {what} has no mask")
+            if not record.packets:
+                raise CorruptError(f"{self._name}: {what} has no layers")
+            self.next_birth = max(self.next_birth, birth + 1)
 
+        def blame(error: CodecError, part: Part) -> CodecError:
+            place = "the mask" if part == MASKS else f"layer {part}"
+            return error.within(f"{self._name}: {place} of {what}")
 
-class SlotReceiver:
-    """Version 2: snapshots first, then what changes."""
-
-    def __init__(self, name: str, manifest: Manifest, layers: int, first_frame: int) -> None:
-        self._name = name
-        self._manifest = manifest
-        self._play = SlotPlay(manifest, layers, first_frame)
-        self._first_frame = first_frame
-
-    @property
-    def next_birth(self) -> int:
-        return self._play.next_birth
-
-    def rejoin(self, num_frames: int) -> int:
-        # At the edge of a live stream the next frame is not there yet.
-        frame = max(min(self.next_birth, num_frames - 1), self._first_frame)
-        self._play.join(frame)
-        return frame
-
-    def take(self, record: SliceRecord | SnapshotRecord) -> Iterator[ReceivedSlice]:
-        if isinstance(record, SnapshotRecord):
-            self._load(record)
-            return
-        # Now all the snapshots have come, and the slice before is as it will be.
-        yield from self._play.ready()
-        self._apply(record)
-        yield from self._play.ready()
-
-    def finish(self) -> Iterator[ReceivedSlice]:
-        yield from self._play.ready()
-
-    def _load(self, record: SnapshotRecord) -> None:
-        for layer, packet in enumerate(record.packets, record.first_layer):
-            name = f"{self._name}: layer {layer} of the snapshot of frame {record.frame}"
-            try:
-                if layer >= self._manifest.num_layers:
-                    raise CorruptError(f"the stream has {self._manifest.num_layers} layers")
-                snapshot = self._content(packet, snapshot_part(layer))
-                self._play.load(record.frame, layer, snapshot, len(packet))
-            except CodecError as error:
-                raise error.within(name) from error
-
-    def _apply(self, record: SliceRecord) -> None:
-        what = f"the slice born at {record.birth}"
-        if record.mask is None:
-            raise CorruptError(f"{self._name}: {what} has no mask")
-        try:
-            self._play.check(record.birth, len(record.packets))
-        except CodecError as error:
-            raise error.within(self._name) from error
-        names = [f"{self._name}: layer {n} of {what}" for n in range(len(record.packets))]
-        mask_name = f"{self._name}: the mask of {what}"
-
-        def blamed(error: CodecError, layer: int | None) -> CodecError:
-            return error.within(mask_name if layer is None else names[layer])
-
-        contents: list[bytes] = []
-        parts: list[Part] = [MASKS, *range(len(record.packets))]
-        for part, packet in zip(parts, (record.mask, *record.packets), strict=True):
-            try:
-                contents.append(self._content(packet, part))
-            except CodecError as error:
-                raise blamed(error, part if type(part) is int else None) from error
-        wire_bytes = len(record.mask) + sum(map(len, record.packets))
-        self._play.apply(record.birth, contents[0], contents[1:], wire_bytes, blamed)
-
-    def _content(self, packet: bytes, part: Part) -> bytes:
-        return packet_content(packet, self._manifest.max_content_bytes(part))
+        mask = record.mask if self._manifest.has_slots else None
+        return SlicePackets(birth, record.first_layer, record.packets, mask, blame)

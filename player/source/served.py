@@ -1,6 +1,6 @@
-"""A stream that a swings server plays: one response, slice by slice, in the layers it chooses.
+"""A stream that a swings server plays: one response, in the layers and the order it chooses.
 
-Rule: the slices come in birth order without a gap, whatever happens to the connections.
+Rule: layer 0 of the slices comes without a gap, whatever happens to the connections.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from codec.stream.playrecord import (
 )
 
 from .fetch import BrokenError, Fetcher, FetchError, OpenResponse
-from .receiver import open_receiver
+from .receiver import Receiver
 from .retry import Retry, RetryConfig
-from .source import ReceivedSlice, check_frames, check_layers
+from .source import Packets, check_frames, check_layers
 
 
 class ServedSource:
@@ -57,10 +57,11 @@ class ServedSource:
         try:
             start = self._connect(frames.first)
             self.manifest = self._manifest_of(start)
-            most = check_layers(layers, self.manifest, name)
+            self.adaptive = layers is None
+            self.num_layers = check_layers(layers, self.manifest, name)
             self._num_frames = start.num_frames
             self.frames = check_frames(frames, self.manifest, self._num_frames, name)
-            self._receiver = open_receiver(name, self.manifest, most, self.frames)
+            self._receiver = Receiver(name, self.manifest, self.num_layers, self.frames)
         except BaseException:
             self._disconnect()
             raise
@@ -125,7 +126,7 @@ class ServedSource:
             raise BrokenError(f"{self.name}: the server says: {record.message}")
         return record
 
-    def slices(self) -> Iterator[ReceivedSlice]:
+    def packets(self) -> Iterator[Packets]:
         retry = Retry(self._retry_config)
         connected, receiver = True, self._receiver
         while True:
@@ -137,10 +138,12 @@ class ServedSource:
             except BrokenError as error:
                 connected = False
                 self._disconnect()
+                end = self.frames.end
+                if end is not None and receiver.next_birth >= end:
+                    return  # layer 0 is whole; the rest is not worth another connection
                 self._fetcher.pause(retry.delay_s(error))
                 continue
             if isinstance(record, EndRecord):
-                yield from receiver.finish()
                 end = record.num_frames
                 if self._asked.end is not None:
                     end = min(end, self._asked.end)
@@ -150,11 +153,10 @@ class ServedSource:
                 return
             if not isinstance(record, SliceRecord | SnapshotRecord):
                 raise CorruptError(f"{self.name}: a second start record")
-            for received in receiver.take(record):
-                yield received
+            before = receiver.next_birth
+            yield receiver.take(record)
+            if receiver.next_birth > before:
                 retry.progress()
-            if self._asked.end is not None and receiver.next_birth >= self._asked.end:
-                return
 
     def _reconnect(self) -> None:
         self._num_frames = max(self._num_frames, self._receiver.next_birth)

@@ -1,34 +1,66 @@
-"""What a source of slices is: a folder, a server, or a static host.
+"""What a source of packets is: a folder, a server, or a static host.
 
-Every source gives a manifest at once and then slices in birth order, each with the layers it has.
+Every source gives a manifest at once, and then packets of slices and snapshots, each once: in
+whatever layers and order they come, layer 0 in order of birth.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
-from codec.errors import InvalidError
+from codec.errors import CodecError, InvalidError
 from codec.framerange import FrameRange
-from codec.slice import Slice
-from codec.stream.manifest import Manifest
+from codec.stream.manifest import Manifest, Part
+
+Blame = Callable[[CodecError, Part], CodecError]
+"""Makes an error name where the packet of a part came from."""
 
 
 @dataclass(frozen=True, slots=True)
-class ReceivedSlice:
-    """A decoded slice as a source hands it out."""
+class SlicePackets:
+    """Packets of one slice, as they came."""
 
-    slice: Slice
-    layers: int
-    """Layers 0..layers-1 are in it."""
-    wire_bytes: int
-    """What it took on the wire or on disk, bytes."""
+    birth: int
+    first_layer: int
+    packets: tuple[bytes, ...]
+    """Of the layers first_layer, first_layer + 1, ..."""
+    mask: bytes | None
+    """The packet of its mask, beside that of layer 0 (version 2; else none)."""
+    blame: Blame
 
     @property
-    def memory_bytes(self) -> int:
-        """What it takes decoded, bytes."""
-        return self.slice.num_bytes
+    def wire_bytes(self) -> int:
+        """What they took on the wire or on disk."""
+        return sum(map(len, self.packets)) + len(self.mask or b"")
+
+    @property
+    def end_layer(self) -> int:
+        return self.first_layer + len(self.packets)
+
+
+@dataclass(frozen=True, slots=True)
+class SnapshotPackets:
+    """Snapshots of some layers at the first frame of a segment (version 2)."""
+
+    frame: int
+    first_layer: int
+    packets: tuple[bytes, ...]
+    """Of the layers first_layer, first_layer + 1, ..."""
+    blame: Blame
+
+    @property
+    def wire_bytes(self) -> int:
+        """What they took on the wire or on disk."""
+        return sum(map(len, self.packets))
+
+    @property
+    def end_layer(self) -> int:
+        return self.first_layer + len(self.packets)
+
+
+Packets = SlicePackets | SnapshotPackets
 
 
 class Source(Protocol):
@@ -51,19 +83,26 @@ class Source(Protocol):
         ...
 
     @property
+    def adaptive(self) -> bool:
+        """Whether what comes depends on how fast it comes: layers are chosen on the way."""
+        ...
+
+    @property
+    def num_layers(self) -> int:
+        """The most layers that come."""
+        ...
+
+    @property
     def received_bytes(self) -> int:
         """Bytes read so far, everything included."""
         ...
 
-    def slices(self) -> Iterator[ReceivedSlice]:
-        """The slices from the first one that shows in `frames.first` to that of the last frame.
-
-        The first `swin_size` are whole; a later one may change only some rows of its lane.
-        """
+    def packets(self) -> Iterator[Packets]:
+        """All that shows in `frames`, and nothing else."""
         ...
 
     def interrupt(self) -> None:
-        """Makes whoever waits for a slice raise StoppedError soon."""
+        """Makes whoever waits for packets raise StoppedError soon."""
         ...
 
     def close(self) -> None: ...

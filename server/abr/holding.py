@@ -39,6 +39,10 @@ class Holding(ABC):
     def forget(self, frame: int) -> None:
         """Frames before `frame` are not asked for any more."""
 
+    @abstractmethod
+    def is_complete(self, frame: int, end_frame: int) -> bool:
+        """Whether all layers of all that shows in frame..end_frame-1 are here."""
+
     def layers(self, frame: int) -> float:
         """Layers that show in `frame`; a part of one counts as that part."""
         return sum(self.shares(frame))
@@ -91,3 +95,7 @@ class SliceHolding(Holding):
         for birth in [b for b in self._levels if b < oldest]:
             if birth < self._end_birth:
                 del self._levels[birth]
+
+    def is_complete(self, frame: int, end_frame: int) -> bool:
+        num_layers, oldest = self.media.num_layers, frame - self.media.swin_size + 1
+        return all(self.level(birth) == num_layers for birth in range(oldest, end_frame))

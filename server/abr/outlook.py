@@ -66,9 +66,8 @@ class Outlook:
         frame = max(birth, self.clock.first_frame)
         if self.clock.started_s is None:
             return self.now_s + (frame - self.clock.first_frame) / self.media.fps
-        stall = self.clock.stall
-        if stall is not None:
-            return self.now_s + (frame - stall.frame) / self.media.fps
+        if self.clock.stalled(self.now_s):
+            return self.now_s + (frame - self.clock.end_frame) / self.media.fps
         return self.clock.due_s(frame)
 
     def comes_s(self, num_bytes: float) -> float:
@@ -78,6 +77,11 @@ class Outlook:
 
 class Policy(Protocol):
     """Chooses what one client is sent next."""
+
+    @property
+    def mends(self) -> bool:
+        """Whether it may still send layers of a slice when layer 0 of later ones is sent."""
+        ...
 
     def choose(self, outlook: Outlook) -> Send | None:
         """What to send now; None if nothing is worth it until something changes."""

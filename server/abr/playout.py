@@ -19,23 +19,10 @@ class PlayoutConfig:
     start_lead_s: float = 0.1
     """Seconds of media, first frame included, that are there before the first frame shows: a link
     that just carries layer 0 delivers it unevenly."""
-    resume_lead_s: float = 0.0
-    """The same after a stall."""
 
     def __post_init__(self) -> None:
-        for name in ("start_lead_s", "resume_lead_s"):
-            if not 0 <= getattr(self, name) <= 60:
-                raise InvalidError(f"{name} is {getattr(self, name)}; it must be in 0..60")
-
-
-@dataclass(slots=True)
-class Stall:
-    """A frame that was not there when it was due."""
-
-    frame: int
-    due_s: float
-    shown_s: float | None = None
-    """None while it lasts."""
+        if not 0 <= self.start_lead_s <= 60:
+            raise InvalidError(f"start_lead_s is {self.start_lead_s}; it must be in 0..60")
 
 
 class PlayoutClock:
@@ -62,58 +49,72 @@ class PlayoutClock:
         self.until_frame = until_frame
         self.end_frame = first_frame
         """The first frame that cannot show yet."""
-        self.started_s: float | None = None
-        """When the first frame showed."""
-        self.stall: Stall | None = None
-        """The one that lasts."""
         self.stalls = 0
         self.stalled_s = 0.0
-        # Due times are counted from the last start or stall, not summed up frame by frame.
-        self._base_frame = first_frame
-        self._base_s = 0.0
+        """Of the stalls that are over."""
+        # (frame, when it showed) of the start and of each stall: due times are counted from the
+        # last one, not summed up frame by frame.
+        self._bases: list[tuple[int, float]] = []
+        self._started_s = 0.0
+
+    @property
+    def started_s(self) -> float | None:
+        """When the first frame showed; None before."""
+        return self._started_s if self._bases else None
+
+    def times_s(self, frame: int) -> tuple[float, float]:
+        """(due, shown) of a frame that can show, once playing has begun."""
+        n = len(self._bases) - 1
+        while n > 0 and self._bases[n][0] > frame:
+            n -= 1
+        base_frame, base_s = self._bases[n]
+        shown_s = base_s + (frame - base_frame) / self.fps
+        if frame > base_frame or n == 0:
+            return shown_s, shown_s
+        before_frame, before_s = self._bases[n - 1]
+        return before_s + (frame - before_frame) / self.fps, shown_s
 
     def due_s(self, frame: int) -> float:
-        """When `frame` shows if all comes in time; before the start, as if it were now 0."""
-        return self._base_s + (frame - self._base_frame) / self.fps
+        """When `frame` shows if nothing stalls any more, once playing has begun."""
+        base_frame, base_s = self._bases[-1]
+        return base_s + (frame - base_frame) / self.fps
 
     def next_frame(self, now_s: float) -> int:
         """The first frame that has not shown before `now_s`."""
-        if self.started_s is None:
+        if not self._bases:
             return self.first_frame
         # A frame due at this very moment counts as next; rounding may not skip it.
-        passed = math.ceil((now_s - self._base_s) * self.fps - 1e-6)
-        return min(self.end_frame, self._base_frame + max(0, passed))
+        base_frame, base_s = self._bases[-1]
+        passed = math.ceil((now_s - base_s) * self.fps - 1e-6)
+        return min(self.end_frame, base_frame + max(0, passed))
+
+    def stalled(self, now_s: float) -> bool:
+        """Whether the picture stands still at `now_s` because the next frame is not there."""
+        if not self._bases or self._ended:
+            return False
+        return now_s > self.due_s(self.end_frame) + 1e-9
 
     def ready_until(self, end_frame: int, now_s: float) -> None:
         """At `now_s` all frames before `end_frame` can show."""
-        self.tick(now_s)
+        stalled_frame = self.end_frame if self.stalled(now_s) else None
         self.end_frame = max(self.end_frame, end_frame)
-        self.tick(now_s)
-
-    def tick(self, now_s: float) -> None:
-        """Notes what has become of the next frame by `now_s`: starts, stalls, goes on."""
-        if self.started_s is None:
+        if not self._bases:
             if self._has_lead(self.first_frame, self._config.start_lead_s):
-                self.started_s = now_s
-                self._base_frame, self._base_s = self.first_frame, now_s
-            return
-        if self.stall is None:
-            ended = self.until_frame is not None and self.end_frame >= self.until_frame
-            if not ended and now_s > self.due_s(self.end_frame) + 1e-9:
-                self.stall = Stall(self.end_frame, self.due_s(self.end_frame))
-        if self.stall is not None and self._has_lead(self.stall.frame, self._config.resume_lead_s):
-            stall, self.stall = self.stall, None
-            stall.shown_s = now_s
+                self._started_s = now_s
+                self._bases.append((self.first_frame, now_s))
+        elif stalled_frame is not None and self.end_frame > stalled_frame:
             self.stalls += 1
-            self.stalled_s += now_s - stall.due_s
-            self._base_frame, self._base_s = stall.frame, now_s
+            self.stalled_s += now_s - self.due_s(stalled_frame)
+            self._bases.append((stalled_frame, now_s))
 
-    def lead_s(self, now_s: float) -> float:
-        """Seconds of media that are there beyond `now_s`."""
-        if self.started_s is None or self.stall is not None:
-            frame = self.first_frame if self.stall is None else self.stall.frame
-            return (self.end_frame - frame) / self.fps
-        return max(0.0, self.due_s(self.end_frame) - now_s)
+    def forget(self, frame: int) -> None:
+        """Times before those of `frame` are not asked for any more."""
+        while len(self._bases) > 2 and self._bases[2][0] <= frame:
+            del self._bases[0]
+
+    @property
+    def _ended(self) -> bool:
+        return self.until_frame is not None and self.end_frame >= self.until_frame
 
     def _has_lead(self, frame: int, lead_s: float) -> bool:
         needed = frame + max(1, math.ceil(lead_s * self.fps - 1e-9))

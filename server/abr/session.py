@@ -12,11 +12,10 @@ from dataclasses import dataclass, field
 from codec.errors import InvalidError
 
 from .estimator import EstimatorConfig, RateEstimator
-from .holding import Holding, SliceHolding
 from .media import Media
 from .outlook import Outlook, Policy, Send, SendSlices
 from .playout import PlayoutClock, PlayoutConfig
-from .slotholding import SlotHolding
+from .slotholding import open_holding
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,11 +68,6 @@ class Finished:
 
 
 Decision = Send | WaitForNews | WaitUntil | WaitForFrames | Finished
-
-
-def open_holding(media: Media, first_frame: int) -> Holding:
-    """What a client holds that begins to play with `first_frame`: nothing yet."""
-    return (SlotHolding if media.has_slots else SliceHolding)(media, first_frame)
 
 
 class PlaySession:
@@ -169,7 +163,6 @@ class PlaySession:
         """What to do now."""
         media, config, clock = self._media, self._config, self.clock
         clock.until_frame = last_frame = self._last_frame()
-        clock.tick(now_s)
         if not media.num_frames:
             return WaitForFrames() if media.live else Finished()
         rate_bps = self._estimator.rate_bps
@@ -179,6 +172,7 @@ class PlaySession:
         if last_frame is not None and next_frame >= last_frame:
             return Finished()
         self.holding.forget(next_frame)
+        clock.forget(next_frame)
         num_frames = media.num_frames if last_frame is None else last_frame
         end_birth = min(num_frames, next_frame + max(1, round(config.max_lead_s * media.fps)))
         outlook = Outlook(
@@ -203,11 +197,14 @@ class PlaySession:
         self._resting = send is None
         if send is not None:
             return send
-        if last_frame is None and self.holding.end_frame >= media.num_frames:
+        if end_birth < num_frames:
+            return WaitUntil(now_s + 1 / media.fps)
+        if last_frame is None:
             return WaitForFrames()
-        if last_frame is not None and clock.end_frame >= last_frame and clock.started_s is None:
-            return Finished()
-        return WaitUntil(now_s + 1 / media.fps)
+        # What lacks may be worth sending later, as long as it shows.
+        if self._policy.mends and not self.holding.is_complete(next_frame, last_frame):
+            return WaitUntil(now_s + 1 / media.fps)
+        return Finished()
 
     def _allowed_bytes(self, rate_bps: float | None) -> float:
         """How much may be on its way."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from itertools import accumulate
 
-from .holding import Holding
+from .holding import Holding, SliceHolding
 from .media import Media
 
 
@@ -69,8 +69,18 @@ class SlotHolding(Holding):
         layers = range(self.media.num_layers)
         return list(accumulate((self.fresh(layer, frame) for layer in layers), min))
 
+    def is_complete(self, frame: int, end_frame: int) -> bool:
+        return all(
+            any(first <= frame and last >= end_frame - 1 for first, last in chains)
+            for chains in self._chains
+        )
+
     def forget(self, frame: int) -> None:
         for chains in self._chains:
             while len(chains) > 1 and chains[1][0] <= frame:
                 del chains[0]
 
+
+def open_holding(media: Media, first_frame: int) -> Holding:
+    """What a client holds that begins to play with `first_frame`: nothing yet."""
+    return (SlotHolding if media.has_slots else SliceHolding)(media, first_frame)

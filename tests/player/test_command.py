@@ -19,7 +19,7 @@ from codec.framerange import FrameRange
 from codec.stream import StreamReader
 from player.__main__ import main
 from player.config import CameraPathName, PlayConfig
-from player.link.link import Link, LinkStep
+from server.abr.link.link import Link, LinkStep
 from player.playback import play
 from player.render.cpu import render_splats
 from player.render.renderer import RendererKind

@@ -24,7 +24,7 @@ from codec.stream.playrecord import (
     StartRecord,
 )
 from player.config import PlayConfig
-from player.link.link import Link, LinkStep
+from server.abr.link.link import Link, LinkStep
 from player.link.relay import Relay
 from player.playback import play
 from player.render.cpu import render_splats

@@ -26,6 +26,8 @@ class _Offer:
 class SlotSweep:
     """For version 2."""
 
+    mends = True
+
     def __init__(self, config: SweepConfig | None = None) -> None:
         self._config = config or SweepConfig()
 

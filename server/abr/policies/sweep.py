@@ -51,6 +51,8 @@ class SweepConfig:
 class SliceSweep:
     """For version 1, where each packet of a slice is worth something by itself."""
 
+    mends = True
+
     def __init__(self, config: SweepConfig | None = None) -> None:
         self._config = config or SweepConfig()
         self._next: list[int] | None = None

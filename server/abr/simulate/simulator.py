@@ -16,8 +16,8 @@ from ..session import (
     WaitForFrames,
     WaitForNews,
     WaitUntil,
-    open_holding,
 )
+from ..slotholding import open_holding
 
 PIECE_BYTES = 16 * 1024
 """Bytes after which a longer record is acknowledged in part."""
@@ -131,26 +131,23 @@ def play_out(
         _add(ready, arrival.what)
         if not ends or ready.end_frame > ends[-1][1]:
             ends.append((arrival.time_s, ready.end_frame))
+    for time_s, end_frame in ends:
+        clock.ready_until(end_frame, time_s)
     holding = open_holding(media, first_frame)
     shown: list[Shown] = []
     arrivals, n = result.arrivals, 0
-    frame = first_frame
-    for k, (time_s, end_frame) in enumerate(ends):
-        clock.ready_until(end_frame, time_s)
-        later_s = ends[k + 1][0] if k + 1 < len(ends) else float("inf")
-        while clock.started_s is not None and frame < min(clock.end_frame, until_frame):
-            shown_s = clock.due_s(frame)
-            if clock.stall is not None or shown_s > later_s:
-                break
-            while n < len(arrivals) and arrivals[n].time_s <= shown_s + 1e-9:
-                _add(holding, arrivals[n].what)
-                n += 1
-            shares = holding.shares(frame)
-            gains = media.sizes(frame).gains_db
-            psnr = gains[0] + sum(g * s for g, s in zip(gains[1:], shares[1:], strict=True))
-            shown.append(Shown(frame, shown_s, shown_s, sum(shares), psnr))
-            holding.forget(frame)
-            frame += 1
+    if clock.started_s is None:
+        return shown, clock
+    for frame in range(first_frame, min(clock.end_frame, until_frame)):
+        due_s, shown_s = clock.times_s(frame)
+        while n < len(arrivals) and arrivals[n].time_s <= shown_s + 1e-9:
+            _add(holding, arrivals[n].what)
+            n += 1
+        shares = holding.shares(frame)
+        gains = media.sizes(frame).gains_db
+        psnr = gains[0] + sum(g * s for g, s in zip(gains[1:], shares[1:], strict=True))
+        shown.append(Shown(frame, due_s, shown_s, sum(shares), psnr))
+        holding.forget(frame)
     return shown, clock
 
 

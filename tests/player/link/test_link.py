@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.errors import InvalidError
-from player.link.link import Link, LinkStep
+from server.abr.link.link import Link, LinkStep
 from player.link.relay import Relay
 
 steps = st.lists(

@@ -17,7 +17,7 @@ from codec.errors import CorruptError, InvalidError, SwingsError
 from codec.framerange import FrameRange
 from codec.slice import Slice
 from codec.stream import StreamReader, StreamWriter
-from player.link.link import Link
+from server.abr.link.link import Link
 from player.link.relay import Relay
 from player.source.fetch import BrokenError, Fetcher, FetchError
 from player.source.locate import open_source

@@ -1,0 +1,79 @@
+"""Packets to the slices that a renderer takes, frame after frame (version 1).
+
+Rule: pure. Packets come in compressed, when they are due; what does not belong is a CodecError that
+names where it came from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Protocol
+
+from codec.errors import CodecError
+from codec.slice import Slice
+from codec.stream.chunk import Chunk
+from codec.stream.integrity import check_slice_size, decode_fitting_packet
+from codec.stream.layers import merge_layers
+from codec.stream.manifest import Manifest
+from player.source.source import Packets, SnapshotPackets
+
+from .slotassembler import SlotAssembler
+
+
+class Assembler(Protocol):
+    """What one version makes of packets."""
+
+    def take(self, frame: int, packets: Iterable[Packets]) -> list[Slice]:
+        """The slices to put before `frame` is drawn, with `packets`, which came into use with it:
+        of slices born at or before it. Raises a CodecError.
+
+        Call it for every frame of a playback in order.
+        """
+        ...
+
+
+def open_assembler(manifest: Manifest, num_layers: int, first_frame: int) -> Assembler:
+    """What assembles a stream from `first_frame` on, of which `num_layers` layers come at most."""
+    if manifest.has_slots:
+        return SlotAssembler(manifest, num_layers, first_frame)
+    return SliceAssembler(manifest)
+
+
+class SliceAssembler:
+    """Version 1: a slice is whole with the layers that have come, and again when more come."""
+
+    def __init__(self, manifest: Manifest) -> None:
+        self._manifest = manifest
+        self._chunks: dict[int, dict[int, Chunk]] = {}  # by birth, by layer
+
+    def take(self, frame: int, packets: Iterable[Packets]) -> list[Slice]:
+        oldest = frame - self._manifest.swin_size + 1
+        altered: set[int] = set()
+        for one in packets:
+            assert not isinstance(one, SnapshotPackets), "version 1 has none"
+            if one.birth < oldest:
+                continue
+            held = self._chunks.setdefault(one.birth, {})
+            for layer, packet in enumerate(one.packets, one.first_layer):
+                if layer in held:
+                    continue
+                try:
+                    held[layer] = self._chunk(packet, one.birth, layer, held)
+                except CodecError as error:
+                    raise one.blame(error, layer) from error
+                altered.add(one.birth)
+        slices = []
+        for birth in sorted(altered):
+            held = self._chunks[birth]
+            usable = next(n for n in range(len(held) + 1) if n not in held)
+            if usable:
+                slices.append(merge_layers([held[layer] for layer in range(usable)]))
+        for birth in [birth for birth in self._chunks if birth < oldest]:
+            del self._chunks[birth]
+        return slices
+
+    def _chunk(self, packet: bytes, birth: int, layer: int, held: dict[int, Chunk]) -> Chunk:
+        chunk = decode_fitting_packet(packet, self._manifest, birth, layer)
+        count = sum(len(other.slice.splats) for other in held.values())
+        check_slice_size(birth, count + len(chunk.slice.splats), self._manifest)
+        return chunk

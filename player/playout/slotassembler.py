@@ -1,0 +1,114 @@
+"""Snapshots and slices of version 2, as they come, to the slices that a renderer takes.
+
+Rule: pure, as assembler.py. What is late is put in where it belongs; a lane shows it with its next
+slice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from codec.errors import CodecError, CorruptError
+from codec.slice import Slice
+from codec.slots.slotdecoder import SlotDecoder
+from codec.stream.manifest import MASKS, Manifest, Part, snapshot_part
+from codec.stream.object import packet_content
+from player.source.source import Blame, Packets, SlicePackets, SnapshotPackets
+
+
+@dataclass(slots=True)
+class _Gathered:
+    """The parts of one slice that have come so far, decompressed, and who is to blame for each."""
+
+    parts: dict[Part, bytes] = field(default_factory=dict)
+    blames: dict[Part, Blame] = field(default_factory=dict)
+
+
+class SlotAssembler:
+    """Slots from the first frame of a playback on: the slices of its window whole, then those that
+    change rows. Layers that are missing are hidden."""
+
+    def __init__(self, manifest: Manifest, num_layers: int, first_frame: int) -> None:
+        self._manifest = manifest
+        self._decoder = SlotDecoder(manifest.slot_layout, num_layers)
+        self._first_frame = first_frame
+
+    @property
+    def decoder(self) -> SlotDecoder:
+        """What is held after the last frame."""
+        return self._decoder
+
+    def take(self, frame: int, packets: Iterable[Packets]) -> list[Slice]:
+        """See Assembler."""
+        decoder = self._decoder
+        snapshots: dict[int, list[SnapshotPackets]] = {}
+        slices: dict[int, _Gathered] = {}
+        for one in packets:
+            if isinstance(one, SnapshotPackets):
+                snapshots.setdefault(one.frame, []).append(one)
+            else:
+                self._gather(slices.setdefault(one.birth, _Gathered()), one)
+        if decoder.frame is None:
+            first = decoder.layout.segment_start(self._first_frame)
+            self._load(snapshots.pop(first, []))
+        if decoder.frame is None:
+            raise CorruptError(f"frame {frame} is due, and no snapshot has come")
+        for early in sorted(snapshots):
+            if early <= decoder.frame:
+                self._load(snapshots.pop(early))
+        for birth in sorted(slices):
+            if birth <= decoder.frame:
+                self._late(birth, slices[birth])
+        made = []
+        for birth in range(decoder.frame + 1, frame + 1):
+            made.append(self._apply(birth, slices.get(birth, _Gathered())))
+            self._load(snapshots.get(birth, []))
+        return decoder.window(frame) if frame == self._first_frame else made
+
+    def _gather(self, gathered: _Gathered, one: SlicePackets) -> None:
+        parts: list[tuple[Part, bytes]] = [*enumerate(one.packets, one.first_layer)]
+        if one.mask is not None:
+            parts.append((MASKS, one.mask))
+        for part, packet in parts:
+            if part not in gathered.parts:
+                gathered.parts[part] = self._content(packet, part, one.blame)
+                gathered.blames[part] = one.blame
+
+    def _content(self, packet: bytes, part: Part, blame: Blame) -> bytes:
+        try:
+            return packet_content(packet, self._manifest.max_content_bytes(part))
+        except CodecError as error:
+            raise blame(error, part) from error
+
+    def _load(self, snapshots: Iterable[SnapshotPackets]) -> None:
+        for one in snapshots:
+            for layer, packet in enumerate(one.packets, one.first_layer):
+                part = snapshot_part(layer)
+                content = self._content(packet, part, one.blame)
+                try:
+                    self._decoder.load(content, layer, one.frame)
+                except CodecError as error:
+                    raise one.blame(error, part) from error
+
+    def _late(self, birth: int, gathered: _Gathered) -> None:
+        for layer in range(self._decoder.num_layers):
+            change = gathered.parts.get(layer)
+            if change is None:
+                continue
+            try:
+                self._decoder.late(birth, layer, change)
+            except CodecError as error:
+                raise gathered.blames[layer](error, layer) from error
+
+    def _apply(self, birth: int, gathered: _Gathered) -> Slice:
+        parts = gathered.parts
+        if MASKS not in parts:
+            raise CorruptError(f"the slice born at {birth} is due, and its mask has not come")
+
+        def blamed(error: CodecError, layer: int | None) -> CodecError:
+            part: Part = MASKS if layer is None else layer
+            return gathered.blames[part](error, part)
+
+        changes = [parts.get(layer) for layer in range(self._decoder.num_layers)]
+        return self._decoder.apply(birth, parts[MASKS], changes, blamed)
