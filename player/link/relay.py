@@ -15,8 +15,7 @@ import threading
 from collections import deque
 
 from codec.errors import SwingsError
-
-from .link import Link
+from server.abr.link.link import Link
 
 log = logging.getLogger(__name__)
 
