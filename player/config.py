@@ -12,10 +12,11 @@ from codec.console import option
 from codec.errors import InvalidError
 from codec.framerange import FRAMES, FrameRange
 from codec.stream.manifest import Manifest
-from server.abr.link.link import Link
+from player.link.linktext import read_link
 from player.render.renderer import RendererKind
 from player.show.sink import check_output
 from player.view.path import CameraPath, Size, camera_path, check_path
+from server.abr.link.link import Link
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +51,7 @@ def parse_layers(text: str) -> int | None:
 LAYERS = option("auto|N", parse_layers, lambda layers: "auto" if layers is None else str(layers))
 CAMERA = option("PATH", CameraPathName)
 SIZE = option("WxH", Size.parse)
-LINK = option("RATE|TRACE", Link.parse)
+LINK = option("RATE|TRACE", read_link)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +74,7 @@ class PlayConfig:
     renderer: RendererKind = RendererKind.AUTO
     """auto takes OpenGL where it works, and says so where it does not."""
     link: Annotated[Link | None, LINK] = None
-    """Play over a slower link: a rate (8M), a rate and a latency (8M,20ms), or a .json trace."""
+    """Play over a slower link: a rate (8M), a rate and a latency (8M,20ms), or a trace's file."""
     report: Annotated[Path | None, tyro.conf.arg(metavar="JSON")] = None
     """Write what became of each frame, and the totals, to this JSON file."""
 

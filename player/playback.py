@@ -14,7 +14,6 @@ from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from codec.errors import InvalidError
-from server.abr.link.link import Link
 from player.link.relay import Relay
 from player.playout.clock import Clock
 from player.playout.queues import Events
@@ -25,6 +24,7 @@ from player.show.sink import open_sink, to_bytes
 from player.source.locate import open_source
 from player.source.source import Source
 from player.view.path import CameraPath, Size
+from server.abr.link.link import Link
 
 from .config import PlayConfig
 from .report import PlaySummary, write_report

@@ -34,7 +34,7 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
         {"codec/interop"},
         {"codec/tools"},
     ),
-    "server": ({"server/abr"}, {"server"}),
+    "server": ({"server/abr/link"}, {"server/abr"}, {"server"}),
     "player": (
         {"player/render", "player/source", "player/view", "player/link"},
         {"player/playout"},

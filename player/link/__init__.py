@@ -1,1 +1,1 @@
-"""A slow network link, as numbers and as a relay."""
+"""A slow network link: as the user writes it, and as a relay."""

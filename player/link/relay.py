@@ -15,7 +15,6 @@ import threading
 from collections import deque
 
 from codec.errors import SwingsError
-
 from server.abr.link.link import Link
 
 log = logging.getLogger(__name__)

@@ -19,12 +19,13 @@ from codec.framerange import FrameRange
 from codec.stream import StreamReader
 from player.__main__ import main
 from player.config import CameraPathName, PlayConfig
-from server.abr.link.link import Link, LinkStep
+from player.link.linktext import read_link
 from player.playback import play
 from player.render.cpu import render_splats
 from player.render.renderer import RendererKind
 from player.show.sink import to_bytes
 from player.view.path import Size
+from server.abr.link.link import LinkStep
 from tests.support.commands import ROOT
 from tests.support.hosted_streams import (
     SWIN_SIZE,
@@ -92,7 +93,7 @@ def test_every_source_draws_the_same_frames(
     with static_host(library) as host:
         sources = [str(library / "one"), f"{host}/one", server.url]
         for number, source in enumerate(sources):
-            link = None if number == 0 else Link.parse("20M,2ms")
+            link = None if number == 0 else read_link("20M,2ms")
             play(
                 PlayConfig(
                     source,
@@ -116,7 +117,7 @@ def test_every_source_draws_the_same_frames(
 def test_a_slow_link_stalls_and_is_counted(library: Path, tmp_path: Path) -> None:
     with static_host(library) as host:
         source = f"{host}/one"
-        link = Link.parse("400k")
+        link = read_link("400k")
         summary = play(PlayConfig(source, capture=tmp_path / "out", renderer=CPU, link=link))
     totals = summary.totals
     assert totals.frames == 13
@@ -157,7 +158,7 @@ def test_a_server_that_dies_leaves_no_half_video(library: Path, tmp_path: Path) 
         (("--capture", "x.gif"), "name an .mp4"),
         (("--capture", "x.mp4", "--link", "8M"), "slows down http"),
         (("--capture", "x.mp4", "--link", "fast"), "neither a rate"),
-        (("--link", "absent.json"), "link: trace absent.json: No such file"),
+        (("--link", "absent.json"), "nor a trace: No such file"),
         (("--camera", "absent.json"), "there is no file absent.json"),
         (("--capture", "x.mp4", "--report", "/absent/r.json"), "there is no folder"),
     ],

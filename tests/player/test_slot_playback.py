@@ -24,7 +24,6 @@ from codec.stream.playrecord import (
     StartRecord,
 )
 from player.config import PlayConfig
-from server.abr.link.link import Link, LinkStep
 from player.link.relay import Relay
 from player.playback import play
 from player.render.cpu import render_splats
@@ -32,6 +31,7 @@ from player.render.renderer import RendererKind
 from player.show.sink import to_bytes
 from player.source.fetch import Fetcher
 from player.source.receiver import open_receiver
+from server.abr.link.link import Link, LinkStep
 from server.abr.policy import Situation
 from tests.support.hosted_streams import ServerProcess, served, static_host
 from tests.support.running_server import Running, on_server, quick_config

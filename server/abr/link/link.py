@@ -1,28 +1,15 @@
-"""A network link as numbers: how long bytes take to pass. relay.py makes it real.
-
-A link is written as a rate, `8M` (bits per second; k, M, G), a rate and a latency, `8M,20ms`, or
-the name of a trace, a JSON file of steps:
-
-    [{"duration_ms": 500, "bandwidth_kbps": 2000, "latency_ms": 20}, ...]
-"""
+"""A network link as numbers: how long bytes take to pass. traces.py reads one, generate.py makes
+one up, and the player's relay makes it real."""
 
 from __future__ import annotations
 
-import json
 import math
-import re
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate
-from pathlib import Path
-from typing import Any
 
 from codec.errors import InvalidError
-
-MAX_TRACE_BYTES = 64 << 20
-
-_RATE = re.compile(r"(\d+(?:\.\d+)?)([kMG]?)(?:,(\d+(?:\.\d+)?)ms)?")
-_PREFIXES = {"": 1.0, "k": 1e3, "M": 1e6, "G": 1e9}
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,89 +17,97 @@ class LinkStep:
     """The link for a while."""
 
     duration_s: float
+    """Over 0, seconds."""
     rate_bps: float
+    """What passes, bits per second; 0 is an outage."""
     latency_s: float
-    """Added to what comes from the server, so once to each round trip."""
+    """Added to what comes from the server, so once to each round trip, seconds."""
 
 
 class Link:
     """Steps one after another; after the last one the first follows again."""
 
-    def __init__(self, steps: list[LinkStep]) -> None:
+    __slots__ = (
+        "_begins_s",
+        "_bits",
+        "_ends_s",
+        "_last",
+        "_rates_bps",
+        "_round_bits",
+        "mean_bps",
+        "round_s",
+        "steps",
+    )
+
+    def __init__(self, steps: Sequence[LinkStep]) -> None:
         for number, step in enumerate(steps):
             values = (step.duration_s, step.rate_bps, step.latency_s)
             if not all(math.isfinite(x) and x >= 0 for x in values) or not step.duration_s:
                 raise InvalidError(f"link: step {number} is {values}, in s, bit/s, s")
-        self.steps = steps
-        self._ends_s = list(accumulate(step.duration_s for step in steps))
-        self._round_bits = sum(step.duration_s * step.rate_bps for step in steps)
+        self.steps = tuple(steps)
+        self._last = len(steps) - 1
+        self._rates_bps = [step.rate_bps for step in steps]
+        # accumulate, not sum: newer Pythons add up differently.
+        self._begins_s = list(accumulate((step.duration_s for step in steps), initial=0.0))
+        self._ends_s = self._begins_s[1:]
+        bits = (step.duration_s * step.rate_bps for step in steps)
+        self._bits = list(accumulate(bits, initial=0.0))
+        """What has passed since the round began when each step begins, and when the last ends."""
+        self._round_bits = self._bits[-1]
+        self.round_s = self._begins_s[-1]
+        """All steps together, seconds."""
+        if math.inf in (self._round_bits, self.round_s):
+            raise InvalidError("link: the rates and durations are too large")
         if self._round_bits == 0:
             raise InvalidError("link: nothing ever passes; every rate is 0")
-        if self._round_bits == math.inf:
-            raise InvalidError("link: the rates and durations are too large")
-
-    @staticmethod
-    def parse(text: str) -> Link:
-        """The link that `text` describes, see above. Raises InvalidError."""
-        if text.endswith(".json"):
-            return _read_trace(Path(text))
-        match = _RATE.fullmatch(text)
-        if not match:
-            raise InvalidError(
-                f"link {text!r} is neither a rate such as 8M or 8M,20ms nor a .json trace"
-            )
-        rate_bps = float(match[1]) * _PREFIXES[match[2]]
-        return Link([LinkStep(3600.0, rate_bps, float(match[3] or 0) / 1000)])
+        if self._round_bits < 1:
+            raise InvalidError("link: less than one bit passes in all steps; raise the rates")
+        self.mean_bps = self._round_bits / self.round_s
+        """What passes on average, outages and all, bits per second."""
 
     def at(self, time_s: float) -> LinkStep:
         """The step that holds at `time_s`."""
-        return self.steps[self._place(time_s)[0]]
+        number = bisect_right(self._ends_s, time_s % self.round_s)
+        # The remainder of a time just below 0 is rounded up to a whole round.
+        return self.steps[number if number <= self._last else self._last]
 
-    def _place(self, time_s: float) -> tuple[int, float]:
-        """(number of the step at `time_s`, what is left of it in seconds)."""
-        into_s = time_s % self._ends_s[-1]
-        number = min(bisect_right(self._ends_s, into_s), len(self.steps) - 1)
-        return number, self._ends_s[number] - into_s
-
-    def passed_s(self, start_s: float, num_bytes: int) -> float:
+    def passed_s(self, start_s: float, num_bytes: float) -> float:
         """When the last of `num_bytes` has passed, if the first one begins at `start_s`."""
         bits = 8.0 * num_bytes
-        # Whole rounds at once, but never the last one: its end counts, not that of a silent step.
-        rounds = max(0, math.ceil(bits / self._round_bits) - 1)
-        bits -= rounds * self._round_bits
-        time_s = start_s + rounds * self._ends_s[-1]
-        number, left_s = self._place(time_s)
-        while bits > self.steps[number].rate_bps * left_s:
-            bits -= self.steps[number].rate_bps * left_s
-            time_s += left_s
-            number = (number + 1) % len(self.steps)
-            left_s = self.steps[number].duration_s
-        return time_s + (bits / self.steps[number].rate_bps if bits else 0.0)
+        if not bits:
+            return start_s
+        into_s = start_s % self.round_s
+        number = bisect_right(self._ends_s, into_s)
+        if number > self._last:
+            number = self._last
+        rate_bps = self._rates_bps[number]
+        if bits <= rate_bps * (self._ends_s[number] - into_s):
+            return start_s + bits / rate_bps
+        rounds = 0.0
+        if bits > self._round_bits:
+            # Whole rounds at once, but never the last: its end counts, not that of a silent step.
+            rounds, bits = divmod(bits, self._round_bits)
+            if not bits:
+                rounds, bits = rounds - 1, self._round_bits
+        # From here on all bits since the round began, so that one search finds the last one's step.
+        bits += self._bits[number] + rate_bps * (into_s - self._begins_s[number])
+        if bits > self._round_bits:
+            rounds, bits = rounds + 1, bits - self._round_bits
+        number = bisect_left(self._bits, bits, 1) - 1
+        lasts_s = (bits - self._bits[number]) / self._rates_bps[number]
+        end_s = min(self._begins_s[number] + lasts_s, self._ends_s[number])
+        return max(start_s, start_s - into_s + rounds * self.round_s + end_s)
 
+    def capacity_bytes(self, start_s: float, end_s: float) -> float:
+        """What passes from `start_s` to `end_s`, just the bytes that `passed_s` says end then."""
+        first_round, first_bits = self._passed_bits(start_s)
+        last_round, last_bits = self._passed_bits(end_s)
+        bits = (last_round - first_round) * self._round_bits + last_bits - first_bits
+        return max(0.0, bits) / 8
 
-def _read_trace(path: Path) -> Link:
-    try:
-        with open(path, "rb") as file:
-            value = json.loads(file.read(MAX_TRACE_BYTES))
-    except OSError as error:
-        raise InvalidError(f"link: trace {path}: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
-        raise InvalidError(f"link: trace {path} is not JSON: {error}") from error
-    if not isinstance(value, list) or not value:
-        raise InvalidError(f"link: trace {path} is not a list of steps")
-    try:
-        return Link([_step(entry, number) for number, entry in enumerate(value)])
-    except InvalidError as error:
-        raise InvalidError(f"trace {path}: {error}") from error
-
-
-def _step(entry: Any, number: int) -> LinkStep:
-    keys = ("duration_ms", "bandwidth_kbps", "latency_ms")
-    values: list[float] = []
-    for key in keys:
-        value: Any = entry.get(key) if isinstance(entry, dict) else None
-        if type(value) not in (int, float):
-            raise InvalidError(f"link: step {number} does not hold the numbers {', '.join(keys)}")
-        values.append(float(value))
-    duration_ms, bandwidth_kbps, latency_ms = values
-    return LinkStep(duration_ms / 1000, bandwidth_kbps * 1000, latency_ms / 1000)
+    def _passed_bits(self, time_s: float) -> tuple[float, float]:
+        """(whole rounds before `time_s`, bits of its own round that passed before it)."""
+        rounds, into_s = divmod(time_s, self.round_s)
+        number = min(bisect_right(self._ends_s, into_s), self._last)
+        into_step_s = into_s - self._begins_s[number]
+        return rounds, self._bits[number] + self._rates_bps[number] * into_step_s

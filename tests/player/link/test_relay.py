@@ -1,115 +1,23 @@
-"""The link as numbers, and the relay on real sockets."""
+"""The relay, on real sockets."""
 
 from __future__ import annotations
 
 import contextlib
-import json
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
+<<<<<<< HEAD:tests/player/link/test_link.py
 from codec.errors import InvalidError
 from server.abr.link.link import Link, LinkStep
+=======
+from player.link.linktext import read_link
+>>>>>>> abr-trace:tests/player/link/test_relay.py
 from player.link.relay import Relay
-
-steps = st.lists(
-    st.builds(
-        LinkStep,
-        st.floats(0.01, 5),
-        st.one_of(st.just(0.0), st.floats(1e3, 1e8)),
-        st.floats(0, 0.2),
-    ),
-    min_size=1,
-    max_size=6,
-).filter(lambda s: any(step.rate_bps for step in s))
-
-
-def bits_between(link: Link, start_s: float, end_s: float) -> float:
-    """What the link passes from `start_s` to `end_s`, summed up step by step."""
-    total, at_s, n = 0.0, 0.0, 0
-    while at_s < end_s:
-        step = link.steps[n % len(link.steps)]
-        over_s = min(end_s, at_s + step.duration_s) - max(start_s, at_s)
-        total += step.rate_bps * max(0.0, over_s)
-        at_s += step.duration_s
-        n += 1
-    return total
-
-
-@given(steps, st.floats(0, 20), st.integers(0, 100_000))
-def test_bytes_take_as_long_as_the_steps_say(
-    steps: list[LinkStep], start_s: float, num_bytes: int
-) -> None:
-    link = Link(steps)
-    # Not more than a few rounds of the trace: the sum above is slow.
-    num_bytes = min(num_bytes, int(bits_between(link, start_s, start_s + 100) / 8))
-    end_s = link.passed_s(start_s, num_bytes)
-    assert end_s >= start_s
-    assert bits_between(link, start_s, end_s) == pytest.approx(8 * num_bytes, rel=1e-6, abs=20)
-
-
-@given(steps, st.floats(0, 9), st.integers(0, 9999), st.integers(0, 9999))
-def test_two_pieces_take_as_long_as_one(
-    steps: list[LinkStep], start_s: float, first: int, second: int
-) -> None:
-    link = Link(steps)
-    after_s = link.passed_s(link.passed_s(start_s, first), second)
-    bits = bits_between(link, start_s, after_s)
-    assert bits == pytest.approx(8 * (first + second), rel=1e-6, abs=40)
-
-
-def test_links_as_text(tmp_path: Path) -> None:
-    assert Link.parse("8M").at(5).rate_bps == 8e6
-    assert Link.parse("1.5G").at(0).rate_bps == 1.5e9
-    assert Link.parse("64k,20ms").at(1e6) == LinkStep(3600.0, 64e3, 0.02)
-    trace = tmp_path / "trace.json"
-    entry = {"duration_ms": 500, "bandwidth_kbps": 2000, "latency_ms": 30.5}
-    trace.write_text(json.dumps([entry, {**entry, "bandwidth_kbps": 0}]))
-    link = Link.parse(str(trace))
-    assert link.steps[0] == LinkStep(0.5, 2e6, 0.0305)
-    # 0.5 s at 2 Mbit/s is 125 kB; the next half second passes nothing, then the trace repeats.
-    assert link.passed_s(0, 125_000) == pytest.approx(0.5)
-    assert link.passed_s(0, 250_000) == pytest.approx(1.5)
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("fast", "neither a rate"),
-        ("8M,20", "neither a rate"),
-        ("0", "nothing ever passes"),
-        ("-8M", "neither a rate"),
-        ("nowhere.json", "No such file"),
-    ],
-)
-def test_bad_links(text: str, message: str) -> None:
-    with pytest.raises(InvalidError, match=message):
-        Link.parse(text)
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("[", "not JSON"),
-        ("{}", "not a list of steps"),
-        ('[{"duration_ms": 5}]', "step 0 does not hold"),
-        ('[{"duration_ms": 0, "bandwidth_kbps": 5, "latency_ms": 5}]', "step 0"),
-        ('[{"duration_ms": 5, "bandwidth_kbps": NaN, "latency_ms": 5}]', "step 0"),
-        ('[{"duration_ms": 5, "bandwidth_kbps": 0, "latency_ms": 5}]', "nothing ever passes"),
-        ('[{"duration_ms": 1e300, "bandwidth_kbps": 1e300, "latency_ms": 5}]', "too large"),
-    ],
-)
-def test_bad_traces(tmp_path: Path, text: str, message: str) -> None:
-    (tmp_path / "trace.json").write_text(text)
-    with pytest.raises(InvalidError, match=message):
-        Link.parse(str(tmp_path / "trace.json"))
 
 
 class Pouring:
@@ -183,7 +91,7 @@ def takes_s(work: Callable[[], object], least_s: float, most_s: float) -> None:
 
 def test_one_second_of_bytes_takes_a_second() -> None:
     def pour() -> None:
-        link = Link.parse("8M")
+        link = read_link("8M")
         with pouring(1_000_000) as server, Relay(link, "127.0.0.1", server.port) as relay:
             assert drain(relay.address) == 1_000_000
             assert relay.down_bytes == 1_000_000
@@ -193,7 +101,7 @@ def test_one_second_of_bytes_takes_a_second() -> None:
 
 def test_connections_share_the_link() -> None:
     def pour() -> None:
-        link = Link.parse("8M")
+        link = read_link("8M")
         with pouring(150_000) as server, Relay(link, "127.0.0.1", server.port) as relay:
             threads = [threading.Thread(target=drain, args=(relay.address,)) for _ in range(4)]
             for thread in threads:
@@ -207,7 +115,7 @@ def test_connections_share_the_link() -> None:
 
 def test_latency_delays_and_does_not_throttle() -> None:
     def pour() -> None:
-        link = Link.parse("40M,150ms")
+        link = read_link("40M,150ms")
         with pouring(1_000_000) as server, Relay(link, "127.0.0.1", server.port) as relay:
             began_s = time.monotonic()
             with socket.create_connection(relay.address, timeout=30) as connection:
@@ -223,7 +131,7 @@ def test_latency_delays_and_does_not_throttle() -> None:
 def test_a_player_that_does_not_read_holds_the_server_back() -> None:
     with (
         pouring(None) as server,
-        Relay(Link.parse("1G"), "127.0.0.1", server.port) as relay,
+        Relay(read_link("1G"), "127.0.0.1", server.port) as relay,
         socket.socket() as connection,
     ):
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 64 << 10)
@@ -239,7 +147,7 @@ def test_a_player_that_does_not_read_holds_the_server_back() -> None:
 def test_a_server_that_is_away_is_said_in_http() -> None:
     with socket.create_server(("127.0.0.1", 0)) as unused:
         port = unused.getsockname()[1]
-    with Relay(Link.parse("8M"), "127.0.0.1", port) as relay:
+    with Relay(read_link("8M"), "127.0.0.1", port) as relay:
         with socket.create_connection(relay.address, timeout=10) as connection:
             connection.sendall(b"GET / HTTP/1.1\r\nHost: x\r\n\r\n")
             answer = b""
@@ -251,7 +159,7 @@ def test_a_server_that_is_away_is_said_in_http() -> None:
 
 def test_closing_the_relay_cuts_its_connections() -> None:
     with pouring(None) as server:
-        relay = Relay(Link.parse("100k"), "127.0.0.1", server.port)
+        relay = Relay(read_link("100k"), "127.0.0.1", server.port)
         with socket.create_connection(relay.address, timeout=10) as connection:
             assert connection.recv(1)
             relay.close()
