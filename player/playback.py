@@ -87,7 +87,9 @@ def _relay(link: Link, url: str) -> Relay:
 
 def _playout(config: PlayConfig, source: Source) -> Playout:
     queue = QueueConfig() if config.capture is None else CAPTURE_QUEUE
-    return Playout(source.manifest, source.frames.first, source.frames.end, queue)
+    # Who has said how many layers to show gets them.
+    needed = 1 if source.adaptive else source.num_layers
+    return Playout(source.manifest, source.frames.first, source.frames.end, queue, needed=needed)
 
 
 def _capture(

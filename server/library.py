@@ -17,7 +17,6 @@ from codec.stream.index import INDEX_NAME, pack_record
 from codec.stream.integrity import CheckedObject
 from codec.stream.manifest import MANIFEST_NAME, Manifest, Part
 from codec.stream.reader import StreamReader
-
 from server.abr.media import SegmentSizes, segment_sizes
 
 from .errors import ServerError

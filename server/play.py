@@ -1,4 +1,4 @@
-"""GET /v1/streams/{stream}/play: one response, packet by packet, the server choosing what comes next.
+"""GET /v1/streams/{stream}/play: one response, in which the server chooses what comes next.
 
 Rule: a play ends between two records, with one that says whether it is complete.
 """
@@ -46,6 +46,9 @@ RETRY_AFTER_S = 5
 """Seconds after which a client that was refused may try again."""
 
 MAX_FRAME = 2**31 - 1
+
+SNAPSHOTS_BYTES = 1 << 20
+"""Bytes of snapshots after which a record ends, and the next layer goes into another one."""
 
 KEPT_OBJECTS = 64
 """Objects that a play keeps at hand, beside those of the cache."""
@@ -140,6 +143,7 @@ class _Play:
         self._connection = Connection(request, state.config.write_timeout_s)
         self._from_frame = query.from_frame
         self._clock = asyncio.get_running_loop().time
+        self._refreshed_s = 0.0
         self._session = PlaySession(
             stream,
             policy,
@@ -202,8 +206,8 @@ class _Play:
 
     def _acknowledge(self) -> None:
         """Tells the session what of its bytes the client's side has."""
-        queued = self._connection.queued_bytes() - self._head_bytes
-        self._session.acknowledge(self._clock(), self._session.sent_bytes - max(0, queued))
+        queued = self._connection.queued_bytes()
+        self._session.acknowledge(self._clock(), self._session.sent_bytes - queued)
 
     async def _refresh(self) -> None:
         """Looks for new frames, from time to time."""
@@ -240,14 +244,17 @@ class _Play:
             self._count(parts, packets)
 
     async def _send_snapshots(self, send: SendSnapshots) -> None:
-        """Sends the snapshots, each in a record of its own."""
+        """Sends the snapshots in records of not much more than SNAPSHOTS_BYTES."""
+        first, packets = send.first_layer, list[bytes]()
         for layer in range(send.first_layer, send.end_layer):
             part = snapshot_part(layer)
-            packet = (await self._object(send.frame, part)).packet(send.frame)
-            del self._objects[self._stream.view.manifest.segment_of(send.frame), part]
-            one = SendSnapshots(send.frame, layer, layer + 1)
-            await self._send_part(one, SnapshotRecord(send.frame, layer, (packet,)))
-            self._count([part], [packet])
+            packets.append((await self._object(send.frame, part)).packet(send.frame))
+            if sum(map(len, packets)) < SNAPSHOTS_BYTES and layer + 1 < send.end_layer:
+                continue
+            one = SendSnapshots(send.frame, first, layer + 1)
+            await self._send_part(one, SnapshotRecord(send.frame, first, tuple(packets)))
+            self._count([snapshot_part(n) for n in range(first, layer + 1)], packets)
+            first, packets = layer + 1, []
 
     async def _send_part(self, send: SendSlices | SendSnapshots, record: Record) -> None:
         """Sends a record that is what the session has decided, or a part of it."""

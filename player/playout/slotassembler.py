@@ -62,8 +62,15 @@ class SlotAssembler:
                 self._late(birth, slices[birth])
         made = []
         for birth in range(decoder.frame + 1, frame + 1):
-            made.append(self._apply(birth, slices.get(birth, _Gathered())))
-            self._load(snapshots.get(birth, []))
+            gathered, whole = slices.get(birth, _Gathered()), snapshots.get(birth, [])
+            if MASKS not in gathered.parts and any(one.first_layer == 0 for one in whole):
+                # After a break the stream begins anew: nothing says what became of the slots.
+                decoder.clear()
+                self._load(whole)
+                made = decoder.window(birth)
+                continue
+            made.append(self._apply(birth, gathered))
+            self._load(whole)
         return decoder.window(frame) if frame == self._first_frame else made
 
     def _gather(self, gathered: _Gathered, one: SlicePackets) -> None:

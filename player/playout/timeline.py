@@ -131,11 +131,14 @@ class Playout:
         until_frame: int | None = None,
         queue: QueueConfig | None = None,
         config: PlayoutConfig | None = None,
+        needed: int = 1,
     ) -> None:
+        """until_frame: the first that will not come, if that is known. needed: layers without
+        which a frame does not show."""
         media = PlayedMedia(manifest)
         self._queue = queue or QueueConfig()
         self._clock = PlayoutClock(first_frame, media.fps, config, until_frame)
-        self._here = open_holding(media, first_frame)
+        self._here = open_holding(media, first_frame, needed)
         self._shown = open_holding(media, first_frame)
         self._waiting: dict[int, deque[_Waiting]] = {}
         self._queue_bytes = 0
@@ -228,5 +231,3 @@ class Playout:
                 self.totals.late_packets += len(come)
             used += come
         return used
-
-

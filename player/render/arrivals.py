@@ -13,8 +13,9 @@ class Arrivals(Generic[Item]):
     """Holds each slice until a frame at or after its birth is drawn.
 
     Until then its lane belongs to a slice that still shows. None is left out, as a later one may
-    change only some of its rows. One that was put before may come again, with more layers. Whoever puts must keep the queue short: the update thread waits
-    for the render thread when it is a few frames ahead.
+    change only some of its rows. One that was put before may come again, with more layers. Whoever
+    puts must keep the queue short: the update thread waits for the render thread when it is a few
+    frames ahead.
     """
 
     def __init__(self) -> None:

@@ -56,7 +56,9 @@ class Receiver:
         if not manifest.has_slots:
             raise CorruptError(f"{self._name}: a snapshot in a stream of whole slices")
         if frame % manifest.segment_frames:
-            raise CorruptError(f"{self._name}: a snapshot of frame {frame}, which begins no segment")
+            raise CorruptError(
+                f"{self._name}: a snapshot of frame {frame}, which begins no segment"
+            )
         if not self._joined:
             first = self._asked_frame - self._asked_frame % manifest.segment_frames
             if record.first_layer or frame != first:

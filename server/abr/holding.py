@@ -8,20 +8,22 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from itertools import accumulate
 
-from .media import Media, SegmentSizes
+from .media import Media
 
 
 class Holding(ABC):
     """The packets that are there, as far as they are of use."""
 
-    def __init__(self, media: Media, first_frame: int) -> None:
+    def __init__(self, media: Media, first_frame: int, needed: int = 1) -> None:
+        """needed: layers without which a frame does not show."""
         self.media = media
         self.first_frame = first_frame
+        self.needed = needed
 
     @property
     @abstractmethod
     def end_frame(self) -> int:
-        """The first frame that cannot show: layer 0 of what it needs is not all here."""
+        """The first frame that cannot show: of the layers that it needs something is not here."""
 
     @abstractmethod
     def add(self, birth: int, first_layer: int, end_layer: int) -> None:
@@ -58,8 +60,8 @@ class Holding(ABC):
 class SliceHolding(Holding):
     """Version 1: a slice shows for swin_size frames, whatever the others have."""
 
-    def __init__(self, media: Media, first_frame: int) -> None:
-        super().__init__(media, first_frame)
+    def __init__(self, media: Media, first_frame: int, needed: int = 1) -> None:
+        super().__init__(media, first_frame, needed)
         self.first_birth = first_frame - media.swin_size + 1
         self._levels: dict[int, int] = {}
         self._end_birth = self.first_birth
@@ -76,7 +78,7 @@ class SliceHolding(Holding):
         level = self._levels.get(birth, 0)
         if first_layer <= level:
             self._levels[birth] = max(level, end_layer)
-        while self._levels.get(self._end_birth):
+        while self._levels.get(self._end_birth, 0) >= self.needed:
             self._end_birth += 1
 
     def add_snapshots(self, frame: int, first_layer: int, end_layer: int) -> None:

@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import accumulate
+from itertools import accumulate, pairwise
 from typing import Protocol
 
 from codec.stream.index import SegmentRecord
@@ -39,7 +39,7 @@ class SegmentSizes:
     @cached_property
     def gains_db(self) -> tuple[float, ...]:
         """What each layer adds to those before it, dB; of layer 0 its PSNR."""
-        return (self.psnr_db[0], *(b - a for a, b in zip(self.psnr_db, self.psnr_db[1:])))
+        return (self.psnr_db[0], *(b - a for a, b in pairwise(self.psnr_db)))
 
     @cached_property
     def slice_bytes(self) -> tuple[float, ...]:

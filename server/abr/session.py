@@ -142,8 +142,9 @@ class PlaySession:
             if self._least_latency_s is None or took_s < self._least_latency_s:
                 self._least_latency_s = took_s
             self._busy_since_s = self._spell_s + self._least_latency_s
-            self._estimator.add(gone_bytes if took_s > self._least_latency_s else 0.0,
-                                now_s - self._busy_since_s)
+            self._estimator.add(
+                gone_bytes if took_s > self._least_latency_s else 0.0, now_s - self._busy_since_s
+            )
             return
         self._estimator.add(gone_bytes, now_s - self._news_s)
 

@@ -16,15 +16,15 @@ from .media import Media
 class SlotHolding(Holding):
     """Version 2."""
 
-    def __init__(self, media: Media, first_frame: int) -> None:
-        super().__init__(media, first_frame)
+    def __init__(self, media: Media, first_frame: int, needed: int = 1) -> None:
+        super().__init__(media, first_frame, needed)
         self._chains: list[list[list[int]]] = [[] for _ in range(media.num_layers)]
         """Of each layer the chains [first frame, last birth], in order."""
 
     @property
     def end_frame(self) -> int:
-        chains = self._chains[0]
-        return max(self.first_frame, chains[-1][1] + 1) if chains else self.first_frame
+        ends = [self.end_birth(layer) or 0 for layer in range(self.needed)]
+        return max(self.first_frame, min(ends))
 
     def end_birth(self, layer: int) -> int | None:
         """The birth after the last one of this layer's last chain; None where it has none."""
@@ -81,6 +81,7 @@ class SlotHolding(Holding):
                 del chains[0]
 
 
-def open_holding(media: Media, first_frame: int) -> Holding:
-    """What a client holds that begins to play with `first_frame`: nothing yet."""
-    return (SlotHolding if media.has_slots else SliceHolding)(media, first_frame)
+def open_holding(media: Media, first_frame: int, needed: int = 1) -> Holding:
+    """What a client holds that begins to play with `first_frame`: nothing yet. needed: layers
+    without which a frame does not show."""
+    return (SlotHolding if media.has_slots else SliceHolding)(media, first_frame, needed)

@@ -79,7 +79,7 @@ def make_stream(
 
 def quick_config(
     *,
-    target_lead_s: float = 2.0,
+    max_lead_s: float = 2.0,
     max_plays: int = 8,
     write_timeout_s: float = 5.0,
     keepalive_timeout_s: float = 5.0,
@@ -89,7 +89,7 @@ def quick_config(
 ) -> ServerConfig:
     """A config for tests: everything that waits waits little."""
     return ServerConfig(
-        session=SessionConfig(target_lead_s=target_lead_s, burst_s=min(0.5, target_lead_s)),
+        session=SessionConfig(max_lead_s=max_lead_s),
         max_plays=max_plays,
         write_timeout_s=write_timeout_s,
         keepalive_timeout_s=keepalive_timeout_s,

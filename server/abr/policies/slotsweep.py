@@ -74,7 +74,9 @@ class SlotSweep:
                 urgency = math.exp(-max(0.0, slack_s) / patience_s)
                 most = max(1, int(rate_bps * outlook.run_s / 8 / max(size, 1.0)))
                 births = range(birth, min(end, birth + most))
-                return _Offer(gain_db / max(size, 1.0) * urgency, SendSlices(births, layer, layer + 1))
+                return _Offer(
+                    gain_db / max(size, 1.0) * urgency, SendSlices(births, layer, layer + 1)
+                )
         return self._way_back(outlook, holding, layer, birth, end, free_s, rate_bps)
 
     def _way_back(
@@ -107,7 +109,9 @@ class SlotSweep:
         def worth(cost_bytes: float, slack_s: float) -> float:
             urgency = math.exp(-max(0.0, slack_s) / config.patience_s)
             frames = hold_s * fps
-            return gain_db * frames / (cost_bytes + (frames + config.settle_s * fps) * size) * urgency
+            return (
+                gain_db * frames / (cost_bytes + (frames + config.settle_s * fps) * size) * urgency
+            )
 
         offers = []
         # While missed changes are sent, more are missed.

@@ -100,7 +100,7 @@ class SliceSweep:
             slack_s = outlook.due_s(birth) - free_s - 8 * size / rate_bps
             gain_db = sizes.gains_db[layer] if layer else config.stall_db
             if layer:
-                life = min(swin_size, birth + swin_size - outlook.clock.first_frame)
+                life = float(min(swin_size, birth + swin_size - outlook.clock.first_frame))
                 life -= max(0.0, -slack_s) * fps
                 if life < config.least_life * swin_size:
                     continue

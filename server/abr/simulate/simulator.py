@@ -48,9 +48,7 @@ def send_bytes(media: Media, send: Send) -> float:
     layers = range(send.first_layer, send.end_layer)
     if isinstance(send, SendSnapshots):
         return sum(media.sizes(send.frame).snapshot_bytes[layer] for layer in layers)
-    return sum(
-        media.sizes(birth).layer_bytes[layer] for birth in send.births for layer in layers
-    )
+    return sum(media.sizes(birth).layer_bytes[layer] for birth in send.births for layer in layers)
 
 
 def simulate(

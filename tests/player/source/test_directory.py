@@ -13,6 +13,7 @@ from codec.stream import StreamReader
 from codec.stream.chunk import encode_chunk
 from codec.stream.object import encode_object
 from player.source.locate import open_source
+from tests.support.assembled import assembled
 from tests.support.hosted_streams import random_slice, write_stream
 from tests.support.hostile import put_object
 
@@ -31,7 +32,7 @@ def test_a_wrong_object_is_named_by_its_file_not_by_its_url(
     put_object(stream, 1, 0, encode_object(chunks))
     source = open_source(str(stream), FrameRange(), None)
     with pytest.raises(CorruptError) as caught:
-        list(source.slices())
+        list(assembled(source))
     assert str(caught.value).startswith(f"{stream / 'segments' / '1' / '0'}: byte ")
     assert "cdn.example" not in str(caught.value)
     assert caught.value.at is not None

@@ -14,6 +14,7 @@ from codec.stream.chunk import encode_chunk
 from codec.stream.object import encode_object
 from player.source.fetch import FetchError
 from player.source.locate import open_source
+from tests.support.assembled import assembled
 from tests.support.hosted_streams import random_slice, static_host, write_stream
 from tests.support.hostile import put_object
 
@@ -26,7 +27,7 @@ def stream(tmp_path: Path) -> Path:
 def play(url: str) -> None:
     source = open_source(url, FrameRange(), None)
     try:
-        list(source.slices())
+        list(assembled(source))
     finally:
         source.close()
 

@@ -1,0 +1,24 @@
+"""The same number of layers whatever happens: what `?layers=N` asks for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from codec.errors import InvalidError
+
+from .situation import Situation
+
+
+@dataclass(frozen=True, slots=True)
+class FixedRule:
+    """Chooses `num_layers`, or as many as there are."""
+
+    num_layers: int
+    horizon: int = 1
+
+    def __post_init__(self) -> None:
+        if self.num_layers < 1:
+            raise InvalidError(f"layers: {self.num_layers}; a play has 1 at least")
+
+    def choose_layers(self, situation: Situation) -> int:
+        return min(self.num_layers, situation.most_layers)

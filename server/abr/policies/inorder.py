@@ -1,0 +1,138 @@
+"""Sends slices in order of birth, each complete at once, with as many layers as a rule says.
+
+This is how video is delivered by chunks: what was sent is never mended, and nothing is sent out of
+its turn. The published policies run behind it. Where slots last (version 2) a layer rises at a
+segment's first frame only: the slice of that frame as before, the snapshots of the layers that are
+new, and then slices with more layers. It falls with any group.
+"""
+
+from __future__ import annotations
+
+from statistics import fmean
+
+from codec.errors import InvalidError
+
+from ..media import Media
+from ..outlook import Outlook, Send, SendSlices, SendSnapshots
+from ..slotholding import SlotHolding
+from .situation import Group, Rule, Situation
+
+GROUP_S = 0.5
+"""Seconds of media that are decided for at once: the papers' chunks are 2 to 4 s of a lead of 30 s,
+this is as much of one of 6 s."""
+
+
+class InOrder:
+    """The policy that a rule makes."""
+
+    mends = False
+
+    def __init__(self, rule: Rule, group_s: float = GROUP_S) -> None:
+        if not group_s > 0:
+            raise InvalidError(f"group_s is {group_s}; it must be positive")
+        self._rule = rule
+        self._group_s = group_s
+        self._birth: int | None = None
+        """The slice that is sent next."""
+        self._end = 0
+        """Where the group ends that was decided for."""
+        self._layers = 0
+        """Layers of that group."""
+        self._rises = False
+        """Whether the snapshots with which it rises may still have to be sent."""
+
+    def choose(self, outlook: Outlook) -> Send | None:
+        holding, end_birth = outlook.holding, outlook.end_birth
+        if not isinstance(holding, SlotHolding):
+            return self._slices(outlook, held=self._layers)
+        birth = holding.end_birth(0)
+        if birth is None:
+            first_frame = outlook.clock.first_frame
+            first = first_frame - first_frame % outlook.media.segment_frames
+            if first >= end_birth:
+                return None
+            self._decide(outlook, first, held=0)
+            self._birth = first + 1
+            return SendSnapshots(first, 0, self._layers)
+        layers = range(outlook.media.num_layers)
+        held = next((n for n in layers if holding.end_birth(n) != birth), len(layers))
+        if self._rises and held < self._layers:
+            return SendSnapshots(birth - 1, held, self._layers)
+        self._rises = False
+        return self._slices(outlook, held)
+
+    def _slices(self, outlook: Outlook, held: int) -> Send | None:
+        """The next slices; of the first one of a group that rises no more than is held."""
+        if self._birth is None:
+            self._birth = self._end = outlook.clock.first_frame - outlook.media.swin_size + 1
+        birth = self._birth
+        if birth >= outlook.end_birth:
+            return None
+        if birth >= self._end:
+            self._decide(outlook, birth, held)
+        end, layers = min(self._end, outlook.end_birth), self._layers
+        if outlook.media.has_slots and layers > held:
+            end, layers = birth + 1, held
+        size = outlook.media.sizes(birth).slice_bytes[layers - 1]
+        most = max(1, int(outlook.rate_bps * outlook.run_s / 8 / max(size, 1.0)))
+        self._birth = min(end, birth + most)
+        return SendSlices(range(birth, self._birth), 0, layers)
+
+    def _decide(self, outlook: Outlook, birth: int, held: int) -> None:
+        """Asks the rule about the group that begins with `birth`."""
+        situation = self._situation(outlook, birth, held)
+        self._layers = max(1, min(situation.most_layers, self._rule.choose_layers(situation)))
+        self._end = group_end(outlook.media, birth, self._group_s)
+        self._rises = self._layers > held
+
+    def _situation(self, outlook: Outlook, birth: int, held: int) -> Situation:
+        media, clock = outlook.media, outlook.clock
+        until = clock.until_frame
+        coming: list[Group] = []
+        begin = birth
+        while len(coming) < max(1, self._rule.horizon) and (until is None or begin < until):
+            end = group_end(media, begin, self._group_s)
+            end = end if until is None else min(end, until)
+            coming.append(group_of(media, begin, end, clock.first_frame, joins=not held))
+            begin = end
+        return Situation(
+            now_s=outlook.now_s,
+            rate_bps=outlook.rate_bps,
+            measured=outlook.measured,
+            lead_s=max(0.0, outlook.due_s(birth) - outlook.comes_s(0.0)),
+            max_lead_s=min(outlook.max_lead_s, (media.num_frames - outlook.next_frame) / media.fps)
+            if media.live
+            else outlook.max_lead_s,
+            held=held,
+            coming=tuple(coming),
+        )
+
+
+def group_end(media: Media, birth: int, group_s: float) -> int:
+    """Where the group of `birth` ends: about `group_s` long, and segments begin with a group."""
+    frames = max(1, round(group_s * media.fps))
+    span = media.segment_frames * max(1, round(frames / media.segment_frames))
+    length = -(-span // max(1, round(span / frames)))
+    into = birth % span
+    return birth - into + min(span, into - into % length + length)
+
+
+def group_of(media: Media, begin: int, end: int, first_frame: int, joins: bool) -> Group:
+    """The slices begin..end-1, seen by a client that plays from `first_frame`."""
+    last = media.num_frames - 1  # of a live stream: what comes is taken to be like it
+    sizes = [media.sizes(min(birth, last)) for birth in range(begin, end)]
+    # A snapshot at the first frame stands for the slice that is born there.
+    slices = sizes[1:] if joins and media.has_slots else sizes
+    can_rise = not media.has_slots or begin % media.segment_frames == 0
+    none = (0.0,) * media.num_layers
+    snapshots = none
+    if media.has_slots and can_rise:
+        each = sizes[0].snapshot_bytes
+        snapshots = tuple(sum(each[: n + 1]) for n in range(len(each)))
+    return Group(
+        media_s=max(0, end - max(begin, first_frame)) / media.fps,
+        slice_bytes=tuple(map(sum, zip(none, *(s.slice_bytes for s in slices), strict=True))),
+        psnr_db=tuple(map(fmean, zip(*(s.psnr_db for s in sizes), strict=True))),
+        snapshot_bytes=snapshots,
+        can_rise=can_rise,
+    )
