@@ -139,12 +139,14 @@ class SlotDecoder:
         return used
 
     def _can_use_late(self, lane: int, layer: int, births: range) -> bool:
-        """Whether a snapshot from before `births` adds to a layer of a lane: it lacks more than
-        changes that may still come, and no mask, without which the lane is unknown anyway."""
+        """Whether a snapshot from before `births` adds to a layer of a lane: something is unknown
+        that did not go missing since, and no mask is missing, without which all of it would be."""
         if any(birth not in self._said for birth in births):
             return False
         missed = self._missed.get((lane, layer))
-        slots = self.lanes[lane][layer] if missed is None else missed.before
+        slots = self.lanes[lane][layer]
+        if missed is not None and min(missed.since) in births:
+            slots = missed.before
         return bool((slots.conditions == UNKNOWN).any())
 
     def _begin_anew(self, lane: int, layer: int, slots: Slots, births: range) -> None:

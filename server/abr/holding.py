@@ -64,6 +64,8 @@ class SliceHolding(Holding):
         super().__init__(media, first_frame, needed)
         self.first_birth = first_frame - media.swin_size + 1
         self._levels: dict[int, int] = {}
+        self._early: dict[int, list[tuple[int, int]]] = {}
+        """Layers that came before those under them."""
         self._end_birth = self.first_birth
 
     @property
@@ -76,8 +78,13 @@ class SliceHolding(Holding):
 
     def add(self, birth: int, first_layer: int, end_layer: int) -> None:
         level = self._levels.get(birth, 0)
-        if first_layer <= level:
-            self._levels[birth] = max(level, end_layer)
+        if first_layer > level:
+            self._early.setdefault(birth, []).append((first_layer, end_layer))
+            return
+        level = max(level, end_layer)
+        for first, end in sorted(self._early.get(birth, ())):
+            level = max(level, end) if first <= level else level
+        self._levels[birth] = level
         while self._levels.get(self._end_birth, 0) >= self.needed:
             self._end_birth += 1
 
@@ -97,6 +104,7 @@ class SliceHolding(Holding):
         for birth in [b for b in self._levels if b < oldest]:
             if birth < self._end_birth:
                 del self._levels[birth]
+                self._early.pop(birth, None)
 
     def is_complete(self, frame: int, end_frame: int) -> bool:
         num_layers, oldest = self.media.num_layers, frame - self.media.swin_size + 1

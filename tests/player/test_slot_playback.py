@@ -11,6 +11,7 @@ import aiohttp
 import numpy as np
 import pytest
 from PIL import Image
+from server.abr.policy import Situation
 
 import server.play
 from codec.framerange import FrameRange
@@ -32,7 +33,6 @@ from player.show.sink import to_bytes
 from player.source.fetch import Fetcher
 from player.source.receiver import open_receiver
 from server.abr.link.link import Link, LinkStep
-from server.abr.policy import Situation
 from tests.support.hosted_streams import ServerProcess, served, static_host
 from tests.support.running_server import Running, on_server, quick_config
 from tests.support.running_server import play as play_records

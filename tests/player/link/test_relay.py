@@ -11,12 +11,7 @@ from contextlib import contextmanager
 
 import pytest
 
-<<<<<<< HEAD:tests/player/link/test_link.py
-from codec.errors import InvalidError
-from server.abr.link.link import Link, LinkStep
-=======
 from player.link.linktext import read_link
->>>>>>> abr-trace:tests/player/link/test_relay.py
 from player.link.relay import Relay
 
 

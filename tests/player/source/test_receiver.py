@@ -1,4 +1,5 @@
-"""Responses of any server that keeps the format: layers that come and go, connections that break.
+"""Responses of any server that keeps the format: layers that come apart, late or never, connections
+that break.
 
 Nothing here has a socket; the records are made from the packets on disk.
 """
@@ -6,7 +7,6 @@ Nothing here has a socket; the records are made from the packets on disk.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,14 +15,21 @@ from hypothesis import strategies as st
 
 from codec.errors import CodecError, CorruptError
 from codec.framerange import FrameRange
+from codec.slice import active_splats
 from codec.stream import StreamReader
 from codec.stream.manifest import MASKS, snapshot_part
 from codec.stream.playrecord import SliceRecord, SnapshotRecord
-from player.source.receiver import Receiver, open_receiver
-from tests.support.hosted_streams import random_slice, small_manifest
+from player.playout.assembler import open_assembler
+from player.playout.timeline import PlayedMedia
+from player.source.receiver import Receiver
+from player.source.source import Packets, SlicePackets
+from server.abr.holding import Holding, SliceHolding
+from server.abr.slotholding import open_holding
+from tests.support.assembled import birth_of
+from tests.support.hosted_streams import random_slice, small_manifest, write_stream
 from tests.support.hostile import flips
 from tests.support.slots.screen import Screen
-from tests.support.slots.slot_streams import write_slot_stream
+from tests.support.slots.slot_streams import Shown, same_splats, write_slot_stream
 from tests.support.slots.updates import small_layout
 
 NUM_FRAMES = 24
@@ -36,11 +43,21 @@ def reader(tmp_path_factory: pytest.TempPathFactory) -> StreamReader:
     return StreamReader(path)
 
 
-def slice_record(reader: StreamReader, birth: int, layers: int) -> SliceRecord:
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> StreamReader:
+    """A stream of version 1."""
+    path = tmp_path_factory.mktemp("whole") / "s"
+    write_stream(path, NUM_FRAMES, 9, 0, swin_size=SWIN_SIZE, num_gs=9 * SWIN_SIZE)
+    return StreamReader(path)
+
+
+def slice_record(reader: StreamReader, birth: int, first: int, end: int) -> SliceRecord:
     segment = reader.manifest.segment_of(birth)
-    mask = reader.read_object(segment, MASKS).packet(birth)
-    changes = (reader.read_object(segment, layer).packet(birth) for layer in range(layers))
-    return SliceRecord(birth, tuple(changes), mask)
+    parts = (reader.read_object(segment, layer).packet(birth) for layer in range(first, end))
+    mask = None
+    if reader.manifest.has_slots and not first:
+        mask = reader.read_object(segment, MASKS).packet(birth)
+    return SliceRecord(birth, tuple(parts), mask, first)
 
 
 def snapshot_record(reader: StreamReader, frame: int, first: int, end: int) -> SnapshotRecord:
@@ -50,173 +67,217 @@ def snapshot_record(reader: StreamReader, frame: int, first: int, end: int) -> S
     return SnapshotRecord(frame, first, tuple(found))
 
 
-def snapshot_records(
-    reader: StreamReader, frame: int, first: int, end: int, rng: np.random.Generator
-) -> Iterator[SnapshotRecord]:
-    """The snapshots of layers first..end-1 in one record or more."""
-    while first < end:
-        last = int(rng.integers(first, end)) + 1
-        yield snapshot_record(reader, frame, first, last)
-        first = last
+Sent = SliceRecord | SnapshotRecord
 
 
-def response(
-    reader: StreamReader, frame: int, rng: np.random.Generator, fickle: bool
-) -> Iterator[tuple[SliceRecord | SnapshotRecord, int]]:
-    """What a server sends from `frame` on, each record with the layers that are whole after it.
-
-    fickle: layers are dropped and taken up again.
-    """
+def response(reader: StreamReader, frame: int, rng: np.random.Generator) -> Iterator[Sent]:
+    """What a server may send from `frame` on: layer 0 in order, of the others anything, each packet
+    once, at any time after it could be made."""
     start = frame // SEGMENT_FRAMES * SEGMENT_FRAMES
-    held = int(rng.integers(1, LAYERS + 1)) if fickle else LAYERS
-    for record in snapshot_records(reader, start, 0, held, rng):
-        yield record, held
-    for birth in range(start + 1, NUM_FRAMES):
-        if fickle and rng.random() < 0.15:
-            held = int(rng.integers(0, held + 1))
-        yield slice_record(reader, birth, held), held
-        if birth % SEGMENT_FRAMES == 0 and fickle:
-            wanted = int(rng.integers(held, LAYERS + 1))
-            for record in snapshot_records(reader, birth, held, wanted, rng):
-                yield record, wanted
-            held = wanted
+    slots = reader.manifest.has_slots
+    first = start + 1 if slots else frame - SWIN_SIZE + 1
+    leaves_out, delays = rng.choice([0.0, 0.2, 0.6]), rng.choice([0, 2, 9])
+    waiting: list[tuple[int, Sent]] = []
+    if slots:
+        together = int(rng.integers(1, LAYERS + 1))
+        yield snapshot_record(reader, start, 0, together)
+        for layer in range(together, LAYERS):
+            if rng.random() >= leaves_out:
+                waiting.append(
+                    (
+                        first + int(rng.integers(delays + 1)),
+                        snapshot_record(reader, start, layer, layer + 1),
+                    )
+                )
+    for birth in range(first, NUM_FRAMES):
+        if slots and birth % SEGMENT_FRAMES == 0 and rng.random() < 0.5:
+            layer = int(rng.integers(LAYERS))
+            record = snapshot_record(reader, birth, layer, LAYERS)
+            waiting.append((birth + int(rng.integers(-2, delays + 1)), record))
+        together = int(rng.integers(1, LAYERS + 1))
+        for layer in range(together, LAYERS):
+            if rng.random() >= leaves_out:
+                late = birth + int(rng.integers(delays + 1))
+                waiting.append((late, slice_record(reader, birth, layer, layer + 1)))
+        yield slice_record(reader, birth, 0, together)
+        yield from (record for at, record in waiting if at <= birth)
+        waiting = [(at, record) for at, record in waiting if at > birth]
 
 
-@pytest.mark.parametrize("fickle", [False, True])
+@pytest.mark.parametrize("version", [1, 2])
 @given(first=st.integers(0, NUM_FRAMES - 1), seed=st.integers(0, 1 << 32))
 @settings(max_examples=60, deadline=None)
-def test_whatever_is_left_out_or_breaks_only_what_is_known_shows(
-    reader: StreamReader, fickle: bool, first: int, seed: int
+def test_whatever_comes_late_or_never_only_what_is_known_shows(
+    reader: StreamReader, whole: StreamReader, version: int, first: int, seed: int
 ) -> None:
-    rng = np.random.default_rng(seed)
-    breaks = rng.choice([0.0, 0.1, 0.3])
-    receiver = open_receiver("S", reader.manifest, LAYERS, FrameRange(first))
-    screen, frame = Screen(reader, first), first
-    complete = False
-    while not complete:
-        held = before = 0
-        for record, held in response(reader, frame, rng, fickle):
-            if isinstance(record, SnapshotRecord):
-                assert not list(receiver.take(record))
-                screen.snapshots_came()
-            else:
-                for received in receiver.take(record):
-                    # A snapshot is complete when the slice after it comes.
-                    screen.put(received, before if received.slice.birth < record.birth else held)
-            before = held
+    """A frame shows as soon as layer 0 of it is there, with what has come by then."""
+    stream, rng = (whole if version == 1 else reader), np.random.default_rng(seed)
+    breaks = rng.choice([0.0, 0.02, 0.1])
+    manifest = stream.manifest
+    receiver = Receiver("S", manifest, LAYERS, FrameRange(first))
+    assembler = open_assembler(manifest, LAYERS, first)
+    holding = open_holding(PlayedMedia(manifest), first)
+    seen = open_holding(PlayedMedia(manifest), first)
+    screen, shown = Screen(stream, first), Shown(manifest)
+    frame, waiting = first, list[Packets]()
+    while frame < NUM_FRAMES:
+        asked = first if frame == first else receiver.rejoin(NUM_FRAMES)
+        for record in response(stream, asked, rng):
+            one = receiver.take(record)
+            waiting.append(one)
+            add(holding, one)
+            while frame < holding.end_frame:
+                used = [p for p in waiting if birth_of(p) <= frame]
+                waiting = [p for p in waiting if birth_of(p) > frame]
+                for packets in used:
+                    add(seen, packets)
+                slices = assembler.take(frame, used)
+                if version == 2:
+                    screen.put(slices, round(seen.layers(frame)))
+                else:
+                    splats = shown.after(slices, frame)
+                    assert isinstance(seen, SliceHolding)
+                    expected = [
+                        stream.slice(birth, seen.level(birth))
+                        for birth in range(frame - SWIN_SIZE + 1, frame + 1)
+                    ]
+                    assert same_splats(splats, active_splats(expected, frame, SWIN_SIZE))
+                frame += 1
             if rng.random() < breaks:
-                # The newest frames may not be known yet.
-                known = max(receiver.next_birth, 0, int(rng.integers(first + 1, NUM_FRAMES + 1)))
-                frame = receiver.rejoin(known)
-                assert frame == max(first, min(receiver.next_birth, known - 1))
                 break
-        else:
-            complete = True
-            for received in receiver.finish():
-                screen.put(received, held)
-    assert receiver.next_birth == screen.next_birth == NUM_FRAMES
 
 
-def receive(receiver: Receiver, *records: SliceRecord | SnapshotRecord) -> list[int]:
-    return [one.slice.birth for record in records for one in receiver.take(record)]
+def add(holding: Holding, one: Packets) -> None:
+    if isinstance(one, SlicePackets):
+        holding.add(one.birth, one.first_layer, one.end_layer)
+    else:
+        holding.add_snapshots(one.frame, one.first_layer, one.end_layer)
 
 
-def joined(reader: StreamReader, first: int = 6, layers: int = 2) -> Receiver:
-    """One who has come to `first`, of the segment from 5 to 9, with layer 0."""
-    receiver = open_receiver("S", reader.manifest, layers, FrameRange(first))
-    receive(receiver, snapshot_record(reader, 5, 0, 1))
-    for birth in range(6, first + 1):
-        receive(receiver, slice_record(reader, birth, 1))
-    return receiver
+def take(receiver: Receiver, *records: Sent) -> list[int]:
+    return [birth_of(receiver.take(record)) for record in records]
 
 
-Make = Callable[[StreamReader], SliceRecord | SnapshotRecord]
+Make = Callable[[StreamReader], Sent]
 
 
 @pytest.mark.parametrize(
     ("make", "message"),
     [
         (lambda r: SliceRecord(7, (b"",)), "the slice born at 7 has no mask"),
-        (lambda r: slice_record(r, 8, 1), "the slice born at 8 came before 7"),
-        (lambda r: slice_record(r, 6, 1), "the slice born at 6 came before 7"),
-        (lambda r: slice_record(r, 7, 3), "born at 7 has 3 layers, at most 2"),
-        (lambda r: SliceRecord(7, (), b"zz"), "the mask of the slice born at 7: packet"),
-        (
-            lambda r: SliceRecord(7, (b"zz",), slice_record(r, 7, 1).mask),
-            "layer 0 of the slice born at 7: packet",
-        ),
-        (
-            lambda r: SliceRecord(7, (), slice_record(r, 8, 0).mask),
-            "the mask of the slice born at 7: byte 8: mask: birth 8",
-        ),
-        (
-            lambda r: SliceRecord(7, slice_record(r, 8, 1).packets, slice_record(r, 7, 0).mask),
-            "layer 0 of the slice born at 7: byte 8: change: birth 8",
-        ),
-        (
-            lambda r: snapshot_record(r, 10, 0, 1),
-            "layer 0 of the snapshot of frame 10: snapshot: of frame 10, the slices .* to 6",
-        ),
-        (lambda r: snapshot_record(r, 5, 0, 1), "of frame 5, the slices have come to 6"),
-        (
-            lambda r: SnapshotRecord(6, 0, snapshot_record(r, 5, 0, 1).packets),
-            "layer 0 of the snapshot of frame 6: byte 8: snapshot: of frame 5",
-        ),
-        (lambda r: SnapshotRecord(6, 3, (b"zz",)), "the stream has 3 layers"),
-        (lambda r: SnapshotRecord(6, 0, (b"zz",)), "snapshot of frame 6: packet"),
+        (lambda r: SliceRecord(7, (), b""), "the slice born at 7 has no layers"),
+        (lambda r: slice_record(r, 8, 0, 1), "the slice born at 8 came before 7"),
+        (lambda r: slice_record(r, 7, 0, 3), "a slice with layer 2, of 2 layers"),
+        (lambda r: slice_record(r, 7, 2, 3), "a slice with layer 2, of 2 layers"),
+        (lambda r: snapshot_record(r, 10, 1, 3), "a snapshot with layer 2, of 2 layers"),
+        (lambda r: SnapshotRecord(6, 0, (b"",)), "a snapshot of frame 6, which begins no segment"),
     ],
 )
 def test_what_breaks_a_rule_is_named(reader: StreamReader, make: Make, message: str) -> None:
-    receiver = joined(reader)
+    receiver = Receiver("S", reader.manifest, 2, FrameRange(6))
+    take(receiver, snapshot_record(reader, 5, 0, 1), slice_record(reader, 6, 0, 1))
     with pytest.raises(CorruptError, match=f"^S: .*{message}") as caught:
-        receive(receiver, make(reader))
+        take(receiver, make(reader))
     assert "\n" not in str(caught.value)
     # What was refused has altered nothing.
-    assert receive(receiver, slice_record(reader, 7, 1)) == [7]
+    assert take(receiver, slice_record(reader, 7, 0, 1)) == [7]
 
 
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda r: slice_record(r, 6, 1), "the slice born at 6 came before a snapshot"),
-        (lambda r: snapshot_record(r, 10, 0, 1), "of frame 10, the slices have come to 5"),
-        (lambda r: snapshot_record(r, 5, 1, 2), "of layer 1 where that of 0 belongs first"),
+        (lambda r: slice_record(r, 6, 0, 1), "the slice born at 6 came before a snapshot"),
+        (lambda r: snapshot_record(r, 10, 0, 1), "begins with the snapshot of layer 0 at 10, not"),
+        (lambda r: snapshot_record(r, 5, 1, 2), "layer 1 at 5, not with that of layer 0 at 5"),
     ],
 )
-def test_a_play_begins_with_the_snapshots_of_its_segment(
+def test_a_play_begins_with_the_snapshot_of_its_segment(
     reader: StreamReader, make: Make, message: str
 ) -> None:
-    receiver = open_receiver("S", reader.manifest, 2, FrameRange(6))
+    receiver = Receiver("S", reader.manifest, 2, FrameRange(6))
     with pytest.raises(CorruptError, match=message):
-        receive(receiver, make(reader))
+        take(receiver, make(reader))
 
 
-def test_a_layer_that_nobody_wanted_is_refused(reader: StreamReader) -> None:
-    receiver = open_receiver("S", reader.manifest, 2, FrameRange(5))
-    with pytest.raises(CorruptError, match="of layer 2, at most 2 are wanted"):
-        receive(receiver, snapshot_record(reader, 5, 0, 3))
+def assemble(reader: StreamReader, *records: Sent) -> list[int]:
+    """The births of the slices that frames 6 and 7 take in, of records behind a good start."""
+    receiver = Receiver("S", reader.manifest, LAYERS, FrameRange(6))
+    start = snapshot_record(reader, 5, 0, 1), slice_record(reader, 6, 0, 1)
+    assembler = open_assembler(reader.manifest, LAYERS, 6)
+    made = assembler.take(6, [receiver.take(record) for record in start])
+    made += assembler.take(7, [receiver.take(record) for record in records])
+    return [slice.birth for slice in made]
 
 
-def test_any_bytes_give_a_slice_or_a_codec_error(reader: StreamReader) -> None:
-    whole = slice_record(reader, 7, 1)
-    assert whole.mask is not None
-    wrong: list[SliceRecord | SnapshotRecord] = [
-        *(SliceRecord(7, whole.packets, mask) for mask in flips(whole.mask)),
-        *(SliceRecord(7, (packet,), whole.mask) for packet in flips(whole.packets[0])),
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda r: SliceRecord(7, (b"",), b"zz"), "the mask of the slice born at 7: packet"),
+        (
+            lambda r: SliceRecord(7, (b"zz",), slice_record(r, 7, 0, 1).mask),
+            "layer 0 of the slice born at 7: packet",
+        ),
+        (
+            lambda r: SliceRecord(7, (b"",), slice_record(r, 8, 0, 1).mask),
+            "the mask of the slice born at 7: byte 8: mask: birth 8",
+        ),
+        (
+            lambda r: SliceRecord(
+                7, slice_record(r, 8, 0, 1).packets, slice_record(r, 7, 0, 1).mask
+            ),
+            "layer 0 of the slice born at 7: byte 8: change: birth 8",
+        ),
+    ],
+)
+def test_what_is_wrong_inside_is_named_when_it_is_due(
+    reader: StreamReader, make: Make, message: str
+) -> None:
+    record = make(reader)
+    with pytest.raises(CorruptError, match=f"^S: .*{message}"):
+        assemble(reader, record)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda r: SnapshotRecord(5, 1, (b"zz",)), "layer 1 of the snapshot of frame 5: packet"),
+        (
+            lambda r: SnapshotRecord(5, 2, snapshot_record(r, 5, 1, 2).packets),
+            "layer 2 of the snapshot of frame 5: byte 5: snapshot: of layer 1",
+        ),
+        (
+            lambda r: SnapshotRecord(5, 1, snapshot_record(r, 10, 1, 2).packets),
+            "layer 1 of the snapshot of frame 5: byte 8: snapshot: of frame 10",
+        ),
+    ],
+)
+def test_a_late_snapshot_that_is_wrong_is_named(
+    reader: StreamReader, make: Make, message: str
+) -> None:
+    with pytest.raises(CorruptError, match=f"^S: .*{message}"):
+        assemble(reader, make(reader), slice_record(reader, 7, 0, 1))
+
+
+def test_any_bytes_give_slices_or_a_codec_error(reader: StreamReader) -> None:
+    good = slice_record(reader, 7, 0, 1)
+    assert good.mask is not None
+    wrong: list[Sent] = [
+        *(SliceRecord(7, good.packets, mask) for mask in flips(good.mask)),
+        *(SliceRecord(7, (packet,), good.mask) for packet in flips(good.packets[0])),
     ]
     refused = 0
     for record in wrong:
         try:
-            receive(joined(reader), record)
+            assemble(reader, record)
         except CodecError:
             refused += 1
     assert refused > len(wrong) // 2
 
 
-def test_whole_slices_know_no_masks_and_no_snapshots(tmp_path: Path) -> None:
-    receiver = open_receiver("S", small_manifest(), 3, FrameRange())
+def test_whole_slices_know_no_masks_and_no_snapshots() -> None:
+    receiver = Receiver("S", small_manifest(), 3, FrameRange())
     with pytest.raises(CorruptError, match="a snapshot in a stream of whole slices"):
-        receive(receiver, SnapshotRecord(0, 0, (b"",)))
+        take(receiver, SnapshotRecord(0, 0, (b"",)))
     birth = random_slice(-3).birth
     with pytest.raises(CorruptError, match="S: the slice born at -3 has no layers"):
-        receive(receiver, SliceRecord(birth, (), b"mask"))
+        take(receiver, SliceRecord(birth, (), b"mask"))

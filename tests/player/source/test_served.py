@@ -181,7 +181,11 @@ def test_a_server_that_stops_is_asked_again() -> None:
             CorruptError,
             "S: layer 0 of the slice born at -3: byte 8: chunk: birth -2 where birth -3 belongs",
         ),
-        ([answer(start(), SliceRecord(-3, (b"zz",)), *ALL[1:])], CorruptError, "born at -3: packet"),
+        (
+            [answer(start(), SliceRecord(-3, (b"zz",)), *ALL[1:])],
+            CorruptError,
+            "born at -3: packet",
+        ),
         (
             [answer(start(), record_of(-3, lambda s: random_slice(-3, 41)), *ALL[1:])],
             CorruptError,

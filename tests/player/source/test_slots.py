@@ -38,9 +38,7 @@ from tests.support.slots.updates import patternless_updates, small_layout
 NUM_FRAMES = 14
 
 
-def check_play(
-    reader: StreamReader, got: list[Assembled], frames: FrameRange, layers: int
-) -> None:
+def check_play(reader: StreamReader, got: list[Assembled], frames: FrameRange, layers: int) -> None:
     """Each birth once, the first window whole, and every frame as the reader has it."""
     manifest = reader.manifest
     swin_size, end = manifest.swin_size, frames.end or reader.num_frames
