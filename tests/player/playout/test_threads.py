@@ -11,19 +11,39 @@ import numpy.typing as npt
 import pytest
 
 from codec.camera import Camera
-from codec.errors import SwingsError
+from codec.errors import CodecError, SwingsError
 from codec.framerange import FrameRange
 from codec.slice import Slice
-from codec.stream.manifest import Manifest
+from codec.stream.chunk import encode_chunk
+from codec.stream.layers import opacity_rank, split_layers
+from codec.stream.manifest import Manifest, Part
+from codec.stream.object import encode_packet
 from player.playout.clock import Clock
 from player.playout.queues import EmptyStreamError, Events, Handoff
 from player.playout.threads import Threads, render_thread
-from player.playout.timeline import FrameRecord, Playout, PlayoutConfig
+from player.playout.timeline import FrameRecord, Playout, QueueConfig
 from player.source.fetch import StoppedError
-from player.source.source import ReceivedSlice
+from player.source.source import Packets, SlicePackets
+from server.abr.playout import PlayoutConfig
 from tests.support.hosted_streams import SWIN_SIZE, random_slice, small_manifest
 
 CAMERA = small_manifest().camera()
+MANIFEST = small_manifest(4, 0)
+AT_ONCE = PlayoutConfig(start_lead_s=0)
+
+
+def blame(error: CodecError, part: Part) -> CodecError:
+    return error.within(f"list: {part}")
+
+
+def packets(birth: int) -> SlicePackets:
+    layers = split_layers(random_slice(birth, 4, 0), MANIFEST.layers, opacity_rank)
+    chunk = encode_chunk(layers[0], 0, MANIFEST.profile)
+    return SlicePackets(birth, 0, (encode_packet(chunk),), None, blame)
+
+
+def playout_of(fps: float, queue: QueueConfig | None = None) -> Playout:
+    return Playout(small_manifest(4, 0, fps), 0, None, queue, AT_ONCE)
 
 
 class ListSource:
@@ -42,15 +62,17 @@ class ListSource:
         self.given = 0
 
     name = "list"
-    manifest: Manifest = small_manifest(4, 0)
+    manifest: Manifest = MANIFEST
     frames = FrameRange(0)
+    adaptive = False
+    num_layers = 3
     received_bytes = 0
 
-    def slices(self) -> Iterator[ReceivedSlice]:
+    def packets(self) -> Iterator[Packets]:
         for birth in range(1 - SWIN_SIZE, 1 - SWIN_SIZE + self._num_slices):
             time.sleep(self._gap_s)
             self.given += 1
-            yield ReceivedSlice(random_slice(birth, 4, 0), 1, 10)
+            yield packets(birth)
         if self._failure is not None:
             raise self._failure
         if self._silent:
@@ -95,9 +117,9 @@ def run(
     *,
     real: bool = False,
     fps: float = 30.0,
-    config: PlayoutConfig | None = None,
+    queue: QueueConfig | None = None,
 ) -> tuple[list[FrameRecord], Events]:
-    events = Events(Playout(0, SWIN_SIZE, fps, config), Clock(real))
+    events = Events(playout_of(fps, queue), Clock(real))
     shown: list[FrameRecord] = []
     with Threads(source, events) as threads:
         handoff = threads.update(renderer)
@@ -131,7 +153,7 @@ def test_a_slow_drawer_holds_the_stream_back_and_is_not_a_stall() -> None:
 
     renderer.render = noting  # type: ignore[method-assign]
     # The machine draws 50 frames a second, the stream has 1000.
-    shown, events = run(source, renderer, fps=1000.0, config=PlayoutConfig(max_frames=3))
+    shown, events = run(source, renderer, fps=1000.0, queue=QueueConfig(max_frames=3))
     assert len(shown) == 20
     # Queue 3, on their way to the renderer 3, in the hand of the receiver 1.
     assert max(ahead) <= 8
@@ -203,9 +225,9 @@ def test_a_window_sees_errors_too_and_takes_all_frames_at_once() -> None:
 
 
 def test_a_pause_stops_the_time() -> None:
-    events = Events(Playout(0, 1, 100.0), Clock(real=True))
-    events.append(ReceivedSlice(random_slice(0, 4, 0), 1, 1))
-    events.append(ReceivedSlice(random_slice(1, 4, 0), 1, 1))
+    events = Events(playout_of(100.0), Clock(real=True))
+    for birth in range(1 - SWIN_SIZE, 2):
+        events.append(packets(birth))
     assert events.take() is not None
     events.toggle_pause()
     threading.Timer(0.2, events.toggle_pause).start()
