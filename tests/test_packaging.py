@@ -34,7 +34,14 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
         {"codec/interop"},
         {"codec/tools"},
     ),
-    "server": ({"server/abr/link"}, {"server/abr"}, {"server"}),
+    "server": (
+        {"server/abr/link"},
+        {"server/abr"},
+        {"server/abr/policies"},
+        {"server/abr/simulate"},
+        {"server/abr/oracle"},
+        {"server"},
+    ),
     "player": (
         {"player/render", "player/source", "player/view", "player/link"},
         {"player/playout"},

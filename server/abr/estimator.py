@@ -11,18 +11,21 @@ from dataclasses import dataclass
 
 from codec.errors import InvalidError
 
+MANY_WINDOWS = 20
+"""Windows after which a sample goes, however few bytes have come since."""
+
 
 @dataclass(frozen=True, slots=True)
 class EstimatorConfig:
     """What a `RateEstimator` takes for a sample and how long it keeps one."""
 
     window_s: float = 0.4
-    """Busy seconds that the estimate looks back: what a link did before says little of a link
-    that changed."""
+    """Busy seconds that the estimate looks back, more where they hold less than min_bytes: what a
+    link did before says little of a link that changed."""
     sample_s: float = 0.02
     """Busy seconds gathered into one sample."""
     min_bytes: int = 16 * 1024
-    """Bytes without which there is no estimate; fewer say more of buffers than of the link."""
+    """Bytes that an estimate goes by at least; fewer say more of buffers than of the link."""
 
     def __post_init__(self) -> None:
         for name in ("window_s", "sample_s", "min_bytes"):
@@ -54,9 +57,18 @@ class RateEstimator:
         self._bytes += self._open_bytes
         self._busy_s += self._open_s
         self._open_bytes = self._open_s = 0.0
-        while len(self._samples) > 1 and self._busy_s - self._samples[0][1] >= config.window_s:
+        while self._is_enough_without_the_first():
             old_bytes, old_s = self._samples.popleft()
             self._bytes -= old_bytes
             self._busy_s -= old_s
         if self._bytes >= config.min_bytes or self.rate_bps is not None:
             self.rate_bps = max(1.0, 8 * self._bytes / self._busy_s)
+
+    def _is_enough_without_the_first(self) -> bool:
+        if len(self._samples) < 2:
+            return False
+        first_bytes, first_s = self._samples[0]
+        rest_bytes, rest_s = self._bytes - first_bytes, self._busy_s - first_s
+        if rest_s >= MANY_WINDOWS * self._config.window_s:
+            return True
+        return rest_s >= self._config.window_s and rest_bytes >= self._config.min_bytes

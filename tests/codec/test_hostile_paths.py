@@ -24,6 +24,7 @@ from codec.tools.audit import verify_stream
 from player.source.fetch import Fetcher, FetchError
 from player.source.locate import open_source
 from server.library import Library, ServedStream
+from tests.support.delivery.assembled import assembled
 from tests.support.tiny_stream import tiny_slice, write_tiny
 
 
@@ -47,7 +48,7 @@ def astray(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 def play(path: Path) -> None:
     source = open_source(str(path), FrameRange(0, None), None)
     try:
-        list(source.slices())
+        list(assembled(source))
     finally:
         source.close()
 

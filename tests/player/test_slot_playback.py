@@ -19,7 +19,7 @@ from player.render.renderer import RendererKind
 from player.show.sink import to_bytes
 from player.source.locate import open_source
 from server.abr.link.link import Link, LinkStep
-from tests.support.assembled import assembled
+from tests.support.delivery.assembled import assembled
 from tests.support.hosted_streams import ServerProcess, served, static_host
 from tests.support.slots.screen import Screen
 from tests.support.slots.slot_streams import write_busy_stream

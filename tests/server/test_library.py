@@ -139,15 +139,15 @@ def test_a_live_stream_that_breaks_keeps_its_last_good_view(
     assert len([r for r in caplog.records if "index.bin" in r.getMessage()]) == 1
 
 
-def test_slice_bytes_are_means_over_the_segment(tmp_path: Path) -> None:
+def test_sizes_are_means_over_the_segment(tmp_path: Path) -> None:
     root = make_stream(tmp_path / "s", 12)
     stream = Library(root, 1.0).streams["s"]
     reader = StreamReader(root)
     for birth, segment, count in ((-3, 0, 8), (4, 0, 8), (5, 1, 5), (11, 2, 2)):
         sizes = reader.records[segment].object_bytes
-        means = stream.slice_bytes(birth)
-        assert means == tuple(sum(sizes[:n]) / count for n in (1, 2, 3, 4))
-        assert list(means) == sorted(means)
+        means = stream.sizes(birth)
+        assert means.layer_bytes == tuple(size / count for size in sizes)
+        assert means is stream.sizes(birth)
 
 
 def test_the_cache_is_bounded_and_reads_once(tmp_path: Path) -> None:

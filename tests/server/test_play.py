@@ -33,6 +33,7 @@ from tests.support.running_server import (
     SWIN_SIZE,
     Running,
     births_of,
+    births_with_layer_0,
     eventually,
     make_stream,
     on_server,
@@ -90,10 +91,13 @@ def test_a_play_is_the_directory_slice_by_slice(
         assert start == StartRecord(from_frame, 23, manifest)
         assert end == EndRecord(23)
         births = range(from_frame - SWIN_SIZE + 1, until)
-        assert [s.birth for s in slices if isinstance(s, SliceRecord)] == list(births)
+        assert births_with_layer_0(slices) == list(births)
+        came = set()
         for one in slices_of(slices):
             assert layers in (None, len(one.packets))
-            for layer, packet in enumerate(one.packets):
+            for layer, packet in enumerate(one.packets, one.first_layer):
+                assert (one.birth, layer) not in came
+                came.add((one.birth, layer))
                 assert packet == disk[one.birth, layer]
                 chunk = decode_packet(packet)
                 assert (chunk.birth, chunk.layer) == (one.birth, layer)
@@ -184,7 +188,7 @@ def test_pacing_sends_no_more_than_the_lead(root: Path) -> None:
                         assert lead_s <= 0.6 + 0.1
             assert time.monotonic() - began_s > 240 / 60 - 0.6 - 0.1
 
-    on_server(root, check, quick_config(target_lead_s=0.6))
+    on_server(root, check, quick_config(max_lead_s=0.6))
 
 
 class SlowClient:
@@ -217,8 +221,8 @@ class SlowClient:
 
 
 def mean_layers(records: Iterable[Record]) -> float:
-    shown = [len(one.packets) for one in slices_of(records) if one.birth > 0]
-    return sum(shown) / len(shown)
+    shown = [one for one in slices_of(records) if one.birth > 0]
+    return sum(len(one.packets) for one in shown) / len({one.birth for one in shown})
 
 
 def test_a_slow_reader_gets_fewer_layers_than_a_fast_one(root: Path) -> None:
@@ -229,10 +233,10 @@ def test_a_slow_reader_gets_fewer_layers_than_a_fast_one(root: Path) -> None:
         )
         births = list(births_of(240))
         for records in (slow_records, fast_records):
-            assert [one.birth for one in slices_of(records)] == births
+            assert births_with_layer_0(records) == births
             assert records[-1] == EndRecord(240)
         assert mean_layers(fast_records) > 3.2
-        assert mean_layers(slow_records) < 1.6
+        assert 1.2 < mean_layers(slow_records) < 1.8
 
     on_server(root, check, quick_config(send_queue_bytes=16 * 1024))
 
@@ -346,7 +350,7 @@ def test_a_live_stream_is_followed_to_its_end(tmp_path: Path) -> None:
         assert isinstance(records[0], StartRecord)
         assert records[0].num_frames == 0
         births = list(births_of(3 * SEGMENT_FRAMES + 2))
-        assert [one.birth for one in slices_of(records)] == births
+        assert births_with_layer_0(records) == births
         assert records[-1] == EndRecord(3 * SEGMENT_FRAMES + 2)
 
     on_server(tmp_path, check)
@@ -399,7 +403,7 @@ def test_a_damaged_segment_ends_the_play_with_a_reason(
 def test_stopping_ends_plays_at_a_slice_boundary(root: Path) -> None:
     async def check(server: Running, client: aiohttp.ClientSession) -> None:
         task = asyncio.create_task(play(client, "long", "?layers=2"))
-        await eventually(lambda: server.state.metrics.slices.value("2"))
+        await eventually(lambda: server.state.metrics.packets.value("1"))
         began_s = time.monotonic()
         await server.runner.cleanup()
         records = await task
@@ -418,7 +422,7 @@ def test_metrics_count_what_was_sent(root: Path) -> None:
     async def check(server: Running, client: aiohttp.ClientSession) -> None:
         records = slices_of(await play(client, "walk", "?layers=3"))
         metrics = server.state.metrics
-        assert metrics.slices.value("3") == len(records)
+        assert metrics.packets.value("2") == len(records)
         for layer in range(3):
             sent_bytes = sum(len(one.packets[layer]) for one in records)
             assert metrics.layer_bytes.value("play", str(layer)) == sent_bytes

@@ -143,7 +143,7 @@ def test_a_play_is_the_folder_slice_by_slice(
             ("snapshot-3", 0),
         ):
             assert metrics.layer_bytes.value("play", name) == size
-        assert metrics.slices.value(str(layers)) == len(slices)
+        assert metrics.packets.value("0") == metrics.packets.value("masks") == len(slices)
 
     on_server(root, check)
 
@@ -157,7 +157,7 @@ def test_long_snapshots_come_in_several_records(
 
     async def check(server: Running, client: aiohttp.ClientSession) -> None:
         records = await play(client, "slots", "?from=5&until=6")
-        # The server knows nothing of the link yet.
+        # Layer 0 comes first.
         assert records[1] == SnapshotRecord(5, 0, (packets[0],))
         records = await play(client, "slots", "?from=5&until=6&layers=3")
         assert records[1] == SnapshotRecord(5, 0, tuple(packets[:2]))
@@ -220,13 +220,15 @@ def test_a_live_stream_without_news_says_where_to_go_on(tmp_path: Path) -> None:
     on_server(tmp_path, check, quick_config(live_idle_s=0.2))
 
 
-def test_what_slices_and_snapshots_cost(root: Path) -> None:
+def test_what_slices_and_snapshots_take(root: Path) -> None:
     stream = Library(root, 1.0).streams["slots"]
     reader = StreamReader(root / "slots")
     for birth, segment, count in ((0, 0, 5), (7, 1, 5), (12, 2, 3)):
-        sizes = [reader.read_object(segment, part).data for part in (MASKS, 0, 1, 2)]
-        totals = [sum(map(len, sizes[: n + 1])) / count for n in (1, 2, 3)]
-        assert stream.slice_bytes(birth) == tuple(totals)
+        sizes = stream.sizes(birth)
+        totals = [len(reader.read_object(segment, part).data) for part in (MASKS, 0, 1, 2)]
+        assert sizes.slice_bytes[0] == pytest.approx((totals[0] + totals[1]) / count)
+        assert sizes.slice_bytes[2] == pytest.approx(sum(totals) / count)
         snapshots = [len(reader.read_object(segment, snapshot_part(n)).data) for n in range(3)]
-        costs = [sum(snapshots[:n]) for n in (1, 2, 3)]
-        assert stream.snapshot_bytes(birth) == tuple(costs)
+        assert sizes.snapshot_bytes == tuple(snapshots)
+        assert list(sizes.psnr_db) == sorted(sizes.psnr_db)
+        assert all(0 < share <= 1 for share in sizes.changed_shares)

@@ -151,6 +151,11 @@ def slices_of(records: Iterable[Record]) -> list[SliceRecord]:
     return [record for record in records if isinstance(record, SliceRecord)]
 
 
+def births_with_layer_0(records: Iterable[Record]) -> list[int]:
+    """Of the slices, in the order in which their layer 0 came."""
+    return [one.birth for one in slices_of(records) if not one.first_layer]
+
+
 async def raw_request(port: int, request: bytes, timeout_s: float = 5.0) -> bytes:
     """Everything that the server sends for `request`, until it closes the connection."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from ..outlook import Outlook, Send, SendSlices, SendSnapshots
 from ..slotholding import SlotHolding
-from .sweep import SweepConfig
+from .sweep import Patience, SweepConfig
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,11 +30,14 @@ class SlotSweep:
 
     def __init__(self, config: SweepConfig | None = None) -> None:
         self._config = config or SweepConfig()
+        self._patience = Patience(self._config)
+        self._patience_s = (0.0, 0.0)
 
     def choose(self, outlook: Outlook) -> Send | None:
         holding = outlook.holding
         assert isinstance(holding, SlotHolding)
         rate_bps = self._config.safety * outlook.rate_bps
+        self._patience_s = self._patience.note(outlook)
         free_s = outlook.now_s + outlook.latency_s + 8 * outlook.queued_bytes / rate_bps
         best: _Offer | None = None
         end = outlook.end_birth
@@ -70,7 +73,7 @@ class SlotSweep:
             slack_s = outlook.due_s(birth) - free_s - 8 * size / rate_bps
             if layer == 0 or slack_s > -0.5 / fps:
                 gain_db = sizes.gains_db[layer] if layer else config.stall_db
-                patience_s = config.patience_s if layer else config.base_patience_s
+                patience_s = self._patience_s[min(layer, 1)]
                 urgency = math.exp(-max(0.0, slack_s) / patience_s)
                 most = max(1, int(rate_bps * outlook.run_s / 8 / max(size, 1.0)))
                 births = range(birth, min(end, birth + most))
@@ -106,8 +109,10 @@ class SlotSweep:
         if hold_s <= 0 or gain_db <= 0:
             return None
 
+        patience_s = self._patience_s[min(layer, 1)]
+
         def worth(cost_bytes: float, slack_s: float) -> float:
-            urgency = math.exp(-max(0.0, slack_s) / config.patience_s)
+            urgency = math.exp(-max(0.0, slack_s) / patience_s)
             frames = hold_s * fps
             return (
                 gain_db * frames / (cost_bytes + (frames + config.settle_s * fps) * size) * urgency

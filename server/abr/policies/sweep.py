@@ -26,10 +26,18 @@ from ..outlook import Outlook, Send, SendSlices
 class SweepConfig:
     """What a `Sweep` weighs."""
 
-    base_patience_s: float = 2.0
-    """The same for layer 0."""
-    patience_s: float = 1.0
-    """Seconds that a packet can wait until sending it now counts e times less."""
+    base_patience_s: float = 3.0
+    """Seconds that a packet of layer 0 can wait until sending it now counts e times less, on a
+    link that just carries layer 0; on one twice as fast a fourth of that, as what is not sent now
+    is made up for sooner, and a drop is less likely to be one below layer 0."""
+    patience_s: float = 0.4
+    """The same for the other layers, on a link that just carries them all."""
+    memory_s: float = 8.0
+    """Seconds after which what a link did counts half for how long packets can wait."""
+    least_patience_s: float = 0.1
+    """Least of either, whatever the link."""
+    most_patience_s: float = 3.0
+    """Most of either, whatever the link."""
     stall_db: float = 60.0
     """What a frame of layer 0 is worth: what a stall of one frame costs, dB."""
     hold_s: float = 4.0
@@ -42,10 +50,47 @@ class SweepConfig:
     """Share of a packet's life that must be left for it to be sent, except of layer 0."""
 
     def __post_init__(self) -> None:
-        if not (self.patience_s > 0 and self.stall_db > 0):
-            raise InvalidError(f"patience_s {self.patience_s} and stall_db {self.stall_db} are > 0")
+        for name in ("base_patience_s", "patience_s", "stall_db"):
+            if not getattr(self, name) > 0:
+                raise InvalidError(f"{name} is {getattr(self, name)}; it must be positive")
         if not (0 < self.safety <= 2 and 0 <= self.least_life <= 1):
             raise InvalidError(f"safety {self.safety} or least_life {self.least_life} is off")
+
+
+class Patience:
+    """How long packets can wait, as a mean over the last seconds: what a link has done it may do
+    again, but a short drop alone says little."""
+
+    def __init__(self, config: SweepConfig) -> None:
+        self._config = config
+        self._mean_s: tuple[float, float] | None = None
+        self._at_s = 0.0
+
+    def note(self, outlook: Outlook) -> tuple[float, float]:
+        """Takes in what is estimated now; gives the patience of layer 0, and of the others."""
+        config, media = self._config, outlook.media
+        sizes = media.sizes(min(outlook.next_frame, media.num_frames - 1))
+
+        def now(whole_s: float, carried_bytes: float) -> float:
+            share = 8 * media.fps * carried_bytes / outlook.rate_bps
+            patience_s = max(config.least_patience_s, whole_s * share**2)
+            return min(config.most_patience_s, patience_s)
+
+        base_s = now(config.base_patience_s, sizes.slice_bytes[0])
+        upper_s = now(config.patience_s, sizes.slice_bytes[-1])
+        if not outlook.measured:
+            return base_s, upper_s
+        if self._mean_s is None:
+            self._mean_s = base_s, upper_s
+        else:
+            kept = 0.5 ** ((outlook.now_s - self._at_s) / config.memory_s)
+            base_mean_s, upper_mean_s = self._mean_s
+            self._mean_s = (
+                base_s + kept * (base_mean_s - base_s),
+                upper_s + kept * (upper_mean_s - upper_s),
+            )
+        self._at_s = outlook.now_s
+        return self._mean_s
 
 
 class SliceSweep:
@@ -55,6 +100,8 @@ class SliceSweep:
 
     def __init__(self, config: SweepConfig | None = None) -> None:
         self._config = config or SweepConfig()
+        self._patience = Patience(self._config)
+        self._patience_s = (0.0, 0.0)
         self._next: list[int] | None = None
         """Of each layer a birth before which no slice lacks just this layer."""
 
@@ -65,6 +112,7 @@ class SliceSweep:
         if self._next is None:
             self._next = [holding.first_birth] * media.num_layers
         rate_bps = config.safety * outlook.rate_bps
+        self._patience_s = self._patience.note(outlook)
         free_s = outlook.now_s + outlook.latency_s + 8 * outlook.queued_bytes / rate_bps
         best, chosen = 0.0, None
         for layer in range(media.num_layers):
@@ -106,6 +154,6 @@ class SliceSweep:
                     continue
                 gain_db *= life / swin_size
             self._next[layer] = birth
-            patience_s = config.patience_s if layer else config.base_patience_s
+            patience_s = self._patience_s[min(layer, 1)]
             return gain_db / size * math.exp(-max(0.0, slack_s) / patience_s), birth
         return None

@@ -31,6 +31,7 @@ from player.render.renderer import RendererKind
 from player.source.locate import open_source
 from tests.goldens.format_decoder import decode_object as decode_plain_object
 from tests.support.commands import run, run_ok
+from tests.support.delivery.assembled import assembled, slices_of
 from tests.support.drawn import same
 from tests.support.hosted_streams import served, write_stream
 from tests.support.tiny_stream import tiny_manifest, tiny_slice, write_tiny
@@ -134,12 +135,12 @@ def test_a_swings_server_plays_it_too(folder: Path) -> None:
     with served(folder) as server:
         source = open_source(f"{server.url}/watch/exported", FrameRange(), 3)
         try:
-            received = list(source.slices())
+            slices = slices_of(list(assembled(source)))
         finally:
             source.close()
-    assert [r.slice.birth for r in received] == list(before.births)
-    for r in received:
-        assert same(r.slice.splats, before.slice(r.slice.birth, 3).splats)
+    assert [slice.birth for slice in slices] == list(before.births)
+    for slice in slices:
+        assert same(slice.splats, before.slice(slice.birth, 3).splats)
 
 
 def test_the_quality_that_the_index_knows_stays(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from codec.stream import StreamReader
 from codec.stream.chunk import encode_chunk
 from codec.stream.object import encode_object
 from player.source.locate import open_source
-from tests.support.assembled import assembled
+from tests.support.delivery.assembled import assembled
 from tests.support.hosted_streams import random_slice, write_stream
 from tests.support.hostile import put_object
 

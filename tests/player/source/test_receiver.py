@@ -25,7 +25,7 @@ from player.source.receiver import Receiver
 from player.source.source import Packets, SlicePackets
 from server.abr.holding import Holding, SliceHolding
 from server.abr.slotholding import open_holding
-from tests.support.assembled import birth_of
+from tests.support.delivery.assembled import birth_of
 from tests.support.hosted_streams import random_slice, small_manifest, write_stream
 from tests.support.hostile import flips
 from tests.support.slots.screen import Screen

@@ -29,7 +29,7 @@ from player.source.fetch import BrokenError, FetchConfig, Fetcher, FetchError, S
 from player.source.retry import RetryConfig
 from player.source.served import ServedSource
 from player.source.source import Source
-from tests.support.assembled import assembled
+from tests.support.delivery.assembled import assembled
 from tests.support.hosted_streams import random_slice, small_manifest
 
 QUICK = RetryConfig(attempts=2, first_delay_s=0.01, max_delay_s=0.01)

@@ -25,7 +25,7 @@ from player.source.fetch import Fetcher
 from player.source.locate import open_source
 from player.source.retry import RetryConfig
 from player.source.served import ServedSource
-from tests.support.assembled import Assembled, assembled, read_all, slices_of
+from tests.support.delivery.assembled import Assembled, assembled, read_all, slices_of
 from tests.support.hosted_streams import ServerProcess, served, static_host
 from tests.support.slots.slot_streams import (
     Shown,

@@ -23,7 +23,7 @@ from player.source.fetch import BrokenError, Fetcher, FetchError
 from player.source.locate import open_source
 from player.source.retry import Retry, RetryConfig
 from player.source.served import ServedSource
-from tests.support.assembled import assembled, read_all, slices_of
+from tests.support.delivery.assembled import assembled, read_all, slices_of
 from tests.support.hosted_streams import (
     SWIN_SIZE,
     ServerProcess,
