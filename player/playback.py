@@ -38,6 +38,7 @@ for a slow link; a machine that draws slowly should get there as late as possibl
 
 def play(config: PlayConfig) -> PlaySummary:
     """Plays the stream to its end, or until the window is closed."""
+    clock = Clock(real=True)
     records: list[FrameRecord] = []
     keep: Callable[[FrameRecord], None] = records.append if config.report else lambda _: None
     with ExitStack() as stack:
@@ -54,7 +55,7 @@ def play(config: PlayConfig) -> PlaySummary:
         stack.callback(source.close)
         path = config.camera.of(source.manifest, config.size, source.frames)
         # What a server chooses for a frame is known when the frame is due, and not before.
-        clock = Clock(real=config.capture is None or source.adaptive)
+        clock.real = config.capture is None or source.adaptive
         events = Events(_playout(config, source), clock)
         if config.capture is None:
             renderer: Renderer = show_window(path, source, events, keep)

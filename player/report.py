@@ -32,7 +32,8 @@ class PlaySummary:
             f"{totals.frames} frames of {self.source}, drawn by {self.renderer}",
             f"startup {totals.startup_s:.3f} s, {totals.stalls} stalls, "
             f"{totals.stalled_s:.3f} s stalled",
-            f"{totals.mean_layers:.2f} layers on average, {totals.wire_bytes} bytes of slices",
+            f"{totals.mean_layers:.2f} layers on average, {totals.wire_bytes} bytes in packets; "
+            f"{totals.late_packets} packets came late",
         ]
 
     def to_json(self) -> dict[str, Any]:
@@ -50,6 +51,7 @@ class PlaySummary:
                 "received_bytes": self.received_bytes,
                 "uploaded_bytes": self.uploaded_bytes,
                 "link_bytes": self.link_bytes,
+                "late_packets": totals.late_packets,
                 "most_frames_waiting": totals.most_frames_waiting,
                 "most_bytes_waiting": totals.most_bytes_waiting,
             },
