@@ -30,6 +30,7 @@ from .colour import CameraColour
 from .config import FitConfig
 from .generations import Generations
 from .leases import Leases
+from .mcmc import CameraSpread, bound_scales
 from .optimiser import GATE_STEEPNESS, add_noise
 from .renew import Comparer, missing_splats
 from .schedule import Schedule, WindowPlan
@@ -54,6 +55,8 @@ TOGETHER_SIZES = (0.05, 0.02)
 """Sides of the cells in which Gaussians move together, one after the other, over the scene's
 extent."""
 
+BOUND_PERIOD = 10
+"""Iterations after which scales are brought back within their bound."""
 PROGRESS_PERIOD = 20
 """Iterations between two reports of progress."""
 
@@ -138,6 +141,7 @@ class Trainer:
         self._half_views = [View.prepare(c.halved(), near_m) for c in cameras if self._coarse_share]
         self._near_m, self._far_m = near_m, far_m
         self._extent_m = scene_extent_m(cameras)
+        self._spread = CameraSpread.of(cameras)
         self._comparer = Comparer(cameras, near_m)
         self._gradients = Parameters.zeros(config.num_gs, config.sh_degree)
         # What changes while training; `state` gives all of it.
@@ -307,6 +311,8 @@ class Trainer:
             if has_all and not plan.whole:
                 self._cameras.note(camera, loss)
             done = iteration + 1
+            if not frames.start and config.mcmc.max_scale and done % BOUND_PERIOD == 0:
+                bound_scales(generations.values, active[frame], self._spread, config.mcmc.max_scale)
             period, until = config.mcmc.relocate_period, config.mcmc.relocate_until
             if done % period == 0 and done <= until * plan.schedule.iterations:
                 generations.relocate(frames[-1], config.mcmc.dead_opacity, self._rng)

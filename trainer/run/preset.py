@@ -64,6 +64,7 @@ PRESETS: Mapping[Preset, Callable[..., TrainConfig]] = {
                 renew_share=0.0,  # not in the paper
                 opacity_reg=0.02,  # 8.1
                 scale_reg=0.01,  # 8.1
+                max_scale=0.0,  # not in the paper
             ),
         ),
         point_share=1.0,  # 3DGS: a capture's points and nothing else, as far as they go

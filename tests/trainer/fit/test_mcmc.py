@@ -9,7 +9,13 @@ from hypothesis import strategies as st
 
 from codec.camera import Camera
 from player.render.recipe import ALPHA_MAX
-from trainer.fit.mcmc import MAX_COPIES, relocate, split_opacity_and_scale
+from trainer.fit.mcmc import (
+    MAX_COPIES,
+    CameraSpread,
+    bound_scales,
+    relocate,
+    split_opacity_and_scale,
+)
 from trainer.step.raster import Parameters, View, render
 
 
@@ -89,3 +95,31 @@ def test_relocation_without_dead_or_living_does_nothing() -> None:
     assert len(relocate(values, np.arange(4), none, 0.005, rng)) == 0
     for a, b in zip(values.arrays, before, strict=True):
         assert (a == b).all()
+
+
+def camera_at(x: float, y: float, z: float) -> Camera:
+    pose = np.eye(4)
+    pose[:3, 3] = (-x, -y, -z)
+    return Camera("c", 64, 64, 60.0, 60.0, 32.0, 32.0, pose)
+
+
+def test_distances_are_means_over_the_cameras() -> None:
+    rng = np.random.default_rng(5)
+    places, means = rng.normal(size=(7, 3)), rng.normal(size=(20, 3)).astype(np.float32)
+    spread = CameraSpread.of([camera_at(*place) for place in places])
+    apart = means[:, None] - places
+    expected = np.sqrt((apart**2).sum(axis=2).mean(axis=1))
+    np.testing.assert_allclose(spread.distances_m(means), expected, rtol=1e-6)
+
+
+def test_scales_are_bounded_where_they_are_asked_to_be_and_nowhere_else() -> None:
+    values = lone_gaussian(4, 0.5)
+    values.means[:] = [(0, 0, 0), (0, 0, 30), (0, 0, 0), (0, 0, 0)]
+    values.log_scales[:] = np.log([(9, 0.1, 1), (9, 9, 0.1), (9, 9, 9), (0.1, 0.1, 0.1)])
+    spread = CameraSpread.of([camera_at(3, 0, 0), camera_at(-3, 0, 0)])
+    before = values.log_scales.copy()
+    bound_scales(values, np.array([0, 1, 3], np.int32), spread, 0.2)
+    scales = np.exp(values.log_scales)
+    np.testing.assert_allclose(scales[0], (0.6, 0.1, 0.6), rtol=1e-5)
+    np.testing.assert_allclose(scales[1], (0.2 * np.hypot(30, 3),) * 2 + (0.1,), rtol=1e-5)
+    assert (values.log_scales[2:] == before[2:]).all()

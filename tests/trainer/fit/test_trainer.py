@@ -16,7 +16,7 @@ from player.render.cpu import render_splats
 from trainer.capture.capture import Mask
 from trainer.fit.config import FitConfig
 from trainer.fit.generations import Generations
-from trainer.fit.mcmc import McmcConfig
+from trainer.fit.mcmc import CameraSpread, McmcConfig
 from trainer.fit.trainer import Observer, Progress, Trainer
 from trainer.pictures.shot import Shot
 from trainer.seed.gaussians import initial_splats
@@ -235,6 +235,21 @@ def test_relocation_lets_the_dead_start_with_their_targets_and_never_early() -> 
     assert (generations.adam.steps == 20).any()
 
 
+def test_no_gaussian_of_genesis_is_larger_than_its_bound() -> None:
+    def largest(bound: float) -> float:
+        config = replace(CONFIG, mcmc=replace(CONFIG.mcmc, max_scale=bound))
+        pictures = Rendered()
+        window = next(Trainer(config, pictures, start(), NEAR_M).windows())
+        spread = CameraSpread.of(pictures.cameras)
+        return max(
+            float((np.exp(s.splats.log_scales).T / spread.distances_m(s.splats.means)).max())
+            for s in window.slices
+        )
+
+    assert largest(0.0) > 0.05
+    assert largest(0.03) <= 0.03 * 1.05  # the last steps after the bound
+
+
 def test_the_colour_of_the_cameras_stays_identity_in_the_mean() -> None:
     trainer = Trainer(replace(CONFIG, genesis_iterations=50), Rendered(), start(), NEAR_M)
     next(trainer.windows())
@@ -271,6 +286,7 @@ def test_settings_that_cannot_work_are_refused(change: dict[str, int]) -> None:
         {"renew_share": -0.1},
         {"noise_lr": -1.0},
         {"scale_reg": float("nan")},
+        {"max_scale": -0.1},
     ],
 )
 def test_relocation_that_cannot_work_is_refused(change: dict[str, float]) -> None:
