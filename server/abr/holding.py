@@ -43,7 +43,7 @@ class Holding(ABC):
 
     @abstractmethod
     def is_complete(self, frame: int, end_frame: int) -> bool:
-        """Whether all layers of all that shows in frame..end_frame-1 are here."""
+        """Whether all layers are here of all that is born in, or changes, frame..end_frame-1."""
 
     def layers(self, frame: int) -> float:
         """Layers that show in `frame`; a part of one counts as that part."""
@@ -107,5 +107,5 @@ class SliceHolding(Holding):
                 self._early.pop(birth, None)
 
     def is_complete(self, frame: int, end_frame: int) -> bool:
-        num_layers, oldest = self.media.num_layers, frame - self.media.swin_size + 1
-        return all(self.level(birth) == num_layers for birth in range(oldest, end_frame))
+        num_layers = self.media.num_layers
+        return all(self.level(birth) == num_layers for birth in range(frame, end_frame))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 
+from ..holding import Holding
 from ..link.link import Link
 from ..media import Media
 from ..outlook import Policy, Send, SendSlices, SendSnapshots
@@ -141,17 +142,14 @@ def play_out(
         while n < len(arrivals) and arrivals[n].time_s <= shown_s + 1e-9:
             _add(holding, arrivals[n].what)
             n += 1
-        shares = holding.shares(frame)
-        gains = media.sizes(frame).gains_db
-        psnr = gains[0] + sum(g * s for g, s in zip(gains[1:], shares[1:], strict=True))
-        shown.append(Shown(frame, due_s, shown_s, sum(shares), psnr))
+        shown.append(Shown(frame, due_s, shown_s, holding.layers(frame), holding.psnr_db(frame)))
         holding.forget(frame)
     return shown, clock
 
 
-def _add(holding: object, what: Send) -> None:
+def _add(holding: Holding, what: Send) -> None:
     if isinstance(what, SendSlices):
         for birth in what.births:
-            holding.add(birth, what.first_layer, what.end_layer)  # type: ignore[attr-defined]
+            holding.add(birth, what.first_layer, what.end_layer)
     else:
-        holding.add_snapshots(what.frame, what.first_layer, what.end_layer)  # type: ignore[attr-defined]
+        holding.add_snapshots(what.frame, what.first_layer, what.end_layer)
