@@ -200,7 +200,7 @@ class SlotDecoder:
             self._altered[lane][layer] |= parts[layer] != KEPT
         self.history.note(birth, statuses)
         self._go_on(birth, statuses)
-        return self._hand_out(birth)
+        return self._changed(birth)
 
     def _go_on(self, birth: int, statuses: Bytes | None) -> None:
         """Notes that the slices have come to `birth`; statuses: None if its mask is missing."""
@@ -212,7 +212,7 @@ class SlotDecoder:
         while self.said_bytes > max(self._state_bytes(), MIN_LOG_BYTES):
             del self._said[next(iter(self._said))]
 
-    def _hand_out(self, birth: int) -> Slice:
+    def _changed(self, birth: int) -> Slice:
         """What has changed in the lane of `birth` since it was handed out last."""
         altered = self._altered[self.layout.lane(birth)]
         rows = [np.flatnonzero(of_layer) for of_layer in altered]
@@ -255,7 +255,7 @@ class SlotDecoder:
             altered[:] = True
         self.history.note(birth, None)
         self._go_on(birth, None)
-        return self._hand_out(birth)
+        return self._changed(birth)
 
     def late(self, birth: int, layer: int, change: Data) -> bool:
         """Takes in a change that was missing when its slice was applied.
@@ -318,6 +318,14 @@ class SlotDecoder:
             raise InvalidError(f"the slices have come to {self.frame}, not {frame}")
         births = window_births(frame, self.layout.swin_size)
         return [self.whole(birth, num_layers) for birth in births]
+
+    def hand_out(self, frame: int) -> list[Slice]:
+        """The window of `frame`, as for a renderer that has nothing yet: what `apply` gives follows
+        on it."""
+        for lane in self._altered:
+            for of_layer in lane:
+                of_layer[:] = False
+        return self.window(frame)
 
     def _by_layer(self, statuses: Bytes) -> list[Bytes]:
         edges = self.layout.row_edges

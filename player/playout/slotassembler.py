@@ -67,11 +67,11 @@ class SlotAssembler:
                 # After a break the stream begins anew: nothing says what became of the slots.
                 decoder.clear()
                 self._load(whole)
-                made = decoder.window(birth)
+                made = decoder.hand_out(birth)
                 continue
             made.append(self._apply(birth, gathered))
             self._load(whole)
-        return decoder.window(frame) if frame == self._first_frame else made
+        return decoder.hand_out(frame) if frame == self._first_frame else made
 
     def _gather(self, gathered: _Gathered, one: SlicePackets) -> None:
         parts: list[tuple[Part, bytes]] = [*enumerate(one.packets, one.first_layer)]

@@ -122,6 +122,7 @@ def test_a_reader_that_has_all_has_what_was_given(stream: Encoded) -> None:
         if update.birth == 0:
             for data in stream.snapshots[0]:
                 decoder.load(data)
+            decoder.hand_out(0)
         elif update.birth > 0:
             lane = layout.lane(update.birth)
             before = decoder.whole(update.birth - layout.swin_size)
