@@ -20,11 +20,11 @@ class SlotHolding(Holding):
         super().__init__(media, first_frame)
         self._chains: list[list[list[int]]] = [[] for _ in range(media.num_layers)]
         """Of each layer the chains [first frame, last birth], in order."""
+        self._end_frame = first_frame
 
     @property
     def end_frame(self) -> int:
-        chains = self._chains[0]
-        return max(self.first_frame, chains[-1][1] + 1) if chains else self.first_frame
+        return self._end_frame
 
     def end_birth(self, layer: int) -> int | None:
         """The birth after the last one of this layer's last chain; None where it has none."""
@@ -37,6 +37,7 @@ class SlotHolding(Holding):
                 if chain[1] == birth - 1:
                     chain[1] = birth
             self._join(layer)
+        self._reach()
 
     def add_snapshots(self, frame: int, first_layer: int, end_layer: int) -> None:
         for layer in range(first_layer, end_layer):
@@ -44,6 +45,13 @@ class SlotHolding(Holding):
             if not any(first <= frame <= last for first, last in chains):
                 chains.append([frame, frame])
                 chains.sort()
+        self._reach()
+
+    def _reach(self) -> None:
+        """Notes how far layer 0 goes without a gap: a later snapshot does not fill one."""
+        for first, last in self._chains[0]:
+            if first <= self._end_frame:
+                self._end_frame = max(self._end_frame, last + 1)
 
     def _join(self, layer: int) -> None:
         """Makes one of two chains of which the first has grown into the second."""
