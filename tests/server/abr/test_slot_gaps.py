@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from server.abr.link.link import Link, LinkStep
 from server.abr.media import SegmentSizes
+from server.abr.outlook import Outlook, Send, SendSlices, SendSnapshots
+from server.abr.simulate.simulator import simulate
 from server.abr.slotholding import SlotHolding
 
 
@@ -47,3 +50,20 @@ def test_a_forgotten_chain_is_no_gap() -> None:
     assert holding.end_frame == 11
     holding.add(11, 0, 1)
     assert holding.end_frame == 12
+
+
+class Once:
+    """Sends the first snapshot, and then all changes at once."""
+
+    mends = False
+
+    def __init__(self) -> None:
+        self._left: list[Send] = [SendSlices(range(1, 40), 0, 1), SendSnapshots(0, 0, 1)]
+
+    def choose(self, outlook: Outlook) -> Send | None:
+        return self._left.pop() if self._left else None
+
+
+def test_what_takes_no_bytes_comes() -> None:
+    result = simulate(Stills(), Once(), Link([LinkStep(1.0, 1e6, 0.02)]), at_most_s=20)
+    assert [arrival.num_bytes for arrival in result.arrivals] == [1000.0, 0.0]
