@@ -12,6 +12,8 @@ from ..session import SessionConfig
 from .feasible import earliest_s, open_play
 
 ROUNDING_S = 1e-4
+LEAST_ROOM_DB = 0.05
+"""Layer 0 and the bound are told apart from here on: the bound is no closer than a tenth of it."""
 
 
 def base_only(
@@ -32,6 +34,7 @@ def base_only(
 
 
 def normalised(quality_db: float, base_db: float, bound_db: float) -> float:
-    """Where a play lies between layer 0 alone, 0, and the bound, 1; NaN where they are one."""
+    """Where a play lies between layer 0 alone, 0, and the bound, 1. NaN where nothing more than
+    layer 0 can be had."""
     room_db = bound_db - base_db
-    return (quality_db - base_db) / room_db if room_db > 1e-6 else math.nan
+    return (quality_db - base_db) / room_db if room_db >= LEAST_ROOM_DB else math.nan

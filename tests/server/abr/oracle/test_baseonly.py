@@ -90,4 +90,4 @@ def test_a_long_outage_holds_frames_up_however_long_was_waited_before() -> None:
 )
 def test_the_scale_goes_from_layer_0_to_the_bound(quality_db: float, share: float) -> None:
     assert normalised(quality_db, 30.0, 34.0) == pytest.approx(share)
-    assert math.isnan(normalised(quality_db, 30.0, 30.0))
+    assert math.isnan(normalised(quality_db, 30.0, 30.01))
