@@ -18,6 +18,8 @@ from .passage import Passage
 
 SLACK_S = 1e-6
 """What times may be off by without harm to a bound: clocks round."""
+SLACK_BYTES = 1.0
+"""The same for bytes: what just passes before an outage must not wait until it is over."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +106,7 @@ def earliest_s(play: Play) -> list[float]:
             # Of the frames before the first one that waits for this one none has shown yet.
             num_bytes = max(num_bytes, play.passage.bytes_by(shown_s[n - play.lead_frames]))
         num_bytes += more_bytes
-        passed_s = play.passage.earliest_s(num_bytes)
+        passed_s = play.passage.earliest_s(num_bytes - SLACK_BYTES)
         comes_s.append(play.passage.comes_s(passed_s - SLACK_S))
         if n + 1 == play.start_frames:
             shown_s = [comes_s[-1] + k * play.frame_s for k in range(n + 1)]
@@ -132,8 +134,14 @@ def latest_s(play: Play, most_waiting_s: float) -> list[float]:
     for n in range(count - 1, -1, -1):
         due_s -= play.frame_s
         if n + play.lead_frames < count:
-            due_s = min(due_s, play.passage.latest_s(begins[n + play.lead_frames]))
+            begin = begins[n + play.lead_frames] + SLACK_BYTES
+            due_s = min(due_s, play.passage.latest_s(begin))
         shown_s[n] = due_s
-        by = play.passage.bytes_by(play.passage.passed_s(due_s + SLACK_S))
-        after = begins[n] = min(by, after) - play.base_bytes[n]
+        after = begins[n] = min(due_bytes(play, due_s), after) - play.base_bytes[n]
     return shown_s
+
+
+def due_bytes(play: Play, time_s: float) -> float:
+    """Bytes that have passed, at most, of what has come by `time_s`."""
+    passed_s = play.passage.passed_s(time_s + SLACK_S)
+    return play.passage.bytes_by(passed_s) + SLACK_BYTES

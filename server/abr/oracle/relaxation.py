@@ -20,7 +20,7 @@ from scipy.optimize import linprog
 
 from ..qoe import QoeConfig
 from .columns import Columns
-from .feasible import SLACK_S, Play, earliest_s, latest_s, waiting_s
+from .feasible import Play, due_bytes, earliest_s, latest_s, waiting_s
 from .groups import Grouping
 from .offers import Offers
 from .sliceoffers import slice_offers
@@ -157,16 +157,14 @@ class Relaxation:
         most, upper = np.array(self.rows.most), np.ones(columns.count)
         upper[columns.bought] = upper[columns.step] = np.inf
         upper[columns.store] = np.reshape(self.offers.stores, columns.store.shape)
-        due_bytes = 0.0
+        due = 0.0
         for number, group in enumerate(groups):
             ahead = group.first_frame - play.first_frame - play.lead_frames
             released = play.passage.bytes_by(self._earliest_s[ahead]) if ahead >= 0 else 0.0
             # What comes too late for the group before counts for this one, as what is its own does.
-            released = min(released, due_bytes)
-            last_s = latest[group.end_frame - 1 - play.first_frame]
-            by = play.passage.bytes_by(play.passage.passed_s(last_s + SLACK_S))
-            due_bytes = max(due_bytes, by)
-            upper[columns.done[number]] = (due_bytes + self.offers.spare_bytes) / self.unit_bytes
+            released = min(released, due)
+            due = max(due, due_bytes(play, latest[group.end_frame - 1 - play.first_frame]))
+            upper[columns.done[number]] = (due + self.offers.spare_bytes) / self.unit_bytes
             free_row, next_row = self.bytes_rows(number)
             most[free_row] = -(self._base_bytes[number] + released) / self.unit_bytes
             most[next_row] = -self._base_bytes[number] / self.unit_bytes

@@ -89,7 +89,7 @@ def test_the_best_plan_is_the_best_of_all(seed: int, has_slots: bool) -> None:
 def test_bounds_lie_above_plans_and_plans_above_plays(seed: int, has_slots: bool) -> None:
     rng = np.random.default_rng(seed)
     layers = int(rng.integers(2, 4))
-    media = make_stream(rng, has_slots, seconds=3, fps=6, num_layers=layers, segment_frames=6)
+    media = make_stream(rng, has_slots, seconds=2, fps=6, num_layers=layers, segment_frames=6)
     link, rules = make_link(rng, media.need_bps), make_rules(rng)
     span = make_span(rng, media)
     found = bound(media, link, *rules, *span)
