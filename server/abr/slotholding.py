@@ -20,11 +20,11 @@ class SlotHolding(Holding):
         super().__init__(media, first_frame, needed)
         self._chains: list[list[list[int]]] = [[] for _ in range(media.num_layers)]
         """Of each layer the chains [first frame, last birth], in order."""
+        self._ends = [first_frame] * needed
 
     @property
     def end_frame(self) -> int:
-        ends = [self.end_birth(layer) or 0 for layer in range(self.needed)]
-        return max(self.first_frame, min(ends))
+        return min(self._ends)
 
     def end_birth(self, layer: int) -> int | None:
         """The birth after the last one of this layer's last chain; None where it has none."""
@@ -37,6 +37,7 @@ class SlotHolding(Holding):
                 if chain[1] == birth - 1:
                     chain[1] = birth
             self._join(layer)
+        self._reach()
 
     def add_snapshots(self, frame: int, first_layer: int, end_layer: int) -> None:
         for layer in range(first_layer, end_layer):
@@ -44,6 +45,16 @@ class SlotHolding(Holding):
             if not any(first <= frame <= last for first, last in chains):
                 chains.append([frame, frame])
                 chains.sort()
+        self._reach()
+
+    def _reach(self) -> None:
+        """Notes how far the layers that are needed go without a gap: a later snapshot does not fill
+        one."""
+        for layer, end in enumerate(self._ends):
+            for first, last in self._chains[layer]:
+                if first <= end:
+                    end = max(end, last + 1)
+            self._ends[layer] = end
 
     def _join(self, layer: int) -> None:
         """Makes one of two chains of which the first has grown into the second."""

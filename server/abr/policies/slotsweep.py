@@ -96,6 +96,7 @@ class SlotSweep:
         config, media, fps = self._config, outlook.media, outlook.media.fps
         # The frame that shows when what is sent now arrives.
         frame = outlook.next_frame + max(0.0, (free_s - outlook.due_s(outlook.next_frame)) * fps)
+        frame = min(frame, media.num_frames - 1.0)
         sizes = media.sizes(int(frame))
         size = max(1.0, sizes.layer_bytes[layer])
         gain_db = sizes.gains_db[layer]

@@ -122,7 +122,7 @@ class SliceSweep:
         if chosen is None:
             return None
         layer, birth = chosen
-        size = media.sizes(birth).layer_bytes[layer]
+        size = max(1.0, media.sizes(birth).layer_bytes[layer])
         most = max(1, int(rate_bps * outlook.run_s / 8 / size))
         end = birth + 1
         while end < outlook.end_birth and end - birth < most and holding.level(end) == layer:
@@ -144,7 +144,7 @@ class SliceSweep:
             if holding.level(birth) != layer:
                 continue
             sizes = media.sizes(birth)
-            size = sizes.layer_bytes[layer]
+            size = max(1.0, sizes.layer_bytes[layer])
             slack_s = outlook.due_s(birth) - free_s - 8 * size / rate_bps
             gain_db = sizes.gains_db[layer] if layer else config.stall_db
             if layer:

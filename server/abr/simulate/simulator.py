@@ -72,9 +72,10 @@ def simulate(
         if isinstance(decision, SendSlices | SendSnapshots):
             num_bytes = send_bytes(media, decision)
             session.sent(decision, num_bytes, now_s)
-            left = num_bytes
+            whole, left = None, num_bytes
             free_s = max(free_s, now_s)
-            while left > 0:
+            # What takes no bytes comes as well.
+            while whole is None:
                 piece = min(left, PIECE_BYTES)
                 left -= piece
                 free_s = link.passed_s(free_s, piece)

@@ -75,7 +75,7 @@ def test_a_chain_that_grows_into_the_next_is_one() -> None:
     holding = SlotHolding(slot_media(90), 0)
     holding.add_snapshots(0, 0, 1)
     holding.add_snapshots(30, 0, 1)
-    assert holding.end_frame == 31  # what the snapshot of 30 begins
+    assert holding.end_frame == 1  # the snapshot of 30 fills no gap
     for birth in range(1, 31):
         holding.add(birth, 0, 1)
     assert holding.fresh(0, 30) == holding.fresh(0, 15) == 1

@@ -1,0 +1,69 @@
+"""Slots that last: a frame shows behind a chain of layer 0 without a gap, and nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from server.abr.link.link import Link, LinkStep
+from server.abr.media import SegmentSizes
+from server.abr.outlook import Outlook, Send, SendSlices, SendSnapshots
+from server.abr.simulate.simulator import simulate
+from server.abr.slotholding import SlotHolding
+
+
+@dataclass(frozen=True)
+class Stills:
+    """A stream of version 2 in which nothing moves."""
+
+    fps: float = 30.0
+    swin_size: int = 1
+    segment_frames: int = 10
+    num_frames: int = 40
+    live: bool = False
+    has_slots: bool = True
+    num_layers: int = 1
+
+    def sizes(self, birth: int) -> SegmentSizes:
+        return SegmentSizes((0.0,), (30.0,), (1000.0,), (0.0,))
+
+
+def test_a_later_snapshot_fills_no_gap() -> None:
+    holding = SlotHolding(Stills(), 0)
+    holding.add_snapshots(10, 0, 1)
+    assert holding.end_frame == 0
+    holding.add_snapshots(0, 0, 1)
+    assert holding.end_frame == 1
+    for birth in range(1, 9):
+        holding.add(birth, 0, 1)
+    assert holding.end_frame == 9
+    holding.add(9, 0, 1)
+    assert holding.end_frame == 11
+
+
+def test_a_forgotten_chain_is_no_gap() -> None:
+    holding = SlotHolding(Stills(), 0)
+    holding.add_snapshots(0, 0, 1)
+    for birth in range(1, 10):
+        holding.add(birth, 0, 1)
+    holding.add_snapshots(10, 0, 1)
+    holding.forget(10)
+    assert holding.end_frame == 11
+    holding.add(11, 0, 1)
+    assert holding.end_frame == 12
+
+
+class Once:
+    """Sends the first snapshot, and then all changes at once."""
+
+    mends = False
+
+    def __init__(self) -> None:
+        self._left: list[Send] = [SendSlices(range(1, 40), 0, 1), SendSnapshots(0, 0, 1)]
+
+    def choose(self, outlook: Outlook) -> Send | None:
+        return self._left.pop() if self._left else None
+
+
+def test_what_takes_no_bytes_comes() -> None:
+    result = simulate(Stills(), Once(), Link([LinkStep(1.0, 1e6, 0.02)]), at_most_s=20)
+    assert [arrival.num_bytes for arrival in result.arrivals] == [1000.0, 0.0]
