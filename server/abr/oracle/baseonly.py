@@ -13,7 +13,7 @@ from .feasible import earliest_s, open_play
 
 ROUNDING_S = 1e-4
 LEAST_ROOM_DB = 0.05
-"""Layer 0 and the bound are told apart from here on: the bound is no closer than a tenth of it."""
+"""Layer 0 and the bound are told apart from here on; the bound is known to about a tenth of it."""
 
 
 def base_only(

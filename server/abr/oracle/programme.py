@@ -4,7 +4,8 @@ Each group of frames has a number of layers, and its slices are sent whole, in o
 they may be; a frame shows when its slice is there. That is how a stream is played that knows
 nothing of layers coming apart, so this is what layers sent apart are measured by.
 
-Two plays that show the same from here on are one if one of them is no later and worth no less.
+Two plays that show the same from here on are one if one of them is as early and worth as much,
+or more.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ class _Label:
         return self.look, self.stretch_db, self.before_db
 
     def beats(self, other: _Label) -> bool:
-        """Whether this is no worse, if both have one key."""
+        """Whether this is as good or better, if both have one key."""
         return (
             self.quality_db >= other.quality_db
             and self.sent_bytes <= other.sent_bytes

@@ -125,7 +125,7 @@ class Relaxation:
                 self.rows.add({shows: 1.0, begun[number]: -1.0})
 
     def _add_steps(self) -> None:
-        """A step is no smaller than the difference of two stretches, either way."""
+        """A step is at least the difference of two stretches, either way."""
         means: list[Row] = [{} for _ in range(self.grouping.num_stretches)]
         fixed_db = [0.0] * len(means)
         for number, group in enumerate(self.grouping.groups):

@@ -15,7 +15,7 @@ Row = dict[int, float]
 
 @dataclass(slots=True)
 class SparseRows:
-    """Rows that say: the products, summed up, are no more than a number."""
+    """Rows that say: the products, summed up, are at most a number."""
 
     rows: list[Row] = field(default_factory=list)
     most: list[float] = field(default_factory=list)

@@ -120,4 +120,4 @@ def test_what_is_known_of_a_link_is_a_beginning() -> None:
 )
 def test_settings_that_cannot_work_are_refused(name: str) -> None:
     with pytest.raises(InvalidError, match=name):
-        SessionConfig(**{name: 0})
+        SessionConfig(**{name: 0})  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""The bound holds for every play, and is no higher than it must be."""
+"""The bound holds for every play, and not higher than it must be."""
 
 from __future__ import annotations
 
