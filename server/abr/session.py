@@ -96,7 +96,6 @@ class PlaySession:
         self.sent_bytes = 0.0
         self.acked_bytes = 0.0
         self._news_s = now_s
-        self._latency_s = 0.0
         self._spell_s = now_s  # when the link became busy
         self._busy_since_s: float | None = None  # since when what came counts as throughput
         self._underway: deque[tuple[float, int]] = deque()  # end byte, end frame with it
