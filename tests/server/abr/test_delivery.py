@@ -126,7 +126,7 @@ def test_each_packet_comes_once_where_it_is_of_use_and_the_play_ends(
 
 
 @given(st.booleans(), st.integers(0, 1 << 12), steps)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40, deadline=None, derandomize=True)
 def test_upper_layers_cost_no_more_than_the_first_outages(
     has_slots: bool, seed: int, steps: list[tuple[float, float]]
 ) -> None:
@@ -138,7 +138,7 @@ def test_upper_layers_cost_no_more_than_the_first_outages(
     assert least.started_s is not None
     assert ours.started_s is not None
     # Layer 0 alone is sent as far ahead as may be; ours has to see first that there are outages.
-    slack_s = 4.0 + 0.3 * least.stalled_s
+    slack_s = CONFIG.max_lead_s + 2.0 + 0.3 * least.stalled_s
     assert ours.started_s + ours.stalled_s <= least.started_s + least.stalled_s + slack_s
 
 
