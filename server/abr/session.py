@@ -6,6 +6,7 @@ next decision is about the link and the client as they are then.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
 
@@ -174,7 +175,10 @@ class PlaySession:
         self.holding.forget(next_frame)
         clock.forget(next_frame)
         num_frames = media.num_frames if last_frame is None else last_frame
-        end_birth = min(num_frames, next_frame + max(1, round(config.max_lead_s * media.fps)))
+        # A client that may not have what it waits for would wait for ever.
+        least = max(1, math.ceil(config.playout.start_lead_s * media.fps - 1e-9))
+        lead = max(least, round(config.max_lead_s * media.fps))
+        end_birth = min(num_frames, next_frame + lead)
         outlook = Outlook(
             media=media,
             holding=self.holding,
