@@ -110,8 +110,9 @@ class PlaySession:
 
     @property
     def queued_bytes(self) -> float:
-        """Sent, but not acknowledged."""
-        return self.sent_bytes - self.acked_bytes
+        """Sent, but not acknowledged; less than a byte is what adding up parts of bytes leaves."""
+        queued_bytes = self.sent_bytes - self.acked_bytes
+        return queued_bytes if queued_bytes >= 0.5 else 0.0
 
     def _last_frame(self) -> int | None:
         """The first frame that never comes; None while it is not known."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from server.abr.link.link import Link, LinkStep
 from server.abr.playout import PlayoutConfig
 from server.abr.policies.choice import fixed_policy
@@ -20,3 +22,13 @@ def test_a_play_begins_however_short_its_lead_may_be() -> None:
     ):
         result = simulate(media, fixed_policy(1), link, config, at_most_s=30)
         assert len(play_out(media, result, config, 0, 20)[0]) == 20
+
+
+@pytest.mark.parametrize("layer_bytes", [8426.3, 14657.87, 10_000.1, 9_999.9])
+def test_parts_of_bytes_do_not_keep_an_idle_link_busy(layer_bytes: float) -> None:
+    media = MadeMedia((sizes_of((layer_bytes,), (25.0,)),), num_frames=450, fps=25.0)
+    rate_bps = 200 * 8 * layer_bytes
+    link = Link([LinkStep(1.0, rate_bps, 0.02)])
+    result = simulate(media, fixed_policy(1), link, keep_estimates=True)
+    # The lead is full after half a second; from then on the link rests most of the time.
+    assert result.estimates[-1][1] == pytest.approx(rate_bps, rel=0.6)
