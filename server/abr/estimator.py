@@ -20,10 +20,10 @@ class EstimatorConfig:
     """What a `RateEstimator` takes for a sample and how long it keeps one."""
 
     window_s: float = 0.4
-    """Busy seconds that the estimate looks back, more where they hold less than min_bytes: what a
-    link did before says little of a link that changed."""
+    """Seconds that the estimate looks back, more where they hold less than min_bytes: what a link
+    did before says little of a link that changed."""
     sample_s: float = 0.02
-    """Busy seconds gathered into one sample."""
+    """Busy seconds gathered into one sample, unless min_bytes come sooner."""
     min_bytes: int = 16 * 1024
     """Bytes that an estimate goes by at least; fewer say more of buffers than of the link."""
 
@@ -34,41 +34,46 @@ class EstimatorConfig:
 
 
 class RateEstimator:
-    """Bytes over busy time, within a short window of busy time."""
+    """Bytes over busy time, within a short window."""
 
     def __init__(self, config: EstimatorConfig | None = None) -> None:
         self._config = config or EstimatorConfig()
         self.rate_bps: float | None = None
         """The estimate in bits per second; None until enough was acknowledged."""
-        self._samples: deque[tuple[float, float]] = deque()  # bytes, busy seconds
+        self._samples: deque[tuple[float, float, float]] = deque()  # bytes, busy and idle seconds
         self._bytes = 0.0
         self._busy_s = 0.0
-        self._open_bytes = 0.0
-        self._open_s = 0.0
+        self._idle_s = 0.0
+        self._open = (0.0, 0.0, 0.0)
 
-    def add(self, num_bytes: float, busy_s: float) -> None:
-        """Takes in that `num_bytes` were acknowledged during `busy_s` seconds."""
+    def add(self, num_bytes: float, busy_s: float, idle_s: float = 0.0) -> None:
+        """Takes in that `num_bytes` were acknowledged during `busy_s` seconds, after `idle_s`
+        seconds of which nothing is known."""
         config = self._config
-        self._open_bytes += num_bytes
-        self._open_s += busy_s
-        if self._open_s < config.sample_s:
+        open_bytes, open_busy_s, open_idle_s = self._open
+        self._open = (open_bytes + num_bytes, open_busy_s + busy_s, open_idle_s + idle_s)
+        if self._open[0] < config.min_bytes and self._open[1] < config.sample_s:
             return
-        self._samples.append((self._open_bytes, self._open_s))
-        self._bytes += self._open_bytes
-        self._busy_s += self._open_s
-        self._open_bytes = self._open_s = 0.0
+        self._samples.append(self._open)
+        self._bytes += self._open[0]
+        self._busy_s += self._open[1]
+        self._idle_s += self._open[2]
+        self._open = (0.0, 0.0, 0.0)
         while self._is_enough_without_the_first():
-            old_bytes, old_s = self._samples.popleft()
+            old_bytes, old_busy_s, old_idle_s = self._samples.popleft()
             self._bytes -= old_bytes
-            self._busy_s -= old_s
-        if self._bytes >= config.min_bytes or self.rate_bps is not None:
+            self._busy_s -= old_busy_s
+            self._idle_s -= old_idle_s
+        known = self._bytes >= config.min_bytes or self.rate_bps is not None
+        if known and self._busy_s > 0:
             self.rate_bps = max(1.0, 8 * self._bytes / self._busy_s)
 
     def _is_enough_without_the_first(self) -> bool:
         if len(self._samples) < 2:
             return False
-        first_bytes, first_s = self._samples[0]
-        rest_bytes, rest_s = self._bytes - first_bytes, self._busy_s - first_s
+        first_bytes, first_busy_s, first_idle_s = self._samples[0]
+        rest_bytes, rest_s = self._bytes - first_bytes, self._busy_s - first_busy_s
         if rest_s >= MANY_WINDOWS * self._config.window_s:
             return True
+        rest_s += self._idle_s - first_idle_s
         return rest_s >= self._config.window_s and rest_bytes >= self._config.min_bytes

@@ -6,6 +6,7 @@ next decision is about the link and the client as they are then.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
 
@@ -67,6 +68,17 @@ class Finished:
     """Nothing more will be sent."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Underway:
+    """Something that was sent, and is not acknowledged."""
+
+    end_byte: float
+    """Bytes that were sent with it, of all."""
+    end_frame: int
+    """The first frame that cannot show once it has come."""
+    sent_s: float
+
+
 Decision = Send | WaitForNews | WaitUntil | WaitForFrames | Finished
 
 
@@ -96,9 +108,10 @@ class PlaySession:
         self.sent_bytes = 0.0
         self.acked_bytes = 0.0
         self._news_s = now_s
-        self._spell_s = now_s  # when the link became busy
-        self._busy_since_s: float | None = None  # since when what came counts as throughput
-        self._underway: deque[tuple[float, int]] = deque()  # end byte, end frame with it
+        self._came_s = now_s  # when something came last
+        self._counted_s = now_s  # up to when time was counted, as busy or as idle
+        self._begins = True  # whether the link had nothing to carry before what comes next
+        self._underway: deque[_Underway] = deque()
         self._least_latency_s: float | None = None
         self._resting = False
 
@@ -109,8 +122,9 @@ class PlaySession:
 
     @property
     def queued_bytes(self) -> float:
-        """Sent, but not acknowledged."""
-        return self.sent_bytes - self.acked_bytes
+        """Sent, but not acknowledged; less than a byte is what adding up parts of bytes leaves."""
+        queued_bytes = self.sent_bytes - self.acked_bytes
+        return queued_bytes if queued_bytes >= 0.5 else 0.0
 
     def _last_frame(self) -> int | None:
         """The first frame that never comes; None while it is not known."""
@@ -127,37 +141,42 @@ class PlaySession:
             self._measure(now_s, gone)
         self.acked_bytes = max(self.acked_bytes, acked_bytes)
         self._news_s = now_s
-        while self._underway and self._underway[0][0] <= self.acked_bytes + 1e-6:
-            _, end_frame = self._underway.popleft()
-            self.clock.ready_until(end_frame, now_s)
+        self._came_s = now_s if gone > 0 else self._came_s
+        while self._underway and self._underway[0].end_byte < self.acked_bytes + 0.5:
+            self.clock.ready_until(self._underway.popleft().end_frame, now_s)
 
     def _measure(self, now_s: float, gone_bytes: float) -> None:
-        """Adds a sample. A busy spell begins when its first byte can have come: before that is
-        latency, not throughput."""
-        if self._busy_since_s is None:
+        """Adds a sample, of the time in which the link had something to carry.
+
+        It had nothing where the first byte that is underway could not have come yet when there was
+        news last. Then the first news takes the latency and the time of as many bytes as come with
+        it, and nobody knows what of each: what counts begins behind it.
+        """
+        sent_s, since_s = self._underway[0].sent_s, self._news_s
+        if self._least_latency_s is None or sent_s + self._least_latency_s > since_s:
+            self._begins = True
+        if self._begins:
             if gone_bytes <= 0:
                 return
-            took_s = now_s - self._spell_s
-            if self._least_latency_s is None or took_s < self._least_latency_s:
-                self._least_latency_s = took_s
-            self._busy_since_s = self._spell_s + self._least_latency_s
-            self._estimator.add(
-                gone_bytes if took_s > self._least_latency_s else 0.0, now_s - self._busy_since_s
-            )
-            return
-        self._estimator.add(gone_bytes, now_s - self._news_s)
+            self._begins = False
+            took_s = now_s - sent_s
+            self._least_latency_s = min(took_s, self._least_latency_s or took_s)
+            # It carries at least what came since something came, pauses and all.
+            since_s = self._came_s
+            if 8 * gone_bytes <= (self.rate_bps or math.inf) * (now_s - since_s):
+                return
+        self._estimator.add(gone_bytes, now_s - since_s, max(0.0, since_s - self._counted_s))
+        self._counted_s = now_s
 
     def sent(self, send: Send, num_bytes: float, now_s: float) -> None:
         """`send` went out, as `num_bytes` bytes."""
-        if self.queued_bytes <= 0:
-            self._spell_s, self._busy_since_s = now_s, None
         if isinstance(send, SendSlices):
             for birth in send.births:
                 self.holding.add(birth, send.first_layer, send.end_layer)
         else:
             self.holding.add_snapshots(send.frame, send.first_layer, send.end_layer)
         self.sent_bytes += num_bytes
-        self._underway.append((self.sent_bytes, self.holding.end_frame))
+        self._underway.append(_Underway(self.sent_bytes, self.holding.end_frame, now_s))
 
     def decide(self, now_s: float) -> Decision:
         """What to do now."""
@@ -174,7 +193,10 @@ class PlaySession:
         self.holding.forget(next_frame)
         clock.forget(next_frame)
         num_frames = media.num_frames if last_frame is None else last_frame
-        end_birth = min(num_frames, next_frame + max(1, round(config.max_lead_s * media.fps)))
+        # A client that may not have what it waits for would wait for ever.
+        least = max(1, math.ceil(config.playout.start_lead_s * media.fps - 1e-9))
+        lead = max(least, round(config.max_lead_s * media.fps))
+        end_birth = min(num_frames, next_frame + lead)
         outlook = Outlook(
             media=media,
             holding=self.holding,

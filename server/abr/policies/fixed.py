@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from codec.errors import InvalidError
 
@@ -14,7 +15,9 @@ class FixedRule:
     """Chooses `num_layers`, or as many as there are."""
 
     num_layers: int
-    horizon: int = 1
+    """At least 1 (the query)."""
+
+    horizon: ClassVar[int] = 1
 
     def __post_init__(self) -> None:
         if self.num_layers < 1:

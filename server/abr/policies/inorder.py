@@ -8,6 +8,7 @@ new, and then slices with more layers. It falls with any group.
 
 from __future__ import annotations
 
+from itertools import accumulate
 from statistics import fmean
 
 from codec.errors import InvalidError
@@ -93,7 +94,7 @@ class InOrder:
         while len(coming) < max(1, self._rule.horizon) and (until is None or begin < until):
             end = group_end(media, begin, self._group_s)
             end = end if until is None else min(end, until)
-            coming.append(group_of(media, begin, end, clock.first_frame, joins=not held))
+            coming.append(group_of(media, begin, end, clock.first_frame))
             begin = end
         return Situation(
             now_s=outlook.now_s,
@@ -117,22 +118,16 @@ def group_end(media: Media, birth: int, group_s: float) -> int:
     return birth - into + min(span, into - into % length + length)
 
 
-def group_of(media: Media, begin: int, end: int, first_frame: int, joins: bool) -> Group:
+def group_of(media: Media, begin: int, end: int, first_frame: int) -> Group:
     """The slices begin..end-1, seen by a client that plays from `first_frame`."""
     last = media.num_frames - 1  # of a live stream: what comes is taken to be like it
     sizes = [media.sizes(min(birth, last)) for birth in range(begin, end)]
-    # A snapshot at the first frame stands for the slice that is born there.
-    slices = sizes[1:] if joins and media.has_slots else sizes
     can_rise = not media.has_slots or begin % media.segment_frames == 0
-    none = (0.0,) * media.num_layers
-    snapshots = none
-    if media.has_slots and can_rise:
-        each = sizes[0].snapshot_bytes
-        snapshots = tuple(sum(each[: n + 1]) for n in range(len(each)))
+    each = sizes[0].snapshot_bytes if media.has_slots else (0.0,) * media.num_layers
     return Group(
         media_s=max(0, end - max(begin, first_frame)) / media.fps,
-        slice_bytes=tuple(map(sum, zip(none, *(s.slice_bytes for s in slices), strict=True))),
+        slice_bytes=tuple(map(sum, zip(*(s.slice_bytes for s in sizes), strict=True))),
         psnr_db=tuple(map(fmean, zip(*(s.psnr_db for s in sizes), strict=True))),
-        snapshot_bytes=snapshots,
+        snapshot_bytes=tuple(accumulate(each)),
         can_rise=can_rise,
     )

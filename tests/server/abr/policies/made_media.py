@@ -1,0 +1,73 @@
+"""Streams that are made up, as numbers only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import accumulate
+
+from hypothesis import strategies as st
+
+from server.abr.media import SegmentSizes
+
+
+@dataclass(frozen=True)
+class MadeMedia:
+    """A stream whose segments take and give what `segments` says, from the first one on again."""
+
+    segments: tuple[SegmentSizes, ...]
+    num_frames: int = 120
+    fps: float = 30.0
+    swin_size: int = 5
+    segment_frames: int = 15
+    has_slots: bool = False
+    live: bool = False
+
+    @property
+    def num_layers(self) -> int:
+        return len(self.segments[0].layer_bytes)
+
+    def sizes(self, birth: int) -> SegmentSizes:
+        return self.segments[max(0, birth) // self.segment_frames % len(self.segments)]
+
+    def need_bps(self, num_layers: int) -> float:
+        """What this many layers take at most, with all snapshots."""
+        frame_bytes = max(s.slice_bytes[num_layers - 1] for s in self.segments)
+        snapshot_bytes = max(sum(s.snapshot_bytes[:num_layers]) for s in self.segments)
+        return 8 * self.fps * (frame_bytes + snapshot_bytes / self.segment_frames)
+
+
+def sizes_of(
+    layer_bytes: tuple[float, ...],
+    gains_db: tuple[float, ...],
+    snapshot_bytes: tuple[float, ...] = (),
+) -> SegmentSizes:
+    """Sizes with these gains; a slice changes a tenth of each layer."""
+    shares = tuple(0.1 for _ in snapshot_bytes)
+    return SegmentSizes(layer_bytes, tuple(accumulate(gains_db)), snapshot_bytes, shares)
+
+
+@st.composite
+def segment_sizes(draw: st.DrawFn, num_layers: int, has_slots: bool) -> SegmentSizes:
+    """A layer beyond the first takes a third of it or more, and gives 0.3 to 3 dB: what it takes
+    to send one that the link does not carry is never worth a stall."""
+    base = draw(st.floats(2e3, 2e4))
+    layers = (base, *(base * draw(st.floats(0.35, 1.5)) for _ in range(num_layers - 1)))
+    gains = (25.0, *(draw(st.floats(0.3, 3.0)) for _ in range(num_layers - 1)))
+    snapshots = tuple(size * draw(st.floats(2.0, 8.0)) for size in layers) if has_slots else ()
+    return sizes_of(layers, gains, snapshots)
+
+
+@st.composite
+def medias(draw: st.DrawFn, fewest_frames: int = 20, most_frames: int = 150) -> MadeMedia:
+    """Streams of both versions."""
+    has_slots = draw(st.booleans())
+    num_layers = draw(st.integers(1, 4))
+    count = draw(st.integers(1, 2))
+    return MadeMedia(
+        tuple(draw(segment_sizes(num_layers, has_slots)) for _ in range(count)),
+        draw(st.integers(fewest_frames, most_frames)),
+        draw(st.sampled_from((25.0, 30.0))),
+        1 if has_slots else draw(st.integers(1, 6)),
+        draw(st.sampled_from((4, 15, 30, 40))),
+        has_slots,
+    )

@@ -1,0 +1,106 @@
+"""What holds of every policy, over streams, links and leads that are made up."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+
+from server.abr.holding import SliceHolding
+from server.abr.link.link import Link, LinkStep
+from server.abr.outlook import Outlook, Policy, Send, SendSlices, SendSnapshots
+from server.abr.policies.choice import POLICIES, fixed_policy
+from server.abr.session import SessionConfig
+from server.abr.simulate.simulator import play_out, simulate
+from server.abr.slotholding import SlotHolding
+from tests.server.abr.policies.made_media import MadeMedia, medias
+
+AT_MOST_S = 300.0
+IN_ORDER = sorted(set(POLICIES) - {"sweep"})
+QUICK = settings(
+    max_examples=25, deadline=None, phases=(Phase.explicit, Phase.reuse, Phase.generate)
+)
+"""Plays that fail are not shrunk: that takes minutes."""
+steps = st.builds(LinkStep, st.floats(0.1, 5), st.floats(2e5, 4e7), st.floats(0, 0.1))
+
+
+class Checked:
+    """A policy whose every answer is checked against what the client will hold by then."""
+
+    def __init__(self, policy: Policy) -> None:
+        self.policy = policy
+        self.mends = policy.mends
+
+    def choose(self, outlook: Outlook) -> Send | None:
+        send = self.policy.choose(outlook)
+        if isinstance(send, SendSlices):
+            self._check_slices(outlook, send)
+        elif send is not None:
+            self._check_snapshots(outlook, send)
+        return send
+
+    def _check_slices(self, outlook: Outlook, send: SendSlices) -> None:
+        births, holding = send.births, outlook.holding
+        assert len(births) >= 1
+        assert births.step == 1
+        assert births.stop <= outlook.end_birth
+        assert 0 <= send.first_layer < send.end_layer <= outlook.media.num_layers
+        if isinstance(holding, SlotHolding):
+            # A change is of use behind the one before it, and only there.
+            for layer in range(send.first_layer, send.end_layer):
+                assert holding.end_birth(layer) == births.start
+            return
+        assert isinstance(holding, SliceHolding)
+        assert births.start >= holding.first_birth
+        for birth in births:
+            assert holding.level(birth) == send.first_layer
+
+    def _check_snapshots(self, outlook: Outlook, send: SendSnapshots) -> None:
+        holding, frame = outlook.holding, send.frame
+        assert isinstance(holding, SlotHolding)
+        assert 0 <= frame < outlook.end_birth
+        assert frame % outlook.media.segment_frames == 0
+        assert 0 <= send.first_layer < send.end_layer <= outlook.media.num_layers
+        for layer in range(send.first_layer, send.end_layer):
+            assert (holding.end_birth(layer) or 0) <= frame
+
+
+@pytest.mark.parametrize("name", [*POLICIES, "fixed"])
+@given(
+    medias(),
+    st.lists(steps, min_size=1, max_size=4),
+    st.sampled_from((0.1, 1.0, 6.0)),
+    st.integers(0, 19),
+)
+@QUICK
+def test_it_sends_what_is_of_use_and_ends_every_play(
+    name: str, media: MadeMedia, steps: list[LinkStep], max_lead_s: float, first_frame: int
+) -> None:
+    policy = fixed_policy(2) if name == "fixed" else POLICIES[name](media)
+    config = SessionConfig(max_lead_s=max_lead_s)
+    result = simulate(media, Checked(policy), Link(steps), config, first_frame, at_most_s=AT_MOST_S)
+    assert result.ended_s < AT_MOST_S
+    shown, _ = play_out(media, result, config, first_frame, media.num_frames)
+    assert [s.frame for s in shown] == list(range(first_frame, media.num_frames))
+
+
+@pytest.mark.parametrize("name", POLICIES)
+@given(medias(fewest_frames=450, most_frames=450))
+@settings(QUICK, max_examples=6)
+def test_a_link_for_all_layers_ends_up_with_all_layers(name: str, media: MadeMedia) -> None:
+    link = Link([LinkStep(1.0, 3 * media.need_bps(media.num_layers), 0.02)])
+    config = SessionConfig()
+    result = simulate(media, POLICIES[name](media), link, config)
+    shown, clock = play_out(media, result, config, 0, media.num_frames)
+    assert clock.stalls == 0
+    assert {s.layers for s in shown[-90:]} == {media.num_layers}
+
+
+@pytest.mark.parametrize("name", IN_ORDER)
+@given(medias())
+@settings(QUICK, max_examples=10)
+def test_a_link_below_layer_0_gets_layer_0(name: str, media: MadeMedia) -> None:
+    least_bps = 8 * media.fps * min(s.slice_bytes[0] for s in media.segments)
+    link = Link([LinkStep(1.0, 0.8 * least_bps, 0.02)])
+    result = simulate(media, POLICIES[name](media), link)
+    assert {a.what.end_layer for a in result.arrivals} == {1}
