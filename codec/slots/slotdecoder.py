@@ -15,7 +15,7 @@ from codec.errors import CodecError, CorruptError, InvalidError
 from codec.slice import Slice, window_births
 from codec.splats import Splats
 
-from .lattice import Bytes
+from .lattice import Bytes, Flags
 from .mask import MaskHistory, decode_mask
 from .slotchange import decode_change
 from .slotchunk import BIRTH_AT, LAYER_AT
@@ -87,11 +87,9 @@ class SlotDecoder:
         self._missed: dict[tuple[int, int], _Missed] = {}
         self._said: dict[int, Bytes] = {}
         """By birth the statuses of this segment's slices, for a snapshot that comes late."""
-        self._altered = [
-            [np.zeros(count, np.bool_) for count in layout.slots[: self.num_layers]]
-            for _ in range(layout.swin_size)
-        ]
-        """What has changed of the slots since their lane was handed out by `apply`."""
+        self._pending: dict[tuple[int, int], Flags] = {}
+        """By lane and layer the slots that snapshots and late changes have altered since the lane
+        was handed out."""
 
     def copy(self) -> SlotDecoder:
         """Another decoder that holds the same, without what late changes need."""
@@ -159,7 +157,7 @@ class SlotDecoder:
             missed.since[birth] = statuses, change
         self._missed[lane, layer] = missed
         self._replay(lane, layer, missed.since, None)
-        self._altered[lane][layer][:] = True
+        self._pending[lane, layer] = np.ones(len(slots), np.bool_)
 
     def apply(
         self,
@@ -197,28 +195,33 @@ class SlotDecoder:
             else:
                 self._missed.pop((lane, layer), None)
             slots.advance(delta)
-            self._altered[lane][layer] |= parts[layer] != KEPT
         self.history.note(birth, statuses)
         self._go_on(birth, statuses)
-        return self._changed(birth)
+        return self._changed(birth, [part != KEPT for part in parts])
 
     def _go_on(self, birth: int, statuses: Bytes | None) -> None:
         """Notes that the slices have come to `birth`; statuses: None if its mask is missing."""
         if birth == self.layout.segment_start(birth):
             self._said = {}
         elif statuses is not None:
-            self._said[birth] = statuses.copy()
+            self._said[birth] = statuses
         self.frame = birth
-        while self.said_bytes > max(self._state_bytes(), MIN_LOG_BYTES):
+        while self._is_too_much(self.said_bytes):
             del self._said[next(iter(self._said))]
 
-    def _changed(self, birth: int) -> Slice:
-        """What has changed in the lane of `birth` since it was handed out last."""
-        altered = self._altered[self.layout.lane(birth)]
-        rows = [np.flatnonzero(of_layer) for of_layer in altered]
-        for of_layer in altered:
-            of_layer[:] = False
-        return self._slice(birth, rows, with_rows=True)
+    def _is_too_much(self, log_bytes: int) -> bool:
+        """Whether what is held for what comes late takes more than it may."""
+        return log_bytes > MIN_LOG_BYTES and log_bytes > self._state_bytes()
+
+    def _changed(self, birth: int, changed: list[Flags]) -> Slice:
+        """What has changed in the lane of `birth` since it was handed out last: in each layer what
+        its slice has `changed`, and what waited to be handed out."""
+        lane = self.layout.lane(birth)
+        for layer in range(self.num_layers):
+            pending = self._pending.pop((lane, layer), None)
+            if pending is not None:
+                changed[layer] |= pending
+        return self._slice(birth, map(np.flatnonzero, changed), with_rows=True)
 
     def statuses(
         self, birth: int, mask: Data, changes: Sequence[Data | None], blamed: Blamed = _as_it_is
@@ -251,11 +254,9 @@ class SlotDecoder:
         self.lanes[lane] = [Slots(count, sh_degree, UNKNOWN) for count in counts]
         for layer in range(self.num_layers):
             self._missed.pop((lane, layer), None)
-        for altered in self._altered[lane]:
-            altered[:] = True
         self.history.note(birth, None)
         self._go_on(birth, None)
-        return self._changed(birth)
+        return self._changed(birth, [np.ones(count, np.bool_) for count in counts])
 
     def late(self, birth: int, layer: int, change: Data) -> bool:
         """Takes in a change that was missing when its slice was applied.
@@ -270,9 +271,10 @@ class SlotDecoder:
         since = dict(missed.since)
         since[birth] = since[birth][0], bytes(change)
         self._replay(lane, layer, since, birth)
-        for known, (statuses, _) in since.items():
-            if known >= birth:
-                self._altered[lane][layer] |= statuses != KEPT
+        altered = [statuses != KEPT for known, (statuses, _) in since.items() if known >= birth]
+        if (lane, layer) in self._pending:
+            altered.append(self._pending[lane, layer])
+        self._pending[lane, layer] = np.logical_or.reduce(altered)
         return True
 
     def _replay(
@@ -322,9 +324,7 @@ class SlotDecoder:
     def hand_out(self, frame: int) -> list[Slice]:
         """The window of `frame`, as for a renderer that has nothing yet: what `apply` gives follows
         on it."""
-        for lane in self._altered:
-            for of_layer in lane:
-                of_layer[:] = False
+        self._pending.clear()
         return self.window(frame)
 
     def _by_layer(self, statuses: Bytes) -> list[Bytes]:
@@ -353,7 +353,7 @@ class SlotDecoder:
             self._missed[key] = _Missed(slots.copy())
         kept = None if change is None else bytes(change)
         self._missed[key].since[birth] = statuses.copy(), kept
-        while self._missed and self.log_bytes > max(self._state_bytes(), MIN_LOG_BYTES):
+        while self._missed and self._is_too_much(self.log_bytes):
             # The one that waits longest is given up.
             del self._missed[next(iter(self._missed))]
 
@@ -365,7 +365,7 @@ class SlotDecoder:
     @property
     def said_bytes(self) -> int:
         """What is held only because snapshots may come late."""
-        return sum(said.nbytes for said in self._said.values())
+        return len(self._said) * self.layout.num_slots
 
     def _state_bytes(self) -> int:
         return sum(slots.num_bytes for lane in self.lanes for slots in lane)
