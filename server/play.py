@@ -50,8 +50,8 @@ MAX_FRAME = 2**31 - 1
 SNAPSHOTS_BYTES = 1 << 20
 """Bytes of snapshots after which a record ends, and the next layer goes into another one."""
 
-KEPT_OBJECTS = 64
-"""Objects that a play keeps at hand, beside those of the cache."""
+LIVE_POLL_S = 0.1
+"""How often a play at the end of a live stream looks whether it has grown, seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +143,6 @@ class _Play:
         self._connection = Connection(request, state.config.write_timeout_s)
         self._from_frame = query.from_frame
         self._clock = asyncio.get_running_loop().time
-        self._refreshed_s = 0.0
         self._session = PlaySession(
             stream,
             policy,
@@ -199,8 +198,8 @@ class _Play:
                     waiting_since_s = now_s if waiting_since_s is None else waiting_since_s
                     if now_s - waiting_since_s > config.live_idle_s:
                         return "idle", self._broken_off("no new frames have come for a long time")
-                    await self._pause(config.poll_s if self._session.queued_bytes else 0.1)
-                    await self._refresh()
+                    await self._pause(config.poll_s if self._session.queued_bytes else LIVE_POLL_S)
+                    await self._state.library.refresh(self._stream, self._clock())
                 case Finished():
                     return "complete", EndRecord(self._stream.num_frames)
 
@@ -209,26 +208,21 @@ class _Play:
         queued = self._connection.queued_bytes()
         self._session.acknowledge(self._clock(), self._session.sent_bytes - queued)
 
-    async def _refresh(self) -> None:
-        """Looks for new frames, from time to time."""
-        now_s = self._clock()
-        if now_s - self._refreshed_s >= self._state.config.refresh_s:
-            self._refreshed_s = now_s
-            await self._state.library.refresh(self._stream, now_s)
-
     def _broken_off(self, reason: str) -> ErrorRecord:
         resume_frame = max(self._from_frame, self._session.holding.end_frame)
         return ErrorRecord(f"{reason}; play again from frame {resume_frame}")
 
     async def _object(self, birth: int, part: Part) -> CheckedObject:
-        """The object that holds the packet of `birth`; those of the window are kept at hand."""
-        segment = self._stream.view.manifest.segment_of(birth)
+        """The object that holds the packet of `birth`. It is kept at hand for as long as the client
+        shows frames of its segment: the lead bounds how many there are."""
+        manifest = self._stream.view.manifest
+        segment = manifest.segment_of(birth)
         found = self._objects.get((segment, part))
         if found is None:
             found = await self._state.cache.load(self._stream, segment, part)
+            oldest = manifest.segment_of(self._session.next_frame - manifest.swin_size + 1)
+            self._objects = {key: kept for key, kept in self._objects.items() if key[0] >= oldest}
             self._objects[segment, part] = found
-            while len(self._objects) > KEPT_OBJECTS:
-                del self._objects[next(iter(self._objects))]
         return found
 
     async def _send_layers(self, send: SendSlices) -> None:
@@ -248,7 +242,9 @@ class _Play:
         first, packets = send.first_layer, list[bytes]()
         for layer in range(send.first_layer, send.end_layer):
             part = snapshot_part(layer)
-            packets.append((await self._object(send.frame, part)).packet(send.frame))
+            segment = self._stream.view.manifest.segment_of(send.frame)
+            snapshot = await self._state.cache.load(self._stream, segment, part)
+            packets.append(snapshot.packet(send.frame))
             if sum(map(len, packets)) < SNAPSHOTS_BYTES and layer + 1 < send.end_layer:
                 continue
             one = SendSnapshots(send.frame, first, layer + 1)

@@ -13,9 +13,10 @@ import time
 class Clock:
     """A clock that can be stopped: seconds since it was made, without the time it was stopped.
 
-    `real` says what a due time means. With True a frame waits until it is due (a window). With
-    False it never waits (a capture): every frame comes as soon as it can be drawn, exactly once,
-    and the clock only stamps arrivals.
+    `real` says what a due time means. With True a frame waits until it is due: in a window, and
+    wherever what comes depends on how fast it comes. With False it never waits (a capture of what
+    comes in any case): every frame comes as soon as it can be drawn, and the clock only stamps
+    arrivals.
     """
 
     def __init__(self, real: bool) -> None:

@@ -34,11 +34,6 @@ class SlotAssembler:
         self._decoder = SlotDecoder(manifest.slot_layout, num_layers)
         self._first_frame = first_frame
 
-    @property
-    def decoder(self) -> SlotDecoder:
-        """What is held after the last frame."""
-        return self._decoder
-
     def take(self, frame: int, packets: Iterable[Packets]) -> list[Slice]:
         """See Assembler."""
         decoder = self._decoder

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 from codec.errors import InvalidError
 from codec.stream.manifest import Manifest
-from player.source.source import Packets, SlicePackets
-from server.abr.holding import Holding
+from player.source.source import Packets
 from server.abr.media import SegmentSizes
 from server.abr.playout import PlayoutClock, PlayoutConfig
 from server.abr.slotholding import open_holding
@@ -105,18 +104,6 @@ class _Waiting:
     came_s: float
 
 
-def _frame_of(packets: Packets) -> int:
-    """The first frame that the packets can show in; below 0 in the first window."""
-    return packets.birth if isinstance(packets, SlicePackets) else packets.frame
-
-
-def _add(holding: Holding, packets: Packets) -> None:
-    if isinstance(packets, SlicePackets):
-        holding.add(packets.birth, packets.first_layer, packets.end_layer)
-    else:
-        holding.add_snapshots(packets.frame, packets.first_layer, packets.end_layer)
-
-
 class Playout:
     """The time line of one playback; `PlayoutClock` says when a frame shows.
 
@@ -168,8 +155,8 @@ class Playout:
         if not self.has_room:
             raise InvalidError("playout: the queue is full; wait for room")
         self._last_came_s = now_s = max(now_s, self._last_came_s)
-        _add(self._here, packets)
-        frame = _frame_of(packets)
+        packets.add_to(self._here)
+        frame = packets.first_frame
         self._waiting.setdefault(frame, deque()).append(_Waiting(packets, now_s))
         self._queue_bytes += packets.wire_bytes
         self._clock.ready_until(self._here.end_frame, now_s)
@@ -197,7 +184,7 @@ class Playout:
             return None
         taken = list(self._used(frame, shown_s))
         for packets in taken:
-            _add(self._shown, packets)
+            packets.add_to(self._shown)
         wire_bytes = sum(packets.wire_bytes for packets in taken)
         self._queue_bytes -= wire_bytes
         record = FrameRecord(frame, self._shown.layers(frame), wire_bytes, due_s, shown_s)

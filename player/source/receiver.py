@@ -60,7 +60,7 @@ class Receiver:
                 f"{self._name}: a snapshot of frame {frame}, which begins no segment"
             )
         if not self._joined:
-            first = self._asked_frame - self._asked_frame % manifest.segment_frames
+            first = manifest.slot_layout.segment_start(self._asked_frame)
             if record.first_layer or frame != first:
                 raise CorruptError(
                     f"{self._name}: it begins with the snapshot of layer {record.first_layer} at "

@@ -13,6 +13,7 @@ from typing import Protocol
 from codec.errors import CodecError, InvalidError
 from codec.framerange import FrameRange
 from codec.stream.manifest import Manifest, Part
+from server.abr.holding import Holding
 
 Blame = Callable[[CodecError, Part], CodecError]
 """Makes an error name where the packet of a part came from."""
@@ -39,6 +40,15 @@ class SlicePackets:
     def end_layer(self) -> int:
         return self.first_layer + len(self.packets)
 
+    @property
+    def first_frame(self) -> int:
+        """The first frame that they can show in; below 0 in the first window."""
+        return self.birth
+
+    def add_to(self, holding: Holding) -> None:
+        """Notes in `holding` that they are there."""
+        holding.add(self.birth, self.first_layer, self.end_layer)
+
 
 @dataclass(frozen=True, slots=True)
 class SnapshotPackets:
@@ -58,6 +68,15 @@ class SnapshotPackets:
     @property
     def end_layer(self) -> int:
         return self.first_layer + len(self.packets)
+
+    @property
+    def first_frame(self) -> int:
+        """The first frame that they can show in."""
+        return self.frame
+
+    def add_to(self, holding: Holding) -> None:
+        """Notes in `holding` that they are there."""
+        holding.add_snapshots(self.frame, self.first_layer, self.end_layer)
 
 
 Packets = SlicePackets | SnapshotPackets

@@ -82,6 +82,11 @@ class Media(Protocol):
         ...
 
 
+def segment_start(media: Media, birth: int) -> int:
+    """The first frame of the segment of the slice born at `birth`."""
+    return birth - birth % media.segment_frames
+
+
 def rising(psnr_db: Sequence[float], layer_bytes: Sequence[float]) -> tuple[float, ...]:
     """`psnr_db` without what no player can use: never falling from one layer to the next, and
     guessed from the sizes where it is unknown."""

@@ -21,6 +21,11 @@ class SendSlices:
     first_layer: int
     end_layer: int
 
+    def add_to(self, holding: Holding) -> None:
+        """Notes in `holding` that they are there."""
+        for birth in self.births:
+            holding.add(birth, self.first_layer, self.end_layer)
+
 
 @dataclass(frozen=True, slots=True)
 class SendSnapshots:
@@ -29,6 +34,10 @@ class SendSnapshots:
     frame: int
     first_layer: int
     end_layer: int
+
+    def add_to(self, holding: Holding) -> None:
+        """Notes in `holding` that they are there."""
+        holding.add_snapshots(self.frame, self.first_layer, self.end_layer)
 
 
 Send = SendSlices | SendSnapshots
@@ -70,9 +79,13 @@ class Outlook:
             return self.now_s + (frame - self.clock.end_frame) / self.media.fps
         return self.clock.due_s(frame)
 
-    def comes_s(self, num_bytes: float) -> float:
-        """When `num_bytes` that are sent now have come."""
-        return self.now_s + self.latency_s + 8 * (self.queued_bytes + num_bytes) / self.rate_bps
+    def comes_s(self, num_bytes: float, rate_bps: float) -> float:
+        """When `num_bytes` that are sent now have come, over a link of `rate_bps`."""
+        return self.now_s + self.latency_s + 8 * (self.queued_bytes + num_bytes) / rate_bps
+
+    def run_length(self, num_bytes: float, rate_bps: float) -> int:
+        """How many packets of `num_bytes` one answer may send over a link of `rate_bps`."""
+        return max(1, int(rate_bps * self.run_s / 8 / max(1.0, num_bytes)))
 
 
 class Policy(Protocol):

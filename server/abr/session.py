@@ -14,7 +14,7 @@ from codec.errors import InvalidError
 
 from .estimator import EstimatorConfig, RateEstimator
 from .media import Media
-from .outlook import Outlook, Policy, Send, SendSlices
+from .outlook import Outlook, Policy, Send
 from .playout import PlayoutClock, PlayoutConfig
 from .slotholding import open_holding
 
@@ -105,6 +105,8 @@ class PlaySession:
         self._known = rate_bps is not None
         self.holding = open_holding(media, first_frame)
         self.clock = PlayoutClock(first_frame, media.fps, config.playout, self._last_frame())
+        self.next_frame = first_frame
+        """The first frame that the client had not shown at the last decision."""
         self.sent_bytes = 0.0
         self.acked_bytes = 0.0
         self._news_s = now_s
@@ -170,11 +172,7 @@ class PlaySession:
 
     def sent(self, send: Send, num_bytes: float, now_s: float) -> None:
         """`send` went out, as `num_bytes` bytes."""
-        if isinstance(send, SendSlices):
-            for birth in send.births:
-                self.holding.add(birth, send.first_layer, send.end_layer)
-        else:
-            self.holding.add_snapshots(send.frame, send.first_layer, send.end_layer)
+        send.add_to(self.holding)
         self.sent_bytes += num_bytes
         self._underway.append(_Underway(self.sent_bytes, self.holding.end_frame, now_s))
 
@@ -187,7 +185,7 @@ class PlaySession:
         rate_bps = self._estimator.rate_bps
         if self.queued_bytes >= self._allowed_bytes(rate_bps):
             return WaitForNews()
-        next_frame = clock.next_frame(now_s)
+        self.next_frame = next_frame = clock.next_frame(now_s)
         if last_frame is not None and next_frame >= last_frame:
             return Finished()
         self.holding.forget(next_frame)
@@ -211,16 +209,16 @@ class PlaySession:
             max_lead_s=config.max_lead_s,
             run_s=config.run_s,
         )
-        if self._resting and end_birth < num_frames:
-            rested = (end_birth - self.holding.end_frame) / media.fps >= config.rest_s
-            if not rested:
-                return WaitUntil(now_s + 1 / media.fps)
+        full = end_birth < num_frames
+        rests_s = config.rest_s - (end_birth - self.holding.end_frame) / media.fps
+        if self._resting and full and rests_s > 0:
+            return WaitUntil(now_s + max(1 / media.fps, rests_s))
         send = self._policy.choose(outlook)
         self._resting = send is None
         if send is not None:
             return send
-        if end_birth < num_frames:
-            return WaitUntil(now_s + 1 / media.fps)
+        if full:
+            return WaitUntil(now_s + max(1 / media.fps, rests_s))
         if last_frame is None:
             return WaitForFrames()
         # What lacks may be worth sending later, as long as it shows.

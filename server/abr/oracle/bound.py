@@ -18,7 +18,7 @@ from ..media import Media
 from ..qoe import QoeConfig
 from ..session import SessionConfig
 from .feasible import open_play
-from .groups import GROUP_S, group_frames
+from .groups import GROUP_S
 from .relaxation import Relaxation, Solution
 
 TOLERANCE_DB = 0.005
@@ -57,9 +57,8 @@ def bound(
     Raises InvalidError for frames that are not there, or where no play ever begins.
     """
     play = open_play(media, link, session_config, first_frame, until_frame)
-    relaxation = Relaxation(play, qoe_config, group_frames(play, qoe_config, group_s))
-    cost_db = qoe_config.stall_db * media.fps / play.num_frames
-    return search(relaxation.solve, relaxation.least_s, relaxation.most_db, cost_db)
+    relaxation = Relaxation(play, qoe_config, group_s)
+    return search(relaxation.solve, relaxation)
 
 
 @dataclass(order=True, slots=True)
@@ -76,14 +75,10 @@ class _Span:
     """Mean PSNR where that is."""
 
 
-def search(
-    solve: Callable[[float], Solution], least_s: float, most_db: float, cost_db: float
-) -> Bound:
-    """The bound over all waiting.
-
-    solve: the best of plays that wait so much or less; least_s: what all wait; most_db: what no
-    solution exceeds; cost_db: what a second costs.
-    """
+def search(solve: Callable[[float], Solution], relaxation: Relaxation) -> Bound:
+    """The bound over all waiting. solve: the best of plays that wait so much or less, `relaxation`
+    or what adds rules to it."""
+    least_s, most_db, cost_db = relaxation.least_s, relaxation.most_db, relaxation.cost_db
     if not cost_db:
         return Bound(most_db, least_s, most_db)
     fine_s = 0.5 * TOLERANCE_DB / cost_db

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 from codec.errors import InvalidError
 
-from ..media import SegmentSizes
+from ..media import SegmentSizes, segment_start
 from ..qoe import QoeConfig
 from .feasible import Play
 
@@ -50,7 +50,7 @@ def group_frames(play: Play, config: QoeConfig, group_s: float = GROUP_S) -> Gro
     starts = {
         *range(first, until, max(1, round(group_s * media.fps))),
         *range(first, until, stretch_frames),
-        *range(first - first % media.segment_frames, until, media.segment_frames),
+        *range(segment_start(media, first), until, media.segment_frames),
     }
     bounds = [*sorted(start for start in starts if start >= first), until]
     groups = []

@@ -15,12 +15,12 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from codec.errors import InvalidError
 
 from ..link.link import Link
-from ..media import Media
+from ..media import Media, segment_start
 from ..qoe import QoeConfig
 from ..session import SessionConfig
 from .bound import Bound, search
 from .feasible import open_play
-from .groups import GROUP_S, group_frames
+from .groups import GROUP_S
 from .offers import Offer, packet_bytes
 from .relaxation import Relaxation, Solution
 
@@ -39,9 +39,8 @@ def mixed_bound(
 ) -> Bound:
     """As `bound` says, of plays that keep the rule above. Takes seconds or minutes."""
     play = open_play(media, link, session_config, first_frame, until_frame)
-    relaxation = Relaxation(play, qoe_config, group_frames(play, qoe_config, group_s))
-    cost_db = qoe_config.stall_db * media.fps / play.num_frames
-    return search(Mixed(relaxation).solve, relaxation.least_s, relaxation.most_db, cost_db)
+    relaxation = Relaxation(play, qoe_config, group_s)
+    return search(Mixed(relaxation).solve, relaxation)
 
 
 class Mixed:
@@ -75,7 +74,7 @@ class Mixed:
             return
         # A snapshot is sent instead of the change of its frame.
         self._snapshot[place] = column
-        sizes = media.sizes(first - first % media.segment_frames)
+        sizes = media.sizes(segment_start(media, first))
         num_bytes = sizes.snapshot_bytes[offer.layer] - packet_bytes(sizes, offer.layer)
         for row in relaxation.bytes_rows(offer.group):
             self._rows.rows[row][column] = num_bytes / relaxation.unit_bytes

@@ -21,7 +21,7 @@ from scipy.optimize import linprog
 from ..qoe import QoeConfig
 from .columns import Columns
 from .feasible import Play, due_bytes, earliest_s, latest_s, waiting_s
-from .groups import Grouping
+from .groups import group_frames
 from .offers import Offers
 from .sliceoffers import slice_offers
 from .slotoffers import slot_offers
@@ -42,8 +42,11 @@ class Solution:
 class Relaxation:
     """The programme of one play, for any waiting."""
 
-    def __init__(self, play: Play, qoe_config: QoeConfig, grouping: Grouping) -> None:
-        self.play, self.grouping = play, grouping
+    def __init__(self, play: Play, qoe_config: QoeConfig, group_s: float) -> None:
+        self.play = play
+        self.grouping = grouping = group_frames(play, qoe_config, group_s)
+        self.cost_db = qoe_config.stall_db * play.media.fps / play.num_frames
+        """What a second of waiting costs, dB; no solution counts it."""
         make_offers = slot_offers if play.media.has_slots else slice_offers
         self.offers: Offers = make_offers(play, grouping.groups)
         groups, first = grouping.groups, play.first_frame

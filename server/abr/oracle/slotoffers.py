@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from ..media import segment_start
 from .feasible import Play
 from .groups import Group
 from .offers import LEAST_BYTES, Offer, Offers, packet_bytes
@@ -86,7 +87,7 @@ def _group_offers(play: Play, group: Group, number: int, layer: int, worth: _Wor
     births = frames
     if not number:
         # Nothing comes late for the first group: the changes before it are its own.
-        births = range(start - start % play.media.segment_frames, group.end_frame)
+        births = range(segment_start(play.media, start), group.end_frame)
         best = max(best, late)
     num_bytes = sum(worth.num_bytes[birth] for birth in births)
     offers = [Offer(layer, number, num_bytes, best * num_bytes, whole=True)]

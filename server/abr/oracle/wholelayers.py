@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import accumulate
 from typing import Protocol
 
+from ..media import segment_start
 from .feasible import Play
 from .groups import Group
 
@@ -81,7 +82,7 @@ class SlotLooks:
         play, media = self._play, self._play.media
         held, *known = look
         first = group.first_frame
-        start = first - first % media.segment_frames
+        start = segment_start(media, first)
         begins = first in (start, play.first_frame)
         if num_layers > held and not begins:
             return None

@@ -13,7 +13,7 @@ from statistics import fmean
 
 from codec.errors import InvalidError
 
-from ..media import Media
+from ..media import Media, segment_start
 from ..outlook import Outlook, Send, SendSlices, SendSnapshots
 from ..slotholding import SlotHolding
 from .situation import Group, Rule, Situation
@@ -49,7 +49,7 @@ class InOrder:
         birth = holding.end_birth(0)
         if birth is None:
             first_frame = outlook.clock.first_frame
-            first = first_frame - first_frame % outlook.media.segment_frames
+            first = segment_start(outlook.media, first_frame)
             if first >= end_birth:
                 return None
             self._decide(outlook, first, held=0)
@@ -75,8 +75,7 @@ class InOrder:
         if outlook.media.has_slots and layers > held:
             end, layers = birth + 1, held
         size = outlook.media.sizes(birth).slice_bytes[layers - 1]
-        most = max(1, int(outlook.rate_bps * outlook.run_s / 8 / max(size, 1.0)))
-        self._birth = min(end, birth + most)
+        self._birth = min(end, birth + outlook.run_length(size, outlook.rate_bps))
         return SendSlices(range(birth, self._birth), 0, layers)
 
     def _decide(self, outlook: Outlook, birth: int, held: int) -> None:
@@ -100,7 +99,7 @@ class InOrder:
             now_s=outlook.now_s,
             rate_bps=outlook.rate_bps,
             measured=outlook.measured,
-            lead_s=max(0.0, outlook.due_s(birth) - outlook.comes_s(0.0)),
+            lead_s=max(0.0, outlook.due_s(birth) - outlook.comes_s(0.0, outlook.rate_bps)),
             max_lead_s=min(outlook.max_lead_s, (media.num_frames - outlook.next_frame) / media.fps)
             if media.live
             else outlook.max_lead_s,

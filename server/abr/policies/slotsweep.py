@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from ..media import segment_start
 from ..outlook import Outlook, Send, SendSlices, SendSnapshots
 from ..slotholding import SlotHolding
 from .sweep import Patience, SweepConfig
@@ -38,7 +39,7 @@ class SlotSweep:
         assert isinstance(holding, SlotHolding)
         rate_bps = self._config.safety * outlook.rate_bps
         self._patience_s = self._patience.note(outlook)
-        free_s = outlook.now_s + outlook.latency_s + 8 * outlook.queued_bytes / rate_bps
+        free_s = outlook.comes_s(0.0, rate_bps)
         best: _Offer | None = None
         end = outlook.end_birth
         for layer in range(outlook.media.num_layers):
@@ -62,8 +63,7 @@ class SlotSweep:
         config, media, fps = self._config, outlook.media, outlook.media.fps
         birth = holding.end_birth(layer)
         if layer == 0 and birth is None:
-            frame = outlook.clock.first_frame
-            first = frame - frame % media.segment_frames
+            first = segment_start(media, outlook.clock.first_frame)
             return _Offer(math.inf, SendSnapshots(first, 0, 1))
         if birth is not None:
             if birth >= end:
@@ -75,8 +75,7 @@ class SlotSweep:
                 gain_db = sizes.gains_db[layer] if layer else config.stall_db
                 patience_s = self._patience_s[min(layer, 1)]
                 urgency = math.exp(-max(0.0, slack_s) / patience_s)
-                most = max(1, int(rate_bps * outlook.run_s / 8 / max(size, 1.0)))
-                births = range(birth, min(end, birth + most))
+                births = range(birth, min(end, birth + outlook.run_length(size, rate_bps)))
                 return _Offer(
                     gain_db / max(size, 1.0) * urgency, SendSlices(births, layer, layer + 1)
                 )
@@ -122,12 +121,11 @@ class SlotSweep:
         offers = []
         # While missed changes are sent, more are missed.
         ahead = 1 - 8 * fps * size / rate_bps
-        first = int(frame) - int(frame) % media.segment_frames
+        first = segment_start(media, int(frame))
         if ahead > 0.05:
             if birth is not None and birth < end:
                 cost = (frame - birth) * size / ahead
-                most = max(1, int(rate_bps * outlook.run_s / 8 / size))
-                births = range(birth, min(end, birth + most))
+                births = range(birth, min(end, birth + outlook.run_length(size, rate_bps)))
                 offers.append(_Offer(worth(cost, 0.0), SendSlices(births, layer, layer + 1)))
             if first < end and (birth is None or first > birth):
                 cost = (sizes.snapshot_bytes[layer] + (frame - first) * size) / ahead

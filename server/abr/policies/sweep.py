@@ -113,7 +113,7 @@ class SliceSweep:
             self._next = [holding.first_birth] * media.num_layers
         rate_bps = config.safety * outlook.rate_bps
         self._patience_s = self._patience.note(outlook)
-        free_s = outlook.now_s + outlook.latency_s + 8 * outlook.queued_bytes / rate_bps
+        free_s = outlook.comes_s(0.0, rate_bps)
         best, chosen = 0.0, None
         for layer in range(media.num_layers):
             found = self._first(outlook, holding, layer, free_s, rate_bps)
@@ -122,8 +122,8 @@ class SliceSweep:
         if chosen is None:
             return None
         layer, birth = chosen
-        size = max(1.0, media.sizes(birth).layer_bytes[layer])
-        most = max(1, int(rate_bps * outlook.run_s / 8 / size))
+        size = media.sizes(birth).layer_bytes[layer]
+        most = outlook.run_length(size, rate_bps)
         end = birth + 1
         while end < outlook.end_birth and end - birth < most and holding.level(end) == layer:
             end += 1

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 
-from ..holding import Holding
 from ..link.link import Link
 from ..media import Media
 from ..outlook import Policy, Send, SendSlices, SendSnapshots
@@ -29,7 +28,6 @@ class Arrival:
     """Something has come whole."""
 
     time_s: float
-    sent_s: float
     num_bytes: float
     what: Send
 
@@ -82,7 +80,7 @@ def simulate(
                 comes_s = free_s + link.at(free_s).latency_s
                 if underway:
                     comes_s = max(comes_s, underway[-1][0])
-                whole = None if left > 0 else Arrival(comes_s, now_s, num_bytes, decision)
+                whole = None if left > 0 else Arrival(comes_s, num_bytes, decision)
                 underway.append((comes_s, piece, whole))
             if keep_estimates:
                 estimate = (now_s, session.rate_bps or 0.0, session.queued_bytes)
@@ -126,13 +124,9 @@ def play_out(
     clock = PlayoutClock(first_frame, media.fps, config.playout, until_frame)
     ready = open_holding(media, first_frame)
     # When each frame shows goes by layer 0 alone.
-    ends: list[tuple[float, int]] = []
     for arrival in result.arrivals:
-        _add(ready, arrival.what)
-        if not ends or ready.end_frame > ends[-1][1]:
-            ends.append((arrival.time_s, ready.end_frame))
-    for time_s, end_frame in ends:
-        clock.ready_until(end_frame, time_s)
+        arrival.what.add_to(ready)
+        clock.ready_until(ready.end_frame, arrival.time_s)
     holding = open_holding(media, first_frame)
     shown: list[Shown] = []
     arrivals, n = result.arrivals, 0
@@ -141,16 +135,8 @@ def play_out(
     for frame in range(first_frame, min(clock.end_frame, until_frame)):
         due_s, shown_s = clock.times_s(frame)
         while n < len(arrivals) and arrivals[n].time_s <= shown_s + 1e-9:
-            _add(holding, arrivals[n].what)
+            arrivals[n].what.add_to(holding)
             n += 1
         shown.append(Shown(frame, due_s, shown_s, holding.layers(frame), holding.psnr_db(frame)))
         holding.forget(frame)
     return shown, clock
-
-
-def _add(holding: Holding, what: Send) -> None:
-    if isinstance(what, SendSlices):
-        for birth in what.births:
-            holding.add(birth, what.first_layer, what.end_layer)
-    else:
-        holding.add_snapshots(what.frame, what.first_layer, what.end_layer)

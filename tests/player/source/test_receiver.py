@@ -22,10 +22,9 @@ from codec.stream.playrecord import SliceRecord, SnapshotRecord
 from player.playout.assembler import open_assembler
 from player.playout.timeline import PlayedMedia
 from player.source.receiver import Receiver
-from player.source.source import Packets, SlicePackets
-from server.abr.holding import Holding, SliceHolding
+from player.source.source import Packets
+from server.abr.holding import SliceHolding
 from server.abr.slotholding import open_holding
-from tests.support.delivery.assembled import birth_of
 from tests.support.hosted_streams import random_slice, small_manifest, write_stream
 from tests.support.hostile import flips
 from tests.support.slots.screen import Screen
@@ -125,12 +124,12 @@ def test_whatever_comes_late_or_never_only_what_is_known_shows(
         for record in response(stream, asked, rng):
             one = receiver.take(record)
             waiting.append(one)
-            add(holding, one)
+            one.add_to(holding)
             while frame < holding.end_frame:
-                used = [p for p in waiting if birth_of(p) <= frame]
-                waiting = [p for p in waiting if birth_of(p) > frame]
+                used = [p for p in waiting if p.first_frame <= frame]
+                waiting = [p for p in waiting if p.first_frame > frame]
                 for packets in used:
-                    add(seen, packets)
+                    packets.add_to(seen)
                 slices = assembler.take(frame, used)
                 if version == 2:
                     screen.put(slices, round(seen.layers(frame)))
@@ -147,15 +146,8 @@ def test_whatever_comes_late_or_never_only_what_is_known_shows(
                 break
 
 
-def add(holding: Holding, one: Packets) -> None:
-    if isinstance(one, SlicePackets):
-        holding.add(one.birth, one.first_layer, one.end_layer)
-    else:
-        holding.add_snapshots(one.frame, one.first_layer, one.end_layer)
-
-
 def take(receiver: Receiver, *records: Sent) -> list[int]:
-    return [birth_of(receiver.take(record)) for record in records]
+    return [receiver.take(record).first_frame for record in records]
 
 
 Make = Callable[[StreamReader], Sent]

@@ -2,33 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from server.abr.link.link import Link, LinkStep
 from server.abr.media import SegmentSizes
 from server.abr.outlook import Outlook, Send, SendSlices, SendSnapshots
 from server.abr.simulate.simulator import simulate
 from server.abr.slotholding import SlotHolding
+from tests.support.delivery.media import FakeMedia
 
 
-@dataclass(frozen=True)
-class Stills:
+def stills() -> FakeMedia:
     """A stream of version 2 in which nothing moves."""
-
-    fps: float = 30.0
-    swin_size: int = 1
-    segment_frames: int = 10
-    num_frames: int = 40
-    live: bool = False
-    has_slots: bool = True
-    num_layers: int = 1
-
-    def sizes(self, birth: int) -> SegmentSizes:
-        return SegmentSizes((0.0,), (30.0,), (1000.0,), (0.0,))
+    every = SegmentSizes((0.0,), (30.0,), (1000.0,), (0.0,))
+    return FakeMedia(every, num_frames=40, swin_size=1, segment_frames=10, has_slots=True)
 
 
 def test_a_later_snapshot_fills_no_gap() -> None:
-    holding = SlotHolding(Stills(), 0)
+    holding = SlotHolding(stills(), 0)
     holding.add_snapshots(10, 0, 1)
     assert holding.end_frame == 0
     holding.add_snapshots(0, 0, 1)
@@ -41,7 +30,7 @@ def test_a_later_snapshot_fills_no_gap() -> None:
 
 
 def test_a_forgotten_chain_is_no_gap() -> None:
-    holding = SlotHolding(Stills(), 0)
+    holding = SlotHolding(stills(), 0)
     holding.add_snapshots(0, 0, 1)
     for birth in range(1, 10):
         holding.add(birth, 0, 1)
@@ -65,5 +54,5 @@ class Once:
 
 
 def test_what_takes_no_bytes_comes() -> None:
-    result = simulate(Stills(), Once(), Link([LinkStep(1.0, 1e6, 0.02)]), at_most_s=20)
+    result = simulate(stills(), Once(), Link([LinkStep(1.0, 1e6, 0.02)]), at_most_s=20)
     assert [arrival.num_bytes for arrival in result.arrivals] == [1000.0, 0.0]

@@ -10,7 +10,7 @@ from codec.slice import Slice
 from player.playout.assembler import open_assembler
 from player.playout.timeline import PlayedMedia
 from player.source.locate import open_source
-from player.source.source import Packets, SlicePackets, Source
+from player.source.source import Packets, Source
 from server.abr.slotholding import open_holding
 
 
@@ -33,20 +33,13 @@ def assembled(source: Source) -> Iterator[Assembled]:
     waiting: list[Packets] = []
     for one in source.packets():
         waiting.append(one)
-        if isinstance(one, SlicePackets):
-            here.add(one.birth, one.first_layer, one.end_layer)
-        else:
-            here.add_snapshots(one.frame, one.first_layer, one.end_layer)
+        one.add_to(here)
         while frame < here.end_frame:
-            used = [p for p in waiting if birth_of(p) <= frame]
-            waiting = [p for p in waiting if birth_of(p) > frame]
+            used = [p for p in waiting if p.first_frame <= frame]
+            waiting = [p for p in waiting if p.first_frame > frame]
             slices = assembler.take(frame, used)
             yield Assembled(frame, slices, here.layers(frame), sum(p.wire_bytes for p in used))
             frame += 1
-
-
-def birth_of(packets: Packets) -> int:
-    return packets.birth if isinstance(packets, SlicePackets) else packets.frame
 
 
 def read_all(

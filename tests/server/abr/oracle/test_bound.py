@@ -15,7 +15,6 @@ from server.abr.media import SegmentSizes
 from server.abr.oracle.baseonly import base_only
 from server.abr.oracle.bound import TOLERANCE_DB, bound
 from server.abr.oracle.feasible import open_play
-from server.abr.oracle.groups import group_frames
 from server.abr.oracle.relaxation import Relaxation
 from server.abr.outlook import Policy
 from server.abr.playout import PlayoutConfig
@@ -56,7 +55,7 @@ def test_no_play_beats_it(seed: int, has_slots: bool, group_s: float) -> None:
             policies.append(SliceSweep())
         # One that knows the link, and what the programme would do with it.
         play = open_play(media, link, rules[0], *span)
-        relaxation = Relaxation(play, rules[1], group_frames(play, rules[1], group_s))
+        relaxation = Relaxation(play, rules[1], group_s)
         for over_s in (0.003, 0.5):
             shares = relaxation.solve(relaxation.least_s + over_s).shares
             policies.append(Diffused(relaxation.grouping.groups, shares.tolist()))

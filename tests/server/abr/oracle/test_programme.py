@@ -51,7 +51,7 @@ def plan_quality_db(
             num_bytes = send_bytes(media, send)
             free_s = link.passed_s(free_s, num_bytes)  # type: ignore[arg-type, unused-ignore]
             time_s = free_s + link.steps[0].latency_s
-            arrivals.append(Arrival(time_s, free_s, num_bytes, send))
+            arrivals.append(Arrival(time_s, num_bytes, send))
         if number + 1 == play.start_frames:
             shown_s = [time_s + n / media.fps for n in range(number + 1)]
         elif number >= play.start_frames:
