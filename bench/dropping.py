@@ -27,7 +27,6 @@ import matplotlib.axes
 import matplotlib.backends.backend_agg
 import matplotlib.figure
 import numpy as np
-import numpy.typing as npt
 import tyro
 from PIL import Image, ImageDraw, ImageFont
 from rich import box
@@ -42,7 +41,7 @@ from codec.slots.lattice import Bytes
 from codec.stream import StreamReader
 from trainer.pictures.shot import Shot
 from trainer.score.dropped import Drop, contributions, lives_of, opacities, places, write_kept
-from trainer.score.picture import captured, displayed
+from trainer.score.picture import Floats, captured, displayed
 from trainer.score.traffic import traffic
 from trainer.score.truth import HeldOut, open_held_out
 from trainer.step.loss import psnr_db
@@ -53,7 +52,7 @@ BY_OPACITY, BY_CONTRIBUTION, LAYERS = "by opacity", "by contribution", "layers"
 STYLES = {
     BY_OPACITY: ("#d9480f", "--s", "tail-dropped by opacity"),
     BY_CONTRIBUTION: ("#1f5fbf", "-.^", "tail-dropped by contribution"),
-    LAYERS: ("#2b8a3e", "-o", "the stream's layers, trained to be dropped"),
+    LAYERS: ("#2b8a3e", "-o", "the stream's own layers"),
 }
 """Of each: colour, line and marker, and what a legend says."""
 SHEET_PX, CAPTION_PX, GAP_PX = 1600, 20, 4
@@ -124,25 +123,51 @@ def training_views(held_out: HeldOut) -> list[View]:
 
 
 @dataclass(slots=True)
-class Candidate:
+class Source:
     """A stream at a number of layers, to be scored."""
 
-    chosen: str
-    name: str
-    share: float
     reader: StreamReader
     layers: int
     psnr_db: list[list[float]] = field(default_factory=list)
     """For each scored frame, of each camera."""
 
-    def shown(self, frame: int, camera: Camera) -> npt.NDArray[np.float32]:
+    def score(self, held_out: HeldOut, frame: int, truths: Sequence[Floats]) -> None:
+        """Adds the scores of `frame`; truths: what the cameras saw."""
         splats = self.reader.active_splats(frame, self.layers)
-        return displayed(splats, camera, self.reader.manifest.near_m)
+        near_m, shots = self.reader.manifest.near_m, held_out.shots(frame)
+        shown = [displayed(splats, camera, near_m) for camera in held_out.cameras]
+        triples = zip(shown, truths, shots, strict=True)
+        self.psnr_db.append([psnr_db(x, truth, shot.mask) for x, truth, shot in triples])
 
     @property
     def bytes_per_frame(self) -> float:
         fetched = traffic(self.reader)[self.layers - 1].object_bytes
         return (fetched + self.reader.overhead_bytes) / self.reader.num_frames
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """What an Outcome is made of."""
+
+    chosen: str
+    name: str
+    share: float
+    source: Source
+
+    def outcome(self, frame: int, camera: Camera, shot: Shot) -> Outcome:
+        """Once it is scored. frame, camera, shot: what is on the contact sheet."""
+        source = self.source
+        splats = source.reader.active_splats(frame, source.layers)
+        shown = displayed(splats, camera, source.reader.manifest.near_m)
+        return Outcome(
+            self.chosen,
+            self.name,
+            self.share,
+            source.bytes_per_frame,
+            float(np.mean(source.psnr_db)),
+            np.rint(255 * shown).astype(np.uint8),
+            psnr_db(shown, captured(shot.picture), shot.mask),
+        )
 
 
 def candidates(held_out: HeldOut, config: DroppingConfig, folder: Path) -> list[Candidate]:
@@ -161,14 +186,16 @@ def candidates(held_out: HeldOut, config: DroppingConfig, folder: Path) -> list[
     drops = {(how, share): Drop(share, ranks[how]) for how, share in chosen if share < 1}
     log.print(f"writing {len(drops)} streams of what is kept", highlight=False)
     paths = dict(zip(drops, write_kept(reader, lives, list(drops.values()), folder), strict=True))
+    sources = [Source(reader, layers) for layers in range(1, manifest.num_layers + 1)]
     found = []
     for how, share in chosen:
-        kept = StreamReader(paths[how, share]) if share < 1 else reader
-        found.append(Candidate(how, f"{share:.0%}", share, kept, manifest.num_layers))
-    for layers in range(manifest.num_layers, 0, -1):
-        share = sum(manifest.layers[:layers])
-        name = f"{layers} layer{'s' * (layers > 1)}"
-        found.append(Candidate(LAYERS, name, share, reader, layers))
+        source = sources[-1]
+        if share < 1:
+            source = Source(StreamReader(paths[how, share]), manifest.num_layers)
+        found.append(Candidate(how, f"{share:.0%}", share, source))
+    for source in reversed(sources):
+        name = f"{source.layers} layer{'s' * (source.layers > 1)}"
+        found.append(Candidate(LAYERS, name, sum(manifest.layers[: source.layers]), source))
     return found
 
 
@@ -199,43 +226,23 @@ def measure(config: DroppingConfig) -> Comparison:
         found = candidates(held_out, config, Path(folder))
         text = f"scoring {len(scored)} frames, {len(held_out.cameras)} held-out cameras"
         Console(stderr=True).print(text, highlight=False)
+        # What keeps all is there for each way to choose, and scored once.
+        sources = {id(candidate.source): candidate.source for candidate in found}
         for number in scored:
-            score(found, held_out, number)
+            truths = [captured(shot.picture) for shot in held_out.shots(number)]
+            for source in sources.values():
+                source.score(held_out, number, truths)
         camera, shot = held_out.cameras[which], held_out.shot(which, frame)
         title = (
             f"{config.capture.resolve().name}: {manifest.num_gs:,} Gaussians, swin_size "
             f"{manifest.swin_size}; {len(scored)} of {held_out.reader.num_frames} frames scored"
         )
         return Comparison(
-            [outcome_of(candidate, frame, camera, shot) for candidate in found],
+            [candidate.outcome(frame, camera, shot) for candidate in found],
             np.array(shot.picture),
             f"camera {camera.name}, frame {frame}",
             title,
         )
-
-
-def score(found: Sequence[Candidate], held_out: HeldOut, frame: int) -> None:
-    """Adds the scores of `frame`."""
-    shots = held_out.shots(frame)
-    truths = [captured(shot.picture) for shot in shots]
-    for candidate in found:
-        shown = [candidate.shown(frame, camera) for camera in held_out.cameras]
-        triples = zip(shown, truths, shots, strict=True)
-        candidate.psnr_db.append([psnr_db(x, truth, shot.mask) for x, truth, shot in triples])
-
-
-def outcome_of(candidate: Candidate, frame: int, camera: Camera, shot: Shot) -> Outcome:
-    """Of a scored candidate. frame, camera, shot: what is on the contact sheet."""
-    shown = candidate.shown(frame, camera)
-    return Outcome(
-        candidate.chosen,
-        candidate.name,
-        candidate.share,
-        candidate.bytes_per_frame,
-        float(np.mean(candidate.psnr_db)),
-        np.rint(255 * shown).astype(np.uint8),
-        psnr_db(shown, captured(shot.picture), shot.mask),
-    )
 
 
 def at_same_bytes(line: Sequence[Outcome], num_bytes: float) -> float | None:

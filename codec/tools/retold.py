@@ -36,7 +36,9 @@ def told_slots(reader: StreamReader) -> Iterator[tuple[int, SlotDecoder, Bytes]]
 
 
 def told_update(decoder: SlotDecoder, birth: int, statuses: Bytes) -> Update:
-    """What a writer was told of the slice that `decoder`, which holds all layers, applied last."""
+    """An update that says `statuses` of the slots in the lane of `birth`, with what `decoder`,
+    which has all layers, holds there now. With the statuses of `told_slots` it is what the writer
+    was told."""
     layout = decoder.layout
     states, starts, escaped, escapes = [], [], [], []
     for layer, slots in enumerate(decoder.lanes[layout.lane(birth)]):

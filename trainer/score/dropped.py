@@ -126,7 +126,7 @@ def write_kept(
     reader: StreamReader, lives: Mapping[int, Ints], drops: Sequence[Drop], folder: Path
 ) -> list[Path]:
     """Writes for each of `drops` what it keeps as a stream like that of `reader`, in a folder of
-    its own in `folder`; gives these."""
+    its own below `folder`; gives the folders."""
     manifest = reader.manifest
     paths = [folder / str(number) for number in range(len(drops))]
     with contextlib.ExitStack() as stack:
