@@ -255,11 +255,17 @@ def at_same_bytes(line: Sequence[Outcome], num_bytes: float) -> float | None:
 
 
 def table_of(found: Comparison) -> Table:
-    """A row for each outcome; layers are also compared with dropping as many bytes."""
+    """A row for each outcome. Of layers also the gain over what is dropped by opacity, or by
+    contribution, to as many bytes."""
     table = Table(box=box.MARKDOWN)
     table.add_column("kept")
     against = (BY_OPACITY, BY_CONTRIBUTION)
-    for name in ("Gaussians", "kB a frame", "PSNR dB", *(f"dB to {how}" for how in against)):
+    for name in (
+        "Gaussians",
+        "kB a frame",
+        "PSNR dB",
+        *(f"dB over {how.removeprefix('by ')}" for how in against),
+    ):
         table.add_column(name, justify="right")
     for outcome in found.outcomes:
         same = [

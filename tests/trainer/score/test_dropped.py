@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from trainer.run.rank import slices_by_contribution
 from trainer.score.dropped import (
     NOBODY,
     Drop,
+    Ints,
     contributions,
     lives_of,
     opacities,
@@ -110,9 +112,9 @@ def test_what_comes_back_is_new_and_what_goes_is_ended() -> None:
     assert (told == expected)[possible].all()
 
 
-def shown(reader: StreamReader, frame: int, drop: Drop) -> Splats:
+def shown(reader: StreamReader, lives: Mapping[int, Ints], frame: int, drop: Drop) -> Splats:
     """What is kept of the Gaussians that show at `frame`."""
-    manifest, lives, parts = reader.manifest, lives_of(reader), []
+    manifest, parts = reader.manifest, []
     for part in reader.window(frame, manifest.num_layers):
         rows = part.active(frame, manifest.swin_size) & drop.kept(lives[part.birth])
         parts.append(part.splats.take(np.flatnonzero(rows)))
@@ -141,10 +143,10 @@ def test_the_files_show_what_is_kept_and_nothing_else(
         assert again.num_frames == reader.num_frames
         layers = reader.manifest.num_layers
         for frame in range(FRAMES):
-            assert same_splats(again.active_splats(frame, layers), shown(reader, frame, drop))
+            found = again.active_splats(frame, layers)
+            assert same_splats(found, shown(reader, lives, frame, drop))
             if drop.share == 1:
-                whole = reader.active_splats(frame, layers)
-                assert same_splats(again.active_splats(frame, layers), whole)
+                assert same_splats(found, reader.active_splats(frame, layers))
 
 
 def test_all_of_a_stream_with_slots_is_written_byte_for_byte(tmp_path: Path) -> None:
