@@ -31,15 +31,12 @@ from bench.ablate import Outcomes, Setting, TrialsConfig, mean, measure, spread
 from codec.console import run_command
 from codec.errors import InvalidError
 from codec.profiles.profile import Profile
-from codec.slots.lattice import Bytes, States
-from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.slotencoder import SlotEncoder
-from codec.slots.slotstate import ESCAPED
-from codec.slots.update import NEW, PREDICTED, Update
-from codec.splats import Splats
+from codec.slots.update import NEW, PREDICTED
 from codec.stream import StreamReader
 from codec.stream.manifest import MASKS
 from codec.stream.object import encode_packet
+from codec.tools.retold import told_update
 from trainer.fit.config import FitConfig
 
 COLOURS = ("#1f5fbf", "#d9480f", "#2b8a3e", "#862e9c", "#0b7285", "#a61e4d", "#5c940d", "#b8860b")
@@ -135,29 +132,6 @@ def recoded(reader: StreamReader, predicts: bool = False) -> Iterator[list[bytes
         encoded = encoder.encode(update)
         assert encoded is not None  # nothing is born before frame 0 here
         yield [encode_packet(chunk) for chunk in (encoded.mask, *encoded.changes)]
-
-
-def told_update(decoder: SlotDecoder, birth: int, statuses: Bytes) -> Update:
-    """What a writer was told of the slice that `decoder`, which holds all layers, applied last."""
-    layout = decoder.layout
-    states, starts, escaped, escapes = [], [], [], []
-    for layer, slots in enumerate(decoder.lanes[layout.lane(birth)]):
-        part = statuses[layout.row_edges[layer] : layout.row_edges[layer + 1]]
-        sent = np.flatnonzero(part >= PREDICTED)
-        states.append(slots.states.take(sent))
-        starts.append(slots.starts[sent])
-        escaped.append(slots.conditions[sent] == ESCAPED)
-        order = np.argsort(slots.escape_rows, kind="stable")
-        order = order[np.isin(slots.escape_rows[order], sent)]
-        escapes.append(slots.escapes.take(order))
-    return Update(
-        birth,
-        statuses,
-        States.concatenate(states),
-        np.concatenate(starts),
-        np.concatenate(escaped),
-        Splats.concatenate(escapes),
-    )
 
 
 def examine(reader: StreamReader) -> dict[str, float]:

@@ -1,0 +1,153 @@
+"""What is left of a stream when the Gaussians that rank lowest are dropped, as a stream of its own.
+
+Of every slice the same share is kept. A Gaussian's rank holds for its life, so that it does not
+come and go: in version 2 a life goes on until its slot is ended or new, and what a Gaussian is
+worth is the mean over the slices that it is in.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from codec.slice import Slice, active_splats
+from codec.slots.lattice import Bytes, Flags
+from codec.slots.update import ENDED, KEPT, NEW
+from codec.stream import StreamReader, StreamWriter
+from codec.stream.layers import Rank
+from codec.tools.retold import told_slots, told_update
+from trainer.step.contribution import summed_contribution
+from trainer.step.raster import Parameters, View
+
+Ints = npt.NDArray[np.int64]
+Doubles = npt.NDArray[np.float64]
+
+NOBODY = -1
+"""In place of a life where a slot is empty."""
+
+
+def lives_of(reader: StreamReader) -> dict[int, Ints]:
+    """By birth (N,): the number of the life of each Gaussian of the whole slice; NOBODY in an empty
+    slot."""
+    manifest, lives, count = reader.manifest, dict[int, Ints](), 0
+    if not manifest.has_slots:
+        for part in reader.slices(manifest.first_birth, manifest.num_layers):
+            lives[part.birth] = np.arange(count, count + len(part.splats))
+            count += len(part.splats)
+        return lives
+    nobody = np.full(manifest.slice_size, NOBODY, np.int64)
+    for birth, _, statuses in told_slots(reader):
+        of_lane = lives.get(birth - manifest.swin_size, nobody).copy()
+        of_lane[statuses == ENDED] = NOBODY
+        new = np.flatnonzero(statuses == NEW)
+        of_lane[new] = np.arange(count, count + len(new))
+        count += len(new)
+        lives[birth] = of_lane
+    return lives
+
+
+def slices_lived(lives: Mapping[int, Ints]) -> Ints:
+    """(L,) in how many slices each life is."""
+    everyone = np.concatenate([of_slice[of_slice != NOBODY] for of_slice in lives.values()])
+    return np.bincount(everyone)
+
+
+def opacities(reader: StreamReader, lives: Mapping[int, Ints]) -> Doubles:
+    """(L,) the opacity of each life, the mean over its slices."""
+    counts = slices_lived(lives)
+    sums = np.zeros(len(counts))
+    for birth, of_slice in lives.items():
+        logits = reader.slice(birth, reader.manifest.num_layers).splats.logit_opacities
+        here = of_slice != NOBODY
+        sums[of_slice[here]] += 1 / (1 + np.exp(-logits[here].astype(np.float64)))
+    mean: Doubles = sums / counts
+    return mean
+
+
+def contributions(
+    reader: StreamReader, lives: Mapping[int, Ints], views: Sequence[View], each: int
+) -> Doubles:
+    """(L,) what each life contributes to pictures of `views`, `each` of them for every frame in
+    turn: the sum over the frames in which it shows, over its slices."""
+    manifest, counts = reader.manifest, slices_lived(lives)
+    sums = np.zeros(len(counts))
+    for frame in range(reader.num_frames):
+        window = reader.window(frame, manifest.num_layers)
+        splats = active_splats(window, frame, manifest.swin_size)
+        shown = [lives[part.birth][part.active(frame, manifest.swin_size)] for part in window]
+        turn = [views[(frame + n * len(views) // each) % len(views)] for n in range(each)]
+        rows = np.arange(len(splats), dtype=np.int32)
+        values = Parameters(*splats.arrays)
+        sums[np.concatenate(shown)] += summed_contribution(values, rows, turn, [None] * each)
+    mean: Doubles = sums / counts
+    return mean
+
+
+def places(importances: Doubles) -> Ints:
+    """(L,) the place of each life, the most important first; equal ones are drawn, so that the
+    order in the files, which the trainer chose, does not help."""
+    drawn = np.random.default_rng(0).permutation(len(importances))
+    found = np.empty(len(importances), np.int64)
+    found[np.lexsort((drawn, -importances))] = np.arange(len(importances))
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class Drop:
+    """Which Gaussians are kept."""
+
+    share: float
+    """Of those of a slice."""
+    places: Ints = field(repr=False)
+    """(L,) of each life, see `places`."""
+
+    def kept(self, of_slice: Ints) -> Flags:
+        """(N,) which Gaussians of a slice are kept, given its lives."""
+        held = np.flatnonzero(of_slice != NOBODY)
+        most_first = held[np.argsort(self.places[of_slice[held]])]
+        kept = np.zeros(len(of_slice), np.bool_)
+        kept[most_first[: round(self.share * len(held))]] = True
+        return kept
+
+
+def told_of_kept(statuses: Bytes, before: Flags, kept: Flags) -> Bytes:
+    """(S,) what a slice of `statuses` says if of the slots in its lane `before` were sent until
+    now, and from now on `kept` are."""
+    cases = kept & ~before, before & ~kept, kept
+    return np.select(cases, (np.uint8(NEW), np.uint8(ENDED), statuses), np.uint8(KEPT))
+
+
+def write_kept(
+    reader: StreamReader, lives: Mapping[int, Ints], drops: Sequence[Drop], folder: Path
+) -> list[Path]:
+    """Writes for each of `drops` what it keeps as a stream like that of `reader`, in a folder of
+    its own below `folder`; gives the folders."""
+    manifest = reader.manifest
+    paths = [folder / str(number) for number in range(len(drops))]
+    with contextlib.ExitStack() as stack:
+        writers = [
+            stack.enter_context(StreamWriter.create(path, manifest, Rank.GIVEN)) for path in paths
+        ]
+        if not manifest.has_slots:
+            for part in reader.slices(manifest.first_birth, manifest.num_layers):
+                for drop, writer in zip(drops, writers, strict=True):
+                    rows = np.flatnonzero(drop.kept(lives[part.birth]))
+                    splats, offsets = part.splats.take(rows), part.start_offsets[rows]
+                    writer.append(Slice(part.birth, splats, offsets))
+            return paths
+        # By drop and lane.
+        sent = np.zeros((len(drops), manifest.swin_size, manifest.slice_size), np.bool_)
+        for birth, decoder, statuses in told_slots(reader):
+            for before, drop, writer in zip(
+                sent[:, birth % manifest.swin_size], drops, writers, strict=True
+            ):
+                kept = drop.kept(lives[birth])
+                told = told_of_kept(statuses, before, kept)
+                writer.append(told_update(decoder, birth, told))
+                before[:] = kept
+    return paths
