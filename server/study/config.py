@@ -48,7 +48,11 @@ def parse_bitrate(text: str) -> float:
 
 
 POLICY_NAMES = option("all|A,B,...", parse_policies, ",".join)
-BITRATE = option("RATE", parse_bitrate, lambda rate_bps: f"{rate_bps / 1e6:g}M")
+BITRATE = option(
+    "RATE",
+    parse_bitrate,
+    lambda rate_bps: "as it is" if rate_bps is None else f"{rate_bps / 1e6:g}M",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +80,7 @@ class StudyConfig:
     length_s: Annotated[float, tyro.conf.arg(name="length")] = 60.0
     """Seconds of each play; a shorter stream is repeated."""
     as_bitrate: Annotated[float | None, BITRATE] = None
-    """What the stream shall need with all layers, its sizes scaled, such as 36M; else as it is."""
+    """What the stream shall need with all layers, its sizes scaled, such as 36M."""
     timeline: Annotated[str, tyro.conf.arg(metavar="TRACE@LOAD")] = ""
     """The case that is drawn over time; else one in the middle."""
     seed: int = 0

@@ -160,6 +160,7 @@ def test_mistakes_are_told_and_nothing_is_written(
         (tmp_path / folder).mkdir()
         if folder != "empty":
             (tmp_path / folder / "notes.txt").write_text("not a trace")
+    monkeypatch.setenv("COLUMNS", "200")
     given = [argument.replace("{tmp}", str(tmp_path)) for argument in arguments]
     if "--out" not in given:
         given += ["--out", str(tmp_path / "out")]
