@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 
 from .plays import Oracle, Outcome, Play
 from .summary import OWN, LoadSummary
-from .timeline import Points, TimeLine
+from .timecourse import Points, TimeLine
 
 COLOURS = ("#7a5195", "#2a78b5", "#4aa8a0", "#c98a1b", "#8a8a8a", "#9c4f8a", "#5b7f34")
 """Of the policies but ours, in their order; then from the first again, dashed."""

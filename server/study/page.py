@@ -11,7 +11,7 @@ from .plays import Outcome, Rules
 from .summary import OWN, LoadSummary
 from .svgtext import to_svg
 from .tables import HEAD, ORACLE, rows
-from .timeline import TimeLine
+from .timecourse import TimeLine
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #222; background: #fff;

@@ -20,7 +20,7 @@ from .page import make_page
 from .plays import Outcome, Rules, run_case
 from .reportfolder import check_absent, plays_csv, summary_json, write_folder
 from .summary import OWN, LoadSummary, summarise
-from .timeline import follow, telling_outcome, telling_policies
+from .timecourse import follow, telling_outcome, telling_policies
 from .tracefolder import Trace, generated_traces, read_traces
 
 

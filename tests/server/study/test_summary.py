@@ -11,7 +11,7 @@ from server.study.bootstrap import mean_interval
 from server.study.plays import Oracle, Outcome, Play
 from server.study.summary import normalised_mean, summarise
 from server.study.tables import HEAD, SHORT, rows
-from server.study.timeline import telling_outcome, telling_policies
+from server.study.timecourse import telling_outcome, telling_policies
 
 
 def play(policy: str, quality_db: float, came_bytes: float = 100.0, wasted: float = 0.0) -> Play:
