@@ -52,13 +52,18 @@ def _plain(axes: Axes) -> None:
         axes.spines[side].set_visible(False)
 
 
-_Of = tuple[str, Callable[[Play], float], Callable[[Oracle], float]]
-_DRAWN: tuple[_Of, ...] = (
-    ("QoE (dB)", lambda play: play.quality_db, lambda oracle: oracle.quality_db),
-    ("mean PSNR (dB)", lambda play: play.psnr_db, lambda oracle: oracle.psnr_db),
+_Drawn = tuple[str, Callable[[Play, Oracle], float], Callable[[Oracle], float]]
+_DRAWN: tuple[_Drawn, ...] = (
+    ("QoE (dB)", lambda play, _: play.quality_db, lambda oracle: oracle.quality_db),
+    (
+        "QoE less the oracle's (dB)",
+        lambda play, oracle: play.quality_db - oracle.quality_db,
+        lambda _: 0.0,
+    ),
+    ("mean PSNR (dB)", lambda play, _: play.psnr_db, lambda oracle: oracle.psnr_db),
     (
         "rebuffering (% of the time shown)",
-        lambda play: 100 * play.rebuffering,
+        lambda play, _: 100 * play.rebuffering,
         lambda oracle: 100 * oracle.rebuffering,
     ),
 )
@@ -66,19 +71,19 @@ _DRAWN: tuple[_Of, ...] = (
 
 def draw_distributions(outcomes: Sequence[Outcome]) -> matplotlib.figure.Figure:
     """QoE, PSNR and rebuffering of the plays of each policy as distribution functions, one column
-    for each load."""
+    for each load. Links differ more than policies do, so QoE is also drawn beside the oracle's."""
     loads = list(dict.fromkeys(outcome.load for outcome in outcomes))
     policies = [play.policy for play in outcomes[0].plays]
-    figure = _figure(1.2 + 3.6 * len(loads), 9.2)
+    figure = _figure(1.2 + 3.6 * len(loads), 0.8 + 2.8 * len(_DRAWN))
     panels = figure.subplots(len(_DRAWN), len(loads), squeeze=False)
     for row, (label, of_play, of_oracle) in zip(panels, _DRAWN, strict=True):
         for axes, load in zip(row, loads, strict=True):
             cases = [outcome for outcome in outcomes if outcome.load == load]
-            best = [of_oracle(outcome.oracle) for outcome in cases]
+            best = [of_oracle(one.oracle) for one in cases]
             _distribution(axes, best, label="oracle", color=ORACLE_COLOUR, linestyle=":")
             values = list(best)
             for number, policy in enumerate(policies):
-                of_policy = [of_play(outcome.plays[number]) for outcome in cases]
+                of_policy = [of_play(one.plays[number], one.oracle) for one in cases]
                 _distribution(axes, of_policy, label=policy, **policy_style(policy, policies))
                 values += of_policy
             _limit(axes, sorted(values), is_share=label.startswith("rebuffering"))

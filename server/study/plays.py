@@ -120,7 +120,7 @@ def judge(media: LoopedMedia, case: Case, rules: Rules) -> Oracle:
         quality_db=round(best.quality_db, _DB_DIGITS),
         psnr_db=round(best.psnr_db, _DB_DIGITS),
         base_db=round(base.quality_db, _DB_DIGITS),
-        rebuffering=round(base.stalled_s / media.length_s, _DIGITS),
+        rebuffering=round(max(0.0, base.stalled_s) / media.length_s, _DIGITS),
         startup_s=round(base.startup_s, _DIGITS),
     )
 

@@ -41,7 +41,7 @@ def write_folder(folder: Path, files: Mapping[str, str]) -> None:
     try:
         temporary.mkdir()
         for name, text in files.items():
-            write_atomic(temporary / name, text.encode())
+            write_atomic(temporary / name, text.encode(errors="replace"))
         temporary.rename(folder)
     except BaseException:
         shutil.rmtree(temporary, ignore_errors=True)

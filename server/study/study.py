@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import math
 import multiprocessing
 import os
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict
 from functools import partial
 from typing import Any
 
-from codec.errors import InvalidError
+from codec.errors import InvalidError, SwingsError
 
 from .cases import Case, make_cases
 from .config import StudyConfig
@@ -95,9 +96,13 @@ def _outcomes(
         return
     # A forked process would inherit whatever threads the libraries have started.
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, context) as pool:
+    # Ctrl-C is for the parent alone, which then ends them.
+    quiet = (signal.SIGINT, signal.SIG_IGN)
+    with ProcessPoolExecutor(jobs, context, signal.signal, quiet) as pool:
         try:
             yield from pool.map(play, cases)
+        except BrokenProcessPool as error:
+            raise SwingsError("a process that played was killed; ask for fewer --jobs") from error
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
@@ -140,5 +145,6 @@ def _facts(
         "traces": list(dict.fromkeys(names)),
         "session": asdict(rules.session),
         "qoe": asdict(rules.qoe),
-        "generator": asdict(config.generator) if config.generate else math.nan,
+        "latency_s": config.latency_s,
+        "generator": asdict(config.generator) if config.generate else None,
     }

@@ -74,6 +74,8 @@ def _file_names(folder: Path) -> Iterator[str]:
         name = path.relative_to(folder)
         hidden = any(part.startswith(".") for part in name.parts)
         if path.is_file() and not hidden and path.suffix not in NOT_TRACES:
+            if not str(name).isprintable():
+                raise InvalidError(f"{str(path)!a}: a report cannot print this name; rename it")
             yield name.as_posix()
 
 

@@ -78,6 +78,9 @@ def test_a_folder_without_traces_is_refused(tmp_path: Path) -> None:
     (tmp_path / "wrong").write_text("quite")
     with pytest.raises(InvalidError, match="wrong"):
         read_traces(tmp_path, "all", 0, 0.0)
+    (tmp_path / "a\nb").write_text("0\n10\n")
+    with pytest.raises(InvalidError, match="rename it"):
+        read_traces(tmp_path, "all", 0, 0.0)
 
 
 def test_made_up_traces_are_those_of_their_seeds() -> None:
