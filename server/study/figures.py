@@ -8,6 +8,7 @@ from typing import Any
 import matplotlib.backends.backend_agg
 import matplotlib.figure
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
 from .plays import Oracle, Outcome, Play
 from .summary import OWN, LoadSummary
@@ -88,6 +89,7 @@ def draw_distributions(outcomes: Sequence[Outcome]) -> matplotlib.figure.Figure:
                 values += of_policy
             _limit(axes, sorted(values), is_share=label.startswith("rebuffering"))
             axes.set_xlabel(label)
+            axes.xaxis.set_major_locator(MaxNLocator(6))
             axes.set_ylim(0, 1.02)
             _plain(axes)
         row[0].set_ylabel("share of plays, up to here")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -15,10 +17,14 @@ from server.abr.simulate.waste import measure_traffic
 from tests.support.delivery.media import FakeMedia, demo_media, slot_media
 
 CONFIG = SessionConfig()
+ANY = simulate(demo_media(1), fixed_policy(1), Link([LinkStep(1, 1e7, 0.0)]), CONFIG).arrivals[0]
 
 
 def came(media: FakeMedia, *sends: tuple[float, Send]) -> list[Arrival]:
-    return [Arrival(time_s, 0.0, send_bytes(media, send), send) for time_s, send in sends]
+    return [
+        replace(ANY, time_s=time_s, num_bytes=send_bytes(media, send), what=send)
+        for time_s, send in sends
+    ]
 
 
 def shown_at_once(media: FakeMedia, count: int) -> list[Shown]:
