@@ -1,6 +1,6 @@
 """How many times faster than real time plays are simulated, by policy and version of the format.
 
-Usage: scripts/bench abr [--length 60] [--repeats 3]
+Usage: scripts/bench abr [--length-s 60] [--repeats 3]
 
 CPU time of one process. `play` is the session, the policy and the link; `scored` also shows the
 frames and counts what was wasted; the oracle's bound is measured apart.
@@ -42,7 +42,7 @@ SLOTS = SegmentSizes(
 class AbrBenchConfig:
     """What to simulate."""
 
-    length: float = 60.0
+    length_s: float = 60.0
     """Seconds of each play."""
     repeats: int = 3
     """The least time of so many counts."""
@@ -70,7 +70,7 @@ def play_only(media: LoopedMedia, case: Case, policy: str, rules: Rules) -> None
 
 
 def add_rows(table: Table, config: AbrBenchConfig, name: str, sizes: SegmentSizes) -> None:
-    media, rules = make_media(sizes, config.length), Rules()
+    media, rules = make_media(sizes, config.length_s), Rules()
     link = generate(GeneratorConfig(outages_per_minute=1.0), seed=1)
     case = at_load(Trace("made up", link), config.load, media)
     oracle = judge(media, case, rules)
@@ -79,10 +79,10 @@ def add_rows(table: Table, config: AbrBenchConfig, name: str, sizes: SegmentSize
             partial(play_only, media, case, policy, rules),
             partial(score_play, media, case, policy, oracle, rules),
         )
-        times = (f"{config.length / least_s(config, play):.0f}" for play in plays)
+        times = (f"{config.length_s / least_s(config, play):.0f}" for play in plays)
         table.add_row(name, policy, *times)
     bound_s = least_s(config, partial(judge, media, case, rules))
-    table.add_row(name, "oracle", "", f"{config.length / bound_s:.0f}")
+    table.add_row(name, "oracle", "", f"{config.length_s / bound_s:.0f}")
 
 
 def run(config: AbrBenchConfig) -> None:

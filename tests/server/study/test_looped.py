@@ -10,6 +10,7 @@ from codec.errors import InvalidError
 from codec.stream import StreamReader, StreamWriter
 from server.abr.media import segment_sizes
 from server.study.looped import LoopedMedia, open_media
+from tests.support.delivery.media import slot_media
 from tests.support.tiny_stream import tiny_manifest, tiny_slice, write_tiny
 
 FRAMES, FPS, SEGMENT = 14, 25.0, 4
@@ -66,8 +67,6 @@ def test_a_bitrate_scales_all_sizes_alike(stream: Path) -> None:
 
 
 def test_snapshots_scale_too() -> None:
-    from tests.support.delivery.media import slot_media
-
     sizes = slot_media().every
     media = LoopedMedia((sizes,), 30, 30.0, 1, 30, has_slots=True)
     doubled = media.with_bitrate(2 * media.need_bps).sizes(0)
