@@ -18,6 +18,7 @@ ENTRY = {
     "swings-stream": "codec.__main__:main",
     "swings-serve": "server.__main__:main",
     "swings-play": "player.__main__:main",
+    "swings-abr": "server.study.__main__:main",
 }
 
 

@@ -1,0 +1,1 @@
+"""swings-abr: policies compared over throughput traces, in virtual time."""

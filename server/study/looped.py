@@ -1,0 +1,90 @@
+"""A stream as long as it takes: what its index says of each segment, over and over.
+
+Rule: only the manifest and the index are read.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from statistics import fmean
+
+from codec.errors import InvalidError
+from codec.stream.reader import StreamReader
+from server.abr.media import SegmentSizes, segment_sizes
+
+
+@dataclass(frozen=True, slots=True)
+class LoopedMedia:
+    """`num_frames` frames of a stream of which the first segment follows the last one.
+
+    Nothing is joined anew there: the slices go on as if a longer stream had been trained.
+    """
+
+    segments: tuple[SegmentSizes, ...]
+    """Of the stream, each of segment_frames frames where they are repeated."""
+    num_frames: int
+    fps: float
+    swin_size: int
+    segment_frames: int
+    has_slots: bool
+    knows_psnr: bool = True
+    """Whether the index holds the PSNR; else it is guessed from the sizes."""
+
+    @property
+    def live(self) -> bool:
+        return False
+
+    @property
+    def num_layers(self) -> int:
+        return len(self.segments[0].layer_bytes)
+
+    @property
+    def length_s(self) -> float:
+        return self.num_frames / self.fps
+
+    def sizes(self, birth: int) -> SegmentSizes:
+        return self.segments[max(birth, 0) // self.segment_frames % len(self.segments)]
+
+    @property
+    def need_bps(self) -> float:
+        """What the slices of all frames take with all layers, bits per second; of snapshots, which
+        not all who play are sent, nothing."""
+        slices_bytes = (self.sizes(frame).slice_bytes[-1] for frame in range(self.num_frames))
+        return 8 * self.fps * fmean(slices_bytes)
+
+    def with_bitrate(self, bitrate_bps: float) -> LoopedMedia:
+        """The same with all sizes scaled, so that this is what it needs."""
+        factor = bitrate_bps / self.need_bps
+        segments = (
+            replace(
+                sizes,
+                layer_bytes=tuple(factor * size for size in sizes.layer_bytes),
+                snapshot_bytes=tuple(factor * size for size in sizes.snapshot_bytes),
+            )
+            for sizes in self.segments
+        )
+        return replace(self, segments=tuple(segments))
+
+
+def open_media(stream: Path, length_s: float) -> LoopedMedia:
+    """The first `length_s` seconds of the stream in the folder `stream`, which is repeated where it
+    is shorter; a short last segment is left out then. Raises a SwingsError."""
+    reader = StreamReader(stream)
+    records, manifest = reader.records, reader.manifest
+    if not records:
+        raise InvalidError(f"{stream} has no frames yet; there is nothing to play")
+    num_frames = max(1, round(length_s * manifest.fps))
+    segment_frames = records[0].num_frames
+    if num_frames > reader.num_frames:
+        records = [record for record in records if record.num_frames == segment_frames]
+    return LoopedMedia(
+        segments=tuple(segment_sizes(record, manifest) for record in records),
+        num_frames=num_frames,
+        fps=manifest.fps,
+        swin_size=manifest.swin_size,
+        segment_frames=segment_frames,
+        has_slots=manifest.has_slots,
+        knows_psnr=not any(math.isnan(db) for record in records for db in record.psnr_db),
+    )

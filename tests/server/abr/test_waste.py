@@ -1,0 +1,169 @@
+"""What came for nothing, counted by hand and against plays that waste nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from server.abr.link.link import Link, LinkStep
+from server.abr.outlook import Send, SendSlices, SendSnapshots
+from server.abr.policies.choice import POLICIES, fixed_policy
+from server.abr.session import SessionConfig
+from server.abr.simulate.simulator import Arrival, Shown, play_out, send_bytes, simulate
+from server.abr.simulate.waste import measure_traffic
+from tests.support.delivery.media import FakeMedia, demo_media, slot_media
+
+CONFIG = SessionConfig()
+ANY = simulate(demo_media(1), fixed_policy(1), Link([LinkStep(1, 1e7, 0.0)]), CONFIG).arrivals[0]
+
+
+def came(media: FakeMedia, *sends: tuple[float, Send]) -> list[Arrival]:
+    return [
+        replace(ANY, time_s=time_s, num_bytes=send_bytes(media, send), what=send)
+        for time_s, send in sends
+    ]
+
+
+def shown_at_once(media: FakeMedia, count: int) -> list[Shown]:
+    """Frames 0..count-1, frame n at second n."""
+    return [Shown(n, float(n), float(n), 1.0, 30.0) for n in range(count)]
+
+
+def wasted(media: FakeMedia, count: int, *sends: tuple[float, Send]) -> float:
+    return measure_traffic(media, came(media, *sends), shown_at_once(media, count)).wasted_bytes
+
+
+def slices(births: range, first_layer: int, end_layer: int) -> SendSlices:
+    return SendSlices(births, first_layer, end_layer)
+
+
+@pytest.mark.parametrize(
+    ("time_s", "send", "share"),
+    [
+        (0.0, slices(range(3, 4), 1, 2), 0),  # in time
+        (7.0, slices(range(3, 4), 1, 2), 0),  # with the last frame of the slice, 3 + 5 - 1
+        (7.5, slices(range(3, 4), 1, 2), 1),  # after it
+        (0.0, slices(range(3, 4), 2, 3), 1),  # without layer 1
+        (0.0, slices(range(-4, -3), 1, 2), 0),  # shows in frame 0 alone
+        (0.5, slices(range(-4, -3), 1, 2), 1),
+        (9.5, slices(range(9, 10), 1, 2), 1),  # after the last frame, though the slice goes on
+    ],
+)
+def test_whole_slices_waste_what_is_late_or_stands_on_nothing(
+    time_s: float, send: SendSlices, share: float
+) -> None:
+    media = demo_media()
+    layer_bytes = media.every.layer_bytes
+    base = (0.0, slices(range(-4, 10), 0, 1))
+    expected = share * layer_bytes[send.first_layer]
+    assert wasted(media, 10, base, (time_s, send)) == pytest.approx(expected)
+
+
+def test_what_stands_on_a_late_layer_comes_with_it() -> None:
+    media = demo_media()
+    sizes = media.every.layer_bytes
+    early, late = slices(range(3, 4), 2, 3), slices(range(3, 4), 1, 2)
+    base = (0.0, slices(range(-4, 10), 0, 1))
+    assert wasted(media, 10, base, (0.0, early), (7.0, late)) == pytest.approx(0)
+    lost = wasted(media, 10, base, (0.0, early), (7.5, late))
+    assert lost == pytest.approx(sizes[1] + sizes[2])
+
+
+def test_what_comes_twice_shows_once() -> None:
+    media = demo_media()
+    base = (0.0, slices(range(-4, 10), 0, 1))
+    again = (1.0, slices(range(2, 3), 0, 1))
+    assert wasted(media, 10, base, again) == pytest.approx(media.every.layer_bytes[0])
+
+
+JOIN = (0.0, SendSnapshots(0, 0, 1))
+CHAIN = (0.0, slices(range(1, 10), 0, 1))
+
+
+@pytest.mark.parametrize(
+    ("sends", "changes", "snapshots"),
+    [
+        ([(0.0, SendSnapshots(0, 1, 2)), (0.0, slices(range(1, 10), 1, 2))], 0, 0),
+        ([(0.0, slices(range(1, 10), 1, 2))], 9, 0),  # changes of nothing
+        ([(0.0, SendSnapshots(0, 1, 2)), (0.0, slices(range(2, 10), 1, 2))], 8, 0),  # a gap
+        ([(0.0, SendSnapshots(0, 1, 2)), (9.5, slices(range(1, 10), 1, 2))], 9, 0),  # too late
+        # A snapshot takes the place of a chain of which the end had not come.
+        (
+            [
+                (0.0, SendSnapshots(0, 1, 2)),
+                (0.0, slices(range(1, 3), 1, 2)),
+                (4.5, SendSnapshots(5, 1, 2)),
+                (5.5, slices(range(3, 4), 1, 2)),
+                (5.6, slices(range(6, 10), 1, 2)),
+            ],
+            1,
+            0,
+        ),
+        # A snapshot of what is there already.
+        (
+            [
+                (0.0, SendSnapshots(0, 1, 2)),
+                (0.0, slices(range(1, 10), 1, 2)),
+                (2.0, SendSnapshots(5, 1, 2)),
+            ],
+            0,
+            1,
+        ),
+        # The next snapshot is here early, and the chain grows into it.
+        (
+            [
+                (0.0, SendSnapshots(0, 1, 2)),
+                (0.0, SendSnapshots(5, 1, 2)),
+                (0.0, slices(range(1, 10), 1, 2)),
+            ],
+            0,
+            0,
+        ),
+        # Nothing of a layer shows where the one under it is not there.
+        ([(0.0, SendSnapshots(0, 2, 3)), (0.0, slices(range(1, 10), 2, 3))], 9, 1),
+    ],
+)
+def test_slots_waste_what_no_chain_shows(
+    sends: list[tuple[float, Send]], changes: int, snapshots: int
+) -> None:
+    media = slot_media()
+    layer = 2 if sends[0][1].first_layer == 2 else 1
+    expected = (
+        changes * media.every.layer_bytes[layer] + snapshots * media.every.snapshot_bytes[layer]
+    )
+    assert wasted(media, 10, JOIN, CHAIN, *sends) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    "media", [demo_media(300), slot_media(300)], ids=["version 1", "version 2"]
+)
+@pytest.mark.parametrize("rate", [0.5, 1.0, 3.0])
+def test_who_sends_all_in_order_wastes_nothing(media: FakeMedia, rate: float) -> None:
+    link = Link([LinkStep(60, rate * media.need_bps(4), 0.02)])
+    result = simulate(media, fixed_policy(4), link, CONFIG)
+    shown, _ = play_out(media, result, CONFIG, 0, media.num_frames)
+    traffic = measure_traffic(media, result.arrivals, shown)
+    assert traffic.wasted_bytes == 0
+    assert traffic.came_bytes == pytest.approx(sum(one.num_bytes for one in result.arrivals))
+
+
+@given(
+    policy=st.sampled_from(sorted(POLICIES)),
+    has_slots=st.booleans(),
+    loads=st.lists(st.floats(0.2, 3), min_size=1, max_size=6),
+)
+@settings(max_examples=15, deadline=None)
+def test_waste_is_a_share_of_what_came(policy: str, has_slots: bool, loads: list[float]) -> None:
+    media = (slot_media if has_slots else demo_media)(150)
+    link = Link([LinkStep(1.0, load * media.need_bps(4), 0.02) for load in loads])
+    result = simulate(media, POLICIES[policy](media), link, CONFIG)
+    shown, _ = play_out(media, result, CONFIG, 0, media.num_frames)
+    traffic = measure_traffic(media, result.arrivals, shown)
+    assert 0 <= traffic.wasted_share < 1
+    # Every frame showed, and that took layer 0 of all.
+    least_bytes = media.num_frames * media.every.layer_bytes[0]
+    assert traffic.came_bytes - traffic.wasted_bytes >= 0.99 * least_bytes or has_slots
+    assert measure_traffic(media, result.arrivals, []).wasted_share == 1

@@ -1,0 +1,135 @@
+"""Which traces are played over, and what the link of a case carries."""
+
+from __future__ import annotations
+
+import json
+import random
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from codec.errors import InvalidError
+from server.abr.link.generate import GeneratorConfig, generate
+from server.abr.link.link import Link, LinkStep
+from server.study.cases import LOAD_WINDOW, at_load, make_cases
+from server.study.looped import LoopedMedia
+from server.study.tracefolder import Trace, chosen_names, generated_traces, read_traces
+from tests.support.delivery.media import demo_media
+
+MEDIA = LoopedMedia((demo_media().every,), 300, 30.0, 5, 30, has_slots=False)
+names = st.lists(
+    st.sampled_from(["", "a/", "a/b/", "c/"]).flatmap(
+        lambda folder: st.integers(0, 99).map(lambda number: f"{folder}{number:02d}")
+    ),
+    unique=True,
+    max_size=40,
+)
+
+
+@given(found=names)
+def test_the_halves_share_nothing_and_are_all(found: list[str]) -> None:
+    tune, report = chosen_names(found, "tune", 0), chosen_names(found, "report", 0)
+    assert not set(tune) & set(report)
+    assert sorted(tune + report) == sorted(found)
+    assert sorted(chosen_names(found, "all", 0)) == sorted(found)
+
+
+@given(found=names, order=st.randoms(use_true_random=False))
+def test_which_are_taken_goes_by_their_names_alone(found: list[str], order: random.Random) -> None:
+    shuffled = list(found)
+    order.shuffle(shuffled)
+    for half in ("all", "tune", "report"):
+        assert chosen_names(shuffled, half, 3) == chosen_names(found, half, 3)
+
+
+def test_halves_alternate_in_each_folder() -> None:
+    found = ["b/1", "a/2", "a/1", "a/3", "b/2"]
+    assert chosen_names(found, "tune", 0) == ["a/1", "a/3", "b/1"]
+    assert chosen_names(found, "report", 0) == ["a/2", "b/2"]
+
+
+def test_a_few_of_a_folder_are_spread_over_it() -> None:
+    found = [f"a/{n}" for n in range(9)] + ["b/0"]
+    assert chosen_names(found, "all", 3) == ["a/0", "a/3", "a/6", "b/0"]
+
+
+def test_traces_of_all_kinds_are_found_and_named(tmp_path: Path) -> None:
+    (tmp_path / "lte" / "deep").mkdir(parents=True)
+    steps = [{"duration_ms": 500, "bandwidth_kbps": 2000, "latency_ms": 30}]
+    (tmp_path / "lte" / "deep" / "one.json").write_text(json.dumps(steps))
+    (tmp_path / "lte" / "two").write_text("0\n10\n20\n")
+    (tmp_path / "README.md").write_text("of whom these are")
+    (tmp_path / ".hidden").write_text("?")
+    traces = read_traces(tmp_path, "all", 0, latency_s=0.07)
+    assert [trace.name for trace in traces] == ["lte/two", "lte/deep/one.json"]
+    assert traces[0].link.at(0.0).latency_s == 0.07
+    assert traces[1].link.steps == (LinkStep(0.5, 2e6, 0.03),)
+
+
+def test_a_folder_without_traces_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidError, match="holds no traces"):
+        read_traces(tmp_path, "all", 0, 0.0)
+    with pytest.raises(InvalidError, match="not a folder"):
+        read_traces(tmp_path / "absent", "all", 0, 0.0)
+    (tmp_path / "only").write_text("0\n10\n")
+    with pytest.raises(InvalidError, match="'report'"):
+        read_traces(tmp_path, "report", 0, 0.0)
+    (tmp_path / "wrong").write_text("quite")
+    with pytest.raises(InvalidError, match="wrong"):
+        read_traces(tmp_path, "all", 0, 0.0)
+    (tmp_path / "a\nb").write_text("0\n10\n")
+    with pytest.raises(InvalidError, match="rename it"):
+        read_traces(tmp_path, "all", 0, 0.0)
+
+
+def test_made_up_traces_are_those_of_their_seeds() -> None:
+    config = GeneratorConfig(length_s=20)
+    traces = generated_traces(4, config, 10, "report", 0)
+    assert [trace.name for trace in traces] == ["generated/000011", "generated/000013"]
+    assert [trace.link.steps for trace in traces] == [generate(config, n).steps for n in (11, 13)]
+
+
+def link_of(*steps: tuple[float, float]) -> Link:
+    return Link([LinkStep(duration_s, rate_bps, 0.02) for duration_s, rate_bps in steps])
+
+
+@given(
+    rates=st.lists(st.floats(1e3, 1e8), min_size=1, max_size=8),
+    load=st.floats(0.1, 10),
+)
+def test_a_load_is_the_mean_over_what_is_needed(rates: list[float], load: float) -> None:
+    trace = Trace("t", link_of(*((7.0, rate) for rate in rates)))
+    link = at_load(trace, load, MEDIA).link
+    window_s = min(link.round_s, LOAD_WINDOW * 10)
+    carried_bps = 8 * link.capacity_bytes(0, window_s) / window_s
+    assert carried_bps == pytest.approx(load * MEDIA.need_bps)
+    # Only rates are scaled.
+    ratios = [new.rate_bps / old for new, old in zip(link.steps, rates, strict=True)]
+    assert ratios == pytest.approx([ratios[0]] * len(ratios))
+    assert {(step.duration_s, step.latency_s) for step in link.steps} == {(7.0, 0.02)}
+
+
+def test_what_lies_behind_the_play_does_not_count() -> None:
+    trace = Trace("t", link_of((15, 4e6), (100, 1e9)))
+    assert at_load(trace, 1.0, MEDIA).link.at(0).rate_bps == pytest.approx(MEDIA.need_bps)
+
+
+def test_cases_are_all_traces_at_each_load() -> None:
+    traces = [Trace(name, link_of((9, 1e6))) for name in "ab"]
+    cases = make_cases(traces, [2.0, 0.5], MEDIA)
+    assert [(case.trace, case.load) for case in cases] == [
+        ("a", 2.0),
+        ("b", 2.0),
+        ("a", 0.5),
+        ("b", 0.5),
+    ]
+
+
+def test_a_silent_trace_and_a_load_out_of_reach_are_refused() -> None:
+    silent = Trace("silent.json", link_of((60, 0), (1, 1e6)))
+    with pytest.raises(InvalidError, match=r"silent\.json: nothing passes in its first 15 s"):
+        at_load(silent, 1.0, MEDIA)
+    with pytest.raises(InvalidError, match="a load is 0"):
+        at_load(Trace("t", link_of((9, 1e6))), 0.0, MEDIA)

@@ -1,0 +1,82 @@
+"""One case after another: the plays are the simulator's, and the notes taken of one fit it."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from statistics import fmean
+
+import pytest
+
+from codec.errors import InvalidError
+from server.abr.link.link import Link, LinkStep
+from server.abr.policies.choice import POLICIES
+from server.study.cases import Case, at_load
+from server.study.looped import LoopedMedia
+from server.study.plays import Rules, judge, run_case, run_play
+from server.study.timecourse import follow
+from server.study.tracefolder import Trace
+from tests.support.delivery.media import demo_media, slot_media
+
+SLICES = LoopedMedia((demo_media().every,), 240, 30.0, 5, 30, has_slots=False)
+SLOTS = LoopedMedia((slot_media().every,), 240, 30.0, 1, 30, has_slots=True)
+TRACE = Trace(
+    "uneven", Link([LinkStep(2, 8e6, 0.02), LinkStep(1.5, 0.2e6, 0.04), LinkStep(3, 5e6, 0.02)])
+)
+RULES = Rules()
+
+
+def case_of(media: LoopedMedia, load: float) -> Case:
+    return at_load(TRACE, load, media)
+
+
+@pytest.mark.parametrize("media", [SLICES, SLOTS], ids=["slices", "slots"])
+@pytest.mark.parametrize("load", [0.5, 1.2])
+def test_every_policy_plays_and_none_beats_the_oracle(media: LoopedMedia, load: float) -> None:
+    outcome = run_case(media, case_of(media, load), list(POLICIES), RULES)
+    assert [play.policy for play in outcome.plays] == list(POLICIES)
+    oracle = outcome.oracle
+    assert oracle.base_db <= oracle.quality_db
+    for play in outcome.plays:
+        assert play.quality_db <= oracle.quality_db + 1e-3
+        assert play.normalised <= 1.001
+        assert 1 <= play.layers <= 4
+        assert play.low_psnr_db <= play.psnr_db
+        waited_s = play.startup_s + play.rebuffering * media.length_s
+        assert waited_s >= oracle.startup_s + oracle.rebuffering * media.length_s - 1e-3
+
+
+def test_normalised_qoe_of_a_play_is_between_layer_0_and_the_bound() -> None:
+    case = case_of(SLICES, 1.0)
+    oracle = judge(SLICES, case, RULES)
+    (play,) = run_case(SLICES, case, ["sweep"], RULES).plays
+    room_db = oracle.quality_db - oracle.base_db
+    expected = (play.quality_db - oracle.base_db) / room_db
+    assert play.normalised == pytest.approx(expected, abs=1e-4)
+
+
+@pytest.mark.parametrize("media", [SLICES, SLOTS], ids=["slices", "slots"])
+def test_notes_fit_the_play(media: LoopedMedia) -> None:
+    case = case_of(media, 0.25)
+    line = follow(media, case, "sweep", RULES)
+    _, shown, clock = run_play(media, case, "sweep", RULES)
+    assert clock.started_s is not None
+    assert clock.stalls
+    begin, *stalls = line.stalls_s
+    assert begin == (0.0, clock.started_s)
+    assert len(stalls) == clock.stalls
+    assert sum(until_s - since_s for since_s, until_s in stalls) == pytest.approx(clock.stalled_s)
+    assert fmean(layers for _, layers in line.layers) == fmean(one.layers for one in shown)
+    assert len(line.lead_s) == media.num_frames
+    # A frame that shows is there, and no more is sent ahead than may be.
+    frame_s = 1 / media.fps
+    most_s = RULES.session.max_lead_s + frame_s
+    assert all(frame_s - 1e-9 <= lead_s <= most_s for _, lead_s in line.lead_s)
+    for (time_s, rate_bps), (next_s, _) in pairwise(line.link_bps):
+        assert case.link.at((time_s + next_s) / 2).rate_bps == rate_bps
+    assert all(earlier < later for (earlier, _), (later, _) in pairwise(line.estimate_bps))
+
+
+def test_a_play_that_does_not_end_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("server.study.plays.MOST_S", 4.0)
+    with pytest.raises(InvalidError, match=r"trace uneven at load 0\.5: bola has shown"):
+        run_play(SLICES, case_of(SLICES, 0.5), "bola", RULES)
