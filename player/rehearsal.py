@@ -7,12 +7,10 @@ worth of it after an install, in which the socket is not read and a server sees 
 from __future__ import annotations
 
 import logging
-import sys
-import threading
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 
 import numpy as np
+from rich.console import Console
 
 from codec.camera import Camera
 from codec.errors import CodecError
@@ -32,9 +30,6 @@ from player.source.source import Packets, SlicePackets, SnapshotPackets
 
 log = logging.getLogger(__name__)
 
-PATIENCE_S = 1.0
-"""Seconds after which a person is told what takes so long."""
-
 _SWIN_SIZE, _SLICE_SIZE, _SIZE_PX = 2, 4, 32
 _CAMERA = Camera("front", _SIZE_PX, _SIZE_PX, 30.0, 30.0, 16.0, 16.0, np.eye(4))
 
@@ -45,7 +40,8 @@ def rehearse(kind: RendererKind) -> RendererKind:
     AUTO becomes GL, or CPU where OpenGL cannot start, which is logged. Raises GlError where OpenGL
     is asked for and cannot start.
     """
-    with _told_if_slow():
+    # After an install all of it is compiled.
+    with Console(stderr=True).status("preparing the renderer ..."):
         if kind is RendererKind.CPU:
             return _play(RendererKind.CPU)
         try:
@@ -147,15 +143,3 @@ def _update(birth: int, states: States) -> Update:
     return Update(
         birth, statuses, states.take(coded), nothing, nothing.astype(np.bool_), Splats.empty(1)
     )
-
-
-@contextmanager
-def _told_if_slow() -> Iterator[None]:
-    """Says on stderr what is going on where it takes long: after an install it is compiled."""
-    timer = threading.Timer(PATIENCE_S, lambda: print("preparing the renderer ...", file=sys.stderr))
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import os
@@ -101,10 +102,8 @@ class LinkProcess:
         process, self._closed = self._process, True
         assert process.stdin is not None
         assert process.stdout is not None
-        try:
+        with contextlib.suppress(OSError):  # what was not written yet has nobody to read it
             process.stdin.close()
-        except OSError:  # what was not written yet has nobody to read it
-            pass
         try:
             process.wait(CLOSE_S)
         except subprocess.TimeoutExpired:
