@@ -11,6 +11,7 @@ import matplotlib.backends.backend_agg
 import matplotlib.figure
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
 from codec.files import write_atomic
 
@@ -56,7 +57,9 @@ def draw_report(report: Json) -> matplotlib.figure.Figure:
         axes.spines[["top", "right"]].set_visible(False)
     buffer.set_xlabel("seconds since the stream was asked for")
     buffer.set_xlim(left=0)
-    network.legend(loc="upper right", fontsize=8, ncols=4)
+    network.legend(
+        loc="lower left", bbox_to_anchor=(0, 1), fontsize=9, ncols=4, frameon=False, borderaxespad=0
+    )
     return figure
 
 
@@ -90,6 +93,7 @@ def _draw_layers(axes: Axes, frames: list[Json]) -> None:
         axes.legend(loc="lower right", fontsize=8)
     axes.set_ylabel("layers")
     axes.set_ylim(bottom=0)
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
 
 
 def _draw_buffer(axes: Axes, report: Json) -> None:

@@ -17,6 +17,7 @@ import server.play
 from player.link.linkprocess import LinkProcess
 from player.link.linktext import read_link
 from server.abr.session import Decision, PlaySession
+from tests.player.link.starved import Watch
 from tests.support.running_server import make_stream, quick_config, running
 
 SETTLED_S = 0.4
@@ -88,13 +89,15 @@ class Play:
 
         patch.setattr(server.play, "PlaySession", NotingSession)
         self._came: list[tuple[float, int]] = []
-        asyncio.run(self._run(root, link, lasts_s))
+        with Watch() as watch:
+            asyncio.run(self._run(root, link, lasts_s))
+        self.starved = watch.starved
         since_s, last_s = self._came[0][0] + SETTLED_S, self._came[-1][0]
         num_bytes = sum(num_bytes for time_s, num_bytes in self._came if time_s > since_s)
-        self.goodput_bps = 8 * num_bytes / (last_s - since_s)
+        self.goodput_bps = 8 * num_bytes / max(1e-6, last_s - since_s)
         settled = [one for one in noted if one[0] > since_s]
-        self.estimate_bps = median(rate_bps for _, rate_bps, _ in settled)
-        self.most_queued_bytes = max(queued_bytes for _, _, queued_bytes in settled)
+        self.estimate_bps = median([rate_bps for _, rate_bps, _ in settled] or [0.0])
+        self.most_queued_bytes = max((queued for _, _, queued in settled), default=0.0)
 
     async def _run(self, root: Path, link: str, lasts_s: float) -> None:
         async with running(root, quick_config(max_lead_s=6.0)) as server:
@@ -110,12 +113,15 @@ class Play:
 
 
 def test_twelve_megabits_read_as_twelve(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for attempt in range(5):  # other work on the machine takes from what passes
+    starved = False
+    for _ in range(5):  # other work on the machine takes from what passes
         play = Play(root, "12M,20ms", SETTLED_S + 2, monkeypatch)
         told = (play.goodput_bps, play.estimate_bps)
         if all(abs(rate_bps / 12e6 - 1) < 0.05 for rate_bps in told):
             return
-        time.sleep(attempt)
+        starved = starved or play.starved
+    if starved:
+        pytest.skip("the machine is too busy for rates to say anything")
     pytest.fail(f"12 Mbit/s read as {told}")
 
 
@@ -124,4 +130,6 @@ def test_no_more_than_a_quarter_second_is_unacknowledged(
     root: Path, monkeypatch: pytest.MonkeyPatch, megabits: int
 ) -> None:
     play = Play(root, f"{megabits}M,20ms", SETTLED_S + 0.4, monkeypatch)
-    assert play.most_queued_bytes <= 0.25 * megabits * 1e6 / 8
+    if play.starved:
+        pytest.skip("the machine is too busy for a latency to be known")
+    assert 0 < play.most_queued_bytes <= 0.25 * megabits * 1e6 / 8

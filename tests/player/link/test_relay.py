@@ -13,6 +13,7 @@ import pytest
 
 from player.link.linkprocess import LinkProcess
 from player.link.linktext import read_link
+from tests.player.link.starved import Watch
 
 
 class Pouring:
@@ -76,16 +77,22 @@ def takes_s(
 ) -> None:
     """`work` over a link to a server that sends `num_bytes` on each connection: never less, and not
     more in the best of five tries, for other work on the machine adds time."""
-    for attempt in range(5):
-        with pouring(num_bytes) as server:
-            with LinkProcess(read_link(text), "127.0.0.1", server.port) as relay:
-                began_s = time.monotonic()
-                work(relay)
-                took_s = time.monotonic() - began_s
+    starved = False
+    for _ in range(5):
+        with (
+            pouring(num_bytes) as server,
+            LinkProcess(read_link(text), "127.0.0.1", server.port) as relay,
+            Watch() as watch,
+        ):
+            began_s = time.monotonic()
+            work(relay)
+            took_s = time.monotonic() - began_s
         assert took_s > least_s
         if took_s < most_s:
             return
-        time.sleep(attempt)
+        starved = starved or watch.starved
+    if starved:
+        pytest.skip("the machine is too busy for times to say anything")
     pytest.fail(f"took {took_s:.3f} s, not under {most_s} s")
 
 
