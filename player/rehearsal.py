@@ -1,7 +1,7 @@
 """A play of two frames that nobody sees: whatever a real one runs is loaded, or compiled, by it.
 
-It stands before the first request: the first decode takes half a second otherwise, and minutes'
-worth of it after an install, in which the socket is not read and a server sees a slow link.
+It comes before the first request. Otherwise the first decode takes half a second, half a minute
+after an install, from the thread that reads the socket, and a server sees a slow link.
 """
 
 from __future__ import annotations

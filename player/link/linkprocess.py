@@ -38,11 +38,12 @@ class LinkProcess:
         self._closed = False
         steps = [(step.duration_s, step.rate_bps, step.latency_s) for step in link.steps]
         order = {"host": host, "port": port, "steps": steps}
+        places = [place or os.getcwd() for place in sys.path]
         try:
             self._process = subprocess.Popen(
                 # -P: the current folder may hold another `player`.
                 [sys.executable, "-P", "-m", "player.link"],
-                env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(places)},
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=None if log.isEnabledFor(logging.DEBUG) else subprocess.DEVNULL,

@@ -6,8 +6,8 @@ what the server sees unacknowledged is what a real link would leave so. The link
 connections share it.
 
 Not modelled: loss and reordering, a limit to the queue before the link (that is the server's own),
-and a rate or latency of the way up, which takes no time. Bytes that follow within the latency of
-the last ones come as early as if they had been sent right behind them.
+and the way up, which takes no time. Bytes that follow the last ones so soon that the queue may not
+have been empty (LULL_S) come as early as if they had been sent right behind them.
 """
 
 from __future__ import annotations
