@@ -155,7 +155,7 @@ class Relay:
         if sys.platform != "linux":
             return 0
         info = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _TCP_INFO_RTT + 4)
-        round_trip_s = struct.unpack_from("=I", info, _TCP_INFO_RTT)[0] / 1e6
+        round_trip_s: float = struct.unpack_from("=I", info, _TCP_INFO_RTT)[0] / 1e6
         return math.ceil(self._fastest_bps / 8 * round_trip_s)
 
     async def _pass_up(self, player: socket.socket, server: socket.socket) -> None:

@@ -21,7 +21,7 @@ def test_the_newest_rows_stay_and_the_others_are_counted(values: list[int], most
         rows.add(value)
     assert rows.all() == values[max(0, len(values) - most) :]
     assert rows.dropped == max(0, len(values) - most)
-    assert rows.last == (rows.all() or [None])[-1]
+    assert rows.last == (rows.all()[-1] if rows.all() else None)
 
 
 @given(st.lists(st.tuples(st.floats(0, 1.5), st.integers(1, 10**6)), min_size=1, max_size=30))
