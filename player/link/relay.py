@@ -7,7 +7,8 @@ connections share it.
 
 Not modelled: loss and reordering, a limit to the queue before the link (that is the server's own),
 and the way up, which takes no time. Bytes that follow the last ones so soon that the queue may not
-have been empty (LULL_S) come as early as if they had been sent right behind them.
+have been empty (LULL_S) come as early as if they had been sent right behind them: a server that
+keeps less in its queue than passes within the latency sees a shorter latency, not a slower link.
 """
 
 from __future__ import annotations
