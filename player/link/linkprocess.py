@@ -121,7 +121,11 @@ class LinkProcess:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        died = not self._closed and self._process.poll() is not None
-        self.close()
-        if died and isinstance(error, SwingsError | OSError):
-            raise self._dead() from error
+        try:
+            # What broke may have broken because the process has gone.
+            if isinstance(error, SwingsError | OSError) and not self._closed:
+                self._ask({})
+        except RelayError as dead:
+            raise dead from error
+        finally:
+            self.close()
