@@ -142,11 +142,10 @@ def _mark_waits(axes: Axes, report: Json) -> None:
         (play["asked_s"], play["asked_s"] + play["startup_s"], START_COLOUR, "start-up")
         for play in report["plays"]
     ]
-    first = {(frame["play"], frame["frame"]) for frame in _firsts(report["frames"])}
     waits += [
         (frame["due_s"], frame["shown_s"], STALL_COLOUR, "stall")
         for frame in report["frames"]
-        if frame["shown_s"] > frame["due_s"] and (frame["play"], frame["frame"]) not in first
+        if frame["shown_s"] > frame["due_s"]
     ]
     told: set[str] = set()
     for begin_s, end_s, colour, label in waits:
@@ -154,8 +153,3 @@ def _mark_waits(axes: Axes, report: Json) -> None:
             begin_s, end_s, color=colour, alpha=0.55, lw=0, label=None if label in told else label
         )
         told.add(label)
-
-
-def _firsts(frames: list[Json]) -> Iterator[Json]:
-    for shown in _by_play(frames):
-        yield from shown[:1]
