@@ -76,7 +76,12 @@ class PlayConfig:
     link: Annotated[Link | None, LINK] = None
     """Play over a slower link: a rate (8M), a rate and a latency (8M,20ms), or a trace's file."""
     report: Annotated[Path | None, tyro.conf.arg(metavar="JSON")] = None
-    """Write what became of each frame, and the totals, to this JSON file."""
+    """Write when each packet came and each frame showed, the rates, and the totals to this JSON
+    file; also when Ctrl-C ends the play."""
+    plot: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
+    """Draw link, goodput, layers and buffer over time into this picture."""
+    loop: Annotated[int, tyro.conf.arg(metavar="N")] = 1
+    """Play the frames so often; each time the stream is asked for anew."""
 
     def __post_init__(self) -> None:
         """Raises InvalidError for options that do not go together, whatever the stream is."""
@@ -86,5 +91,8 @@ class PlayConfig:
             check_output(self.capture)
         elif self.renderer is RendererKind.CPU:
             raise InvalidError("a window is drawn by OpenGL; --renderer cpu goes with --capture")
-        if self.report is not None and not self.report.parent.is_dir():
-            raise InvalidError(f"report {self.report}: there is no folder {self.report.parent}")
+        if self.loop < 1:
+            raise InvalidError(f"loop {self.loop}: play the frames once at least")
+        for name, path in (("report", self.report), ("plot", self.plot)):
+            if path is not None and not path.parent.is_dir():
+                raise InvalidError(f"{name} {path}: there is no folder {path.parent}")

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
-from contextlib import ExitStack, closing
-from pathlib import Path
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
+from functools import partial
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -14,20 +15,23 @@ from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from codec.errors import InvalidError
-from player.link.relay import Relay
+from player.link.linkprocess import LinkProcess
 from player.playout.clock import Clock
 from player.playout.queues import Events
-from player.playout.threads import Threads, render_thread
+from player.playout.threads import Joined, Threads, render_thread
 from player.playout.timeline import FrameRecord, Playout, QueueConfig
+from player.render.gl import GlError
 from player.render.renderer import Renderer, RendererKind, create_renderer
-from player.show.sink import open_sink, to_bytes
+from player.show.sink import FrameSink, open_sink, to_bytes
 from player.source.locate import open_source
 from player.source.source import Source
-from player.view.path import CameraPath, Size
+from player.view.path import Size
 from server.abr.link.link import Link
 
 from .config import PlayConfig
-from .report import PlaySummary, write_report
+from .journal import MAX_ROWS, Journal
+from .rehearsal import rehearse
+from .report import PlayedOnce, PlaySummary, write_report
 
 Floats = npt.NDArray[np.float32]
 
@@ -37,53 +41,168 @@ for a slow link; a machine that draws slowly should get there as late as possibl
 
 
 def play(config: PlayConfig) -> PlaySummary:
-    """Plays the stream to its end, or until the window is closed."""
-    clock = Clock(real=True)
-    records: list[FrameRecord] = []
-    keep: Callable[[FrameRecord], None] = records.append if config.report else lambda _: None
+    """Plays the stream to its end, or until the window is closed.
+
+    The report is written on Ctrl-C too, of what was played by then.
+    """
     with ExitStack() as stack:
         if config.capture is None:
             # Finds and loads the system's library for windows, which a capture does without.
-            from player.show.window import show_window, window_system
+            from player.show.window import window_system
 
             stack.enter_context(window_system())
         relay = None
         if config.link is not None:
             relay = stack.enter_context(_relay(config.link, config.source))
-        via = relay.address if relay is not None else None
-        source = open_source(config.source, config.frames, config.layers, via)
-        stack.callback(source.close)
-        path = config.camera.of(source.manifest, config.size, source.frames)
-        # What a server chooses for a frame is known when the frame is due, and not before.
-        clock.real = config.capture is None or source.adaptive
-        events = Events(_playout(config, source), clock)
-        if config.capture is None:
-            renderer: Renderer = show_window(path, source, events, keep)
-        else:
-            renderer = _capture(config.capture, config.renderer, path, source, events, keep)
-        summary = PlaySummary(
-            source.name,
-            renderer.name,
-            events.totals,
-            source.received_bytes,
-            renderer.uploaded_bytes,
-            relay.down_bytes if relay is not None else None,
-            records,
-        )
-    if config.report is not None:
-        write_report(config.report, summary)
-    return summary
+        began_s = time.monotonic()
+        kind = _rehearsed(config)
+        playback = _Playback(config, kind, relay, time.monotonic() - began_s)
+        try:
+            playback.run()
+        except KeyboardInterrupt:
+            playback.write(interrupted=True)
+            raise
+        return playback.write(interrupted=False)
 
 
-def _relay(link: Link, url: str) -> Relay:
+def _relay(link: Link, url: str) -> LinkProcess:
     """A relay to the host of `url`."""
     parts = urlsplit(url)
     if not parts.hostname:
         raise InvalidError(f"{url} is not a URL: it names no host")
     try:
-        return Relay(link, parts.hostname, parts.port or 80)
+        port = parts.port or 80
     except ValueError as error:  # urlsplit leaves the port unchecked until it is asked for
         raise InvalidError(f"{url} is not a URL: {error}") from error
+    return LinkProcess(link, parts.hostname, port)
+
+
+def _rehearsed(config: PlayConfig) -> RendererKind:
+    """The renderer that will draw; one that draws what a network brings is made ready first."""
+    if not config.source.lower().startswith(("http://", "https://")):
+        return config.renderer
+    if config.capture is not None:
+        return rehearse(config.renderer)
+    try:
+        return rehearse(RendererKind.GL)
+    except GlError:  # a window brings its own OpenGL
+        rehearse(RendererKind.CPU)
+        return RendererKind.GL
+
+
+class _Playback:
+    """The plays of one command, one after another on one clock."""
+
+    def __init__(
+        self,
+        config: PlayConfig,
+        kind: RendererKind,
+        relay: LinkProcess | None,
+        preparing_s: float,
+    ) -> None:
+        self._config = config
+        self._kind = kind
+        self._relay = relay
+        self._clock = Clock(real=True)
+        self._renderers: list[Renderer] = []
+        self._journal = Journal(MAX_ROWS if config.report or config.plot else 0)
+        self._summary = PlaySummary(
+            config.source, preparing_s=preparing_s, link=config.link, journal=self._journal
+        )
+
+    def run(self) -> None:
+        if self._config.capture is not None:
+            self._capture()
+            return
+        from player.show.window import show_window
+
+        joins = [self._join] * self._config.loop
+        show_window(joins, self._renderers, self._note)
+
+    def write(self, interrupted: bool) -> PlaySummary:
+        """The summary, which is written to where it is asked for."""
+        summary, config = self._summary, self._config
+        summary.interrupted = interrupted
+        if self._renderers:
+            summary.renderer = self._renderers[-1].name
+        summary.uploaded_bytes = sum(one.uploaded_bytes for one in self._renderers)
+        if self._relay is not None:
+            summary.link_bytes = self._relay.down_bytes
+            summary.link_began_s = self._relay.began_s
+        if config.report is not None:
+            write_report(config.report, summary)
+        if config.plot is not None:
+            from .playplot import write_plot  # matplotlib loads slowly
+
+            write_plot(config.plot, summary.to_json())
+        return summary
+
+    def _note(self, record: FrameRecord, drawn: bool) -> None:
+        self._journal.shown(record, self._clock.now_s() if drawn else None)
+
+    def _received(self, num_bytes: int) -> None:
+        self._journal.received(num_bytes, self._clock.now_s(), time.monotonic())
+
+    @contextmanager
+    def _join(self) -> Iterator[Joined]:
+        """Asks for the stream."""
+        config, summary, clock = self._config, self._summary, self._clock
+        asked_s = clock.now_s()
+        via = self._relay.address if self._relay is not None else None
+        source = open_source(config.source, config.frames, config.layers, via, self._received)
+        with closing(source):
+            path = config.camera.of(source.manifest, config.size, source.frames)
+            # What a server chooses for a frame is known when the frame is due, and not before.
+            clock.real = config.capture is None or source.adaptive
+            events = Events(_playout(config, source), clock, self._journal.arrived)
+            self._journal.play = len(summary.plays)
+            summary.source, summary.fps = source.name, source.manifest.fps
+            summary.plays.append(PlayedOnce(asked_s, events.totals))
+            try:
+                yield Joined(source, events, path)
+            finally:
+                summary.received_bytes += source.received_bytes
+
+    def _capture(self) -> None:
+        """Draws every frame into files."""
+        output, loop = self._config.capture, self._config.loop
+        assert output is not None
+        with ExitStack() as stack:
+            files: _Files | None = None
+            for _ in range(loop):
+                with (
+                    self._join() as joined,
+                    Threads(joined.source, joined.events) as threads,
+                    closing(create_renderer(self._kind, joined.source.manifest)) as renderer,
+                ):
+                    self._renderers.append(renderer)
+                    if files is None:
+                        source, first = joined.source, joined.path(joined.source.frames.first)
+                        size = Size(first.width_px, first.height_px)
+                        sink = stack.enter_context(open_sink(output, source.manifest.fps, size))
+                        progress = stack.enter_context(_progress())
+                        files = _Files(sink, progress, source.frames.first)
+                        count = source.frames.count
+                        progress.add_task("drawing", total=None if count is None else count * loop)
+                    show = partial(self._show, files)
+                    render_thread(threads.update(renderer), renderer, joined.path, show)
+
+    def _show(self, files: _Files, record: FrameRecord, picture: Floats) -> None:
+        files.write(picture)
+        self._note(record, drawn=True)
+
+
+class _Files:
+    """Where the pictures of all plays go, one after another."""
+
+    def __init__(self, sink: FrameSink, progress: Progress, first_number: int) -> None:
+        self._sink, self._progress = sink, progress
+        self._number = first_number
+
+    def write(self, picture: Floats) -> None:
+        self._sink.write(self._number, to_bytes(picture))
+        self._number += 1
+        self._progress.advance(self._progress.task_ids[0])
 
 
 def _playout(config: PlayConfig, source: Source) -> Playout:
@@ -91,34 +210,6 @@ def _playout(config: PlayConfig, source: Source) -> Playout:
     # Who has said how many layers to show gets them.
     needed = 1 if source.adaptive else source.num_layers
     return Playout(source.manifest, source.frames.first, source.frames.end, queue, needed=needed)
-
-
-def _capture(
-    output: Path,
-    kind: RendererKind,
-    path: CameraPath,
-    source: Source,
-    events: Events,
-    keep: Callable[[FrameRecord], None],
-) -> Renderer:
-    """Draws every frame into files; gives the renderer, closed, for its name and counters."""
-    first = path(source.frames.first)
-    size = Size(first.width_px, first.height_px)
-    with (
-        Threads(source, events) as threads,
-        closing(create_renderer(kind, source.manifest)) as renderer,
-        open_sink(output, source.manifest.fps, size) as sink,
-        _progress() as progress,
-    ):
-        task = progress.add_task("drawing", total=source.frames.count)
-
-        def show(record: FrameRecord, picture: Floats) -> None:
-            sink.write(record.frame, to_bytes(picture))
-            keep(record)
-            progress.advance(task)
-
-        render_thread(threads.update(renderer), renderer, path, show)
-    return renderer
 
 
 def _progress() -> Progress:

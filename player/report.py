@@ -8,22 +8,65 @@ from pathlib import Path
 from typing import Any
 
 from codec.files import write_atomic
-from player.playout.timeline import FrameRecord, PlayoutTotals
+from player.playout.timeline import PlayoutTotals
+from server.abr.link.link import Link
+
+from .journal import Journal
+
+
+@dataclass(frozen=True, slots=True)
+class PlayedOnce:
+    """One play of `--loop`, or the only one."""
+
+    asked_s: float
+    """When the player asked for the stream, seconds on its clock."""
+    totals: PlayoutTotals
+
+    @property
+    def startup_s(self) -> float:
+        """From the request to the first picture; 0 when none came."""
+        return max(0.0, self.totals.startup_s - self.asked_s) if self.totals.frames else 0.0
 
 
 @dataclass(slots=True)
 class PlaySummary:
-    """How a playback went."""
+    """How a playback went. Times are seconds since the player asked for the stream first."""
 
-    source: str
-    renderer: str
-    totals: PlayoutTotals
-    received_bytes: int
-    uploaded_bytes: int
-    link_bytes: int | None
+    source: str = ""
+    renderer: str = "nothing"
+    fps: float = 0.0
+    plays: list[PlayedOnce] = field(default_factory=list)
+    preparing_s: float = 0.0
+    """What it took before that to make decoder and renderer ready."""
+    received_bytes: int = 0
+    uploaded_bytes: int = 0
+    link: Link | None = None
+    link_began_s: float | None = None
+    """By time.monotonic."""
+    link_bytes: int | None = None
     """Bytes that came over `--link`; None without it."""
-    records: list[FrameRecord] = field(default_factory=list)
-    """One for each frame, kept for `--report` only: it grows with the stream."""
+    interrupted: bool = False
+    journal: Journal = field(default_factory=Journal)
+
+    @property
+    def startup_s(self) -> float:
+        """Of all plays."""
+        return sum(play.startup_s for play in self.plays)
+
+    @property
+    def totals(self) -> PlayoutTotals:
+        """Of all plays together: sums, and the most of what is a most."""
+        found = PlayoutTotals(startup_s=self.startup_s)
+        for totals in (play.totals for play in self.plays):
+            found.frames += totals.frames
+            found.stalls += totals.stalls
+            found.stalled_s += totals.stalled_s
+            found.layers += totals.layers
+            found.wire_bytes += totals.wire_bytes
+            found.late_packets += totals.late_packets
+            found.most_frames_waiting = max(found.most_frames_waiting, totals.most_frames_waiting)
+            found.most_bytes_waiting = max(found.most_bytes_waiting, totals.most_bytes_waiting)
+        return found
 
     def lines(self) -> list[str]:
         """The summary for people."""
@@ -37,12 +80,17 @@ class PlaySummary:
         ]
 
     def to_json(self) -> dict[str, Any]:
-        totals = self.totals
+        totals, journal = self.totals, self.journal
         return {
             "source": self.source,
             "renderer": self.renderer,
+            "fps": self.fps,
+            "interrupted": self.interrupted,
             "totals": {
+                "plays": len(self.plays),
                 "frames": totals.frames,
+                "undrawn_frames": journal.undrawn_frames,
+                "preparing_s": self.preparing_s,
                 "startup_s": totals.startup_s,
                 "stalls": totals.stalls,
                 "stalled_s": totals.stalled_s,
@@ -55,20 +103,49 @@ class PlaySummary:
                 "most_frames_waiting": totals.most_frames_waiting,
                 "most_bytes_waiting": totals.most_bytes_waiting,
             },
+            "plays": [
+                {"asked_s": play.asked_s, "startup_s": play.startup_s} for play in self.plays
+            ],
             "frames": [
                 {
-                    "frame": record.frame,
-                    "layers": record.layers,
-                    "due_s": record.due_s,
-                    "shown_s": record.shown_s,
-                    "bytes": record.wire_bytes,
+                    "play": shown.play,
+                    "frame": shown.record.frame,
+                    "layers": shown.record.layers,
+                    "due_s": shown.record.due_s,
+                    "shown_s": shown.record.shown_s,
+                    "drawn_s": shown.drawn_s,
+                    "bytes": shown.record.wire_bytes,
                 }
-                for record in self.records
+                for shown in journal.frames.all()
             ],
+            "arrivals": [
+                {
+                    "play": arrival.play,
+                    "birth": arrival.birth,
+                    "snapshot_frame": arrival.frame,
+                    "first_layer": arrival.first_layer,
+                    "layers": arrival.layers,
+                    "bytes": arrival.wire_bytes,
+                    "came_s": arrival.came_s,
+                }
+                for arrival in journal.arrivals.all()
+            ],
+            "rates": [
+                {
+                    "time_s": rates.time_s,
+                    "goodput_bps": rates.goodput_bps,
+                    "link_bps": rates.link_bps,
+                }
+                for rates in journal.rates(self.link, self.link_began_s)
+            ],
+            "dropped": {
+                "frames": journal.frames.dropped,
+                "arrivals": journal.arrivals.dropped,
+            },
         }
 
 
 def write_report(path: Path, summary: PlaySummary) -> None:
-    """Writes the summary and its records as JSON; the file is whole or absent."""
+    """Writes the summary and what was noted as JSON; the file is whole or absent."""
     text = json.dumps(summary.to_json(), indent=1) + "\n"
     write_atomic(path, text.encode())

@@ -1,7 +1,14 @@
-"""A slow link to a server: a TCP relay on this machine that passes bytes as a Link says.
+"""A slow link to a server: a TCP relay that passes bytes as a Link says.
 
-Rule: the link is one; all connections share it. Buffers are bounded, so a player that does not read
-holds the server back as a real link does.
+Rule: a byte stays in the server's own send queue until it has passed the link and its latency is
+over. So the relay takes it from the kernel only then, and lets the kernel hold as little as it can:
+what the server sees unacknowledged is what a real link would leave so. The link is one; all
+connections share it.
+
+Not modelled: loss and reordering, a limit to the queue before the link (that is the server's own),
+and the way up, which takes no time. Bytes that follow the last ones so soon that the queue may not
+have been empty (LULL_S) come as early as if they had been sent right behind them: a server that
+keeps less in its queue than passes within the latency sees a shorter latency, not a slower link.
 """
 
 from __future__ import annotations
@@ -10,236 +17,219 @@ import asyncio
 import contextlib
 import json
 import logging
+import math
 import socket
-import threading
-from collections import deque
+import struct
+import sys
 
-from codec.errors import SwingsError
 from server.abr.link.link import Link
 
 log = logging.getLogger(__name__)
 
-SOCKET_BUFFER_BYTES = 64 << 10
-"""Of the relay's sockets. The usual ones hold almost a megabyte, seconds of a slow link."""
+MIN_BUFFER_BYTES = 4 << 10
+BUFFER_S = 0.001
+"""What the kernel is asked to hold of the server's bytes: seconds of the link at its fastest, but
+no less than MIN_BUFFER_BYTES. It holds half as much again. These bytes are acknowledged before
+their time: 6 KiB are 16 ms of a link of 3 Mbit/s, 1.5 ms one of 100 Mbit/s."""
 
-MIN_PIECE_BYTES, MAX_PIECE_BYTES = 2 << 10, 64 << 10
+SEND_BUFFER_BYTES = 256 << 10
+"""Of connections to the player: they hold what has passed the link, as a player's kernel does.
+What is longer in coming to read is a player that holds the server back."""
+
 PIECE_S = 0.004
-"""Time on the link of what is moved in one go, seconds."""
+"""Time on the link of what is moved in one go, at most, seconds."""
 
-LOOKAHEAD_S = 0.004
-"""The next piece is fetched this long before the link is free, seconds: tasks wake up late."""
+MIN_PIECE_BYTES = 1 << 10
+
+MIN_SLEEP_S = 0.002
+"""Seconds: whoever sleeps too long moves more pieces when it wakes."""
 
 MAX_CREDIT_S = 0.25
 """The most lateness, in seconds, that is made up for when bytes were waiting all the time."""
 
-AT_ONCE_S = 0.001
-"""A read that took less time than this, in seconds, found bytes that were waiting already."""
+LULL_S = 0.003
+"""Once nothing has come for so long the server's queue was empty, seconds: the kernel needs a
+moment to refill the buffer."""
 
+MAX_READ_BYTES = 64 << 10
 
-class RelayError(SwingsError):
-    """The relay cannot start."""
-
-
-class _Delay:
-    """The bytes of one connection that have passed the link, until their latency is over."""
-
-    def __init__(self) -> None:
-        self._pieces: deque[tuple[float, bytes]] = deque()
-        self._changed = asyncio.Condition()
-        self._held_bytes = 0
-
-    async def put(self, ready_s: float, data: bytes, room_bytes: int) -> bool:
-        """Adds `data` once fewer than `room_bytes` are held; gives whether that had to wait."""
-        async with self._changed:
-            full = self._held_bytes >= room_bytes
-            await self._changed.wait_for(lambda: self._held_bytes < room_bytes)
-            if self._pieces:
-                ready_s = max(ready_s, self._pieces[-1][0])  # bytes never overtake each other
-            self._pieces.append((ready_s, data))
-            self._held_bytes += len(data)
-            self._changed.notify_all()
-            return full
-
-    async def first(self) -> tuple[float, bytes]:
-        """The oldest piece, which stays until `drop`."""
-        async with self._changed:
-            await self._changed.wait_for(lambda: bool(self._pieces))
-            return self._pieces[0]
-
-    async def drop(self) -> None:
-        async with self._changed:
-            self._held_bytes -= len(self._pieces.popleft()[1])
-            self._changed.notify_all()
+_TCP_INFO_RTT = 68
+"""Offset of the round trip in microseconds, uint32, in Linux's struct tcp_info."""
 
 
 class Relay:
-    """Listens on this machine and passes every connection on to (host, port), with a thread of its
-    own. Use it with `with`, or close it."""
+    """Passes every connection on to (host, port). One event loop runs it."""
 
     def __init__(self, link: Link, host: str, port: int) -> None:
         self._link = link
         self._target = (host, port)
-        self._free_s = 0.0
-        self._origin_s = 0.0
-        self._loop = asyncio.new_event_loop()
-        self._started = threading.Event()
-        self._stop = asyncio.Event()
-        self._failure: OSError | None = None
-        self._connections: set[asyncio.Task[None]] = set()
-        self.address = ("", 0)
-        """Where to connect instead of to the server."""
+        self._loop = asyncio.get_running_loop()
+        self._turn = asyncio.Lock()  # fair: connections pass piece by piece
+        self._free_s = 0.0  # when the last piece had passed, without latency
+        self._comes_s = 0.0  # when it came out
+        self._fastest_bps = max(step.rate_bps for step in link.steps)
+        self._buffer_bytes = max(MIN_BUFFER_BYTES, round(self._fastest_bps / 8 * BUFFER_S))
+        self.began_s: float | None = None
+        """When the first connection came, by time.monotonic: the link's time 0."""
         self.down_bytes = 0
         """Bytes passed from the server to the player."""
-        self._thread = threading.Thread(target=self._run, name="link", daemon=True)
-        self._thread.start()
-        self._started.wait()
-        if self._failure is not None:
-            self._thread.join()
-            raise RelayError(f"the link cannot listen: {self._failure}") from self._failure
 
-    def __enter__(self) -> Relay:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Cuts all connections and ends the thread; closing twice is the same as once."""
-        with contextlib.suppress(RuntimeError):  # the loop is closed already
-            self._loop.call_soon_threadsafe(self._stop.set)
-        self._thread.join()
-
-    def _run(self) -> None:
-        try:
-            self._loop.run_until_complete(self._serve())
-        except OSError as error:
-            self._failure = error
-        finally:
-            self._loop.run_until_complete(self._loop.shutdown_asyncgens())
-            self._loop.close()
-            self._started.set()
-
-    async def _serve(self) -> None:
-        listener = socket.create_server(("127.0.0.1", 0))
-        # Inherited by accepted connections.
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SOCKET_BUFFER_BYTES)
-        server = await asyncio.start_server(self._accept, sock=listener)
-        self.address = listener.getsockname()
-        self._origin_s = self._loop.time()
-        self._started.set()
-        await self._stop.wait()
-        server.close()
-        for connection in tuple(self._connections):
-            connection.cancel()
-        await asyncio.gather(*self._connections, return_exceptions=True)
-        await server.wait_closed()
+    async def serve(self, listener: socket.socket) -> None:
+        """Accepts on `listener`, which does not block, until cancelled; then cuts all
+        connections."""
+        async with asyncio.TaskGroup() as group:
+            while True:
+                player, _ = await self._loop.sock_accept(listener)
+                if self.began_s is None:
+                    self.began_s = self._loop.time()
+                group.create_task(self._relay(player))
 
     def _now_s(self) -> float:
         """Seconds since the link began."""
-        return self._loop.time() - self._origin_s
+        assert self.began_s is not None
+        return self._loop.time() - self.began_s
 
-    async def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        task = asyncio.current_task()
-        assert task is not None
-        self._connections.add(task)
-        try:
-            await self._connect(reader, writer)
-        except (OSError, asyncio.CancelledError):
-            pass  # either end went away, or the relay closes: both sides are cut below
-        finally:
-            self._connections.discard(task)
-            writer.transport.abort()
+    async def _relay(self, player: socket.socket) -> None:
+        with player:
+            player.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            try:
+                server = await self._connect()
+            except OSError as error:
+                with contextlib.suppress(OSError):
+                    await self._refuse(player, error)
+                return
+            with server:
+                try:
+                    async with asyncio.TaskGroup() as group:
+                        group.create_task(self._pass_up(player, server))
+                        group.create_task(self._pass_down(server, player))
+                except* OSError as errors:
+                    log.debug("link: %s", errors.exceptions[0])
 
-    async def _connect(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _refuse(self, player: socket.socket, error: OSError) -> None:
+        """The player speaks HTTP, so it can be told what happened."""
         host, port = self._target
-        try:
-            up_reader, up_writer = await self._open(host, port)
-        except OSError as error:
-            # The player speaks HTTP, so it can be told what happened.
-            reason = f"cannot connect to {host}:{port}: {error.strerror or error}"
-            body = json.dumps({"error": reason}).encode()
-            head = f"HTTP/1.1 502 Bad Gateway\r\nContent-Length: {len(body)}\r\nConnection: close"
-            writer.write(f"{head}\r\nContent-Type: application/json\r\n\r\n".encode() + body)
-            await writer.drain()
-            writer.write_eof()
-            await reader.read()
-            return
-        writer.transport.set_write_buffer_limits(high=SOCKET_BUFFER_BYTES)
-        try:
-            async with asyncio.TaskGroup() as group:
-                group.create_task(self._pass_up(reader, up_writer))
-                group.create_task(self._pass_down(up_reader, writer))
-        except* OSError as errors:
-            log.debug("link: %s", errors.exceptions[0])
-        finally:
-            up_writer.transport.abort()
+        reason = f"cannot connect to {host}:{port}: {error.strerror or error}"
+        body = json.dumps({"error": reason}).encode()
+        head = f"HTTP/1.1 502 Bad Gateway\r\nContent-Length: {len(body)}\r\nConnection: close"
+        answer = f"{head}\r\nContent-Type: application/json\r\n\r\n".encode() + body
+        await self._loop.sock_sendall(player, answer)
+        player.shutdown(socket.SHUT_WR)
+        while await self._loop.sock_recv(player, MAX_READ_BYTES):
+            pass
 
-    async def _open(
-        self, host: str, port: int
-    ) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+    async def _connect(self) -> socket.socket:
+        host, port = self._target
         last: OSError = OSError(f"{host} has no address")
         for family, kind, protocol, _, address in await self._loop.getaddrinfo(
             host, port, type=socket.SOCK_STREAM
         ):
-            connection = socket.socket(family, kind, protocol)
             try:
-                # Before the handshake, which fixes how much window is ever offered.
-                connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SOCKET_BUFFER_BYTES)
-                connection.setblocking(False)
-                await self._loop.sock_connect(connection, address)
-                return await asyncio.open_connection(sock=connection, limit=MAX_PIECE_BYTES)
+                connection = await self._connect_to(family, kind, protocol, address)
+                needed_bytes = self._path_bytes(connection)
+                if needed_bytes > self._buffer_bytes:
+                    # The server is not on this machine: so little would not fill the way to it.
+                    connection.close()
+                    self._buffer_bytes = needed_bytes
+                    connection = await self._connect_to(family, kind, protocol, address)
+                return connection
             except OSError as error:
-                connection.close()
                 last = error
-            except BaseException:
-                connection.close()
-                raise
         raise last
 
-    async def _pass_up(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _connect_to(
+        self, family: int, kind: int, protocol: int, address: tuple[object, ...]
+    ) -> socket.socket:
+        connection = socket.socket(family, kind, protocol)
+        try:
+            # Before the handshake, which fixes how much window is ever offered.
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, self._buffer_bytes)
+            connection.setblocking(False)
+            await self._loop.sock_connect(connection, address)
+        except BaseException:
+            connection.close()
+            raise
+        return connection
+
+    def _path_bytes(self, connection: socket.socket) -> int:
+        """What is on its way to the server and back when the link is at its fastest."""
+        if sys.platform != "linux":
+            return 0
+        info = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _TCP_INFO_RTT + 4)
+        round_trip_s: float = struct.unpack_from("=I", info, _TCP_INFO_RTT)[0] / 1e6
+        return math.ceil(self._fastest_bps / 8 * round_trip_s)
+
+    async def _pass_up(self, player: socket.socket, server: socket.socket) -> None:
         """Requests are small: they pass at once."""
-        while data := await reader.read(MAX_PIECE_BYTES):
-            writer.write(data)
-            await writer.drain()
+        while data := await self._loop.sock_recv(player, MAX_READ_BYTES):
+            await self._loop.sock_sendall(server, data)
         # The player closed its side: nobody is left to take what the server still sends.
         raise ConnectionResetError("the player closed the connection")
 
-    async def _pass_down(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        delay = _Delay()
-        async with asyncio.TaskGroup() as group:
-            group.create_task(self._throttle(reader, delay))
-            group.create_task(self._deliver(delay, writer))
-        writer.write_eof()
-
-    async def _throttle(self, reader: asyncio.StreamReader, delay: _Delay) -> None:
-        """Takes from the server what the link can pass; an empty piece marks the end."""
-        held_back = False
+    async def _pass_down(self, server: socket.socket, player: socket.socket) -> None:
+        """Takes from the server what has come out of the link."""
+        entered_s = 0.0  # since when bytes have waited for the link without a break
         while True:
-            step = self._link.at(self._now_s())
-            piece_bytes = round(step.rate_bps / 8 * PIECE_S)
-            piece_bytes = min(max(piece_bytes, MIN_PIECE_BYTES), MAX_PIECE_BYTES)
-            asked_s = self._now_s()
-            data = await reader.read(piece_bytes)
-            now_s = self._now_s()
-            # Bytes that were waiting could have passed since the link was free, had this task woken
-            # in time. Bytes that came just now, or that the player held back, could not.
-            waited = now_s - asked_s < AT_ONCE_S and not held_back
-            begin_s = max(self._free_s, now_s - MAX_CREDIT_S if waited else now_s)
-            self._free_s = passed_s = self._link.passed_s(begin_s, len(data))
-            latency_s = self._link.at(passed_s).latency_s
-            room_bytes = SOCKET_BUFFER_BYTES + round(step.rate_bps / 8 * latency_s)
-            held_back = await delay.put(passed_s + latency_s, data, room_bytes)
+            waiting_bytes = _waiting_bytes(server)
+            if waiting_bytes is None:
+                # Seen now, but if the queue was not empty before, perhaps long on its way.
+                if await self._readable(server, LULL_S):
+                    now_s = self._now_s()
+                    entered_s = max(entered_s, now_s - self._link.at(now_s).latency_s)
+                else:
+                    await self._readable(server)
+                    entered_s = self._now_s()
+                continue
+            data = await self._piece(server, entered_s, waiting_bytes)
             if not data:
+                player.shutdown(socket.SHUT_WR)
                 return
-            await asyncio.sleep(passed_s - LOOKAHEAD_S - self._now_s())
-
-    async def _deliver(self, delay: _Delay, writer: asyncio.StreamWriter) -> None:
-        while True:
-            ready_s, data = await delay.first()
-            await asyncio.sleep(ready_s - self._now_s())
-            if not data:
-                return
-            writer.write(data)
             self.down_bytes += len(data)
-            await writer.drain()
-            await delay.drop()
+            sent_bytes = _send_some(player, data)
+            if sent_bytes < len(data):
+                await self._loop.sock_sendall(player, data[sent_bytes:])
+                entered_s = self._now_s()  # the player held them back, not the link
+
+    async def _piece(self, server: socket.socket, entered_s: float, waiting_bytes: int) -> bytes:
+        """The next of `waiting_bytes`, once they have come out of the link; none at the end."""
+        async with self._turn:
+            link, now_s = self._link, self._now_s()
+            late_s = now_s - link.at(now_s).latency_s - MAX_CREDIT_S
+            begin_s = max(self._free_s, entered_s, late_s)
+            most_bytes = max(MIN_PIECE_BYTES, round(link.at(begin_s).rate_bps / 8 * PIECE_S))
+            num_bytes = min(most_bytes, waiting_bytes)
+            self._free_s = passed_s = link.passed_s(begin_s, num_bytes)
+            # Bytes never overtake each other.
+            self._comes_s = max(self._comes_s, passed_s + link.at(passed_s).latency_s)
+            if self._comes_s > now_s:
+                await asyncio.sleep(max(self._comes_s - now_s, MIN_SLEEP_S))
+            return server.recv(num_bytes) if num_bytes else b""
+
+    async def _readable(self, connection: socket.socket, timeout_s: float | None = None) -> bool:
+        """Returns when bytes or the end have come: True. False after `timeout_s` without."""
+        ready = asyncio.Event()
+        self._loop.add_reader(connection, ready.set)
+        try:
+            async with asyncio.timeout(timeout_s):
+                await ready.wait()
+        except TimeoutError:  # both, where this task woke late
+            return ready.is_set()
+        finally:
+            self._loop.remove_reader(connection)
+        return True
+
+
+def _waiting_bytes(connection: socket.socket) -> int | None:
+    """Bytes that wait in the kernel, as far as one read takes them: 0 at the end, None if none."""
+    try:
+        return len(connection.recv(MAX_READ_BYTES, socket.MSG_PEEK))
+    except BlockingIOError:
+        return None
+
+
+def _send_some(connection: socket.socket, data: bytes) -> int:
+    """How many bytes of `data` the kernel took at once."""
+    try:
+        return connection.send(data)
+    except BlockingIOError:
+        return 0

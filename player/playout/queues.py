@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
+from collections.abc import Callable
 
 from codec.errors import SwingsError
 from player.source.fetch import StoppedError
@@ -23,9 +24,16 @@ class EmptyStreamError(SwingsError):
 class Events:
     """The queue between the stream and the playout: a Playout that threads can wait on."""
 
-    def __init__(self, playout: Playout, clock: Clock) -> None:
+    def __init__(
+        self,
+        playout: Playout,
+        clock: Clock,
+        arrived: Callable[[Packets, float], None] | None = None,
+    ) -> None:
+        """arrived: is told of all packets and when they came, before they wait for room."""
         self._playout = playout
         self._clock = clock
+        self._arrived = arrived
         self._changed = threading.Condition()
         self._finished = False
         self._stopped = False
@@ -37,6 +45,8 @@ class Events:
 
     def append(self, packets: Packets) -> None:
         """Adds packets that arrived now; waits for room first. Raises StoppedError."""
+        if self._arrived is not None:
+            self._arrived(packets, self._clock.now_s())
         with self._changed:
             # A capture draws at its own pace. While it holds the stream back no time passes, so
             # that a slow machine is not taken for a slow link.
@@ -143,6 +153,12 @@ class Handoff:
         with self._changed:
             self._changed.wait_for(lambda: bool(self._frames) or self._finished)
             return self._pop()
+
+    @property
+    def ended(self) -> bool:
+        """Whether the last frame has been taken."""
+        with self._changed:
+            return self._finished and not self._frames
 
     def poll(self) -> list[FrameRecord]:
         """All frames that are there now, without waiting."""

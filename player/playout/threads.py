@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +26,15 @@ from .queues import Events, Handoff
 from .timeline import FrameRecord
 
 Floats = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class Joined:
+    """A stream that was asked for, and how it is to be seen."""
+
+    source: Source
+    events: Events
+    path: CameraPath
 
 
 def receive_thread(source: Source, events: Events) -> None:

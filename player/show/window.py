@@ -7,22 +7,21 @@ goes back to the path's camera, Escape closes.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, closing, contextmanager
 from typing import Any
 
 import glfw
 import moderngl
 
 from codec.errors import SwingsError
-from player.playout.queues import Events
-from player.playout.threads import Threads
+from player.playout.queues import Events, Handoff
+from player.playout.threads import Joined, Threads
 from player.playout.timeline import FrameRecord
 from player.render.gl import MIN_VERSION, GlError, GlRenderer, Target
-from player.render.renderer import check_drawable
-from player.source.source import Source
+from player.render.renderer import Renderer, check_drawable
 from player.view.mouse import View, view_of
-from player.view.path import CameraPath, Size
+from player.view.path import Size
 
 IDLE_S = 0.005
 """Seconds between two looks at the keyboard while there is nothing new to draw."""
@@ -49,43 +48,81 @@ def _reason() -> str:
     return text.decode(errors="replace") if text else "glfw does not say why"
 
 
-def show_window(
-    path: CameraPath,
-    source: Source,
-    events: Events,
-    keep: Callable[[FrameRecord], None],
-) -> GlRenderer:
-    """Plays until the window is closed; gives the renderer, closed, for its name and counters."""
-    check_drawable(source.manifest)
-    first = path(source.frames.first)
-    with Threads(source, events) as threads:
-        window = _open(Size(first.width_px, first.height_px), source.name)
+Join = Callable[[], AbstractContextManager[Joined]]
+Note = Callable[[FrameRecord, bool], None]
+"""Told of each frame, and whether it was drawn: not where a newer one was due by then."""
+
+
+def show_window(joins: Sequence[Join], renderers: list[Renderer], note: Note) -> None:
+    """Plays what each of `joins` asks for, one after another, until the window is closed.
+
+    renderers: gets the one of each play, for its name and counters.
+    """
+    window: _Window | None = None
+    for number, join in enumerate(joins):
+        with join() as joined, Threads(joined.source, joined.events) as threads:
+            manifest = joined.source.manifest
+            check_drawable(manifest)
+            window = window or _Window(joined)
+            renderer = GlRenderer(manifest, Target.FLOAT16, window.context)
+            renderers.append(renderer)
+            with closing(renderer):
+                # The last picture stays until the window is closed.
+                ends = number + 1 < len(joins)
+                window.play(joined, renderer, threads.update(renderer), note, ends)
+        if window.closed:
+            return
+
+
+class _Window:
+    """The window of all plays, and the camera that the mouse moved."""
+
+    def __init__(self, joined: Joined) -> None:
+        first = joined.path(joined.source.frames.first)
+        size = Size(first.width_px, first.height_px)
+        self._window = _open(size, joined.source.name)
         try:
-            context = moderngl.create_context(require=MIN_VERSION)
+            self.context = moderngl.create_context(require=MIN_VERSION)
         except Exception as error:  # moderngl and glcontext raise bare Exception
             raise GlError(f"OpenGL 3.3 cannot start in a window: {error}") from error
-        renderer = GlRenderer(source.manifest, Target.FLOAT16, context)
-        view = view_of(source.manifest)
-        controls = _Controls(window, view, events, first.fy_px)
-        handoff = threads.update(renderer)
+        self._view = view_of(joined.source.manifest)
+        self._controls = _Controls(self._window, self._view, first.fy_px)
+
+    @property
+    def closed(self) -> bool:
+        return bool(glfw.window_should_close(self._window))
+
+    def play(
+        self, joined: Joined, renderer: GlRenderer, handoff: Handoff, note: Note, ends: bool
+    ) -> None:
+        """Shows one play; returns when the window is closed, or, if it `ends`, after its last
+        frame."""
+        self._controls.events = joined.events
         frame, drawn = None, None
-        try:
-            while not glfw.window_should_close(window):
-                glfw.poll_events()
-                for record in handoff.poll():
-                    keep(record)
-                    frame = record.frame
-                state = (frame, controls.changes, glfw.get_framebuffer_size(window))
-                if frame is None or state == drawn or not all(state[2]):
-                    time.sleep(IDLE_S)
-                    continue
-                camera = view.applied(path(frame)).fitted(*state[2])
-                renderer.present(frame, camera, context.screen)
-                glfw.swap_buffers(window)
-                drawn = state
-        finally:
-            renderer.close()
-    return renderer
+        waiting: list[FrameRecord] = []
+        while not self.closed:
+            glfw.poll_events()
+            ended = handoff.ended
+            for record in handoff.poll():
+                waiting.append(record)
+                frame = record.frame
+            size = glfw.get_framebuffer_size(self._window)
+            state = (frame, self._controls.changes, size)
+            if frame is None or state == drawn or not all(size):
+                for record in waiting:  # nobody sees a window without a size
+                    note(record, False)
+                waiting.clear()
+                if ends and ended:
+                    return
+                time.sleep(IDLE_S)
+                continue
+            camera = self._view.applied(joined.path(frame)).fitted(*size)
+            renderer.present(frame, camera, self.context.screen)
+            glfw.swap_buffers(self._window)
+            drawn = state
+            for record in waiting:
+                note(record, record.frame == frame)
+            waiting.clear()
 
 
 def _open(size: Size, title: str) -> Any:
@@ -104,8 +141,10 @@ def _open(size: Size, title: str) -> Any:
 class _Controls:
     """Turns mouse and keys into a View. `changes` goes up with whatever changes the picture."""
 
-    def __init__(self, window: Any, view: View, events: Events, focal_px: float) -> None:
-        self._view, self._events, self._focal_px = view, events, focal_px
+    def __init__(self, window: Any, view: View, focal_px: float) -> None:
+        self._view, self._focal_px = view, focal_px
+        self.events: Events | None = None
+        """What plays now."""
         self._at_px = (0.0, 0.0)
         self.changes = 0
         glfw.set_cursor_pos_callback(window, self._moved)
@@ -134,7 +173,8 @@ class _Controls:
         if key == glfw.KEY_ESCAPE:
             glfw.set_window_should_close(window, True)
         elif key == glfw.KEY_SPACE:
-            self._events.toggle_pause()
+            if self.events is not None:
+                self.events.toggle_pause()
         elif key == glfw.KEY_R:
             self._view.reset()
             self.changes += 1

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import os
 import threading
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
 from typing import Any, TypeVar
 from urllib.parse import urlsplit, urlunsplit
@@ -61,9 +61,13 @@ class Fetcher:
     """
 
     def __init__(
-        self, via: tuple[str, int] | None = None, config: FetchConfig | None = None
+        self,
+        via: tuple[str, int] | None = None,
+        config: FetchConfig | None = None,
+        received: Callable[[int], None] | None = None,
     ) -> None:
-        """via: address of a relay that every request goes through instead of to its host."""
+        """via: address of a relay that every request goes through instead of to its host.
+        received: is told how many bytes of a body each read gave."""
         self._via = via
         self._config = config or FetchConfig()
         self._loop = asyncio.new_event_loop()
@@ -71,6 +75,7 @@ class Fetcher:
         self._lock = threading.Lock()
         self._waiting: asyncio.Task[Any] | None = None
         self._stopped = False
+        self._received = received
         self.received_bytes = 0
         """Bytes of bodies read so far."""
 
@@ -92,6 +97,12 @@ class Fetcher:
             self._stopped = True
             if self._waiting is not None:
                 self._loop.call_soon_threadsafe(self._waiting.cancel)
+
+    def count(self, num_bytes: int) -> None:
+        """So many bytes of a body were read."""
+        self.received_bytes += num_bytes
+        if self._received is not None:
+            self._received(num_bytes)
 
     def pause(self, seconds: float) -> None:
         """Waits, unless interrupted."""
@@ -165,7 +176,7 @@ class Fetcher:
             body = bytearray()
             async for piece in response.content.iter_any():
                 body += piece
-                self.received_bytes += len(piece)
+                self.count(len(piece))
                 if len(body) > limit_bytes:
                     raise FetchError(f"{url} is longer than {limit_bytes} bytes")
             return Response(response.status, bytes(body))
@@ -185,7 +196,7 @@ class OpenResponse:
         """The next piece of the body, empty at its end. Raises BrokenError when it is cut off."""
         work = self._response.content.read(PIECE_BYTES)
         piece: bytes = self._fetcher._run(work, self._url)
-        self._fetcher.received_bytes += len(piece)
+        self._fetcher.count(len(piece))
         return piece
 
     def close(self) -> None:

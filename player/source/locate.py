@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from urllib.parse import quote, unquote, urlsplit, urlunsplit
 
@@ -24,11 +25,16 @@ SERVED = ("/v1/streams/", "/watch/")
 
 
 def open_source(
-    source: str, frames: FrameRange, layers: int | None, via: tuple[str, int] | None = None
+    source: str,
+    frames: FrameRange,
+    layers: int | None,
+    via: tuple[str, int] | None = None,
+    received: Callable[[int], None] | None = None,
 ) -> Source:
     """The stream that `source` names, from `frames.first` on.
 
     layers: None lets a server choose, and takes all elsewhere. via: the relay of `--link`.
+    received: is told how many bytes each read from the network gave.
     """
     if not source.lower().startswith(("http://", "https://")):
         if "://" in source:
@@ -36,7 +42,7 @@ def open_source(
                 f"{source}: only http:// and https:// URLs and folders can be played"
             )
         return DirectorySource(Path(source), frames, layers)
-    fetcher = Fetcher(via)
+    fetcher = Fetcher(via, received=received)
     try:
         return _open_url(source, fetcher, frames, layers)
     except BaseException:

@@ -82,6 +82,11 @@ def test_a_folder_into_a_video_with_a_report(library: Path, tmp_path: Path) -> N
     assert totals["bytes"] == sum(f["bytes"] for f in told["frames"]) > 0
     assert totals["mean_layers"] == 2
     assert totals["link_bytes"] is None
+    assert (totals["plays"], totals["undrawn_frames"], told["interrupted"]) == (1, 0, False)
+    assert all(f["drawn_s"] >= f["shown_s"] for f in told["frames"])
+    assert [one["birth"] for one in told["arrivals"]] == list(range(1 - SWIN_SIZE, 13))
+    assert sum(one["bytes"] for one in told["arrivals"]) == totals["bytes"]
+    assert told["rates"] == []  # nothing came over a network
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out.mp4", "report.json"]
 
 
@@ -114,6 +119,37 @@ def test_every_source_draws_the_same_frames(
     assert len(list((tmp_path / "0").iterdir())) == 6
 
 
+def test_plays_follow_each_other_on_one_clock(server: ServerProcess, tmp_path: Path) -> None:
+    out, report, plot = tmp_path / "out", tmp_path / "r.json", tmp_path / "p.png"
+    summary = play(
+        PlayConfig(
+            server.url,
+            capture=out,
+            renderer=CPU,
+            frames=FrameRange(2, 7),
+            link=read_link("20M,2ms"),
+            loop=3,
+            report=report,
+            plot=plot,
+        )
+    )
+    assert sorted(p.name for p in out.iterdir()) == [f"frame_{n:05d}.png" for n in range(2, 17)]
+    assert (out / "frame_00002.png").read_bytes() == (out / "frame_00012.png").read_bytes()
+    told = json.loads(report.read_text())
+    assert summary.totals.frames == told["totals"]["frames"] == 15
+    assert [(f["play"], f["frame"]) for f in told["frames"]] == [
+        (play, frame) for play in range(3) for frame in range(2, 7)
+    ]
+    shown_s = [frame["shown_s"] for frame in told["frames"]]
+    assert shown_s == sorted(shown_s)
+    asked_s = [play["asked_s"] for play in told["plays"]]
+    assert all(shown_s[5 * n - 1] <= asked_s[n] <= shown_s[5 * n] for n in (1, 2))
+    assert sum(play["startup_s"] for play in told["plays"]) == told["totals"]["startup_s"]
+    assert {one["link_bps"] for one in told["rates"]} == {20e6}
+    with Image.open(plot) as picture:
+        assert picture.size[0] > 1000
+
+
 def test_a_slow_link_stalls_and_is_counted(library: Path, tmp_path: Path) -> None:
     with static_host(library) as host:
         source = f"{host}/one"
@@ -126,7 +162,7 @@ def test_a_slow_link_stalls_and_is_counted(library: Path, tmp_path: Path) -> Non
     assert summary.link_bytes is not None
     assert summary.link_bytes >= totals.wire_bytes
     passed_s = totals.startup_s + 12 / 30 + totals.stalled_s
-    assert passed_s == pytest.approx(summary.link_bytes * 8 / 400e3, rel=0.4)
+    assert passed_s > 0.8 * summary.link_bytes * 8 / 400e3
 
 
 def test_a_server_that_dies_leaves_no_half_video(library: Path, tmp_path: Path) -> None:
@@ -161,6 +197,8 @@ def test_a_server_that_dies_leaves_no_half_video(library: Path, tmp_path: Path) 
         (("--link", "absent.json"), "nor a trace: No such file"),
         (("--camera", "absent.json"), "there is no file absent.json"),
         (("--capture", "x.mp4", "--report", "/absent/r.json"), "there is no folder"),
+        (("--capture", "x.mp4", "--plot", "/absent/p.png"), "there is no folder"),
+        (("--capture", "x.mp4", "--loop", "0"), "once at least"),
     ],
 )
 def test_options_that_are_wrong_for_any_stream(
@@ -258,6 +296,6 @@ def test_the_window_of_frame_zero_counts_in_the_first_frame(library: Path, tmp_p
         str(library / "one"), capture=tmp_path / "o", renderer=CPU, report=tmp_path / "r.json"
     )
     summary = play(config)
-    assert len(summary.records) == 13
-    others = [record.wire_bytes for record in summary.records[1:]]
-    assert summary.records[0].wire_bytes > (SWIN_SIZE - 1) * max(others)
+    sizes = [shown.record.wire_bytes for shown in summary.journal.frames.all()]
+    assert len(sizes) == 13
+    assert sizes[0] > (SWIN_SIZE - 1) * max(sizes[1:])

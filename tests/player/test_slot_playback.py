@@ -12,7 +12,7 @@ from PIL import Image
 from codec.framerange import FrameRange
 from codec.stream import StreamReader
 from player.config import PlayConfig
-from player.link.relay import Relay
+from player.link.linkprocess import LinkProcess
 from player.playback import play
 from player.render.cpu import render_splats
 from player.render.renderer import RendererKind
@@ -83,7 +83,7 @@ def test_layers_come_and_go_over_a_link_and_only_what_is_known_shows(
     library: Path, served_library: ServerProcess
 ) -> None:
     reader = StreamReader(library / "long")
-    with Relay(DIP, "127.0.0.1", served_library.port) as relay:
+    with LinkProcess(DIP, "127.0.0.1", served_library.port) as relay:
         url = f"{served_library.url}/watch/long"
         source = open_source(url, FrameRange(), None, relay.address)
         assert source.adaptive

@@ -1,4 +1,4 @@
-"""The relay, on real sockets."""
+"""The relay in its process, on real sockets."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from contextlib import contextmanager
 
 import pytest
 
+from player.link.linkprocess import LinkProcess
 from player.link.linktext import read_link
-from player.link.relay import Relay
+from tests.player.link.starved import Watch
 
 
 class Pouring:
@@ -71,62 +72,67 @@ def drain(address: tuple[str, int]) -> int:
         return total
 
 
-def takes_s(work: Callable[[], object], least_s: float, most_s: float) -> None:
-    """Never less, and not more in the best of five tries: other work on the machine adds time."""
-    for attempt in range(5):
-        began_s = time.monotonic()
-        work()
-        took_s = time.monotonic() - began_s
+def takes_s(
+    text: str, num_bytes: int, work: Callable[[LinkProcess], object], least_s: float, most_s: float
+) -> None:
+    """`work` over a link to a server that sends `num_bytes` on each connection: never less, and not
+    more in the best of five tries, for other work on the machine adds time."""
+    starved = False
+    for _ in range(5):
+        with (
+            pouring(num_bytes) as server,
+            LinkProcess(read_link(text), "127.0.0.1", server.port) as relay,
+            Watch() as watch,
+        ):
+            began_s = time.monotonic()
+            work(relay)
+            took_s = time.monotonic() - began_s
         assert took_s > least_s
         if took_s < most_s:
             return
-        time.sleep(attempt)
+        starved = starved or watch.starved
+    if starved:
+        pytest.skip("the machine is too busy for times to say anything")
     pytest.fail(f"took {took_s:.3f} s, not under {most_s} s")
 
 
 def test_one_second_of_bytes_takes_a_second() -> None:
-    def pour() -> None:
-        link = read_link("8M")
-        with pouring(1_000_000) as server, Relay(link, "127.0.0.1", server.port) as relay:
-            assert drain(relay.address) == 1_000_000
-            assert relay.down_bytes == 1_000_000
+    def pour(relay: LinkProcess) -> None:
+        assert drain(relay.address) == 1_000_000
+        assert relay.down_bytes == 1_000_000
 
-    takes_s(pour, 0.9, 1.1)
+    takes_s("8M", 1_000_000, pour, 0.95, 1.1)
 
 
 def test_connections_share_the_link() -> None:
-    def pour() -> None:
-        link = read_link("8M")
-        with pouring(150_000) as server, Relay(link, "127.0.0.1", server.port) as relay:
-            threads = [threading.Thread(target=drain, args=(relay.address,)) for _ in range(4)]
-            for thread in threads:
-                thread.start()
-            for thread in threads:
-                thread.join()
-            assert relay.down_bytes == 600_000
+    def pour(relay: LinkProcess) -> None:
+        threads = [threading.Thread(target=drain, args=(relay.address,)) for _ in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert relay.down_bytes == 600_000
 
-    takes_s(pour, 0.54, 0.66)
+    takes_s("8M", 150_000, pour, 0.57, 0.7)
 
 
 def test_latency_delays_and_does_not_throttle() -> None:
-    def pour() -> None:
-        link = read_link("40M,150ms")
-        with pouring(1_000_000) as server, Relay(link, "127.0.0.1", server.port) as relay:
-            began_s = time.monotonic()
-            with socket.create_connection(relay.address, timeout=30) as connection:
-                total = len(connection.recv(1))
-                assert time.monotonic() - began_s > 0.14
-                while piece := connection.recv(65536):
-                    total += len(piece)
-            assert total == 1_000_000
+    def pour(relay: LinkProcess) -> None:
+        began_s = time.monotonic()
+        with socket.create_connection(relay.address, timeout=30) as connection:
+            total = len(connection.recv(1))
+            assert time.monotonic() - began_s > 0.145
+            while piece := connection.recv(65536):
+                total += len(piece)
+        assert total == 1_000_000
 
-    takes_s(pour, 0.3, 0.45)
+    takes_s("40M,150ms", 1_000_000, pour, 0.34, 0.5)
 
 
 def test_a_player_that_does_not_read_holds_the_server_back() -> None:
     with (
         pouring(None) as server,
-        Relay(read_link("1G"), "127.0.0.1", server.port) as relay,
+        LinkProcess(read_link("1G"), "127.0.0.1", server.port) as relay,
         socket.socket() as connection,
     ):
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 64 << 10)
@@ -142,7 +148,7 @@ def test_a_player_that_does_not_read_holds_the_server_back() -> None:
 def test_a_server_that_is_away_is_said_in_http() -> None:
     with socket.create_server(("127.0.0.1", 0)) as unused:
         port = unused.getsockname()[1]
-    with Relay(read_link("8M"), "127.0.0.1", port) as relay:
+    with LinkProcess(read_link("8M"), "127.0.0.1", port) as relay:
         with socket.create_connection(relay.address, timeout=10) as connection:
             connection.sendall(b"GET / HTTP/1.1\r\nHost: x\r\n\r\n")
             answer = b""
@@ -154,7 +160,7 @@ def test_a_server_that_is_away_is_said_in_http() -> None:
 
 def test_closing_the_relay_cuts_its_connections() -> None:
     with pouring(None) as server:
-        relay = Relay(read_link("100k"), "127.0.0.1", server.port)
+        relay = LinkProcess(read_link("100k"), "127.0.0.1", server.port)
         with socket.create_connection(relay.address, timeout=10) as connection:
             assert connection.recv(1)
             relay.close()
@@ -162,4 +168,3 @@ def test_closing_the_relay_cuts_its_connections() -> None:
             with contextlib.suppress(ConnectionError):
                 while connection.recv(65536):
                     pass
-            assert relay.down_bytes < 100_000

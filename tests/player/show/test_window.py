@@ -45,7 +45,7 @@ def swap_buffers(window):
         glfw.set_window_should_close(window, True)
 
 glfw.swap_buffers = swap_buffers
-summary = play(PlayConfig(sys.argv[1], report=Path(sys.argv[2])))
+summary = play(PlayConfig(sys.argv[1], report=Path(sys.argv[2]), loop=int(sys.argv[3])))
 print(json.dumps({
     "sizes": [s[:2] for s in shown],
     "brightest": [s[2] for s in shown],
@@ -72,10 +72,13 @@ def display() -> Iterator[str]:
         process.wait()
 
 
-def test_a_window_plays_resizes_and_closes(display: str, tmp_path: Path) -> None:
-    stream = write_stream(tmp_path / "s", 40)
+@pytest.mark.parametrize(("num_frames", "loop"), [(40, 1), (5, 9)])
+def test_a_window_plays_resizes_and_closes(
+    display: str, tmp_path: Path, num_frames: int, loop: int
+) -> None:
+    stream = write_stream(tmp_path / "s", num_frames)
     done = subprocess.run(
-        [sys.executable, "-c", PLAY, str(stream), str(tmp_path / "r.json")],
+        [sys.executable, "-c", PLAY, str(stream), str(tmp_path / "r.json"), str(loop)],
         cwd=ROOT,
         env={**os.environ, "DISPLAY": display},
         capture_output=True,
@@ -89,8 +92,12 @@ def test_a_window_plays_resizes_and_closes(display: str, tmp_path: Path) -> None
     assert min(told["brightest"]) > 100
     assert told["different"] > 5
     assert told["renderer"].startswith("OpenGL")
-    frames = [f["frame"] for f in json.loads((tmp_path / "r.json").read_text())["frames"]]
-    assert frames == list(range(len(frames)))
+    summary = json.loads((tmp_path / "r.json").read_text())
+    frames = [(f["play"], f["frame"]) for f in summary["frames"]]
+    assert frames == [divmod(n, num_frames) for n in range(len(frames))]
+    assert len(frames) > 5
+    undrawn = [f for f in summary["frames"] if f["drawn_s"] is None]
+    assert len(undrawn) == summary["totals"]["undrawn_frames"] < len(frames)
 
 
 def test_without_a_display_one_line_says_what_to_do(tmp_path: Path) -> None:

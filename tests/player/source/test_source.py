@@ -17,8 +17,8 @@ from codec.errors import CorruptError, InvalidError, SwingsError
 from codec.framerange import FrameRange
 from codec.slice import Slice
 from codec.stream import StreamReader, StreamWriter
+from player.link.linkprocess import LinkProcess
 from player.link.linktext import read_link
-from player.link.relay import Relay
 from player.source.fetch import BrokenError, Fetcher, FetchError
 from player.source.locate import open_source
 from player.source.retry import Retry, RetryConfig
@@ -201,7 +201,7 @@ def test_a_folder_still_written_is_played_as_far_as_it_has_come(tmp_path: Path) 
 
 
 def test_through_a_link_the_slices_are_the_same(library: Path, server: ServerProcess) -> None:
-    with Relay(read_link("2M,5ms"), "127.0.0.1", server.port) as relay:
+    with LinkProcess(read_link("2M,5ms"), "127.0.0.1", server.port) as relay:
         source = open_source(server.url, FrameRange(), 3, relay.address)
         got = list(assembled(source))
         source.close()

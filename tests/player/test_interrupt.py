@@ -1,0 +1,63 @@
+"""Ctrl-C in the middle of a play: what was asked for is whole, or not there."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.support.commands import ROOT
+from tests.support.hosted_streams import served, write_stream
+
+
+@pytest.mark.parametrize("capture", ["out.mp4", "pictures"])
+def test_ctrl_c_writes_the_report_and_no_half_video(tmp_path: Path, capture: str) -> None:
+    (tmp_path / "library").mkdir()
+    write_stream(tmp_path / "library" / "long", 300)
+    folder = tmp_path / "out"
+    folder.mkdir()
+    out, report = folder / capture, folder / "report.json"
+    options = ["--size", "32x24", "--renderer", "cpu", "--link", "20M,2ms", "--loop", "9"]
+    with served(tmp_path / "library") as server:
+        player = subprocess.Popen(
+            [
+                *(sys.executable, "-m", "player", server.url, *options),
+                *("--capture", str(out), "--report", str(report)),
+            ],
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        # A picture, or the video that is not whole yet.
+        begun = "pictures/frame_00002.png" if capture == "pictures" else ".out.mp4.tmp"
+        until_s = time.monotonic() + 100
+        while not (folder / begun).exists():
+            assert player.poll() is None
+            assert time.monotonic() < until_s
+            time.sleep(0.05)
+        player.send_signal(signal.SIGINT)
+        told = player.communicate(timeout=100)
+    assert (player.returncode, *told) == (130, "", "")
+    names = sorted(path.name for path in folder.iterdir())
+    assert names == (["pictures", "report.json"] if capture == "pictures" else ["report.json"])
+    summary = json.loads(report.read_text())
+    assert summary["interrupted"]
+    assert len(summary["frames"]) == summary["totals"]["frames"] - drawn_too_late(summary)
+    assert sum(one["bytes"] for one in summary["arrivals"]) >= summary["totals"]["bytes"] > 0
+    assert summary["totals"]["link_bytes"] > summary["totals"]["bytes"]
+    assert {one["link_bps"] for one in summary["rates"]} == {20e6}
+    if capture == "pictures":
+        assert len(summary["frames"]) >= 3
+
+
+def drawn_too_late(summary: dict[str, dict[str, int]]) -> int:
+    """Frames that were due, and on their way to be drawn: at most as many as wait there."""
+    on_their_way = summary["totals"]["frames"] - len(summary["frames"])
+    assert 0 <= on_their_way <= 4
+    return on_their_way
