@@ -59,15 +59,11 @@ def _play(kind: RendererKind) -> RendererKind:
         with closing(create_renderer(kind, manifest)) as renderer:
             assembler = open_assembler(manifest, 1, 0)
             for frame in range(2):
-                due = [one for one in packets if _frame_of(one) == frame]
+                due = [one for one in packets if max(0, one.first_frame) == frame]
                 for slice in assembler.take(frame, due):
                     renderer.put(slice)
                 renderer.render(frame, _CAMERA)
     return kind
-
-
-def _frame_of(packets: Packets) -> int:
-    return max(0, packets.birth if isinstance(packets, SlicePackets) else packets.frame)
 
 
 def _some_splats() -> Splats:

@@ -61,7 +61,7 @@ class PlayoutTotals:
 
     frames: int = 0
     startup_s: float = 0.0
-    """From the start of the player to its first picture."""
+    """From the start of the clock to the first picture."""
     stalls: int = 0
     stalled_s: float = 0.0
     layers: float = 0.0

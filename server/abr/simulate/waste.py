@@ -138,13 +138,12 @@ def _slots_bytes(
 
 
 def _take(media: Media, what: Send, holding: SlotHolding, layers: list[_Chains]) -> None:
+    what.add_to(holding)
     numbers = range(what.first_layer, what.end_layer)
     if isinstance(what, SendSnapshots):
-        holding.add_snapshots(what.frame, what.first_layer, what.end_layer)
         for layer in numbers:
             layers[layer].add_snapshot(what.frame, media.sizes(what.frame).snapshot_bytes[layer])
         return
     for birth in what.births:
-        holding.add(birth, what.first_layer, what.end_layer)
         for layer in numbers:
             layers[layer].add_change(birth, media.sizes(birth).layer_bytes[layer])
