@@ -125,6 +125,25 @@ def test_each_packet_comes_once_where_it_is_of_use_and_the_play_ends(
     assert all(1 <= one.layers <= layers for one in shown)
 
 
+@given(
+    st.booleans(),
+    st.lists(
+        st.tuples(st.floats(0.2, 5), st.sampled_from([1.15, 1.3, 2.0, 3.0, 10.0, 30.0])),
+        min_size=1,
+        max_size=7,
+    ),
+)
+@settings(max_examples=40, deadline=None)
+def test_a_link_that_always_carries_layer_0_never_stalls_however_it_changes(
+    has_slots: bool, steps: list[tuple[float, float]]
+) -> None:
+    media = slot_media(450) if has_slots else demo_media(450)
+    need = media.need_bps(1) / 1e6
+    shown, clock = played(media, link_of(*((seconds, share * need) for seconds, share in steps)))
+    assert len(shown) == media.num_frames
+    assert clock.stalls == 0
+
+
 @given(st.booleans(), st.integers(0, 1 << 12), steps)
 @settings(max_examples=40, deadline=None, derandomize=True)
 def test_upper_layers_cost_no_more_than_the_first_outages(
