@@ -32,8 +32,12 @@ def captured(picture: Picture) -> Floats:
 
 
 def displayed(splats: Splats, camera: Camera, near_m: float) -> Floats:
-    """(H, W, 3) in 0..1: what a screen shows of `splats`, which is rounded to 8 bits."""
-    picture = render_splats(splats, camera, near_m)
+    """(H, W, 3) in 0..1: what a screen shows of `splats`."""
+    return on_screen(render_splats(splats, camera, near_m))
+
+
+def on_screen(picture: Floats) -> Floats:
+    """`picture` in 0..1, rounded to the 8 bits of a screen."""
     shown: Floats = np.rint(np.clip(picture, 0, 1) * np.float32(255)) / np.float32(255)
     return shown
 

@@ -1,0 +1,150 @@
+"""What a player really showed, beside what the index promised: the frames of a played report,
+rendered for the held-out cameras and scored.
+
+Usage: scripts/bench shown STREAM --report REPORT.json --capture CAPTURE
+
+REPORT.json is what `swings-play --report` wrote of STREAM. It says which packets had come when each
+frame was shown. They are put together by the player's own assembler, and nothing else is. Predicted
+is the PSNR of the index for the layers that those packets make, as the server reckons with.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import fmean
+from typing import Annotated, Any
+
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
+import tyro
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from codec.console import run_command
+from codec.errors import CodecError, InvalidError
+from codec.stream import StreamReader
+from codec.stream.manifest import MASKS, Part, snapshot_part
+from player.playout.assembler import open_assembler
+from player.render.cpu import CpuRenderer
+from player.source.source import Packets, SlicePackets, SnapshotPackets
+from server.abr.slotholding import open_holding
+from server.study.looped import open_media
+from trainer.score.picture import captured, on_screen, score_picture
+from trainer.score.truth import HeldOut, open_held_out
+
+
+@dataclass(frozen=True, slots=True)
+class ShownConfig:
+    """What was played."""
+
+    stream: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="STREAM")]]
+    """Folder of the stream."""
+    report: Path
+    """What `swings-play --report` wrote of it."""
+    capture: Path
+    """The capture that the stream was trained from."""
+    every: int = 1
+    """Score every n-th frame only."""
+
+
+@dataclass(frozen=True, slots=True)
+class ShownScore:
+    """A frame as it was shown."""
+
+    frame: int
+    layers: float
+    predicted_db: float
+    rendered_db: float
+    """Mean of the held-out cameras."""
+
+
+def blame(error: CodecError, part: Part) -> CodecError:
+    return error
+
+
+def packets_of(reader: StreamReader, arrival: dict[str, Any]) -> Packets:
+    """The packets that came together."""
+    layers = range(arrival["first_layer"], arrival["first_layer"] + arrival["layers"])
+    birth, frame = arrival["birth"], arrival["snapshot_frame"]
+
+    def packet(at: int, part: Part) -> bytes:
+        return reader.read_object(reader.manifest.segment_of(at), part).packet(at)
+
+    if birth is None:
+        snapshots = tuple(packet(frame, snapshot_part(layer)) for layer in layers)
+        return SnapshotPackets(frame, layers.start, snapshots, blame)
+    masked = reader.manifest.has_slots and not layers.start
+    mask = packet(birth, MASKS) if masked else None
+    return SlicePackets(
+        birth, layers.start, tuple(packet(birth, layer) for layer in layers), mask, blame
+    )
+
+
+def shown_scores(held_out: HeldOut, report: dict[str, Any], every: int) -> Iterator[ShownScore]:
+    """The frames of the first play of a report, scored."""
+    reader, manifest = held_out.reader, held_out.reader.manifest
+    frames = [frame for frame in report["frames"] if frame["play"] == 0]
+    arrivals = [arrival for arrival in report["arrivals"] if arrival["play"] == 0]
+    if not frames or any(report["dropped"].values()):
+        raise InvalidError("the report does not hold all of a play; play less at a time")
+    first = frames[0]["frame"]
+    media = open_media(reader.path, reader.num_frames / manifest.fps)
+    holding = open_holding(media, first)
+    assembler = open_assembler(manifest, manifest.num_layers, first)
+    renderer = CpuRenderer(manifest)
+    waiting = [(arrival["came_s"], packets_of(reader, arrival)) for arrival in arrivals]
+    for shown in frames:
+        frame, shown_s = shown["frame"], shown["shown_s"]
+        used = [one for time_s, one in waiting if time_s <= shown_s and one.first_frame <= frame]
+        waiting = [
+            (time_s, one) for time_s, one in waiting if time_s > shown_s or one.first_frame > frame
+        ]
+        for one in used:
+            one.add_to(holding)
+        for part in assembler.take(frame, used):
+            renderer.put(part)
+        if (frame - first) % every == 0:
+            scores = []
+            for camera, shot in zip(held_out.cameras, held_out.shots(frame), strict=True):
+                picture = on_screen(renderer.render(frame, camera))
+                scores.append(score_picture(picture, captured(shot.picture), shot.mask).psnr_db)
+            yield ShownScore(frame, holding.layers(frame), holding.psnr_db(frame), fmean(scores))
+        holding.forget(frame)
+
+
+def table_of(scores: list[ShownScore]) -> Table:
+    """Frames by how many layers they show, and all of them."""
+    table = Table(box=box.SIMPLE)
+    for name in ("layers", "frames", "predicted dB", "rendered dB", "difference"):
+        table.add_column(name, justify="right")
+    by_layers: dict[str, list[ShownScore]] = {}
+    for score in scores:
+        by_layers.setdefault(f"{round(score.layers)}", []).append(score)
+    for name, some in [*sorted(by_layers.items()), ("all", scores)]:
+        predicted = fmean(score.predicted_db for score in some)
+        rendered = fmean(score.rendered_db for score in some)
+        table.add_row(
+            name, f"{len(some)}", f"{predicted:.2f}", f"{rendered:.2f}",
+            f"{rendered - predicted:+.2f}",
+        )  # fmt: skip
+    return table
+
+
+def run(config: ShownConfig) -> None:
+    report = json.loads(config.report.read_text())
+    with open_held_out(config.stream, config.capture) as held_out:
+        scores = list(shown_scores(held_out, report, config.every))
+    Console().print(table_of(scores))
+
+
+def main() -> None:
+    run_command(ShownConfig, run, "scripts/bench shown", "Scores what a player really showed.")
+
+
+if __name__ == "__main__":
+    main()
