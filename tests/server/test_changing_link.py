@@ -1,0 +1,90 @@
+"""Links that drop and rise while something is sent: a token bucket of the kernel (root), and the
+emulated link."""
+
+from __future__ import annotations
+
+import json
+import socket
+import subprocess
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from threading import Thread
+
+import pytest
+
+from player.link.linkprocess import LinkProcess
+from server.abr.link.link import Link, LinkStep
+from tests.support.delivery.pump import Told
+from tests.support.delivery.shaped import FAR, TCP_SHARE, shaped_link, why_not
+
+ROOT = Path(__file__).parents[2]
+
+NEEDS_TBF = pytest.mark.skipif(why_not() is not None, reason=str(why_not()))
+SPELL_S = 2.5
+"""Of one rate: a second to find it, and the rest to keep it."""
+ATTEMPTS = 4
+"""Other work on the machine takes from what passes."""
+
+
+def knows(over: str, before: float, after: float) -> list[Told]:
+    """What a session knows of a link of `before`, then `after` Mbit/s, each for SPELL_S."""
+    share = TCP_SHARE if over == "tbf" else 1.0
+    link = Link([LinkStep(SPELL_S, mbps * 1e6 / share, 0.02) for mbps in (before, after)])
+    with ExitStack() as stack:
+        host, shaped = "127.0.0.1", None
+        pump = [sys.executable, "-m", "tests.support.delivery.pump"]
+        if over == "tbf":
+            shaped = stack.enter_context(shaped_link(link))
+            host, pump = FAR, shaped.inside(*pump)
+        command = [*pump, host, str(1e6 * max(before, after)), str(2 * SPELL_S)]
+        process = stack.enter_context(
+            subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+        )
+        stack.callback(process.kill)
+        assert process.stdout is not None
+        where = host, int(process.stdout.readline())
+        if shaped is None:
+            where = stack.enter_context(LinkProcess(link, *where)).address
+        client = stack.enter_context(socket.create_connection(where, timeout=30))
+        if shaped is not None:
+            shaped.start()
+        Thread(target=read_all, args=(client,)).start()
+        return [Told(*json.loads(line)) for line in process.stdout]
+
+
+def read_all(client: socket.socket) -> None:
+    while client.recv(1 << 16):
+        pass
+
+
+def faults(told: list[Told], before: float, after: float) -> list[str]:
+    """What should not be."""
+    found = []
+    for one in told:
+        mbps, since_s = (
+            (before, one.time_s) if one.time_s < SPELL_S else (after, one.time_s - SPELL_S)
+        )
+        if since_s < 1.0:
+            continue
+        if abs((one.rate_bps or 0.0) / 1e6 / mbps - 1) > 0.1:
+            found.append(f"{one}: the estimate is not within 10 % of {mbps} Mbit/s")
+        if 8 * one.queued_bytes > 0.25 * 1e6 * mbps:
+            found.append(f"{one}: over 0.25 s of {mbps} Mbit/s are unacknowledged")
+    if told[-1].stalls:
+        found.append(f"{told[-1]}: it stalled")
+    return found
+
+
+@pytest.mark.parametrize("rates", [(16, 4), (4, 16), (100, 25), (25, 100)])
+@pytest.mark.parametrize("over", [pytest.param("tbf", marks=NEEDS_TBF), "link"])
+def test_a_fourfold_change_is_known_within_a_second(over: str, rates: tuple[float, float]) -> None:
+    for attempt in range(ATTEMPTS):
+        told = knows(over, *rates)
+        assert told[-1].time_s > 2 * SPELL_S - 0.5
+        found = faults(told, *rates)
+        if not found:
+            return
+        time.sleep(attempt)
+    pytest.fail(f"{len(found)} of {len(told)}: {found[0]}")

@@ -1,0 +1,83 @@
+"""A play of made-up bytes to one client, as a process: `python -m tests.support.delivery.pump HOST
+RATE SECONDS` fills a link of RATE bit/s.
+
+It does what server/play.py does, with nothing but the session between the socket and the clock. It
+prints its port, and then what the session knew: a line of JSON for each decision.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import socket
+import struct
+import sys
+import termios
+import time
+from typing import NamedTuple
+
+from server.abr.media import SegmentSizes
+from server.abr.outlook import SendSlices, SendSnapshots
+from server.abr.policies.choice import own_policy
+from server.abr.session import PlaySession, SessionConfig
+from server.abr.simulate.simulator import send_bytes
+from server.config import ServerConfig
+from tests.support.delivery.media import FakeMedia, demo_media
+
+
+class Told(NamedTuple):
+    """What a session knows when it decides."""
+
+    time_s: float
+    rate_bps: float | None
+    queued_bytes: float
+    stalls: int
+
+
+def wide_media(rate_bps: float, seconds: float) -> FakeMedia:
+    """A stream that a link of `rate_bps` never carries whole."""
+    demo = demo_media()
+    scale = 1.5 * rate_bps / demo.need_bps(4)
+    sizes = tuple(scale * size for size in demo.every.layer_bytes)
+    return FakeMedia(SegmentSizes(sizes, demo.every.psnr_db), round(30 * seconds))
+
+
+def unacknowledged_bytes(connection: socket.socket) -> int:
+    packed = fcntl.ioctl(connection.fileno(), termios.TIOCOUTQ, bytes(4))
+    unacked: int = struct.unpack("=i", packed)[0]
+    return unacked
+
+
+def tell(line: str) -> None:
+    sys.stdout.write(line + "\n")
+    sys.stdout.flush()
+
+
+def pump(connection: socket.socket, media: FakeMedia, lasts_s: float) -> None:
+    began_s, poll_s, sent_bytes = time.monotonic(), ServerConfig().poll_s, 0
+    session = PlaySession(media, own_policy(media), SessionConfig(), 0.0)
+    while (now_s := time.monotonic() - began_s) < lasts_s:
+        session.acknowledge(now_s, sent_bytes - unacknowledged_bytes(connection))
+        decision = session.decide(now_s)
+        told = Told(now_s, session.rate_bps, session.queued_bytes, session.clock.stalls)
+        tell(json.dumps(told))
+        if not isinstance(decision, SendSlices | SendSnapshots):
+            time.sleep(poll_s)
+            continue
+        num_bytes = round(send_bytes(media, decision))
+        session.sent(decision, num_bytes, now_s)
+        connection.sendall(bytes(num_bytes))
+        sent_bytes += num_bytes
+
+
+def main() -> None:
+    host, rate_bps, lasts_s = sys.argv[1], float(sys.argv[2]), float(sys.argv[3])
+    with socket.create_server((host, 0)) as listener:
+        tell(str(listener.getsockname()[1]))
+        connection, _ = listener.accept()
+        with connection:
+            pump(connection, wide_media(rate_bps, lasts_s + 10), lasts_s)
+
+
+if __name__ == "__main__":
+    main()

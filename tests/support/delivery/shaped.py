@@ -1,0 +1,122 @@
+"""A real bottleneck: two network namespaces with a token bucket (tbf) between them. Needs root."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from server.abr.link.link import Link, LinkStep
+
+LEAST_BPS = 8e3
+"""tbf passes something at least; as good as nothing here."""
+
+BURST_S = 0.004
+LEAST_BURST_BYTES = 3200
+"""Two whole packets: fewer would never pass."""
+
+QUEUE_S = 0.1
+LEAST_QUEUE_BYTES = 16_000
+"""What waits before the link at most; the rest is dropped, as by a router."""
+
+TCP_SHARE = 1448 / 1514
+"""Bytes of TCP in a full Ethernet frame: tbf counts the heads too."""
+
+NEAR, FAR = "10.213.7.1", "10.213.7.2"
+
+
+def why_not() -> str | None:
+    """Why there can be no such link here; None if there can."""
+    if sys.platform != "linux":
+        return "network namespaces are Linux's"
+    if os.geteuid() != 0:
+        return "network namespaces need root"
+    missing = [tool for tool in ("ip", "tc") if shutil.which(tool) is None]
+    if missing:
+        return f"{' and '.join(missing)} (iproute2) not found"
+    try:
+        with shaped_link(Link([LinkStep(1.0, 1e6, 0.0)])):
+            return None
+    except subprocess.CalledProcessError as error:
+        return f"{' '.join(error.cmd)}: {error.stderr.strip()}"
+
+
+class ShapedLink:
+    """The namespace behind the link."""
+
+    def __init__(self, name: str, devices: tuple[str, str], link: Link) -> None:
+        self._name, self._link = name, link
+        self._here, self._device = devices
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._shape(link.steps[0].rate_bps)
+
+    def inside(self, *command: str) -> list[str]:
+        """`command` as it runs behind the link, where the machine's address is FAR."""
+        return ["ip", "netns", "exec", self._name, *command]
+
+    def start(self, after_bytes: int = 0) -> None:
+        """The time of the link begins, once `after_bytes` have passed; until then it has the rate
+        of its first step."""
+        self._thread = threading.Thread(target=self._follow, args=(after_bytes,), daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join()
+
+    def _follow(self, after_bytes: int) -> None:
+        passed = Path("/sys/class/net", self._here, "statistics", "rx_bytes")
+        begin_bytes = int(passed.read_text())
+        while int(passed.read_text()) - begin_bytes < after_bytes:
+            if self._stop.wait(0.002):
+                return
+        next_s = time.monotonic()
+        while True:
+            for step in self._link.steps:
+                self._shape(step.rate_bps)
+                next_s += step.duration_s
+                if self._stop.wait(max(0.0, next_s - time.monotonic())):
+                    return
+
+    def _shape(self, rate_bps: float) -> None:
+        rate_bps = max(LEAST_BPS, rate_bps)
+        burst_bytes = max(LEAST_BURST_BYTES, round(rate_bps / 8 * BURST_S))
+        queue_bytes = max(LEAST_QUEUE_BYTES, round(rate_bps / 8 * QUEUE_S))
+        rule = f"tbf rate {round(rate_bps)}bit burst {burst_bytes} limit {queue_bytes}"
+        run(*self.inside("tc", "qdisc", "replace", "dev", self._device, "root", *rule.split()))
+
+
+def run(*command: str) -> None:
+    subprocess.run(command, check=True, capture_output=True, text=True)
+
+
+@contextmanager
+def shaped_link(link: Link) -> Iterator[ShapedLink]:
+    """A namespace whose way to here is `link`; latency is that of the queue alone."""
+    name = f"swings-{os.getpid()}"
+    here, there = f"sw{os.getpid()}a", f"sw{os.getpid()}b"
+    run("ip", "netns", "add", name)
+    try:
+        run("ip", "link", "add", here, "type", "veth", "peer", "name", there, "netns", name)
+        run("ip", "addr", "add", f"{NEAR}/30", "dev", here)
+        run("ip", "link", "set", here, "up")
+        behind = ("ip", "-n", name)
+        run(*behind, "addr", "add", f"{FAR}/30", "dev", there)
+        run(*behind, "link", "set", there, "up")
+        run(*behind, "link", "set", "lo", "up")
+        shaped = ShapedLink(name, (here, there), link)
+        try:
+            yield shaped
+        finally:
+            shaped.close()
+    finally:
+        # Its end of the link goes with it.
+        run("ip", "netns", "del", name)
