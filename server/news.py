@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 
 from aiohttp import web
-from aiohttp.http_exceptions import HttpProcessingError
 
 from codec.errors import InvalidError
 from server.abr.standing import MAX_BODY_BYTES, Standing
@@ -51,7 +50,7 @@ async def _body(request: web.Request, timeout_s: float) -> bytes:
                     raise RequestError(413, f"news of a play takes {MAX_BODY_BYTES} bytes at most")
     except TimeoutError as error:
         raise RequestError(408, "the news of a play did not come whole") from error
-    except (web.RequestPayloadError, HttpProcessingError) as error:
+    except web.RequestPayloadError as error:
         message = "the news of a play cannot be read"
         raise RequestError(400, message, {"Connection": "close"}) from error
     return bytes(body)
