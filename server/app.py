@@ -6,11 +6,13 @@ from aiohttp import web
 
 from codec.stream.index import INDEX_NAME
 from codec.stream.manifest import MANIFEST_NAME, MASKS
+from server.abr.standing import TOKEN
 
 from . import objects, pages
 from .config import ServerConfig
 from .library import Library
 from .middleware import add_headers, surround
+from .news import take_news
 from .play import play
 from .state import STATE, ServerState
 
@@ -42,6 +44,7 @@ def make_app(library: Library, config: ServerConfig) -> web.Application:
                 objects.segment_object,
             ),
             web.get(f"{stream}/play", play, allow_head=False),
+            web.post(f"{stream}/play/{{play:{TOKEN}}}", take_news),
         ]
     )
     return app

@@ -32,6 +32,10 @@ class ServerConfig:
     """Seconds between two looks at a live stream, or at the folder for new streams."""
     live_idle_s: float = 60.0
     """Seconds that a play waits for new slices of a live stream before it ends."""
+    remember_plays: int = 1024
+    """Plays whose last estimates are kept when they are over, for clients that come back."""
+    remember_s: float = 60.0
+    """Seconds that such an estimate is kept."""
     cors_origin: str = "*"
     """Web origin that may read the streams; empty for none."""
 
@@ -48,7 +52,8 @@ class ServerConfig:
         ):
             if not getattr(self, name) > 0:
                 raise InvalidError(f"{name} is {getattr(self, name)}; it must be positive")
-        if self.cache_bytes < 0:
-            raise InvalidError(f"cache_bytes is {self.cache_bytes}; it must not be negative")
+        for name in ("cache_bytes", "remember_plays", "remember_s"):
+            if not getattr(self, name) >= 0:
+                raise InvalidError(f"{name} is {getattr(self, name)}; it must not be negative")
         if any(not 0x20 < ord(c) < 0x7F for c in self.cors_origin):
             raise InvalidError("cors_origin is not a web origin; give *, an origin or nothing")

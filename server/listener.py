@@ -11,8 +11,8 @@ from collections.abc import Callable
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 
+from .client.connection import bound_connections
 from .config import ServerConfig
-from .connection import bound_connections
 from .errors import ServerError
 
 BACKLOG = 1024
@@ -100,4 +100,4 @@ def _quiet_logger() -> logging.Logger:
 
 def _is_our_fault(record: logging.LogRecord) -> bool:
     error = record.exc_info[1] if record.exc_info else None
-    return not isinstance(error, HttpProcessingError)
+    return not isinstance(error, HttpProcessingError | web.RequestPayloadError)

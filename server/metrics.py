@@ -79,6 +79,11 @@ class Metrics:
         self.plays = CounterFamily(
             "swings_plays_total", "Plays that are over, by how they ended.", "outcome"
         )
+        self.play_news = CounterFamily(
+            "swings_play_news_total",
+            "What clients told of their plays, by what became of it.",
+            "outcome",
+        )
         self.stalled_writers = CounterFamily(
             "swings_stalled_writers_total", "Clients cut because they stopped reading.", "route"
         )

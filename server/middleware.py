@@ -11,8 +11,9 @@ from collections.abc import Awaitable, Callable
 from aiohttp import web
 
 from codec.errors import SwingsError
+from server.abr.standing import PLAY_HEADER
 
-from .connection import Connection, StalledError
+from .client.connection import Connection, StalledError
 from .errors import RequestError
 from .state import STATE
 
@@ -22,6 +23,9 @@ Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 PREFLIGHT_AGE_S = 86400
 """Seconds that a browser may remember what a preflight said."""
+
+ALLOWED_HEADERS = f"Range, If-Range, If-None-Match, Content-Type, {PLAY_HEADER}"
+"""What a page of another origin may send."""
 
 CLIENT_GONE = 499
 """Counted for a response that its client did not take to the end; nobody receives it."""
@@ -59,8 +63,8 @@ async def _answer(request: web.Request, handler: Handler) -> web.StreamResponse:
         return web.Response(
             status=204,
             headers={
-                "Access-Control-Allow-Methods": "GET, HEAD",
-                "Access-Control-Allow-Headers": "Range, If-Range, If-None-Match",
+                "Access-Control-Allow-Methods": "GET, HEAD, POST",
+                "Access-Control-Allow-Headers": ALLOWED_HEADERS,
                 "Access-Control-Max-Age": str(PREFLIGHT_AGE_S),
             },
         )
@@ -97,7 +101,7 @@ async def add_headers(request: web.Request, response: web.StreamResponse) -> Non
     if origin:
         response.headers["Access-Control-Allow-Origin"] = origin
         response.headers["Access-Control-Expose-Headers"] = (
-            "Accept-Ranges, Content-Length, Content-Range, ETag, Retry-After"
+            f"Accept-Ranges, Content-Length, Content-Range, ETag, Retry-After, {PLAY_HEADER}"
         )
         response.headers["Cross-Origin-Resource-Policy"] = "cross-origin"
         response.headers["Timing-Allow-Origin"] = origin

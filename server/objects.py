@@ -14,7 +14,7 @@ from aiohttp import web
 from codec.stream.manifest import Part
 
 from .byterange import ByteRange, Unsatisfiable, parse_range
-from .connection import PIECE_BYTES, Connection
+from .client.connection import PIECE_BYTES, Connection
 from .errors import RequestError
 from .state import STATE, find_stream
 

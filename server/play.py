@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import random
+import secrets
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -34,8 +36,10 @@ from server.abr.session import (
     WaitForNews,
     WaitUntil,
 )
+from server.abr.standing import PLAY_HEADER
 
-from .connection import Connection, StalledError
+from .client.connection import Connection, StalledError
+from .client.tcpinfo import TcpInfo
 from .errors import RequestError
 from .library import ServedStream
 from .state import STATE, ServerState, find_stream
@@ -52,6 +56,10 @@ SNAPSHOTS_BYTES = 1 << 20
 
 LIVE_POLL_S = 0.1
 """How often a play at the end of a live stream looks whether it has grown, seconds."""
+
+TCP_INFO_S = 1.0
+"""How often a play asks the kernel about its connection, for the log, seconds: a connection that
+is closed does not tell."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +106,11 @@ def _number(key: str, text: str) -> int:
     return int(text)
 
 
+def _figure(value: float | None, scale: float) -> str:
+    """`value`, scaled, for the log; a dash where it is not known."""
+    return "-" if value is None else f"{value * scale:.1f}"
+
+
 async def play(request: web.Request) -> web.StreamResponse:
     stream = await find_stream(request)
     state = request.app[STATE]
@@ -105,13 +118,12 @@ async def play(request: web.Request) -> web.StreamResponse:
     query = parse_query(request.query.items(), stream.num_frames, stream.live, num_layers)
     if state.stopping.is_set():
         raise RequestError(503, "the server is stopping", {"Retry-After": str(RETRY_AFTER_S)})
-    if state.active_plays >= state.config.max_plays:
-        message = f"the server has {state.active_plays} plays, its most; try again later"
+    if len(state.plays) >= state.config.max_plays:
+        message = f"the server has {len(state.plays)} plays, its most; try again later"
         raise RequestError(503, message, {"Retry-After": str(RETRY_AFTER_S)})
     running = _Play(request, state, stream, query)
     outcome = "failed"
-    state.active_plays += 1
-    state.metrics.active_plays.set(state.active_plays)
+    state.metrics.active_plays.set(len(state.plays))
     try:
         outcome = await running.run()
     except StalledError:
@@ -121,8 +133,8 @@ async def play(request: web.Request) -> web.StreamResponse:
         outcome = "gone"
         raise
     finally:
-        state.active_plays -= 1
-        state.metrics.active_plays.set(state.active_plays)
+        running.end(outcome)
+        state.metrics.active_plays.set(len(state.plays))
         state.metrics.plays.add(1, outcome)
     return running.response
 
@@ -135,23 +147,52 @@ class _Play:
     ) -> None:
         layers = query.num_layers
         policy = own_policy(stream) if layers is None else fixed_policy(layers)
+        self._token = token = secrets.token_urlsafe(16)
         self.response = web.StreamResponse(
-            headers={"Content-Type": CONTENT_TYPE, "Cache-Control": "no-store"}
+            headers={"Content-Type": CONTENT_TYPE, "Cache-Control": "no-store", PLAY_HEADER: token}
         )
         self._state = state
         self._stream = stream
         self._connection = Connection(request, state.config.write_timeout_s)
         self._from_frame = query.from_frame
         self._clock = asyncio.get_running_loop().time
+        self._began_s = now_s = self._clock()
+        last_rate_bps = state.plays.rate_bps(request.headers.get(PLAY_HEADER, ""), now_s)
         self._session = PlaySession(
             stream,
             policy,
             state.config.session,
-            self._clock(),
+            now_s,
             query.from_frame,
             query.until_frame,
+            last_rate_bps,
+            # Clients that begin together, as at the start of a show, shall not burst in step.
+            rest_share=random.random(),
         )
         self._objects: dict[tuple[int, Part], CheckedObject] = {}
+        self._sent_slices = 0
+        self._sent_layers = 0
+        self._tcp_info = TcpInfo()
+        self._tcp_info_s = now_s  # when it is due
+        self._entry = state.plays.begin(token, stream.name)
+
+    def end(self, outcome: str) -> None:
+        """Gives the place free, and says how the play went."""
+        now_s, session, tcp = self._clock(), self._session, self._tcp_info
+        self._state.plays.end(self._token, now_s)
+        log.info(
+            "play of %s: %s, %.1f s, %d bytes, %.2f layers; Mbit/s: %s estimated, %s by TCP; "
+            "latency: %s ms, round trip %s ms by TCP",
+            self._stream.name,
+            outcome,
+            now_s - self._began_s,
+            session.sent_bytes,
+            self._sent_layers / max(1, self._sent_slices),
+            _figure(session.rate_bps, 1e-6),
+            _figure(tcp.delivery_rate_bps, 1e-6),
+            _figure(session.least_latency_s, 1e3),
+            _figure(tcp.min_rtt_s, 1e3),
+        )
 
     async def run(self) -> str:
         """Sends the whole play; gives how it ended."""
@@ -180,7 +221,7 @@ class _Play:
                 raise ConnectionResetError("the client has gone")
             if self._state.stopping.is_set():
                 return "stopped", self._broken_off("the server is stopping")
-            self._acknowledge()
+            self._hear(now_s)
             decision = self._session.decide(now_s)
             if not isinstance(decision, WaitForFrames):
                 waiting_since_s = None
@@ -203,10 +244,18 @@ class _Play:
                 case Finished():
                     return "complete", EndRecord(self._stream.num_frames)
 
-    def _acknowledge(self) -> None:
-        """Tells the session what of its bytes the client's side has."""
+    def _hear(self, now_s: float) -> None:
+        """Tells the session what of its bytes the client's side has, and what the client says."""
+        session, entry = self._session, self._entry
         queued = self._connection.queued_bytes()
-        self._session.acknowledge(self._clock(), self._session.sent_bytes - queued)
+        session.acknowledge(self._clock(), session.sent_bytes - queued)
+        entry.rate_bps = session.rate_bps
+        news = entry.take_news()
+        if news is not None:
+            session.told(self._clock(), news)
+        if now_s >= self._tcp_info_s:
+            self._tcp_info = self._connection.tcp_info() or self._tcp_info
+            self._tcp_info_s = now_s + TCP_INFO_S
 
     def _broken_off(self, reason: str) -> ErrorRecord:
         resume_frame = max(self._from_frame, self._session.holding.end_frame)
@@ -236,6 +285,8 @@ class _Play:
             one = SendSlices(range(birth, birth + 1), send.first_layer, send.end_layer)
             await self._send_part(one, record)
             self._count(parts, packets)
+            self._sent_slices += not send.first_layer
+            self._sent_layers += len(layers)
 
     async def _send_snapshots(self, send: SendSnapshots) -> None:
         """Sends the snapshots in records of not much more than SNAPSHOTS_BYTES."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from aiohttp import web
 
 from .cache import ObjectCache
+from .client.register import PlayRegister
 from .config import ServerConfig
 from .errors import RequestError
 from .library import Library, ServedStream
@@ -23,11 +24,12 @@ class ServerState:
     metrics: Metrics = field(default_factory=Metrics)
     stopping: asyncio.Event = field(default_factory=asyncio.Event)
     """Set when the server begins to stop; plays then end at the next slice."""
-    active_plays: int = 0
     cache: ObjectCache = field(init=False)
+    plays: PlayRegister = field(init=False)
 
     def __post_init__(self) -> None:
         self.cache = ObjectCache(self.config.cache_bytes, self.metrics)
+        self.plays = PlayRegister(self.config.remember_plays, self.config.remember_s)
 
 
 STATE = web.AppKey("state", ServerState)

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from codec.errors import SwingsError
 from player.source.fetch import StoppedError
 from player.source.source import Packets
+from server.abr.standing import MAX_BUFFER_S, Standing
 
 from .clock import Clock
 from .timeline import DueFrame, FrameRecord, Playout, PlayoutTotals
@@ -38,6 +39,8 @@ class Events:
         self._finished = False
         self._stopped = False
         self._failure: BaseException | None = None
+        self._full = False
+        self._has_news = False  # whether something worth telling the sender has changed
 
     @property
     def totals(self) -> PlayoutTotals:
@@ -53,13 +56,43 @@ class Events:
             holds = not self._playout.has_room and not self._clock.real
             if holds:
                 self._clock.stop()
-            self._changed.wait_for(lambda: self._playout.has_room or self._stopped)
+            if not self._playout.has_room:
+                self._note_full(True)
+                self._changed.wait_for(lambda: self._playout.has_room or self._stopped)
+                self._note_full(False)
             if holds:
                 self._clock.start()
             if self._stopped:
                 raise StoppedError("the player stopped")
             self._playout.push(packets, self._clock.now_s())
             self._changed.notify_all()
+
+    def _note_full(self, full: bool) -> None:
+        self._full = full
+        self._has_news = True
+        self._changed.notify_all()
+
+    def standing(self, least_s: float, most_s: float) -> Standing | None:
+        """How the playback stands, `most_s` seconds from now, or sooner (`least_s` at least) when
+        something has changed that who sends should know. None once nothing more will come."""
+        with self._changed:
+
+            def over() -> bool:
+                return self._stopped or self._finished or self._failure is not None
+
+            self._changed.wait_for(over, least_s)
+            self._changed.wait_for(lambda: self._has_news or over(), most_s - least_s)
+            if over():
+                return None
+            self._has_news = False
+            frame, buffer_s = self._playout.place(self._clock.now_s())
+            return Standing(
+                frame,
+                min(buffer_s, MAX_BUFFER_S),
+                # A clock that is not real stands while the queue is full: nobody has paused.
+                paused=self._clock.real and not self._clock.running,
+                busy=self._full,
+            )
 
     def finish(self) -> None:
         """No packets will follow."""
@@ -87,6 +120,7 @@ class Events:
                 self._clock.stop()
             else:
                 self._clock.start()
+            self._has_news = True
             self._changed.notify_all()
 
     def take(self) -> DueFrame | None:
@@ -107,6 +141,8 @@ class Events:
                 if wait_s == 0:
                     due = self._playout.take()
                     assert due is not None
+                    # Only here is it known when the picture began, or that it stood still.
+                    self._has_news |= due.record.late or self.totals.frames == 1
                     self._changed.notify_all()
                     return due
                 self._changed.wait(wait_s)

@@ -4,7 +4,8 @@ receive_thread puts the packets that the stream brings into the events queue, an
 while a socket is not read a server sees a slow link. update_thread waits until a frame is due,
 decodes what came into use with it and puts it into the renderer; render_thread draws. Each stage is
 bounded and waits for the next one. An error travels down the line and rises in render_thread, which
-runs in the caller's thread, as windows and OpenGL want it.
+runs in the caller's thread, as windows and OpenGL want it. tell_thread stands beside the line: it
+tells who sends how the playback stands, and nothing waits for it.
 """
 
 from __future__ import annotations
@@ -26,6 +27,9 @@ from .queues import Events, Handoff
 from .timeline import FrameRecord
 
 Floats = npt.NDArray[np.float32]
+
+TELL_LEAST_S, TELL_MOST_S = 0.1, 1.0
+"""Seconds between two news to who sends: when something has changed, and in any case."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,10 +84,18 @@ def render_thread(
         show(record, renderer.render(record.frame, path(record.frame)))
 
 
-class Threads:
-    """Both threads; leaving the `with` block ends them, whatever happened.
+def tell_thread(source: Source, events: Events) -> None:
+    """Tells who sends how the playback stands, as long as somebody listens."""
+    while (standing := events.standing(TELL_LEAST_S, TELL_MOST_S)) is not None:
+        if not source.tell(standing):
+            break
 
-    receive_thread starts at once, so that the stream arrives while a renderer is made.
+
+class Threads:
+    """All threads but the caller's; leaving the `with` block ends them, whatever happened.
+
+    receive_thread and tell_thread start at once, so that the stream arrives while a renderer is
+    made.
     """
 
     def __init__(self, source: Source, events: Events) -> None:
@@ -93,6 +105,7 @@ class Threads:
 
     def __enter__(self) -> Threads:
         self._start("receive", receive_thread, self._source, self._events)
+        self._start("tell", tell_thread, self._source, self._events)
         return self
 
     def update(self, renderer: Renderer) -> Handoff:

@@ -138,6 +138,13 @@ class Playout:
         """Frames that can show and have not."""
         return self._clock.end_frame - self._next_frame if self._ready else 0
 
+    def place(self, now_s: float) -> tuple[int, float]:
+        """The next frame to show, and the seconds of media that can show from it on: by the time
+        line, however far behind it the drawing is."""
+        clock = self._clock
+        frame = clock.next_frame(now_s)
+        return frame, (clock.end_frame - frame) / clock.fps
+
     @property
     def _ready(self) -> bool:
         return self._clock.started_s is not None and self._next_frame < self._clock.end_frame

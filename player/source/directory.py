@@ -8,6 +8,7 @@ from pathlib import Path
 from codec.framerange import FrameRange
 from codec.stream import StreamReader
 from codec.stream.manifest import Manifest
+from server.abr.standing import Standing
 
 from .segments import SegmentPlay
 from .source import Packets, check_frames, check_layers
@@ -41,6 +42,9 @@ class DirectorySource:
             objects = {part: reader.read_object(segment, part) for part in play.parts}
             self.received_bytes += sum(len(found.data) for found in objects.values())
             yield from play.packets(objects)
+
+    def tell(self, standing: Standing) -> bool:
+        return False
 
     def interrupt(self) -> None:
         """Nothing here waits for longer than a read of the disk."""

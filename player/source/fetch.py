@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import os
 import threading
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 from urllib.parse import urlsplit, urlunsplit
@@ -87,9 +87,18 @@ class Fetcher:
         """
         return self._run(self._get(url, limit_bytes), url)
 
-    def open(self, url: str) -> OpenResponse:
+    def open(self, url: str, headers: Mapping[str, str] | None = None) -> OpenResponse:
         """The answer to a GET, its body yet to be read. Close it."""
-        return OpenResponse(self, url, self._run(self._request(url), url))
+        request = self._request(url, headers=headers)
+        return OpenResponse(self, url, self._run(request, url))
+
+    def post(self, url: str, body: bytes) -> int:
+        """The status of the answer to a POST; its body is not read."""
+        return self._run(self._post(url, body), url)
+
+    def another(self, config: FetchConfig) -> Fetcher:
+        """One more, for another thread, that goes the same way. Close it."""
+        return Fetcher(self._via, config)
 
     def interrupt(self) -> None:
         """Makes whoever waits, now or later, raise StoppedError."""
@@ -149,7 +158,13 @@ class Fetcher:
             with self._lock:
                 self._waiting = None
 
-    async def _request(self, url: str) -> aiohttp.ClientResponse:
+    async def _request(
+        self,
+        url: str,
+        method: str = "GET",
+        body: bytes | None = None,
+        headers: Mapping[str, str] | None = None,
+    ) -> aiohttp.ClientResponse:
         config = self._config
         if self._session is None:
             self._session = aiohttp.ClientSession(
@@ -163,12 +178,25 @@ class Fetcher:
                 headers={"Accept-Encoding": "identity"},
             )
         if self._via is None:
-            return await self._session.get(url)
+            # What is told is meant for the server that sends, and for nobody else.
+            return await self._session.request(
+                method, url, data=body, headers=headers, allow_redirects=method == "GET"
+            )
         parts = urlsplit(url)
         user, at, host = parts.netloc.rpartition("@")
         relayed = urlunsplit(parts._replace(netloc=f"{user}{at}{self._via[0]}:{self._via[1]}"))
         # A redirect could lead around the relay, so none is followed.
-        return await self._session.get(relayed, headers={"Host": host}, allow_redirects=False)
+        return await self._session.request(
+            method,
+            relayed,
+            data=body,
+            headers={**(headers or {}), "Host": host},
+            allow_redirects=False,
+        )
+
+    async def _post(self, url: str, body: bytes) -> int:
+        async with await self._request(url, "POST", body) as response:
+            return response.status
 
     async def _get(self, url: str, limit_bytes: int) -> Response:
         response = await self._request(url)
@@ -190,7 +218,8 @@ class OpenResponse:
         self._url = url
         self._response = response
         self.status = response.status
-        self.content_type = response.headers.get("Content-Type", "")
+        self.headers: Mapping[str, str] = response.headers
+        self.content_type = self.headers.get("Content-Type", "")
 
     def read(self) -> bytes:
         """The next piece of the body, empty at its end. Raises BrokenError when it is cut off."""

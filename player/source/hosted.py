@@ -10,6 +10,7 @@ from codec.framerange import FrameRange
 from codec.stream.index import INDEX_NAME, SegmentRecord
 from codec.stream.integrity import MAX_INDEX_BYTES, CheckedObject, read_index
 from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest, Part
+from server.abr.standing import Standing
 
 from .fetch import BrokenError, Fetcher, FetchError
 from .retry import Retry, RetryConfig
@@ -97,6 +98,9 @@ class HostedSource:
         while (segment := play.segment) is not None:
             record = self._records[segment]
             yield from play.packets({part: self._object(record, part) for part in play.parts})
+
+    def tell(self, standing: Standing) -> bool:
+        return False
 
     def interrupt(self) -> None:
         self._fetcher.interrupt()

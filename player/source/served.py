@@ -6,6 +6,7 @@ Rule: layer 0 of the slices comes without a gap, whatever happens to the connect
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 
 from codec.errors import CodecError, CorruptError
@@ -21,11 +22,15 @@ from codec.stream.playrecord import (
     SnapshotRecord,
     StartRecord,
 )
+from server.abr.standing import PLAY_HEADER, TOKEN, Standing
 
-from .fetch import BrokenError, Fetcher, FetchError, OpenResponse
+from .fetch import BrokenError, FetchConfig, Fetcher, FetchError, OpenResponse, StoppedError
 from .receiver import Receiver
 from .retry import Retry, RetryConfig
 from .source import Packets, check_frames, check_layers
+
+TELL_CONFIG = FetchConfig(connect_timeout_s=5.0, read_timeout_s=5.0)
+"""News that is older is not worth waiting for."""
 
 
 class ServedSource:
@@ -52,6 +57,8 @@ class ServedSource:
         self._layers = layers
         self._asked = frames
         self._response: OpenResponse | None = None
+        self._token = ""  # the server's name for this play; an older one gives none
+        self._ended_token = ""
         self._parser = RecordParser()
         self._waiting: list[Record] = []
         try:
@@ -62,6 +69,7 @@ class ServedSource:
             self._num_frames = start.num_frames
             self.frames = check_frames(frames, self.manifest, self._num_frames, name)
             self._receiver = Receiver(name, self.manifest, self.num_layers, self.frames)
+            self._teller = fetcher.another(TELL_CONFIG)
         except BaseException:
             self._disconnect()
             raise
@@ -77,12 +85,16 @@ class ServedSource:
         if self._asked.end is not None:
             url += f"&until={self._asked.end}"
         self._disconnect()
-        self._response = response = self._fetcher.open(url)
+        # A server that knows the link from the last play does not start blind.
+        last = {PLAY_HEADER: self._token} if self._token else None
+        self._response = response = self._fetcher.open(url, last)
         self._parser, self._waiting = RecordParser(), []
         if response.status != 200:
             raise self._refusal(response)
         if response.content_type.partition(";")[0].strip() != CONTENT_TYPE:
             raise FetchError(f"{self.name} is not a stream: it answers {response.content_type}")
+        token = response.headers.get(PLAY_HEADER, "")
+        self._token = token if re.fullmatch(TOKEN, token) else ""
         record = self._next_record()
         if not isinstance(record, StartRecord):
             raise CorruptError(f"{self.name}: the response does not begin with a start record")
@@ -173,9 +185,26 @@ class ServedSource:
             self._response.close()
             self._response = None
 
+    def tell(self, standing: Standing) -> bool:
+        token = self._token
+        if token and token != self._ended_token:
+            try:
+                status = self._teller.post(f"{self._url}/play/{token}", standing.to_json())
+            except StoppedError:
+                return False
+            except FetchError:
+                return True  # lost; the next news says more than this
+            if status == 404:
+                self._ended_token = token  # the connection broke, and another play may follow
+            elif status == 405:
+                return False
+        return bool(token)
+
     def interrupt(self) -> None:
         self._fetcher.interrupt()
+        self._teller.interrupt()
 
     def close(self) -> None:
         self._disconnect()
         self._fetcher.close()
+        self._teller.close()

@@ -14,6 +14,7 @@ from codec.errors import CodecError, InvalidError
 from codec.framerange import FrameRange
 from codec.stream.manifest import Manifest, Part
 from server.abr.holding import Holding
+from server.abr.standing import Standing
 
 Blame = Callable[[CodecError, Part], CodecError]
 """Makes an error name where the packet of a part came from."""
@@ -83,7 +84,8 @@ Packets = SlicePackets | SnapshotPackets
 
 
 class Source(Protocol):
-    """A stream from one frame on. One thread iterates; `interrupt` may come from another.
+    """A stream from one frame on. One thread iterates; `tell` and `interrupt` may come from
+    others.
 
     A source gives these properties as plain attributes where they do not change.
     """
@@ -118,6 +120,11 @@ class Source(Protocol):
 
     def packets(self) -> Iterator[Packets]:
         """All that shows in `frames`, and nothing else."""
+        ...
+
+    def tell(self, standing: Standing) -> bool:
+        """Tells whoever sends how the playback stands, from another thread; gives whether it
+        listens. May wait for the network."""
         ...
 
     def interrupt(self) -> None:

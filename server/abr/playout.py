@@ -52,8 +52,8 @@ class PlayoutClock:
         self.stalls = 0
         self.stalled_s = 0.0
         """Of the stalls that are over."""
-        # (frame, when it showed) of the start and of each stall: due times are counted from the
-        # last one, not summed up frame by frame.
+        # (frame, when it showed) of the start, of each stall and of what was told: due times are
+        # counted from the last one, not summed up frame by frame.
         self._bases: list[tuple[int, float]] = []
         self._started_s = 0.0
 
@@ -106,6 +106,21 @@ class PlayoutClock:
             self.stalls += 1
             self.stalled_s += now_s - self.due_s(stalled_frame)
             self._bases.append((stalled_frame, now_s))
+
+    def told(self, frame: int, now_s: float) -> None:
+        """Whoever shows says that `frame` comes next, at `now_s`; from then on this time line is
+        its own. It cannot have shown what has not come. A frame before the first one here puts off
+        the first one.
+        """
+        frame = min(frame, self.end_frame)
+        if not self._bases:
+            if frame <= self.first_frame:
+                return
+            self._started_s = now_s
+        base_frame = max(frame, self.first_frame)
+        while self._bases and self._bases[-1][0] >= base_frame:
+            self._bases.pop()
+        self._bases.append((base_frame, now_s + (base_frame - frame) / self.fps))
 
     def forget(self, frame: int) -> None:
         """Times before those of `frame` are not asked for any more."""

@@ -17,6 +17,11 @@ from .media import Media
 from .outlook import Outlook, Policy, Send
 from .playout import PlayoutClock, PlayoutConfig
 from .slotholding import open_holding
+from .standing import Standing
+
+NEWS_S = 0.1
+"""Seconds by which a client's word may differ, beyond the latency of its link, from what is known
+of it anyway: such news says nothing new."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +36,10 @@ class SessionConfig:
     """Seconds of the link that one decision fills, at most; one packet in any case."""
     rest_s: float = 0.1
     """Seconds of media that a full client shows before it is sent more: a burst measures the link,
-    a trickle does not."""
+    a trickle does not. A server makes it up to twice as long, by chance."""
+    told_s: float = 5.0
+    """Seconds for which a client that said so counts as paused or busy, unless it says so again:
+    the news that it is not may be lost."""
     first_rate_bps: float = 4e6
     """What the link is taken to carry before anything is known of it."""
     first_bytes: int = 32 * 1024
@@ -41,7 +49,15 @@ class SessionConfig:
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
 
     def __post_init__(self) -> None:
-        for name in ("max_lead_s", "queue_s", "run_s", "rest_s", "first_rate_bps", "first_bytes"):
+        for name in (
+            "max_lead_s",
+            "queue_s",
+            "run_s",
+            "rest_s",
+            "told_s",
+            "first_rate_bps",
+            "first_bytes",
+        ):
             if not getattr(self, name) > 0:
                 raise InvalidError(f"{name} is {getattr(self, name)}; it must be positive")
 
@@ -94,8 +110,11 @@ class PlaySession:
         first_frame: int = 0,
         until_frame: int | None = None,
         rate_bps: float | None = None,
+        rest_share: float = 0.0,
     ) -> None:
-        """rate_bps: what is known of the link from an earlier play."""
+        """rate_bps: what is known of the link from an earlier play. rest_share: how much longer
+        than rest_s this client rests, as a share of that; where everybody has another one, clients
+        that began together do not burst in step."""
         self._media = media
         self._policy = policy
         self._config = config
@@ -107,6 +126,8 @@ class PlaySession:
         self.clock = PlayoutClock(first_frame, media.fps, config.playout, self._last_frame())
         self.next_frame = first_frame
         """The first frame that the client had not shown at the last decision."""
+        self._oldest_frame = first_frame  # what lies before is forgotten
+        self._rest_s = config.rest_s * (1 + rest_share)
         self.sent_bytes = 0.0
         self.acked_bytes = 0.0
         self._news_s = now_s
@@ -116,11 +137,19 @@ class PlaySession:
         self._underway: deque[_Underway] = deque()
         self._least_latency_s: float | None = None
         self._resting = False
+        self._paused_frame: int | None = None  # what a paused client will show next
+        self._paused_until_s = -math.inf
+        self._busy_until_s = -math.inf
 
     @property
     def rate_bps(self) -> float | None:
         """The estimated throughput to this client."""
         return self._estimator.rate_bps
+
+    @property
+    def least_latency_s(self) -> float | None:
+        """The least time from the sending of a byte over an idle link to the news of it."""
+        return self._least_latency_s
 
     @property
     def queued_bytes(self) -> float:
@@ -138,14 +167,39 @@ class PlaySession:
 
     def acknowledge(self, now_s: float, acked_bytes: float) -> None:
         """Of all that was sent the client has `acked_bytes`."""
+        self._hold_clock(now_s)
         gone = acked_bytes - self.acked_bytes
-        if self.queued_bytes > 0:
+        if self.queued_bytes > 0 and now_s >= self._busy_until_s:
             self._measure(now_s, gone)
         self.acked_bytes = max(self.acked_bytes, acked_bytes)
         self._news_s = now_s
         self._came_s = now_s if gone > 0 else self._came_s
         while self._underway and self._underway[0].end_byte < self.acked_bytes + 0.5:
             self.clock.ready_until(self._underway.popleft().end_frame, now_s)
+
+    def told(self, now_s: float, standing: Standing) -> None:
+        """The client says how it stands. It is believed as far as it can be true."""
+        clock, frame = self.clock, standing.frame
+        if frame is None and standing.buffer_s is not None:
+            frame = clock.end_frame - round(standing.buffer_s * clock.fps)
+        # News of a client whose time runs is old when it comes.
+        slack_s = NEWS_S + (self._least_latency_s or 0.0)
+        if frame is not None and (
+            standing.paused or abs(frame - clock.next_frame(now_s)) > slack_s * clock.fps
+        ):
+            clock.told(frame, now_s)
+        self._paused_frame = clock.next_frame(now_s) if standing.paused else None
+        self._paused_until_s = until_s = now_s + self._config.told_s
+        self._busy_until_s = until_s if standing.busy else -math.inf
+
+    def _hold_clock(self, now_s: float) -> None:
+        """Keeps the clock of a paused client where it is."""
+        if self._paused_frame is None:
+            return
+        if now_s < self._paused_until_s:
+            self.clock.told(self._paused_frame, now_s)
+        else:
+            self._paused_frame = None
 
     def _measure(self, now_s: float, gone_bytes: float) -> None:
         """Adds a sample, of the time in which the link had something to carry.
@@ -179,6 +233,7 @@ class PlaySession:
     def decide(self, now_s: float) -> Decision:
         """What to do now."""
         media, config, clock = self._media, self._config, self.clock
+        self._hold_clock(now_s)
         clock.until_frame = last_frame = self._last_frame()
         if not media.num_frames:
             return WaitForFrames() if media.live else Finished()
@@ -188,8 +243,10 @@ class PlaySession:
         self.next_frame = next_frame = clock.next_frame(now_s)
         if last_frame is not None and next_frame >= last_frame:
             return Finished()
-        self.holding.forget(next_frame)
         clock.forget(next_frame)
+        # A client that is further behind than it seemed gets no more of what was forgotten.
+        self._oldest_frame = oldest_frame = max(self._oldest_frame, next_frame)
+        self.holding.forget(oldest_frame)
         num_frames = media.num_frames if last_frame is None else last_frame
         # A client that may not have what it waits for would wait for ever.
         least = max(1, math.ceil(config.playout.start_lead_s * media.fps - 1e-9))
@@ -204,13 +261,15 @@ class PlaySession:
             measured=rate_bps is not None or self._known,
             queued_bytes=self.queued_bytes,
             latency_s=self._least_latency_s or 0.0,
-            next_frame=next_frame,
+            next_frame=oldest_frame,
             end_birth=end_birth,
             max_lead_s=config.max_lead_s,
             run_s=config.run_s,
         )
         full = end_birth < num_frames
-        rests_s = config.rest_s - (end_birth - self.holding.end_frame) / media.fps
+        # A client that turned out to be further behind may hold more than the lead.
+        shown = max(0, end_birth - self.holding.end_frame)
+        rests_s = self._rest_s - shown / media.fps
         if self._resting and full and rests_s > 0:
             return WaitUntil(now_s + max(1 / media.fps, rests_s))
         send = self._policy.choose(outlook)
@@ -222,7 +281,7 @@ class PlaySession:
         if last_frame is None:
             return WaitForFrames()
         # What lacks may be worth sending later, as long as it shows.
-        if self._policy.mends and not self.holding.is_complete(next_frame, last_frame):
+        if self._policy.mends and not self.holding.is_complete(oldest_frame, last_frame):
             return WaitUntil(now_s + 1 / media.fps)
         return Finished()
 

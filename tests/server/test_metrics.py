@@ -36,5 +36,5 @@ def test_wrong_labels_are_a_bug() -> None:
 def test_every_family_is_in_the_text() -> None:
     text = Metrics().text()
     assert text.endswith("\n")
-    assert text.count("# TYPE ") == 10
+    assert text.count("# TYPE ") == 11
     assert "\nswings_active_plays 0\n" in text

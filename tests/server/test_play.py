@@ -25,7 +25,7 @@ from codec.stream.playrecord import (
     SliceRecord,
     StartRecord,
 )
-from server.connection import PIECE_BYTES
+from server.client.connection import PIECE_BYTES
 from server.errors import RequestError
 from server.play import parse_query
 from tests.support.running_server import (
@@ -158,7 +158,7 @@ def test_a_wrong_query_is_a_400(root: Path, query: str) -> None:
             assert (await response.json())["error"]
         async with client.get(f"/v1/streams/nobody/play{query}") as response:
             assert response.status == 404
-        assert server.state.active_plays == 0
+        assert len(server.state.plays) == 0
 
     on_server(root, check)
 
@@ -257,7 +257,7 @@ def test_a_reader_that_stops_is_cut(
         assert slices_of(await play(client, "walk", "?layers=1"))
         await eventually(lambda: metrics.requests.value(route, "499"))
         assert metrics.stalled_writers.value(route) == 1
-        assert server.state.active_plays == 0
+        assert len(server.state.plays) == 0
         stuck.close()
 
     on_server(root, check, quick_config(write_timeout_s=0.3))
@@ -294,7 +294,7 @@ def test_one_play_more_is_asked_to_come_back(root: Path) -> None:
                 assert "2 plays" in (await three.json())["error"]
             assert server.state.metrics.active_plays.value() == 2
             one.close()
-            await eventually(lambda: server.state.active_plays == 1)
+            await eventually(lambda: len(server.state.plays) == 1)
             async with client.get(url) as three:
                 assert three.status == 200
                 three.close()
@@ -313,7 +313,7 @@ def test_a_client_that_leaves_is_not_an_error(root: Path, caplog: pytest.LogCapt
             await asyncio.to_thread(leaver.read_a_little)
             leaver.close()
         gone = server.state.metrics.plays
-        await eventually(lambda: gone.value("gone") == 2 and not server.state.active_plays)
+        await eventually(lambda: gone.value("gone") == 2 and not len(server.state.plays))
 
     on_server(root, check)
     assert not caplog.records
@@ -375,9 +375,9 @@ def test_a_client_that_leaves_a_silent_live_stream_frees_its_place(tmp_path: Pat
     async def check(server: Running, client: aiohttp.ClientSession) -> None:
         async with client.get("/v1/streams/live/play") as response:
             assert response.status == 200
-            assert server.state.active_plays == 1
+            assert len(server.state.plays) == 1
             response.close()
-        await eventually(lambda: not server.state.active_plays)
+        await eventually(lambda: not len(server.state.plays))
 
     on_server(tmp_path, check, quick_config(live_idle_s=60))
 

@@ -21,8 +21,8 @@ from codec.stream.manifest import Manifest
 from codec.stream.playrecord import Record, RecordParser, SliceRecord
 from server.abr.session import SessionConfig
 from server.app import make_app
+from server.client.connection import bound_connections
 from server.config import ServerConfig
-from server.connection import bound_connections
 from server.library import Library
 from server.listener import bind, make_runner
 from server.state import STATE, ServerState

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,7 @@ from player.playout.timeline import FrameRecord, Playout, QueueConfig
 from player.source.fetch import StoppedError
 from player.source.source import Packets, SlicePackets
 from server.abr.playout import PlayoutConfig
+from server.abr.standing import Standing
 from tests.support.hosted_streams import SWIN_SIZE, random_slice, small_manifest
 
 CAMERA = small_manifest().camera()
@@ -60,6 +61,7 @@ class ListSource:
         self._failure, self._silent = failure, silent
         self._stopped = threading.Event()
         self.given = 0
+        self.heard: list[Standing] = []
 
     name = "list"
     manifest: Manifest = MANIFEST
@@ -78,6 +80,10 @@ class ListSource:
         if self._silent:
             self._stopped.wait()
             raise StoppedError("stopped")
+
+    def tell(self, standing: Standing) -> bool:
+        self.heard.append(standing)
+        return True
 
     def interrupt(self) -> None:
         self._stopped.set()
@@ -128,7 +134,7 @@ def run(
 
 
 def no_threads_left() -> bool:
-    return not {"receive", "update"} & {thread.name for thread in threading.enumerate()}
+    return not {"receive", "tell", "update"} & {thread.name for thread in threading.enumerate()}
 
 
 def test_a_capture_draws_every_frame_once_in_order_with_its_slices() -> None:
@@ -234,6 +240,27 @@ def test_a_pause_stops_the_time() -> None:
     began_s = time.monotonic()
     assert events.take() is not None
     assert time.monotonic() - began_s >= 0.2
+
+
+def test_who_sends_is_told_of_a_full_queue_and_of_a_pause() -> None:
+    def heard(expected: Callable[[Standing], bool]) -> None:
+        for _ in range(2000):
+            if source.heard and expected(source.heard[-1]):
+                return
+            time.sleep(0.01)
+        raise AssertionError(f"{source.heard[-3:]}")
+
+    source = ListSource(SWIN_SIZE + 30, silent=True)
+    events = Events(playout_of(1e-3, QueueConfig(max_frames=3)), Clock(real=True))
+    with Threads(source, events):
+        # By the time line frame 0 shows, though nobody has taken it.
+        heard(lambda one: one == Standing(1, 2000.0, busy=True))
+        assert events.take() is not None
+        events.toggle_pause()
+        heard(lambda one: one.paused and one.busy)
+        events.toggle_pause()
+        heard(lambda one: not one.paused)
+    assert no_threads_left()
 
 
 def test_a_clock_that_stands_loses_no_time_twice() -> None:

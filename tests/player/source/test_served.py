@@ -43,6 +43,7 @@ class Script:
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.url = f"http://127.0.0.1:{self._listener.getsockname()[1]}"
         self.asked: list[str] = []
+        self.requests: list[bytes] = []
         self._held: list[socket.socket] = []
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
@@ -56,6 +57,7 @@ class Script:
             request = b""
             while b"\r\n\r\n" not in request:
                 request += connection.recv(65536)
+            self.requests.append(request)
             self.asked.append(request.split()[1].decode())
             connection.sendall(answer)
             if answer.endswith(HOLD):

@@ -116,7 +116,7 @@ def test_what_is_known_of_a_link_is_a_beginning() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["max_lead_s", "queue_s", "run_s", "rest_s", "first_rate_bps", "first_bytes"]
+    "name", ["max_lead_s", "queue_s", "run_s", "rest_s", "told_s", "first_rate_bps", "first_bytes"]
 )
 def test_settings_that_cannot_work_are_refused(name: str) -> None:
     with pytest.raises(InvalidError, match=name):

@@ -7,17 +7,13 @@ from __future__ import annotations
 
 import asyncio
 import socket
-import struct
-import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Final
 
 from aiohttp import web
 
-if sys.platform == "linux":
-    import fcntl
-    import termios
+from .tcpinfo import TcpInfo, read_tcp_info, unacked_bytes
 
 PIECE_BYTES: Final = 256 * 1024
 """Bytes written in one go: each piece has the write timeout for itself, and only one is copied into
@@ -70,15 +66,14 @@ class Connection:
         transport = self._request.transport
         if transport is None:
             return 0
-        queued = transport.get_write_buffer_size()
         sock = transport.get_extra_info("socket")
-        if sys.platform == "linux" and sock is not None:
-            try:
-                packed = fcntl.ioctl(sock.fileno(), termios.TIOCOUTQ, bytes(4))
-            except (OSError, ValueError):  # the socket was closed meanwhile
-                return queued
-            queued += struct.unpack("=i", packed)[0]
-        return queued
+        return transport.get_write_buffer_size() + (unacked_bytes(sock) if sock is not None else 0)
+
+    def tcp_info(self) -> TcpInfo | None:
+        """What the kernel knows of it; None where it does not tell, or not any more."""
+        transport = self._request.transport
+        sock = transport.get_extra_info("socket") if transport is not None else None
+        return read_tcp_info(sock) if sock is not None else None
 
     async def send(self, response: web.StreamResponse, data: bytes | memoryview) -> None:
         """Writes `data` and waits until the send buffer has room again."""

@@ -1,0 +1,79 @@
+"""How a client stands with its playback, as it tells the server; JSON on the wire.
+
+Rule: both sides use this file. What is read is checked whole, so a `Standing` can be trusted to be
+one, though not to be true.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+
+from codec.errors import InvalidError
+
+PLAY_HEADER = "Swings-Play"
+"""Names, in the response of a play, the token under which its client tells how it stands; in the
+request that of the client's last play, whose estimate the new one begins with."""
+
+TOKEN = "[A-Za-z0-9_-]{1,64}"
+"""What a token looks like: a regular expression."""
+
+MAX_BODY_BYTES = 1024
+"""The longest text that is read."""
+
+MAX_FRAME = 2**31 - 1
+
+MAX_BUFFER_S = 86_400
+
+_KEYS = ("frame", "buffer_s", "paused", "busy")
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """What a client says of itself."""
+
+    frame: int | None = None
+    """The next frame that it will show."""
+    buffer_s: float | None = None
+    """Seconds of media that it holds ready. Without `frame`, this says where it is."""
+    paused: bool = False
+    """Whether its time stands still."""
+    busy: bool = False
+    """Whether it does not read, for reasons of its own."""
+
+    def __post_init__(self) -> None:
+        frame, buffer_s = self.frame, self.buffer_s
+        if frame is None and buffer_s is None:
+            raise InvalidError("neither frame nor buffer_s says where the client is")
+        # A bool is an int, and NaN is within no limits.
+        if frame is not None and not (type(frame) is int and 0 <= frame <= MAX_FRAME):
+            raise InvalidError(f"frame is not a whole number from 0 to {MAX_FRAME}")
+        if buffer_s is not None and not (
+            type(buffer_s) in (int, float) and 0 <= buffer_s <= MAX_BUFFER_S
+        ):
+            raise InvalidError(f"buffer_s is not a number from 0 to {MAX_BUFFER_S}")
+        for key in ("paused", "busy"):
+            if type(getattr(self, key)) is not bool:
+                raise InvalidError(f"{key} is neither true nor false")
+
+    def to_json(self) -> bytes:
+        told = {key: getattr(self, key) for key in _KEYS}
+        return json.dumps({key: v for key, v in told.items() if v is not None}).encode()
+
+    @classmethod
+    def from_json(cls, data: bytes) -> Standing:
+        """What `data` says. Raises InvalidError with one line that says what is wrong."""
+        if len(data) > MAX_BODY_BYTES:
+            raise InvalidError(f"the text has more than {MAX_BODY_BYTES} bytes")
+        try:
+            value = json.loads(data.decode())
+        except (ValueError, RecursionError) as error:
+            raise InvalidError("the text is not JSON in UTF-8") from error
+        if not isinstance(value, dict):
+            raise InvalidError('the text is not a JSON object such as {"frame": 70}')
+        for key in value:
+            if key not in _KEYS:
+                raise InvalidError(f"the keys are {', '.join(_KEYS)}, not {key[:40]!a}")
+            if value[key] is None:
+                raise InvalidError(f"{key} is null; leave it out")
+        return cls(**value)

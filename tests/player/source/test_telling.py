@@ -1,0 +1,145 @@
+"""A player tells its server how it stands: over real sockets, and whatever a server answers."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from codec.framerange import FrameRange
+from player.playout.clock import Clock
+from player.playout.queues import Events
+from player.playout.threads import Threads
+from player.playout.timeline import Playout
+from player.source.fetch import Fetcher
+from player.source.served import ServedSource
+from server.abr.standing import PLAY_HEADER, Standing
+from tests.player.source.test_served import ALL, HEAD, HOLD, QUICK, answer, script, start
+from tests.support.running_server import SWIN_SIZE, Running, make_stream, quick_config, running
+
+FPS, LEAD_S = 20, 0.6
+
+NAMED = HEAD.replace(b"\r\n\r\n", f"\r\n{PLAY_HEADER}: abc-_1\r\n\r\n".encode())
+
+
+@contextmanager
+def in_thread(root: Path) -> Iterator[Running]:
+    """A server on an event loop in a thread."""
+    found: list[Running] = []
+    ready, stop = threading.Event(), threading.Event()
+
+    async def serve() -> None:
+        async with running(root, quick_config(max_lead_s=LEAD_S)) as server:
+            found.append(server)
+            ready.set()
+            await asyncio.to_thread(stop.wait)
+
+    thread = threading.Thread(target=lambda: asyncio.run(serve()))
+    thread.start()
+    try:
+        assert ready.wait(30)
+        yield found[0]
+    finally:
+        stop.set()
+        thread.join()
+
+
+def wait_until(condition: Callable[[], object], timeout_s: float = 20.0) -> None:
+    for _ in range(int(timeout_s / 0.01)):
+        if condition():
+            return
+        time.sleep(0.01)
+    raise AssertionError(f"still not so after {timeout_s} s")
+
+
+def test_a_server_does_not_count_a_pause_as_shown(tmp_path: Path) -> None:
+    make_stream(tmp_path / "long", 160, fps=FPS)
+    with in_thread(tmp_path) as server:
+        metrics = server.state.metrics
+
+        def births() -> int:
+            """Slices that were sent, less those of the first window."""
+            return metrics.packets.value("0") - (SWIN_SIZE - 1)
+
+        def told() -> int:
+            return metrics.play_news.value("taken") + metrics.play_news.value("replaced")
+
+        url = f"{server.url}/v1/streams/long"
+        source = ServedSource("S", url, Fetcher(), FrameRange(), None)
+        events = Events(Playout(source.manifest, 0, 160), Clock(real=True))
+        with Threads(source, events):
+            for _ in range(5):
+                due = events.take()
+                assert due is not None
+            events.toggle_pause()
+            before = told()
+            # The first may have been on its way, the last may not have been looked at.
+            wait_until(lambda: told() > before + 2)
+            standing = events.standing(0, 0)
+            assert standing is not None
+            assert standing.paused
+            assert standing.frame is not None
+            most = max(births(), standing.frame + round(LEAD_S * FPS))
+            time.sleep(1.5)
+            assert births() <= most
+            events.toggle_pause()
+            wait_until(lambda: births() > most + FPS)
+        source.close()
+        assert metrics.play_news.value("refused") == 0
+
+
+def served(url: str) -> ServedSource:
+    return ServedSource("S", f"{url}/v1/streams/s", Fetcher(), FrameRange(), None, QUICK)
+
+
+def test_a_server_that_names_no_play_is_told_nothing() -> None:
+    with script(answer(start(), *ALL)) as host:
+        source = served(host.url)
+        assert not source.tell(Standing(1))
+        assert len(host.asked) == 1
+        source.close()
+
+
+@pytest.mark.parametrize(
+    ("status", "listens", "asked"),
+    [(b"405 No", False, 1), (b"404 No", True, 1), (b"500 No", True, 2)],
+)
+def test_what_a_server_answers_decides_who_is_told_more(
+    status: bytes, listens: bool, asked: int
+) -> None:
+    told = b"HTTP/1.1 %s\r\nContent-Length: 0\r\nConnection: close\r\n\r\n" % status
+    with script(answer(start()).replace(HEAD, NAMED) + HOLD, told, told) as host:
+        source = served(host.url)
+        assert source.tell(Standing(1)) == listens
+        if listens:
+            assert source.tell(Standing(2))
+        assert host.asked[1:] == ["/v1/streams/s/play/abc-_1"] * asked
+        assert host.requests[1].startswith(b"POST ")
+        source.close()
+
+
+def test_a_news_that_is_lost_is_lost() -> None:
+    with script(answer(start()).replace(HEAD, NAMED) + HOLD, b"", b"junk\r\n\r") as host:
+        source = served(host.url)
+        assert source.tell(Standing(1))
+        assert source.tell(Standing(2))
+        source.interrupt()
+        assert not source.tell(Standing(3))
+        source.close()
+
+
+def test_a_new_connection_names_the_last_play() -> None:
+    cut = answer(start(), *ALL[:3]).replace(HEAD, NAMED)
+    with script(cut, answer(start(), *ALL)) as host:
+        source = served(host.url)
+        packets = source.packets()
+        for _ in range(4):
+            next(packets)
+        assert PLAY_HEADER.encode() not in host.requests[0]
+        assert f"{PLAY_HEADER}: abc-_1".encode() in host.requests[1]
+        source.close()
