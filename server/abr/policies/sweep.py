@@ -22,16 +22,21 @@ from ..holding import SliceHolding
 from ..outlook import Outlook, Send, SendSlices
 
 
+MOST_SHARE = 100.0
+"""Of the link that a layer is taken to need: in an outage it would be any number."""
+
+
 @dataclass(frozen=True, slots=True)
 class SweepConfig:
     """What a `Sweep` weighs."""
 
-    base_patience_s: float = 3.0
+    base_patience_s: float = 35.0
     """Seconds that a packet of layer 0 can wait until sending it now counts e times less, on a
-    link that just carries layer 0; on one twice as fast a fourth of that, as what is not sent now
-    is made up for sooner, and a drop is less likely to be one below layer 0."""
+    link that just carries layer 0; on one twice as fast a sixteenth of that, as what is not sent
+    now is made up for sooner, and a drop is less likely to be one below layer 0."""
     patience_s: float = 0.4
-    """The same for the other layers, on a link that just carries them all."""
+    """The same for the other layers, on a link that just carries them all; on one twice as fast a
+    fourth."""
     memory_s: float = 8.0
     """Seconds after which what a link did counts half for how long packets can wait."""
     least_patience_s: float = 0.1
@@ -71,13 +76,13 @@ class Patience:
         config, media = self._config, outlook.media
         sizes = media.sizes(min(outlook.next_frame, media.num_frames - 1))
 
-        def now(whole_s: float, carried_bytes: float) -> float:
-            share = 8 * media.fps * carried_bytes / outlook.rate_bps
-            patience_s = max(config.least_patience_s, whole_s * share**2)
+        def now(whole_s: float, carried_bytes: float, power: int) -> float:
+            share = min(MOST_SHARE, 8 * media.fps * carried_bytes / outlook.rate_bps)
+            patience_s = max(config.least_patience_s, whole_s * share**power)
             return min(config.most_patience_s, patience_s)
 
-        base_s = now(config.base_patience_s, sizes.slice_bytes[0])
-        upper_s = now(config.patience_s, sizes.slice_bytes[-1])
+        base_s = now(config.base_patience_s, sizes.slice_bytes[0], 4)
+        upper_s = now(config.patience_s, sizes.slice_bytes[-1], 2)
         if not outlook.measured:
             return base_s, upper_s
         if self._mean_s is None:
