@@ -38,7 +38,7 @@ from server.study.cases import Case, at_load
 from server.study.looped import LoopedMedia, open_media
 from server.study.plays import Rules, run_play
 from server.study.tracefolder import read_traces
-from tests.support.delivery.shaped import FAR, TCP_SHARE, shaped_link, why_not
+from tests.support.delivery.shaped import TCP_SHARE, shaped_link, why_not
 from trainer.score.truth import open_held_out
 
 REQUEST_BYTES = 500
@@ -129,7 +129,7 @@ def over_tbf(stream: Path, link: Link, folder: Path) -> dict[str, Any]:
     """The report of a play over a token bucket."""
     with ExitStack() as stack:
         shaped = stack.enter_context(shaped_link(link))
-        url = stack.enter_context(serving(stream, FAR, shaped.inside()))
+        url = stack.enter_context(serving(stream, shaped.host, shaped.inside()))
         player = stack.enter_context(playing(url, folder))
         shaped.start(after_bytes=REQUEST_BYTES)
         player.wait()

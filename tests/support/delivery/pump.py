@@ -1,5 +1,5 @@
 """A play of made-up bytes to one client, as a process: `python -m tests.support.delivery.pump HOST
-RATE SECONDS` fills a link of RATE bit/s.
+LEAST MOST SECONDS` fills a link of LEAST to MOST bit/s.
 
 It does what server/play.py does, with nothing but the session between the socket and the clock. It
 prints its port, and then what the session knew: a line of JSON for each decision.
@@ -22,7 +22,9 @@ from server.abr.policies.choice import own_policy
 from server.abr.session import PlaySession, SessionConfig
 from server.abr.simulate.simulator import send_bytes
 from server.config import ServerConfig
-from tests.support.delivery.media import FakeMedia, demo_media
+from tests.support.delivery.media import FakeMedia
+
+FPS = 30
 
 
 class Told(NamedTuple):
@@ -34,12 +36,12 @@ class Told(NamedTuple):
     stalls: int
 
 
-def wide_media(rate_bps: float, seconds: float) -> FakeMedia:
-    """A stream that a link of `rate_bps` never carries whole."""
-    demo = demo_media()
-    scale = 1.5 * rate_bps / demo.need_bps(4)
-    sizes = tuple(scale * size for size in demo.every.layer_bytes)
-    return FakeMedia(SegmentSizes(sizes, demo.every.psnr_db), round(30 * seconds))
+def wide_media(least_bps: float, most_bps: float, seconds: float) -> FakeMedia:
+    """A stream of which a link of `least_bps` carries layer 0, and one of `most_bps` never all."""
+    base_bps = 0.7 * least_bps
+    upper_bps = (1.5 * most_bps - base_bps) / 3
+    sizes = tuple(rate_bps / 8 / FPS for rate_bps in (base_bps, upper_bps, upper_bps, upper_bps))
+    return FakeMedia(SegmentSizes(sizes, (25.5, 28.0, 29.1, 29.7)), round(FPS * seconds))
 
 
 def unacknowledged_bytes(connection: socket.socket) -> int:
@@ -71,12 +73,12 @@ def pump(connection: socket.socket, media: FakeMedia, lasts_s: float) -> None:
 
 
 def main() -> None:
-    host, rate_bps, lasts_s = sys.argv[1], float(sys.argv[2]), float(sys.argv[3])
+    host, (least_bps, most_bps, lasts_s) = sys.argv[1], map(float, sys.argv[2:])
     with socket.create_server((host, 0)) as listener:
         tell(str(listener.getsockname()[1]))
         connection, _ = listener.accept()
         with connection:
-            pump(connection, wide_media(rate_bps, lasts_s + 10), lasts_s)
+            pump(connection, wide_media(least_bps, most_bps, lasts_s + 10), lasts_s)
 
 
 if __name__ == "__main__":

@@ -23,12 +23,18 @@ LEAST_BURST_BYTES = 3200
 
 QUEUE_S = 0.1
 LEAST_QUEUE_BYTES = 16_000
-"""What waits before the link at most; the rest is dropped, as by a router."""
+"""What waits before the link at most, at its fastest; the rest is dropped, as by a router."""
 
 TCP_SHARE = 1448 / 1514
 """Bytes of TCP in a full Ethernet frame: tbf counts the heads too."""
 
-NEAR, FAR = "10.213.7.1", "10.213.7.2"
+
+def addresses() -> tuple[str, str]:
+    """Of this end and of the one behind the link; what a killed process left has others."""
+    number = os.getpid() % (1 << 14)
+    network = f"10.213.{number >> 6}"
+    first = 4 * (number & 63)
+    return f"{network}.{first + 1}", f"{network}.{first + 2}"
 
 
 def why_not() -> str | None:
@@ -48,17 +54,18 @@ def why_not() -> str | None:
 
 
 class ShapedLink:
-    """The namespace behind the link."""
+    """The namespace behind the link; `host` is its address."""
 
     def __init__(self, name: str, devices: tuple[str, str], link: Link) -> None:
         self._name, self._link = name, link
+        self.host = addresses()[1]
         self._here, self._device = devices
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._shape(link.steps[0].rate_bps)
 
     def inside(self, *command: str) -> list[str]:
-        """`command` as it runs behind the link, where the machine's address is FAR."""
+        """`command` as it runs behind the link, where the machine's address is `host`."""
         return ["ip", "netns", "exec", self._name, *command]
 
     def start(self, after_bytes: int = 0) -> None:
@@ -87,10 +94,12 @@ class ShapedLink:
                     return
 
     def _shape(self, rate_bps: float) -> None:
-        rate_bps = max(LEAST_BPS, rate_bps)
-        burst_bytes = max(LEAST_BURST_BYTES, round(rate_bps / 8 * BURST_S))
-        queue_bytes = max(LEAST_QUEUE_BYTES, round(rate_bps / 8 * QUEUE_S))
-        rule = f"tbf rate {round(rate_bps)}bit burst {burst_bytes} limit {queue_bytes}"
+        # Of the fastest rate: a packet in the queue that is longer than a new burst never passes.
+        fastest_bps = max(step.rate_bps for step in self._link.steps)
+        burst_bytes = max(LEAST_BURST_BYTES, round(fastest_bps / 8 * BURST_S))
+        queue_bytes = max(LEAST_QUEUE_BYTES, round(fastest_bps / 8 * QUEUE_S))
+        rate = f"{round(max(LEAST_BPS, rate_bps))}bit"
+        rule = f"tbf rate {rate} burst {burst_bytes} limit {queue_bytes}"
         run(*self.inside("tc", "qdisc", "replace", "dev", self._device, "root", *rule.split()))
 
 
@@ -103,13 +112,14 @@ def shaped_link(link: Link) -> Iterator[ShapedLink]:
     """A namespace whose way to here is `link`; latency is that of the queue alone."""
     name = f"swings-{os.getpid()}"
     here, there = f"sw{os.getpid()}a", f"sw{os.getpid()}b"
+    near, far = addresses()
     run("ip", "netns", "add", name)
     try:
         run("ip", "link", "add", here, "type", "veth", "peer", "name", there, "netns", name)
-        run("ip", "addr", "add", f"{NEAR}/30", "dev", here)
+        run("ip", "addr", "add", f"{near}/30", "dev", here)
         run("ip", "link", "set", here, "up")
         behind = ("ip", "-n", name)
-        run(*behind, "addr", "add", f"{FAR}/30", "dev", there)
+        run(*behind, "addr", "add", f"{far}/30", "dev", there)
         run(*behind, "link", "set", there, "up")
         run(*behind, "link", "set", "lo", "up")
         shaped = ShapedLink(name, (here, there), link)
@@ -117,6 +127,7 @@ def shaped_link(link: Link) -> Iterator[ShapedLink]:
             yield shaped
         finally:
             shaped.close()
+            # The namespace may live on for a while with what is left of its connections.
+            run("ip", "link", "del", here)
     finally:
-        # Its end of the link goes with it.
         run("ip", "netns", "del", name)
