@@ -21,7 +21,6 @@ from codec.errors import InvalidError
 from ..holding import SliceHolding
 from ..outlook import Outlook, Send, SendSlices
 
-
 MOST_SHARE = 100.0
 """Of the link that a layer is taken to need: in an outage it would be any number."""
 
