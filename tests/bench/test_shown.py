@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from bench.shown import shown_scores, table_of
+from bench.network.shown import shown_scores, table_of
 from codec.errors import InvalidError
 from codec.stream import StreamReader
 from tests.bench.test_dropping import FRAMES, written

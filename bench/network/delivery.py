@@ -5,7 +5,7 @@ Usage: scripts/bench delivery STREAM --traces DIR [--loads 1] [--capture CAPTURE
 
 The first trace of each folder under DIR, scaled to the load (swings-abr says what that is). tbf
 needs root and Linux's network namespaces, and has no latency but that of its queue. With the
-capture the frames that were shown are rendered and compared with it, see bench/shown.py.
+capture the frames that were shown are rendered and compared with it, see shown.py.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from bench.shown import shown_scores
+from bench.network.shown import shown_scores
 from codec.console import run_command
 from codec.errors import SwingsError
 from codec.stream import StreamReader
