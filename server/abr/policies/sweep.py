@@ -36,6 +36,11 @@ class SweepConfig:
     patience_s: float = 0.4
     """The same for the other layers, on a link that just carries them all; on one twice as fast a
     fourth."""
+    safe_patience_s: float = 1.2
+    """The least of layer 0 in the end, on a link that carries more than the whole stream."""
+    spare_share: float = 0.1
+    """How fast it gets there: by this many seconds for each second of layer 0 that the link carries
+    beyond the stream."""
     memory_s: float = 8.0
     """Seconds after which what a link did counts half for how long packets can wait."""
     least_patience_s: float = 0.1
@@ -63,38 +68,49 @@ class SweepConfig:
 
 class Patience:
     """How long packets can wait, as a mean over the last seconds: what a link has done it may do
-    again, but a short drop alone says little."""
+    again, but a short drop alone says little.
+
+    Layer 0 is sent ever farther ahead for as long as the link carries more than the stream: what
+    is to spare pays for it, so that nothing else comes later, and an outage finds it there.
+    """
 
     def __init__(self, config: SweepConfig) -> None:
         self._config = config
         self._mean_s: tuple[float, float] | None = None
+        self._safe_s = 0.0
+        """The least patience of layer 0 that has been paid for."""
         self._at_s = 0.0
 
     def note(self, outlook: Outlook) -> tuple[float, float]:
         """Takes in what is estimated now; gives the patience of layer 0, and of the others."""
         config, media = self._config, outlook.media
         sizes = media.sizes(min(outlook.next_frame, media.num_frames - 1))
-
-        def now(whole_s: float, carried_bytes: float, power: int) -> float:
-            share = min(MOST_SHARE, 8 * media.fps * carried_bytes / outlook.rate_bps)
-            patience_s = max(config.least_patience_s, whole_s * share**power)
-            return min(config.most_patience_s, patience_s)
-
-        base_s = now(config.base_patience_s, sizes.slice_bytes[0], 4)
-        upper_s = now(config.patience_s, sizes.slice_bytes[-1], 2)
+        base_bps, whole_bps = (
+            8 * media.fps * max(1.0, num_bytes)
+            for num_bytes in (sizes.slice_bytes[0], sizes.slice_bytes[-1])
+        )
+        base_s = self._bounded(config.base_patience_s * self._share(base_bps, outlook) ** 4)
+        upper_s = self._bounded(config.patience_s * self._share(whole_bps, outlook) ** 2)
         if not outlook.measured:
             return base_s, upper_s
-        if self._mean_s is None:
-            self._mean_s = base_s, upper_s
-        else:
-            kept = 0.5 ** ((outlook.now_s - self._at_s) / config.memory_s)
+        if self._mean_s is not None:
+            since_s = outlook.now_s - self._at_s
+            kept = 0.5 ** (since_s / config.memory_s)
             base_mean_s, upper_mean_s = self._mean_s
-            self._mean_s = (
-                base_s + kept * (base_mean_s - base_s),
-                upper_s + kept * (upper_mean_s - upper_s),
-            )
-        self._at_s = outlook.now_s
-        return self._mean_s
+            base_s += kept * (base_mean_s - base_s)
+            upper_s += kept * (upper_mean_s - upper_s)
+            spare = max(0.0, outlook.rate_bps - whole_bps) / base_bps
+            grown_s = self._safe_s + config.spare_share * spare * since_s
+            self._safe_s = min(config.safe_patience_s, grown_s)
+        self._mean_s, self._at_s = (base_s, upper_s), outlook.now_s
+        return max(self._safe_s, base_s), upper_s
+
+    def _share(self, need_bps: float, outlook: Outlook) -> float:
+        return min(MOST_SHARE, need_bps / outlook.rate_bps)
+
+    def _bounded(self, patience_s: float) -> float:
+        config = self._config
+        return min(config.most_patience_s, max(config.least_patience_s, patience_s))
 
 
 class SliceSweep:
