@@ -1,6 +1,8 @@
 """The policies by their names, and those that the server plays with.
 
-Rule: whoever needs one gets it here.
+Rule: whoever needs one gets it here. A new one is a file beside this one and a row of POLICIES: a
+`Rule` (situation.py) that says how many layers the next group of slices gets, run by `InOrder`, or
+a `Policy` (outlook.py) that chooses every packet. swings-abr compares it with the others.
 """
 
 from __future__ import annotations
