@@ -124,6 +124,8 @@ class SliceSweep:
         self._patience_s = (0.0, 0.0)
         self._next: list[int] | None = None
         """Of each layer a birth before which no slice lacks just this layer."""
+        self._ends: list[int] = []
+        """Of each layer a birth from which on no slice has it."""
 
     def choose(self, outlook: Outlook) -> Send | None:
         holding = outlook.holding
@@ -131,6 +133,7 @@ class SliceSweep:
         config, media = self._config, outlook.media
         if self._next is None:
             self._next = [holding.first_birth] * media.num_layers
+            self._ends = [holding.first_birth] * media.num_layers
         rate_bps = config.safety * outlook.rate_bps
         self._patience_s = self._patience.note(outlook)
         free_s = outlook.comes_s(0.0, rate_bps)
@@ -148,6 +151,7 @@ class SliceSweep:
         while end < outlook.end_birth and end - birth < most and holding.level(end) == layer:
             end += 1
         self._next[layer] = end
+        self._ends[layer] = max(self._ends[layer], end)
         if layer + 1 < media.num_layers:
             self._next[layer + 1] = min(self._next[layer + 1], birth)
         return SendSlices(range(birth, end), layer, layer + 1)
@@ -160,7 +164,8 @@ class SliceSweep:
         assert self._next is not None
         config, media = self._config, outlook.media
         swin_size, fps = media.swin_size, media.fps
-        for birth in range(self._next[layer], outlook.end_birth):
+        end = min(outlook.end_birth, self._ends[layer - 1]) if layer else outlook.end_birth
+        for birth in range(self._next[layer], end):
             if holding.level(birth) != layer:
                 continue
             sizes = media.sizes(birth)
