@@ -29,6 +29,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from bench.network.serve import serving
 from bench.network.shown import shown_scores
 from codec.console import run_command
 from codec.errors import SwingsError
@@ -37,6 +38,7 @@ from server.abr.link.link import Link, LinkStep
 from server.study.cases import Case, at_load
 from server.study.looped import LoopedMedia, open_media
 from server.study.plays import Rules, run_play
+from server.study.summary import OWN
 from server.study.tracefolder import read_traces
 from tests.support.delivery.shaped import TCP_SHARE, shaped_link, why_not
 from trainer.score.truth import open_held_out
@@ -46,9 +48,6 @@ REQUEST_BYTES = 500
 
 LATENCY_S = 0.02
 """Of a trace that says none."""
-
-POLICY = "sweep"
-"""The server's own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,12 +73,13 @@ class Played:
     waited_s: float
     """Before the first frame and in stalls."""
     stalls: int
-    predicted_db: float
+    predicted_db: float | None = None
     rendered_db: float | None = None
+    """None without a capture."""
 
 
 def simulated(media: LoopedMedia, case: Case) -> Played:
-    _, shown, clock = run_play(media, case, POLICY, Rules())
+    _, shown, clock = run_play(media, case, OWN, Rules())
     assert clock.started_s is not None
     return Played(
         "simulated",
@@ -88,21 +88,6 @@ def simulated(media: LoopedMedia, case: Case) -> Played:
         clock.stalls,
         fmean(one.psnr_db for one in shown),
     )
-
-
-@contextmanager
-def serving(stream: Path, host: str, prefix: Sequence[str]) -> Iterator[str]:
-    """A server process of `stream`: the URL that it says."""
-    command = [*prefix, sys.executable, "-m", "server", str(stream), "--port", "0", "--host", host]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            assert process.stdout is not None
-            line = process.stdout.readline()
-            if not line.startswith("serving http"):
-                raise SwingsError("the server did not start")
-            yield line.split()[1]
-        finally:
-            process.terminate()
 
 
 def over_relay(stream: Path, link: Link, folder: Path) -> dict[str, Any]:
@@ -118,8 +103,8 @@ def over_relay(stream: Path, link: Link, folder: Path) -> dict[str, Any]:
     ]
     trace.write_text(json.dumps(steps))
     with (
-        serving(stream, "127.0.0.1", ()) as url,
-        playing(url, folder, "--link", str(trace)) as player,
+        serving(stream) as (_, port),
+        playing(f"http://127.0.0.1:{port}", folder, "--link", str(trace)) as player,
     ):
         player.wait()
     return read_report(folder)
@@ -129,8 +114,9 @@ def over_tbf(stream: Path, link: Link, folder: Path) -> dict[str, Any]:
     """The report of a play over a token bucket."""
     with ExitStack() as stack:
         shaped = stack.enter_context(shaped_link(link))
-        url = stack.enter_context(serving(stream, shaped.host, shaped.inside()))
-        player = stack.enter_context(playing(url, folder))
+        behind = serving(stream, "--host", shaped.host, prefix=shaped.inside())
+        _, port = stack.enter_context(behind)
+        player = stack.enter_context(playing(f"http://{shaped.host}:{port}", folder))
         shaped.start(after_bytes=REQUEST_BYTES)
         player.wait()
     return read_report(folder)
@@ -160,7 +146,7 @@ def read_report(folder: Path) -> dict[str, Any]:
 def played(config: DeliveryConfig, where: str, report: dict[str, Any]) -> Played:
     """What a report says, and with the capture, what the frames look like."""
     totals, asked_s = report["totals"], report["plays"][0]["asked_s"]
-    predicted_db, rendered_db = float("nan"), None
+    predicted_db = rendered_db = None
     if config.capture is not None:
         with open_held_out(config.stream, config.capture) as held_out:
             scores = list(shown_scores(held_out, report, 1))
@@ -186,10 +172,13 @@ def table_of(case: Case, rows: Sequence[Played], length_s: float) -> Table:
     for name in ("", "layers", "waited s", "of the play", "stalls", "predicted dB", "rendered dB"):
         table.add_column(name, justify="right")
     for row in rows:
-        rendered = "" if row.rendered_db is None else f"{row.rendered_db:.2f}"
+        predicted, rendered = (
+            "" if psnr_db is None else f"{psnr_db:.2f}"
+            for psnr_db in (row.predicted_db, row.rendered_db)
+        )
         table.add_row(
             row.where, f"{row.layers:.2f}", f"{row.waited_s:.2f}", f"{row.waited_s / length_s:.1%}",
-            f"{row.stalls}", f"{row.predicted_db:.2f}", rendered,
+            f"{row.stalls}", predicted, rendered,
         )  # fmt: skip
     return table
 

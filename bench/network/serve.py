@@ -17,7 +17,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -96,13 +96,13 @@ def make_stream(path: Path, object_bytes: int) -> None:
 
 
 @contextmanager
-def serving(root: Path, *options: str) -> Iterator[tuple[int, int]]:
-    """A server process of `root`: its process id and port."""
-    command = [sys.executable, "-m", "server", str(root), "--port", "0", *options]
+def serving(root: Path, *options: str, prefix: Sequence[str] = ()) -> Iterator[tuple[int, int]]:
+    """A server process of `root`: its process id and port. prefix: what runs it."""
+    command = [*prefix, sys.executable, "-m", "server", str(root), "--port", "0", *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
-            match = re.fullmatch(r"serving http://127\.0\.0\.1:(\d+)\n", process.stdout.readline())
+            match = re.fullmatch(r"serving http://[\d.]+:(\d+)\n", process.stdout.readline())
             if match is None:
                 raise SwingsError("the server did not start")
             yield process.pid, int(match[1])

@@ -7,10 +7,10 @@ import re
 
 from codec.errors import InvalidError
 from server.abr.link.link import Link, LinkStep
+from server.abr.link.ratetext import RATE_PATTERN, rate_bps
 from server.abr.link.traces import MAX_TRACE_BYTES, parse_trace
 
-_RATE = re.compile(r"(\d+(?:\.\d+)?)([kMG]?)(?:,(\d+(?:\.\d+)?)ms)?")
-_PREFIXES = {"": 1.0, "k": 1e3, "M": 1e6, "G": 1e9}
+_LINK = re.compile(RATE_PATTERN + r"(?:,(\d+(?:\.\d+)?)ms)?")
 
 _ROUND_S = 3600.0
 """Of a link that never changes: any length would do, seconds."""
@@ -18,10 +18,10 @@ _ROUND_S = 3600.0
 
 def read_link(text: str) -> Link:
     """The link that `text` describes, see above. Raises InvalidError."""
-    match = _RATE.fullmatch(text)
+    match = _LINK.fullmatch(text)
     if match:
-        rate_bps = float(match[1]) * _PREFIXES[match[2]]
-        return Link([LinkStep(_ROUND_S, rate_bps, float(match[3] or 0) / 1000)])
+        rate, latency_s = rate_bps(match[1], match[2]), float(match[3] or 0) / 1000
+        return Link([LinkStep(_ROUND_S, rate, latency_s)])
     try:
         with open(text, "rb") as file:
             data = file.read(MAX_TRACE_BYTES + 1)

@@ -13,6 +13,7 @@ import tyro
 from codec.console import option
 from codec.errors import InvalidError
 from server.abr.link.generate import GeneratorConfig
+from server.abr.link.ratetext import RATE_PATTERN, rate_bps
 from server.abr.policies.choice import POLICIES
 from server.abr.qoe import QoeConfig
 from server.abr.session import SessionConfig
@@ -22,8 +23,6 @@ from .tracefolder import Half
 
 MAX_LENGTH_S = 3600.0
 MAX_GENERATED = 10_000
-_RATE = re.compile(r"(\d+(?:\.\d+)?)([kMG]?)")
-_PREFIXES = {"": 1.0, "k": 1e3, "M": 1e6, "G": 1e9}
 
 
 def parse_policies(text: str) -> tuple[str, ...]:
@@ -41,10 +40,10 @@ def parse_policies(text: str) -> tuple[str, ...]:
 
 def parse_bitrate(text: str) -> float:
     """Bits per second, as `36M`. Raises InvalidError."""
-    match = _RATE.fullmatch(text)
+    match = re.fullmatch(RATE_PATTERN, text)
     if not match or not float(match[1]):
         raise InvalidError(f"bitrate {text!r} is not a number over 0 with k, M or G, such as 36M")
-    return float(match[1]) * _PREFIXES[match[2]]
+    return rate_bps(match[1], match[2])
 
 
 POLICY_NAMES = option("all|A,B,...", parse_policies, ",".join)

@@ -7,7 +7,7 @@ Of each number of layers m the rule looks at what a byte of it is worth,
 with S_m the bytes of the group, v_m its utility and g what it is worth to play on at all, and takes
 the best. The less lead, the more counts that S_m is small. Utilities are dB over layer 0 of the
 index, where the paper takes logarithms of bit rates. V and g follow from two leads: where more than
-layer 0 begins, and where even all layers are no longer worth sending.
+layer 0 begins, and up to which it pays to send all layers.
 
 As the paper has it this creeps at the start and follows every lead upwards. BOLA-E mends both, and
 so does this: until there is a lead the throughput rule decides, its choice is made good for by

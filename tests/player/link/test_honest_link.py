@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import fcntl
 import socket
-import struct
-import termios
 import time
 from pathlib import Path
 from statistics import median
@@ -17,6 +14,7 @@ import server.play
 from player.link.linkprocess import LinkProcess
 from player.link.linktext import read_link
 from server.abr.session import Decision, PlaySession
+from server.client.tcpinfo import unacked_bytes
 from tests.player.link.starved import Watch
 from tests.support.running_server import make_stream, quick_config, running
 
@@ -36,13 +34,6 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("served")
     make_stream(root / "wide", NUM_FRAMES, SLICE_SIZE)
     return root
-
-
-def unsent_bytes(connection: socket.socket) -> int:
-    """What of the bytes that were written is not acknowledged."""
-    packed = fcntl.ioctl(connection.fileno(), termios.TIOCOUTQ, bytes(4))
-    unacked: int = struct.unpack("=i", packed)[0]
-    return unacked
 
 
 @pytest.mark.parametrize("megabits", [3, 12, 40, 100])
@@ -67,7 +58,7 @@ def test_nothing_is_acknowledged_before_it_has_passed(megabits: int) -> None:
                         player.recv(1 << 20)
                     except BlockingIOError:
                         time.sleep(0.001)
-                    acked = written - unsent_bytes(connection)
+                    acked = written - unacked_bytes(connection)
                     passed_bytes = link.capacity_bytes(0, time.monotonic() - began_s - 0.05)
                     # What the relay's kernel holds was acknowledged: little of the link's time.
                     assert acked <= passed_bytes + 0.02 * megabits * 1e6 / 8

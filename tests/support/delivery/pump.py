@@ -7,12 +7,9 @@ prints its port, and then what the session knew: a line of JSON for each decisio
 
 from __future__ import annotations
 
-import fcntl
 import json
 import socket
-import struct
 import sys
-import termios
 import time
 from typing import NamedTuple
 
@@ -21,6 +18,7 @@ from server.abr.outlook import SendSlices, SendSnapshots
 from server.abr.policies.choice import own_policy
 from server.abr.session import PlaySession, SessionConfig
 from server.abr.simulate.simulator import send_bytes
+from server.client.tcpinfo import unacked_bytes
 from server.config import ServerConfig
 from tests.support.delivery.media import FakeMedia
 
@@ -44,12 +42,6 @@ def wide_media(least_bps: float, most_bps: float, seconds: float) -> FakeMedia:
     return FakeMedia(SegmentSizes(sizes, (25.5, 28.0, 29.1, 29.7)), round(FPS * seconds))
 
 
-def unacknowledged_bytes(connection: socket.socket) -> int:
-    packed = fcntl.ioctl(connection.fileno(), termios.TIOCOUTQ, bytes(4))
-    unacked: int = struct.unpack("=i", packed)[0]
-    return unacked
-
-
 def tell(line: str) -> None:
     sys.stdout.write(line + "\n")
     sys.stdout.flush()
@@ -59,7 +51,7 @@ def pump(connection: socket.socket, media: FakeMedia, lasts_s: float) -> None:
     began_s, poll_s, sent_bytes = time.monotonic(), ServerConfig().poll_s, 0
     session = PlaySession(media, own_policy(media), SessionConfig(), 0.0)
     while (now_s := time.monotonic() - began_s) < lasts_s:
-        session.acknowledge(now_s, sent_bytes - unacknowledged_bytes(connection))
+        session.acknowledge(now_s, sent_bytes - unacked_bytes(connection))
         decision = session.decide(now_s)
         told = Told(now_s, session.rate_bps, session.queued_bytes, session.clock.stalls)
         tell(json.dumps(told))
