@@ -34,7 +34,7 @@ PRESETS: Mapping[Preset, Callable[..., TrainConfig]] = {
         fit=FitConfig(
             num_gs=24_000,
             settle_rounds=90,
-            window_iterations=500,
+            window_iterations=450,
             settle_prefix_share=0.1,
             prefix_share=0.08,
         ),
