@@ -105,6 +105,7 @@ class _Playback:
         self._relay = relay
         self._clock = Clock(real=True)
         self._renderers: list[Renderer] = []
+        self._last_play = ""
         self._journal = Journal(MAX_ROWS if config.report or config.plot else 0)
         self._summary = PlaySummary(
             config.source, preparing_s=preparing_s, link=config.link, journal=self._journal
@@ -149,7 +150,9 @@ class _Playback:
         config, summary, clock = self._config, self._summary, self._clock
         asked_s = clock.now_s()
         via = self._relay.address if self._relay is not None else None
-        source = open_source(config.source, config.frames, config.layers, via, self._received)
+        source = open_source(
+            config.source, config.frames, config.layers, via, self._received, self._last_play
+        )
         with closing(source):
             path = config.camera.of(source.manifest, config.size, source.frames)
             # What a server chooses for a frame is known when the frame is due, and not before.
@@ -162,6 +165,7 @@ class _Playback:
                 yield Joined(source, events, path)
             finally:
                 summary.received_bytes += source.received_bytes
+                self._last_play = source.play
 
     def _capture(self) -> None:
         """Draws every frame into files."""

@@ -21,6 +21,7 @@ class DirectorySource:
         """layers: None takes all."""
         self._reader = reader = StreamReader(path)
         self.name = str(path)
+        self.play = ""
         self.adaptive = False
         self.num_layers = check_layers(layers, reader.manifest, self.name)
         self.frames = check_frames(frames, reader.manifest, reader.num_frames, self.name)

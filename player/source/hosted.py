@@ -53,6 +53,7 @@ class HostedSource:
         self._base = base
         self._fetcher = fetcher
         self._retry = retry or RetryConfig()
+        self.play = ""
         self.adaptive = False
         self.num_layers = check_layers(layers, manifest, name)
         self._records = self._read_index()

@@ -30,11 +30,13 @@ def open_source(
     layers: int | None,
     via: tuple[str, int] | None = None,
     received: Callable[[int], None] | None = None,
+    last_play: str = "",
 ) -> Source:
     """The stream that `source` names, from `frames.first` on.
 
     layers: None lets a server choose, and takes all elsewhere. via: the relay of `--link`.
-    received: is told how many bytes each read from the network gave.
+    received: is told how many bytes each read from the network gave. last_play: the `play` of the
+    source before this one: a server that knows the link from there does not start blind.
     """
     if not source.lower().startswith(("http://", "https://")):
         if "://" in source:
@@ -44,20 +46,22 @@ def open_source(
         return DirectorySource(Path(source), frames, layers)
     fetcher = Fetcher(via, received=received)
     try:
-        return _open_url(source, fetcher, frames, layers)
+        return _open_url(source, fetcher, frames, layers, last_play)
     except BaseException:
         fetcher.close()
         raise
 
 
-def _open_url(source: str, fetcher: Fetcher, frames: FrameRange, layers: int | None) -> Source:
+def _open_url(
+    source: str, fetcher: Fetcher, frames: FrameRange, layers: int | None, last_play: str
+) -> Source:
     parts = urlsplit(source)
     if not parts.hostname:
         raise InvalidError(f"{source} is not a URL: it names no host")
     path = parts.path.rstrip("/")
     served = _named_stream(source, path) if path else _only_stream(source, fetcher)
     if served is not None:
-        return ServedSource(source, served, fetcher, frames, layers)
+        return ServedSource(source, served, fetcher, frames, layers, last_play=last_play)
     base = _with_path(source, path.removesuffix(f"/{MANIFEST_NAME}")) + "/"
     manifest = fetch_manifest(fetcher, base + MANIFEST_NAME)
     if manifest is None:

@@ -44,11 +44,13 @@ class ServedSource:
         frames: FrameRange,
         layers: int | None,
         retry: RetryConfig | None = None,
+        last_play: str = "",
     ) -> None:
         """Connects, and reads the manifest.
 
         url: the stream's, to which /play is added. fetcher: is closed together with the source.
-        layers: None leaves the choice to the server.
+        layers: None leaves the choice to the server. last_play: what a server called the play
+        before this one.
         """
         self.name = name
         self._url = url
@@ -57,8 +59,8 @@ class ServedSource:
         self._layers = layers
         self._asked = frames
         self._response: OpenResponse | None = None
-        self._token = ""  # the server's name for this play; an older one gives none
-        self._ended_token = ""
+        self.play = last_play  # an older server gives none
+        self._ended_play = ""
         self._parser = RecordParser()
         self._waiting: list[Record] = []
         try:
@@ -85,8 +87,7 @@ class ServedSource:
         if self._asked.end is not None:
             url += f"&until={self._asked.end}"
         self._disconnect()
-        # A server that knows the link from the last play does not start blind.
-        last = {PLAY_HEADER: self._token} if self._token else None
+        last = {PLAY_HEADER: self.play} if self.play else None
         self._response = response = self._fetcher.open(url, last)
         self._parser, self._waiting = RecordParser(), []
         if response.status != 200:
@@ -94,7 +95,7 @@ class ServedSource:
         if response.content_type.partition(";")[0].strip() != CONTENT_TYPE:
             raise FetchError(f"{self.name} is not a stream: it answers {response.content_type}")
         token = response.headers.get(PLAY_HEADER, "")
-        self._token = token if re.fullmatch(TOKEN, token) else ""
+        self.play = token if re.fullmatch(TOKEN, token) else ""
         record = self._next_record()
         if not isinstance(record, StartRecord):
             raise CorruptError(f"{self.name}: the response does not begin with a start record")
@@ -186,8 +187,8 @@ class ServedSource:
             self._response = None
 
     def tell(self, standing: Standing) -> bool:
-        token = self._token
-        if token and token != self._ended_token:
+        token = self.play
+        if token and token != self._ended_play:
             try:
                 status = self._teller.post(f"{self._url}/play/{token}", standing.to_json())
             except StoppedError:
@@ -195,7 +196,7 @@ class ServedSource:
             except FetchError:
                 return True  # lost; the next news says more than this
             if status == 404:
-                self._ended_token = token  # the connection broke, and another play may follow
+                self._ended_play = token  # the connection broke, and another play may follow
             elif status == 405:
                 return False
         return bool(token)

@@ -114,6 +114,11 @@ class Source(Protocol):
         ...
 
     @property
+    def play(self) -> str:
+        """The server's name for this play; empty where nobody gave one."""
+        ...
+
+    @property
     def received_bytes(self) -> int:
         """Bytes read so far, everything included."""
         ...

@@ -66,6 +66,7 @@ class ListSource:
     name = "list"
     manifest: Manifest = MANIFEST
     frames = FrameRange(0)
+    play = ""
     adaptive = False
     num_layers = 3
     received_bytes = 0

@@ -12,12 +12,16 @@ from pathlib import Path
 import pytest
 
 from codec.framerange import FrameRange
+from player.config import PlayConfig
+from player.playback import play
 from player.playout.clock import Clock
 from player.playout.queues import Events
 from player.playout.threads import Threads
 from player.playout.timeline import Playout
+from player.render.renderer import RendererKind
 from player.source.fetch import Fetcher
 from player.source.served import ServedSource
+from player.view.path import Size
 from server.abr.standing import PLAY_HEADER, Standing
 from tests.player.source.test_served import ALL, HEAD, HOLD, QUICK, answer, script, start
 from tests.support.running_server import SWIN_SIZE, Running, make_stream, quick_config, running
@@ -143,3 +147,19 @@ def test_a_new_connection_names_the_last_play() -> None:
         assert PLAY_HEADER.encode() not in host.requests[0]
         assert f"{PLAY_HEADER}: abc-_1".encode() in host.requests[1]
         source.close()
+
+
+def test_a_loop_names_the_play_before(tmp_path: Path) -> None:
+    whole = answer(start(), *ALL).replace(HEAD, NAMED)
+    with script(whole, whole) as host:
+        config = PlayConfig(
+            f"{host.url}/v1/streams/s",
+            loop=2,
+            capture=tmp_path / "out",
+            size=Size(32, 24),
+            renderer=RendererKind.CPU,
+        )
+        assert play(config).totals.frames == 6
+        first, second = (request for request in host.requests if request.startswith(b"GET "))
+        assert PLAY_HEADER.encode() not in first
+        assert f"{PLAY_HEADER}: abc-_1".encode() in second
