@@ -19,10 +19,21 @@ class PlayoutConfig:
     start_lead_s: float = 0.1
     """Seconds of media, first frame included, that are there before the first frame shows: a link
     that just carries layer 0 delivers it unevenly."""
+    resume_lead_s: float = 0.1
+    """The same after a stall: a link below layer 0 would show frame by frame, each as it comes."""
 
     def __post_init__(self) -> None:
-        if not 0 <= self.start_lead_s <= 60:
-            raise InvalidError(f"start_lead_s is {self.start_lead_s}; it must be in 0..60")
+        for name in ("start_lead_s", "resume_lead_s"):
+            if not 0 <= getattr(self, name) <= 60:
+                raise InvalidError(f"{name} is {getattr(self, name)}; it must be in 0..60")
+
+    def least_frames(self, fps: float) -> int:
+        """How many frames a playback may wait for."""
+        return max(_frames(self.start_lead_s, fps), _frames(self.resume_lead_s, fps))
+
+
+def _frames(lead_s: float, fps: float) -> int:
+    return max(1, math.ceil(lead_s * fps - 1e-9))
 
 
 class PlayoutClock:
@@ -30,7 +41,8 @@ class PlayoutClock:
 
     A frame can show when layer 0 of all that it needs has come. The first one shows when so much
     of the stream is there as the configuration asks for; every later one frame time after the one
-    before. One that is not there by then stalls the picture, and what follows moves with it.
+    before. One that is not there by then stalls the picture until there is some lead again, and
+    what follows moves with it.
     """
 
     def __init__(
@@ -49,6 +61,8 @@ class PlayoutClock:
         self.until_frame = until_frame
         self.end_frame = first_frame
         """The first frame that cannot show yet."""
+        self._here_frame = first_frame
+        """The first frame that is not there; those before it may still wait for a lead."""
         self.stalls = 0
         self.stalled_s = 0.0
         """Of the stalls that are over."""
@@ -95,24 +109,28 @@ class PlayoutClock:
         return now_s > self.due_s(self.end_frame) + 1e-9
 
     def ready_until(self, end_frame: int, now_s: float) -> None:
-        """At `now_s` all frames before `end_frame` can show."""
-        stalled_frame = self.end_frame if self.stalled(now_s) else None
-        self.end_frame = max(self.end_frame, end_frame)
+        """At `now_s` all that the frames before `end_frame` need is there."""
+        self._here_frame = max(self._here_frame, end_frame)
         if not self._bases:
             if self._has_lead(self.first_frame, self._config.start_lead_s):
                 self._started_s = now_s
                 self._bases.append((self.first_frame, now_s))
-        elif stalled_frame is not None and self.end_frame > stalled_frame:
+        elif self.stalled(now_s):
+            if not self._has_lead(self.end_frame, self._config.resume_lead_s):
+                return
             self.stalls += 1
-            self.stalled_s += now_s - self.due_s(stalled_frame)
-            self._bases.append((stalled_frame, now_s))
+            self.stalled_s += now_s - self.due_s(self.end_frame)
+            self._bases.append((self.end_frame, now_s))
+        self.end_frame = self._here_frame
 
     def told(self, frame: int, now_s: float) -> None:
         """Whoever shows says that `frame` comes next, at `now_s`; from then on this time line is
         its own. It cannot have shown what has not come. A frame before the first one here puts off
         the first one.
         """
-        frame = min(frame, self.end_frame)
+        frame = min(frame, self._here_frame)
+        if frame > self.end_frame:
+            self.end_frame = self._here_frame
         if not self._bases:
             if frame <= self.first_frame:
                 return
@@ -132,7 +150,7 @@ class PlayoutClock:
         return self.until_frame is not None and self.end_frame >= self.until_frame
 
     def _has_lead(self, frame: int, lead_s: float) -> bool:
-        needed = frame + max(1, math.ceil(lead_s * self.fps - 1e-9))
+        needed = frame + _frames(lead_s, self.fps)
         if self.until_frame is not None:
             needed = min(needed, max(self.until_frame, frame + 1))
-        return self.end_frame >= needed
+        return self._here_frame >= needed

@@ -234,7 +234,10 @@ class PlaySession:
         """What to do now."""
         media, config, clock = self._media, self._config, self.clock
         self._hold_clock(now_s)
-        clock.until_frame = last_frame = self._last_frame()
+        last_frame = self._last_frame()
+        if clock.until_frame != last_frame:
+            clock.until_frame = last_frame
+            clock.ready_until(clock.end_frame, now_s)  # a lead that never comes is not waited for
         if not media.num_frames:
             return WaitForFrames() if media.live else Finished()
         rate_bps = self._estimator.rate_bps
@@ -249,8 +252,7 @@ class PlaySession:
         self.holding.forget(oldest_frame)
         num_frames = media.num_frames if last_frame is None else last_frame
         # A client that may not have what it waits for would wait for ever.
-        least = max(1, math.ceil(config.playout.start_lead_s * media.fps - 1e-9))
-        lead = max(least, round(config.max_lead_s * media.fps))
+        lead = max(config.playout.least_frames(media.fps), round(config.max_lead_s * media.fps))
         end_birth = min(num_frames, next_frame + lead)
         outlook = Outlook(
             media=media,
@@ -270,7 +272,8 @@ class PlaySession:
         # A client that turned out to be further behind may hold more than the lead.
         shown = max(0, end_birth - self.holding.end_frame)
         rests_s = self._rest_s - shown / media.fps
-        if self._resting and full and rests_s > 0:
+        waits = clock.started_s is None or clock.stalled(now_s)
+        if self._resting and full and rests_s > 0 and not waits:
             return WaitUntil(now_s + max(1 / media.fps, rests_s))
         send = self._policy.choose(outlook)
         self._resting = send is None

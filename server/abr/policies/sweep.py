@@ -47,6 +47,9 @@ class SweepConfig:
     """Least of either, whatever the link."""
     most_patience_s: float = 3.0
     """Most of either, whatever the link."""
+    left_share: float = 0.1
+    """Most of either as a share of what is left to play: a lead that nothing is shown from any more
+    was sent in vain."""
     stall_db: float = 60.0
     """What a frame of layer 0 is worth: what a stall of one frame costs, dB."""
     hold_s: float = 4.0
@@ -91,8 +94,9 @@ class Patience:
         )
         base_s = self._bounded(config.base_patience_s * self._share(base_bps, outlook) ** 4)
         upper_s = self._bounded(config.patience_s * self._share(whole_bps, outlook) ** 2)
+        most_s = config.left_share * self._left_s(outlook)
         if not outlook.measured:
-            return base_s, upper_s
+            return min(most_s, base_s), min(most_s, upper_s)
         if self._mean_s is not None:
             since_s = outlook.now_s - self._at_s
             kept = 0.5 ** (since_s / config.memory_s)
@@ -103,7 +107,7 @@ class Patience:
             grown_s = self._safe_s + config.spare_share * spare * since_s
             self._safe_s = min(config.safe_patience_s, grown_s)
         self._mean_s, self._at_s = (base_s, upper_s), outlook.now_s
-        return max(self._safe_s, base_s), upper_s
+        return min(most_s, max(self._safe_s, base_s)), min(most_s, upper_s)
 
     def _share(self, need_bps: float, outlook: Outlook) -> float:
         return min(MOST_SHARE, need_bps / outlook.rate_bps)
@@ -111,6 +115,13 @@ class Patience:
     def _bounded(self, patience_s: float) -> float:
         config = self._config
         return min(config.most_patience_s, max(config.least_patience_s, patience_s))
+
+    def _left_s(self, outlook: Outlook) -> float:
+        """What is left to play; without end where that is not known."""
+        until_frame = outlook.clock.until_frame
+        if until_frame is None:
+            return math.inf
+        return (until_frame - outlook.next_frame) / outlook.media.fps
 
 
 class SliceSweep:

@@ -30,7 +30,7 @@ from tests.support.hosted_streams import SWIN_SIZE, random_slice, small_manifest
 
 CAMERA = small_manifest().camera()
 MANIFEST = small_manifest(4, 0)
-AT_ONCE = PlayoutConfig(start_lead_s=0)
+AT_ONCE = PlayoutConfig(start_lead_s=0, resume_lead_s=0)
 
 
 def blame(error: CodecError, part: Part) -> CodecError:

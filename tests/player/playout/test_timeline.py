@@ -19,7 +19,7 @@ from tests.support.slots.slot_streams import slot_manifest
 from tests.support.slots.updates import small_layout
 
 EPSILON_S = 1e-9
-AT_ONCE = PlayoutConfig(start_lead_s=0)
+AT_ONCE = PlayoutConfig(start_lead_s=0, resume_lead_s=0)
 
 
 def blame(error: Exception, part: Part) -> Exception:

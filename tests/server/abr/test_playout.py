@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from codec.errors import InvalidError
 from server.abr.playout import PlayoutClock, PlayoutConfig
 
+AT_ONCE = PlayoutConfig(start_lead_s=0, resume_lead_s=0)
+
 gaps_s = st.lists(st.floats(0, 0.5), min_size=1, max_size=50)
 
 
@@ -18,7 +20,7 @@ gaps_s = st.lists(st.floats(0, 0.5), min_size=1, max_size=50)
 def test_frames_show_in_turn_and_never_before_they_can(
     gaps_s: list[float], fps: float, first: int
 ) -> None:
-    clock = PlayoutClock(first, fps, PlayoutConfig(start_lead_s=0))
+    clock = PlayoutClock(first, fps, AT_ONCE)
     came_s = list(accumulate(gaps_s))
     for frame, time_s in enumerate(came_s, first):
         clock.ready_until(frame + 1, time_s)
@@ -34,7 +36,7 @@ def test_frames_show_in_turn_and_never_before_they_can(
 
 @given(gaps_s, st.floats(0, 30))
 def test_the_next_frame_is_the_first_that_has_not_shown(gaps_s: list[float], now_s: float) -> None:
-    clock = PlayoutClock(0, 10.0, PlayoutConfig(start_lead_s=0))
+    clock = PlayoutClock(0, 10.0, AT_ONCE)
     for frame, time_s in enumerate(accumulate(gaps_s)):
         if time_s > now_s:
             break
@@ -59,8 +61,52 @@ def test_play_begins_with_a_lead() -> None:
     assert short.started_s == 1.0
 
 
+def test_a_stall_ends_with_a_lead() -> None:
+    clock = PlayoutClock(0, 10.0, PlayoutConfig(start_lead_s=0, resume_lead_s=0.25))
+    clock.ready_until(1, 0.0)
+    clock.ready_until(2, 5.0)
+    clock.ready_until(3, 6.0)
+    assert (clock.end_frame, clock.next_frame(7.0), clock.stalls) == (1, 1, 0)
+    assert clock.stalled(7.0)
+    clock.ready_until(4, 7.0)
+    assert (clock.end_frame, clock.stalls) == (4, 1)
+    assert clock.times_s(1) == (0.1, 7.0)
+    assert clock.stalled_s == pytest.approx(6.9)
+    clock.ready_until(5, 8.0)  # of a stream that ends there, nothing more is waited for
+    assert clock.stalled(8.0)
+    clock.until_frame = 5
+    clock.ready_until(5, 8.5)
+    assert (clock.end_frame, clock.stalls) == (5, 2)
+
+
+def test_who_shows_knows_better_than_a_lead() -> None:
+    clock = PlayoutClock(0, 10.0, PlayoutConfig(start_lead_s=0, resume_lead_s=1.0))
+    clock.ready_until(1, 0.0)
+    clock.ready_until(4, 5.0)
+    clock.told(3, 5.5)
+    assert (clock.end_frame, clock.next_frame(5.5)) == (4, 3)
+
+
+@given(gaps_s, st.floats(0, 2))
+def test_a_lead_makes_stalls_fewer_and_no_frame_earlier(
+    gaps_s: list[float], resume_lead_s: float
+) -> None:
+    clocks = [
+        PlayoutClock(0, 10.0, config, len(gaps_s))
+        for config in (AT_ONCE, PlayoutConfig(start_lead_s=0, resume_lead_s=resume_lead_s))
+    ]
+    for frame, time_s in enumerate(accumulate(gaps_s)):
+        for clock in clocks:
+            clock.ready_until(frame + 1, time_s)
+    at_once, leading = clocks
+    assert leading.end_frame == at_once.end_frame == len(gaps_s)
+    assert leading.stalls <= at_once.stalls
+    for frame in range(len(gaps_s)):
+        assert leading.times_s(frame)[1] >= at_once.times_s(frame)[1] - 1e-9
+
+
 def test_what_is_over_does_not_stall() -> None:
-    clock = PlayoutClock(0, 10.0, PlayoutConfig(start_lead_s=0), until_frame=2)
+    clock = PlayoutClock(0, 10.0, AT_ONCE, until_frame=2)
     clock.ready_until(2, 0.0)
     assert not clock.stalled(50.0)
     clock.until_frame = 3
@@ -68,7 +114,7 @@ def test_what_is_over_does_not_stall() -> None:
 
 
 def test_forgotten_times_take_no_room() -> None:
-    clock = PlayoutClock(0, 10.0, PlayoutConfig(start_lead_s=0))
+    clock = PlayoutClock(0, 10.0, AT_ONCE)
     for frame in range(1000):  # each one stalls
         clock.ready_until(frame + 1, 1.0 + frame)
         clock.forget(frame)
