@@ -24,30 +24,14 @@ from bench.dropping import (
     training_views,
 )
 from codec.errors import InvalidError
-from codec.profiles.profile import Profile
-from tests.support.slots.slot_streams import write_busy_stream
-from tests.support.slots.updates import small_layout
-from tests.support.tiny_capture import picture_of, write_dynamic3dgs
-from tests.support.tiny_stream import tiny_manifest, write_tiny
-from trainer.capture.layout import open_capture
+from tests.bench.scored_stream import FRAMES, write_scored
+from tests.support.tiny_capture import picture_of
 from trainer.score.evaluate import EvaluateConfig, evaluate_stream
 from trainer.score.truth import open_held_out
 
-FRAMES = 6
-
 
 def written(path: Path, version: int) -> DroppingConfig:
-    """A stream of two layers and its capture, whose camera 1 is held out."""
-    capture, stream = path / "capture", path / "stream"
-    write_dynamic3dgs(capture, num_cameras=4, num_frames=FRAMES)
-    cameras = tuple(c.camera for c in open_capture(capture).cameras)
-    default = cameras[0].name
-    if version == 1:
-        manifest = replace(tiny_manifest(Profile.COMPACT), cameras=cameras, default_camera=default)
-        write_tiny(stream, FRAMES, manifest)
-    else:
-        layout = small_layout(2, (60, 40), 0, 4)
-        write_busy_stream(stream, FRAMES, layout, cameras=cameras, default_camera=default)
+    stream, capture = write_scored(path, version)
     plots = path / "plots"
     return DroppingConfig(
         stream, capture, plots / "a.png", plots / "a.jpg", every=2, views=2, frame=3

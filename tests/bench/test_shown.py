@@ -12,7 +12,7 @@ from rich.console import Console
 from bench.network.shown import shown_scores, table_of
 from codec.errors import InvalidError
 from codec.stream import StreamReader
-from tests.bench.test_dropping import FRAMES, written
+from tests.bench.scored_stream import FRAMES, write_scored
 from trainer.score.evaluate import EvaluateConfig, evaluate_stream
 from trainer.score.truth import open_held_out
 
@@ -40,9 +40,9 @@ def report_of(reader: StreamReader, layers: int, late_s: float = 0.0) -> dict[st
 
 @pytest.mark.parametrize("version", [1, 2])
 def test_it_scores_the_packets_that_had_come(version: int, tmp_path: Path) -> None:
-    config = written(tmp_path, version)
-    expected = evaluate_stream(EvaluateConfig(config.stream, config.capture)).layers
-    with open_held_out(config.stream, config.capture) as held_out:
+    stream, capture = write_scored(tmp_path, version)
+    expected = evaluate_stream(EvaluateConfig(stream, capture)).layers
+    with open_held_out(stream, capture) as held_out:
         for layers in (1, 2):
             scores = list(shown_scores(held_out, report_of(held_out.reader, layers), 1))
             assert [score.frame for score in scores] == list(range(FRAMES))
@@ -60,8 +60,8 @@ def test_it_scores_the_packets_that_had_come(version: int, tmp_path: Path) -> No
 
 
 def test_every_other_frame_and_a_report_that_lacks_some(tmp_path: Path) -> None:
-    config = written(tmp_path, 1)
-    with open_held_out(config.stream, config.capture) as held_out:
+    stream, capture = write_scored(tmp_path, 1)
+    with open_held_out(stream, capture) as held_out:
         report = report_of(held_out.reader, 2)
         assert [score.frame for score in shown_scores(held_out, report, 2)] == [0, 2, 4]
         report["dropped"]["arrivals"] = 1

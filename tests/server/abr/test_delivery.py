@@ -16,7 +16,7 @@ from server.abr.policies.choice import fixed_policy, own_policy
 from server.abr.session import SessionConfig
 from server.abr.simulate.simulator import Shown, play_out, simulate
 from server.abr.slotholding import open_holding
-from tests.support.delivery.media import FakeMedia, demo_media, slot_media
+from tests.support.delivery.media import MadeMedia, demo_media, slot_media
 
 LATENCY_S = 0.02
 CONFIG = SessionConfig()
@@ -28,7 +28,7 @@ def link_of(*steps: tuple[float, float]) -> Link:
 
 
 def played(
-    media: FakeMedia, link: Link, layers: int | None = None
+    media: MadeMedia, link: Link, layers: int | None = None
 ) -> tuple[list[Shown], PlayoutClock]:
     """What a client shows of all of `media`."""
     policy = own_policy(media) if layers is None else fixed_policy(layers)
@@ -63,7 +63,7 @@ def test_what_the_link_carries_is_shown_without_a_stall(
 
 @pytest.mark.parametrize("share", [1.1, 1.3, 2.0])
 @pytest.mark.parametrize("media", [demo_media(), slot_media()], ids=["version 1", "version 2"])
-def test_a_link_that_carries_layer_0_never_stalls(media: FakeMedia, share: float) -> None:
+def test_a_link_that_carries_layer_0_never_stalls(media: MadeMedia, share: float) -> None:
     shown, clock = played(media, link_of((60, share * media.need_bps(1) / 1e6)))
     assert len(shown) == media.num_frames
     assert clock.stalls == 0
@@ -78,12 +78,12 @@ def test_where_slots_last_the_picture_goes_with_the_link(rate: float, least_db: 
     assert fmean(one.psnr_db for one in shown) >= least_db
 
 
-def random_media(has_slots: bool, layers: int, seed: int) -> FakeMedia:
+def random_media(has_slots: bool, layers: int, seed: int) -> MadeMedia:
     each = tuple(2e3 * (1 + (seed >> 3 * n) % 8) for n in range(layers))
     psnr_db = tuple(25.0 + 4 * n / layers for n in range(layers))
     slots = (tuple(20 * size for size in each), (0.2,) * layers) if has_slots else ((), ())
-    return FakeMedia(
-        SegmentSizes(each, psnr_db, *slots), 240, segment_frames=20, has_slots=has_slots
+    return MadeMedia(
+        (SegmentSizes(each, psnr_db, *slots),), 240, segment_frames=20, has_slots=has_slots
     )
 
 
@@ -166,8 +166,8 @@ def test_the_estimate_follows_a_link_that_changes_fourfold(rates: tuple[float, f
     before, after = rates
     media = random_media(False, 4, 0)
     scale = 1.5e6 * max(rates) / media.need_bps(4)  # the link is never idle
-    sizes = tuple(scale * size for size in media.every.layer_bytes)
-    media = FakeMedia(SegmentSizes(sizes, media.every.psnr_db), 300)
+    sizes = tuple(scale * size for size in media.sizes(0).layer_bytes)
+    media = MadeMedia((SegmentSizes(sizes, media.sizes(0).psnr_db),), 300, segment_frames=30)
     result = simulate(
         media, own_policy(media), link_of((5, before), (60, after)), CONFIG,
         at_most_s=8, keep_estimates=True,

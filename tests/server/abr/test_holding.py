@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from server.abr.holding import SliceHolding
 from server.abr.media import SegmentSizes, rising
 from server.abr.slotholding import SlotHolding
-from tests.support.delivery.media import FakeMedia, demo_media, slot_media
+from tests.support.delivery.media import MadeMedia, demo_media, slot_media
 
 PACKETS = [(birth, layer) for birth in range(-4, 12) for layer in range(4)]
 
@@ -97,6 +97,6 @@ def test_qualities_rise_even_where_they_are_unknown_or_odd() -> None:
     assert rising((30.0, 29.0, 31.0), (1.0, 1.0, 1.0)) == (30.0, 30.0, 31.0)
     guessed = rising((float("nan"), 30.0), (100.0, 300.0))
     assert list(guessed) == pytest.approx([24.0, 30.0])
-    media = FakeMedia(SegmentSizes((1.0, 2.0), guessed))
+    media = MadeMedia((SegmentSizes((1.0, 2.0), guessed),))
     assert media.sizes(0).gains_db == pytest.approx((24.0, 6.0))
     assert media.sizes(0).slice_bytes == (1.0, 3.0)

@@ -18,7 +18,7 @@ from server.abr.session import (
     WaitForNews,
     WaitUntil,
 )
-from tests.support.delivery.media import FakeMedia, demo_media, slot_media
+from tests.support.delivery.media import MadeMedia, demo_media, slot_media
 
 CONFIG = SessionConfig()
 RATE_BPS = 50e6
@@ -38,7 +38,7 @@ def run(session: PlaySession, now_s: float) -> tuple[list[SendSlices | SendSnaps
 
 
 @pytest.mark.parametrize("media", [demo_media(20), slot_media(20)], ids=["slices", "slots"])
-def test_a_live_stream_is_waited_for_and_then_ends(media: FakeMedia) -> None:
+def test_a_live_stream_is_waited_for_and_then_ends(media: MadeMedia) -> None:
     live = replace(media, live=True, num_frames=0)
     session = PlaySession(live, own_policy(live), CONFIG, 0.0, rate_bps=RATE_BPS)
     assert session.decide(0.0) == WaitForFrames()
@@ -55,7 +55,7 @@ def test_a_live_stream_is_waited_for_and_then_ends(media: FakeMedia) -> None:
 
 @pytest.mark.parametrize("media", [demo_media(60), slot_media(60)], ids=["slices", "slots"])
 @pytest.mark.parametrize("layers", [None, 2])
-def test_a_part_of_a_stream(media: FakeMedia, layers: int | None) -> None:
+def test_a_part_of_a_stream(media: MadeMedia, layers: int | None) -> None:
     policy = own_policy(media) if layers is None else fixed_policy(layers)
     session = PlaySession(media, policy, CONFIG, 0.0, 35, 40, RATE_BPS)
     sent, decision = run(session, 0.0)

@@ -9,7 +9,8 @@ from server.abr.playout import PlayoutConfig
 from server.abr.policies.choice import fixed_policy
 from server.abr.session import SessionConfig
 from server.abr.simulate.simulator import play_out, simulate
-from tests.server.abr.policies.made_media import MadeMedia, sizes_of
+from tests.server.abr.policies.made_media import sizes_of
+from tests.support.delivery.media import MadeMedia
 
 
 def test_a_play_begins_however_short_its_lead_may_be() -> None:

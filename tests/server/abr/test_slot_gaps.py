@@ -7,13 +7,13 @@ from server.abr.media import SegmentSizes
 from server.abr.outlook import Outlook, Send, SendSlices, SendSnapshots
 from server.abr.simulate.simulator import simulate
 from server.abr.slotholding import SlotHolding
-from tests.support.delivery.media import FakeMedia
+from tests.support.delivery.media import MadeMedia
 
 
-def stills() -> FakeMedia:
+def stills() -> MadeMedia:
     """A stream of version 2 in which nothing moves."""
     every = SegmentSizes((0.0,), (30.0,), (1000.0,), (0.0,))
-    return FakeMedia(every, num_frames=40, swin_size=1, segment_frames=10, has_slots=True)
+    return MadeMedia((every,), num_frames=40, swin_size=1, segment_frames=10, has_slots=True)
 
 
 def test_a_later_snapshot_fills_no_gap() -> None:

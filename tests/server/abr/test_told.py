@@ -14,7 +14,7 @@ from server.abr.policies.choice import own_policy
 from server.abr.session import Finished, PlaySession, SessionConfig, WaitUntil
 from server.abr.slotholding import open_holding
 from server.abr.standing import Standing
-from tests.support.delivery.media import FakeMedia, demo_media, slot_media
+from tests.support.delivery.media import MadeMedia, demo_media, slot_media
 
 CONFIG = SessionConfig()
 FPS = 30.0
@@ -98,7 +98,7 @@ news = st.builds(
 @given(st.lists(st.tuples(steps_s, acked_shares, st.none() | news), max_size=25))
 @settings(max_examples=20, deadline=None)
 def test_whatever_is_told_each_packet_goes_once_and_within_the_lead(
-    media: FakeMedia, events: list[tuple[float, float, Standing | None]]
+    media: MadeMedia, events: list[tuple[float, float, Standing | None]]
 ) -> None:
     session = PlaySession(media, ForwardPolicy(own_policy(media)), CONFIG, 0.0)
     came = open_holding(media, 0)

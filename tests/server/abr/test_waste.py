@@ -14,25 +14,25 @@ from server.abr.policies.choice import POLICIES, fixed_policy
 from server.abr.session import SessionConfig
 from server.abr.simulate.simulator import Arrival, Shown, play_out, send_bytes, simulate
 from server.abr.simulate.waste import measure_traffic
-from tests.support.delivery.media import FakeMedia, demo_media, slot_media
+from tests.support.delivery.media import MadeMedia, demo_media, slot_media
 
 CONFIG = SessionConfig()
 ANY = simulate(demo_media(1), fixed_policy(1), Link([LinkStep(1, 1e7, 0.0)]), CONFIG).arrivals[0]
 
 
-def came(media: FakeMedia, *sends: tuple[float, Send]) -> list[Arrival]:
+def came(media: MadeMedia, *sends: tuple[float, Send]) -> list[Arrival]:
     return [
         replace(ANY, time_s=time_s, num_bytes=send_bytes(media, send), what=send)
         for time_s, send in sends
     ]
 
 
-def shown_at_once(media: FakeMedia, count: int) -> list[Shown]:
+def shown_at_once(media: MadeMedia, count: int) -> list[Shown]:
     """Frames 0..count-1, frame n at second n."""
     return [Shown(n, float(n), float(n), 1.0, 30.0) for n in range(count)]
 
 
-def wasted(media: FakeMedia, count: int, *sends: tuple[float, Send]) -> float:
+def wasted(media: MadeMedia, count: int, *sends: tuple[float, Send]) -> float:
     return measure_traffic(media, came(media, *sends), shown_at_once(media, count)).wasted_bytes
 
 
@@ -56,7 +56,7 @@ def test_whole_slices_waste_what_is_late_or_stands_on_nothing(
     time_s: float, send: SendSlices, share: float
 ) -> None:
     media = demo_media()
-    layer_bytes = media.every.layer_bytes
+    layer_bytes = media.sizes(0).layer_bytes
     base = (0.0, slices(range(-4, 10), 0, 1))
     expected = share * layer_bytes[send.first_layer]
     assert wasted(media, 10, base, (time_s, send)) == pytest.approx(expected)
@@ -64,7 +64,7 @@ def test_whole_slices_waste_what_is_late_or_stands_on_nothing(
 
 def test_what_stands_on_a_late_layer_comes_with_it() -> None:
     media = demo_media()
-    sizes = media.every.layer_bytes
+    sizes = media.sizes(0).layer_bytes
     early, late = slices(range(3, 4), 2, 3), slices(range(3, 4), 1, 2)
     base = (0.0, slices(range(-4, 10), 0, 1))
     assert wasted(media, 10, base, (0.0, early), (7.0, late)) == pytest.approx(0)
@@ -76,7 +76,7 @@ def test_what_comes_twice_shows_once() -> None:
     media = demo_media()
     base = (0.0, slices(range(-4, 10), 0, 1))
     again = (1.0, slices(range(2, 3), 0, 1))
-    assert wasted(media, 10, base, again) == pytest.approx(media.every.layer_bytes[0])
+    assert wasted(media, 10, base, again) == pytest.approx(media.sizes(0).layer_bytes[0])
 
 
 JOIN = (0.0, SendSnapshots(0, 0, 1))
@@ -132,7 +132,8 @@ def test_slots_waste_what_no_chain_shows(
     media = slot_media()
     layer = 2 if sends[0][1].first_layer == 2 else 1
     expected = (
-        changes * media.every.layer_bytes[layer] + snapshots * media.every.snapshot_bytes[layer]
+        changes * media.sizes(0).layer_bytes[layer]
+        + snapshots * media.sizes(0).snapshot_bytes[layer]
     )
     assert wasted(media, 10, JOIN, CHAIN, *sends) == pytest.approx(expected)
 
@@ -141,7 +142,7 @@ def test_slots_waste_what_no_chain_shows(
     "media", [demo_media(300), slot_media(300)], ids=["version 1", "version 2"]
 )
 @pytest.mark.parametrize("rate", [0.5, 1.0, 3.0])
-def test_who_sends_all_in_order_wastes_nothing(media: FakeMedia, rate: float) -> None:
+def test_who_sends_all_in_order_wastes_nothing(media: MadeMedia, rate: float) -> None:
     link = Link([LinkStep(60, rate * media.need_bps(4), 0.02)])
     result = simulate(media, fixed_policy(4), link, CONFIG)
     shown, _ = play_out(media, result, CONFIG, 0, media.num_frames)
@@ -164,6 +165,6 @@ def test_waste_is_a_share_of_what_came(policy: str, has_slots: bool, loads: list
     traffic = measure_traffic(media, result.arrivals, shown)
     assert 0 <= traffic.wasted_share < 1
     # Every frame showed, and that took layer 0 of all.
-    least_bytes = media.num_frames * media.every.layer_bytes[0]
+    least_bytes = media.num_frames * media.sizes(0).layer_bytes[0]
     assert traffic.came_bytes - traffic.wasted_bytes >= 0.99 * least_bytes or has_slots
     assert measure_traffic(media, result.arrivals, []).wasted_share == 1

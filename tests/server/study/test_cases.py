@@ -18,7 +18,7 @@ from server.study.looped import LoopedMedia
 from server.study.tracefolder import Trace, chosen_names, generated_traces, read_traces
 from tests.support.delivery.media import demo_media
 
-MEDIA = LoopedMedia((demo_media().every,), 300, 30.0, 5, 30, has_slots=False)
+MEDIA = LoopedMedia((demo_media().sizes(0),), 300, 30.0, 5, 30, has_slots=False)
 names = st.lists(
     st.sampled_from(["", "a/", "a/b/", "c/"]).flatmap(
         lambda folder: st.integers(0, 99).map(lambda number: f"{folder}{number:02d}")

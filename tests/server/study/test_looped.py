@@ -67,7 +67,7 @@ def test_a_bitrate_scales_all_sizes_alike(stream: Path) -> None:
 
 
 def test_snapshots_scale_too() -> None:
-    sizes = slot_media().every
+    sizes = slot_media().sizes(0)
     media = LoopedMedia((sizes,), 30, 30.0, 1, 30, has_slots=True)
     doubled = media.with_bitrate(2 * media.need_bps).sizes(0)
     assert doubled.snapshot_bytes == pytest.approx([2 * size for size in sizes.snapshot_bytes])

@@ -17,8 +17,8 @@ from server.study.timecourse import follow
 from server.study.tracefolder import Trace
 from tests.support.delivery.media import demo_media, slot_media
 
-SLICES = LoopedMedia((demo_media().every,), 240, 30.0, 5, 30, has_slots=False)
-SLOTS = LoopedMedia((slot_media().every,), 240, 30.0, 1, 30, has_slots=True)
+SLICES = LoopedMedia((demo_media().sizes(0),), 240, 30.0, 5, 30, has_slots=False)
+SLOTS = LoopedMedia((slot_media().sizes(0),), 240, 30.0, 1, 30, has_slots=True)
 TRACE = Trace(
     "uneven", Link([LinkStep(2, 8e6, 0.02), LinkStep(1.5, 0.2e6, 0.04), LinkStep(3, 5e6, 0.02)])
 )

@@ -20,7 +20,7 @@ from server.abr.session import PlaySession, SessionConfig
 from server.abr.simulate.simulator import send_bytes
 from server.client.tcpinfo import unacked_bytes
 from server.config import ServerConfig
-from tests.support.delivery.media import FakeMedia
+from tests.support.delivery.media import MadeMedia
 
 FPS = 30
 
@@ -34,12 +34,14 @@ class Told(NamedTuple):
     stalls: int
 
 
-def wide_media(least_bps: float, most_bps: float, seconds: float) -> FakeMedia:
+def wide_media(least_bps: float, most_bps: float, seconds: float) -> MadeMedia:
     """A stream of which a link of `least_bps` carries layer 0, and one of `most_bps` never all."""
     base_bps = 0.7 * least_bps
     upper_bps = (1.5 * most_bps - base_bps) / 3
     sizes = tuple(rate_bps / 8 / FPS for rate_bps in (base_bps, upper_bps, upper_bps, upper_bps))
-    return FakeMedia(SegmentSizes(sizes, (25.5, 28.0, 29.1, 29.7)), round(FPS * seconds))
+    return MadeMedia(
+        (SegmentSizes(sizes, (25.5, 28.0, 29.1, 29.7)),), round(FPS * seconds), segment_frames=30
+    )
 
 
 def tell(line: str) -> None:
@@ -47,7 +49,7 @@ def tell(line: str) -> None:
     sys.stdout.flush()
 
 
-def pump(connection: socket.socket, media: FakeMedia, lasts_s: float) -> None:
+def pump(connection: socket.socket, media: MadeMedia, lasts_s: float) -> None:
     began_s, poll_s, sent_bytes = time.monotonic(), ServerConfig().poll_s, 0
     session = PlaySession(media, own_policy(media), SessionConfig(), 0.0)
     while (now_s := time.monotonic() - began_s) < lasts_s:

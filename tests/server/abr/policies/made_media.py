@@ -2,38 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import accumulate
 
 from hypothesis import strategies as st
 
 from server.abr.media import SegmentSizes
-
-
-@dataclass(frozen=True)
-class MadeMedia:
-    """A stream whose segments take and give what `segments` says, from the first one on again."""
-
-    segments: tuple[SegmentSizes, ...]
-    num_frames: int = 120
-    fps: float = 30.0
-    swin_size: int = 5
-    segment_frames: int = 15
-    has_slots: bool = False
-    live: bool = False
-
-    @property
-    def num_layers(self) -> int:
-        return len(self.segments[0].layer_bytes)
-
-    def sizes(self, birth: int) -> SegmentSizes:
-        return self.segments[max(0, birth) // self.segment_frames % len(self.segments)]
-
-    def need_bps(self, num_layers: int) -> float:
-        """What this many layers take at most, with all snapshots."""
-        frame_bytes = max(s.slice_bytes[num_layers - 1] for s in self.segments)
-        snapshot_bytes = max(sum(s.snapshot_bytes[:num_layers]) for s in self.segments)
-        return 8 * self.fps * (frame_bytes + snapshot_bytes / self.segment_frames)
+from tests.support.delivery.media import MadeMedia
 
 
 def sizes_of(

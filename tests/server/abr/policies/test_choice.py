@@ -13,7 +13,8 @@ from server.abr.policies.choice import POLICIES, fixed_policy
 from server.abr.session import SessionConfig
 from server.abr.simulate.simulator import play_out, simulate
 from server.abr.slotholding import SlotHolding
-from tests.server.abr.policies.made_media import MadeMedia, medias
+from tests.server.abr.policies.made_media import medias
+from tests.support.delivery.media import MadeMedia
 
 AT_MOST_S = 300.0
 IN_ORDER = sorted(set(POLICIES) - {"sweep"})
@@ -88,7 +89,7 @@ def test_it_sends_what_is_of_use_and_ends_every_play(
 @given(medias(fewest_frames=450, most_frames=450))
 @settings(QUICK, max_examples=6)
 def test_a_link_for_all_layers_ends_up_with_all_layers(name: str, media: MadeMedia) -> None:
-    link = Link([LinkStep(1.0, 3 * media.need_bps(media.num_layers), 0.02)])
+    link = Link([LinkStep(1.0, 3 * media.most_bps(media.num_layers), 0.02)])
     config = SessionConfig()
     result = simulate(media, POLICIES[name](media), link, config)
     shown, clock = play_out(media, result, config, 0, media.num_frames)

@@ -16,7 +16,8 @@ from server.abr.policies.fixed import FixedRule
 from server.abr.policies.inorder import InOrder, group_end
 from server.abr.policies.situation import Situation
 from server.abr.simulate.simulator import simulate
-from tests.server.abr.policies.made_media import MadeMedia, medias, sizes_of
+from tests.server.abr.policies.made_media import medias, sizes_of
+from tests.support.delivery.media import MadeMedia
 
 FAST = Link([LinkStep(1.0, 50e6, 0.02)])
 SLOTS = MadeMedia(
