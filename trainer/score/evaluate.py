@@ -9,12 +9,16 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+import numpy.typing as npt
 import tyro
+from rich.console import Group
 from rich.markup import escape
 from rich.table import Table
 
 from trainer.capture.capture import Mask
+from trainer.step.loss import psnr_db
 
+from .colourfit import colour_fitted
 from .moving import Movement, movement_of
 from .picture import Floats, Score, captured, displayed, score_picture
 from .traffic import Traffic, traffic
@@ -24,7 +28,8 @@ STILL = 4 / 255
 """Largest change of a capture's pixel, in any channel, that counts as standing still."""
 
 COLUMNS = (
-    "PSNR\ndB", "moving\ndB", "SSIM", "flicker", "kB a\nframe", "Mbit/s", "bytes a\nGaussian",
+    "layers", "PSNR\ndB", "moving\ndB", "SSIM", "flicker", "kB a\nframe", "Mbit/s",
+    "bytes a\nGaussian",
 )  # fmt: skip
 
 
@@ -54,6 +59,8 @@ class LayerScore:
 
     layers: int
     psnr_db: float
+    fitted_psnr_db: float
+    """With each picture's colours fitted to its camera's: see colourfit.py."""
     ssim: float
     flicker: float | None
     """100 times the mean change between frames of pixels that the capture keeps still."""
@@ -72,6 +79,7 @@ class LayerScore:
     per_frame_psnr_db: list[float]
     """Mean over the cameras."""
     per_camera_psnr_db: dict[str, float]
+    per_camera_fitted_psnr_db: dict[str, float]
     moving_psnr_db: float | None
     """Over the pixels that move since the frame before, in the pictures where enough do."""
     per_frame_moving_psnr_db: list[float | None]
@@ -97,12 +105,14 @@ class Evaluation:
     def to_json(self) -> dict[str, Any]:
         return asdict(self)
 
-    def table(self) -> Table:
+    def table(self) -> Group:
         """For people, in 80 columns: a row for each number of layers, then, with all layers, one
         for each camera."""
+        return Group(self._layer_table(), self._camera_table())
+
+    def _layer_table(self) -> Table:
         share = "" if self.moving_share is None else f", {self.moving_share:.1%} of pixels move"
         table = Table(title=f"{escape(self.stream)}: {self.frames} frames, {self.profile}{share}")
-        table.add_column("layers", overflow="fold")
         for name in COLUMNS:
             table.add_column(name, justify="right", no_wrap=True)
         for row in self.layers:
@@ -116,9 +126,19 @@ class Evaluation:
                 f"{row.bits_per_second / 1e6:.2f}",
                 f"{row.bytes_per_gaussian:.2f}",
             )
+        return table
+
+    def _camera_table(self) -> Table:
+        table = Table()
+        table.add_column("held-out camera", overflow="fold")
+        for name in ("PSNR\ndB", "in its own\ncolours, dB"):
+            table.add_column(name, justify="right", no_wrap=True)
+        best = self.layers[-1]
+        for camera, camera_psnr_db in best.per_camera_psnr_db.items():
+            fitted_psnr_db = best.per_camera_fitted_psnr_db[camera]
+            table.add_row(escape(camera), f"{camera_psnr_db:.2f}", f"{fitted_psnr_db:.2f}")
         table.add_section()
-        for camera, camera_psnr_db in self.layers[-1].per_camera_psnr_db.items():
-            table.add_row(f"camera {escape(camera)}", f"{camera_psnr_db:.2f}")
+        table.add_row("mean", f"{best.psnr_db:.2f}", f"{best.fitted_psnr_db:.2f}")
         return table
 
 
@@ -146,6 +166,11 @@ class _Flicker:
         return 100 * self._sum / self._count if self._count else None
 
 
+def _by_name(names: list[str], scores: npt.NDArray[np.float64]) -> dict[str, float]:
+    """Of each camera the mean; scores: (frames, cameras)."""
+    return dict(zip(names, map(float, scores.mean(axis=0)), strict=True))
+
+
 def _mean(values: Iterable[float | None]) -> float | None:
     """Of those that are there; None without any."""
     known = [value for value in values if value is not None]
@@ -158,6 +183,8 @@ class _Scores:
     def __init__(self) -> None:
         self.frames: list[list[Score]] = []
         """For each frame, a score for each camera."""
+        self.fitted_psnr_db: list[list[float]] = []
+        """The same in the cameras' colours."""
         self.moving: list[list[float | None]] = []
         """The same on the pixels that move."""
         self.flicker = _Flicker()
@@ -167,10 +194,13 @@ class _Scores:
     ) -> LayerScore:
         reader = held_out.reader
         psnr_db = np.array([[score.psnr_db for score in frame] for frame in self.frames])
+        fitted_psnr_db = np.array(self.fitted_psnr_db)
+        names = [camera.name for camera in held_out.cameras]
         num_bytes = (fetched.object_bytes + reader.overhead_bytes) / reader.num_frames
         return LayerScore(
             layers=layers,
             psnr_db=float(psnr_db.mean()),
+            fitted_psnr_db=float(fitted_psnr_db.mean()),
             ssim=float(np.mean([score.ssim for frame in self.frames for score in frame])),
             flicker=self.flicker.value if every == 1 else None,
             bytes_per_frame=num_bytes,
@@ -178,10 +208,8 @@ class _Scores:
             bits_per_second=8 * num_bytes * reader.manifest.fps,
             bytes_per_gaussian=fetched.object_bytes / max(fetched.gaussians, 1),
             per_frame_psnr_db=[float(x) for x in psnr_db.mean(axis=1)],
-            per_camera_psnr_db={
-                camera.name: float(x)
-                for camera, x in zip(held_out.cameras, psnr_db.mean(axis=0), strict=True)
-            },
+            per_camera_psnr_db=_by_name(names, psnr_db),
+            per_camera_fitted_psnr_db=_by_name(names, fitted_psnr_db),
             moving_psnr_db=_mean(x for frame in self.moving for x in frame),
             per_frame_moving_psnr_db=[_mean(frame) for frame in self.moving],
         )
@@ -218,10 +246,13 @@ def evaluate_stream(
             for layers, scores in found.items():
                 splats = reader.active_splats(frame, layers)
                 scores.frames.append([])
+                scores.fitted_psnr_db.append([])
                 scores.moving.append([])
                 for c, camera in enumerate(cameras):
                     shown, mask = displayed(splats, camera, manifest.near_m), shots[c].mask
                     scores.frames[-1].append(score_picture(shown, truths[c], mask))
+                    fitted = colour_fitted(shown, truths[c], mask)
+                    scores.fitted_psnr_db[-1].append(psnr_db(fitted, truths[c], mask))
                     scores.flicker.add(c, shown, truths[c], mask)
                     if movements:
                         scores.moving[-1].append(movements[c].psnr_db(shown, truths[c]))

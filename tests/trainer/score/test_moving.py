@@ -218,14 +218,18 @@ def test_the_table_tells_what_moves_and_each_camera(folder: Path) -> None:
     long = [replace(s, bytes_per_frame=123_456, bits_per_second=29.6e6) for s in found.layers]
     for shown in (found, replace(found, stream="stream", layers=long)):
         rows = table_rows(replace(shown, stream="stream"))
-        assert list(rows) == ["1", "2", "camera cam01"]
+        best = found.layers[-1]
+        scores = [f"{best.psnr_db:.2f}", f"{best.fitted_psnr_db:.2f}"]
         assert rows["2"][1] == f"{MEAN_DB:.2f}"
-        assert rows["camera cam01"] == [f"{found.layers[-1].psnr_db:.2f}", *[""] * 6]
+        assert rows == {"1": rows["1"], "2": rows["2"], "cam01": scores, "mean": scores}
 
 
 def test_a_long_or_odd_name_of_a_camera_is_told_whole(folder: Path) -> None:
     found = evaluate(folder)
-    name = "[b]" + "kitchen" * 6
-    layers = [replace(s, per_camera_psnr_db={name: 20.0}) for s in found.layers]
+    name = "[b]" + "kitchen" * 12
+    one = {name: 20.0}
+    layers = [
+        replace(s, per_camera_psnr_db=one, per_camera_fitted_psnr_db=one) for s in found.layers
+    ]
     rows = table_rows(replace(found, stream="stream", layers=layers))
-    assert "".join(rows) == f"12camera{name}"
+    assert "".join(rows) == f"12{name}mean"
