@@ -83,7 +83,9 @@ def test_a_folder_into_a_video_with_a_report(library: Path, tmp_path: Path) -> N
     assert totals["mean_layers"] == 2
     assert totals["link_bytes"] is None
     assert (totals["plays"], totals["undrawn_frames"], told["interrupted"]) == (1, 0, False)
-    assert all(f["drawn_s"] >= f["shown_s"] for f in told["frames"])
+    # A folder is drawn as fast as it can be, and not when frames are due.
+    drawn_s = [f["drawn_s"] for f in told["frames"]]
+    assert drawn_s == sorted(drawn_s)
     assert [one["birth"] for one in told["arrivals"]] == list(range(1 - SWIN_SIZE, 13))
     assert sum(one["bytes"] for one in told["arrivals"]) == totals["bytes"]
     assert told["rates"] == []  # nothing came over a network
