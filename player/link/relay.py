@@ -9,6 +9,7 @@ Not modelled: loss and reordering, a limit to the queue before the link (that is
 and the way up, which takes no time. Bytes that follow the last ones so soon that the queue may not
 have been empty (LULL_S) come as early as if they had been sent right behind them: a server that
 keeps less in its queue than passes within the latency sees a shorter latency, not a slower link.
+So do the first bytes of a connection while others keep the link at work.
 """
 
 from __future__ import annotations
@@ -67,6 +68,7 @@ class Relay:
         self._turn = asyncio.Lock()  # fair: connections pass piece by piece
         self._free_s = 0.0  # when the last piece had passed, without latency
         self._comes_s = 0.0  # when it came out
+        self._busy: set[socket.socket] = set()  # connections whose bytes wait for the link
         self._fastest_bps = max(step.rate_bps for step in link.steps)
         self._buffer_bytes = max(MIN_BUFFER_BYTES, round(self._fastest_bps / 8 * BUFFER_S))
         self.began_s: float | None = None
@@ -105,6 +107,8 @@ class Relay:
                         group.create_task(self._pass_down(server, player))
                 except* OSError as errors:
                     log.debug("link: %s", errors.exceptions[0])
+                finally:
+                    self._busy.discard(server)
 
     async def _refuse(self, player: socket.socket, error: OSError) -> None:
         """The player speaks HTTP, so it can be told what happened."""
@@ -171,22 +175,28 @@ class Relay:
         entered_s = 0.0  # since when bytes have waited for the link without a break
         while True:
             waiting_bytes = _waiting_bytes(server)
-            if waiting_bytes is None:
+            if waiting_bytes is not None:
+                self._busy.add(server)
+            else:
                 # Seen now, but if the queue was not empty before, perhaps long on its way.
                 if await self._readable(server, LULL_S):
                     now_s = self._now_s()
                     entered_s = max(entered_s, now_s - self._link.at(now_s).latency_s)
                 else:
+                    self._busy.discard(server)
                     await self._readable(server)
                     entered_s = self._now_s()
                 continue
-            data = await self._piece(server, entered_s, waiting_bytes)
+            # What enters behind the bytes of another connection finds the link at work.
+            since_s = entered_s if self._busy == {server} else 0.0
+            data = await self._piece(server, since_s, waiting_bytes)
             if not data:
                 player.shutdown(socket.SHUT_WR)
                 return
             self.down_bytes += len(data)
             sent_bytes = _send_some(player, data)
             if sent_bytes < len(data):
+                self._busy.discard(server)
                 await self._loop.sock_sendall(player, data[sent_bytes:])
                 entered_s = self._now_s()  # the player held them back, not the link
 
