@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import socket
+import threading
 import time
 from pathlib import Path
 from statistics import median
@@ -63,6 +65,37 @@ def test_nothing_is_acknowledged_before_it_has_passed(megabits: int) -> None:
                     # What the relay's kernel holds was acknowledged: little of the link's time.
                     assert acked <= passed_bytes + 0.02 * megabits * 1e6 / 8
                 assert acked > 0
+
+
+def test_small_answers_on_another_connection_take_no_time_of_the_link() -> None:
+    num_bytes, latency_s, rate_bps = 120_000, 0.1, 1.6e6
+    link = read_link("1600k,100ms")
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+        with (
+            LinkProcess(link, "127.0.0.1", port) as relay,
+            socket.create_connection(relay.address, timeout=30) as player,
+            listener.accept()[0] as sender,
+            socket.create_connection(relay.address, timeout=30) as asking,
+            listener.accept()[0] as answering,
+        ):
+            sending = threading.Thread(target=sender.sendall, args=(bytes(num_bytes),))
+            began_s = time.monotonic()
+            sending.start()
+            came = answers = 0
+            player.settimeout(0.01)
+            while came < num_bytes:
+                if time.monotonic() > began_s + 0.05 * answers:
+                    answering.sendall(b"ok")
+                    answers += 1
+                with contextlib.suppress(TimeoutError):
+                    came += len(player.recv(1 << 16))
+            took_s = time.monotonic() - began_s
+            assert asking.recv(100).startswith(b"ok")
+            sending.join()
+    assert answers >= 10
+    # Each of them would have cost a latency.
+    assert took_s == pytest.approx(latency_s + 8 * num_bytes / rate_bps, abs=0.15)
 
 
 class Play:
