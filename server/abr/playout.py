@@ -27,9 +27,13 @@ class PlayoutConfig:
             if not 0 <= getattr(self, name) <= 60:
                 raise InvalidError(f"{name} is {getattr(self, name)}; it must be in 0..60")
 
+    def start_frames(self, fps: float) -> int:
+        """How many frames the first one waits for, itself included."""
+        return _frames(self.start_lead_s, fps)
+
     def least_frames(self, fps: float) -> int:
         """How many frames a playback may wait for."""
-        return max(_frames(self.start_lead_s, fps), _frames(self.resume_lead_s, fps))
+        return max(self.start_frames(fps), _frames(self.resume_lead_s, fps))
 
 
 def _frames(lead_s: float, fps: float) -> int:

@@ -61,6 +61,11 @@ class SessionConfig:
             if not getattr(self, name) > 0:
                 raise InvalidError(f"{name} is {getattr(self, name)}; it must be positive")
 
+    def lead_frames(self, fps: float) -> int:
+        """How many frames may be sent ahead: as many as max_lead_s says, and no fewer than a
+        client waits for, which would wait for ever."""
+        return max(self.playout.least_frames(fps), round(self.max_lead_s * fps))
+
 
 @dataclass(frozen=True, slots=True)
 class WaitForNews:
@@ -251,9 +256,7 @@ class PlaySession:
         self._oldest_frame = oldest_frame = max(self._oldest_frame, next_frame)
         self.holding.forget(oldest_frame)
         num_frames = media.num_frames if last_frame is None else last_frame
-        # A client that may not have what it waits for would wait for ever.
-        lead = max(config.playout.least_frames(media.fps), round(config.max_lead_s * media.fps))
-        end_birth = min(num_frames, next_frame + lead)
+        end_birth = min(num_frames, next_frame + config.lead_frames(media.fps))
         outlook = Outlook(
             media=media,
             holding=self.holding,

@@ -55,8 +55,7 @@ def open_play(
         raise InvalidError(f"a play of the frames {frames}: there must be one, and all there")
     num_frames = until_frame - first_frame
     lead_frames = max(1, round(config.max_lead_s * media.fps))
-    asked = max(1, math.ceil(config.playout.start_lead_s * media.fps - 1e-9))
-    start_frames = min(num_frames, asked)
+    start_frames = min(num_frames, config.playout.start_frames(media.fps))
     if start_frames > lead_frames:
         raise InvalidError(
             f"no play begins: the first frame waits for {start_frames} frames, "
@@ -67,7 +66,13 @@ def open_play(
         *(_base_bytes(media, frame) for frame in range(first_frame + 1, until_frame)),
     )
     return Play(
-        media, Passage(link), first_frame, until_frame, lead_frames, start_frames, base_bytes
+        media,
+        Passage(link),
+        first_frame,
+        until_frame,
+        config.lead_frames(media.fps),
+        start_frames,
+        base_bytes,
     )
 
 

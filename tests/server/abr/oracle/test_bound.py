@@ -159,3 +159,10 @@ def test_what_is_asked_must_make_sense(
     session = SessionConfig(max_lead_s=1.0, playout=PlayoutConfig(start_lead_s=lead_s))
     with pytest.raises(InvalidError, match=message):
         bound(media, steady(1e6), session, QoeConfig(), *span, group_s)
+
+
+def test_a_lead_that_ends_stalls_is_granted_to_the_bound_too() -> None:
+    media = make_stream(np.random.default_rng(0), False, seconds=2, fps=10)
+    session = SessionConfig(max_lead_s=0.1, playout=PlayoutConfig(0.0, resume_lead_s=0.5))
+    play = open_play(media, steady(1e6), session, 0, media.num_frames)
+    assert play.lead_frames == session.lead_frames(10) == 5
