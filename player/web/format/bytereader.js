@@ -1,0 +1,103 @@
+import { corrupt } from "./errors.js";
+
+/** Reads little-endian numbers one after another. Throws a FormatError where the bytes end. */
+export class ByteReader {
+  /**
+   * @param {Uint8Array} bytes
+   * @param {string} what named in errors
+   */
+  constructor(bytes, what) {
+    this.bytes = bytes;
+    this.what = what;
+    this.at = 0;
+    this.view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
+  }
+
+  get left() {
+    return this.bytes.length - this.at;
+  }
+
+  /**
+   * The next `count` bytes, as a view.
+   * @param {number} count
+   */
+  take(count) {
+    if (count > this.left) {
+      throw corrupt(
+        `${this.what}: ends at byte ${this.bytes.length}, ${count - this.left} too early`,
+      );
+    }
+    this.at += count;
+    return this.bytes.subarray(this.at - count, this.at);
+  }
+
+  u8() {
+    return this.take(1)[0];
+  }
+
+  u16() {
+    this.take(2);
+    return this.view.getUint16(this.at - 2, true);
+  }
+
+  u32() {
+    this.take(4);
+    return this.view.getUint32(this.at - 4, true);
+  }
+
+  i32() {
+    this.take(4);
+    return this.view.getInt32(this.at - 4, true);
+  }
+
+  f32() {
+    this.take(4);
+    return this.view.getFloat32(this.at - 4, true);
+  }
+
+  /** A u64 as a number; what is above 2^53 is not exact, and above every bound of the format. */
+  u64() {
+    const low = this.u32();
+    return this.u32() * 2 ** 32 + low;
+  }
+
+  /**
+   * The next four bytes as a text of single bytes.
+   */
+  magic() {
+    return String.fromCharCode(...this.take(4));
+  }
+
+  /**
+   * A copy of the next `count` f32.
+   * @param {number} count
+   */
+  f32s(count) {
+    return new Float32Array(this.#copied(count));
+  }
+
+  /** @param {number} count */
+  i32s(count) {
+    return new Int32Array(this.#copied(count));
+  }
+
+  /** @param {number} count */
+  u32s(count) {
+    return new Uint32Array(this.#copied(count));
+  }
+
+  /**
+   * Copied, because a view of four bytes must be aligned. Every machine that runs a browser is
+   * little-endian, as the stream is.
+   * @param {number} count
+   */
+  #copied(count) {
+    const { buffer, byteOffset, byteLength } = this.take(4 * count);
+    return /** @type {ArrayBuffer} */ (buffer).slice(byteOffset, byteOffset + byteLength);
+  }
+
+  /** Throws unless all bytes have been read. */
+  finish() {
+    if (this.left > 0) throw corrupt(`${this.what}: ${this.left} bytes too long`);
+  }
+}

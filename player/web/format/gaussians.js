@@ -1,0 +1,69 @@
+import { corrupt } from "./errors.js";
+
+/**
+ * A set of N Gaussians as f32, one after another in every array.
+ * @typedef {object} Gaussians
+ * @property {Float32Array} means (N, 3) metres, world
+ * @property {Float32Array} logScales (N, 3)
+ * @property {Float32Array} quats (N, 4) w, x, y, z; not of length 1
+ * @property {Float32Array} logitOpacities (N)
+ * @property {Float32Array} sh (N, K, 3) coefficient after coefficient, RGB
+ */
+
+/** Coefficients of a SH degree. @param {number} degree */
+export function numCoefficients(degree) {
+  return (degree + 1) ** 2;
+}
+
+/**
+ * Room for N Gaussians.
+ * @param {number} count
+ * @param {number} k coefficients
+ * @returns {Gaussians}
+ */
+export function emptyGaussians(count, k) {
+  return {
+    means: new Float32Array(3 * count),
+    logScales: new Float32Array(3 * count),
+    quats: new Float32Array(4 * count),
+    logitOpacities: new Float32Array(count),
+    sh: new Float32Array(3 * k * count),
+  };
+}
+
+/**
+ * Gaussians as they stand in a raw chunk or as escapes (FORMAT.md, section 5).
+ * @param {import("./bytereader.js").ByteReader} reader
+ * @param {number} count
+ * @param {number} k coefficients
+ * @returns {Gaussians}
+ */
+export function readGaussians(reader, count, k) {
+  return {
+    means: reader.f32s(3 * count),
+    logScales: reader.f32s(3 * count),
+    quats: reader.f32s(4 * count),
+    logitOpacities: reader.f32s(count),
+    sh: reader.f32s(3 * k * count),
+  };
+}
+
+/**
+ * Throws unless all numbers are finite and no quaternion is zero.
+ * @param {Gaussians} gaussians
+ * @param {string} what named in the error
+ */
+export function checkGaussians(gaussians, what) {
+  for (const [name, values] of Object.entries(gaussians)) {
+    // The sum of finite f32 in binary64 is finite, and that of others is not.
+    let sum = 0;
+    for (let i = 0; i < values.length; i++) sum += values[i];
+    if (!Number.isFinite(sum)) throw corrupt(`${what}: a number of ${name} is not finite`);
+  }
+  const { quats } = gaussians;
+  for (let i = 0; i < quats.length; i += 4) {
+    if (quats[i] === 0 && quats[i + 1] === 0 && quats[i + 2] === 0 && quats[i + 3] === 0) {
+      throw corrupt(`${what}: the quaternion of Gaussian ${i / 4} is zero`);
+    }
+  }
+}

@@ -1,0 +1,82 @@
+/** The values in manifest.json, each of the type that the format says. All throw a FormatError. */
+
+import { corrupt } from "./errors.js";
+
+const MAX_TEXT_CHARS = 2000;
+
+/**
+ * The value of a key that must be there.
+ * @param {unknown} value
+ * @param {string} key
+ * @returns {unknown}
+ */
+export function field(value, key) {
+  if (typeof value !== "object" || value === null || Array.isArray(value)) {
+    throw corrupt(`manifest: no object holds ${key}`);
+  }
+  if (!Object.hasOwn(value, key)) throw corrupt(`manifest: ${key} is missing`);
+  return /** @type {Record<string, unknown>} */ (value)[key];
+}
+
+/**
+ * @param {unknown} value
+ * @param {string} what
+ */
+export function number(value, what) {
+  if (typeof value !== "number" || !Number.isFinite(value))
+    throw corrupt(`manifest: ${what} is not a number`);
+  return value;
+}
+
+/**
+ * JavaScript cannot tell 3.0 from 3, so this takes both, where the format wants the second.
+ * @param {unknown} value
+ * @param {number} least
+ * @param {number} most
+ * @param {string} what
+ */
+export function integer(value, least, most, what) {
+  if (typeof value !== "number" || !Number.isInteger(value) || value < least || value > most) {
+    throw corrupt(`manifest: ${what} is not an integer of ${least} .. ${most}`);
+  }
+  return value;
+}
+
+/**
+ * @param {unknown} value
+ * @param {string} what
+ */
+export function text(value, what) {
+  if (typeof value !== "string" || [...value].length > MAX_TEXT_CHARS || !isUnicode(value)) {
+    throw corrupt(`manifest: ${what} is not a text of at most ${MAX_TEXT_CHARS} characters`);
+  }
+  return value;
+}
+
+/** Whether no surrogate stands alone. @param {string} value */
+function isUnicode(value) {
+  return !/\p{Surrogate}/u.test(value);
+}
+
+/**
+ * @param {unknown} value
+ * @param {string} what
+ */
+export function boolean(value, what) {
+  if (typeof value !== "boolean") throw corrupt(`manifest: ${what} is not true or false`);
+  return value;
+}
+
+/**
+ * @param {unknown} value
+ * @param {number} least
+ * @param {number} most
+ * @param {string} what
+ * @returns {unknown[]}
+ */
+export function list(value, least, most, what) {
+  if (!Array.isArray(value) || value.length < least || value.length > most) {
+    throw corrupt(`manifest: ${what} is not a list of ${least} .. ${most}`);
+  }
+  return value;
+}

@@ -1,0 +1,225 @@
+/** manifest.json: what must be known before the first slice (FORMAT.md, sections 9 and 19). */
+
+import { readCamera } from "./camera.js";
+import { MAX_COUNT, PROFILES } from "./chunk.js";
+import { corrupt, unsupported } from "./errors.js";
+import { boolean, field, integer, list, number, text } from "./json.js";
+import { SlotLayout } from "./slotlayout.js";
+
+const { fround } = Math;
+
+const MAX_MANIFEST_BYTES = 2 ** 20;
+const MAX_NUM_GS = 2 ** 24;
+const MAX_SLOTS = 2 ** 20;
+const MAX_SEGMENT_SLOTS = 2 ** 28;
+const MAX_LAYERS = 16;
+const MAX_POSTER_BYTES = 255;
+const MIN_STEP = 1e-6;
+
+/**
+ * @typedef {object} Manifest
+ * @property {1 | 2} version
+ * @property {number} fps
+ * @property {number} swinSize
+ * @property {number} numGs
+ * @property {number} numLayers
+ * @property {number} segmentFrames
+ * @property {number} shDegree
+ * @property {string} profile
+ * @property {boolean} antialias
+ * @property {number} nearM metres
+ * @property {number[][]} bounds lower and upper corner, metres
+ * @property {import("./camera.js").Camera[]} cameras
+ * @property {import("./camera.js").Camera} defaultCamera
+ * @property {boolean} live
+ * @property {string | null} poster
+ * @property {string} objectUrl
+ * @property {string} title
+ * @property {number} captureFrame
+ * @property {SlotLayout | null} layout version 2; else null
+ * @property {string[]} parts what each segment has an object of, in the order of the index
+ */
+
+/**
+ * The manifest in `bytes`. Throws a FormatError.
+ * @param {Uint8Array} bytes
+ * @returns {Manifest}
+ */
+export function readManifest(bytes) {
+  if (bytes.length > MAX_MANIFEST_BYTES) throw corrupt(`manifest: ${bytes.length} bytes`);
+  const value = parsed(bytes);
+  const version = field(value, "version");
+  if (!Number.isInteger(version)) throw corrupt("manifest: this is not a swings stream");
+  if (version !== 1 && version !== 2) throw unsupported(`manifest: version ${version}`);
+  const profile = text(field(value, "profile"), "profile");
+  /** @type {readonly string[]} */
+  const known = version === 2 ? ["lattice"] : PROFILES;
+  if (!known.includes(profile)) throw unsupported(`manifest: profile ${profile.slice(0, 40)}`);
+  const swinSize = integer(field(value, "swin_size"), 1, 255, "swin_size");
+  const numGs = integer(field(value, "num_gs"), 1, MAX_NUM_GS, "num_gs");
+  if (numGs % swinSize !== 0 || numGs / swinSize > MAX_COUNT) {
+    throw corrupt(`manifest: num_gs ${numGs} in slices of ${swinSize} frames`);
+  }
+  const segmentFrames = integer(field(value, "segment_frames"), 1, 4096, "segment_frames");
+  const shDegree = integer(field(value, "sh_degree"), 0, 3, "sh_degree");
+  const layout = version === 2 ? readLayout(value, swinSize, segmentFrames, shDegree, numGs) : null;
+  const numLayers = layout ? layout.numLayers : readShares(value);
+  const cameras = list(field(value, "cameras"), 1, 256, "cameras").map(readCamera);
+  if (new Set(cameras.map((camera) => camera.name)).size !== cameras.length) {
+    throw corrupt("manifest: two cameras have the same name");
+  }
+  const name = text(field(value, "default_camera"), "default_camera");
+  const defaultCamera = cameras.find((camera) => camera.name === name);
+  if (defaultCamera === undefined)
+    throw corrupt(`manifest: no camera is called ${name.slice(0, 80)}`);
+  return {
+    version,
+    fps: within(number(field(value, "fps"), "fps"), 1000, "fps"),
+    swinSize,
+    numGs,
+    numLayers,
+    segmentFrames,
+    shDegree,
+    profile,
+    antialias: boolean(field(value, "antialias"), "antialias"),
+    nearM: within(number(field(value, "near_m"), "near_m"), Infinity, "near_m"),
+    bounds: readBounds(value),
+    cameras,
+    defaultCamera,
+    live: boolean(field(value, "live"), "live"),
+    poster: readPoster(field(value, "poster")),
+    objectUrl: readObjectUrl(value),
+    title: text(field(value, "title"), "title"),
+    captureFrame: integer(field(value, "capture_frame"), 0, 2 ** 31 - 1, "capture_frame"),
+    layout,
+    parts: partsOf(numLayers, version),
+  };
+}
+
+/**
+ * Where the object of a part is fetched, relative to the manifest.
+ * @param {Manifest} manifest
+ * @param {number} segment
+ * @param {string} part
+ */
+export function objectPath(manifest, segment, part) {
+  return manifest.objectUrl.replace("{segment}", String(segment)).replace("{layer}", part);
+}
+
+/**
+ * @param {Uint8Array} bytes
+ * @returns {unknown}
+ */
+function parsed(bytes) {
+  try {
+    return JSON.parse(new TextDecoder("utf-8", { fatal: true, ignoreBOM: true }).decode(bytes));
+  } catch (error) {
+    throw corrupt(`manifest: is not JSON: ${/** @type {Error} */ (error).message}`);
+  }
+}
+
+/**
+ * @param {number} numLayers
+ * @param {1 | 2} version
+ */
+function partsOf(numLayers, version) {
+  const layers = Array.from({ length: numLayers }, (_, layer) => String(layer));
+  return version === 1
+    ? layers
+    : [...layers, "masks", ...layers.map((layer) => `snapshot-${layer}`)];
+}
+
+/** How many layers a stream of version 1 has. @param {unknown} value */
+function readShares(value) {
+  const shares = list(field(value, "layers"), 1, MAX_LAYERS, "layers");
+  let sum = 0;
+  for (const share of shares) sum += within(number(share, "layers"), Infinity, "a layer's share");
+  if (Math.abs(sum - 1) > 1e-6) throw corrupt(`manifest: the shares of the layers make ${sum}`);
+  return shares.length;
+}
+
+/**
+ * @param {unknown} value
+ * @param {number} swinSize
+ * @param {number} segmentFrames
+ * @param {number} shDegree
+ * @param {number} numGs
+ */
+function readLayout(value, swinSize, segmentFrames, shDegree, numGs) {
+  const slots = list(field(value, "slots"), 1, MAX_LAYERS, "slots").map((count) =>
+    integer(count, 1, MAX_SLOTS, "slots"),
+  );
+  const rows = list(field(value, "lattice"), slots.length, slots.length, "lattice");
+  const layout = new SlotLayout(swinSize, segmentFrames, shDegree, slots, rows.map(readLattice));
+  if (layout.numSlots * swinSize !== numGs || segmentFrames * layout.numSlots > MAX_SEGMENT_SLOTS) {
+    throw corrupt(
+      `manifest: ${layout.numSlots} slots, num_gs ${numGs}, segments of ${segmentFrames}`,
+    );
+  }
+  return layout;
+}
+
+/**
+ * @param {unknown} row
+ * @returns {import("./slotlayout.js").Lattice}
+ */
+function readLattice(row) {
+  const step = (/** @type {string} */ key) => {
+    const found = number(field(row, key), key);
+    if (found < MIN_STEP || found > 1e6) throw corrupt(`manifest: ${key} ${found} of a lattice`);
+    return fround(found);
+  };
+  const base = number(field(row, "log_scale_base"), "log_scale_base");
+  if (Math.abs(base) > 1e3) throw corrupt(`manifest: log_scale_base ${base}`);
+  return {
+    positionM: step("position_m"),
+    logScale: step("log_scale"),
+    logScaleBase: fround(base),
+    rotation: step("rotation"),
+    colour: step("colour"),
+    opacityLevels: integer(field(row, "opacity_levels"), 2, 256, "opacity_levels"),
+  };
+}
+
+/**
+ * A number over 0.
+ * @param {number} found
+ * @param {number} most
+ * @param {string} what
+ */
+function within(found, most, what) {
+  if (!(found > 0 && found <= most)) throw corrupt(`manifest: ${what} is ${found}`);
+  return found;
+}
+
+/** @param {unknown} value */
+function readBounds(value) {
+  const corners = list(field(value, "bounds"), 2, 2, "bounds").map((corner) =>
+    list(corner, 3, 3, "a corner of bounds").map((x) => number(x, "bounds")),
+  );
+  if (corners[0].some((lower, axis) => lower > corners[1][axis])) {
+    throw corrupt("manifest: the lower corner of the bounds is above the upper one");
+  }
+  return corners;
+}
+
+/** @param {unknown} value */
+function readPoster(value) {
+  if (value === null) return null;
+  const poster = text(value, "poster");
+  const numBytes = new TextEncoder().encode(poster).length;
+  if (numBytes > MAX_POSTER_BYTES || /[\u0000-\u001f\u007f]/.test(poster)) {
+    throw corrupt("manifest: poster is too long or holds a control character");
+  }
+  return poster;
+}
+
+/** @param {unknown} value */
+function readObjectUrl(value) {
+  const url = text(field(value, "object_url"), "object_url");
+  const names = (url.match(/\{.*?\}/g) ?? []).sort();
+  if (names.length !== 2 || names[0] !== "{layer}" || names[1] !== "{segment}") {
+    throw corrupt("manifest: object_url does not hold {segment} and {layer} once each");
+  }
+  return url;
+}

@@ -1,0 +1,135 @@
+/** The mask of a slice: what becomes of each slot of its lane (FORMAT.md, section 15). */
+
+import { corrupt } from "./errors.js";
+import { MASK, expectChunk, readSlotHead } from "./slotchunk.js";
+
+export const KEPT = 0;
+export const ENDED = 1;
+export const PREDICTED = 2;
+export const NEW = 3;
+
+const NUM_CONTEXTS = 37;
+const FIRST_OF_B = 32;
+const CONTEXT_OF_C = 36;
+const LEAST_RANGE = 2 ** 24;
+const WHOLE = 2 ** 32 - 1;
+
+/** An adaptive binary arithmetic decoder. */
+class BitDecoder {
+  /** @param {Uint8Array} body */
+  constructor(body) {
+    this.body = body;
+    this.at = 0;
+    this.range = WHOLE;
+    this.code = 0;
+    for (let i = 0; i < 4; i++) this.code = this.code * 256 + this.#next();
+    if (this.code === WHOLE) throw corrupt("mask: its code is not below its range");
+    this.p = new Uint16Array(NUM_CONTEXTS).fill(32768);
+    this.c = new Uint8Array(NUM_CONTEXTS);
+  }
+
+  #next() {
+    if (this.at >= this.body.length)
+      throw corrupt(`mask: a body of ${this.body.length} bytes is too short`);
+    return this.body[this.at++];
+  }
+
+  /** @param {number} context */
+  bit(context) {
+    const p = this.p[context];
+    const bound = (this.range >>> 12) * (p >> 4);
+    const bit = this.code < bound ? 0 : 1;
+    if (bit) {
+      this.code -= bound;
+      this.range -= bound;
+    } else {
+      this.range = bound;
+    }
+    while (this.range < LEAST_RANGE) {
+      this.range *= 256;
+      this.code = this.code * 256 + this.#next();
+    }
+    const count = Math.min(this.c[context] + 1, 127);
+    const shift = 31 - Math.clz32(count + 1);
+    this.c[context] = count;
+    this.p[context] = bit ? p - (p >> shift) : p + ((65535 - p) >> shift);
+    return bit;
+  }
+}
+
+/**
+ * The statuses in the mask of the slice born at `birth`, of all layers (numSlots); without bytes
+ * all are kept. Throws a FormatError.
+ * @param {import("./slotlayout.js").SlotLayout} layout
+ * @param {number} birth
+ * @param {Uint8Array} bytes
+ * @param {Uint8Array} history (numSlots) what `MaskHistory.of(birth)` gives
+ */
+export function decodeMask(layout, birth, bytes, history) {
+  const statuses = new Uint8Array(layout.numSlots);
+  if (bytes.length === 0) return statuses;
+  const head = readSlotHead(bytes, MASK);
+  expectChunk(head, birth, 0);
+  const body = head.body.take(head.body.left);
+  const decoder = new BitDecoder(body);
+  let i = 0;
+  for (const count of layout.slots) {
+    let before = 0; // bit 0: the slot before is not kept; bits 1 and 2: those before that
+    for (const end = i + count; i < end; i++) {
+      const h = history[i];
+      const near = ((before & 1) << 1) | ((before >> 1) & 1);
+      let changed = 1;
+      if (decoder.bit(8 * h + 2 * near + (before >> 2)) === 0) changed = 0;
+      else if (decoder.bit(FIRST_OF_B + h) === 0) statuses[i] = PREDICTED;
+      else statuses[i] = decoder.bit(CONTEXT_OF_C) === 0 ? NEW : ENDED;
+      before = ((before << 1) | changed) & 7;
+    }
+  }
+  if (decoder.at !== body.length) throw corrupt(`mask: ${body.length - decoder.at} bytes too long`);
+  return statuses;
+}
+
+/** Which slots earlier masks of a segment did not keep: the contexts of the masks to come. */
+export class MaskHistory {
+  /** @param {import("./slotlayout.js").SlotLayout} layout */
+  constructor(layout) {
+    this.layout = layout;
+    /** 2 if not kept by the last mask of the lane, plus 1 if not by the one before that. */
+    this.recent = Array.from({ length: layout.swinSize }, () => new Uint8Array(layout.numSlots));
+    /** @type {boolean[]} of each lane, whether a mask of it was missing */
+    this.lost = new Array(layout.swinSize).fill(false);
+  }
+
+  /** The `h` of each slot in the mask of `birth`. @param {number} birth */
+  of(birth) {
+    if (birth === this.layout.segmentStart(birth)) return new Uint8Array(this.layout.numSlots);
+    return this.recent[this.layout.lane(birth)];
+  }
+
+  /** Whether no mask that the one of `birth` is read with was missing. @param {number} birth */
+  isReadable(birth) {
+    return birth === this.layout.segmentStart(birth) || !this.lost[this.layout.lane(birth)];
+  }
+
+  /**
+   * Takes in the mask of `birth`. That of a segment's first frame begins anew.
+   * @param {number} birth
+   * @param {Uint8Array | null} statuses null: it is missing
+   */
+  note(birth, statuses) {
+    if (birth === this.layout.segmentStart(birth)) {
+      for (const lane of this.recent) lane.fill(0);
+      this.lost.fill(false);
+      return;
+    }
+    const lane = this.layout.lane(birth);
+    if (statuses === null) {
+      this.lost[lane] = true;
+      return;
+    }
+    const recent = this.recent[lane];
+    for (let i = 0; i < recent.length; i++) {
+      recent[i] = (recent[i] >> 1) | (statuses[i] === KEPT ? 0 : 2);
+    }
+  }
+}

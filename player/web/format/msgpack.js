@@ -1,0 +1,129 @@
+/** The small part of msgpack that play records are made of. */
+
+import { corrupt } from "./errors.js";
+
+const MAX_KEYS = 8;
+const MAX_ITEMS = 16;
+const MAX_TEXT_BYTES = 2 ** 16;
+
+/**
+ * One map with texts as keys; no value is a map, and arrays hold bytes only. Throws a FormatError.
+ * Bytes are views.
+ * @param {import("./bytereader.js").ByteReader} reader
+ * @returns {Map<string, unknown>}
+ */
+export function readMap(reader) {
+  const type = reader.u8();
+  let size = type & 15;
+  if (type === 0xde) size = u16(reader);
+  else if (type === 0xdf) size = u32(reader);
+  else if (type >> 4 !== 8) throw corrupt("play: a record is not a map");
+  if (size > MAX_KEYS) throw corrupt(`play: a record of ${size} keys`);
+  /** @type {Map<string, unknown>} */
+  const map = new Map();
+  for (let i = 0; i < size; i++) {
+    const key = readValue(reader);
+    if (typeof key !== "string" && !(key instanceof Uint8Array)) {
+      throw corrupt("play: a key is neither text nor bytes");
+    }
+    const value = readValue(reader);
+    if (typeof key === "string") map.set(key, value);
+  }
+  return map;
+}
+
+/**
+ * @param {import("./bytereader.js").ByteReader} reader
+ * @returns {unknown}
+ */
+function readValue(reader) {
+  const type = reader.u8();
+  if (type < 0x80) return type;
+  if (type >= 0xe0) return type - 256;
+  if (type >= 0xa0 && type < 0xc0) return string(reader, type & 31);
+  if (type >= 0x90 && type < 0xa0) return array(reader, type & 15);
+  const read = READERS.get(type);
+  if (read === undefined) throw corrupt(`play: a value of type ${type.toString(16)}`);
+  return read(reader);
+}
+
+/** @type {Map<number, (reader: import("./bytereader.js").ByteReader) => Uint8Array>} */
+const BYTES = new Map([
+  [0xc4, (reader) => reader.take(reader.u8())],
+  [0xc5, (reader) => reader.take(u16(reader))],
+  [0xc6, (reader) => reader.take(u32(reader))],
+]);
+
+/** @type {[number, (reader: import("./bytereader.js").ByteReader) => unknown][]} */
+const BY_TYPE = [
+  ...BYTES,
+  [0xc0, () => null],
+  [0xc2, () => false],
+  [0xc3, () => true],
+  [0xca, (reader) => view(reader, 4).getFloat32(0)],
+  [0xcb, (reader) => view(reader, 8).getFloat64(0)],
+  [0xcc, (reader) => reader.u8()],
+  [0xcd, u16],
+  [0xce, u32],
+  [0xcf, (reader) => Number(view(reader, 8).getBigUint64(0))],
+  [0xd0, (reader) => view(reader, 1).getInt8(0)],
+  [0xd1, (reader) => view(reader, 2).getInt16(0)],
+  [0xd2, (reader) => view(reader, 4).getInt32(0)],
+  [0xd3, (reader) => Number(view(reader, 8).getBigInt64(0))],
+  [0xd9, (reader) => string(reader, reader.u8())],
+  [0xda, (reader) => string(reader, u16(reader))],
+  [0xdb, (reader) => string(reader, u32(reader))],
+  [0xdc, (reader) => array(reader, u16(reader))],
+  [0xdd, (reader) => array(reader, u32(reader))],
+];
+const READERS = new Map(BY_TYPE);
+
+/**
+ * The next bytes, of which msgpack has the highest first.
+ * @param {import("./bytereader.js").ByteReader} reader
+ * @param {number} size
+ */
+function view(reader, size) {
+  const bytes = reader.take(size);
+  return new DataView(bytes.buffer, bytes.byteOffset, size);
+}
+
+/** @param {import("./bytereader.js").ByteReader} reader */
+function u16(reader) {
+  return view(reader, 2).getUint16(0);
+}
+
+/** @param {import("./bytereader.js").ByteReader} reader */
+function u32(reader) {
+  return view(reader, 4).getUint32(0);
+}
+
+/**
+ * @param {import("./bytereader.js").ByteReader} reader
+ * @param {number} size
+ */
+function string(reader, size) {
+  if (size > MAX_TEXT_BYTES) throw corrupt(`play: a text of ${size} bytes`);
+  try {
+    return new TextDecoder("utf-8", { fatal: true, ignoreBOM: true }).decode(reader.take(size));
+  } catch (error) {
+    if (error instanceof TypeError) throw corrupt("play: a text is not UTF-8");
+    throw error;
+  }
+}
+
+/**
+ * @param {import("./bytereader.js").ByteReader} reader
+ * @param {number} size
+ */
+function array(reader, size) {
+  if (size > MAX_ITEMS) throw corrupt(`play: a list of ${size}`);
+  const items = [];
+  for (let i = 0; i < size; i++) {
+    // Looked at before it is read: a list in a list could go down to any depth.
+    const read = BYTES.get(reader.u8());
+    if (read === undefined) throw corrupt("play: a list holds something else than bytes");
+    items.push(read(reader));
+  }
+  return items;
+}

@@ -1,0 +1,64 @@
+/** A packet is one chunk, compressed (FORMAT.md, section 7). The browser inflates gzip by itself. */
+
+import { corrupt, unsupported } from "./errors.js";
+
+export const LARGEST_CHUNK_BYTES = 64 + 248_512_560;
+const GZIP_MAGIC = 0x1f8b0800;
+const ZSTD_MAGIC = 0x28b52ffd;
+const LEAST_BYTES = 18;
+/** deflate cannot inflate more. */
+const MAX_EXPANSION = 1032;
+
+/**
+ * The chunk in a gzip packet; no bytes in one of no bytes. Memory stays within the limit.
+ * @param {Uint8Array} packet
+ * @param {number} limitBytes
+ * @returns {Promise<Uint8Array>} rejects with a FormatError
+ */
+export async function inflatePacket(packet, limitBytes) {
+  if (packet.length === 0) return packet;
+  const size = contentBytes(packet, Math.min(limitBytes, LARGEST_CHUNK_BYTES));
+  const content = new Uint8Array(size);
+  let at = 0;
+  const copied = /** @type {Uint8Array<ArrayBuffer>} */ (packet.slice());
+  const reader = new Blob([copied])
+    .stream()
+    .pipeThrough(new DecompressionStream("gzip"))
+    .getReader();
+  try {
+    for (;;) {
+      const { done, value } = await reader.read();
+      if (done) break;
+      if (at + value.length > size)
+        throw corrupt(`packet: more than the ${size} bytes that it says`);
+      content.set(value, at);
+      at += value.length;
+    }
+  } catch (error) {
+    await reader.cancel().catch(() => {});
+    // What the browser throws is a TypeError, with words of its own.
+    throw error instanceof TypeError ? corrupt(`packet: is not gzip: ${error.message}`) : error;
+  }
+  if (at !== size) throw corrupt(`packet: ${at} bytes of content, it says ${size}`);
+  return content;
+}
+
+/**
+ * What a gzip packet says it inflates to.
+ * @param {Uint8Array} packet
+ * @param {number} limitBytes
+ */
+function contentBytes(packet, limitBytes) {
+  if (packet.length < LEAST_BYTES) throw corrupt(`packet: ${packet.length} bytes are too few`);
+  const view = new DataView(packet.buffer, packet.byteOffset, packet.length);
+  const magic = view.getUint32(0);
+  if (magic === ZSTD_MAGIC)
+    throw unsupported("packet: of coder zstd, which a browser inflates elsewhere");
+  if (magic !== GZIP_MAGIC) throw corrupt("packet: is not a gzip member without flags");
+  const size = view.getUint32(packet.length - 4, true);
+  if (size === 0) throw corrupt("packet: holds nothing");
+  if (size > MAX_EXPANSION * packet.length || size > limitBytes) {
+    throw corrupt(`packet: ${size} bytes of content, from ${packet.length}, at most ${limitBytes}`);
+  }
+  return size;
+}

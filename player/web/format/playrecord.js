@@ -1,0 +1,189 @@
+/** The records of a /play response (FORMAT.md, sections 10 and 20). */
+
+import { ByteReader } from "./bytereader.js";
+import { corrupt } from "./errors.js";
+import { readMap } from "./msgpack.js";
+
+export const MAX_RECORD_BYTES = 2 ** 26;
+const MAX_LAYERS = 16;
+const MAX_MESSAGE_CHARS = 500;
+const INT32_END = 2 ** 31;
+
+/**
+ * @typedef {{ kind: "start", fromFrame: number, numFrames: number, manifest: Uint8Array }} StartRecord
+ * @typedef {{ kind: "slice", birth: number, firstLayer: number, packets: Uint8Array[], mask: Uint8Array | null }} SliceRecord
+ * @typedef {{ kind: "snapshot", frame: number, firstLayer: number, packets: Uint8Array[] }} SnapshotRecord
+ * @typedef {{ kind: "end", numFrames: number }} EndRecord
+ * @typedef {{ kind: "error", message: string }} ErrorRecord
+ * @typedef {StartRecord | SliceRecord | SnapshotRecord | EndRecord | ErrorRecord} PlayRecord
+ */
+
+/**
+ * The record in `body`, which comes without its length. Throws a FormatError.
+ * @param {Uint8Array} body
+ * @returns {PlayRecord}
+ */
+export function decodeRecord(body) {
+  const reader = new ByteReader(body, "play");
+  const map = readMap(reader);
+  reader.finish();
+  const kind = map.get("kind");
+  switch (kind) {
+    case "start":
+      return {
+        kind,
+        fromFrame: count(map, "from"),
+        numFrames: count(map, "num_frames"),
+        manifest: bytes(map.get("manifest"), "manifest"),
+      };
+    case "slice":
+      return slice(map);
+    case "snapshot": {
+      const packets = packetsOf(map, 1);
+      return { kind, frame: count(map, "frame"), firstLayer: firstLayer(map, packets), packets };
+    }
+    case "end":
+      return { kind, numFrames: count(map, "num_frames") };
+    case "error": {
+      const message = map.get("message");
+      if (typeof message !== "string") throw corrupt("play: an error record without a message");
+      return { kind, message: [...message].slice(0, MAX_MESSAGE_CHARS).join("") };
+    }
+    default:
+      throw corrupt("play: a record of a kind that is not known");
+  }
+}
+
+/**
+ * @param {Map<string, unknown>} map
+ * @returns {SliceRecord}
+ */
+function slice(map) {
+  const found = map.get("mask");
+  const mask = found instanceof Uint8Array ? found : null;
+  const packets = packetsOf(map, mask === null ? 1 : 0);
+  const birth = map.get("birth");
+  if (
+    !Number.isInteger(birth) ||
+    /** @type {number} */ (birth) < -INT32_END ||
+    /** @type {number} */ (birth) >= INT32_END
+  ) {
+    throw corrupt("play: a slice without a valid birth");
+  }
+  const first = map.has("first") ? firstLayer(map, packets) : 0;
+  if (first > 0 && packets.length === 0)
+    throw corrupt(`play: nothing of the slice born at ${birth}`);
+  return {
+    kind: "slice",
+    birth: /** @type {number} */ (birth),
+    firstLayer: first,
+    packets,
+    mask: first > 0 ? null : mask,
+  };
+}
+
+/**
+ * @param {Map<string, unknown>} map
+ * @param {string} key
+ */
+function count(map, key) {
+  const found = map.get(key);
+  if (typeof found !== "number" || !Number.isInteger(found) || found < 0 || found >= INT32_END) {
+    throw corrupt(`play: ${key} is not a count`);
+  }
+  return found;
+}
+
+/**
+ * @param {unknown} found
+ * @param {string} key
+ */
+function bytes(found, key) {
+  if (!(found instanceof Uint8Array)) throw corrupt(`play: ${key} is not bytes`);
+  return found;
+}
+
+/**
+ * @param {Map<string, unknown>} map
+ * @param {number} least
+ */
+function packetsOf(map, least) {
+  const found = map.get("frames");
+  if (!Array.isArray(found) || found.length < least || found.length > MAX_LAYERS) {
+    throw corrupt("play: a record without packets of its layers");
+  }
+  return found.map((packet) => bytes(packet, "a packet"));
+}
+
+/**
+ * @param {Map<string, unknown>} map
+ * @param {Uint8Array[]} packets
+ */
+function firstLayer(map, packets) {
+  const first = count(map, "first");
+  if (first + packets.length > MAX_LAYERS) {
+    throw corrupt(`play: ${packets.length} packets from layer ${first} on`);
+  }
+  return first;
+}
+
+/** Turns the bytes of a response, in any pieces, into records. Holds at most one that is not whole. */
+export class RecordParser {
+  constructor() {
+    /** @type {Uint8Array[]} */
+    this.pieces = [];
+    this.pendingBytes = 0;
+  }
+
+  /**
+   * The records that `data` completes, in order. After it threw feed nothing more.
+   * @param {Uint8Array} data
+   * @returns {PlayRecord[]}
+   */
+  feed(data) {
+    this.pieces.push(data);
+    this.pendingBytes += data.length;
+    const records = [];
+    for (;;) {
+      if (this.pendingBytes < 4) break;
+      const [a, b, c, d] = this.#peek(4);
+      const length = (a | (b << 8) | (c << 16) | (d << 24)) >>> 0;
+      if (length > MAX_RECORD_BYTES) throw corrupt(`play: a record of ${length} bytes`);
+      if (this.pendingBytes < 4 + length) break;
+      records.push(decodeRecord(this.#take(4 + length).subarray(4)));
+    }
+    return records;
+  }
+
+  /**
+   * The first bytes that are pending, without a copy of the rest.
+   * @param {number} size
+   */
+  #peek(size) {
+    if (this.pieces[0].length >= size) return this.pieces[0].subarray(0, size);
+    const found = new Uint8Array(size);
+    let at = 0;
+    for (const piece of this.pieces) {
+      found.set(piece.subarray(0, size - at), at);
+      at += Math.min(piece.length, size - at);
+      if (at === size) break;
+    }
+    return found;
+  }
+
+  /** @param {number} size */
+  #take(size) {
+    const found = new Uint8Array(size);
+    let at = 0;
+    while (at < size) {
+      const piece = this.pieces[0];
+      const used = Math.min(piece.length, size - at);
+      found.set(piece.subarray(0, used), at);
+      at += used;
+      if (used === piece.length) this.pieces.shift();
+      else this.pieces[0] = piece.subarray(used);
+    }
+    this.pendingBytes -= size;
+    return found;
+  }
+}

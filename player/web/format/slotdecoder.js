@@ -1,0 +1,362 @@
+/** Masks, changes and snapshots to what a reader holds (FORMAT.md, section 13). */
+
+import { decodeChange } from "./change.js";
+import { FormatError, corrupt } from "./errors.js";
+import { KEPT, MaskHistory, NEW, PREDICTED, decodeMask } from "./mask.js";
+import { changedRows, Slots, UNKNOWN } from "./slots.js";
+import { decodeSnapshot } from "./snapshot.js";
+
+/** Room that there is at least for what may have to be applied again. */
+const MIN_LOG_BYTES = 2 ** 22;
+
+/**
+ * What a slice said of a layer, and the bytes of its change; null: they are missing.
+ * @typedef {{ statuses: Uint8Array, change: Uint8Array | null }} Said
+ */
+
+/**
+ * A layer of a lane since a change of it was missing: what to apply again when it comes.
+ * @typedef {object} Missed
+ * @property {Slots} before the slots before the first missing change
+ * @property {Map<number, Said>} since by birth, every slice of the lane since then
+ */
+
+/**
+ * What changed in a lane since it was handed out last.
+ * @typedef {object} SlotSlice
+ * @property {number} birth
+ * @property {number} lane
+ * @property {Uint32Array[]} rows the slots of each layer
+ */
+
+/**
+ * What a reader holds of the slots of layers 0 .. numLayers - 1, from one frame to the next.
+ *
+ * Load the snapshots of a segment's first frame, then apply the slices born after it one by one. To
+ * seek, make another one. Whatever throws leaves everything as it was. Bytes that are handed in are
+ * kept as long as a late packet may need them.
+ */
+export class SlotDecoder {
+  /**
+   * @param {import("./slotlayout.js").SlotLayout} layout
+   * @param {number} [numLayers]
+   */
+  constructor(layout, numLayers = layout.numLayers) {
+    this.layout = layout;
+    this.numLayers = numLayers;
+    /** Where the slots of each layer begin in a lane. */
+    this.rowEdges = [0];
+    for (const count of layout.slots)
+      this.rowEdges.push(this.rowEdges[this.rowEdges.length - 1] + count);
+    /** @type {number | null} birth of the slice that was applied last */
+    this.frame = null;
+    /** @type {Slots[][]} lane after lane, layer after layer */
+    this.lanes = Array.from({ length: layout.swinSize }, () => this.#unknownLane());
+    this.history = new MaskHistory(layout);
+    /** @type {Map<string, Missed>} by lane and layer, the one that waits longest first */
+    this.missed = new Map();
+    /** @type {Map<number, Uint8Array>} statuses of this segment's slices, for late snapshots */
+    this.said = new Map();
+    /** @type {Map<string, Uint8Array>} by lane and layer, what late bytes altered since the last slice */
+    this.pending = new Map();
+  }
+
+  #unknownLane() {
+    const counts = this.layout.slots.slice(0, this.numLayers);
+    return counts.map((count) => new Slots(count, this.layout.numAttributes, UNKNOWN));
+  }
+
+  /**
+   * Takes in a snapshot, in place of what is here of its layer. It may come late.
+   * @param {Uint8Array} bytes
+   * @param {number} [layer] which it should be of
+   * @param {number} [frame] which it should be of
+   * @returns {boolean} whether it is of use
+   */
+  load(bytes, layer, frame) {
+    const snapshot = decodeSnapshot(this.layout, bytes);
+    const wanted =
+      frame ?? (this.frame === null ? undefined : this.layout.segmentStart(this.frame));
+    if (wanted !== undefined && snapshot.frame !== wanted) {
+      throw corrupt(`snapshot: of frame ${snapshot.frame} where that of ${wanted} belongs`);
+    }
+    if (layer !== undefined && snapshot.layer !== layer) {
+      throw corrupt(`snapshot: of layer ${snapshot.layer} where that of ${layer} belongs`);
+    }
+    if (snapshot.layer >= this.numLayers) return false;
+    if (this.frame === null) this.frame = snapshot.frame;
+    if (snapshot.frame > this.frame)
+      throw new RangeError("the slices have not come to the snapshot");
+    if (snapshot.frame !== this.layout.segmentStart(this.frame)) return false;
+    const { swinSize } = this.layout;
+    let used = false;
+    for (const [i, slots] of snapshot.lanes.entries()) {
+      const birth = snapshot.frame - swinSize + 1 + i;
+      const since = [];
+      for (let b = birth + swinSize; b <= this.frame; b += swinSize) since.push(b);
+      const lane = this.layout.lane(birth);
+      if (snapshot.frame === this.frame || this.#canUseLate(lane, snapshot.layer, since)) {
+        this.#beginAnew(lane, snapshot.layer, slots, since);
+        used = true;
+      }
+    }
+    return used;
+  }
+
+  /**
+   * Whether a snapshot from before `births` adds to a layer of a lane: something is unknown that did
+   * not go missing since, and no mask is missing.
+   * @param {number} lane
+   * @param {number} layer
+   * @param {number[]} births
+   */
+  #canUseLate(lane, layer, births) {
+    if (births.some((birth) => !this.said.has(birth))) return false;
+    const missed = this.missed.get(key(lane, layer));
+    let slots = this.lanes[lane][layer];
+    if (missed !== undefined) {
+      const [first] = missed.since.keys();
+      if (births.includes(first)) slots = missed.before;
+    }
+    return slots.conditions.includes(UNKNOWN);
+  }
+
+  /**
+   * Puts `slots` in place of a layer of a lane, and applies what is known of `births`.
+   * @param {number} lane
+   * @param {number} layer
+   * @param {Slots} slots
+   * @param {number[]} births
+   */
+  #beginAnew(lane, layer, slots, births) {
+    const known = this.missed.get(key(lane, layer));
+    /** @type {Map<number, Said>} */
+    const since = new Map();
+    for (const birth of births) {
+      const statuses = this.said.get(birth);
+      if (statuses === undefined) throw new Error(`the mask of ${birth} is not here`);
+      const change = known?.since.get(birth)?.change ?? null;
+      since.set(birth, { statuses: this.#ofLayer(statuses, layer), change });
+    }
+    this.missed.delete(key(lane, layer));
+    this.#replay(lane, layer, { before: slots, since }, null);
+    this.pending.set(key(lane, layer), new Uint8Array(slots.count).fill(1));
+  }
+
+  /**
+   * Goes on by the slice born at `birth`, which follows the last one.
+   * @param {number} birth
+   * @param {Uint8Array | null} mask null: it is missing, and all slots of the lane are unknown
+   * @param {(Uint8Array | null)[]} changes of layers 0, 1, ...; null for one that is missing, which
+   *   may come late; layers behind the last are not expected
+   * @returns {SlotSlice}
+   */
+  apply(birth, mask, changes) {
+    if (this.frame === null || birth !== this.frame + 1) {
+      throw new RangeError(`the slice born at ${birth} does not follow ${this.frame}`);
+    }
+    if (mask === null || !this.history.isReadable(birth)) return this.#loseLane(birth);
+    const lane = this.layout.lane(birth);
+    const statuses = decodeMask(this.layout, birth, mask, this.history.of(birth));
+    const parts = this.lanes[lane].map((_, layer) => this.#ofLayer(statuses, layer));
+    const deltas = this.lanes[lane].map((slots, layer) =>
+      this.#delta(birth, layer, slots, parts[layer], changes[layer] ?? null),
+    );
+    for (const [layer, delta] of deltas.entries()) {
+      const slots = this.lanes[lane][layer];
+      if (layer < changes.length) this.#remember(birth, layer, slots, parts[layer], changes[layer]);
+      else this.missed.delete(key(lane, layer));
+      slots.advance(delta);
+    }
+    this.history.note(birth, statuses);
+    this.#goOn(birth, statuses);
+    return this.#handOut(birth, parts);
+  }
+
+  /**
+   * Takes in a change that was missing when its slice was applied.
+   * @param {number} birth
+   * @param {number} layer
+   * @param {Uint8Array} bytes
+   * @returns {boolean} whether it was still of use; the lane's next slice brings what it altered
+   */
+  late(birth, layer, bytes) {
+    const lane = this.layout.lane(birth);
+    const missed = this.missed.get(key(lane, layer));
+    const said = missed?.since.get(birth);
+    if (missed === undefined || said === undefined || !isMissing(said)) return false;
+    const since = new Map(missed.since).set(birth, { statuses: said.statuses, change: bytes });
+    this.#replay(lane, layer, { before: missed.before, since }, birth);
+    const altered = this.pending.get(key(lane, layer)) ?? new Uint8Array(said.statuses.length);
+    for (const [known, { statuses }] of since) {
+      if (known < birth) continue;
+      for (let i = 0; i < altered.length; i++) if (statuses[i] !== KEPT) altered[i] = 1;
+    }
+    this.pending.set(key(lane, layer), altered);
+    return true;
+  }
+
+  /** All slots of the lane of `birth`, for a renderer that has nothing yet. @param {number} birth */
+  whole(birth) {
+    const lane = this.layout.lane(birth);
+    const rows = this.lanes[lane].map((slots) => Uint32Array.from(slots.conditions, (_, i) => i));
+    return { birth, lane, rows };
+  }
+
+  /** The window of the frame that was applied last; what `apply` gives follows on it. */
+  handOut() {
+    this.pending.clear();
+    const { swinSize } = this.layout;
+    const frame = this.frame ?? 0;
+    return Array.from({ length: swinSize }, (_, i) => this.whole(frame - swinSize + 1 + i));
+  }
+
+  /**
+   * @param {number} birth
+   * @returns {SlotSlice}
+   */
+  #loseLane(birth) {
+    const lane = this.layout.lane(birth);
+    this.lanes[lane] = this.#unknownLane();
+    for (let layer = 0; layer < this.numLayers; layer++) this.missed.delete(key(lane, layer));
+    this.history.note(birth, null);
+    this.#goOn(birth, null);
+    for (let layer = 0; layer < this.numLayers; layer++) this.pending.delete(key(lane, layer));
+    return this.whole(birth);
+  }
+
+  /**
+   * @param {number} birth
+   * @param {Uint8Array | null} statuses null: the mask is missing
+   */
+  #goOn(birth, statuses) {
+    if (birth === this.layout.segmentStart(birth)) this.said.clear();
+    else if (statuses !== null) this.said.set(birth, statuses);
+    this.frame = birth;
+    while (this.#isTooMuch(this.said.size * this.layout.numSlots)) forgetOldest(this.said);
+  }
+
+  /**
+   * @param {number} birth
+   * @param {Uint8Array[]} parts the statuses of each layer
+   * @returns {SlotSlice}
+   */
+  #handOut(birth, parts) {
+    const lane = this.layout.lane(birth);
+    const rows = parts.map((statuses, layer) => {
+      const pending = this.pending.get(key(lane, layer));
+      if (pending === undefined) return changedRows(statuses);
+      this.pending.delete(key(lane, layer));
+      return changedRows(pending.map((flag, i) => flag | statuses[i]));
+    });
+    return { birth, lane, rows };
+  }
+
+  /**
+   * Notes what a late change needs, before the slice is applied to `slots`.
+   * @param {number} birth
+   * @param {number} layer
+   * @param {Slots} slots
+   * @param {Uint8Array} statuses
+   * @param {Uint8Array | null} change
+   */
+  #remember(birth, layer, slots, statuses, change) {
+    const at = key(this.layout.lane(birth), layer);
+    if (!this.missed.has(at)) {
+      if (!isMissing({ statuses, change })) return;
+      this.missed.set(at, { before: slots.copy(), since: new Map() });
+    }
+    this.missed.get(at)?.since.set(birth, { statuses, change });
+    while (this.missed.size > 0 && this.#isTooMuch(this.logBytes)) forgetOldest(this.missed);
+  }
+
+  /**
+   * Applies again to a layer of a lane all since it missed something.
+   * @param {number} lane
+   * @param {number} layer
+   * @param {Missed} missed
+   * @param {number | null} checked the birth whose change throws if it does not fit; any other counts
+   *   as missing then
+   */
+  #replay(lane, layer, missed, checked) {
+    const slots = missed.before.copy();
+    for (const [birth, { statuses, change }] of missed.since) {
+      let delta;
+      try {
+        delta = this.#delta(birth, layer, slots, statuses, change);
+      } catch (error) {
+        if (!(error instanceof FormatError) || birth === checked) throw error;
+        delta = this.#delta(birth, layer, slots, statuses, null);
+      }
+      slots.advance(delta);
+    }
+    this.lanes[lane][layer] = slots;
+    const waits = [...missed.since.values()].some(isMissing);
+    if (waits) this.missed.set(key(lane, layer), missed);
+    else this.missed.delete(key(lane, layer));
+  }
+
+  /**
+   * @param {number} birth
+   * @param {number} layer
+   * @param {Slots} slots
+   * @param {Uint8Array} statuses
+   * @param {Uint8Array | null} bytes
+   */
+  #delta(birth, layer, slots, statuses, bytes) {
+    const { opacityLevels } = this.layout.lattices[layer];
+    if (bytes === null) return slots.delta(statuses, null, opacityLevels);
+    let numPredicted = 0;
+    let numNew = 0;
+    for (let i = 0; i < statuses.length; i++) {
+      if (statuses[i] === PREDICTED) numPredicted++;
+      else if (statuses[i] === NEW) numNew++;
+    }
+    const change = decodeChange(this.layout, layer, birth, bytes, numPredicted, numNew);
+    return slots.delta(statuses, change, opacityLevels);
+  }
+
+  /**
+   * @param {Uint8Array} statuses of a lane
+   * @param {number} layer
+   */
+  #ofLayer(statuses, layer) {
+    return statuses.subarray(this.rowEdges[layer], this.rowEdges[layer + 1]);
+  }
+
+  /** Bytes held only because changes may come late. */
+  get logBytes() {
+    let total = 0;
+    for (const { before, since } of this.missed.values()) {
+      total += before.numBytes;
+      for (const { statuses, change } of since.values()) {
+        total += statuses.length + (change?.length ?? 0);
+      }
+    }
+    return total;
+  }
+
+  /** @param {number} logBytes */
+  #isTooMuch(logBytes) {
+    if (logBytes <= MIN_LOG_BYTES) return false;
+    let stateBytes = 0;
+    for (const lane of this.lanes) for (const slots of lane) stateBytes += slots.numBytes;
+    return logBytes > stateBytes;
+  }
+}
+
+/** @param {number} lane @param {number} layer */
+function key(lane, layer) {
+  return `${lane}/${layer}`;
+}
+
+/** Whether a change is not here that would say something. @param {Said} said */
+function isMissing({ statuses, change }) {
+  return change === null && statuses.some((status) => status === PREDICTED || status === NEW);
+}
+
+/** @param {Map<unknown, unknown>} map */
+function forgetOldest(map) {
+  const [first] = map.keys();
+  map.delete(first);
+}

@@ -1,0 +1,71 @@
+/** The slots of a stream of version 2: how many, on which lattice (FORMAT.md, sections 12 and 14). */
+
+import { numCoefficients } from "./gaussians.js";
+
+/**
+ * The steps of one layer, all f32.
+ * @typedef {object} Lattice
+ * @property {number} positionM metres
+ * @property {number} logScale
+ * @property {number} logScaleBase
+ * @property {number} rotation
+ * @property {number} colour
+ * @property {number} opacityLevels 2 .. 256
+ */
+
+/** What masks, changes and snapshots are read with. */
+export class SlotLayout {
+  /**
+   * @param {number} swinSize lanes, and frames that a lease lasts
+   * @param {number} segmentFrames
+   * @param {number} shDegree
+   * @param {number[]} slots of a lane in each layer
+   * @param {Lattice[]} lattices of each layer
+   */
+  constructor(swinSize, segmentFrames, shDegree, slots, lattices) {
+    this.swinSize = swinSize;
+    this.segmentFrames = segmentFrames;
+    this.shDegree = shDegree;
+    this.slots = slots;
+    this.lattices = lattices;
+    this.k = numCoefficients(shDegree);
+    /** Bytes of a Gaussian's attributes: scales, turns, y, u, v, opacity. */
+    this.numAttributes = 7 + 3 * this.k;
+    /** Slots of a lane, all layers together. */
+    this.numSlots = slots.reduce((sum, count) => sum + count, 0);
+  }
+
+  get numLayers() {
+    return this.slots.length;
+  }
+
+  /** The lane of the slice born at `birth`. @param {number} birth */
+  lane(birth) {
+    return ((birth % this.swinSize) + this.swinSize) % this.swinSize;
+  }
+
+  /** First frame of the segment that holds the slice born at `birth`. @param {number} birth */
+  segmentStart(birth) {
+    return Math.floor(birth / this.segmentFrames) * this.segmentFrames;
+  }
+
+  /** Bytes of the longest mask. */
+  get maxMaskBytes() {
+    return 16 + 4 * this.numSlots;
+  }
+
+  /** Bytes of the longest change of a layer. @param {number} layer */
+  maxChangeBytes(layer) {
+    return 32 + this.slots[layer] * this.#maxSlotBytes;
+  }
+
+  /** Bytes of the longest snapshot of a layer. @param {number} layer */
+  maxSnapshotBytes(layer) {
+    const count = this.swinSize * this.slots[layer];
+    return 32 + Math.ceil(count / 8) + count * this.#maxSlotBytes;
+  }
+
+  get #maxSlotBytes() {
+    return 68 + 15 * this.k;
+  }
+}

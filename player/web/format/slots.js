@@ -1,0 +1,267 @@
+/** What a reader holds of one layer in one lane, and what a slice makes of it (FORMAT.md, section 13). */
+
+import { LATTICE_END } from "./change.js";
+import { putColour, putQuat } from "./compact.js";
+import { corrupt } from "./errors.js";
+import { emptyGaussians } from "./gaussians.js";
+import { ENDED, KEPT, PREDICTED } from "./mask.js";
+import { opacityLogits } from "./opacity.js";
+
+const { fround } = Math;
+
+/** The condition of a slot: what it held is lost, nothing, or a Gaussian of one of two kinds. */
+export const UNKNOWN = 0;
+export const EMPTY = 1;
+export const ON_LATTICE = 2;
+export const ESCAPED = 3;
+
+/** The start of what never shows. */
+export const HIDDEN = 255;
+
+/**
+ * What becomes of D slots, found out before any is touched, so that bytes that break a rule leave
+ * everything as it was.
+ * @typedef {object} Delta
+ * @property {Uint32Array} rows (D) the slots
+ * @property {Uint8Array} conditions (D)
+ * @property {Int32Array} positions (D, 3) zeros where none is on the lattice
+ * @property {Uint8Array} attributes (D, A) zeros where none is on the lattice
+ * @property {Uint8Array} starts (D) frames after the birth of the slice; HIDDEN where no Gaussian is
+ * @property {Map<number, Float32Array>} escapes by slot
+ */
+
+/** The rows that are not kept. @param {Uint8Array} statuses */
+export function changedRows(statuses) {
+  let count = 0;
+  for (let i = 0; i < statuses.length; i++) if (statuses[i] !== KEPT) count++;
+  const rows = new Uint32Array(count);
+  for (let i = 0, at = 0; at < count; i++) if (statuses[i] !== KEPT) rows[at++] = i;
+  return rows;
+}
+
+/**
+ * One of several Gaussians as the numbers that stand for it: mean, log scales, quaternion, logit, SH.
+ * @param {import("./gaussians.js").Gaussians} from
+ * @param {number} i
+ * @param {number} k coefficients
+ */
+export function gaussianAt(from, i, k) {
+  const values = new Float32Array(11 + 3 * k);
+  values.set(from.means.subarray(3 * i, 3 * i + 3), 0);
+  values.set(from.logScales.subarray(3 * i, 3 * i + 3), 3);
+  values.set(from.quats.subarray(4 * i, 4 * i + 4), 6);
+  values[10] = from.logitOpacities[i];
+  values.set(from.sh.subarray(3 * k * i, 3 * k * (i + 1)), 11);
+  return values;
+}
+
+export class Slots {
+  /**
+   * @param {number} count
+   * @param {number} numAttributes
+   * @param {number} condition of all of them
+   */
+  constructor(count, numAttributes, condition) {
+    this.count = count;
+    this.numAttributes = numAttributes;
+    this.conditions = new Uint8Array(count).fill(condition);
+    /** (count, 3) in steps of the lattice. */
+    this.positions = new Int32Array(3 * count);
+    /** (count, A) two's complement, but the opacity, which comes last, is unsigned. */
+    this.attributes = new Uint8Array(numAttributes * count);
+    /** (count) frames after the birth of the lane's slice. */
+    this.starts = new Uint8Array(count).fill(HIDDEN);
+    /** @type {Map<number, Float32Array>} by slot */
+    this.escapes = new Map();
+  }
+
+  /** What the slots take in memory. */
+  get numBytes() {
+    const escapeBytes = this.escapes.size * 4 * (4 + this.numAttributes);
+    return this.count * (2 + 12 + this.numAttributes) + escapeBytes;
+  }
+
+  copy() {
+    const made = new Slots(0, this.numAttributes, UNKNOWN);
+    made.count = this.count;
+    made.conditions = this.conditions.slice();
+    made.positions = this.positions.slice();
+    made.attributes = this.attributes.slice();
+    made.starts = this.starts.slice();
+    made.escapes = new Map(this.escapes);
+    return made;
+  }
+
+  /**
+   * What a slice makes of these slots. Throws a FormatError if it does not fit what is here.
+   * @param {Uint8Array} statuses (count)
+   * @param {import("./change.js").Change | null} change null: it is not at hand
+   * @param {number} opacityLevels
+   * @returns {Delta}
+   */
+  delta(statuses, change, opacityLevels) {
+    const rows = changedRows(statuses);
+    const made = {
+      rows,
+      conditions: new Uint8Array(rows.length),
+      positions: new Int32Array(3 * rows.length),
+      attributes: new Uint8Array(this.numAttributes * rows.length),
+      starts: new Uint8Array(rows.length).fill(HIDDEN),
+      escapes: new Map(),
+    };
+    let numPredicted = 0;
+    let numNew = 0;
+    let numEscaped = 0;
+    for (let d = 0; d < rows.length; d++) {
+      const status = statuses[rows[d]];
+      if (status === ENDED) {
+        made.conditions[d] = EMPTY;
+      } else if (change === null) {
+        made.conditions[d] = UNKNOWN;
+      } else if (status === PREDICTED) {
+        this.#predict(made, d, change, numPredicted++, opacityLevels);
+      } else {
+        made.starts[d] = change.startOffsets[numNew];
+        if (change.escapes[numEscaped] === numNew) {
+          const k = (this.numAttributes - 7) / 3;
+          made.conditions[d] = ESCAPED;
+          made.escapes.set(rows[d], gaussianAt(change.floats, numEscaped++, k));
+        } else {
+          made.conditions[d] = ON_LATTICE;
+          copyRow(change.positions, numNew, made.positions, d, 3);
+          copyRow(change.attributes, numNew, made.attributes, d, this.numAttributes);
+        }
+        numNew++;
+      }
+    }
+    return made;
+  }
+
+  /**
+   * @param {Delta} made
+   * @param {number} d
+   * @param {import("./change.js").Change} change
+   * @param {number} from which of the predicted
+   * @param {number} opacityLevels
+   */
+  #predict(made, d, change, from, opacityLevels) {
+    const row = made.rows[d];
+    const condition = this.conditions[row];
+    if (condition === EMPTY || condition === ESCAPED) {
+      const why = condition === EMPTY ? "is empty" : "has escaped";
+      throw corrupt(`change: slot ${row} is predicted, but it ${why}`);
+    }
+    made.conditions[d] = condition;
+    if (condition === UNKNOWN) return;
+    made.starts[d] = 0;
+    for (let axis = 0; axis < 3; axis++) {
+      const q = this.positions[3 * row + axis] + change.moves[3 * from + axis];
+      if (Math.abs(q) >= LATTICE_END) throw corrupt(`change: slot ${row} leaves the lattice`);
+      made.positions[3 * d + axis] = q;
+    }
+    const width = this.numAttributes;
+    for (let i = 0; i < width; i++) {
+      made.attributes[width * d + i] =
+        this.attributes[width * row + i] + change.turns[width * from + i];
+    }
+    const opacity = made.attributes[width * (d + 1) - 1];
+    if (opacity >= opacityLevels) {
+      throw corrupt(`change: slot ${row} has opacity ${opacity} of ${opacityLevels} levels`);
+    }
+  }
+
+  /** Goes on by one slice: what is kept has started by now. @param {Delta} delta */
+  advance(delta) {
+    for (let i = 0; i < this.count; i++) if (this.conditions[i] >= ON_LATTICE) this.starts[i] = 0;
+    const { rows } = delta;
+    for (let d = 0; d < rows.length; d++) {
+      const row = rows[d];
+      this.conditions[row] = delta.conditions[d];
+      this.starts[row] = delta.starts[d];
+      copyRow(delta.positions, d, this.positions, row, 3);
+      copyRow(delta.attributes, d, this.attributes, row, this.numAttributes);
+      if (this.escapes.size > 0) this.escapes.delete(row);
+    }
+    for (const [row, values] of delta.escapes) this.escapes.set(row, values);
+  }
+
+  /**
+   * What the slots `rows` hold as f32: zeros with a quaternion of zeros where there is no Gaussian.
+   * @param {Uint32Array} rows
+   * @param {import("./slotlayout.js").Lattice} lattice
+   */
+  gaussians(rows, lattice) {
+    const k = (this.numAttributes - 7) / 3;
+    const made = emptyGaussians(rows.length, k);
+    const logits = opacityLogits(lattice.opacityLevels);
+    for (let i = 0; i < rows.length; i++) {
+      const row = rows[i];
+      if (this.conditions[row] === ON_LATTICE) this.#dequantise(row, lattice, logits, made, i, k);
+      else if (this.conditions[row] === ESCAPED) putGaussian(this.escapes.get(row), made, i, k);
+    }
+    return made;
+  }
+
+  /**
+   * @param {number} row
+   * @param {import("./slotlayout.js").Lattice} lattice
+   * @param {Float32Array} logits
+   * @param {import("./gaussians.js").Gaussians} made
+   * @param {number} i
+   * @param {number} k
+   */
+  #dequantise(row, lattice, logits, made, i, k) {
+    const { positions, attributes } = this;
+    const at = this.numAttributes * row;
+    for (let axis = 0; axis < 3; axis++) {
+      made.means[3 * i + axis] = positions[3 * row + axis] * lattice.positionM;
+      const scaled = fround(signed(attributes[at + axis]) * lattice.logScale);
+      made.logScales[3 * i + axis] = scaled + lattice.logScaleBase;
+    }
+    const x = fround(signed(attributes[at + 3]) * lattice.rotation);
+    const y = fround(signed(attributes[at + 4]) * lattice.rotation);
+    const z = fround(signed(attributes[at + 5]) * lattice.rotation);
+    putQuat(made.quats, i, x, y, z);
+    for (let c = 0; c < k; c++) {
+      const luma = fround(signed(attributes[at + 6 + c]) * lattice.colour);
+      const co = fround(signed(attributes[at + 6 + k + c]) * lattice.colour);
+      const cg = fround(signed(attributes[at + 6 + 2 * k + c]) * lattice.colour);
+      putColour(made.sh, 3 * (i * k + c), luma, co, cg);
+    }
+    made.logitOpacities[i] = logits[attributes[at + this.numAttributes - 1]];
+  }
+}
+
+/** A byte as two's complement. @param {number} byte */
+function signed(byte) {
+  return (byte << 24) >> 24;
+}
+
+/**
+ * @template {Int32Array | Uint8Array} T
+ * @param {T} from
+ * @param {number} fromRow
+ * @param {T} to
+ * @param {number} toRow
+ * @param {number} width
+ */
+function copyRow(from, fromRow, to, toRow, width) {
+  const a = fromRow * width;
+  const b = toRow * width;
+  for (let i = 0; i < width; i++) to[b + i] = from[a + i];
+}
+
+/**
+ * @param {Float32Array | undefined} values what `gaussianAt` gave
+ * @param {import("./gaussians.js").Gaussians} made
+ * @param {number} i
+ * @param {number} k coefficients
+ */
+function putGaussian(values, made, i, k) {
+  if (values === undefined) throw new Error("an escaped slot without its numbers");
+  made.means.set(values.subarray(0, 3), 3 * i);
+  made.logScales.set(values.subarray(3, 6), 3 * i);
+  made.quats.set(values.subarray(6, 10), 4 * i);
+  made.logitOpacities[i] = values[10];
+  made.sh.set(values.subarray(11), 3 * k * i);
+}

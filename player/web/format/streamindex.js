@@ -1,0 +1,80 @@
+/** index.bin: one record for each finished segment (FORMAT.md, sections 8 and 18). */
+
+import { ByteReader } from "./bytereader.js";
+import { crc32 } from "./crc32.js";
+import { corrupt } from "./errors.js";
+
+const MAX_OBJECT_BYTES = 2 ** 30;
+
+/**
+ * @typedef {object} SegmentRecord
+ * @property {number} segment
+ * @property {number} firstFrame
+ * @property {number} numFrames
+ * @property {number[]} psnrDb of layers 0 .. n together; NaN where unknown
+ * @property {number[]} objectBytes of each part, in the order of `Manifest.parts`
+ * @property {Uint8Array[]} objectSha256 the same
+ */
+
+/** Bytes of a record. @param {import("./manifest.js").Manifest} manifest */
+export function recordBytes(manifest) {
+  const { numLayers } = manifest;
+  return 20 + 44 * numLayers + (manifest.layout ? 40 * (numLayers + 1) : 0);
+}
+
+/**
+ * The whole records in `bytes`, of which the first is that of `firstSegment`; a last one that is cut
+ * short or all zeros is left out. Throws a FormatError.
+ * @param {Uint8Array} bytes
+ * @param {import("./manifest.js").Manifest} manifest
+ * @param {number} [firstSegment]
+ * @returns {SegmentRecord[]}
+ */
+export function readIndex(bytes, manifest, firstSegment = 0) {
+  const size = recordBytes(manifest);
+  const rows = [];
+  for (let at = 0; at + size <= bytes.length; at += size) rows.push(bytes.subarray(at, at + size));
+  if (rows.length > 0 && rows[rows.length - 1].every((byte) => byte === 0)) rows.pop();
+  return rows.map((row, n) => {
+    const record = readRecord(row, firstSegment + n, manifest);
+    if (n < rows.length - 1 && record.numFrames !== manifest.segmentFrames) {
+      throw corrupt(`index: segment ${record.segment} is short, and not the last`);
+    }
+    return record;
+  });
+}
+
+/**
+ * @param {Uint8Array} row
+ * @param {number} segment
+ * @param {import("./manifest.js").Manifest} manifest
+ * @returns {SegmentRecord}
+ */
+function readRecord(row, segment, manifest) {
+  const what = `index: the record of segment ${segment}`;
+  const reader = new ByteReader(row, what);
+  const found = reader.u32();
+  const firstFrame = reader.u32();
+  const numFrames = reader.u32();
+  const reserved = reader.u32();
+  const psnrDb = [];
+  const objectBytes = [];
+  const objectSha256 = [];
+  for (let part = 0; part < manifest.parts.length; part++) {
+    objectBytes.push(reader.u64());
+    objectSha256.push(reader.take(32));
+    if (part < manifest.numLayers) psnrDb.push(reader.f32());
+  }
+  const covered = row.subarray(0, reader.at);
+  if (reader.u32() !== crc32(covered)) throw corrupt(`${what} has a wrong checksum`);
+  const { segmentFrames } = manifest;
+  if (found !== segment || firstFrame !== segment * segmentFrames || reserved !== 0) {
+    throw corrupt(`${what} describes ${found}, from frame ${firstFrame} on`);
+  }
+  if (numFrames < 1 || numFrames > segmentFrames) throw corrupt(`${what} has ${numFrames} frames`);
+  if (psnrDb.some((psnr) => Math.abs(psnr) === Infinity))
+    throw corrupt(`${what} has an infinite PSNR`);
+  if (objectBytes.some((size) => size > MAX_OBJECT_BYTES))
+    throw corrupt(`${what} names too large an object`);
+  return { segment, firstFrame, numFrames, psnrDb, objectBytes, objectSha256 };
+}

@@ -1,0 +1,133 @@
+/**
+ * Answers questions about bytes with player/web/format, for the tests: one JSON object a line in, one
+ * out. Bytes and floats travel as hexadecimal.
+ */
+import { createInterface } from "node:readline";
+
+import { decodeChunk } from "../../../player/web/format/chunk.js";
+import { FormatError } from "../../../player/web/format/errors.js";
+import { readManifest } from "../../../player/web/format/manifest.js";
+import { readObject } from "../../../player/web/format/objecttable.js";
+import { inflatePacket } from "../../../player/web/format/packet.js";
+import { RecordParser } from "../../../player/web/format/playrecord.js";
+import { SlotDecoder } from "../../../player/web/format/slotdecoder.js";
+import { SlotLayout } from "../../../player/web/format/slotlayout.js";
+import { EMPTY, ON_LATTICE, UNKNOWN } from "../../../player/web/format/slots.js";
+import { readIndex } from "../../../player/web/format/streamindex.js";
+import { opacityLogits } from "../../../player/web/format/opacity.js";
+
+/** @param {ArrayBufferView} array */
+const hex = (array) =>
+  Buffer.from(array.buffer, array.byteOffset, array.byteLength).toString("hex");
+/** @param {string} text */
+const unhex = (text) => Uint8Array.from(Buffer.from(text, "hex"));
+/** @param {string | null} text */
+const optional = (text) => (text === null ? null : unhex(text));
+
+/** @type {SlotDecoder} */
+let decoder;
+
+/** What all slots hold: [lane][layer][slot], see tests/support/slots/plain.py. */
+function held() {
+  const { layout, frame } = decoder;
+  /** @type {unknown[][][]} */
+  const lanes = Array.from({ length: layout.swinSize }, () => []);
+  for (let birth = (frame ?? 0) - layout.swinSize + 1; birth <= (frame ?? 0); birth++) {
+    const lane = layout.lane(birth);
+    for (const [layer, slots] of decoder.lanes[lane].entries()) {
+      const rows = Uint32Array.from(slots.conditions, (_, i) => i);
+      const floats = slots.gaussians(rows, layout.lattices[layer]);
+      const widths = [3, 3, 4, 1, 3 * layout.k];
+      lanes[lane].push(
+        [...rows].map((row) => {
+          const condition = slots.conditions[row];
+          if (condition === UNKNOWN) return "unknown";
+          if (condition === EMPTY) return "empty";
+          const bits = Object.values(floats).map((array, i) =>
+            hex(array.subarray(widths[i] * row, widths[i] * (row + 1))),
+          );
+          const width = slots.numAttributes;
+          const bytes = slots.attributes.subarray(width * row, width * (row + 1));
+          const integers = [
+            ...slots.positions.subarray(3 * row, 3 * row + 3),
+            ...Int8Array.from(bytes.subarray(0, -1)),
+            bytes[width - 1],
+          ];
+          const start = Math.max(birth + slots.starts[row], frame ?? 0);
+          return [start, condition === ON_LATTICE ? integers : null, bits.join("")];
+        }),
+      );
+    }
+  }
+  return lanes;
+}
+
+/** @type {Record<string, (question: any) => unknown>} */
+const ANSWERS = {
+  chunk({ bytes }) {
+    const { gaussians, startOffsets, ...rest } = decodeChunk(unhex(bytes));
+    return { ...rest, arrays: Object.values(gaussians).map(hex), startOffsets: hex(startOffsets) };
+  },
+  object({ bytes, version }) {
+    const { coder, packets } = readObject(unhex(bytes), version);
+    return { coder, packets: [...packets].map(([birth, packet]) => [birth, hex(packet)]) };
+  },
+  async packet({ bytes, limit }) {
+    return hex(await inflatePacket(unhex(bytes), limit));
+  },
+  manifest({ bytes }) {
+    return readManifest(unhex(bytes));
+  },
+  index({ manifest, bytes }) {
+    return readIndex(unhex(bytes), readManifest(unhex(manifest))).map((record) => ({
+      ...record,
+      psnrDb: hex(Float32Array.from(record.psnrDb)),
+      objectSha256: record.objectSha256.map(hex),
+    }));
+  },
+  logits({ levels }) {
+    return hex(opacityLogits(levels));
+  },
+  records({ pieces }) {
+    const parser = new RecordParser();
+    const found = pieces.flatMap((/** @type {string} */ piece) => parser.feed(unhex(piece)));
+    const text = (/** @type {unknown} */ value) =>
+      value instanceof Uint8Array ? hex(value) : value;
+    return found.map((/** @type {object} */ record) =>
+      Object.fromEntries(
+        Object.entries(record).map(([key, value]) => [
+          key,
+          Array.isArray(value) ? value.map(text) : text(value),
+        ]),
+      ),
+    );
+  },
+  layout({ swinSize, segmentFrames, shDegree, slots, lattices, numLayers }) {
+    const layout = new SlotLayout(swinSize, segmentFrames, shDegree, slots, lattices);
+    decoder = new SlotDecoder(layout, numLayers ?? undefined);
+    return null;
+  },
+  load({ bytes }) {
+    return decoder.load(unhex(bytes));
+  },
+  apply({ birth, mask, changes }) {
+    const { lane, rows } = decoder.apply(birth, optional(mask), changes.map(optional));
+    return { lane, rows: rows.map((of) => [...of]) };
+  },
+  late({ birth, layer, bytes }) {
+    return decoder.late(birth, layer, unhex(bytes));
+  },
+  held,
+};
+
+for await (const line of createInterface({ input: process.stdin })) {
+  const question = JSON.parse(line);
+  let answer;
+  try {
+    answer = { value: await ANSWERS[question.ask](question) };
+  } catch (error) {
+    if (!(error instanceof FormatError)) throw error;
+    answer = { refused: error.kind, message: error.message };
+  }
+  process.stdout.write(`${JSON.stringify(answer)}\n`);
+}

@@ -1,0 +1,136 @@
+"""Slots as the browser decodes them: integer for integer and bit for bit what the package holds."""
+
+from __future__ import annotations
+
+import json
+import random
+
+import numpy as np
+import pytest
+
+from codec.errors import CodecError
+from codec.slots.slotdecoder import SlotDecoder
+from tests.goldens.pinned_slots import FILE, SLOT_CASES, SlotCase, held_sha256
+from tests.support.slots.hostile_slots import altered
+from tests.support.slots.plain import encoded_chunks, held
+from tests.support.slots.updates import patternless_updates, small_layout
+from tests.support.web.browserformat import BrowserFormat, BrowserSlots
+
+GOLDENS = {row["name"]: row for row in json.loads(FILE.read_text())}
+NUM_FRAMES = 14
+
+
+@pytest.mark.parametrize("case", SLOT_CASES, ids=lambda case: case.name)
+def test_a_golden_plays(browser: BrowserFormat, case: SlotCase) -> None:
+    golden, layers = GOLDENS[case.name], range(len(case.slots))
+    chunks = golden["chunks_hex"]
+    slots = BrowserSlots(browser, case.layout)
+    for layer in layers:
+        assert slots.load(bytes.fromhex(chunks[f"snapshot-{layer}"][0]))
+    assert held_sha256(slots.held()) == golden["held_sha256"][0]
+    for birth in range(1, case.num_frames):
+        changes = [bytes.fromhex(chunks[str(layer)][birth]) for layer in layers]
+        slots.apply(birth, bytes.fromhex(chunks["masks"][birth]), changes)
+        assert held_sha256(slots.held()) == golden["held_sha256"][birth]
+
+
+def test_a_golden_is_joined_at_every_segment(browser: BrowserFormat) -> None:
+    for case in SLOT_CASES:
+        golden, layers = GOLDENS[case.name], range(len(case.slots))
+        for segment in range(-(-case.num_frames // case.segment_frames)):
+            slots = BrowserSlots(browser, case.layout)
+            for layer in layers:
+                snapshot = golden["chunks_hex"][f"snapshot-{layer}"][segment]
+                assert slots.load(bytes.fromhex(snapshot))
+            assert held_sha256(slots.held()) == golden["held_sha256"][segment * case.segment_frames]
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_who_lacks_something_holds_the_same(browser: BrowserFormat, seed: int) -> None:
+    """Packets that never come, or late; masks that never come; snapshots of some layers, some of
+    them late; bytes that were altered on the way."""
+    rng, random_bytes = np.random.default_rng(seed), random.Random(seed)
+    slots_of_layers = ((1,), (9,), (6, 5), (1, 4, 3))[seed % 4]
+    layout = small_layout(1 + seed % 3, slots_of_layers, seed % 2, (1, 3, 5, 9)[seed // 6])
+    chunks = encoded_chunks(layout, patternless_updates(layout, NUM_FRAMES, seed, seed % 5 > 1))
+    ours = SlotDecoder(layout)
+    theirs = BrowserSlots(browser, layout)
+    absent = {layer for layer in range(1, len(slots_of_layers)) if rng.random() < 0.3}
+    for layer, snapshot in enumerate(chunks.snapshots[0]):
+        if layer not in absent:
+            assert theirs.load(snapshot) == ours.load(snapshot)
+    waiting: list[tuple[int, int]] = []
+    for birth in range(1, NUM_FRAMES):
+        mask = None if rng.random() < 0.1 else chunks.masks[birth]
+        changes: list[bytes | None] = []
+        for layer, change in enumerate(chunks.changes[birth]):
+            lacks = layer in absent or rng.random() < 0.25
+            changes.append(None if lacks else change)
+            if lacks:
+                waiting.append((birth, layer))
+        offers = [(mask, changes), (None, changes)]
+        if mask is not None:
+            torn = [change and altered(change, random_bytes) for change in changes]
+            offers.insert(0, (altered(mask, random_bytes), torn))
+        # What was altered may fit, and then what is right may not fit any more.
+        assert any(both_apply(ours, theirs, birth, *offer) for offer in offers)
+        assert theirs.held() == held(ours)
+        for layer in [layer for layer in absent if rng.random() < 0.3]:
+            absent.remove(layer)
+            snapshot = chunks.snapshots[birth - birth % layout.segment_frames][layer]
+            assert theirs.load(snapshot) == ours.load(snapshot)
+            assert theirs.held() == held(ours)
+        rng.shuffle(waiting)
+        for late_birth, layer in waiting[: rng.integers(0, len(waiting) + 1)]:
+            change = chunks.changes[late_birth][layer]
+            assert taken(theirs, late_birth, layer, change) == taken(
+                ours, late_birth, layer, change
+            )
+            assert theirs.held() == held(ours)
+
+
+def taken(decoder: SlotDecoder | BrowserSlots, birth: int, layer: int, change: bytes) -> bool | str:
+    try:
+        return decoder.late(birth, layer, change)
+    except CodecError:
+        return "refused"
+
+
+def both_apply(
+    ours: SlotDecoder,
+    theirs: BrowserSlots,
+    birth: int,
+    mask: bytes | None,
+    changes: list[bytes | None],
+) -> bool:
+    """Whether the slice fits; both must say the same."""
+    try:
+        rows = ours.apply(birth, mask, changes).rows
+    except CodecError:
+        with pytest.raises(CodecError):
+            theirs.apply(birth, mask, changes)
+        return False
+    assert rows is not None
+    assert theirs.apply(birth, mask, changes) == rows.tolist()
+    return True
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_an_altered_snapshot(browser: BrowserFormat, seed: int) -> None:
+    rng = random.Random(seed)
+    layout = small_layout(1 + seed % 3, (7, 4), seed % 2, 4)
+    chunks = encoded_chunks(layout, patternless_updates(layout, 5, seed, True))
+    num_taken = 0
+    for _ in range(60):
+        data = altered(chunks.snapshots[0][rng.randrange(2)], rng)
+        ours, theirs = SlotDecoder(layout), BrowserSlots(browser, layout)
+        try:
+            ours.load(data)
+        except CodecError:
+            with pytest.raises(CodecError):
+                theirs.load(data)
+        else:
+            theirs.load(data)
+            assert theirs.held() == held(ours)
+            num_taken += 1
+    assert 5 < num_taken < 55

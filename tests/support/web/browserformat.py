@@ -1,0 +1,120 @@
+"""player/web/format, run by Node: the tests ask it about bytes, and compare with the package."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from codec.errors import CodecError, CorruptError, UnsupportedError
+from codec.slots.slotlayout import SlotLayout
+from tests.support.slots.plain import Held
+
+NODE = shutil.which("node")
+SCRIPT = Path(__file__).parents[2] / "player" / "web" / "readformat.mjs"
+
+Json = Any
+
+
+class BrowserFormat:
+    """Questions to a process of Node, one after another."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self._process = process
+
+    def ask(self, kind: str, **question: object) -> Json:
+        """The answer, or a CodecError of the kind with which the bytes were refused."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(json.dumps({"ask": kind, **question}) + "\n")
+        self._process.stdin.flush()
+        line = self._process.stdout.readline()
+        assert line, "readformat.mjs ended; its stderr says why"
+        answer = json.loads(line)
+        if "refused" in answer:
+            errors = {"corrupt": CorruptError, "unsupported": UnsupportedError}
+            raise errors[answer["refused"]](answer["message"])
+        return answer["value"]
+
+    def takes(self, kind: str, **question: object) -> bool:
+        try:
+            self.ask(kind, **question)
+        except CodecError:
+            return False
+        return True
+
+
+@contextmanager
+def running_format() -> Iterator[BrowserFormat]:
+    assert NODE is not None
+    command = [NODE, str(SCRIPT)]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        yield BrowserFormat(process)
+
+
+class BrowserSlots:
+    """The slot decoder of player/web/format, with the calls of `SlotDecoder`."""
+
+    def __init__(
+        self, browser: BrowserFormat, layout: SlotLayout, num_layers: int | None = None
+    ) -> None:
+        self._browser = browser
+        self._edges = layout.row_edges
+        browser.ask(
+            "layout",
+            swinSize=layout.swin_size,
+            segmentFrames=layout.segment_frames,
+            shDegree=layout.sh_degree,
+            slots=layout.slots,
+            lattices=[
+                {
+                    "positionM": float(np.float32(lattice.position_m)),
+                    "logScale": float(np.float32(lattice.log_scale)),
+                    "logScaleBase": float(np.float32(lattice.log_scale_base)),
+                    "rotation": float(np.float32(lattice.rotation)),
+                    "colour": float(np.float32(lattice.colour)),
+                    "opacityLevels": lattice.opacity_levels,
+                }
+                for lattice in layout.lattices
+            ],
+            numLayers=num_layers,
+        )
+
+    def load(self, snapshot: bytes) -> bool:
+        used: bool = self._browser.ask("load", bytes=snapshot.hex())
+        return used
+
+    def apply(self, birth: int, mask: bytes | None, changes: Sequence[bytes | None]) -> list[int]:
+        """The rows of the lane that changed, counted over all layers."""
+        found = self._browser.ask(
+            "apply",
+            birth=birth,
+            mask=None if mask is None else mask.hex(),
+            changes=[None if change is None else change.hex() for change in changes],
+        )
+        pairs = zip(found["rows"], self._edges, strict=False)
+        return [edge + row for rows, edge in pairs for row in rows]
+
+    def late(self, birth: int, layer: int, change: bytes) -> bool:
+        used: bool = self._browser.ask("late", birth=birth, layer=layer, bytes=change.hex())
+        return used
+
+    def held(self) -> Held:
+        """What tests.support.slots.plain.held says of a decoder of the package."""
+
+        def one(slot: Json) -> object:
+            if isinstance(slot, str):
+                return slot
+            start, integers, bits = slot
+            return start, None if integers is None else tuple(integers), bytes.fromhex(bits)
+
+        lanes = self._browser.ask("held")
+        return [[[one(slot) for slot in layer] for layer in lane] for lane in lanes]
