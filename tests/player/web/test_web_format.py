@@ -89,13 +89,13 @@ def test_the_folder_of_a_golden(browser: BrowserFormat) -> None:
 
 
 def assert_same_object(browser: BrowserFormat, data: bytes, coder: int) -> None:
-    packets = [[birth, bytes(packet).hex()] for birth, packet in object_packets(data, 2)]
+    packets = [(birth, bytes(packet)) for birth, packet in object_packets(data, 2)]
     found = browser.ask("object", bytes=data.hex(), version=2)
-    assert found == {"coder": coder, "packets": packets}
+    assert found == {"coder": coder, "packets": [[birth, data.hex()] for birth, data in packets]}
     if coder == 2:
         for _, packet in packets:
-            content = decompress(bytes.fromhex(packet), LIMIT).hex()
-            assert browser.ask("packet", bytes=packet, limit=LIMIT) == content
+            content = decompress(packet, LIMIT).hex()
+            assert browser.ask("packet", bytes=packet.hex(), limit=LIMIT) == content
 
 
 def assert_same_manifest(found: dict[str, object], manifest: Manifest) -> None:
