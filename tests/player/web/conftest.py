@@ -4,13 +4,13 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.support.web.browserformat import NODE, BrowserFormat, running_format
+from tests.support.web.browsercode import NODE, BrowserCode, running_code
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[BrowserFormat]:
-    """player/web/format in a process of Node."""
+def browser() -> Iterator[BrowserCode]:
+    """The code of player/web in a process of Node."""
     if NODE is None:
         pytest.skip("needs Node.js: apt-get install nodejs")
-    with running_format() as running:
+    with running_code() as running:
         yield running

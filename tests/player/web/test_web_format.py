@@ -33,7 +33,7 @@ from codec.stream.playrecord import (
 from fuzz.codec import TARGETS
 from fuzz.seed import CORPUS, made_manifest
 from tests.goldens.pinned_slots import FILE as SLOTS_FILE
-from tests.support.web.browserformat import BrowserFormat
+from tests.support.web.browsercode import BrowserCode
 
 GOLDENS = Path(__file__).parents[2] / "goldens"
 CHUNKS = json.loads((GOLDENS / "chunks.json").read_text())
@@ -43,7 +43,7 @@ TARGET_NAMES = list(TARGETS)
 LIMIT = 1 << 20
 
 
-def chunk_by_browser(browser: BrowserFormat, data: bytes) -> object:
+def chunk_by_browser(browser: BrowserCode, data: bytes) -> object:
     found = browser.ask("chunk", bytes=data.hex())
     arrays = tuple(bytes.fromhex(array) for array in found["arrays"])
     return found["birth"], found["layer"], found["profile"], arrays, found["startOffsets"]
@@ -56,17 +56,17 @@ def chunk_by_package(chunk: Chunk) -> object:
 
 
 @pytest.mark.parametrize("golden", CHUNKS, ids=lambda golden: golden["name"])
-def test_a_chunk_of_version_1(browser: BrowserFormat, golden: dict[str, str]) -> None:
+def test_a_chunk_of_version_1(browser: BrowserCode, golden: dict[str, str]) -> None:
     data = bytes.fromhex(golden["chunk_hex"])
     assert chunk_by_browser(browser, data) == chunk_by_package(decode_chunk(data))
 
 
-def test_opacities_are_the_same_bits(browser: BrowserFormat) -> None:
+def test_opacities_are_the_same_bits(browser: BrowserCode) -> None:
     for levels in range(2, 257):
         assert browser.ask("logits", levels=levels) == opacity_logits(levels).tobytes().hex()
 
 
-def test_an_object_of_version_1(browser: BrowserFormat) -> None:
+def test_an_object_of_version_1(browser: BrowserCode) -> None:
     for golden in OBJECTS:
         data = bytes.fromhex(str(golden["object_hex"]))
         packets = [[birth, bytes(packet).hex()] for birth, packet in object_packets(data)]
@@ -74,7 +74,7 @@ def test_an_object_of_version_1(browser: BrowserFormat) -> None:
         assert found == {"coder": golden["coder"], "packets": packets}
 
 
-def test_the_folder_of_a_golden(browser: BrowserFormat) -> None:
+def test_the_folder_of_a_golden(browser: BrowserCode) -> None:
     """Manifest, index, objects; what gzip packets hold."""
     for folders in FOLDERS:
         for coder, files in folders.items():
@@ -88,7 +88,7 @@ def test_the_folder_of_a_golden(browser: BrowserFormat) -> None:
                     assert_same_object(browser, bytes.fromhex(files[name]), int(coder))
 
 
-def assert_same_object(browser: BrowserFormat, data: bytes, coder: int) -> None:
+def assert_same_object(browser: BrowserCode, data: bytes, coder: int) -> None:
     packets = [(birth, bytes(packet)) for birth, packet in object_packets(data, 2)]
     found = browser.ask("object", bytes=data.hex(), version=2)
     assert found == {"coder": coder, "packets": [[birth, data.hex()] for birth, data in packets]}
@@ -181,14 +181,14 @@ def record_in_browser(record: Record) -> dict[str, object]:
 
 
 @pytest.mark.parametrize("piece_bytes", [1 << 20, 1000, 7, 1])
-def test_play_records_in_pieces(browser: BrowserFormat, piece_bytes: int) -> None:
+def test_play_records_in_pieces(browser: BrowserCode, piece_bytes: int) -> None:
     records = RECORDS if piece_bytes > 1 else RECORDS[1:2] + RECORDS[-3:]
     data = b"".join(map(encode_record, records))
     pieces = [data[at : at + piece_bytes].hex() for at in range(0, len(data), piece_bytes)]
     assert browser.ask("records", pieces=pieces) == list(map(record_in_browser, records))
 
 
-def test_lists_in_lists_do_not_exhaust_the_stack(browser: BrowserFormat) -> None:
+def test_lists_in_lists_do_not_exhaust_the_stack(browser: BrowserCode) -> None:
     body = b"\x81\xa6frames" + b"\x91" * 1_000_000
     assert not browser.takes("records", pieces=[(struct.pack("<I", len(body)) + body).hex()])
 
@@ -197,7 +197,7 @@ def record_is_taken(data: bytes) -> object:
     return RecordParser().feed(data)
 
 
-CHECKED: dict[str, tuple[Callable[[bytes], object], Callable[[BrowserFormat, bytes], object]]] = {
+CHECKED: dict[str, tuple[Callable[[bytes], object], Callable[[BrowserCode, bytes], object]]] = {
     "chunk": (
         lambda data: chunk_by_package(decode_chunk(data)),
         chunk_by_browser,
@@ -229,7 +229,7 @@ NEAR_THE_CORPUS = [
 
 
 @pytest.mark.parametrize("path", NEAR_THE_CORPUS, ids=lambda path: path.name)
-def test_what_is_near_the_corpus_of_the_fuzzer(browser: BrowserFormat, path: Path) -> None:
+def test_what_is_near_the_corpus_of_the_fuzzer(browser: BrowserCode, path: Path) -> None:
     """Both give the same value, or both refuse. Only of numbers such as 3.0 may the browser take
     what the package refuses: it cannot tell them from integers."""
     target = TARGET_NAMES[path.read_bytes()[0] % len(TARGETS)]

@@ -14,14 +14,14 @@ from tests.goldens.pinned_slots import FILE, SLOT_CASES, SlotCase, held_sha256
 from tests.support.slots.hostile_slots import altered
 from tests.support.slots.plain import encoded_chunks, held
 from tests.support.slots.updates import patternless_updates, small_layout
-from tests.support.web.browserformat import BrowserFormat, BrowserSlots
+from tests.support.web.browsercode import BrowserCode, BrowserSlots
 
 GOLDENS = {row["name"]: row for row in json.loads(FILE.read_text())}
 NUM_FRAMES = 14
 
 
 @pytest.mark.parametrize("case", SLOT_CASES, ids=lambda case: case.name)
-def test_a_golden_plays(browser: BrowserFormat, case: SlotCase) -> None:
+def test_a_golden_plays(browser: BrowserCode, case: SlotCase) -> None:
     golden, layers = GOLDENS[case.name], range(len(case.slots))
     chunks = golden["chunks_hex"]
     slots = BrowserSlots(browser, case.layout)
@@ -34,7 +34,7 @@ def test_a_golden_plays(browser: BrowserFormat, case: SlotCase) -> None:
         assert held_sha256(slots.held()) == golden["held_sha256"][birth]
 
 
-def test_a_golden_is_joined_at_every_segment(browser: BrowserFormat) -> None:
+def test_a_golden_is_joined_at_every_segment(browser: BrowserCode) -> None:
     for case in SLOT_CASES:
         golden, layers = GOLDENS[case.name], range(len(case.slots))
         for segment in range(-(-case.num_frames // case.segment_frames)):
@@ -46,7 +46,7 @@ def test_a_golden_is_joined_at_every_segment(browser: BrowserFormat) -> None:
 
 
 @pytest.mark.parametrize("seed", range(24))
-def test_who_lacks_something_holds_the_same(browser: BrowserFormat, seed: int) -> None:
+def test_who_lacks_something_holds_the_same(browser: BrowserCode, seed: int) -> None:
     """Packets that never come, or late; masks that never come; snapshots of some layers, some of
     them late; bytes that were altered on the way."""
     rng, random_bytes = np.random.default_rng(seed), random.Random(seed)
@@ -116,7 +116,7 @@ def both_apply(
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_an_altered_snapshot(browser: BrowserFormat, seed: int) -> None:
+def test_an_altered_snapshot(browser: BrowserCode, seed: int) -> None:
     rng = random.Random(seed)
     layout = small_layout(1 + seed % 3, (7, 4), seed % 2, 4)
     chunks = encoded_chunks(layout, patternless_updates(layout, 5, seed, True))

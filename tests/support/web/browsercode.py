@@ -1,4 +1,4 @@
-"""player/web/format, run by Node: the tests ask it about bytes, and compare with the package."""
+"""The code of player/web, run by Node: the tests ask it, and compare with the package."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from codec.slots.slotlayout import SlotLayout
 from tests.support.slots.plain import Held
 
 NODE = shutil.which("node")
-SCRIPT = Path(__file__).parents[2] / "player" / "web" / "readformat.mjs"
+SCRIPT = Path(__file__).parents[2] / "player" / "web" / "answers.mjs"
 
 Json = Any
 
 
-class BrowserFormat:
+class BrowserCode:
     """Questions to a process of Node, one after another."""
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
@@ -35,7 +35,7 @@ class BrowserFormat:
         self._process.stdin.write(json.dumps({"ask": kind, **question}) + "\n")
         self._process.stdin.flush()
         line = self._process.stdout.readline()
-        assert line, "readformat.mjs ended; its stderr says why"
+        assert line, "answers.mjs ended; its stderr says why"
         answer = json.loads(line)
         if "refused" in answer:
             errors = {"corrupt": CorruptError, "unsupported": UnsupportedError}
@@ -51,20 +51,20 @@ class BrowserFormat:
 
 
 @contextmanager
-def running_format() -> Iterator[BrowserFormat]:
+def running_code() -> Iterator[BrowserCode]:
     assert NODE is not None
     command = [NODE, str(SCRIPT)]
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as process:
-        yield BrowserFormat(process)
+        yield BrowserCode(process)
 
 
 class BrowserSlots:
     """The slot decoder of player/web/format, with the calls of `SlotDecoder`."""
 
     def __init__(
-        self, browser: BrowserFormat, layout: SlotLayout, num_layers: int | None = None
+        self, browser: BrowserCode, layout: SlotLayout, num_layers: int | None = None
     ) -> None:
         self._browser = browser
         self._edges = layout.row_edges

@@ -1,9 +1,11 @@
 /**
- * Answers questions about bytes with player/web/format, for the tests: one JSON object a line in, one
- * out. Bytes and floats travel as hexadecimal.
+ * Answers questions with the code of player/web, for the tests: one JSON object a line in, one out.
+ * Bytes and floats travel as hexadecimal.
  */
 import { createInterface } from "node:readline";
 
+import { makeSizes, Media, streamMedia } from "../../../player/web/delivery/media.js";
+import { PlaySession } from "../../../player/web/delivery/session.js";
 import { decodeChunk } from "../../../player/web/format/chunk.js";
 import { FormatError } from "../../../player/web/format/errors.js";
 import { readManifest } from "../../../player/web/format/manifest.js";
@@ -118,6 +120,29 @@ const ANSWERS = {
     return decoder.late(birth, layer, unhex(bytes));
   },
   held,
+  sizes({ manifest, bytes }) {
+    const read = readManifest(unhex(manifest));
+    return streamMedia(read, readIndex(unhex(bytes), read)).segments;
+  },
+  /** What a session decides to which the same happens as to one of the package. */
+  replay({ shape, segments, firstFrame, untilFrame, rateBps, events }) {
+    const media = new Media(shape);
+    media.segments = segments.map((/** @type {number[][]} */ of) =>
+      makeSizes(of[0], of[1], of[2], of[3]),
+    );
+    media.numFrames = shape.numFrames;
+    media.live = shape.live;
+    const session = new PlaySession(media, 0, { firstFrame, untilFrame, rateBps });
+    const decisions = [];
+    for (const [what, ...args] of events) {
+      if (what === "grown") Object.assign(media, { numFrames: args[0], live: args[1] });
+      else if (what === "told") session.told(args[0], args[1], args[2]);
+      else if (what === "acknowledge") session.acknowledge(args[0], args[1]);
+      else if (what === "sent") session.sent(args[0], args[1], args[2]);
+      else decisions.push([session.decide(args[0]), session.rateBps, session.nextFrame]);
+    }
+    return decisions;
+  },
 };
 
 for await (const line of createInterface({ input: process.stdin })) {
