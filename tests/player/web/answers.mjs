@@ -15,6 +15,9 @@ import { RecordParser } from "../../../player/web/format/playrecord.js";
 import { SlotDecoder } from "../../../player/web/format/slotdecoder.js";
 import { SlotLayout } from "../../../player/web/format/slotlayout.js";
 import { EMPTY, ON_LATTICE, UNKNOWN } from "../../../player/web/format/slots.js";
+import { SlicePlay } from "../../../player/web/playback/sliceplay.js";
+import { SlotPlay } from "../../../player/web/playback/slotplay.js";
+import { DepthOrder } from "../../../player/web/renderer/depthorder.js";
 import { readIndex } from "../../../player/web/format/streamindex.js";
 import { opacityLogits } from "../../../player/web/format/opacity.js";
 
@@ -62,6 +65,32 @@ function held() {
     }
   }
   return lanes;
+}
+
+/**
+ * Hands a play what an object of a static export holds.
+ * @param {SlotPlay | SlicePlay} play
+ * @param {import("../../../player/web/format/manifest.js").Manifest} manifest
+ * @param {import("../../../player/web/format/streamindex.js").SegmentRecord} record
+ * @param {string} part
+ * @param {Uint8Array} bytes
+ */
+async function addObject(play, manifest, record, part, bytes) {
+  const { packets } = readObject(bytes, manifest.version);
+  /** @type {Map<number, Uint8Array>} */
+  const chunks = new Map();
+  for (const [birth, packet] of packets) chunks.set(birth, await inflatePacket(packet, 2 ** 20));
+  const nothing = new Uint8Array(0);
+  const layer = Number(part.replace("snapshot-", ""));
+  const end = record.firstFrame + record.numFrames;
+  const early = record.segment === 0 && manifest.layout === null ? manifest.swinSize - 1 : 0;
+  for (let birth = record.firstFrame - early; birth < end; birth++) {
+    const chunk = chunks.get(birth) ?? nothing;
+    if (play instanceof SlicePlay) play.addChange(birth, layer, chunk);
+    else if (part === "masks") play.addMask(birth, chunk);
+    else if (!part.startsWith("snapshot")) play.addChange(birth, layer, chunk);
+    else if (chunk.length > 0) play.addSnapshot(birth, layer, chunk);
+  }
 }
 
 /** @type {Record<string, (question: any) => unknown>} */
@@ -120,6 +149,38 @@ const ANSWERS = {
     return decoder.late(birth, layer, unhex(bytes));
   },
   held,
+  /**
+   * The means of what shows in each frame from `first` on, farthest first for the default camera.
+   * Of layers above 0 the objects come `lateness` frames after their segment has begun to show.
+   */
+  async shown({ files, first, lateness }) {
+    const manifest = readManifest(unhex(files["manifest.json"]));
+    const records = readIndex(unhex(files["index.bin"]), manifest);
+    const play = manifest.layout === null ? new SlicePlay(manifest) : new SlotPlay(manifest);
+    const order = new DepthOrder(manifest.numGs);
+    const last = records[records.length - 1];
+    /** @type {[number, import("../../../player/web/format/streamindex.js").SegmentRecord, string][]} */
+    const coming = records.flatMap((record) =>
+      [...manifest.parts].reverse().map((part) => {
+        const isLate = part !== "masks" && !part.endsWith("0");
+        return [isLate ? Math.max(first, record.firstFrame) + lateness : 0, record, part];
+      }),
+    );
+    const frames = [];
+    for (let frame = first; frame < last.firstFrame + last.numFrames; frame++) {
+      for (const [when, record, part] of coming) {
+        if (when !== frame && !(frame === first && when <= first)) continue;
+        const bytes = unhex(files[`segments/${record.segment}/${part}`]);
+        await addObject(play, manifest, record, part, bytes);
+      }
+      if (!play.has(frame)) throw new Error(`frame ${frame} is not there`);
+      const updates = frame === first ? play.join(frame) : play.advance(frame);
+      for (const { slots, means, starts } of updates) order.put(slots, means, starts);
+      const slots = order.farFirst(frame, manifest.defaultCamera.w2c, manifest.nearM);
+      frames.push([...slots].map((slot) => hex(order.means.subarray(3 * slot, 3 * slot + 3))));
+    }
+    return frames;
+  },
   sizes({ manifest, bytes }) {
     const read = readManifest(unhex(manifest));
     return streamMedia(read, readIndex(unhex(bytes), read)).segments;

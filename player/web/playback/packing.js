@@ -1,0 +1,170 @@
+/** What changed, as the renderer and the sorting take it. */
+
+import { opacityLogits } from "../format/opacity.js";
+import { ESCAPED, ON_LATTICE } from "../format/slots.js";
+import { NEVER } from "../renderer/depthorder.js";
+import { ALPHA_MIN } from "../renderer/recipe.js";
+import { floatWords, latticeWords } from "../renderer/resident.js";
+
+/** One that is nowhere opaque enough to show is left out of every frame. */
+const LEAST_LOGIT = Math.log(ALPHA_MIN / (1 - ALPHA_MIN));
+
+/**
+ * Slots that hold something else from a frame on.
+ * @typedef {object} SplatUpdate
+ * @property {number} frame
+ * @property {Uint32Array} lattice words of those on the lattice, see renderer/resident.js
+ * @property {Uint32Array} floats words of the others
+ * @property {Uint32Array} slots (N)
+ * @property {Float32Array} means (N, 3) metres
+ * @property {Int32Array} starts (N) the first frame that shows it, or NEVER
+ */
+
+/** The buffers of an update, to be handed to another thread. @param {SplatUpdate} update */
+export function buffersOf(update) {
+  const { lattice, floats, slots, means, starts } = update;
+  return [lattice, floats, slots, means, starts].map(
+    (array) => /** @type {ArrayBuffer} */ (array.buffer),
+  );
+}
+
+/**
+ * What changed in a lane of a stream of version 2.
+ * @param {import("../format/slotdecoder.js").SlotDecoder} decoder
+ * @param {import("../format/slotdecoder.js").SlotSlice} slice
+ * @param {number} frame from which it shows
+ * @returns {SplatUpdate}
+ */
+export function packSlots(decoder, slice, frame) {
+  const { layout, rowEdges } = decoder;
+  const lane = decoder.lanes[slice.lane];
+  let count = 0;
+  let numLattice = 0;
+  let numFloats = 0;
+  for (const [layer, rows] of slice.rows.entries()) {
+    const { conditions } = lane[layer];
+    count += rows.length;
+    for (const row of rows) {
+      if (conditions[row] === ON_LATTICE) numLattice++;
+      else if (conditions[row] === ESCAPED) numFloats++;
+    }
+  }
+  const packer = new Packer(layout.shDegree, frame, count, numLattice, numFloats);
+  for (const [layer, rows] of slice.rows.entries()) {
+    const slots = lane[layer];
+    const first = slice.lane * layout.numSlots + rowEdges[layer];
+    const lattice = layout.lattices[layer];
+    const logits = opacityLogits(lattice.opacityLevels);
+    for (const row of rows) {
+      const start = slice.birth + slots.starts[row];
+      if (slots.conditions[row] === ON_LATTICE) {
+        packer.addLattice(first + row, layer, slots, row, start, lattice, logits);
+      } else if (slots.conditions[row] === ESCAPED) {
+        const values = slots.escapes.get(row);
+        if (values === undefined) throw new Error("an escaped slot without its numbers");
+        packer.addFloats(first + row, values, start);
+      } else {
+        packer.addNothing(first + row);
+      }
+    }
+  }
+  return packer.update;
+}
+
+/**
+ * A lane of a stream of version 1, filled anew.
+ * @param {number} shDegree
+ * @param {number} frame from which it shows
+ * @param {number} first slot
+ * @param {number} count slots of the lane
+ * @param {{ values: Float32Array, start: number }[]} gaussians at most `count`
+ * @returns {SplatUpdate}
+ */
+export function packLane(shDegree, frame, first, count, gaussians) {
+  const packer = new Packer(shDegree, frame, count, 0, gaussians.length);
+  for (const [i, { values, start }] of gaussians.entries())
+    packer.addFloats(first + i, values, start);
+  for (let i = gaussians.length; i < count; i++) packer.addNothing(first + i);
+  return packer.update;
+}
+
+class Packer {
+  /**
+   * @param {number} shDegree
+   * @param {number} frame
+   * @param {number} count
+   * @param {number} numLattice
+   * @param {number} numFloats
+   */
+  constructor(shDegree, frame, count, numLattice, numFloats) {
+    this.latticeWords = latticeWords(shDegree);
+    this.floatWords = floatWords(shDegree);
+    /** @type {SplatUpdate} */
+    this.update = {
+      frame,
+      lattice: new Uint32Array(this.latticeWords * numLattice),
+      floats: new Uint32Array(this.floatWords * numFloats),
+      slots: new Uint32Array(count),
+      means: new Float32Array(3 * count),
+      starts: new Int32Array(count),
+    };
+    this.latticeBytes = new Uint8Array(this.update.lattice.buffer);
+    this.floatValues = new Float32Array(this.update.floats.buffer);
+    this.at = 0;
+    this.atLattice = 0;
+    this.atFloats = 0;
+  }
+
+  /** @param {number} slot */
+  addNothing(slot) {
+    this.#add(slot, NEVER);
+  }
+
+  /**
+   * @param {number} slot
+   * @param {number} layer
+   * @param {import("../format/slots.js").Slots} slots
+   * @param {number} row
+   * @param {number} start
+   * @param {import("../format/slotlayout.js").Lattice} lattice
+   * @param {Float32Array} logits
+   */
+  addLattice(slot, layer, slots, row, start, lattice, logits) {
+    const { positions, attributes, numAttributes } = slots;
+    const { means, lattice: words } = this.update;
+    const word = this.latticeWords * this.atLattice++;
+    for (let axis = 0; axis < 3; axis++) {
+      const q = positions[3 * row + axis];
+      words[word + axis] = q;
+      means[3 * this.at + axis] = q * lattice.positionM;
+    }
+    words[word + 3] = (layer << 24) | slot;
+    const from = numAttributes * row;
+    this.latticeBytes.set(attributes.subarray(from, from + numAttributes), 4 * (word + 4));
+    const logit = logits[attributes[from + numAttributes - 1]];
+    this.#add(slot, logit >= LEAST_LOGIT ? start : NEVER);
+  }
+
+  /**
+   * @param {number} slot
+   * @param {Float32Array} values mean, log scales, quaternion, logit, harmonics
+   * @param {number} start
+   */
+  addFloats(slot, values, start) {
+    const word = this.floatWords * this.atFloats++;
+    this.update.floats[word] = slot;
+    this.floatValues.set(values, word + 1);
+    this.update.means.set(values.subarray(0, 3), 3 * this.at);
+    this.#add(slot, values[10] >= LEAST_LOGIT ? start : NEVER);
+  }
+
+  /**
+   * @param {number} slot
+   * @param {number} start
+   */
+  #add(slot, start) {
+    this.update.slots[this.at] = slot;
+    this.update.starts[this.at] = start;
+    this.at++;
+  }
+}

@@ -1,0 +1,110 @@
+import { decodeChunk } from "../format/chunk.js";
+import { FormatError, corrupt } from "../format/errors.js";
+import { gaussianAt } from "../format/slots.js";
+import { numCoefficients } from "../format/gaussians.js";
+import { packLane } from "./packing.js";
+
+/** The chunks of a stream of version 1 that are here, frame by frame; see SlotPlay. */
+export class SlicePlay {
+  /** @param {import("../format/manifest.js").Manifest} manifest */
+  constructor(manifest) {
+    this.manifest = manifest;
+    this.sliceSize = manifest.numGs / manifest.swinSize;
+    this.k = numCoefficients(manifest.shDegree);
+    /** @type {number | null} */
+    this.frame = null;
+    /** @type {Map<number, (Uint8Array | null)[]>} by birth, of each layer; kept while it shows */
+    this.slices = new Map();
+    /** @type {Set<number>} births of which something came when they showed already */
+    this.late = new Set();
+    this.refused = 0;
+  }
+
+  /**
+   * @param {number} birth
+   * @param {number} layer
+   * @param {Uint8Array} chunk
+   */
+  addChange(birth, layer, chunk) {
+    if (this.frame !== null && birth <= this.frame - this.manifest.swinSize) return;
+    let row = this.slices.get(birth);
+    if (row === undefined) {
+      row = new Array(this.manifest.numLayers).fill(null);
+      this.slices.set(birth, row);
+    }
+    row[layer] = chunk;
+    if (this.frame !== null && birth <= this.frame) this.late.add(birth);
+  }
+
+  /** @param {number} frame */
+  has(frame) {
+    const first = frame - this.manifest.swinSize + 1;
+    for (let birth = first; birth <= frame; birth++) {
+      if (!this.slices.get(birth)?.[0]) return false;
+    }
+    return true;
+  }
+
+  /** @param {number} frame */
+  join(frame) {
+    this.late.clear();
+    const births = [];
+    for (let birth = frame - this.manifest.swinSize + 1; birth <= frame; birth++)
+      births.push(birth);
+    return this.#bring(frame, births);
+  }
+
+  /** @param {number} frame */
+  advance(frame) {
+    const births = new Set([...this.late, frame]);
+    this.late.clear();
+    return this.#bring(frame, [...births]);
+  }
+
+  /**
+   * @param {number} frame
+   * @param {number[]} births
+   */
+  #bring(frame, births) {
+    this.frame = frame;
+    const oldest = frame - this.manifest.swinSize + 1;
+    for (const birth of this.slices.keys()) if (birth < oldest) this.slices.delete(birth);
+    return births.filter((birth) => birth >= oldest).map((birth) => this.#lane(frame, birth));
+  }
+
+  /**
+   * All of a lane as its slice fills it, as far as layers are here without a gap.
+   * @param {number} frame
+   * @param {number} birth
+   */
+  #lane(frame, birth) {
+    const { swinSize, shDegree, profile } = this.manifest;
+    /** @type {{ values: Float32Array, start: number }[]} */
+    const found = [];
+    for (const [layer, bytes] of (this.slices.get(birth) ?? []).entries()) {
+      if (bytes === null) break;
+      try {
+        const chunk = decodeChunk(bytes);
+        if (
+          chunk.birth !== birth ||
+          chunk.layer !== layer ||
+          chunk.profile !== profile ||
+          chunk.shDegree !== shDegree ||
+          found.length + chunk.count > this.sliceSize
+        ) {
+          throw corrupt(`chunk: not the one of birth ${birth}, layer ${layer}`);
+        }
+        for (let i = 0; i < chunk.count; i++) {
+          const values = gaussianAt(chunk.gaussians, i, this.k);
+          found.push({ values, start: birth + chunk.startOffsets[i] });
+        }
+      } catch (error) {
+        if (!(error instanceof FormatError) || layer === 0) throw error;
+        this.refused += 1;
+        break;
+      }
+    }
+    const lane = ((birth % swinSize) + swinSize) % swinSize;
+    return packLane(shDegree, frame, lane * this.sliceSize, this.sliceSize, found);
+  }
+}

@@ -1,0 +1,159 @@
+import { FormatError } from "../format/errors.js";
+import { SlotDecoder } from "../format/slotdecoder.js";
+import { packSlots } from "./packing.js";
+
+/**
+ * The chunks of a stream of version 2 that are here, and what they make of the slots, frame by frame.
+ * What comes when its frame has shown is still used; a snapshot then comes before the changes behind
+ * it. Otherwise chunks may come in any order.
+ */
+export class SlotPlay {
+  /** @param {import("../format/manifest.js").Manifest} manifest */
+  constructor(manifest) {
+    const { layout } = manifest;
+    if (layout === null) throw new TypeError("a stream of version 1 has no slots");
+    this.layout = layout;
+    this.decoder = new SlotDecoder(layout);
+    /** @type {Map<number, Uint8Array>} by birth */
+    this.masks = new Map();
+    /** @type {Map<number, (Uint8Array | null)[]>} by birth, of each layer */
+    this.changes = new Map();
+    /** @type {Map<number, (Uint8Array | null)[]>} by first frame of a segment, of each layer */
+    this.snapshots = new Map();
+    /** Chunks that were refused: their layers go without. */
+    this.refused = 0;
+  }
+
+  /** The frame that was brought last; null before the first. */
+  get frame() {
+    return this.decoder.frame;
+  }
+
+  /**
+   * @param {number} birth
+   * @param {Uint8Array} chunk of no bytes where all is kept
+   */
+  addMask(birth, chunk) {
+    if (this.frame === null || birth > this.frame) this.masks.set(birth, chunk);
+  }
+
+  /**
+   * @param {number} birth
+   * @param {number} layer
+   * @param {Uint8Array} chunk of no bytes where nothing changes
+   */
+  addChange(birth, layer, chunk) {
+    if (this.frame === null || birth > this.frame) this.#row(this.changes, birth)[layer] = chunk;
+    else this.#try(() => this.decoder.late(birth, layer, chunk));
+  }
+
+  /**
+   * @param {number} frame
+   * @param {number} layer
+   * @param {Uint8Array} chunk
+   */
+  addSnapshot(frame, layer, chunk) {
+    if (this.frame === null || frame > this.frame) this.#row(this.snapshots, frame)[layer] = chunk;
+    else if (frame === this.layout.segmentStart(this.frame)) {
+      this.#try(() => this.decoder.load(chunk, layer, frame));
+    }
+  }
+
+  /**
+   * Whether `frame` can be brought next: all of layer 0 that it needs is here.
+   * @param {number} frame
+   */
+  has(frame) {
+    if (this.frame !== null && frame === this.frame + 1) return this.#hasSlice(frame);
+    const first = this.layout.segmentStart(frame);
+    if (!this.snapshots.get(first)?.[0]) return false;
+    for (let birth = first + 1; birth <= frame; birth++) if (!this.#hasSlice(birth)) return false;
+    return true;
+  }
+
+  /** @param {number} birth */
+  #hasSlice(birth) {
+    return this.masks.has(birth) && Boolean(this.changes.get(birth)?.[0]);
+  }
+
+  /**
+   * Begins with `frame`: all that it shows. Throws a FormatError if layer 0 is refused.
+   * @param {number} frame
+   */
+  join(frame) {
+    const first = this.layout.segmentStart(frame);
+    this.decoder = new SlotDecoder(this.layout);
+    this.#load(first);
+    for (let birth = first + 1; birth <= frame; birth++) this.#apply(birth);
+    return this.decoder.handOut().map((slice) => packSlots(this.decoder, slice, frame));
+  }
+
+  /**
+   * Goes on by one frame: what is new in it. Throws a FormatError if its mask is refused.
+   * @param {number} frame
+   */
+  advance(frame) {
+    const slice = this.#apply(frame);
+    if (frame === this.layout.segmentStart(frame)) this.#load(frame);
+    return [packSlots(this.decoder, slice, frame)];
+  }
+
+  /** @param {number} birth */
+  #apply(birth) {
+    const mask = this.masks.get(birth) ?? null;
+    const none = new Array(this.layout.numLayers).fill(null);
+    const changes = this.changes.get(birth) ?? none;
+    this.masks.delete(birth);
+    this.changes.delete(birth);
+    try {
+      return this.decoder.apply(birth, mask, changes);
+    } catch (error) {
+      if (!(error instanceof FormatError)) throw error;
+    }
+    // Layer by layer: one that is refused goes without, and so do those above it.
+    for (let layers = changes.length - 1; layers > 0; layers--) {
+      this.refused += 1;
+      const fewer = changes.map((change, layer) => (layer < layers ? change : null));
+      try {
+        return this.decoder.apply(birth, mask, fewer);
+      } catch (error) {
+        if (!(error instanceof FormatError)) throw error;
+      }
+    }
+    return this.decoder.apply(birth, mask, none);
+  }
+
+  /** Loads the snapshots of `frame` of layers that lack something. @param {number} frame */
+  #load(frame) {
+    const chunks = this.snapshots.get(frame) ?? [];
+    for (const [layer, chunk] of chunks.entries()) {
+      if (chunk === null) continue;
+      if (layer === 0 && this.frame === null) this.decoder.load(chunk, layer, frame);
+      else this.#try(() => this.decoder.load(chunk, layer, frame));
+    }
+    for (const known of this.snapshots.keys()) if (known <= frame) this.snapshots.delete(known);
+  }
+
+  /** @param {() => unknown} action */
+  #try(action) {
+    try {
+      action();
+    } catch (error) {
+      if (!(error instanceof FormatError)) throw error;
+      this.refused += 1;
+    }
+  }
+
+  /**
+   * @param {Map<number, (Uint8Array | null)[]>} table
+   * @param {number} key
+   */
+  #row(table, key) {
+    let row = table.get(key);
+    if (row === undefined) {
+      row = new Array(this.layout.numLayers).fill(null);
+      table.set(key, row);
+    }
+    return row;
+  }
+}

@@ -1,0 +1,170 @@
+import { makeProgram, RendererError } from "./program.js";
+import { MAX_DRAWN_SH_DEGREE } from "./recipe.js";
+import { EXPAND_FLOATS, EXPAND_LATTICE, STORE_TEXEL } from "./shaders.js";
+
+const STAGED_WIDTH_PX = 1024;
+/** A texture that the frame before still reads from is not written. */
+const NUM_STAGED = 3;
+
+/** Texels of a drawn Gaussian. @param {number} shDegree */
+export function texelsPerGaussian(shDegree) {
+  return shDegree >= 1 ? 6 : 4;
+}
+
+/** Words of a Gaussian on the lattice as it is uploaded. @param {number} shDegree */
+export function latticeWords(shDegree) {
+  const numBytes = 7 + 3 * (shDegree + 1) ** 2;
+  return 4 * Math.ceil((4 + Math.ceil(numBytes / 4)) / 4);
+}
+
+/** Words of a Gaussian of floats as it is uploaded. @param {number} shDegree */
+export function floatWords(shDegree) {
+  return 4 * Math.ceil((12 + 3 * (shDegree + 1) ** 2) / 4);
+}
+
+/**
+ * All slots as texels that the splat shader reads. What is new is uploaded as it came, quantised, and
+ * a pass of the GPU expands it.
+ */
+export class Resident {
+  /**
+   * @param {WebGL2RenderingContext} gl
+   * @param {number} numSlots
+   * @param {number} shDegree
+   * @param {import("../format/slotlayout.js").Lattice[]} lattices of each layer; none in version 1
+   */
+  constructor(gl, numSlots, shDegree, lattices) {
+    this.gl = gl;
+    this.shDegree = shDegree;
+    this.texels = texelsPerGaussian(Math.min(shDegree, MAX_DRAWN_SH_DEGREE));
+    this.columns = Math.floor(2048 / this.texels);
+    this.widthPx = this.columns * this.texels;
+    this.heightPx = Math.max(1, Math.ceil(numSlots / this.columns));
+    const limitPx = gl.getParameter(gl.MAX_TEXTURE_SIZE);
+    if (Math.max(this.heightPx, this.widthPx) > limitPx) {
+      throw new RendererError(
+        `${numSlots} Gaussians need a texture of ${this.widthPx}x${this.heightPx}; this device takes ${limitPx}`,
+      );
+    }
+    this.texture = makeTexture(gl);
+    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32UI, this.widthPx, this.heightPx);
+    this.framebuffer = gl.createFramebuffer();
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.framebuffer);
+    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.texture, 0);
+    this.staged = Array.from({ length: NUM_STAGED }, () => ({ texture: makeTexture(gl), rows: 0 }));
+    this.nextStaged = 0;
+    this.uploadedBytes = 0;
+    /** Nothing is read from it: the shaders count points. */
+    this.points = gl.createVertexArray();
+    const defines = {
+      COLUMNS: this.columns,
+      TEXELS: this.texels,
+      STAGED_WIDTH_PX,
+      K: (shDegree + 1) ** 2,
+    };
+    this.lattice = makeProgram(gl, EXPAND_LATTICE, STORE_TEXEL, {
+      ...defines,
+      ITEM_TEXELS: latticeWords(shDegree) / 4,
+    });
+    this.floats = makeProgram(gl, EXPAND_FLOATS, STORE_TEXEL, {
+      ...defines,
+      ITEM_TEXELS: floatWords(shDegree) / 4,
+    });
+    gl.useProgram(this.lattice.program);
+    for (const [layer, steps] of lattices.entries()) {
+      const { positionM, logScale, logScaleBase, rotation, colour, opacityLevels } = steps;
+      gl.uniform4f(this.lattice.at(`steps[${layer}]`), positionM, logScale, logScaleBase, rotation);
+      gl.uniform2f(this.lattice.at(`more_steps[${layer}]`), colour, opacityLevels - 1);
+    }
+  }
+
+  /**
+   * Puts Gaussians into their slots.
+   * @param {Uint32Array} words `latticeWords` each
+   */
+  putLattice(words) {
+    this.#put(words, latticeWords(this.shDegree), this.lattice);
+  }
+
+  /**
+   * Puts Gaussians into their slots.
+   * @param {Uint32Array} words the bits of `floatWords` floats each
+   */
+  putFloats(words) {
+    this.#put(words, floatWords(this.shDegree), this.floats);
+  }
+
+  /**
+   * @param {Uint32Array} words
+   * @param {number} wordsEach
+   * @param {import("./program.js").Program} program
+   */
+  #put(words, wordsEach, program) {
+    if (words.length === 0) return;
+    const { gl } = this;
+    this.#stage(words);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.framebuffer);
+    gl.viewport(0, 0, this.widthPx, this.heightPx);
+    gl.disable(gl.BLEND);
+    gl.useProgram(program.program);
+    gl.uniform1i(program.at("staged"), 0);
+    gl.uniform2f(program.at("size_px"), this.widthPx, this.heightPx);
+    gl.bindVertexArray(this.points);
+    gl.drawArrays(gl.POINTS, 0, (words.length / wordsEach) * this.texels);
+  }
+
+  /** Uploads `words` into the next staging texture, and binds it. @param {Uint32Array} words */
+  #stage(words) {
+    const { gl } = this;
+    const staged = this.staged[this.nextStaged];
+    this.nextStaged = (this.nextStaged + 1) % NUM_STAGED;
+    gl.activeTexture(gl.TEXTURE0);
+    gl.bindTexture(gl.TEXTURE_2D, staged.texture);
+    const rowWords = 4 * STAGED_WIDTH_PX;
+    const rows = Math.ceil(words.length / rowWords);
+    const [format, type] = [gl.RGBA_INTEGER, gl.UNSIGNED_INT];
+    if (rows > staged.rows) {
+      staged.rows = Math.ceil(1.25 * rows);
+      gl.texImage2D(
+        gl.TEXTURE_2D,
+        0,
+        gl.RGBA32UI,
+        STAGED_WIDTH_PX,
+        staged.rows,
+        0,
+        format,
+        type,
+        null,
+      );
+    }
+    const whole = Math.floor(words.length / rowWords);
+    if (whole > 0) {
+      gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, STAGED_WIDTH_PX, whole, format, type, words);
+    }
+    const rest = words.subarray(whole * rowWords);
+    if (rest.length > 0) {
+      gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, whole, rest.length / 4, 1, format, type, rest);
+    }
+    this.uploadedBytes += words.byteLength;
+  }
+
+  close() {
+    const { gl } = this;
+    gl.deleteTexture(this.texture);
+    gl.deleteFramebuffer(this.framebuffer);
+    gl.deleteVertexArray(this.points);
+    for (const { texture } of this.staged) gl.deleteTexture(texture);
+    for (const { program } of [this.lattice, this.floats]) gl.deleteProgram(program);
+  }
+}
+
+/** A texture without filters, bound. @param {WebGL2RenderingContext} gl */
+export function makeTexture(gl) {
+  const texture = gl.createTexture();
+  gl.bindTexture(gl.TEXTURE_2D, texture);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
+  return texture;
+}

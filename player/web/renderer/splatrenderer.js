@@ -1,0 +1,157 @@
+import { makeProgram, RendererError } from "./program.js";
+import { JACOBIAN_CLAMP } from "./recipe.js";
+import { makeTexture, Resident } from "./resident.js";
+import { SCREEN_FRAGMENT, SCREEN_VERTEX, SPLAT_FRAGMENT, SPLAT_VERTEX } from "./shaders.js";
+
+/**
+ * What a stream needs of the GPU.
+ * @typedef {object} Shape
+ * @property {number} numSlots
+ * @property {number} shDegree
+ * @property {import("../format/slotlayout.js").Lattice[]} lattices of each layer; none in version 1
+ */
+
+/** Draws a stream in recipe v1 with WebGL2. */
+export class SplatRenderer {
+  /**
+   * @param {WebGL2RenderingContext} gl
+   * @param {Shape} shape
+   */
+  constructor(gl, shape) {
+    this.gl = gl;
+    this.isFine = gl.getExtension("EXT_color_buffer_float") !== null;
+    this.resident = new Resident(gl, shape.numSlots, shape.shDegree, shape.lattices);
+    const { columns, texels } = this.resident;
+    const defines = { COLUMNS: columns, TEXELS: texels };
+    this.splats = makeProgram(gl, SPLAT_VERTEX, SPLAT_FRAGMENT, defines);
+    this.screen = makeProgram(gl, SCREEN_VERTEX, SCREEN_FRAGMENT);
+    this.order = gl.createBuffer();
+    this.numDrawn = 0;
+    this.quads = gl.createVertexArray();
+    gl.bindVertexArray(this.quads);
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
+    const slot = gl.getAttribLocation(this.splats.program, "slot");
+    gl.enableVertexAttribArray(slot);
+    gl.vertexAttribIPointer(slot, 1, gl.UNSIGNED_INT, 0, 0);
+    gl.vertexAttribDivisor(slot, 1);
+    this.nothing = gl.createVertexArray();
+    this.orderBytes = 0;
+    /** @type {{ widthPx: number, heightPx: number, texture: WebGLTexture, framebuffer: WebGLFramebuffer } | null} */
+    this.picture = null;
+  }
+
+  /** Bytes of Gaussians and orders that were uploaded so far. */
+  get uploadedBytes() {
+    return this.resident.uploadedBytes + this.orderBytes;
+  }
+
+  /**
+   * Takes in what is new, and the order in which to draw from now on: both or none are seen.
+   * @param {{ lattice: Uint32Array, floats: Uint32Array }[]} updates
+   * @param {Uint32Array} order slots, farthest first
+   */
+  update(updates, order) {
+    const { gl } = this;
+    for (const { lattice, floats } of updates) {
+      this.resident.putLattice(lattice);
+      this.resident.putFloats(floats);
+    }
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
+    // A new store: the frame before may still be read from the old one.
+    gl.bufferData(gl.ARRAY_BUFFER, order, gl.STREAM_DRAW);
+    this.orderBytes += order.byteLength;
+    this.numDrawn = order.length;
+  }
+
+  /**
+   * Draws onto a part of the canvas.
+   * @param {import("../format/camera.js").Camera} camera as large as the part
+   * @param {{ xPx: number, yPx: number }} corner lower left of the part
+   * @param {WebGLFramebuffer | null} target null: the canvas
+   */
+  draw(camera, corner = { xPx: 0, yPx: 0 }, target = null) {
+    const { gl } = this;
+    const picture = this.#pictureOf(camera.widthPx, camera.heightPx);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, picture.framebuffer);
+    gl.viewport(0, 0, camera.widthPx, camera.heightPx);
+    gl.disable(gl.DEPTH_TEST);
+    gl.clearColor(0, 0, 0, 0);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+    gl.useProgram(this.splats.program);
+    this.#setCamera(camera);
+    gl.activeTexture(gl.TEXTURE0);
+    gl.bindTexture(gl.TEXTURE_2D, this.resident.texture);
+    gl.bindVertexArray(this.quads);
+    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, this.numDrawn);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target);
+    gl.viewport(corner.xPx, corner.yPx, camera.widthPx, camera.heightPx);
+    gl.disable(gl.BLEND);
+    gl.useProgram(this.screen.program);
+    gl.uniform1i(this.screen.at("picture"), 0);
+    gl.uniform2i(this.screen.at("corner_px"), corner.xPx, corner.yPx);
+    gl.bindTexture(gl.TEXTURE_2D, picture.texture);
+    gl.bindVertexArray(this.nothing);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+
+  /** @param {import("../format/camera.js").Camera} camera */
+  #setCamera(camera) {
+    const { gl, splats } = this;
+    const m = camera.w2c;
+    const rotation = [m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]]; // columns
+    const [x, y, z] = [m[3], m[7], m[11]];
+    const position = [0, 1, 2].map((axis) => -(m[axis] * x + m[4 + axis] * y + m[8 + axis] * z));
+    gl.uniform1i(splats.at("gaussians"), 0);
+    gl.uniformMatrix3fv(splats.at("rotation"), false, rotation);
+    gl.uniform3f(splats.at("translation"), x, y, z);
+    gl.uniform3fv(splats.at("position"), position);
+    gl.uniform2f(splats.at("focal_px"), camera.fxPx, camera.fyPx);
+    gl.uniform2f(splats.at("centre_px"), camera.cxPx, camera.cyPx);
+    gl.uniform2f(splats.at("size_px"), camera.widthPx, camera.heightPx);
+    gl.uniform2f(
+      splats.at("limit"),
+      (JACOBIAN_CLAMP * 0.5 * camera.widthPx) / camera.fxPx,
+      (JACOBIAN_CLAMP * 0.5 * camera.heightPx) / camera.fyPx,
+    );
+  }
+
+  /**
+   * Where a picture is blended, row 0 at its top: finer than the screen, where the device can.
+   * @param {number} widthPx
+   * @param {number} heightPx
+   */
+  #pictureOf(widthPx, heightPx) {
+    const { gl } = this;
+    const old = this.picture;
+    if (old !== null && old.widthPx === widthPx && old.heightPx === heightPx) return old;
+    this.#dropPicture();
+    const texture = makeTexture(gl);
+    gl.texStorage2D(gl.TEXTURE_2D, 1, this.isFine ? gl.RGBA16F : gl.RGBA8, widthPx, heightPx);
+    const framebuffer = gl.createFramebuffer();
+    gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
+    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
+    if (gl.checkFramebufferStatus(gl.FRAMEBUFFER) !== gl.FRAMEBUFFER_COMPLETE) {
+      throw new RendererError(`this device does not draw into ${widthPx}x${heightPx} pixels`);
+    }
+    this.picture = { widthPx, heightPx, texture, framebuffer };
+    return this.picture;
+  }
+
+  #dropPicture() {
+    if (this.picture === null) return;
+    this.gl.deleteTexture(this.picture.texture);
+    this.gl.deleteFramebuffer(this.picture.framebuffer);
+    this.picture = null;
+  }
+
+  close() {
+    const { gl } = this;
+    this.#dropPicture();
+    this.resident.close();
+    gl.deleteBuffer(this.order);
+    for (const array of [this.quads, this.nothing]) gl.deleteVertexArray(array);
+    for (const { program } of [this.splats, this.screen]) gl.deleteProgram(program);
+  }
+}
