@@ -4,7 +4,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.support.web.browsercode import NODE, BrowserCode, running_code
+from tests.support.web.browsercode import BrowserCode, running_code
+from tests.support.web.chromium import Page, running_chromium, why_not
+from tests.support.web.nodeprocess import NODE
 
 
 @pytest.fixture(scope="module")
@@ -13,4 +15,14 @@ def browser() -> Iterator[BrowserCode]:
     if NODE is None:
         pytest.skip("needs Node.js: apt-get install nodejs")
     with running_code() as running:
+        yield running
+
+
+@pytest.fixture(scope="session")
+def page() -> Iterator[Page]:
+    """A page in Chromium."""
+    reason = why_not()
+    if reason is not None:
+        pytest.skip(reason)
+    with running_chromium() as running:
         yield running

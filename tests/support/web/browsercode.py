@@ -2,41 +2,26 @@
 
 from __future__ import annotations
 
-import json
-import shutil
-import subprocess
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from codec.errors import CodecError, CorruptError, UnsupportedError
 from codec.slots.slotlayout import SlotLayout
 from tests.support.slots.plain import Held
-
-NODE = shutil.which("node")
-SCRIPT = Path(__file__).parents[2] / "player" / "web" / "answers.mjs"
-
-Json = Any
+from tests.support.web.nodeprocess import Json, NodeProcess, running_script
 
 
 class BrowserCode:
-    """Questions to a process of Node, one after another."""
+    """Questions to answers.mjs."""
 
-    def __init__(self, process: subprocess.Popen[str]) -> None:
-        self._process = process
+    def __init__(self, node: NodeProcess) -> None:
+        self._node = node
 
     def ask(self, kind: str, **question: object) -> Json:
         """The answer, or a CodecError of the kind with which the bytes were refused."""
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.write(json.dumps({"ask": kind, **question}) + "\n")
-        self._process.stdin.flush()
-        line = self._process.stdout.readline()
-        assert line, "answers.mjs ended; its stderr says why"
-        answer = json.loads(line)
+        answer = self._node.answer(kind, question)
         if "refused" in answer:
             errors = {"corrupt": CorruptError, "unsupported": UnsupportedError}
             raise errors[answer["refused"]](answer["message"])
@@ -52,12 +37,8 @@ class BrowserCode:
 
 @contextmanager
 def running_code() -> Iterator[BrowserCode]:
-    assert NODE is not None
-    command = [NODE, str(SCRIPT)]
-    with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as process:
-        yield BrowserCode(process)
+    with running_script("answers.mjs") as node:
+        yield BrowserCode(node)
 
 
 class BrowserSlots:

@@ -1,0 +1,79 @@
+/**
+ * Drives a page in Chromium as a person would, for the tests: one JSON object a line in, one out.
+ */
+import { createInterface } from "node:readline";
+
+import { chromium } from "playwright-core";
+
+const [executablePath] = process.argv.slice(2);
+const browser = await chromium.launch({
+  executablePath,
+  args: ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"],
+});
+/** @type {import("playwright-core").Page} */
+let page;
+/** @type {string[]} */
+let complaints = [];
+
+/** @type {Record<string, (question: any) => unknown>} */
+const ACTIONS = {
+  async open({ url, widthPx, heightPx, touch }) {
+    const viewport = { width: widthPx, height: heightPx };
+    await page?.context().close();
+    const context = await browser.newContext({ viewport, hasTouch: touch });
+    page = await context.newPage();
+    complaints = [];
+    page.on("pageerror", (error) => complaints.push(`${error.stack}`));
+    page.on("console", (message) => {
+      if (["error", "warning"].includes(message.type())) complaints.push(message.text());
+    });
+    await page.goto(url);
+  },
+  /** Runs `code`, the body of an async function of `value`, in the page. */
+  async run({ code, value }) {
+    return page.evaluate(
+      ([body, given]) => new Function("value", `return (async () => {${body}})()`)(given),
+      [code, value],
+    );
+  },
+  async wait({ code, timeoutS }) {
+    await page.waitForFunction(code, undefined, { timeout: 1000 * timeoutS, polling: 50 });
+  },
+  async press({ key }) {
+    await page.keyboard.press(key);
+  },
+  async click({ selector }) {
+    await page.click(selector, { timeout: 5000 });
+  },
+  async drag({ fromPx, toPx, button }) {
+    await page.mouse.move(fromPx[0], fromPx[1]);
+    await page.mouse.down({ button });
+    await page.mouse.move(toPx[0], toPx[1], { steps: 5 });
+    await page.mouse.up({ button });
+  },
+  async screenshot({ path, selector }) {
+    const target = selector ? page.locator(selector) : page;
+    await target.screenshot({ path });
+  },
+  async resize({ widthPx, heightPx }) {
+    await page.setViewportSize({ width: widthPx, height: heightPx });
+  },
+  async offline({ offline }) {
+    await page.context().setOffline(offline);
+  },
+  complaints() {
+    return complaints;
+  },
+};
+
+for await (const line of createInterface({ input: process.stdin })) {
+  const question = JSON.parse(line);
+  let answer;
+  try {
+    answer = { value: (await ACTIONS[question.ask](question)) ?? null };
+  } catch (error) {
+    answer = { failed: `${/** @type {Error} */ (error).stack}`, complaints };
+  }
+  process.stdout.write(`${JSON.stringify(answer)}\n`);
+}
+await browser.close();

@@ -1,0 +1,79 @@
+"""A page in Chromium, driven by playwright-core as a person would drive it."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from tests.support.web.nodeprocess import NODE, SCRIPTS, Json, NodeProcess, running_script
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+
+
+def why_not() -> str | None:
+    """What is missing for a browser; None if nothing is."""
+    if NODE is None or not (SCRIPTS / "node_modules" / "playwright-core").is_dir():
+        return "needs Node.js with npm: apt-get install npm, then scripts/setup dev"
+    if CHROMIUM is None:
+        return "needs Chromium: apt-get install chromium"
+    return None
+
+
+class Page:
+    """One page."""
+
+    def __init__(self, node: NodeProcess) -> None:
+        self._node = node
+
+    def _do(self, kind: str, **question: object) -> Json:
+        answer = self._node.answer(kind, question)
+        assert "failed" not in answer, f"{answer['failed']}\n{answer['complaints']}"
+        return answer["value"]
+
+    def open(
+        self, url: str, width_px: int = 640, height_px: int = 480, touch: bool = False
+    ) -> None:
+        self._do("open", url=url, widthPx=width_px, heightPx=height_px, touch=touch)
+
+    def run(self, code: str, value: object = None) -> Json:
+        """What `code` returns, the body of an async function of `value`."""
+        return self._do("run", code=code, value=value)
+
+    def wait(self, code: str, timeout_s: float = 20) -> None:
+        """Until the expression `code` is true."""
+        self._do("wait", code=code, timeoutS=timeout_s)
+
+    def press(self, key: str) -> None:
+        self._do("press", key=key)
+
+    def click(self, selector: str) -> None:
+        self._do("click", selector=selector)
+
+    def drag(
+        self, from_px: tuple[float, float], to_px: tuple[float, float], button: str = "left"
+    ) -> None:
+        self._do("drag", fromPx=from_px, toPx=to_px, button=button)
+
+    def screenshot(self, path: Path, selector: str | None = None) -> None:
+        self._do("screenshot", path=str(path), selector=selector)
+
+    def resize(self, width_px: int, height_px: int) -> None:
+        self._do("resize", widthPx=width_px, heightPx=height_px)
+
+    def set_offline(self, offline: bool) -> None:
+        self._do("offline", offline=offline)
+
+    @property
+    def complaints(self) -> list[str]:
+        """What the page threw, and its warnings."""
+        found: list[str] = self._do("complaints")
+        return found
+
+
+@contextmanager
+def running_chromium() -> Iterator[Page]:
+    assert CHROMIUM is not None
+    with running_script("drive.mjs", CHROMIUM) as node:
+        yield Page(node)
