@@ -36,12 +36,15 @@ export class SlicePlay {
     if (this.frame !== null && birth <= this.frame) this.late.add(birth);
   }
 
-  /** @param {number} frame */
+  /** Whether layer 0 of a slice is here. @param {number} birth */
+  hasSlice(birth) {
+    return Boolean(this.slices.get(birth)?.[0]);
+  }
+
+  /** Whether `join` can begin with `frame`: all of layer 0 that it needs is here. @param {number} frame */
   has(frame) {
     const first = frame - this.manifest.swinSize + 1;
-    for (let birth = first; birth <= frame; birth++) {
-      if (!this.slices.get(birth)?.[0]) return false;
-    }
+    for (let birth = first; birth <= frame; birth++) if (!this.hasSlice(birth)) return false;
     return true;
   }
 

@@ -59,21 +59,17 @@ export class SlotPlay {
     }
   }
 
-  /**
-   * Whether `frame` can be brought next: all of layer 0 that it needs is here.
-   * @param {number} frame
-   */
-  has(frame) {
-    if (this.frame !== null && frame === this.frame + 1) return this.#hasSlice(frame);
-    const first = this.layout.segmentStart(frame);
-    if (!this.snapshots.get(first)?.[0]) return false;
-    for (let birth = first + 1; birth <= frame; birth++) if (!this.#hasSlice(birth)) return false;
-    return true;
+  /** Whether what layer 0 of a slice changes is here. @param {number} birth */
+  hasSlice(birth) {
+    return this.masks.has(birth) && Boolean(this.changes.get(birth)?.[0]);
   }
 
-  /** @param {number} birth */
-  #hasSlice(birth) {
-    return this.masks.has(birth) && Boolean(this.changes.get(birth)?.[0]);
+  /** Whether `join` can begin with `frame`: all of layer 0 that it needs is here. @param {number} frame */
+  has(frame) {
+    const first = this.layout.segmentStart(frame);
+    if (!this.snapshots.get(first)?.[0]) return false;
+    for (let birth = first + 1; birth <= frame; birth++) if (!this.hasSlice(birth)) return false;
+    return true;
   }
 
   /**

@@ -1,0 +1,202 @@
+/** Network and decoding, in a thread of their own; see WebPlayer. */
+
+import { FormatError } from "../format/errors.js";
+import { Fetcher, SourceError } from "../source/fetcher.js";
+import { HostedPlay, HostedStream } from "../source/hosted.js";
+import { buffersOf } from "./packing.js";
+import { Playback } from "./playback.js";
+import { SlicePlay } from "./sliceplay.js";
+import { SlotPlay } from "./slotplay.js";
+import { scope } from "./workerscope.js";
+
+const STATE_PERIOD_S = 0.1;
+
+const nowS = () => performance.now() / 1000;
+
+/** One stream, from its opening on. */
+class Player {
+  /**
+   * @param {MessagePort} sorter
+   * @param {HostedStream} stream
+   * @param {Fetcher} fetcher
+   */
+  constructor(sorter, stream, fetcher) {
+    this.sorter = sorter;
+    this.stream = stream;
+    this.fetcher = fetcher;
+    this.loop = false;
+    this.playing = false;
+    this.rate = 1;
+    this.mostLayers = stream.manifest.numLayers;
+    this.generation = 0;
+    this.decodeMs = 0;
+    this.toldS = 0;
+    /** @type {number | undefined} */
+    this.timer = undefined;
+    /** @type {number | null} */
+    this.rateBps = null;
+    /** @type {HostedPlay | undefined} */
+    this.source = undefined;
+    /** @type {Playback | undefined} */
+    this.playback = undefined;
+    this.begin(0);
+  }
+
+  /** Plays from `frame` on: forgets what is here. @param {number} frame */
+  begin(frame) {
+    this.source?.close();
+    const { manifest, numFrames } = this.stream;
+    const first = Math.max(0, Math.min(numFrames - 1, Math.round(frame)));
+    const play = manifest.layout ? new SlotPlay(manifest) : new SlicePlay(manifest);
+    const sink = /** @type {import("../source/hosted.js").Sink} */ (/** @type {unknown} */ (play));
+    this.rateBps = this.source?.session.rateBps ?? this.rateBps;
+    this.source = new HostedPlay(this.stream, sink, first, this.rateBps, nowS);
+    this.source.mostLayers = this.mostLayers;
+    this.source.onNews = () => this.wake();
+    this.playback = new Playback(play, manifest.fps, numFrames, first);
+    this.playback.setRate(this.rate);
+    this.playback.setPlaying(this.playing);
+    this.generation += 1;
+    this.wake();
+  }
+
+  /** Plays, from the beginning after the end, or pauses. @param {boolean} playing */
+  setPlaying(playing) {
+    this.playing = playing;
+    if (playing && this.playback?.hasEnded) this.begin(0);
+    this.playback?.setPlaying(playing);
+    this.source?.session.told(nowS(), this.playback?.nextFrame ?? 0, !playing);
+  }
+
+  /** Looks at once at what is to be done. */
+  wake() {
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.step(), 0);
+  }
+
+  step() {
+    const { source, playback } = this;
+    if (source === undefined || playback === undefined) return;
+    try {
+      if (source.failure !== null) throw source.failure;
+      const waitS = source.step();
+      const beganMs = performance.now();
+      const shown = playback.tick(nowS());
+      if (shown !== null) {
+        this.decodeMs = performance.now() - beganMs;
+        this.show(shown);
+        source.session.told(nowS(), playback.nextFrame, !this.playing);
+      }
+      if (playback.hasEnded && this.playing) {
+        if (this.loop) {
+          this.begin(0);
+          return;
+        }
+        this.playing = false;
+        playback.setPlaying(false);
+        scope.postMessage({ kind: "ended" });
+      }
+      this.tell();
+      const restS = Math.min(waitS, playback.restS(nowS()) ?? 1);
+      clearTimeout(this.timer);
+      this.timer = setTimeout(() => this.step(), 1000 * restS);
+    } catch (error) {
+      this.close();
+      fail(error);
+    }
+  }
+
+  /** @param {import("./playback.js").Shown} shown */
+  show(shown) {
+    const { numGs } = this.stream.manifest;
+    const message = { ...shown, numSlots: numGs, generation: this.generation };
+    this.sorter.postMessage(message, shown.updates.flatMap(buffersOf));
+  }
+
+  /** Tells how things stand, now and then. */
+  tell() {
+    const { source, playback } = this;
+    if (source === undefined || playback === undefined) return;
+    if (nowS() - this.toldS < STATE_PERIOD_S) return;
+    this.toldS = nowS();
+    scope.postMessage({
+      kind: "state",
+      frame: playback.frame,
+      endFrame: playback.endFrame,
+      playing: this.playing,
+      waiting: playback.waiting,
+      stalls: playback.stalls,
+      rateBps: source.session.rateBps,
+      receivedBytes: this.fetcher.receivedBytes,
+      decodeMs: this.decodeMs,
+    });
+  }
+
+  close() {
+    clearTimeout(this.timer);
+    this.source?.close();
+    this.source = undefined;
+  }
+}
+
+/** @type {Player | null} */
+let player = null;
+/** @type {MessagePort | null} */
+let sorter = null;
+
+/** @param {unknown} error */
+function fail(error) {
+  const isOurs = error instanceof SourceError || error instanceof FormatError;
+  const message = error instanceof Error ? error.message : String(error);
+  scope.postMessage({ kind: "failed", message: isOurs ? message : `The player broke: ${message}` });
+  if (!isOurs) throw error;
+}
+
+/** @param {string} base */
+async function open(base) {
+  const onTrouble = (/** @type {string | null} */ message) =>
+    scope.postMessage({ kind: "trouble", message });
+  const fetcher = new Fetcher({ onTrouble });
+  try {
+    const stream = await HostedStream.open(base, fetcher);
+    const { manifest, numFrames } = stream;
+    scope.postMessage({ kind: "opened", manifest: plain(manifest), numFrames });
+    if (sorter !== null) player = new Player(sorter, stream, fetcher);
+  } catch (error) {
+    fail(error);
+  }
+}
+
+/** A manifest as it can be posted. @param {import("../format/manifest.js").Manifest} manifest */
+function plain(manifest) {
+  const { layout, ...rest } = manifest;
+  return { ...rest, lattices: layout?.lattices ?? [] };
+}
+
+scope.onmessage = ({ data }) => {
+  switch (data.kind) {
+    case "open":
+      sorter = data.port;
+      open(data.base);
+      return;
+    case "play":
+      if (player === null) return;
+      player.setPlaying(data.playing);
+      break;
+    case "seek":
+      player?.begin(data.frame);
+      break;
+    case "rate":
+      if (player !== null) player.rate = data.rate;
+      player?.playback?.setRate(data.rate);
+      break;
+    case "loop":
+      if (player !== null) player.loop = data.loop;
+      break;
+    case "layers":
+      if (player !== null) player.mostLayers = data.most;
+      player?.begin(player.playback?.frame ?? 0);
+      break;
+  }
+  player?.wake();
+};

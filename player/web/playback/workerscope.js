@@ -1,0 +1,8 @@
+/**
+ * What a worker says and hears; `self` has another type where the page's own is known.
+ * @typedef {object} WorkerScope
+ * @property {(message: unknown, transfer?: Transferable[]) => void} postMessage
+ * @property {((event: MessageEvent) => void) | null} onmessage
+ */
+
+export const scope = /** @type {WorkerScope} */ (/** @type {unknown} */ (self));

@@ -1,0 +1,108 @@
+/** A stream that cannot be fetched; says what to do. */
+export class SourceError extends Error {
+  /** @param {string} message */
+  constructor(message) {
+    super(message);
+    this.name = "SourceError";
+  }
+}
+
+const FIRST_DELAY_S = 0.25;
+const LONGEST_DELAY_S = 4;
+
+/** How long to wait before try number `tries`, seconds. @param {number} tries from 1 on */
+function delayS(tries) {
+  const mostS = Math.min(LONGEST_DELAY_S, FIRST_DELAY_S * 2 ** (tries - 1));
+  // Clients that lost a server together do not come back together.
+  return mostS * (0.5 + 0.5 * Math.random());
+}
+
+/**
+ * Fetches files, again and again while the network or the server is gone.
+ */
+export class Fetcher {
+  /**
+   * @param {object} [options]
+   * @param {number} [options.giveUpS] seconds without a byte after which it gives up
+   * @param {(message: string | null) => void} [options.onTrouble] told what is wrong, and null when it
+   *   is over
+   */
+  constructor({ giveUpS = 60, onTrouble = () => {} } = {}) {
+    this.giveUpS = giveUpS;
+    this.onTrouble = onTrouble;
+    this.abort = new AbortController();
+    this.receivedBytes = 0;
+  }
+
+  /**
+   * The bytes at a URL, at most `limitBytes`. Rejects with a SourceError.
+   * @param {string} url
+   * @param {number} limitBytes
+   * @param {(numBytes: number) => void} [onBytes] told of each piece that came; what came of a try
+   *   that broke off is taken back as a negative number
+   * @returns {Promise<Uint8Array>}
+   */
+  async get(url, limitBytes, onBytes = () => {}) {
+    const beganS = performance.now() / 1000;
+    for (let tries = 1; ; tries++) {
+      let came = 0;
+      const count = (/** @type {number} */ numBytes) => {
+        came += numBytes;
+        this.receivedBytes += numBytes;
+        onBytes(numBytes);
+      };
+      try {
+        const bytes = await this.#once(url, limitBytes, count);
+        if (tries > 1) this.onTrouble(null);
+        return bytes;
+      } catch (error) {
+        onBytes(-came);
+        this.abort.signal.throwIfAborted();
+        // What fetch throws when there is no network is a TypeError.
+        if (!(error instanceof TypeError)) throw error;
+        if (performance.now() / 1000 - beganS > this.giveUpS) {
+          throw new SourceError(`${url} cannot be reached; check the network and try again`);
+        }
+        this.onTrouble("The network is gone; trying again");
+      }
+      await new Promise((resolve) => setTimeout(resolve, 1000 * delayS(tries)));
+    }
+  }
+
+  /**
+   * @param {string} url
+   * @param {number} limitBytes
+   * @param {(numBytes: number) => void} onBytes
+   */
+  async #once(url, limitBytes, onBytes) {
+    const response = await fetch(url, { signal: this.abort.signal });
+    if (response.status >= 500) throw new TypeError(`HTTP ${response.status}`);
+    if (!response.ok) throw new SourceError(`${url}: HTTP ${response.status}`);
+    /** @type {Uint8Array[]} */
+    const pieces = [];
+    let size = 0;
+    const reader = /** @type {ReadableStream<Uint8Array>} */ (response.body).getReader();
+    for (;;) {
+      const { done, value } = await reader.read();
+      if (done) break;
+      size += value.length;
+      if (size > limitBytes) {
+        await reader.cancel();
+        throw new SourceError(`${url}: more than ${limitBytes} bytes; this is not a stream`);
+      }
+      pieces.push(value);
+      onBytes(value.length);
+    }
+    const bytes = new Uint8Array(size);
+    let at = 0;
+    for (const piece of pieces) {
+      bytes.set(piece, at);
+      at += piece.length;
+    }
+    return bytes;
+  }
+
+  close() {
+    this.abort.abort();
+  }
+}

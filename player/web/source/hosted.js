@@ -1,0 +1,190 @@
+import { streamMedia } from "../delivery/media.js";
+import { PlaySession } from "../delivery/session.js";
+import { corrupt } from "../format/errors.js";
+import { objectPath, readManifest } from "../format/manifest.js";
+import { GZIP, readObject } from "../format/objecttable.js";
+import { inflatePacket } from "../format/packet.js";
+import { readIndex } from "../format/streamindex.js";
+import { SourceError } from "./fetcher.js";
+
+const MAX_MANIFEST_BYTES = 2 ** 20;
+const MAX_INDEX_BYTES = 2 ** 28;
+
+/**
+ * What a source hands over: chunks of slices and snapshots, as a SlotPlay or a SlicePlay takes them.
+ * @typedef {object} Sink
+ * @property {(birth: number, chunk: Uint8Array) => void} addMask
+ * @property {(birth: number, layer: number, chunk: Uint8Array) => void} addChange
+ * @property {(frame: number, layer: number, chunk: Uint8Array) => void} addSnapshot
+ */
+
+/** A stream of files on any static host: whole objects are fetched, in the order of what they are worth. */
+export class HostedStream {
+  /**
+   * @param {string} base URL of the folder, with a slash at its end
+   * @param {import("./fetcher.js").Fetcher} fetcher
+   * @param {import("../format/manifest.js").Manifest} manifest
+   * @param {import("../format/streamindex.js").SegmentRecord[]} records
+   */
+  constructor(base, fetcher, manifest, records) {
+    this.base = base;
+    this.fetcher = fetcher;
+    this.manifest = manifest;
+    this.records = records;
+  }
+
+  /**
+   * Reads manifest and index. Rejects with a SourceError or a FormatError.
+   * @param {string} base
+   * @param {import("./fetcher.js").Fetcher} fetcher
+   */
+  static async open(base, fetcher) {
+    const manifest = readManifest(await fetcher.get(`${base}manifest.json`, MAX_MANIFEST_BYTES));
+    const index = await fetcher.get(`${base}index.bin`, MAX_INDEX_BYTES);
+    const records = readIndex(index, manifest);
+    if (records.length === 0) throw new SourceError(`${base} has no frames yet; come back later`);
+    return new HostedStream(base, fetcher, { ...manifest, live: false }, records);
+  }
+
+  get numFrames() {
+    const last = this.records[this.records.length - 1];
+    return last.firstFrame + last.numFrames;
+  }
+
+  /**
+   * The packets of an object. Rejects with a SourceError or a FormatError.
+   * @param {import("../format/streamindex.js").SegmentRecord} record
+   * @param {string} part
+   * @param {(numBytes: number) => void} onBytes
+   */
+  async object(record, part, onBytes) {
+    const { manifest } = this;
+    const url = new URL(objectPath(manifest, record.segment, part), this.base).href;
+    const size = record.objectBytes[manifest.parts.indexOf(part)];
+    const bytes = await this.fetcher.get(url, size, onBytes);
+    if (bytes.length !== size)
+      throw corrupt(`${url}: ${bytes.length} bytes, the index says ${size}`);
+    const { coder, packets } = readObject(bytes, manifest.version);
+    if (coder !== GZIP) {
+      throw new SourceError(
+        "This host has the stream as it was trained; export it: swings-stream export --static",
+      );
+    }
+    return packets;
+  }
+}
+
+/** The chunk of one packet may inflate to this much. @param {import("../format/manifest.js").Manifest} manifest @param {string} part */
+function limitBytes({ layout, numGs, swinSize, shDegree }, part) {
+  if (layout === null) return 24 + 48 + (numGs / swinSize) * (69 + 15 * (shDegree + 1) ** 2);
+  if (part === "masks") return layout.maxMaskBytes;
+  if (part.startsWith("snapshot-")) return layout.maxSnapshotBytes(Number(part.slice(9)));
+  return layout.maxChangeBytes(Number(part));
+}
+
+/** One play of a hosted stream: fetches what the session decides, and hands it over. */
+export class HostedPlay {
+  /**
+   * @param {HostedStream} stream
+   * @param {Sink} sink
+   * @param {number} firstFrame
+   * @param {number | null} rateBps what is known of the link
+   * @param {() => number} nowS
+   */
+  constructor(stream, sink, firstFrame, rateBps, nowS) {
+    this.stream = stream;
+    this.sink = sink;
+    this.nowS = nowS;
+    this.session = new PlaySession(streamMedia(stream.manifest, stream.records), nowS(), {
+      firstFrame,
+      rateBps,
+    });
+    this.comeBytes = 0;
+    /** @type {unknown} */
+    this.failure = null;
+    this.isClosed = false;
+    /** @type {Map<string, Promise<void>>} objects by name; of those that are here, too */
+    this.fetched = new Map();
+    /** @type {() => void} called when something has come or failed */
+    this.onNews = () => {};
+    /** Layers that are asked for, at most. */
+    this.mostLayers = stream.manifest.numLayers;
+  }
+
+  /** Asks for what is worth it now; gives seconds until it should be called again, at most. */
+  step() {
+    for (;;) {
+      const nowS = this.nowS();
+      this.session.acknowledge(nowS, this.comeBytes);
+      const decision = this.session.decide(nowS);
+      switch (decision.kind) {
+        case "slices":
+        case "snapshots":
+          this.#ask(decision, nowS);
+          break;
+        case "waitUntil":
+          return Math.max(0, decision.timeS - nowS);
+        default:
+          return 0.1;
+      }
+    }
+  }
+
+  /**
+   * @param {import("../delivery/outlook.js").Send} send
+   * @param {number} nowS
+   */
+  #ask(send, nowS) {
+    const { manifest, records } = this.stream;
+    const { segmentFrames } = manifest;
+    const birth = send.kind === "slices" ? send.birth : send.frame;
+    const record = records[Math.floor(Math.max(birth, 0) / segmentFrames)];
+    const parts = [];
+    for (let layer = send.firstLayer; layer < send.endLayer; layer++) {
+      if (send.kind === "snapshots") parts.push(`snapshot-${layer}`);
+      else parts.push(...(layer === 0 && manifest.layout ? ["masks", "0"] : [String(layer)]));
+    }
+    const isAllowed = send.firstLayer < this.mostLayers;
+    let numBytes = 0;
+    for (const part of parts) {
+      const name = `${record.segment}/${part}`;
+      if (!isAllowed || this.fetched.has(name)) continue;
+      numBytes += record.objectBytes[manifest.parts.indexOf(part)];
+      this.fetched.set(name, this.#fetch(record, part));
+    }
+    const end = record.firstFrame + record.numFrames;
+    this.session.sent(send.kind === "slices" ? { ...send, endBirth: end } : send, numBytes, nowS);
+  }
+
+  /**
+   * @param {import("../format/streamindex.js").SegmentRecord} record
+   * @param {string} part
+   */
+  async #fetch(record, part) {
+    try {
+      const { manifest } = this.stream;
+      const packets = await this.stream.object(record, part, (numBytes) => {
+        this.comeBytes += numBytes;
+        this.onNews();
+      });
+      const layer = Number(part.replace("snapshot-", ""));
+      const early = record.segment === 0 && !manifest.layout ? manifest.swinSize - 1 : 0;
+      const limit = limitBytes(manifest, part);
+      for (let n = -early; n < record.numFrames; n++) {
+        const birth = record.firstFrame + n;
+        const chunk = await inflatePacket(packets.get(birth) ?? new Uint8Array(0), limit);
+        if (this.isClosed) return;
+        if (part === "masks") this.sink.addMask(birth, chunk);
+        else if (!part.startsWith("snapshot-")) this.sink.addChange(birth, layer, chunk);
+        else if (chunk.length > 0) this.sink.addSnapshot(birth, layer, chunk);
+      }
+    } catch (error) {
+      if (!this.isClosed) this.failure ??= error;
+    }
+    this.onNews();
+  }
+
+  close() {
+    this.isClosed = true;
+  }
+}
