@@ -18,6 +18,7 @@ import { EMPTY, ON_LATTICE, UNKNOWN } from "../../../player/web/format/slots.js"
 import { SlicePlay } from "../../../player/web/playback/sliceplay.js";
 import { SlotPlay } from "../../../player/web/playback/slotplay.js";
 import { DepthOrder } from "../../../player/web/renderer/depthorder.js";
+import { Orbit } from "../../../player/web/view/orbit.js";
 import { readIndex } from "../../../player/web/format/streamindex.js";
 import { opacityLogits } from "../../../player/web/format/opacity.js";
 
@@ -180,6 +181,22 @@ const ANSWERS = {
       frames.push([...slots].map((slot) => hex(order.means.subarray(3 * slot, 3 * slot + 3))));
     }
     return frames;
+  },
+  /** The default camera as a person has moved it. */
+  moved({ manifest, widthPx, heightPx, moves, again }) {
+    const read = readManifest(unhex(manifest));
+    let orbit = new Orbit(read);
+    for (const [what, ...args] of moves) {
+      if (what === "turn") orbit.dragTurn(args[0], args[1]);
+      else if (what === "pan") orbit.dragPan(args[0], args[1], args[2]);
+      else orbit.approach(args[0]);
+    }
+    if (again) {
+      const { text } = orbit;
+      orbit = new Orbit(read);
+      orbit.text = text;
+    }
+    return orbit.camera(read.defaultCamera, widthPx, heightPx);
   },
   sizes({ manifest, bytes }) {
     const read = readManifest(unhex(manifest));

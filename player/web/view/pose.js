@@ -1,0 +1,60 @@
+import { dot, times } from "./vectors.js";
+
+/** @typedef {import("./vectors.js").Vector} Vector */
+
+/**
+ * Where a camera is and looks: its axes in the world.
+ * @typedef {object} Pose
+ * @property {Vector} position metres
+ * @property {Vector} right
+ * @property {Vector} down
+ * @property {Vector} forward
+ */
+
+/** @param {import("../format/camera.js").Camera} camera @returns {Pose} */
+export function poseOf({ w2c }) {
+  const [right, down, forward] = [0, 4, 8].map((at) => w2c.slice(at, at + 3));
+  const shift = [w2c[3], w2c[7], w2c[11]];
+  const position = [0, 1, 2].map(
+    (axis) => -(right[axis] * shift[0] + down[axis] * shift[1] + forward[axis] * shift[2]),
+  );
+  return { position, right, down, forward };
+}
+
+/**
+ * World to camera, (4, 4) row by row.
+ * @param {Pose} pose
+ * @returns {number[]}
+ */
+export function worldToCamera({ position, right, down, forward }) {
+  const rows = [right, down, forward].map((axis) => [...axis, -dot(axis, position)]);
+  return [...rows.flat(), 0, 0, 0, 1];
+}
+
+/**
+ * The view of a camera inside a picture of another size: all that showed still shows, and where the
+ * shapes of the pictures differ there is more to see at two sides.
+ * @param {import("../format/camera.js").Camera} camera
+ * @param {number} widthPx
+ * @param {number} heightPx
+ * @returns {import("../format/camera.js").Camera}
+ */
+export function fitted(camera, widthPx, heightPx) {
+  const scale = Math.min(widthPx / camera.widthPx, heightPx / camera.heightPx);
+  return {
+    ...camera,
+    widthPx,
+    heightPx,
+    fxPx: camera.fxPx * scale,
+    fyPx: camera.fyPx * scale,
+    cxPx: widthPx / 2 + (camera.cxPx - camera.widthPx / 2) * scale,
+    cyPx: heightPx / 2 + (camera.cyPx - camera.heightPx / 2) * scale,
+  };
+}
+
+/** The direction in which the tops of the cameras' pictures point. @param {Pose[]} poses */
+export function meanUp(poses) {
+  const up = [0, 1, 2].map((axis) => -poses.reduce((sum, { down }) => sum + down[axis], 0));
+  const size = Math.hypot(...up);
+  return size > 1e-3 * poses.length ? times(up, 1 / size) : times(poses[0].down, -1);
+}
