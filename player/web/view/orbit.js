@@ -48,9 +48,13 @@ function closestPoint(poses) {
   const det = a[0] * minor(0, 0) - a[1] * minor(0, 1) + a[2] * minor(0, 2);
   // The axes are as good as parallel.
   if (!(det > 1e-3)) return null;
-  return [0, 1, 2].map(
+  const point = [0, 1, 2].map(
     (i) => [0, 1, 2].reduce((sum, j) => sum + ((i + j) % 2 ? -1 : 1) * minor(j, i) * b[j], 0) / det,
   );
+  const isSeen = poses.every(
+    ({ position, forward }) => dot(subtract(point, position), forward) > 0,
+  );
+  return isSeen ? point : null;
 }
 
 /** Where a person has turned, moved and zoomed the camera. */

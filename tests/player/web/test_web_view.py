@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,12 +13,12 @@ from player.view.mouse import view_of
 from tests.support.hosted_streams import small_manifest
 from tests.support.web.browsercode import BrowserCode
 
-MOVES = (
-    ("turn", 120.0, -30.0),
-    ("zoom", 3.0),
-    ("pan", 40.0, 25.0, 500.0),
-    ("turn", -400.0, 900.0),
-    ("zoom", -90.0),
+MOVES: tuple[tuple[str, tuple[float, ...]], ...] = (
+    ("turn", (120.0, -30.0)),
+    ("zoom", (3.0,)),
+    ("pan", (40.0, 25.0, 500.0)),
+    ("turn", (-400.0, 900.0)),
+    ("zoom", (-90.0,)),
 )
 
 
@@ -32,21 +33,20 @@ def outward() -> Manifest:
 @pytest.mark.parametrize("again", [False, True], ids=["moved", "by a link"])
 def test_the_camera(browser: BrowserCode, manifest: Manifest, again: bool) -> None:
     view = view_of(manifest)
-    for count, move in enumerate(MOVES, 1):
-        match move:
-            case ("turn", right_px, down_px):
-                view.drag_turn(right_px, down_px)
-            case ("pan", right_px, down_px, focal_px):
-                view.drag_pan(right_px, down_px, focal_px)
-            case ("zoom", steps):
-                view.scroll(steps)
+    actions: dict[str, Callable[..., None]] = {
+        "turn": view.drag_turn,
+        "pan": view.drag_pan,
+        "zoom": view.scroll,
+    }
+    for count, (name, arguments) in enumerate(MOVES, 1):
+        actions[name](*arguments)
         expected = view.applied(manifest.camera().fitted(390, 844))
         found = browser.ask(
             "moved",
             manifest=manifest.to_json().hex(),
             widthPx=390,
             heightPx=844,
-            moves=MOVES[:count],
+            moves=[[name, *arguments] for name, arguments in MOVES[:count]],
             again=again,
         )
         w2c = np.array(found["w2c"]).reshape(4, 4)
