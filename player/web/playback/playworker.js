@@ -28,7 +28,6 @@ class Player {
     this.playing = false;
     this.rate = 1;
     this.mostLayers = stream.manifest.numLayers;
-    this.generation = 0;
     this.decodeMs = 0;
     this.toldS = 0;
     /** @type {number | undefined} */
@@ -56,7 +55,6 @@ class Player {
     this.playback = new Playback(play, manifest.fps, numFrames, first);
     this.playback.setRate(this.rate);
     this.playback.setPlaying(this.playing);
-    this.generation += 1;
     this.wake();
   }
 
@@ -109,7 +107,7 @@ class Player {
   /** @param {import("./playback.js").Shown} shown */
   show(shown) {
     const { numGs } = this.stream.manifest;
-    const message = { ...shown, numSlots: numGs, generation: this.generation };
+    const message = { ...shown, numSlots: numGs };
     this.sorter.postMessage(message, shown.updates.flatMap(buffersOf));
   }
 

@@ -7,39 +7,45 @@ import { DepthOrder } from "../renderer/depthorder.js";
 import { buffersOf } from "./packing.js";
 import { scope } from "./workerscope.js";
 
+/** @typedef {import("./playback.js").Shown & { numSlots: number }} Coming */
+
 /** @type {DepthOrder | null} */
 let order = null;
-/** @type {{ w2c: number[], nearM: number } | null} */
-let view = null;
-/** @type {import("./playback.js").Shown | null} what has not been drawn yet */
-let coming = null;
-let frame = 0;
-let generation = 0;
-/** Whether the thread that draws waits for an order; one is underway at most. */
-let isWanted = false;
+/** @type {Coming | null} the newest frame */
+let newest = null;
+/** @type {import("./packing.js").SplatUpdate[]} of what has not been handed on yet */
+let updates = [];
+/** @type {{ w2c: number[], nearM: number } | null} set while the thread that draws waits */
+let wanted = null;
+/** Whether something is new since the last order: a frame, or where the camera is. */
+let isStale = false;
 
-/** Takes in a frame. @param {import("./playback.js").Shown & { numSlots: number, generation: number }} shown */
+/** @param {Coming} shown */
 function take(shown) {
-  if (order === null || shown.isJoin) order = new DepthOrder(shown.numSlots);
-  for (const { slots, means, starts } of shown.updates) order.put(slots, means, starts);
-  const before = shown.isJoin ? [] : (coming?.updates ?? []);
-  coming = { ...shown, isJoin: shown.isJoin || (coming?.isJoin ?? false) };
-  coming.updates = [...before, ...shown.updates];
-  ({ frame, generation } = shown);
+  if (order === null || shown.isJoin) {
+    order = new DepthOrder(shown.numSlots);
+    updates = [];
+  }
+  for (const update of shown.updates) order.put(update.slots, update.means, update.starts);
+  updates.push(...shown.updates);
+  newest = shown;
+  isStale = true;
 }
 
-/** Sorts if that is wanted and there is something to sort. */
+/** Answers whoever waits, once there is something new. */
 function sort() {
-  if (!isWanted || order === null || view === null) return;
-  isWanted = false;
+  if (wanted === null || order === null || newest === null || !isStale) return;
   const beganMs = performance.now();
-  const slots = order.farFirst(frame, view.w2c, view.nearM);
-  const updates = coming?.updates ?? [];
-  const isJoin = coming?.isJoin ?? false;
-  coming = null;
+  const slots = order.farFirst(newest.frame, wanted.w2c, wanted.nearM);
   const sortMs = performance.now() - beganMs;
-  const buffers = [/** @type {ArrayBuffer} */ (slots.buffer), ...updates.flatMap(buffersOf)];
-  scope.postMessage({ frame, generation, isJoin, updates, order: slots, sortMs }, buffers);
+  const handed = updates;
+  wanted = null;
+  updates = [];
+  isStale = false;
+  scope.postMessage({ frame: newest.frame, updates: handed, order: slots, sortMs }, [
+    /** @type {ArrayBuffer} */ (slots.buffer),
+    ...handed.flatMap(buffersOf),
+  ]);
 }
 
 scope.onmessage = ({ data }) => {
@@ -51,7 +57,7 @@ scope.onmessage = ({ data }) => {
     };
     return;
   }
-  view = data.view;
-  isWanted = true;
+  wanted = data.view;
+  isStale ||= data.isMoved;
   sort();
 };

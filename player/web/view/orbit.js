@@ -102,8 +102,12 @@ export class Orbit {
 
   /** Nearer by so many steps of a wheel. @param {number} steps */
   approach(steps) {
-    const zoom = this.zoom * ZOOM_PER_STEP ** steps;
-    this.zoom = Math.min(Math.max(zoom, LEAST_ZOOM), MOST_ZOOM);
+    this.scale(ZOOM_PER_STEP ** steps);
+  }
+
+  /** Makes the distance to the centre `factor` times what it was. @param {number} factor */
+  scale(factor) {
+    this.zoom = Math.min(Math.max(this.zoom * factor, LEAST_ZOOM), MOST_ZOOM);
   }
 
   /**

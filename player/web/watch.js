@@ -1,0 +1,17 @@
+/** The page of one stream: `watch.html?src=FOLDER`, perhaps with t (seconds), view, loop. */
+
+import "./element/swingsplayer.js";
+
+const query = new URLSearchParams(location.search);
+const player = document.createElement("swings-player");
+player.setAttribute("src", query.get("src") ?? "./");
+for (const [name, attribute] of [
+  ["t", "start"],
+  ["view", "view"],
+]) {
+  const value = query.get(name);
+  if (value !== null) player.setAttribute(attribute, value);
+}
+player.toggleAttribute("loop", query.get("loop") !== "0");
+player.toggleAttribute("autoplay", query.get("autoplay") !== "0");
+document.body.append(player);
