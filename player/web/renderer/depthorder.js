@@ -43,7 +43,8 @@ export class DepthOrder {
     const slots = this.slots[0];
     const [a, b, c, d] = w2c.slice(8, 12);
     let found = 0;
-    for (let slot = 0; slot < starts.length; slot++) {
+    // The last slot first: of equally far ones the first is in front, as the CPU renderer has them.
+    for (let slot = starts.length - 1; slot >= 0; slot--) {
       if (starts[slot] > frame) continue;
       const z = a * means[3 * slot] + b * means[3 * slot + 1] + c * means[3 * slot + 2] + d;
       if (z <= nearM) continue;

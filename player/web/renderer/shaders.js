@@ -63,14 +63,14 @@ uint word(int item, int n) {
   return texelFetch(staged, ivec2(at % STAGED_WIDTH_PX, at / STAGED_WIDTH_PX), 0)[n % 4];
 }
 
-int attribute(int item, int i) {
+int code_of(int item, int i) {
   return int(word(item, 4 + i / 4) << (24 - 8 * (i % 4))) >> 24;
 }
 
-vec3 rgb(int item, int c, float step) {
-  float y = float(attribute(item, 6 + c)) * step;
-  float co = float(attribute(item, 6 + K + c)) * step;
-  float cg = float(attribute(item, 6 + 2 * K + c)) * step;
+vec3 rgb(int item, int c, float size) {
+  float y = float(code_of(item, 6 + c)) * size;
+  float co = float(code_of(item, 6 + K + c)) * size;
+  float cg = float(code_of(item, 6 + 2 * K + c)) * size;
   return vec3(y - cg + co, y + cg, y - cg - co);
 }
 
@@ -78,19 +78,19 @@ void main() {
   int item = gl_VertexID / TEXELS;
   uint place = word(item, 3);
   int layer = int(place >> 24);
-  vec4 step = steps[layer];
+  vec4 sizes = steps[layer];
   vec2 more = more_steps[layer];
-  vec3 mean = vec3(ivec3(word(item, 0), word(item, 1), word(item, 2))) * step.x;
-  vec3 a = vec3(attribute(item, 0), attribute(item, 1), attribute(item, 2));
-  vec3 turn = vec3(attribute(item, 3), attribute(item, 4), attribute(item, 5)) * step.w;
+  vec3 mean = vec3(ivec3(word(item, 0), word(item, 1), word(item, 2))) * sizes.x;
+  vec3 a = vec3(code_of(item, 0), code_of(item, 1), code_of(item, 2));
+  vec3 turn = vec3(code_of(item, 3), code_of(item, 4), code_of(item, 5)) * sizes.w;
   vec4 quat = vec4(sqrt(max(1.0 - dot(turn, turn), 0.0)), turn);
-  float opacity = float(attribute(item, 6 + 3 * K) & 255) / more.y;
+  float opacity = float(code_of(item, 6 + 3 * K) & 255) / more.y;
 #if K >= 4
   vec3 first = rgb(item, 1, more.x), second = rgb(item, 2, more.x), third = rgb(item, 3, more.x);
 #else
   vec3 first = vec3(0.0), second = vec3(0.0), third = vec3(0.0);
 #endif
-  finish(place & 0xffffffu, gl_VertexID % TEXELS, mean, a * step.y + step.z, quat, opacity,
+  finish(place & 0xffffffu, gl_VertexID % TEXELS, mean, a * sizes.y + sizes.z, quat, opacity,
          rgb(item, 0, more.x), first, second, third);
 }
 `;
