@@ -275,8 +275,9 @@ export class SwingsPlayerElement extends HTMLElement {
   #pressed(event, player) {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     const target = /** @type {Element} */ (event.composedPath()[0]);
-    const isOnButton = target instanceof HTMLButtonElement || target instanceof HTMLSelectElement;
-    const isOnScrub = target === this.#scrub;
+    // What has a use for a key keeps it.
+    const isOnSelect = target instanceof HTMLSelectElement;
+    const isOnButton = target instanceof HTMLButtonElement;
     const { frame } = player.state;
     const step = event.shiftKey ? 1 : Math.round(player.manifest?.fps ?? 30);
     const turn = (/** @type {number} */ x, /** @type {number} */ y) => {
@@ -298,8 +299,8 @@ export class SwingsPlayerElement extends HTMLElement {
       "+": () => this.#approach(player, 1),
       "-": () => this.#approach(player, -1),
     };
-    if (!isOnButton) actions[" "] = () => this.togglePlaying();
-    if (!isOnButton && !isOnScrub) {
+    if (!isOnButton && !isOnSelect) actions[" "] = () => this.togglePlaying();
+    if (!isOnSelect && target !== this.#scrub) {
       actions.arrowleft = () => player.seek(Math.max(0, frame - step));
       actions.arrowright = () => player.seek(Math.min(player.numFrames - 1, frame + step));
       actions.home = () => player.seek(0);
