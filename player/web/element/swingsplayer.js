@@ -24,6 +24,7 @@ export class SwingsPlayerElement extends HTMLElement {
   #idleTimer = 0;
   #statsTimer = 0;
   #scrubbing = false;
+  #resumes = false;
 
   constructor() {
     super();
@@ -132,9 +133,24 @@ export class SwingsPlayerElement extends HTMLElement {
       this.#scrubbing = false;
       player.seek(Number(this.#scrub.value));
     });
+    document.addEventListener("visibilitychange", () => this.#seenOrNot(player), { signal });
     this.addEventListener("keydown", (event) => this.#pressed(event, player), { signal });
     for (const type of ["pointermove", "pointerdown", "keydown", "focusin"]) {
       this.addEventListener(type, () => this.#awake(), { signal });
+    }
+  }
+
+  /**
+   * Nothing is drawn of what nobody sees, and what is not drawn would pile up: a hidden page pauses.
+   * @param {WebPlayer} player
+   */
+  #seenOrNot(player) {
+    if (document.hidden) {
+      this.#resumes = player.state.playing;
+      if (this.#resumes) player.setPlaying(false);
+    } else if (this.#resumes) {
+      this.#resumes = false;
+      player.setPlaying(true);
     }
   }
 
