@@ -174,7 +174,8 @@ const ANSWERS = {
         const bytes = unhex(files[`segments/${record.segment}/${part}`]);
         await addObject(play, manifest, record, part, bytes);
       }
-      if (!play.has(frame)) throw new Error(`frame ${frame} is not there`);
+      const isThere = frame === first ? play.has(frame) : play.hasSlice(frame);
+      if (!isThere) throw new Error(`frame ${frame} is not there`);
       const updates = frame === first ? play.join(frame) : play.advance(frame);
       for (const { slots, means, starts } of updates) order.put(slots, means, starts);
       const slots = order.farFirst(frame, manifest.defaultCamera.w2c, manifest.nearM);
