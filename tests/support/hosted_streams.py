@@ -97,14 +97,14 @@ def write_stream(
 
 
 @contextlib.contextmanager
-def static_host(folder: Path) -> Iterator[str]:
-    """The URL of a plain file server of `folder`."""
+def static_host(folder: Path, port: int = 0) -> Iterator[str]:
+    """The URL of a plain file server of `folder`. port: 0 takes a free one."""
 
     class Handler(SimpleHTTPRequestHandler):
         def log_message(self, format: str, *args: object) -> None:
             pass
 
-    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=str(folder)))
+    server = ThreadingHTTPServer(("127.0.0.1", port), partial(Handler, directory=str(folder)))
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
     thread.start()
     try:

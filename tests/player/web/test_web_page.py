@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,6 +18,11 @@ ROOT = Path(__file__).parents[3]
 NUM_FRAMES = 60
 STATE = "document.querySelector('swings-player').player.state"
 PLAYER = "document.querySelector('swings-player').player"
+
+
+def note(selector: str) -> str:
+    """The expression for what a note on the page says."""
+    return f"document.querySelector('swings-player').shadowRoot.querySelector('{selector}').textContent"
 
 
 @pytest.fixture
@@ -50,3 +56,42 @@ def test_it_plays_pauses_seeks_and_ends(watched: Page, tmp_path: Path) -> None:
     watched.wait(f"{PLAYER}.shownFrame === {NUM_FRAMES - 1}", 30)
     watched.press("k")
     watched.wait(f"{PLAYER}.shownFrame < 30 && {STATE}.playing", 30)
+
+
+@pytest.fixture(scope="module")
+def long_stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the page and a stream of 20 s."""
+    tmp_path = tmp_path_factory.mktemp("long")
+    layout = small_layout(1, (20, 20, 10), 0, 15)
+    write_busy_stream(tmp_path / "stream", 600, layout)
+    export_static(tmp_path / "stream", tmp_path / "static")
+    (tmp_path / "web").symlink_to(ROOT / "player" / "web")
+    return tmp_path
+
+
+def test_three_seconds_without_a_network(page: Page, long_stream: Path) -> None:
+    with static_host(long_stream) as url:
+        page.open(f"{url}/web/watch.html?src=../static", 320, 240)
+        page.wait(f"{STATE}?.endFrame - {STATE}.frame > 150", 60)
+        page.set_offline(True)
+        frame = page.run(f"return {STATE}.frame")
+        time.sleep(3)
+        page.set_offline(False)
+        page.wait(f"{STATE}.frame > {frame + 60}")
+        page.wait(f"{STATE}.endFrame - {STATE}.frame > 150")
+        assert page.run(f"return {STATE}.stalls") == 0
+
+
+def test_a_host_that_is_gone_for_a_while_and_a_stream_that_is_not_there(
+    page: Page, long_stream: Path
+) -> None:
+    with static_host(long_stream) as url:
+        page.open(f"{url}/web/watch.html?src=../static", 320, 240)
+        page.wait(f"{STATE}?.endFrame > 60", 60)
+    page.wait(f"{note('.note.soft')}.includes('trying again')", 30)
+    with static_host(long_stream, int(url.rpartition(":")[2])):
+        page.wait(f"{note('.note.soft')} === ''", 30)
+        end = page.run(f"return {STATE}.endFrame")
+        page.wait(f"{STATE}.endFrame > {end + 30}", 30)
+        page.run("document.querySelector('swings-player').setAttribute('src', '../nothing')")
+        page.wait(f"{note('.note:not(.soft)')}.includes('HTTP 404')", 30)
