@@ -8,7 +8,8 @@ export class SourceError extends Error {
 }
 
 const FIRST_DELAY_S = 0.25;
-const LONGEST_DELAY_S = 4;
+/** Well below what is buffered: a network that comes back is noticed before the picture stalls. */
+const LONGEST_DELAY_S = 1;
 
 /** How long to wait before try number `tries`, seconds. @param {number} tries from 1 on */
 function delayS(tries) {

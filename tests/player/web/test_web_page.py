@@ -22,7 +22,8 @@ PLAYER = "document.querySelector('swings-player').player"
 
 def note(selector: str) -> str:
     """The expression for what a note on the page says."""
-    return f"document.querySelector('swings-player').shadowRoot.querySelector('{selector}').textContent"
+    root = "document.querySelector('swings-player').shadowRoot"
+    return f"{root}.querySelector('{selector}').textContent"
 
 
 @pytest.fixture
