@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import random
+import shutil
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -96,3 +98,43 @@ def test_a_host_that_is_gone_for_a_while_and_a_stream_that_is_not_there(
         page.wait(f"{STATE}.endFrame > {end + 30}", 30)
         page.run("document.querySelector('swings-player').setAttribute('src', '../nothing')")
         page.wait(f"{note('.note:not(.soft)')}.includes('HTTP 404')", 30)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("manifest.json", "flipped"),
+        ("index.bin", "random"),
+        ("segments/0/masks", "flipped"),
+        ("segments/0/0", "random"),
+        ("segments/0/1", "flipped"),
+        ("segments/0/snapshot-0", "cut"),
+    ],
+)
+def test_a_file_that_was_altered(page: Page, long_stream: Path, name: str, kind: str) -> None:
+    """The page says what is wrong, or plays without it; it does not break, and does not hang."""
+    rng = random.Random(name + kind)
+    folder = long_stream / f"altered-{kind}"
+    if not folder.exists():
+        shutil.copytree(long_stream / "static", folder)
+    file = folder / name
+    good = file.read_bytes()
+    altered = bytearray(good)
+    if kind == "flipped":
+        for _ in range(12):
+            altered[rng.randrange(len(altered))] ^= 1 << rng.randrange(8)
+    elif kind == "cut":
+        del altered[len(altered) // 2 :]
+    else:
+        altered[40:] = rng.randbytes(len(altered) - 40)
+    file.write_bytes(altered)
+    try:
+        with static_host(long_stream) as url:
+            page.open(f"{url}/web/watch.html?src=../{folder.name}", 320, 240)
+            says = f"{note('.note:not(.soft)')} !== ''"
+            page.wait(f"{says} || {STATE}?.frame > 20", 30)
+            text = page.run(f"return {note('.note:not(.soft)')}")
+            assert "broke" not in text
+            assert not page.complaints
+    finally:
+        file.write_bytes(good)
