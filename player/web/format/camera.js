@@ -1,5 +1,5 @@
-import { corrupt } from "./errors.js";
-import { field, integer, number, text } from "./json.js";
+import { corrupt } from "./bytes/errors.js";
+import { field, integer, number, text } from "./bytes/json.js";
 
 const MAX_IMAGE_PX = 16384;
 

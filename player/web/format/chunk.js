@@ -1,8 +1,8 @@
 /** Chunks of version 1: one layer of one slice, by itself (FORMAT.md, sections 4, 5 and 11). */
 
-import { ByteReader } from "./bytereader.js";
+import { ByteReader } from "./bytes/bytereader.js";
 import { readCompact } from "./compact.js";
-import { corrupt, unsupported } from "./errors.js";
+import { corrupt, unsupported } from "./bytes/errors.js";
 import { checkGaussians, emptyGaussians, numCoefficients, readGaussians } from "./gaussians.js";
 import { opacityLogits } from "./opacity.js";
 

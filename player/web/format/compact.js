@@ -1,8 +1,8 @@
 /** Profile compact of version 1 (FORMAT.md, section 6). */
 
-import { BitReader } from "./bitreader.js";
-import { ByteReader } from "./bytereader.js";
-import { corrupt } from "./errors.js";
+import { BitReader } from "./bytes/bitreader.js";
+import { ByteReader } from "./bytes/bytereader.js";
+import { corrupt } from "./bytes/errors.js";
 import { emptyGaussians, readGaussians } from "./gaussians.js";
 import { opacityLogits } from "./opacity.js";
 

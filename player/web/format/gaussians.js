@@ -1,4 +1,4 @@
-import { corrupt } from "./errors.js";
+import { corrupt } from "./bytes/errors.js";
 
 /**
  * A set of N Gaussians as f32, one after another in every array.
@@ -33,7 +33,7 @@ export function emptyGaussians(count, k) {
 
 /**
  * Gaussians as they stand in a raw chunk or as escapes (FORMAT.md, section 5).
- * @param {import("./bytereader.js").ByteReader} reader
+ * @param {import("./bytes/bytereader.js").ByteReader} reader
  * @param {number} count
  * @param {number} k coefficients
  * @returns {Gaussians}

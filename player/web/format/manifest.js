@@ -2,9 +2,9 @@
 
 import { readCamera } from "./camera.js";
 import { MAX_COUNT, PROFILES } from "./chunk.js";
-import { corrupt, unsupported } from "./errors.js";
-import { boolean, field, integer, list, number, text } from "./json.js";
-import { SlotLayout } from "./slotlayout.js";
+import { corrupt, unsupported } from "./bytes/errors.js";
+import { boolean, field, integer, list, number, text } from "./bytes/json.js";
+import { SlotLayout } from "./slots/slotlayout.js";
 
 const { fround } = Math;
 
@@ -161,7 +161,7 @@ function readLayout(value, swinSize, segmentFrames, shDegree, numGs) {
 
 /**
  * @param {unknown} row
- * @returns {import("./slotlayout.js").Lattice}
+ * @returns {import("./slots/slotlayout.js").Lattice}
  */
 function readLattice(row) {
   const step = (/** @type {string} */ key) => {

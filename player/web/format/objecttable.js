@@ -1,7 +1,7 @@
 /** An object: the packets of one part of a segment, behind a table (FORMAT.md, sections 7 and 18). */
 
-import { ByteReader } from "./bytereader.js";
-import { corrupt, unsupported } from "./errors.js";
+import { ByteReader } from "./bytes/bytereader.js";
+import { corrupt, unsupported } from "./bytes/errors.js";
 
 const SKIPPABLE_MAGIC = 0x184d2a50;
 const ENTRY_BYTES = 12;

@@ -1,6 +1,6 @@
 /** A packet is one chunk, compressed (FORMAT.md, section 7). The browser inflates gzip by itself. */
 
-import { corrupt, unsupported } from "./errors.js";
+import { corrupt, unsupported } from "./bytes/errors.js";
 
 export const LARGEST_CHUNK_BYTES = 64 + 248_512_560;
 const GZIP_MAGIC = 0x1f8b0800;

@@ -1,8 +1,8 @@
 /** The records of a /play response (FORMAT.md, sections 10 and 20). */
 
-import { ByteReader } from "./bytereader.js";
-import { corrupt } from "./errors.js";
-import { readMap } from "./msgpack.js";
+import { ByteReader } from "./bytes/bytereader.js";
+import { corrupt } from "./bytes/errors.js";
+import { readMap } from "./bytes/msgpack.js";
 
 export const MAX_RECORD_BYTES = 2 ** 26;
 const MAX_LAYERS = 16;

@@ -1,8 +1,8 @@
 /** index.bin: one record for each finished segment (FORMAT.md, sections 8 and 18). */
 
-import { ByteReader } from "./bytereader.js";
-import { crc32 } from "./crc32.js";
-import { corrupt } from "./errors.js";
+import { ByteReader } from "./bytes/bytereader.js";
+import { crc32 } from "./bytes/crc32.js";
+import { corrupt } from "./bytes/errors.js";
 
 const MAX_OBJECT_BYTES = 2 ** 30;
 

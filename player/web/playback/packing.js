@@ -1,7 +1,7 @@
 /** What changed, as the renderer and the sorting take it. */
 
 import { opacityLogits } from "../format/opacity.js";
-import { ESCAPED, ON_LATTICE } from "../format/slots.js";
+import { ESCAPED, ON_LATTICE } from "../format/slots/slots.js";
 import { NEVER } from "../renderer/depthorder.js";
 import { ALPHA_MIN } from "../renderer/recipe.js";
 import { floatWords, latticeWords } from "../renderer/resident.js";
@@ -30,8 +30,8 @@ export function buffersOf(update) {
 
 /**
  * What changed in a lane of a stream of version 2.
- * @param {import("../format/slotdecoder.js").SlotDecoder} decoder
- * @param {import("../format/slotdecoder.js").SlotSlice} slice
+ * @param {import("../format/slots/slotdecoder.js").SlotDecoder} decoder
+ * @param {import("../format/slots/slotdecoder.js").SlotSlice} slice
  * @param {number} frame from which it shows
  * @returns {SplatUpdate}
  */
@@ -123,10 +123,10 @@ class Packer {
   /**
    * @param {number} slot
    * @param {number} layer
-   * @param {import("../format/slots.js").Slots} slots
+   * @param {import("../format/slots/slots.js").Slots} slots
    * @param {number} row
    * @param {number} start
-   * @param {import("../format/slotlayout.js").Lattice} lattice
+   * @param {import("../format/slots/slotlayout.js").Lattice} lattice
    * @param {Float32Array} logits
    */
   addLattice(slot, layer, slots, row, start, lattice, logits) {

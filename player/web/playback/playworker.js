@@ -1,6 +1,6 @@
 /** Network and decoding, in a thread of their own; see WebPlayer. */
 
-import { FormatError } from "../format/errors.js";
+import { FormatError } from "../format/bytes/errors.js";
 import { Fetcher, SourceError } from "../source/fetcher.js";
 import { HostedPlay, HostedStream } from "../source/hosted.js";
 import { buffersOf } from "./packing.js";

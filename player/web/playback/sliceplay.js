@@ -1,6 +1,6 @@
 import { decodeChunk } from "../format/chunk.js";
-import { FormatError, corrupt } from "../format/errors.js";
-import { gaussianAt } from "../format/slots.js";
+import { FormatError, corrupt } from "../format/bytes/errors.js";
+import { gaussianAt } from "../format/slots/slots.js";
 import { numCoefficients } from "../format/gaussians.js";
 import { packLane } from "./packing.js";
 

@@ -1,5 +1,5 @@
-import { FormatError } from "../format/errors.js";
-import { SlotDecoder } from "../format/slotdecoder.js";
+import { FormatError } from "../format/bytes/errors.js";
+import { SlotDecoder } from "../format/slots/slotdecoder.js";
 import { packSlots } from "./packing.js";
 
 /**

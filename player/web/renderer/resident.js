@@ -31,7 +31,7 @@ export class Resident {
    * @param {WebGL2RenderingContext} gl
    * @param {number} numSlots
    * @param {number} shDegree
-   * @param {import("../format/slotlayout.js").Lattice[]} lattices of each layer; none in version 1
+   * @param {import("../format/slots/slotlayout.js").Lattice[]} lattices of each layer; none in version 1
    */
   constructor(gl, numSlots, shDegree, lattices) {
     this.gl = gl;

@@ -8,7 +8,7 @@ import { SCREEN_FRAGMENT, SCREEN_VERTEX, SPLAT_FRAGMENT, SPLAT_VERTEX } from "./
  * @typedef {object} Shape
  * @property {number} numSlots
  * @property {number} shDegree
- * @property {import("../format/slotlayout.js").Lattice[]} lattices of each layer; none in version 1
+ * @property {import("../format/slots/slotlayout.js").Lattice[]} lattices of each layer; none in version 1
  */
 
 /** Draws a stream in recipe v1 with WebGL2. */

@@ -1,6 +1,6 @@
 import { streamMedia } from "../delivery/media.js";
 import { PlaySession } from "../delivery/session.js";
-import { corrupt } from "../format/errors.js";
+import { corrupt } from "../format/bytes/errors.js";
 import { objectPath, readManifest } from "../format/manifest.js";
 import { GZIP, readObject } from "../format/objecttable.js";
 import { inflatePacket } from "../format/packet.js";
@@ -82,6 +82,27 @@ function limitBytes({ layout, numGs, swinSize, shDegree }, part) {
   return layout.maxChangeBytes(Number(part));
 }
 
+/**
+ * Inflates the packets of an object, and hands the chunks to a sink. Rejects with a FormatError.
+ * @param {import("../format/manifest.js").Manifest} manifest
+ * @param {import("../format/streamindex.js").SegmentRecord} record
+ * @param {string} part
+ * @param {Map<number, Uint8Array>} packets by birth
+ * @param {Sink} sink
+ */
+export async function handOver(manifest, record, part, packets, sink) {
+  const layer = Number(part.replace("snapshot-", ""));
+  const early = record.segment === 0 && !manifest.layout ? manifest.swinSize - 1 : 0;
+  const limit = limitBytes(manifest, part);
+  for (let n = -early; n < record.numFrames; n++) {
+    const birth = record.firstFrame + n;
+    const chunk = await inflatePacket(packets.get(birth) ?? new Uint8Array(0), limit);
+    if (part === "masks") sink.addMask(birth, chunk);
+    else if (!part.startsWith("snapshot-")) sink.addChange(birth, layer, chunk);
+    else if (chunk.length > 0) sink.addSnapshot(birth, layer, chunk);
+  }
+}
+
 /** One play of a hosted stream: fetches what the session decides, and hands it over. */
 export class HostedPlay {
   /**
@@ -103,8 +124,8 @@ export class HostedPlay {
     /** @type {unknown} */
     this.failure = null;
     this.isClosed = false;
-    /** @type {Map<string, Promise<void>>} objects by name; of those that are here, too */
-    this.fetched = new Map();
+    /** @type {Set<string>} objects that were asked for */
+    this.fetched = new Set();
     /** @type {() => void} called when something has come or failed */
     this.onNews = () => {};
     /** Layers that are asked for, at most. */
@@ -150,7 +171,8 @@ export class HostedPlay {
       const name = `${record.segment}/${part}`;
       if (!isAllowed || this.fetched.has(name)) continue;
       numBytes += record.objectBytes[manifest.parts.indexOf(part)];
-      this.fetched.set(name, this.#fetch(record, part));
+      this.fetched.add(name);
+      this.#fetch(record, part);
     }
     const end = record.firstFrame + record.numFrames;
     this.session.sent(send.kind === "slices" ? { ...send, endBirth: end } : send, numBytes, nowS);
@@ -162,22 +184,11 @@ export class HostedPlay {
    */
   async #fetch(record, part) {
     try {
-      const { manifest } = this.stream;
       const packets = await this.stream.object(record, part, (numBytes) => {
         this.comeBytes += numBytes;
         this.onNews();
       });
-      const layer = Number(part.replace("snapshot-", ""));
-      const early = record.segment === 0 && !manifest.layout ? manifest.swinSize - 1 : 0;
-      const limit = limitBytes(manifest, part);
-      for (let n = -early; n < record.numFrames; n++) {
-        const birth = record.firstFrame + n;
-        const chunk = await inflatePacket(packets.get(birth) ?? new Uint8Array(0), limit);
-        if (this.isClosed) return;
-        if (part === "masks") this.sink.addMask(birth, chunk);
-        else if (!part.startsWith("snapshot-")) this.sink.addChange(birth, layer, chunk);
-        else if (chunk.length > 0) this.sink.addSnapshot(birth, layer, chunk);
-      }
+      await handOver(this.stream.manifest, record, part, packets, this.sink);
     } catch (error) {
       if (!this.isClosed) this.failure ??= error;
     }

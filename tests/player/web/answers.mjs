@@ -7,14 +7,15 @@ import { createInterface } from "node:readline";
 import { makeSizes, Media, streamMedia } from "../../../player/web/delivery/media.js";
 import { PlaySession } from "../../../player/web/delivery/session.js";
 import { decodeChunk } from "../../../player/web/format/chunk.js";
-import { FormatError } from "../../../player/web/format/errors.js";
+import { FormatError } from "../../../player/web/format/bytes/errors.js";
 import { readManifest } from "../../../player/web/format/manifest.js";
 import { readObject } from "../../../player/web/format/objecttable.js";
 import { inflatePacket } from "../../../player/web/format/packet.js";
 import { RecordParser } from "../../../player/web/format/playrecord.js";
-import { SlotDecoder } from "../../../player/web/format/slotdecoder.js";
-import { SlotLayout } from "../../../player/web/format/slotlayout.js";
-import { EMPTY, ON_LATTICE, UNKNOWN } from "../../../player/web/format/slots.js";
+import { SlotDecoder } from "../../../player/web/format/slots/slotdecoder.js";
+import { SlotLayout } from "../../../player/web/format/slots/slotlayout.js";
+import { EMPTY, ON_LATTICE, UNKNOWN } from "../../../player/web/format/slots/slots.js";
+import { handOver } from "../../../player/web/source/hosted.js";
 import { SlicePlay } from "../../../player/web/playback/sliceplay.js";
 import { SlotPlay } from "../../../player/web/playback/slotplay.js";
 import { DepthOrder } from "../../../player/web/renderer/depthorder.js";
@@ -66,32 +67,6 @@ function held() {
     }
   }
   return lanes;
-}
-
-/**
- * Hands a play what an object of a static export holds.
- * @param {SlotPlay | SlicePlay} play
- * @param {import("../../../player/web/format/manifest.js").Manifest} manifest
- * @param {import("../../../player/web/format/streamindex.js").SegmentRecord} record
- * @param {string} part
- * @param {Uint8Array} bytes
- */
-async function addObject(play, manifest, record, part, bytes) {
-  const { packets } = readObject(bytes, manifest.version);
-  /** @type {Map<number, Uint8Array>} */
-  const chunks = new Map();
-  for (const [birth, packet] of packets) chunks.set(birth, await inflatePacket(packet, 2 ** 20));
-  const nothing = new Uint8Array(0);
-  const layer = Number(part.replace("snapshot-", ""));
-  const end = record.firstFrame + record.numFrames;
-  const early = record.segment === 0 && manifest.layout === null ? manifest.swinSize - 1 : 0;
-  for (let birth = record.firstFrame - early; birth < end; birth++) {
-    const chunk = chunks.get(birth) ?? nothing;
-    if (play instanceof SlicePlay) play.addChange(birth, layer, chunk);
-    else if (part === "masks") play.addMask(birth, chunk);
-    else if (!part.startsWith("snapshot")) play.addChange(birth, layer, chunk);
-    else if (chunk.length > 0) play.addSnapshot(birth, layer, chunk);
-  }
 }
 
 /** @type {Record<string, (question: any) => unknown>} */
@@ -172,7 +147,8 @@ const ANSWERS = {
       for (const [when, record, part] of coming) {
         if (when !== frame && !(frame === first && when <= first)) continue;
         const bytes = unhex(files[`segments/${record.segment}/${part}`]);
-        await addObject(play, manifest, record, part, bytes);
+        const { packets } = readObject(bytes, manifest.version);
+        await handOver(manifest, record, part, packets, play);
       }
       const isThere = frame === first ? play.has(frame) : play.hasSlice(frame);
       if (!isThere) throw new Error(`frame ${frame} is not there`);

@@ -1,7 +1,7 @@
 /** Masks, changes and snapshots to what a reader holds (FORMAT.md, section 13). */
 
 import { decodeChange } from "./change.js";
-import { FormatError, corrupt } from "./errors.js";
+import { FormatError, corrupt } from "../bytes/errors.js";
 import { KEPT, MaskHistory, NEW, PREDICTED, decodeMask } from "./mask.js";
 import { changedRows, Slots, UNKNOWN } from "./slots.js";
 import { decodeSnapshot } from "./snapshot.js";

@@ -1,7 +1,7 @@
 /** The head of a chunk of version 2 (FORMAT.md, section 15). */
 
-import { ByteReader } from "./bytereader.js";
-import { corrupt, unsupported } from "./errors.js";
+import { ByteReader } from "../bytes/bytereader.js";
+import { corrupt, unsupported } from "../bytes/errors.js";
 
 export const MASK = 0;
 export const CHANGE = 1;

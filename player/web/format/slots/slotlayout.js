@@ -1,6 +1,6 @@
 /** The slots of a stream of version 2: how many, on which lattice (FORMAT.md, sections 12 and 14). */
 
-import { numCoefficients } from "./gaussians.js";
+import { numCoefficients } from "../gaussians.js";
 
 /**
  * The steps of one layer, all f32.

@@ -1,11 +1,11 @@
 /** What a reader holds of one layer in one lane, and what a slice makes of it (FORMAT.md, section 13). */
 
 import { LATTICE_END } from "./change.js";
-import { putColour, putQuat } from "./compact.js";
-import { corrupt } from "./errors.js";
-import { emptyGaussians } from "./gaussians.js";
+import { putColour, putQuat } from "../compact.js";
+import { corrupt } from "../bytes/errors.js";
+import { emptyGaussians } from "../gaussians.js";
 import { ENDED, KEPT, PREDICTED } from "./mask.js";
-import { opacityLogits } from "./opacity.js";
+import { opacityLogits } from "../opacity.js";
 
 const { fround } = Math;
 
@@ -41,7 +41,7 @@ export function changedRows(statuses) {
 
 /**
  * One of several Gaussians as the numbers that stand for it: mean, log scales, quaternion, logit, SH.
- * @param {import("./gaussians.js").Gaussians} from
+ * @param {import("../gaussians.js").Gaussians} from
  * @param {number} i
  * @param {number} k coefficients
  */
@@ -206,7 +206,7 @@ export class Slots {
    * @param {number} row
    * @param {import("./slotlayout.js").Lattice} lattice
    * @param {Float32Array} logits
-   * @param {import("./gaussians.js").Gaussians} made
+   * @param {import("../gaussians.js").Gaussians} made
    * @param {number} i
    * @param {number} k
    */
@@ -253,7 +253,7 @@ function copyRow(from, fromRow, to, toRow, width) {
 
 /**
  * @param {Float32Array | undefined} values what `gaussianAt` gave
- * @param {import("./gaussians.js").Gaussians} made
+ * @param {import("../gaussians.js").Gaussians} made
  * @param {number} i
  * @param {number} k coefficients
  */

@@ -1,6 +1,6 @@
 /** The mask of a slice: what becomes of each slot of its lane (FORMAT.md, section 15). */
 
-import { corrupt } from "./errors.js";
+import { corrupt } from "../bytes/errors.js";
 import { MASK, expectChunk, readSlotHead } from "./slotchunk.js";
 
 export const KEPT = 0;

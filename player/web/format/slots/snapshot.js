@@ -1,7 +1,7 @@
 /** A snapshot: all slots of one layer at a segment's first frame (FORMAT.md, section 17). */
 
 import { readChange } from "./change.js";
-import { corrupt } from "./errors.js";
+import { corrupt } from "../bytes/errors.js";
 import { NEW } from "./mask.js";
 import { SNAPSHOT, readSlotHead } from "./slotchunk.js";
 import { EMPTY, Slots } from "./slots.js";

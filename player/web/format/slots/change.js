@@ -1,9 +1,9 @@
 /** A change: what a slice brings to one layer (FORMAT.md, section 16). */
 
-import { BitReader } from "./bitreader.js";
-import { ByteReader } from "./bytereader.js";
-import { corrupt } from "./errors.js";
-import { checkGaussians, readGaussians } from "./gaussians.js";
+import { BitReader } from "../bytes/bitreader.js";
+import { ByteReader } from "../bytes/bytereader.js";
+import { corrupt } from "../bytes/errors.js";
+import { checkGaussians, readGaussians } from "../gaussians.js";
 import { CHANGE, expectChunk, readSlotHead } from "./slotchunk.js";
 
 /** A coordinate on the lattice has a magnitude below this. */
@@ -20,7 +20,7 @@ const COUNTS_BYTES = 20;
  * @property {Uint8Array} attributes (N, A) of the new; two's complement, the opacity unsigned
  * @property {Uint8Array} startOffsets (N) frames after the birth
  * @property {Uint32Array} escapes (E) which of the new are not on the lattice
- * @property {import("./gaussians.js").Gaussians} floats (E) what those are
+ * @property {import("../gaussians.js").Gaussians} floats (E) what those are
  */
 
 /**
