@@ -3,11 +3,12 @@ const MOST_SHARE = 100;
 
 /** What our policy weighs; server/abr/policies/sweep.py says what each number means. */
 export const SWEEP_CONFIG = {
-  basePatienceS: 35,
+  basePatienceS: 70,
+  wholeShare: 0.5,
   patienceS: 0.4,
   safePatienceS: 1.2,
   spareShare: 0.1,
-  memoryS: 8,
+  memoryS: 10,
   leastPatienceS: 0.1,
   mostPatienceS: 3,
   leftShare: 0.1,
@@ -43,7 +44,8 @@ export class Patience {
     const { sliceBytes } = media.sizes(Math.min(outlook.nextFrame, media.numFrames - 1));
     const baseBps = 8 * media.fps * Math.max(1, sliceBytes[0]);
     const wholeBps = 8 * media.fps * Math.max(1, sliceBytes[sliceBytes.length - 1]);
-    let baseS = this.#bounded(config.basePatienceS * share(baseBps, outlook) ** 4);
+    const ease = outlook.rateBps > wholeBps ? config.wholeShare : 1;
+    let baseS = this.#bounded(ease * (config.basePatienceS * share(baseBps, outlook) ** 4));
     let upperS = this.#bounded(config.patienceS * share(wholeBps, outlook) ** 2);
     const mostS = config.leftShare * leftS(outlook);
     if (!outlook.measured) return [Math.min(mostS, baseS), Math.min(mostS, upperS)];

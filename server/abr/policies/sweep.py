@@ -29,10 +29,13 @@ MOST_SHARE = 100.0
 class SweepConfig:
     """What a `Sweep` weighs."""
 
-    base_patience_s: float = 35.0
+    base_patience_s: float = 70.0
     """Seconds that a packet of layer 0 can wait until sending it now counts e times less, on a
     link that just carries layer 0; on one twice as fast a sixteenth of that, as what is not sent
     now is made up for sooner, and a drop is less likely to be one below layer 0."""
+    whole_share: float = 0.5
+    """How much of that holds on a link that carries the whole stream: there the lead can grow out
+    of what is to spare, see spare_share, and takes nothing from the other layers."""
     patience_s: float = 0.4
     """The same for the other layers, on a link that just carries them all; on one twice as fast a
     fourth."""
@@ -41,7 +44,7 @@ class SweepConfig:
     spare_share: float = 0.1
     """How fast it gets there: by this many seconds for each second of layer 0 that the link carries
     beyond the stream."""
-    memory_s: float = 8.0
+    memory_s: float = 10.0
     """Seconds after which what a link did counts half for how long packets can wait."""
     least_patience_s: float = 0.1
     """Least of either, whatever the link."""
@@ -92,7 +95,9 @@ class Patience:
             8 * media.fps * max(1.0, num_bytes)
             for num_bytes in (sizes.slice_bytes[0], sizes.slice_bytes[-1])
         )
-        base_s = self._bounded(config.base_patience_s * self._share(base_bps, outlook) ** 4)
+        ease = config.whole_share if outlook.rate_bps > whole_bps else 1.0
+        base_s = config.base_patience_s * self._share(base_bps, outlook) ** 4
+        base_s = self._bounded(ease * base_s)
         upper_s = self._bounded(config.patience_s * self._share(whole_bps, outlook) ** 2)
         most_s = config.left_share * self._left_s(outlook)
         if not outlook.measured:

@@ -94,9 +94,9 @@ class ShapedLink:
                     return
 
     def _shape(self, rate_bps: float) -> None:
-        # Of the fastest rate: a packet in the queue that is longer than a new burst never passes.
+        # A bucket for the fastest rate would pass much at once while the link is slow.
+        burst_bytes = max(LEAST_BURST_BYTES, round(rate_bps / 8 * BURST_S))
         fastest_bps = max(step.rate_bps for step in self._link.steps)
-        burst_bytes = max(LEAST_BURST_BYTES, round(fastest_bps / 8 * BURST_S))
         queue_bytes = max(LEAST_QUEUE_BYTES, round(fastest_bps / 8 * QUEUE_S))
         rate = f"{round(max(LEAST_BPS, rate_bps))}bit"
         rule = f"tbf rate {rate} burst {burst_bytes} limit {queue_bytes}"
@@ -120,7 +120,8 @@ def shaped_link(link: Link) -> Iterator[ShapedLink]:
         run("ip", "link", "set", here, "up")
         behind = ("ip", "-n", name)
         run(*behind, "addr", "add", f"{far}/30", "dev", there)
-        run(*behind, "link", "set", there, "up")
+        # Each packet passes the bucket by itself: a longer one than the bucket never would.
+        run(*behind, "link", "set", there, "up", "gso_max_segs", "1")
         run(*behind, "link", "set", "lo", "up")
         shaped = ShapedLink(name, (here, there), link)
         try:
