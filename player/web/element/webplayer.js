@@ -152,6 +152,7 @@ export class WebPlayer extends EventTarget {
           this.renderer = new SplatRenderer(this.gl, {
             numSlots: data.manifest.numGs,
             shDegree: data.manifest.shDegree,
+            nearM: data.manifest.nearM,
             lattices: data.manifest.lattices,
           });
         } catch (error) {
