@@ -36,7 +36,7 @@ export const MARKUP = /* html */ `
   <button class="share wide" aria-label="Copy a link to this moment and view" title="Copy a link (C)">${ICONS.share}</button>
   <button class="statistics wide" aria-label="Statistics" aria-pressed="false" title="Statistics (I)">${ICONS.stats}</button>
   <button class="side-by-side wide" aria-label="Side by side, for two eyes" aria-pressed="false" title="Side by side (B)">${ICONS.sideBySide}</button>
-  <button class="headset" aria-label="VR" aria-pressed="false" title="VR (V)" hidden>${ICONS.headset}</button>
+  <button class="headset" aria-label="Show on the VR headset" aria-pressed="false" title="VR (V)" hidden>${ICONS.headset}</button>
   <button class="full" aria-label="Full screen" title="Full screen (F)">${ICONS.full}</button>
 </div>
 `;

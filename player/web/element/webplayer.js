@@ -6,7 +6,7 @@ import { Orbit } from "../view/orbit.js";
 import { poseOf } from "../view/pose.js";
 import { length, subtract } from "../view/vectors.js";
 
-/** Nobody likes to squint at what is nearer. */
+/** Side by side, the plane of the screen comes no nearer to the eyes. */
 const LEAST_FOCUS_M = 0.5;
 
 /**

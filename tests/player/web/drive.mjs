@@ -27,7 +27,7 @@ const ACTIONS = {
     complaints = [];
     page.on("pageerror", (error) => complaints.push(`${error.stack}`));
     page.on("console", (message) => {
-      // That a test reads pixels is slow, which the driver says, and right.
+      // The driver warns that reading pixels is slow; only tests read them.
       if (message.text().includes("GPU stall due to ReadPixels")) return;
       if (["error", "warning"].includes(message.type())) complaints.push(message.text());
     });
