@@ -2,6 +2,7 @@ import { RendererError } from "../renderer/program.js";
 import { MARKUP, timeText } from "./controls.js";
 import { listenToGestures } from "./gestures.js";
 import { ICONS } from "./icons.js";
+import { StereoControls } from "./stereocontrols.js";
 import { STYLE } from "./style.js";
 import { WebPlayer } from "./webplayer.js";
 
@@ -19,6 +20,8 @@ export class SwingsPlayerElement extends HTMLElement {
 
   /** @type {WebPlayer | null} */
   player = null;
+  /** @type {StereoControls | null} */
+  #stereo = null;
   /** @type {() => void} */
   #stopListening = () => {};
   #idleTimer = 0;
@@ -134,6 +137,10 @@ export class SwingsPlayerElement extends HTMLElement {
       player.seek(Number(this.#scrub.value));
     });
     document.addEventListener("visibilitychange", () => this.#seenOrNot(player), { signal });
+    player.addEventListener("headset", () => this.#seenOrNot(player), { signal });
+    const hint = (/** @type {string} */ message) => this.#hint(message, 10_000);
+    const root = /** @type {ShadowRoot} */ (this.shadowRoot);
+    this.#stereo = new StereoControls(root, player, hint, signal);
     this.addEventListener("keydown", (event) => this.#pressed(event, player), { signal });
     for (const type of ["pointermove", "pointerdown", "keydown", "focusin"]) {
       this.addEventListener(type, () => this.#awake(), { signal });
@@ -141,13 +148,14 @@ export class SwingsPlayerElement extends HTMLElement {
   }
 
   /**
-   * Nothing is drawn of what nobody sees, and what is not drawn would pile up: a hidden page pauses.
+   * Nothing is drawn of what nobody sees, and what is not drawn would pile up: a hidden page, or one in
+   * a headset that is taken off, pauses.
    * @param {WebPlayer} player
    */
   #seenOrNot(player) {
-    if (document.hidden) {
-      this.#resumes = player.state.playing;
-      if (this.#resumes) player.setPlaying(false);
+    if (player.headset?.isHidden ?? document.hidden) {
+      this.#resumes ||= player.state.playing;
+      if (player.state.playing) player.setPlaying(false);
     } else if (this.#resumes) {
       this.#resumes = false;
       player.setPlaying(true);
@@ -308,6 +316,8 @@ export class SwingsPlayerElement extends HTMLElement {
       f: () => this.toggleFullScreen(),
       c: () => this.copyLink(),
       i: () => this.toggleStats(),
+      b: () => this.#stereo?.toggleSideBySide(),
+      v: () => this.#stereo?.toggleHeadset(),
       w: () => turn(0, TURN_PX),
       s: () => turn(0, -TURN_PX),
       a: () => turn(TURN_PX, 0),

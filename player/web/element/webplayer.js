@@ -1,6 +1,13 @@
 import { SplatRenderer } from "../renderer/splatrenderer.js";
 import { RendererError } from "../renderer/program.js";
+import { EYE_DISTANCE_M, oneEye, sideBySide } from "../stereo/eyes.js";
+import { Headset } from "../stereo/headset.js";
 import { Orbit } from "../view/orbit.js";
+import { poseOf } from "../view/pose.js";
+import { length, subtract } from "../view/vectors.js";
+
+/** Side by side, the plane of the screen comes no nearer to the eyes. */
+const LEAST_FOCUS_M = 0.5;
 
 /**
  * How a play stands.
@@ -41,8 +48,8 @@ function startWorker(path) {
  * Plays a stream on a canvas. Network and decoding run in one worker, sorting in another; this thread
  * uploads and draws.
  *
- * Events: `opened`, `state` (this.state), `ended`, `trouble` and `failed` (detail: a message, or null
- * when the trouble is over).
+ * Events: `opened`, `state` (this.state), `ended`, `headset` (it was put on, hidden or taken off),
+ * `trouble` and `failed` (detail: a message, or null when the trouble is over).
  */
 export class WebPlayer extends EventTarget {
   /** @param {HTMLCanvasElement} canvas */
@@ -76,17 +83,23 @@ export class WebPlayer extends EventTarget {
     this.timings = { sortMs: 0, uploadMs: 0, drawMs: 0, framesPerS: 0 };
     this.shownFrame = -1;
     this.pixelRatio = Math.min(2, globalThis.devicePixelRatio || 1);
+    this.isSideBySide = false;
+    this.eyeDistanceM = EYE_DISTANCE_M;
+    /** @type {Headset | null} while a headset shows the scene, and the canvas does not */
+    this.headset = null;
     /** @type {Worker | null} */
     this.worker = null;
     /** @type {Worker | null} */
     this.sorter = null;
     /** @type {"none" | "waits" | "due"} whether the sorter has a request, and will answer at once */
     this.asked = "none";
-    this.needsOrder = true;
+    /** @type {number[]} (4, 4) world to camera, as the sorter last heard of it */
+    this.orderedW2c = [];
     this.needsDrawing = false;
     /** @type {any} an order that came, with what is new, until the next picture */
     this.sorted = null;
     this.drawnMs = 0;
+    this.isDisposed = false;
     this.loopId = requestAnimationFrame((ms) => this.#tick(ms));
   }
 
@@ -136,7 +149,6 @@ export class WebPlayer extends EventTarget {
 
   /** The camera has moved. */
   moved() {
-    this.needsOrder = true;
     this.needsDrawing = true;
   }
 
@@ -152,6 +164,7 @@ export class WebPlayer extends EventTarget {
           this.renderer = new SplatRenderer(this.gl, {
             numSlots: data.manifest.numGs,
             shDegree: data.manifest.shDegree,
+            nearM: data.manifest.nearM,
             lattices: data.manifest.lattices,
           });
         } catch (error) {
@@ -159,6 +172,7 @@ export class WebPlayer extends EventTarget {
           this.#say("failed", error.message);
           return;
         }
+        this.headset?.replace();
         this.moved();
         this.#say("opened");
         break;
@@ -183,24 +197,83 @@ export class WebPlayer extends EventTarget {
     this.dispatchEvent(new CustomEvent(type, { detail }));
   }
 
-  /** The camera as it is now, as large as the canvas. */
+  /** The camera as it is now, as large as the canvas, or as one half of it side by side. */
   get camera() {
     const { canvas, orbit, manifest } = this;
-    return orbit?.camera(manifest.defaultCamera, canvas.width, canvas.height) ?? null;
+    const widthPx = this.isSideBySide ? Math.max(1, canvas.width >> 1) : canvas.width;
+    return orbit?.camera(manifest.defaultCamera, widthPx, canvas.height) ?? null;
+  }
+
+  /** Shows two pictures, of the left eye and of the right one, or one. @param {boolean} isOn */
+  setSideBySide(isOn) {
+    this.isSideBySide = isOn;
+    this.moved();
+  }
+
+  /**
+   * Shows the scene on a headset, as large as it is, from where the camera stands. A person must have
+   * pressed something just now. Throws a HeadsetError.
+   */
+  async enterHeadset() {
+    const headset = await Headset.begin(this.gl);
+    if (this.isDisposed) {
+      headset.end();
+      return;
+    }
+    headset.addEventListener("select", () => this.setPlaying(!this.state.playing));
+    headset.addEventListener("visibility", () => this.#say("headset"));
+    headset.addEventListener("ended", () => {
+      this.headset = null;
+      this.moved();
+      this.#say("headset");
+    });
+    headset.run((ms, frame) => this.#drawInHeadset(headset, ms, frame));
+    this.headset = headset;
+    this.#say("headset");
   }
 
   /** @param {number} nowMs */
   #tick(nowMs) {
     this.loopId = requestAnimationFrame((ms) => this.#tick(ms));
+    if (this.headset !== null) return;
     this.#fitCanvas();
-    const { camera, renderer } = this;
-    if (camera === null || renderer === null) return;
+    const { camera, orbit } = this;
+    if (camera === null || orbit === null) return;
+    const focusM = length(subtract(orbit.centre, poseOf(camera).position));
+    const viewpoint = this.isSideBySide
+      ? sideBySide(camera, this.eyeDistanceM, Math.max(focusM, LEAST_FOCUS_M))
+      : oneEye(camera);
+    this.#draw(viewpoint, nowMs);
+  }
+
+  /**
+   * @param {Headset} headset
+   * @param {number} nowMs
+   * @param {XRFrame} frame
+   */
+  #drawInHeadset(headset, nowMs, frame) {
+    const { camera, orbit } = this;
+    if (camera === null || orbit === null) return;
+    const viewpoint = headset.viewpoint(frame, poseOf(camera), orbit.up);
+    if (viewpoint === null) return;
+    this.needsDrawing = true; // a headset starts each picture from nothing
+    this.#draw(viewpoint, nowMs);
+  }
+
+  /**
+   * Takes in what is new, and draws if there is something else to see.
+   * @param {import("../stereo/eyes.js").Viewpoint} viewpoint
+   * @param {number} nowMs
+   */
+  #draw({ w2c, views, framebuffer }, nowMs) {
+    const { renderer } = this;
+    if (renderer === null) return;
     if (this.sorted !== null) this.#takeIn(renderer);
-    this.#askForOrder(camera);
+    this.#askForOrder(w2c);
     if (!this.needsDrawing || this.shownFrame < 0) return;
     this.needsDrawing = false;
     const beganMs = performance.now();
-    renderer.draw(camera);
+    for (const { camera, corner } of views) renderer.draw(camera, corner, framebuffer);
     this.timings.drawMs = performance.now() - beganMs;
     const sinceMs = nowMs - this.drawnMs;
     this.drawnMs = nowMs;
@@ -213,14 +286,14 @@ export class WebPlayer extends EventTarget {
   /**
    * The sorter always has a request: it answers when it has a new frame, or at once if the camera has
    * moved. One of the second kind is underway at most.
-   * @param {import("../format/camera.js").Camera} camera
+   * @param {number[]} w2c (4, 4) world to camera
    */
-  #askForOrder(camera) {
-    if (this.asked === "due" || (this.asked === "waits" && !this.needsOrder)) return;
-    const view = { w2c: camera.w2c, nearM: this.manifest.nearM };
-    this.sorter?.postMessage({ view, isMoved: this.needsOrder });
-    this.asked = this.needsOrder ? "due" : "waits";
-    this.needsOrder = false;
+  #askForOrder(w2c) {
+    const isMoved = w2c.some((entry, i) => entry !== this.orderedW2c[i]);
+    if (this.asked === "due" || (this.asked === "waits" && !isMoved)) return;
+    this.sorter?.postMessage({ view: { w2c, nearM: this.manifest.nearM }, isMoved });
+    this.asked = isMoved ? "due" : "waits";
+    this.orderedW2c = w2c;
   }
 
   /** @param {SplatRenderer} renderer */
@@ -256,12 +329,15 @@ export class WebPlayer extends EventTarget {
     this.orbit = null;
     this.sorted = null;
     this.asked = "none";
+    this.orderedW2c = [];
     this.shownFrame = -1;
   }
 
   /** Ends all. */
   dispose() {
+    this.isDisposed = true;
     cancelAnimationFrame(this.loopId);
+    this.headset?.end();
     this.close();
   }
 }

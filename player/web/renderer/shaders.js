@@ -146,6 +146,7 @@ uniform vec2 focal_px;
 uniform vec2 centre_px;
 uniform vec2 limit;         // JACOBIAN_CLAMP * tan(fov / 2)
 uniform vec2 size_px;
+uniform float near_m;
 
 in uint slot;               // one for each instance, farthest first
 
@@ -186,7 +187,8 @@ void main() {
   splat_px = focal_px * ratio + centre_px;
   conic_opacity = vec4(0.0);
   colour = vec3(0.0);
-  if (!(det > 0.0)) return;
+  // The order may be of a moment ago, when the camera looked elsewhere.
+  if (!(det > 0.0) || seen.z <= near_m) return;
 
   conic_opacity = vec4(yy / det, -xy / det, xx / det, place.w);
   colour = vec3(cov_last.zw, rest.x);

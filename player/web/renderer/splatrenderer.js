@@ -8,6 +8,7 @@ import { SCREEN_FRAGMENT, SCREEN_VERTEX, SPLAT_FRAGMENT, SPLAT_VERTEX } from "./
  * @typedef {object} Shape
  * @property {number} numSlots
  * @property {number} shDegree
+ * @property {number} nearM nothing nearer is drawn
  * @property {import("../format/slots/slotlayout.js").Lattice[]} lattices of each layer; none in version 1
  */
 
@@ -19,6 +20,7 @@ export class SplatRenderer {
    */
   constructor(gl, shape) {
     this.gl = gl;
+    this.nearM = shape.nearM;
     this.isFine = gl.getExtension("EXT_color_buffer_float") !== null;
     this.resident = new Resident(gl, shape.numSlots, shape.shDegree, shape.lattices);
     const { columns, texels } = this.resident;
@@ -104,6 +106,7 @@ export class SplatRenderer {
     const [x, y, z] = [m[3], m[7], m[11]];
     const position = [0, 1, 2].map((axis) => -(m[axis] * x + m[4 + axis] * y + m[8 + axis] * z));
     gl.uniform1i(splats.at("gaussians"), 0);
+    gl.uniform1f(splats.at("near_m"), this.nearM);
     gl.uniformMatrix3fv(splats.at("rotation"), false, rotation);
     gl.uniform3f(splats.at("translation"), x, y, z);
     gl.uniform3fv(splats.at("position"), position);

@@ -15,11 +15,15 @@ import { RecordParser } from "../../../player/web/format/playrecord.js";
 import { SlotDecoder } from "../../../player/web/format/slots/slotdecoder.js";
 import { SlotLayout } from "../../../player/web/format/slots/slotlayout.js";
 import { EMPTY, ON_LATTICE, UNKNOWN } from "../../../player/web/format/slots/slots.js";
-import { handOver } from "../../../player/web/source/hosted.js";
+import { handOver, HostedPlay } from "../../../player/web/source/hosted.js";
 import { SlicePlay } from "../../../player/web/playback/sliceplay.js";
 import { SlotPlay } from "../../../player/web/playback/slotplay.js";
 import { DepthOrder } from "../../../player/web/renderer/depthorder.js";
+import { middleOf, sideBySide } from "../../../player/web/stereo/eyes.js";
+import { Placement } from "../../../player/web/stereo/placement.js";
+import { pinholeOf, poseOfTransform } from "../../../player/web/stereo/xrview.js";
 import { Orbit } from "../../../player/web/view/orbit.js";
+import { poseOf, worldToCamera } from "../../../player/web/view/pose.js";
 import { readIndex } from "../../../player/web/format/streamindex.js";
 import { opacityLogits } from "../../../player/web/format/opacity.js";
 
@@ -159,6 +163,34 @@ const ANSWERS = {
     }
     return frames;
   },
+  /** The objects that a play asks for of a host that has them at once, over a link of this rate. */
+  async asked({ files, rateBps }) {
+    const manifest = readManifest(unhex(files["manifest.json"]));
+    const records = readIndex(unhex(files["index.bin"]), manifest);
+    /** @type {string[]} */
+    const asked = [];
+    const stream = {
+      manifest,
+      records,
+      /** @type {import("../../../player/web/source/hosted.js").HostedStream["object"]} */
+      async object({ segment }, part, onBytes) {
+        const bytes = unhex(files[`segments/${segment}/${part}`]);
+        asked.push(`${segment}/${part}`);
+        onBytes(bytes.length);
+        return readObject(bytes, manifest.version).packets;
+      },
+    };
+    const slicePlay = new SlicePlay(manifest);
+    let nowS = 0;
+    const play = new HostedPlay(/** @type {any} */ (stream), slicePlay, 0, rateBps, () => nowS);
+    const last = records[records.length - 1];
+    for (let frame = 0; frame < last.firstFrame + last.numFrames; frame++) {
+      nowS = frame / manifest.fps;
+      play.session.told(nowS, frame, false);
+      play.step();
+    }
+    return asked;
+  },
   /** The default camera as a person has moved it. */
   moved({ manifest, widthPx, heightPx, moves, again }) {
     const read = readManifest(unhex(manifest));
@@ -174,6 +206,21 @@ const ANSWERS = {
       orbit.text = text;
     }
     return orbit.camera(read.defaultCamera, widthPx, heightPx);
+  },
+  /** Both eyes, and the pose in their middle. */
+  eyes({ camera, eyeDistanceM, focusM }) {
+    const { views } = sideBySide(camera, eyeDistanceM, focusM);
+    const middle = middleOf(views.map((view) => poseOf(view.camera)));
+    return { views, middle: worldToCamera(middle) };
+  },
+  /** The camera of an XRView, in a space that lies so in the world that `head` comes to `start`. */
+  eye({ head, start, up, transform, projection, widthPx, heightPx }) {
+    const placement = new Placement(poseOfTransform(head), poseOf({ w2c: start }), up);
+    const pose = placement.pose(poseOfTransform(transform));
+    return { ...pinholeOf(projection, widthPx, heightPx), w2c: worldToCamera(pose) };
+  },
+  middle({ w2cs }) {
+    return worldToCamera(middleOf(w2cs.map((/** @type {number[]} */ w2c) => poseOf({ w2c }))));
   },
   sizes({ manifest, bytes }) {
     const read = readManifest(unhex(manifest));

@@ -17,14 +17,18 @@ let complaints = [];
 
 /** @type {Record<string, (question: any) => unknown>} */
 const ACTIONS = {
-  async open({ url, widthPx, heightPx, touch }) {
+  /** `scripts` (paths) run in the page before its own. */
+  async open({ url, widthPx, heightPx, touch, scripts }) {
     const viewport = { width: widthPx, height: heightPx };
     await page?.context().close();
     const context = await browser.newContext({ viewport, hasTouch: touch });
+    for (const path of scripts) await context.addInitScript({ path });
     page = await context.newPage();
     complaints = [];
     page.on("pageerror", (error) => complaints.push(`${error.stack}`));
     page.on("console", (message) => {
+      // The driver warns that reading pixels is slow; only tests read them.
+      if (message.text().includes("GPU stall due to ReadPixels")) return;
       if (["error", "warning"].includes(message.type())) complaints.push(message.text());
     });
     await page.goto(url);

@@ -84,3 +84,13 @@ def test_layers_that_come_late_are_shown_soon(
             assert Counter(means) == expected
             complete += 1
     assert complete > 2 or kind == "raw"
+
+
+@pytest.mark.parametrize("rate_bps", [1e6, 1e9])
+def test_all_objects_are_asked_for(browser: BrowserCode, tmp_path: Path, rate_bps: float) -> None:
+    """Also where a link carries several segments at a time."""
+    stream = write_stream(tmp_path / "stream", 30, slice_size=8, layers=(1.0,))
+    export_static(stream, tmp_path / "static")
+    files = folder_files(tmp_path / "static")
+    found = browser.ask("asked", files=files, rateBps=rate_bps)
+    assert sorted(found) == [f"{segment}/0" for segment in range(6)]

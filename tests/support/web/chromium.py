@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -33,9 +33,16 @@ class Page:
         return answer["value"]
 
     def open(
-        self, url: str, width_px: int = 640, height_px: int = 480, touch: bool = False
+        self,
+        url: str,
+        width_px: int = 640,
+        height_px: int = 480,
+        touch: bool = False,
+        scripts: Sequence[Path] = (),
     ) -> None:
-        self._do("open", url=url, widthPx=width_px, heightPx=height_px, touch=touch)
+        """scripts: they run in the page before its own."""
+        size = {"widthPx": width_px, "heightPx": height_px}
+        self._do("open", url=url, **size, touch=touch, scripts=[str(path) for path in scripts])
 
     def run(self, code: str, value: object = None) -> Json:
         """What `code` returns, the body of an async function of `value`."""

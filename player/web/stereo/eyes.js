@@ -1,0 +1,76 @@
+/** The eyes of a person, as cameras. */
+
+import { poseOf, worldToCamera } from "../view/pose.js";
+import { add, cross, dot, subtract, times, unit } from "../view/vectors.js";
+
+/** @typedef {import("../format/camera.js").Camera} Camera */
+/** @typedef {import("../view/pose.js").Pose} Pose */
+
+/** Between the pupils of most grown people. */
+export const EYE_DISTANCE_M = 0.063;
+
+/**
+ * What one eye sees, and on which part of the screen.
+ * @typedef {object} EyeView
+ * @property {Camera} camera as large as the part
+ * @property {{ xPx: number, yPx: number }} corner lower left of the part
+ */
+
+/**
+ * All that one picture is drawn from.
+ * @typedef {object} Viewpoint
+ * @property {number[]} w2c (4, 4) world to camera: the depths that order the Gaussians for all eyes
+ * @property {EyeView[]} views
+ * @property {WebGLFramebuffer | null} framebuffer null: the canvas
+ */
+
+/**
+ * One eye on the whole canvas.
+ * @param {Camera} camera
+ * @returns {Viewpoint}
+ */
+export function oneEye(camera) {
+  return { w2c: camera.w2c, views: [{ camera, corner: { xPx: 0, yPx: 0 } }], framebuffer: null };
+}
+
+/**
+ * The left eye on the left half of the canvas, the right one on the right.
+ *
+ * The eyes look the same way from both sides of `camera`. So a Gaussian has the same depth for them
+ * and for `camera`, and one order is exact for all three. Their pictures are shifted: what is
+ * `focusM` away shows at the same place in both, and lies in the plane of the screen.
+ * @param {Camera} camera between the eyes, as large as one half
+ * @param {number} eyeDistanceM
+ * @param {number} focusM
+ * @returns {Viewpoint}
+ */
+export function sideBySide(camera, eyeDistanceM, focusM) {
+  const pose = poseOf(camera);
+  const views = [-0.5, 0.5].map((side, index) => {
+    const asideM = side * eyeDistanceM;
+    const position = add(pose.position, times(pose.right, asideM));
+    const eye = {
+      ...camera,
+      cxPx: camera.cxPx + (camera.fxPx * asideM) / focusM,
+      w2c: worldToCamera({ ...pose, position }),
+    };
+    return { camera: eye, corner: { xPx: index * camera.widthPx, yPx: 0 } };
+  });
+  return { w2c: camera.w2c, views, framebuffer: null };
+}
+
+/**
+ * The pose in the middle of some eyes. Where they look the same way, as in most headsets, each
+ * Gaussian has one depth for all of them, but for a constant.
+ * @param {Pose[]} poses
+ * @returns {Pose}
+ */
+export function middleOf(poses) {
+  const sum = (/** @type {"position" | "right" | "forward"} */ of) =>
+    poses.map((pose) => pose[of]).reduce(add);
+  const forward = unit(sum("forward"));
+  const aside = sum("right");
+  const right = unit(subtract(aside, times(forward, dot(aside, forward))));
+  const position = times(sum("position"), 1 / poses.length);
+  return { position, right, down: cross(forward, right), forward };
+}

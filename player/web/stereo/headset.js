@@ -1,0 +1,161 @@
+import { worldToCamera } from "../view/pose.js";
+import { middleOf } from "./eyes.js";
+import { Placement } from "./placement.js";
+import { pinholeOf, poseOfTransform } from "./xrview.js";
+
+/** @typedef {import("../view/pose.js").Pose} Pose */
+
+const MODE = "immersive-vr";
+
+/** A headset cannot be used; the message says what to do. */
+export class HeadsetError extends Error {
+  /** @param {string} message */
+  constructor(message) {
+    super(message);
+    this.name = "HeadsetError";
+  }
+}
+
+/** Whether there is a headset that this page may use. */
+export async function hasHeadset() {
+  try {
+    return (await navigator.xr?.isSessionSupported(MODE)) ?? false;
+  } catch {
+    return false; // a frame whose page does not allow it
+  }
+}
+
+/**
+ * A session on a headset.
+ *
+ * Events: `select` (the trigger was pulled), `visibility` (this.isHidden), `ended`.
+ */
+export class Headset extends EventTarget {
+  /**
+   * Begins a session; a person must have pressed something just now. Throws a HeadsetError.
+   * @param {WebGL2RenderingContext} gl
+   */
+  static async begin(gl) {
+    const { xr } = navigator;
+    if (xr === undefined) {
+      throw new HeadsetError(
+        "WebXR is not there: open this page in the browser of a headset, from an address with https",
+      );
+    }
+    /** @type {XRSession | undefined} */
+    let session;
+    try {
+      session = await xr.requestSession(MODE);
+      await makeCompatible(gl);
+      const layer = new XRWebGLLayer(session, gl, {
+        alpha: false,
+        antialias: false,
+        depth: false,
+        stencil: false,
+      });
+      await session.updateRenderState({ baseLayer: layer });
+      return new Headset(session, layer, await session.requestReferenceSpace("local"));
+    } catch (error) {
+      session?.end().catch(() => {});
+      if (error instanceof HeadsetError) throw error;
+      const why = error instanceof Error ? error.message : String(error);
+      throw new HeadsetError(
+        `VR does not start: ${why}. Check that the headset is on and that this page may use it, then press VR again`,
+      );
+    }
+  }
+
+  /**
+   * @param {XRSession} session
+   * @param {XRWebGLLayer} layer
+   * @param {XRReferenceSpace} space
+   */
+  constructor(session, layer, space) {
+    super();
+    this.session = session;
+    this.layer = layer;
+    this.space = space;
+    /** @type {Placement | null} null: the next pose of the head makes it */
+    this.placement = null;
+    /** @type {import("./eyes.js").Viewpoint | null} */
+    this.last = null;
+    space.addEventListener("reset", () => this.replace());
+    session.addEventListener("select", () => this.dispatchEvent(new Event("select")));
+    session.addEventListener("end", () => this.dispatchEvent(new Event("ended")));
+    session.addEventListener("visibilitychange", () => this.dispatchEvent(new Event("visibility")));
+  }
+
+  get isHidden() {
+    return this.session.visibilityState === "hidden";
+  }
+
+  /** Brings the viewer back to the start. */
+  replace() {
+    this.placement = null;
+  }
+
+  /**
+   * Calls `draw` for each picture, in place of the page's requestAnimationFrame.
+   * @param {(ms: number, frame: XRFrame) => void} draw
+   */
+  run(draw) {
+    const next = (/** @type {number} */ ms, /** @type {XRFrame} */ frame) => {
+      this.session.requestAnimationFrame(next);
+      draw(ms, frame);
+    };
+    this.session.requestAnimationFrame(next);
+  }
+
+  /**
+   * From where to draw a frame; while the head is not tracked, as before. null: not known yet.
+   * @param {XRFrame} frame
+   * @param {Pose} start where the viewer begins
+   * @param {import("../view/vectors.js").Vector} up of the scene, unit
+   */
+  viewpoint(frame, start, up) {
+    const head = frame.getViewerPose(this.space);
+    if (!head) return this.last;
+    this.placement ??= new Placement(poseOfTransform(head.transform.matrix), start, up);
+    const poses = [];
+    const views = [];
+    for (const view of head.views) {
+      const port = this.layer.getViewport(view);
+      // A device with one eye may give the other an empty part.
+      if (!port || port.width < 1 || port.height < 1) continue;
+      const pose = this.placement.pose(poseOfTransform(view.transform.matrix));
+      const lens = pinholeOf(view.projectionMatrix, port.width, port.height);
+      poses.push(pose);
+      views.push({
+        camera: { name: view.eye, ...lens, w2c: worldToCamera(pose) },
+        corner: { xPx: port.x, yPx: port.y },
+      });
+    }
+    if (views.length === 0) return this.last;
+    const w2c = worldToCamera(middleOf(poses));
+    this.last = { w2c, views, framebuffer: this.layer.framebuffer };
+    return this.last;
+  }
+
+  end() {
+    this.session.end().catch(() => {}); // it has ended already
+  }
+}
+
+/**
+ * Lets `gl` draw for the headset. Throws a HeadsetError if that is another graphics device.
+ * @param {WebGL2RenderingContext} gl
+ */
+async function makeCompatible(gl) {
+  let isLost = false;
+  const lose = () => (isLost = true);
+  gl.canvas.addEventListener("webglcontextlost", lose);
+  await gl
+    .makeXRCompatible()
+    .finally(() => gl.canvas.removeEventListener("webglcontextlost", lose));
+  if (isLost) {
+    throw new HeadsetError(
+      "The headset is at another graphics device than this page. Choose that device for the browser in the " +
+        "system's settings, start the browser again, and open this page",
+    );
+  }
+}
