@@ -37,6 +37,10 @@ class Page:
     ) -> None:
         self._do("open", url=url, widthPx=width_px, heightPx=height_px, touch=touch)
 
+    def enter(self, part: str) -> None:
+        """Goes into the frame whose URL holds `part`: runs, waits and clicks are meant there."""
+        self._do("enter", part=part)
+
     def run(self, code: str, value: object = None) -> Json:
         """What `code` returns, the body of an async function of `value`."""
         return self._do("run", code=code, value=value)
