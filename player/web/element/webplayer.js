@@ -1,3 +1,4 @@
+import { startWorker } from "../playback/startworker.js";
 import { SplatRenderer } from "../renderer/splatrenderer.js";
 import { RendererError } from "../renderer/program.js";
 import { Orbit } from "../view/orbit.js";
@@ -35,23 +36,6 @@ const START = {
   receivedBytes: 0,
   decodeMs: 0,
 };
-
-/**
- * A worker of ours, wherever this page comes from: a page of another origin may not start one itself.
- * @param {string} path beside this file
- */
-function startWorker(path) {
-  const script = `import ${JSON.stringify(new URL(path, import.meta.url).href)};`;
-  if (globalThis.origin === "null") {
-    // A page from a file, or in a sandbox: Chromium runs no module of its blobs.
-    const dataUrl = `data:text/javascript,${encodeURIComponent(script)}`;
-    return new Worker(dataUrl, { type: "module" });
-  }
-  const blobUrl = URL.createObjectURL(new Blob([script], { type: "text/javascript" }));
-  const worker = new Worker(blobUrl, { type: "module" });
-  URL.revokeObjectURL(blobUrl);
-  return worker;
-}
 
 /**
  * Plays a stream on a canvas. Network and decoding run in one worker, sorting in another; this thread
@@ -104,13 +88,13 @@ export class WebPlayer extends EventTarget {
     this.close();
     const base = new URL(src.endsWith("/") ? src : `${src}/`, document.baseURI).href;
     const channel = new MessageChannel();
-    this.sorter = startWorker("../playback/sortworker.js");
+    this.sorter = startWorker(new URL("../playback/sortworker.js", import.meta.url));
     this.sorter.onmessage = ({ data }) => {
       this.asked = "none";
       this.sorted = data;
     };
     this.sorter.postMessage({ port: channel.port2 }, [channel.port2]);
-    this.worker = startWorker("../playback/playworker.js");
+    this.worker = startWorker(new URL("../playback/playworker.js", import.meta.url));
     this.worker.onmessage = ({ data }) => this.#heard(data);
     this.worker.onerror = ({ message }) => {
       // A worker that never began says nothing.

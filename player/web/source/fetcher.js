@@ -90,7 +90,7 @@ export class Fetcher {
 
   /**
    * Whether a host of another origin is there, but never lets this page read what it sends: to a page
-   * that looks as if there was no network.
+   * that looks like a network that is gone.
    * @param {string} url
    */
   async #isRefused(url) {
