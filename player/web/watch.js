@@ -5,6 +5,7 @@ import "./element/swingsplayer.js";
 const query = new URLSearchParams(location.search);
 const player = document.createElement("swings-player");
 player.setAttribute("src", query.get("src") ?? "./");
+player.setAttribute("link", location.href);
 for (const [name, attribute] of [
   ["t", "start"],
   ["view", "view"],

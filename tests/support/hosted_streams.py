@@ -97,10 +97,16 @@ def write_stream(
 
 
 @contextlib.contextmanager
-def static_host(folder: Path, port: int = 0) -> Iterator[str]:
-    """The URL of a plain file server of `folder`. port: 0 takes a free one."""
+def static_host(folder: Path, port: int = 0, cors: bool = False) -> Iterator[str]:
+    """The URL of a plain file server of `folder`. port: 0 takes a free one. cors: pages of other
+    origins may read it."""
 
     class Handler(SimpleHTTPRequestHandler):
+        def end_headers(self) -> None:
+            if cors:
+                self.send_header("Access-Control-Allow-Origin", "*")
+            super().end_headers()
+
         def log_message(self, format: str, *args: object) -> None:
             pass
 

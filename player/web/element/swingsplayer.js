@@ -2,6 +2,7 @@ import { RendererError } from "../renderer/program.js";
 import { MARKUP, timeText } from "./controls.js";
 import { listenToGestures } from "./gestures.js";
 import { ICONS } from "./icons.js";
+import { MediaInterface } from "./mediainterface.js";
 import { StereoControls } from "./stereocontrols.js";
 import { STYLE } from "./style.js";
 import { WebPlayer } from "./webplayer.js";
@@ -13,13 +14,12 @@ const TURN_PX = 30;
 /**
  * `<swings-player src="URL of a stream's folder">`: plays a stream, with controls.
  *
- * Attributes: `src`, `autoplay`, `loop`, `start` (seconds), `view` (as a share link has it), `poster`.
+ * Attributes: `src`, `autoplay`, `loop`, `start` (seconds), `view` (as a share link has it), `poster`,
+ * `link` (the page that share links open). docs/EMBED.md has them all, and what a script can do.
  */
-export class SwingsPlayerElement extends HTMLElement {
+export class SwingsPlayerElement extends MediaInterface {
   static observedAttributes = ["src", "loop"];
 
-  /** @type {WebPlayer | null} */
-  player = null;
   /** @type {StereoControls | null} */
   #stereo = null;
   /** @type {() => void} */
@@ -32,7 +32,11 @@ export class SwingsPlayerElement extends HTMLElement {
   constructor() {
     super();
     const root = this.attachShadow({ mode: "open" });
-    root.innerHTML = `<style>${STYLE}</style>${MARKUP}`;
+    // A page's content security policy may forbid a <style>.
+    const sheet = new CSSStyleSheet();
+    sheet.replaceSync(STYLE);
+    root.adoptedStyleSheets = [sheet];
+    root.innerHTML = MARKUP;
   }
 
   /**
@@ -54,7 +58,7 @@ export class SwingsPlayerElement extends HTMLElement {
       this.player = new WebPlayer(canvas);
     } catch (error) {
       if (!(error instanceof RendererError)) throw error;
-      this.#fail(error.message);
+      this.fail(error.message);
       return;
     }
     this.#listen(this.player, canvas);
@@ -67,20 +71,23 @@ export class SwingsPlayerElement extends HTMLElement {
     this.#stopListening();
     this.player?.dispose();
     this.player = null;
+    this.reset();
   }
 
   /** @param {string} name */
   attributeChangedCallback(name) {
     if (this.player === null) return;
-    if (name === "src") this.#open();
-    else this.#setLoop(this.hasAttribute("loop"));
+    if (name === "src") {
+      this.reset();
+      this.#open();
+    } else this.#setLoop(this.hasAttribute("loop"));
   }
 
   #open() {
     const src = this.getAttribute("src");
     const { player } = this;
     if (!src || player === null) return;
-    this.#fail("");
+    this.#tell("");
     const poster = /** @type {HTMLImageElement} */ (this.#part(".poster"));
     const url = this.getAttribute("poster");
     poster.hidden = !url;
@@ -110,9 +117,14 @@ export class SwingsPlayerElement extends HTMLElement {
     };
     player.addEventListener("opened", () => this.#opened(player), { signal });
     player.addEventListener("state", () => this.#show(player), { signal });
-    player.addEventListener("ended", () => this.#show(player), { signal });
-    player.addEventListener("failed", (event) => this.#fail(detailOf(event)), { signal });
+    player.addEventListener("failed", (event) => this.fail(detailOf(event)), { signal });
     player.addEventListener("trouble", (event) => this.#hint(detailOf(event), 0), { signal });
+    this.follow(player, signal);
+    for (const type of ["play", "pause"]) {
+      this.addEventListener(type, () => this.#show(player), { signal });
+    }
+    this.addEventListener("ratechange", () => this.#choose(".rate", this.playbackRate), { signal });
+    this.addEventListener("layerschange", () => this.#choose(".quality", this.layers), { signal });
     const on = (
       /** @type {string} */ selector,
       /** @type {string} */ type,
@@ -124,10 +136,8 @@ export class SwingsPlayerElement extends HTMLElement {
     on(".share", "click", () => this.copyLink());
     on(".statistics", "click", () => this.toggleStats());
     on(".full", "click", () => this.toggleFullScreen());
-    on(".rate", "change", () => player.setRate(this.#chosen(".rate")));
-    on(".quality", "change", () => {
-      player.setLayers(this.#chosen(".quality") || player.manifest.numLayers);
-    });
+    on(".rate", "change", () => (this.playbackRate = this.#chosen(".rate")));
+    on(".quality", "change", () => (this.layers = this.#chosen(".quality")));
     on(".scrub", "input", () => {
       this.#scrubbing = true;
       this.#showTime(player, Number(this.#scrub.value));
@@ -154,17 +164,25 @@ export class SwingsPlayerElement extends HTMLElement {
    */
   #seenOrNot(player) {
     if (player.headset?.isHidden ?? document.hidden) {
-      this.#resumes ||= player.state.playing;
-      if (player.state.playing) player.setPlaying(false);
+      this.#resumes ||= !this.paused;
+      this.pause();
     } else if (this.#resumes) {
       this.#resumes = false;
-      player.setPlaying(true);
+      this.play();
     }
   }
 
   /** @param {string} selector */
   #chosen(selector) {
     return Number(/** @type {HTMLSelectElement} */ (this.#part(selector)).value);
+  }
+
+  /**
+   * @param {string} selector
+   * @param {number} value
+   */
+  #choose(selector, value) {
+    /** @type {HTMLSelectElement} */ (this.#part(selector)).value = String(value);
   }
 
   /** @param {WebPlayer} player */
@@ -181,20 +199,16 @@ export class SwingsPlayerElement extends HTMLElement {
       poster.src = new URL(`${this.getAttribute("src")}/${manifest.poster}`, document.baseURI).href;
       poster.hidden = false;
     }
-    const view = this.getAttribute("view");
-    if (view && player.orbit !== null) player.orbit.text = view;
-    this.#setLoop(this.hasAttribute("loop"));
-    const startS = Number(this.getAttribute("start") ?? 0);
-    if (startS > 0) player.seek(startS * manifest.fps);
-    if (this.hasAttribute("autoplay")) player.setPlaying(true);
+    this.#choose(".quality", this.layers);
+    this.#setLoop(this.loop);
   }
 
   /** @param {WebPlayer} player */
   #show(player) {
     const { state, manifest, numFrames } = player;
     const play = this.#part(".play");
-    play.innerHTML = state.playing ? ICONS.pause : ICONS.play;
-    play.setAttribute("aria-label", state.playing ? "Pause" : "Play");
+    play.innerHTML = this.paused ? ICONS.play : ICONS.pause;
+    play.setAttribute("aria-label", this.paused ? "Play" : "Pause");
     const isShown = player.shownFrame >= 0;
     this.#part(".poster").classList.toggle("gone", isShown);
     this.#part(".spinner").toggleAttribute("hidden", !state.waiting);
@@ -225,7 +239,8 @@ export class SwingsPlayerElement extends HTMLElement {
   }
 
   togglePlaying() {
-    this.player?.setPlaying(!this.player.state.playing);
+    if (this.paused) this.play();
+    else this.pause();
   }
 
   resetView() {
@@ -242,9 +257,11 @@ export class SwingsPlayerElement extends HTMLElement {
   async copyLink() {
     const { player } = this;
     if (player === null || player.manifest === null) return;
-    const url = new URL(location.href);
-    url.searchParams.set("t", (player.state.frame / player.manifest.fps).toFixed(2));
-    if (player.orbit !== null) url.searchParams.set("view", player.orbit.text);
+    const link = this.getAttribute("link");
+    const url = new URL(link ?? new URL("../watch.html", import.meta.url).href, document.baseURI);
+    if (link === null) url.searchParams.set("src", new URL(this.src, document.baseURI).href);
+    url.searchParams.set("t", this.currentTime.toFixed(2));
+    url.searchParams.set("view", this.view);
     try {
       await navigator.clipboard.writeText(url.href);
       this.#hint("Link copied");
@@ -352,14 +369,20 @@ export class SwingsPlayerElement extends HTMLElement {
     this.classList.remove("idle");
     clearTimeout(this.#idleTimer);
     this.#idleTimer = setTimeout(() => {
-      if (this.player?.state.playing) this.classList.add("idle");
+      if (!this.paused) this.classList.add("idle");
     }, IDLE_MS);
   }
 
+  /** @override @param {string} message */
+  fail(message) {
+    this.#tell(message);
+    this.#part(".spinner").toggleAttribute("hidden", true);
+    super.fail(message);
+  }
+
   /** @param {string} message */
-  #fail(message) {
+  #tell(message) {
     this.#part(".note").textContent = message;
-    if (message) this.#part(".spinner").toggleAttribute("hidden", true);
   }
 
   /**

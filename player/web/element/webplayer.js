@@ -1,3 +1,4 @@
+import { startWorker } from "../playback/startworker.js";
 import { SplatRenderer } from "../renderer/splatrenderer.js";
 import { RendererError } from "../renderer/program.js";
 import { EYE_DISTANCE_M, oneEye, sideBySide } from "../stereo/eyes.js";
@@ -31,24 +32,24 @@ const LEAST_FOCUS_M = 0.5;
  * @property {number} framesPerS
  */
 
-/**
- * A worker of ours, wherever this page comes from: a page of another origin may not start one itself.
- * @param {string} path beside this file
- */
-function startWorker(path) {
-  const url = new URL(path, import.meta.url).href;
-  const script = new Blob([`import ${JSON.stringify(url)};`], { type: "text/javascript" });
-  const blobUrl = URL.createObjectURL(script);
-  const worker = new Worker(blobUrl, { type: "module" });
-  URL.revokeObjectURL(blobUrl);
-  return worker;
-}
+/** @type {PlayState} of a stream of which nothing is there yet */
+const START = {
+  frame: 0,
+  endFrame: 0,
+  playing: false,
+  waiting: true,
+  stalls: 0,
+  rateBps: null,
+  receivedBytes: 0,
+  decodeMs: 0,
+};
 
 /**
  * Plays a stream on a canvas. Network and decoding run in one worker, sorting in another; this thread
  * uploads and draws.
  *
- * Events: `opened`, `state` (this.state), `ended`, `headset` (it was put on, hidden or taken off),
+ * Events: `opened`, `state` (this.state), `shown` (another frame), `seeking`, `seeked`, `ended`,
+ * `headset` (it was put on, hidden or taken off),
  * `trouble` and `failed` (detail: a message, or null when the trouble is over).
  */
 export class WebPlayer extends EventTarget {
@@ -69,19 +70,12 @@ export class WebPlayer extends EventTarget {
     this.manifest = null;
     this.numFrames = 0;
     /** @type {PlayState} */
-    this.state = {
-      frame: 0,
-      endFrame: 0,
-      playing: false,
-      waiting: true,
-      stalls: 0,
-      rateBps: null,
-      receivedBytes: 0,
-      decodeMs: 0,
-    };
+    this.state = START;
     /** @type {Timings} */
     this.timings = { sortMs: 0, uploadMs: 0, drawMs: 0, framesPerS: 0 };
     this.shownFrame = -1;
+    this.isSeeking = false;
+    this.soughtFrame = 0;
     this.pixelRatio = Math.min(2, globalThis.devicePixelRatio || 1);
     this.isSideBySide = false;
     this.eyeDistanceM = EYE_DISTANCE_M;
@@ -108,15 +102,20 @@ export class WebPlayer extends EventTarget {
     this.close();
     const base = new URL(src.endsWith("/") ? src : `${src}/`, document.baseURI).href;
     const channel = new MessageChannel();
-    this.sorter = startWorker("../playback/sortworker.js");
+    this.sorter = startWorker(new URL("../playback/sortworker.js", import.meta.url));
     this.sorter.onmessage = ({ data }) => {
       this.asked = "none";
       this.sorted = data;
     };
     this.sorter.postMessage({ port: channel.port2 }, [channel.port2]);
-    this.worker = startWorker("../playback/playworker.js");
+    this.worker = startWorker(new URL("../playback/playworker.js", import.meta.url));
     this.worker.onmessage = ({ data }) => this.#heard(data);
-    this.worker.onerror = (event) => this.#say("failed", `The player broke: ${event.message}`);
+    this.worker.onerror = ({ message }) => {
+      // A worker that never began says nothing.
+      const why =
+        message ?? "a part of it was not loaded; the browser's console says which and why";
+      this.#say("failed", `The player broke: ${why}`);
+    };
     this.worker.postMessage({ kind: "open", base, port: channel.port1 }, [channel.port1]);
   }
 
@@ -129,7 +128,10 @@ export class WebPlayer extends EventTarget {
 
   /** @param {number} frame */
   seek(frame) {
-    this.worker?.postMessage({ kind: "seek", frame });
+    this.soughtFrame = Math.max(0, Math.min(this.numFrames - 1, frame));
+    this.isSeeking = true;
+    this.worker?.postMessage({ kind: "seek", frame: this.soughtFrame });
+    this.#say("seeking");
   }
 
   /** @param {number} rate */
@@ -298,14 +300,20 @@ export class WebPlayer extends EventTarget {
 
   /** @param {SplatRenderer} renderer */
   #takeIn(renderer) {
-    const { updates, order, frame, sortMs } = this.sorted;
+    const { updates, order, frame, isJoin, sortMs } = this.sorted;
     this.sorted = null;
     const beganMs = performance.now();
     renderer.update(updates, order);
     this.timings.uploadMs = performance.now() - beganMs;
     this.timings.sortMs = sortMs;
-    this.shownFrame = frame;
     this.needsDrawing = true;
+    const isNew = frame !== this.shownFrame;
+    this.shownFrame = frame;
+    if (isNew) this.#say("shown");
+    if (isJoin && this.isSeeking) {
+      this.isSeeking = false;
+      this.#say("seeked");
+    }
   }
 
   #fitCanvas() {
@@ -331,6 +339,9 @@ export class WebPlayer extends EventTarget {
     this.asked = "none";
     this.orderedW2c = [];
     this.shownFrame = -1;
+    this.isSeeking = false;
+    this.manifest = null;
+    this.state = START;
   }
 
   /** Ends all. */

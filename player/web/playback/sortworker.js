@@ -17,6 +17,8 @@ let newest = null;
 let updates = [];
 /** @type {{ w2c: number[], nearM: number } | null} set while the thread that draws waits */
 let wanted = null;
+/** Whether one of these frames began anew. */
+let isJoin = false;
 /** Whether something is new since the last order: a frame, or where the camera is. */
 let isStale = false;
 
@@ -25,6 +27,7 @@ function take(shown) {
   if (order === null || shown.isJoin) {
     order = new DepthOrder(shown.numSlots);
     updates = [];
+    isJoin = true;
   }
   for (const update of shown.updates) order.put(update.slots, update.means, update.starts);
   updates.push(...shown.updates);
@@ -38,13 +41,14 @@ function sort() {
   const beganMs = performance.now();
   const slots = order.farFirst(newest.frame, wanted.w2c, wanted.nearM);
   const sortMs = performance.now() - beganMs;
-  const handed = updates;
+  const handed = { frame: newest.frame, isJoin, updates, order: slots, sortMs };
   wanted = null;
   updates = [];
+  isJoin = false;
   isStale = false;
-  scope.postMessage({ frame: newest.frame, updates: handed, order: slots, sortMs }, [
+  scope.postMessage(handed, [
     /** @type {ArrayBuffer} */ (slots.buffer),
-    ...handed.flatMap(buffersOf),
+    ...handed.updates.flatMap(buffersOf),
   ]);
 }
 

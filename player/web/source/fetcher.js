@@ -7,9 +7,15 @@ export class SourceError extends Error {
   }
 }
 
+/** What may have gone when it is asked again. */
+class PassingTrouble extends TypeError {}
+
 const FIRST_DELAY_S = 0.25;
 /** Well below what is buffered: a network that comes back is noticed before the picture stalls. */
 const LONGEST_DELAY_S = 1;
+
+/** So often a host must have failed before it is asked whether it only refuses this page. */
+const TRIES_BEFORE_DOUBT = 3;
 
 /** How long to wait before try number `tries`, seconds. @param {number} tries from 1 on */
 function delayS(tries) {
@@ -44,6 +50,11 @@ export class Fetcher {
    * @returns {Promise<Uint8Array>}
    */
   async get(url, limitBytes, onBytes = () => {}) {
+    if (url.startsWith("file:")) {
+      throw new SourceError(
+        `A page may not read ${url}; play it from a web server (docs/EMBED.md)`,
+      );
+    }
     const beganS = performance.now() / 1000;
     for (let tries = 1; ; tries++) {
       let came = 0;
@@ -61,6 +72,13 @@ export class Fetcher {
         this.abort.signal.throwIfAborted();
         // What fetch throws when there is no network is a TypeError.
         if (!(error instanceof TypeError)) throw error;
+        const isPassing = error instanceof PassingTrouble;
+        if (!isPassing && tries >= TRIES_BEFORE_DOUBT && (await this.#isRefused(url))) {
+          throw new SourceError(
+            `${new URL(url).origin} answers, but does not let pages of other hosts read ${url}; ` +
+              "it has to send the header Access-Control-Allow-Origin (docs/EMBED.md)",
+          );
+        }
         if (performance.now() / 1000 - beganS > this.giveUpS) {
           throw new SourceError(`${url} cannot be reached; check the network and try again`);
         }
@@ -71,13 +89,28 @@ export class Fetcher {
   }
 
   /**
+   * Whether a host of another origin is there, but never lets this page read what it sends: to a page
+   * that looks like a network that is gone.
+   * @param {string} url
+   */
+  async #isRefused(url) {
+    if (this.receivedBytes > 0 || new URL(url).origin === globalThis.origin) return false;
+    try {
+      await fetch(url, { method: "HEAD", mode: "no-cors", signal: this.abort.signal });
+      return true;
+    } catch {
+      return false;
+    }
+  }
+
+  /**
    * @param {string} url
    * @param {number} limitBytes
    * @param {(numBytes: number) => void} onBytes
    */
   async #once(url, limitBytes, onBytes) {
     const response = await fetch(url, { signal: this.abort.signal });
-    if (response.status >= 500) throw new TypeError(`HTTP ${response.status}`);
+    if (response.status >= 500) throw new PassingTrouble(`HTTP ${response.status}`);
     if (!response.ok) throw new SourceError(`${url}: HTTP ${response.status}`);
     /** @type {Uint8Array[]} */
     const pieces = [];

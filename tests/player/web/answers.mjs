@@ -6,6 +6,7 @@ import { createInterface } from "node:readline";
 
 import { makeSizes, Media, streamMedia } from "../../../player/web/delivery/media.js";
 import { PlaySession } from "../../../player/web/delivery/session.js";
+import { copyRows, emptyScene, Scene } from "../../../player/web/feed/scene.js";
 import { decodeChunk } from "../../../player/web/format/chunk.js";
 import { FormatError } from "../../../player/web/format/bytes/errors.js";
 import { readManifest } from "../../../player/web/format/manifest.js";
@@ -73,6 +74,39 @@ function held() {
   return lanes;
 }
 
+/**
+ * What is new in each frame from `first` on. Of layers above 0 the objects come `lateness` frames after
+ * their segment has begun to show.
+ * @param {import("../../../player/web/format/manifest.js").Manifest} manifest
+ * @param {Record<string, string>} files
+ * @param {number} first
+ * @param {number} lateness
+ */
+async function* played(manifest, files, first, lateness) {
+  const records = readIndex(unhex(files["index.bin"]), manifest);
+  const play = manifest.layout === null ? new SlicePlay(manifest) : new SlotPlay(manifest);
+  const last = records[records.length - 1];
+  /** @type {[number, import("../../../player/web/format/streamindex.js").SegmentRecord, string][]} */
+  const coming = records.flatMap((record) =>
+    [...manifest.parts].reverse().map((part) => {
+      const isLate = part !== "masks" && !part.endsWith("0");
+      return [isLate ? Math.max(first, record.firstFrame) + lateness : 0, record, part];
+    }),
+  );
+  for (let frame = first; frame < last.firstFrame + last.numFrames; frame++) {
+    for (const [when, record, part] of coming) {
+      if (when !== frame && !(frame === first && when <= first)) continue;
+      const bytes = unhex(files[`segments/${record.segment}/${part}`]);
+      const { packets } = readObject(bytes, manifest.version);
+      await handOver(manifest, record, part, packets, play);
+    }
+    const isThere = frame === first ? play.has(frame) : play.hasSlice(frame);
+    if (!isThere) throw new Error(`frame ${frame} is not there`);
+    const isJoin = frame === first;
+    yield { frame, isJoin, updates: isJoin ? play.join(frame) : play.advance(frame) };
+  }
+}
+
 /** @type {Record<string, (question: any) => unknown>} */
 const ANSWERS = {
   chunk({ bytes }) {
@@ -129,34 +163,12 @@ const ANSWERS = {
     return decoder.late(birth, layer, unhex(bytes));
   },
   held,
-  /**
-   * The means of what shows in each frame from `first` on, farthest first for the default camera.
-   * Of layers above 0 the objects come `lateness` frames after their segment has begun to show.
-   */
+  /** The means of what shows in each frame from `first` on, farthest first for the default camera. */
   async shown({ files, first, lateness }) {
     const manifest = readManifest(unhex(files["manifest.json"]));
-    const records = readIndex(unhex(files["index.bin"]), manifest);
-    const play = manifest.layout === null ? new SlicePlay(manifest) : new SlotPlay(manifest);
     const order = new DepthOrder(manifest.numGs);
-    const last = records[records.length - 1];
-    /** @type {[number, import("../../../player/web/format/streamindex.js").SegmentRecord, string][]} */
-    const coming = records.flatMap((record) =>
-      [...manifest.parts].reverse().map((part) => {
-        const isLate = part !== "masks" && !part.endsWith("0");
-        return [isLate ? Math.max(first, record.firstFrame) + lateness : 0, record, part];
-      }),
-    );
     const frames = [];
-    for (let frame = first; frame < last.firstFrame + last.numFrames; frame++) {
-      for (const [when, record, part] of coming) {
-        if (when !== frame && !(frame === first && when <= first)) continue;
-        const bytes = unhex(files[`segments/${record.segment}/${part}`]);
-        const { packets } = readObject(bytes, manifest.version);
-        await handOver(manifest, record, part, packets, play);
-      }
-      const isThere = frame === first ? play.has(frame) : play.hasSlice(frame);
-      if (!isThere) throw new Error(`frame ${frame} is not there`);
-      const updates = frame === first ? play.join(frame) : play.advance(frame);
+    for await (const { frame, updates } of played(manifest, files, first, lateness)) {
       for (const { slots, means, starts } of updates) order.put(slots, means, starts);
       const slots = order.farFirst(frame, manifest.defaultCamera.w2c, manifest.nearM);
       frames.push([...slots].map((slot) => hex(order.means.subarray(3 * slot, 3 * slot + 3))));
@@ -190,6 +202,40 @@ const ANSWERS = {
       play.step();
     }
     return asked;
+  },
+  /**
+   * The Gaussians that show in every frame of `looks`, to one who looks only then: all arrays of a
+   * Gaussian, one behind the other. Then all is played once more, for who looks at the last frame.
+   */
+  async fed({ files, first, looks }) {
+    const manifest = readManifest(unhex(files["manifest.json"]));
+    const { numGs, shDegree, layout } = manifest;
+    const scene = new Scene(numGs, shDegree, layout?.lattices ?? []);
+    const seen = emptyScene(numGs, shDegree);
+    const look = () => {
+      const { slots, gaussians } = scene.take();
+      copyRows(
+        gaussians,
+        (i) => i,
+        seen,
+        (i) => slots[i],
+        slots.length,
+      );
+      const shows = [...seen.opacities.keys()].filter((slot) => seen.opacities[slot] > 0);
+      const gaussian = (/** @type {number} */ slot) =>
+        Object.values(seen).map((array) => {
+          const width = array.length / numGs;
+          return hex(array.subarray(width * slot, width * (slot + 1)));
+        });
+      return { numNew: slots.length, gaussians: shows.map((slot) => gaussian(slot).join("")) };
+    };
+    const found = [];
+    for await (const shown of played(manifest, files, first, 0)) {
+      scene.put(shown);
+      if (looks.includes(shown.frame)) found.push(look());
+    }
+    for await (const shown of played(manifest, files, first, 0)) scene.put(shown);
+    return [...found, look()];
   },
   /** The default camera as a person has moved it. */
   moved({ manifest, widthPx, heightPx, moves, again }) {

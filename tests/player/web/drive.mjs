@@ -12,6 +12,8 @@ const browser = await chromium.launch({
 });
 /** @type {import("playwright-core").Page} */
 let page;
+/** @type {import("playwright-core").Page | import("playwright-core").Frame} the page, or a frame in it */
+let scene;
 /** @type {string[]} */
 let complaints = [];
 
@@ -32,22 +34,29 @@ const ACTIONS = {
       if (["error", "warning"].includes(message.type())) complaints.push(message.text());
     });
     await page.goto(url);
+    scene = page;
+  },
+  /** Goes into the frame whose URL holds `part`. */
+  async enter({ part }) {
+    const isIt = (/** @type {import("playwright-core").Frame} */ frame) =>
+      frame.url().includes(part);
+    scene = page.frames().find(isIt) ?? (await page.waitForEvent("framenavigated", isIt));
   },
   /** Runs `code`, the body of an async function of `value`, in the page. */
   async run({ code, value }) {
-    return page.evaluate(
+    return scene.evaluate(
       ([body, given]) => new Function("value", `return (async () => {${body}})()`)(given),
       [code, value],
     );
   },
   async wait({ code, timeoutS }) {
-    await page.waitForFunction(code, undefined, { timeout: 1000 * timeoutS, polling: 50 });
+    await scene.waitForFunction(code, undefined, { timeout: 1000 * timeoutS, polling: 50 });
   },
   async press({ key }) {
     await page.keyboard.press(key);
   },
   async click({ selector }) {
-    await page.click(selector, { timeout: 5000 });
+    await scene.click(selector, { timeout: 5000 });
   },
   async drag({ fromPx, toPx, button }) {
     await page.mouse.move(fromPx[0], fromPx[1]);

@@ -44,6 +44,10 @@ class Page:
         size = {"widthPx": width_px, "heightPx": height_px}
         self._do("open", url=url, **size, touch=touch, scripts=[str(path) for path in scripts])
 
+    def enter(self, part: str) -> None:
+        """Goes into the frame whose URL holds `part`: runs, waits and clicks are meant there."""
+        self._do("enter", part=part)
+
     def run(self, code: str, value: object = None) -> Json:
         """What `code` returns, the body of an async function of `value`."""
         return self._do("run", code=code, value=value)

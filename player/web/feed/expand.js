@@ -1,0 +1,75 @@
+/** What the play worker hands on, as Gaussians again (playback/packing). */
+
+import { numCoefficients } from "../format/gaussians.js";
+import { ON_LATTICE, Slots } from "../format/slots/slots.js";
+import { floatWords, latticeWords } from "../renderer/resident.js";
+
+/**
+ * Gaussians and the slots that they are put into.
+ * @typedef {object} Placed
+ * @property {Uint32Array} slots (N)
+ * @property {import("../format/gaussians.js").Gaussians} gaussians N
+ */
+
+/**
+ * Those on the lattice: bit for bit what a decoder gives.
+ * @param {Uint32Array} words `latticeWords` each
+ * @param {number} shDegree
+ * @param {import("../format/slots/slotlayout.js").Lattice[]} lattices of each layer
+ * @returns {Placed[]} by layer
+ */
+export function expandLattice(words, shDegree, lattices) {
+  const each = latticeWords(shDegree);
+  const numAttributes = 7 + 3 * numCoefficients(shDegree);
+  const bytes = new Uint8Array(words.buffer, words.byteOffset, words.byteLength);
+  /** @type {number[][]} where each begins, by layer */
+  const places = lattices.map(() => []);
+  for (let at = 0; at < words.length; at += each) places[words[at + 3] >>> 24].push(at);
+  return places.map((found, layer) => {
+    const rows = new Slots(found.length, numAttributes, ON_LATTICE);
+    const slots = new Uint32Array(found.length);
+    for (const [row, at] of found.entries()) {
+      rows.positions.set(words.subarray(at, at + 3), 3 * row);
+      const from = 4 * (at + 4);
+      rows.attributes.set(bytes.subarray(from, from + numAttributes), numAttributes * row);
+      slots[row] = words[at + 3] & 0xffffff;
+    }
+    return {
+      slots,
+      gaussians: rows.gaussians(
+        slots.map((_, row) => row),
+        lattices[layer],
+      ),
+    };
+  });
+}
+
+/**
+ * Those that are floats already.
+ * @param {Uint32Array} words `floatWords` each
+ * @param {number} shDegree
+ * @returns {Placed}
+ */
+export function expandFloats(words, shDegree) {
+  const each = floatWords(shDegree);
+  const count = words.length / each;
+  const values = new Float32Array(words.buffer, words.byteOffset, words.length);
+  const slots = new Uint32Array(count);
+  const rest = 3 * numCoefficients(shDegree);
+  const widths = { means: 3, logScales: 3, quats: 4, logitOpacities: 1, sh: rest };
+  const gaussians = /** @type {import("../format/gaussians.js").Gaussians} */ (
+    Object.fromEntries(
+      Object.entries(widths).map(([name, n]) => [name, new Float32Array(n * count)]),
+    )
+  );
+  for (let i = 0; i < count; i++) {
+    slots[i] = words[each * i];
+    let at = each * i + 1;
+    for (const [name, width] of Object.entries(widths)) {
+      const array = gaussians[/** @type {keyof typeof widths} */ (name)];
+      array.set(values.subarray(at, at + width), width * i);
+      at += width;
+    }
+  }
+  return { slots, gaussians };
+}

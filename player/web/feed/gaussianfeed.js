@@ -1,0 +1,140 @@
+import { startWorker } from "../playback/startworker.js";
+import { copyRows, emptyScene } from "./scene.js";
+
+/** @typedef {import("./scene.js").SceneGaussians} SceneGaussians */
+
+/**
+ * What is known of a stream once it is open: its manifest.
+ * @typedef {Omit<import("../format/manifest.js").Manifest, "layout"> & { numFrames: number }} FeedStream
+ */
+
+/**
+ * A stream as Gaussians, for scenes that other renderers draw. Network and decoding run in workers.
+ *
+ *     const feed = new GaussianFeed("https://streams.example.com/stream");
+ *     await feed.opened;
+ *     feed.play();
+ *     // and for each picture:
+ *     const slots = feed.take();
+ *
+ * Events: `ended`, `trouble` and `failed` (detail: a message, or null when the trouble is over).
+ */
+export class GaussianFeed extends EventTarget {
+  /** @type {FeedStream | null} null until it is open */
+  stream = null;
+  /** @type {SceneGaussians} what each slot shows, as of the last `take`; of no slots until it is open */
+  gaussians = emptyScene(0, 0);
+  /** The frame that they belong to; -1 before the first. */
+  frame = -1;
+  /** @type {import("./scene.js").SceneChange | null} */
+  #change = null;
+
+  /** Opens the stream whose folder is at `src`. @param {string} src */
+  constructor(src) {
+    super();
+    const base = new URL(src.endsWith("/") ? src : `${src}/`, document.baseURI).href;
+    const channel = new MessageChannel();
+    this.player = startWorker(new URL("../playback/playworker.js", import.meta.url));
+    this.keeper = startWorker(new URL("./feedworker.js", import.meta.url));
+    this.keeper.onmessage = ({ data }) => (this.#change = data);
+    /** @type {Promise<FeedStream>} rejects if it cannot be opened, and says why */
+    this.opened = new Promise((resolve, reject) => {
+      this.addEventListener("failed", (event) =>
+        reject(new Error(/** @type {CustomEvent} */ (event).detail)),
+      );
+      this.player.onmessage = ({ data }) => {
+        if (data.kind === "opened") resolve(this.#open(data, channel.port2));
+        else if (data.kind !== "state") this.#say(data.kind, data.message);
+      };
+    });
+    // Who does not await it hears `failed`.
+    this.opened.catch(() => {});
+    for (const worker of [this.player, this.keeper]) {
+      worker.onerror = ({ message }) =>
+        this.#say("failed", `The player broke: ${message ?? "a part of it was not loaded"}`);
+    }
+    this.player.postMessage({ kind: "open", base, port: channel.port1 }, [channel.port1]);
+  }
+
+  /**
+   * Brings `gaussians` to the frame that is due now. Gives the slots that have changed, or null if
+   * none has: to be called for each picture.
+   * @returns {Uint32Array | null}
+   */
+  take() {
+    if (this.#change === null) return null;
+    const { frame, slots, gaussians } = this.#change;
+    this.#change = null;
+    this.keeper.postMessage({});
+    copyRows(
+      gaussians,
+      (i) => i,
+      this.gaussians,
+      (i) => slots[i],
+      slots.length,
+    );
+    this.frame = frame;
+    return slots;
+  }
+
+  /** Plays, from the first frame after the last one has shown. Not before it is open. */
+  play() {
+    this.#tell({ kind: "play", playing: true });
+  }
+
+  pause() {
+    this.#tell({ kind: "play", playing: false });
+  }
+
+  /** @param {number} frame */
+  seek(frame) {
+    this.#tell({ kind: "seek", frame });
+  }
+
+  /** @param {number} rate 1 is the stream's own */
+  setRate(rate) {
+    this.#tell({ kind: "rate", rate });
+  }
+
+  /** @param {boolean} loop */
+  setLoop(loop) {
+    this.#tell({ kind: "loop", loop });
+  }
+
+  /** Shows this many layers at most. @param {number} most */
+  setLayers(most) {
+    this.#tell({ kind: "layers", most });
+  }
+
+  /** Ends all. */
+  close() {
+    this.player.terminate();
+    this.keeper.terminate();
+  }
+
+  /**
+   * @param {{ manifest: Omit<FeedStream, "numFrames"> & { lattices: unknown }, numFrames: number }} data
+   * @param {MessagePort} port
+   * @returns {FeedStream}
+   */
+  #open({ manifest, numFrames }, port) {
+    this.gaussians = emptyScene(manifest.numGs, manifest.shDegree);
+    this.keeper.postMessage({ manifest, port }, [port]);
+    this.stream = { ...manifest, numFrames };
+    return this.stream;
+  }
+
+  /** @param {object} message */
+  #tell(message) {
+    if (this.stream === null) throw new Error("the stream is not open yet: await feed.opened");
+    this.player.postMessage(message);
+  }
+
+  /**
+   * @param {string} type
+   * @param {string | null} [detail]
+   */
+  #say(type, detail = null) {
+    this.dispatchEvent(new CustomEvent(type, { detail }));
+  }
+}

@@ -1,0 +1,142 @@
+/** What shows, slot by slot, and what of it is new to whoever looks now and then. */
+
+import { numCoefficients } from "../format/gaussians.js";
+import { SH_C0 } from "../renderer/recipe.js";
+import { NEVER } from "../renderer/depthorder.js";
+import { expandFloats, expandLattice } from "./expand.js";
+
+/**
+ * Gaussians as renderers take them, all f32, one after another in every array.
+ * @typedef {object} SceneGaussians
+ * @property {Float32Array} means (N, 3) metres, world
+ * @property {Float32Array} scales (N, 3) standard deviations along the axes, metres
+ * @property {Float32Array} quats (N, 4) w, x, y, z; of length 1
+ * @property {Float32Array} opacities (N) 0 .. 1; 0 where nothing shows
+ * @property {Float32Array} colours (N, 3) RGB as on a screen, without what depends on the direction; they
+ *   may lie outside 0 .. 1
+ * @property {Float32Array} harmonics (N, K - 1, 3) the other coefficients of the spherical harmonics, RGB
+ */
+
+/**
+ * What is new since the last look.
+ * @typedef {object} SceneChange
+ * @property {number} frame that shows now
+ * @property {Uint32Array} slots (N)
+ * @property {SceneGaussians} gaussians N: what these slots show from now on
+ */
+
+/**
+ * @param {number} count
+ * @param {number} shDegree
+ * @returns {SceneGaussians}
+ */
+export function emptyScene(count, shDegree) {
+  return {
+    means: new Float32Array(3 * count),
+    scales: new Float32Array(3 * count),
+    quats: new Float32Array(4 * count),
+    opacities: new Float32Array(count),
+    colours: new Float32Array(3 * count),
+    harmonics: new Float32Array(3 * (numCoefficients(shDegree) - 1) * count),
+  };
+}
+
+/**
+ * Copies rows of every array.
+ * @param {SceneGaussians} from
+ * @param {(i: number) => number} fromRow
+ * @param {SceneGaussians} to
+ * @param {(i: number) => number} toRow
+ * @param {number} count
+ */
+export function copyRows(from, fromRow, to, toRow, count) {
+  const total = to.opacities.length;
+  for (const name of /** @type {(keyof SceneGaussians)[]} */ (Object.keys(to))) {
+    const [source, target] = [from[name], to[name]];
+    const width = total === 0 ? 0 : target.length / total;
+    for (let i = 0; i < count; i++) {
+      const [a, b] = [width * fromRow(i), width * toRow(i)];
+      for (let n = 0; n < width; n++) target[b + n] = source[a + n];
+    }
+  }
+}
+
+/** As large as the stream's slots, however long nobody looks. */
+export class Scene {
+  /**
+   * @param {number} numSlots
+   * @param {number} shDegree
+   * @param {import("../format/slots/slotlayout.js").Lattice[]} lattices of each layer; none in version 1
+   */
+  constructor(numSlots, shDegree, lattices) {
+    this.shDegree = shDegree;
+    this.lattices = lattices;
+    this.held = emptyScene(numSlots, shDegree);
+    this.starts = new Int32Array(numSlots).fill(NEVER);
+    /** Whether a slot holds something else than when it was last looked at. */
+    this.isNew = new Uint8Array(numSlots);
+    /** Whether a slot showed something when it was last looked at. */
+    this.wasShown = new Uint8Array(numSlots);
+    /** @type {number | null} */
+    this.frame = null;
+  }
+
+  /** @param {import("../playback/playback.js").Shown} shown */
+  put({ frame, isJoin, updates }) {
+    if (isJoin) this.starts.fill(NEVER);
+    for (const { lattice, floats, slots, starts } of updates) {
+      for (const [i, slot] of slots.entries()) {
+        this.starts[slot] = starts[i];
+        this.isNew[slot] = 1;
+      }
+      for (const placed of expandLattice(lattice, this.shDegree, this.lattices)) this.#hold(placed);
+      this.#hold(expandFloats(floats, this.shDegree));
+    }
+    this.frame = frame;
+  }
+
+  /** What is new since the last call. @returns {SceneChange} */
+  take() {
+    const frame = this.frame ?? -1;
+    const changed = [];
+    for (let slot = 0; slot < this.starts.length; slot++) {
+      const shows = this.starts[slot] <= frame ? 1 : 0;
+      if (shows !== this.wasShown[slot] || (shows && this.isNew[slot])) changed.push(slot);
+      this.wasShown[slot] = shows;
+      // What starts later is found again by that.
+      this.isNew[slot] = 0;
+    }
+    const slots = Uint32Array.from(changed);
+    const gaussians = emptyScene(slots.length, this.shDegree);
+    copyRows(
+      this.held,
+      (i) => slots[i],
+      gaussians,
+      (i) => i,
+      slots.length,
+    );
+    for (let i = 0; i < slots.length; i++) {
+      if (!this.wasShown[slots[i]]) gaussians.opacities[i] = 0;
+    }
+    return { frame, slots, gaussians };
+  }
+
+  /** @param {import("./expand.js").Placed} placed */
+  #hold({ slots, gaussians }) {
+    const { held } = this;
+    const k = numCoefficients(this.shDegree);
+    const { means, logScales, quats, logitOpacities, sh } = gaussians;
+    for (const [i, slot] of slots.entries()) {
+      for (let axis = 0; axis < 3; axis++) {
+        held.means[3 * slot + axis] = means[3 * i + axis];
+        held.scales[3 * slot + axis] = Math.exp(logScales[3 * i + axis]);
+        held.colours[3 * slot + axis] = 0.5 + SH_C0 * sh[3 * k * i + axis];
+      }
+      const quat = quats.subarray(4 * i, 4 * i + 4);
+      const length = Math.hypot(...quat);
+      for (let n = 0; n < 4; n++) held.quats[4 * slot + n] = quat[n] / length;
+      held.opacities[slot] = 1 / (1 + Math.exp(-logitOpacities[i]));
+      held.harmonics.set(sh.subarray(3 * (k * i + 1), 3 * k * (i + 1)), 3 * (k - 1) * slot);
+    }
+  }
+}
