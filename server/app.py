@@ -33,6 +33,7 @@ def make_app(library: Library, config: ServerConfig) -> web.Application:
         [
             web.get("/", pages.front),
             web.get("/watch/{stream}", pages.watch),
+            web.get("/web/{asset:.+}", objects.web_asset),
             web.get("/healthz", pages.healthz),
             web.get("/readyz", pages.readyz),
             web.get("/metrics", pages.metrics),

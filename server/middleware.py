@@ -11,7 +11,7 @@ from collections.abc import Awaitable, Callable
 from aiohttp import web
 
 from codec.errors import SwingsError
-from server.abr.standing import PLAY_HEADER
+from server.abr.standing import PLAY_HEADER, RATE_HEADER
 
 from .client.connection import Connection, StalledError
 from .errors import RequestError
@@ -101,7 +101,8 @@ async def add_headers(request: web.Request, response: web.StreamResponse) -> Non
     if origin:
         response.headers["Access-Control-Allow-Origin"] = origin
         response.headers["Access-Control-Expose-Headers"] = (
-            f"Accept-Ranges, Content-Length, Content-Range, ETag, Retry-After, {PLAY_HEADER}"
+            "Accept-Ranges, Content-Length, Content-Range, ETag, Retry-After, "
+            f"{PLAY_HEADER}, {RATE_HEADER}"
         )
         response.headers["Cross-Origin-Resource-Policy"] = "cross-origin"
         response.headers["Timing-Allow-Origin"] = origin

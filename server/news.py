@@ -11,7 +11,7 @@ import asyncio
 from aiohttp import web
 
 from codec.errors import InvalidError
-from server.abr.standing import MAX_BODY_BYTES, Standing
+from server.abr.standing import MAX_BODY_BYTES, RATE_HEADER, Standing
 
 from .client.register import NewsOutcome
 from .errors import RequestError
@@ -36,7 +36,11 @@ async def take_news(request: web.Request) -> web.StreamResponse:
         state.metrics.play_news.add(1, outcome)
     if outcome is NewsOutcome.UNKNOWN:
         raise RequestError(404, "there is no such play, or it is over")
-    return web.Response(status=204, headers={"Cache-Control": "no-store"})
+    headers = {"Cache-Control": "no-store"}
+    entry = state.plays.find(token, stream)
+    if entry is not None and entry.rate_bps is not None:
+        headers[RATE_HEADER] = str(round(entry.rate_bps))
+    return web.Response(status=204, headers=headers)
 
 
 async def _body(request: web.Request, timeout_s: float) -> bytes:

@@ -88,6 +88,20 @@ async def segment_object(request: web.Request) -> web.StreamResponse:
     return await _send(request, content)
 
 
+async def web_asset(request: web.Request) -> web.StreamResponse:
+    """A file of the browser player."""
+    name = request.match_info["asset"]
+    asset = request.app[STATE].web_player.assets.get(name)
+    if asset is None:
+        raise RequestError(404, f"the browser player has no file {name[:80]!r}")
+
+    async def read(start: int, stop: int) -> bytes:
+        return asset.data[start:stop]
+
+    size = len(asset.data)
+    return await _send(request, Content(size, asset.sha256, asset.content_type, REVALIDATE, read))
+
+
 async def _send(request: web.Request, content: Content) -> web.StreamResponse:
     """The answer to `request`: as much of `content` as it asks for; what is long is sent here."""
     etag = f'"{content.sha256}"'

@@ -4,54 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import re
-from html import escape
 
 from aiohttp import web
 
 from .errors import RequestError
+from .html import htmlpage, webplayer
+from .html.gallery import Card, front_page, missing_page
 from .library import ServedStream
 from .metrics import CONTENT_TYPE
 from .state import STATE, find_stream
 
-_PAGE = """<!doctype html>
-<html lang="en">
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width">
-<title>{title}</title>
-<style>body {{ font: 16px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 40rem }}</style>
-{body}
-</html>
-"""
-
-_FRONT = """<h1>Streams</h1>
-<ul>
-{items}
-</ul>
-<p>Play one with <code>swings-play {origin}/watch/NAME</code>.</p>"""
-
-_ITEM = '<li><a href="/watch/{name}">{title}</a>: {length}</li>'
-
-_WATCH = """<h1>{title}</h1>
-<p>{length}; {num_gs} Gaussians in a frame, {num_layers} layers.</p>
-<p>Play it with <code>swings-play {origin}/watch/{name}</code>.</p>
-<p><a href="/v1/streams/{name}/manifest.json">Its manifest</a>, <a href="/">all streams</a></p>"""
-
-_MISSING = """<h1>There is no such stream</h1>
-<p>See <a href="/">all streams</a>.</p>"""
-
-_SECURITY = "default-src 'none'; style-src 'unsafe-inline'"
-
 _HOST = re.compile(r"([A-Za-z0-9._-]+|\[[0-9A-Fa-f:.]+\])(:[0-9]{1,5})?")
 
 
-def _page(title: str, body: str, status: int = 200) -> web.Response:
-    """An HTML page that may load nothing. title: plain text; body: HTML."""
-    return web.Response(
-        text=_PAGE.format(title=escape(title), body=body),
-        status=status,
-        content_type="text/html",
-        headers={"Content-Security-Policy": _SECURITY, "Cache-Control": "no-cache"},
-    )
+def _page(text: str, security: str, status: int = 200) -> web.Response:
+    headers = {"Content-Security-Policy": security, "Cache-Control": "no-cache"}
+    return web.Response(text=text, status=status, content_type="text/html", headers=headers)
 
 
 def _origin(request: web.Request) -> str:
@@ -65,43 +33,47 @@ def _title(stream: ServedStream) -> str:
     return stream.view.manifest.title or stream.name
 
 
-def _length(stream: ServedStream) -> str:
-    """How long the stream is, for people."""
-    seconds = stream.num_frames / stream.fps
-    length = f"{stream.num_frames} frames, {seconds:.1f} s at {stream.fps:g} fps"
-    return f"live, {length} so far" if stream.live else length
+def _about(stream: ServedStream) -> str:
+    """The stream in a few figures, for people."""
+    manifest = stream.view.manifest
+    layers = "1 layer" if manifest.num_layers == 1 else f"{manifest.num_layers} layers"
+    return f"{manifest.num_gs:,} Gaussians, {layers}, {stream.fps:g} fps"
 
 
 async def _streams(request: web.Request) -> list[ServedStream]:
-    library = request.app[STATE].library
-    await library.rescan(asyncio.get_running_loop().time())
-    return [library.streams[name] for name in sorted(library.streams)]
+    library, now_s = request.app[STATE].library, asyncio.get_running_loop().time()
+    await library.rescan(now_s)
+    listed = [library.streams[name] for name in sorted(library.streams)]
+    for stream in listed:
+        await library.refresh(stream, now_s)
+    return listed
 
 
 async def front(request: web.Request) -> web.StreamResponse:
-    items = [
-        _ITEM.format(name=stream.name, title=escape(_title(stream)), length=_length(stream))
+    cards = [
+        Card(
+            stream.name,
+            _title(stream),
+            stream.view.manifest.poster,
+            stream.num_frames / stream.fps,
+            stream.live,
+            _about(stream),
+        )
         for stream in await _streams(request)
     ]
-    return _page("swings", _FRONT.format(items="\n".join(items), origin=_origin(request)))
+    return _page(front_page(cards, _origin(request)), htmlpage.SECURITY)
 
 
 async def watch(request: web.Request) -> web.StreamResponse:
-    """The page of one stream, under the address that the player takes too."""
+    """The browser player with one stream, under the address that swings-play takes too."""
+    origin = _origin(request)
     try:
         stream = await find_stream(request)
     except RequestError as error:
-        return _page("swings", _MISSING, error.status)
-    manifest = stream.view.manifest
-    body = _WATCH.format(
-        name=stream.name,
-        title=escape(_title(stream)),
-        length=_length(stream),
-        num_gs=manifest.num_gs,
-        num_layers=manifest.num_layers,
-        origin=_origin(request),
-    )
-    return _page(_title(stream), body)
+        return _page(missing_page("../"), htmlpage.SECURITY, error.status)
+    hint = f"This page needs JavaScript. On a desktop: swings-play {origin}/watch/{stream.name}"
+    player = request.app[STATE].web_player
+    return _page(player.watch_page(_title(stream), "../web/", hint), webplayer.SECURITY)
 
 
 async def streams(request: web.Request) -> web.StreamResponse:

@@ -8,8 +8,9 @@ from __future__ import annotations
 import asyncio
 import logging
 import random
+import re
 import secrets
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from aiohttp import web
@@ -17,6 +18,7 @@ from aiohttp import web
 from codec.errors import SwingsError
 from codec.stream.integrity import CheckedObject
 from codec.stream.manifest import MASKS, Part, snapshot_part
+from codec.stream.plainrecord import PlainRecordEncoder
 from codec.stream.playrecord import (
     CONTENT_TYPE,
     EndRecord,
@@ -71,6 +73,8 @@ class PlayQuery:
     """First frame that is not wanted; None for all."""
     num_layers: int | None
     """A fixed number of layers; None for the server's choice."""
+    plain: bool = False
+    """Whether packets come as what is in them, see codec.stream.plainrecord."""
 
 
 def parse_query(
@@ -79,11 +83,14 @@ def parse_query(
     """The checked query. Raises RequestError 400 that says what is allowed."""
     values: dict[str, str] = {}
     for key, value in pairs:
-        if key not in ("from", "until", "layers") or key in values:
+        if key not in ("from", "until", "layers", "plain") or key in values:
             raise RequestError(
-                400, f"play takes from, until and layers once each, not {key[:40]!r}"
+                400, f"play takes from, until, layers and plain once each, not {key[:40]!r}"
             )
         values[key] = value
+    plain = values.get("plain", "0")
+    if plain not in ("0", "1"):
+        raise RequestError(400, f"plain={plain[:40]!r}: give 0 or 1")
     from_frame = _number("from", values["from"]) if "from" in values else 0
     # A live stream may be joined before it has its first segment.
     if from_frame >= (num_frames or int(live)):
@@ -93,11 +100,20 @@ def parse_query(
         raise RequestError(400, f"until={until_frame} must be greater than from={from_frame}")
     layers = values.get("layers", "auto")
     if layers == "auto":
-        return PlayQuery(from_frame, until_frame, None)
+        return PlayQuery(from_frame, until_frame, None, plain == "1")
     fixed = _number("layers", layers)
     if not 1 <= fixed <= num_layers:
         raise RequestError(400, f"layers={fixed}: give auto or 1 to {num_layers}")
-    return PlayQuery(from_frame, until_frame, fixed)
+    return PlayQuery(from_frame, until_frame, fixed, plain == "1")
+
+
+def accepts_zstd(request: web.Request) -> bool:
+    """Whether the client takes a body of `Content-Encoding: zstd` (RFC 9110, 12.5.3)."""
+    for entry in ",".join(request.headers.getall("Accept-Encoding", [])).split(","):
+        name, _, weight = (part.strip().lower() for part in entry.partition(";"))
+        if name == "zstd":
+            return not re.fullmatch(r"q\s*=\s*0(\.0*)?", weight)
+    return False
 
 
 def _number(key: str, text: str) -> int:
@@ -148,9 +164,13 @@ class _Play:
         layers = query.num_layers
         policy = own_policy(stream) if layers is None else fixed_policy(layers)
         self._token = token = secrets.token_urlsafe(16)
-        self.response = web.StreamResponse(
-            headers={"Content-Type": CONTENT_TYPE, "Cache-Control": "no-store", PLAY_HEADER: token}
-        )
+        headers = {"Content-Type": CONTENT_TYPE, "Cache-Control": "no-store", PLAY_HEADER: token}
+        self._encode: Callable[[Record], bytes] = encode_record
+        if query.plain:
+            encoded = accepts_zstd(request)
+            headers |= {"Content-Encoding": "zstd"} if encoded else {}
+            self._encode = PlainRecordEncoder(encoded).encode
+        self.response = web.StreamResponse(headers=headers)
         self._state = state
         self._stream = stream
         self._connection = Connection(request, state.config.write_timeout_s)
@@ -200,7 +220,7 @@ class _Play:
         await self._connection.prepare(self.response)
         view = self._stream.view
         start = StartRecord(self._from_frame, view.num_frames, view.manifest_json)
-        await self._connection.send(self.response, encode_record(start))
+        await self._connection.send(self.response, self._encode(start))
         try:
             outcome, last = await self._send_slices()
         except (SwingsError, OSError) as error:
@@ -208,7 +228,7 @@ class _Play:
                 raise
             log.error("play of %s ended: %s", self._stream.name, error)
             outcome, last = "damaged", ErrorRecord("this stream is damaged on the server")
-        await self._connection.send(self.response, encode_record(last))
+        await self._connection.send(self.response, self._encode(last))
         return outcome
 
     async def _send_slices(self) -> tuple[str, Record]:
@@ -305,7 +325,7 @@ class _Play:
 
     async def _send_part(self, send: SendSlices | SendSnapshots, record: Record) -> None:
         """Sends a record that is what the session has decided, or a part of it."""
-        data = encode_record(record)
+        data = self._encode(record)
         self._session.sent(send, len(data), self._clock())
         await self._connection.send(self.response, data)
 

@@ -11,6 +11,7 @@ from .cache import ObjectCache
 from .client.register import PlayRegister
 from .config import ServerConfig
 from .errors import RequestError
+from .html.webplayer import WebPlayer
 from .library import Library, ServedStream
 from .metrics import Metrics
 
@@ -22,6 +23,7 @@ class ServerState:
     library: Library
     config: ServerConfig
     metrics: Metrics = field(default_factory=Metrics)
+    web_player: WebPlayer = field(default_factory=WebPlayer)
     stopping: asyncio.Event = field(default_factory=asyncio.Event)
     """Set when the server begins to stop; plays then end at the next slice."""
     cache: ObjectCache = field(init=False)

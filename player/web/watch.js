@@ -1,10 +1,15 @@
-/** The page of one stream: `watch.html?src=FOLDER`, perhaps with t (seconds), view, loop. */
+/**
+ * The page of one stream: `watch.html?src=FOLDER`, or `/watch/NAME` of a swings server; perhaps with t
+ * (seconds), view, loop, autoplay.
+ */
 
 import "./element/swingsplayer.js";
 
 const query = new URLSearchParams(location.search);
 const player = document.createElement("swings-player");
-player.setAttribute("src", query.get("src") ?? "./");
+const isServed = /\/watch\/[^/]+$/.test(location.pathname);
+const own = isServed ? location.origin + location.pathname : "./";
+player.setAttribute("src", query.get("src") ?? own);
 player.setAttribute("link", location.href);
 for (const [name, attribute] of [
   ["t", "start"],

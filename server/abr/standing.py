@@ -15,6 +15,9 @@ PLAY_HEADER = "Swings-Play"
 """Names, in the response of a play, the token under which its client tells how it stands; in the
 request that of the client's last play, whose estimate the new one begins with."""
 
+RATE_HEADER = "Swings-Rate"
+"""Says, in the answer to such news, what the link is taken to carry, bits per second."""
+
 TOKEN = "[A-Za-z0-9_-]{1,64}"
 """What a token looks like: a regular expression."""
 

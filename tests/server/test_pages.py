@@ -1,4 +1,4 @@
-"""Pages for people: the list of streams, and one for each; no client can bend them."""
+"""Pages for people: all streams, and the player of each one; no client can bend them."""
 
 from __future__ import annotations
 
@@ -6,11 +6,17 @@ import asyncio
 import json
 import re
 from pathlib import Path
+from urllib.parse import urljoin
 
 import aiohttp
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from codec.errors import InvalidError
 from codec.stream import StreamWriter
+from server.html.gallery import clock_text
+from server.html.webplayer import WebPlayer
 from tests.support.running_server import (
     SEGMENT_FRAMES,
     Running,
@@ -43,46 +49,82 @@ def test_the_list_and_the_front_page_name_every_stream(root: Path) -> None:
         async with client.get("/") as response:
             page = await response.text()
             assert response.content_type == "text/html"
-        assert re.findall('href="([^"]*)"', page) == ["/watch/dance.2", "/watch/walk"]
+        links = re.findall('class="card" href="([^"]*)"', page)
+        assert links == ["watch/dance.2", "watch/walk"]
         assert "A &lt;walk&gt; &amp; back" in page
+        assert "32 Gaussians, 4 layers, 30 fps" in page
         assert "<walk>" not in page
         assert server.url in page
 
     on_server(root, check)
 
 
-def test_every_stream_has_a_page_for_people(root: Path) -> None:
+def test_every_stream_has_a_page_that_plays_it(root: Path) -> None:
     async def check(server: Running, client: aiohttp.ClientSession) -> None:
         async with client.get("/watch/walk") as response:
             page = await response.text()
             assert (response.status, response.content_type) == (200, "text/html")
-            assert response.headers["Content-Security-Policy"].startswith("default-src 'none'")
-        assert page.count("A &lt;walk&gt; &amp; back") == 2
+            policy = response.headers["Content-Security-Policy"]
+        assert "default-src 'none'; script-src 'self' blob:" in policy
+        assert page.count("<title>A &lt;walk&gt; &amp; back</title>") == 1
         assert "<walk>" not in page
-        assert "12 frames, 0.4 s at 30 fps; 32 Gaussians in a frame, 4 layers" in page
         assert f"swings-play {server.url}/watch/walk<" in page
-        links = re.findall('href="([^"]*)"', page)
-        assert links == ["/v1/streams/walk/manifest.json", "/"]
-        for link in links:
-            async with client.get(link) as response:
-                assert response.status == 200
         async with client.head("/watch/walk") as head:
             assert (head.status, int(head.headers["Content-Length"])) == (200, len(page))
+        (base,) = re.findall('<base href="([^"]*)"', page)
+        scripts = re.findall('src="([^"]*)"', page)
+        assert scripts
+        for script in scripts:
+            asset = urljoin(urljoin(f"{server.url}/watch/walk", base), script)
+            async with client.get(asset) as response:
+                assert (response.status, response.content_type) == (200, "text/javascript")
+                tag = response.headers["ETag"]
+            async with client.get(asset, headers={"If-None-Match": tag}) as response:
+                assert response.status == 304
 
     on_server(root, check)
 
 
-def test_a_live_stream_says_so_on_its_page(tmp_path: Path) -> None:
-    writer = StreamWriter.create(tmp_path / "live", small_manifest())
+@pytest.mark.parametrize(
+    "name", ["", "nothing.js", "../pages.py", "%2e%2e/__init__.py", "tsconfig.json", "a" * 3000]
+)
+def test_only_files_of_the_player_are_served(root: Path, name: str) -> None:
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        request = f"GET /web/{name} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n"
+        answer = await raw_request(server.port, request.encode())
+        assert answer.startswith(b"HTTP/1.1 404 "), answer
+
+    on_server(root, check)
+
+
+def test_where_the_player_is_not_whole_no_server_starts(tmp_path: Path) -> None:
+    (tmp_path / "watch.html").write_text("<html></html>")
+    for folder in (tmp_path, tmp_path / "nothing"):
+        with pytest.raises(InvalidError, match="does not hold the browser player; install"):
+            WebPlayer(folder)
+
+
+@given(st.floats(0, 1e6))
+def test_lengths_as_players_show_them(seconds: float) -> None:
+    text = clock_text(seconds)
+    parts = [int(part) for part in text.split(":")]
+    assert sum(part * 60**n for n, part in enumerate(reversed(parts))) == int(seconds)
+    assert re.fullmatch(r"(\d+:\d\d|[0-5]?\d):\d\d", text)
+
+
+def test_a_live_stream_says_so_on_the_front_page(tmp_path: Path) -> None:
+    writer = StreamWriter.create(tmp_path / "live", small_manifest(fps=1))
 
     async def check(server: Running, client: aiohttp.ClientSession) -> None:
-        async with client.get("/watch/live") as response:
-            assert "live, 0 frames" in await response.text()
+        async with client.get("/") as response:
+            page = await response.text()
+        assert ">LIVE<" in page
+        assert ">0:00<" in page
         for birth in births_of(SEGMENT_FRAMES):
             writer.append(random_slice(birth, 8))
         await asyncio.sleep(0.05)
-        async with client.get("/watch/live") as response:
-            assert "live, 5 frames" in await response.text()
+        async with client.get("/") as response:
+            assert ">0:05<" in await response.text()
         writer.close()
 
     on_server(tmp_path, check)
@@ -98,8 +140,8 @@ def test_a_stream_that_is_not_there_has_a_page_that_says_so(root: Path, name: st
         assert head.startswith(b"HTTP/1.1 404 "), head
         assert b"Content-Type: text/html" in head
         assert b"Content-Security-Policy: default-src 'none'" in head
-        assert b'<a href="/">' in body
-        assert name.encode() not in body
+        assert b'<a href="../">' in body
+        assert name == ".." or name.encode() not in body
 
     on_server(root, check)
 

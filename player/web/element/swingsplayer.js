@@ -148,6 +148,7 @@ export class SwingsPlayerElement extends MediaInterface {
     });
     document.addEventListener("visibilitychange", () => this.#seenOrNot(player), { signal });
     player.addEventListener("headset", () => this.#seenOrNot(player), { signal });
+    player.addEventListener("select", () => this.togglePlaying(), { signal });
     const hint = (/** @type {string} */ message) => this.#hint(message, 10_000);
     const root = /** @type {ShadowRoot} */ (this.shadowRoot);
     this.#stereo = new StereoControls(root, player, hint, signal);

@@ -49,7 +49,7 @@ const START = {
  * uploads and draws.
  *
  * Events: `opened`, `state` (this.state), `shown` (another frame), `seeking`, `seeked`, `ended`,
- * `headset` (it was put on, hidden or taken off),
+ * `headset` (it was put on, hidden or taken off), `select` (its trigger was pulled),
  * `trouble` and `failed` (detail: a message, or null when the trouble is over).
  */
 export class WebPlayer extends EventTarget {
@@ -222,7 +222,7 @@ export class WebPlayer extends EventTarget {
       headset.end();
       return;
     }
-    headset.addEventListener("select", () => this.setPlaying(!this.state.playing));
+    headset.addEventListener("select", () => this.#say("select"));
     headset.addEventListener("visibility", () => this.#say("headset"));
     headset.addEventListener("ended", () => {
       this.headset = null;

@@ -4,10 +4,28 @@ import { corrupt, unsupported } from "./bytes/errors.js";
 
 export const LARGEST_CHUNK_BYTES = 64 + 248_512_560;
 const GZIP_MAGIC = 0x1f8b0800;
+const GZIP_START = [0x1f, 0x8b, 0x08, 0x00];
 const ZSTD_MAGIC = 0x28b52ffd;
 const LEAST_BYTES = 18;
 /** deflate cannot inflate more. */
 const MAX_EXPANSION = 1032;
+
+/**
+ * The chunk of one packet takes this much at most.
+ * @param {import("./manifest.js").Manifest} manifest
+ * @param {string} part
+ */
+export function limitBytes({ layout, numGs, swinSize, shDegree }, part) {
+  if (layout === null) return 24 + 48 + (numGs / swinSize) * (69 + 15 * (shDegree + 1) ** 2);
+  if (part === "masks") return layout.maxMaskBytes;
+  if (part.startsWith("snapshot-")) return layout.maxSnapshotBytes(Number(part.slice(9)));
+  return layout.maxChangeBytes(Number(part));
+}
+
+/** @param {Uint8Array} packet */
+export function isGzip(packet) {
+  return GZIP_START.every((byte, i) => packet[i] === byte);
+}
 
 /**
  * The chunk in a gzip packet; no bytes in one of no bytes. Memory stays within the limit.

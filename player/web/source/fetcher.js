@@ -18,7 +18,7 @@ const LONGEST_DELAY_S = 1;
 const TRIES_BEFORE_DOUBT = 3;
 
 /** How long to wait before try number `tries`, seconds. @param {number} tries from 1 on */
-function delayS(tries) {
+export function delayS(tries) {
   const mostS = Math.min(LONGEST_DELAY_S, FIRST_DELAY_S * 2 ** (tries - 1));
   // Clients that lost a server together do not come back together.
   return mostS * (0.5 + 0.5 * Math.random());

@@ -3,7 +3,7 @@ import { PlaySession } from "../delivery/session.js";
 import { corrupt } from "../format/bytes/errors.js";
 import { objectPath, readManifest } from "../format/manifest.js";
 import { GZIP, readObject } from "../format/objecttable.js";
-import { inflatePacket } from "../format/packet.js";
+import { inflatePacket, limitBytes } from "../format/packet.js";
 import { readIndex } from "../format/streamindex.js";
 import { SourceError } from "./fetcher.js";
 
@@ -72,14 +72,6 @@ export class HostedStream {
     }
     return packets;
   }
-}
-
-/** The chunk of one packet may inflate to this much. @param {import("../format/manifest.js").Manifest} manifest @param {string} part */
-function limitBytes({ layout, numGs, swinSize, shDegree }, part) {
-  if (layout === null) return 24 + 48 + (numGs / swinSize) * (69 + 15 * (shDegree + 1) ** 2);
-  if (part === "masks") return layout.maxMaskBytes;
-  if (part.startsWith("snapshot-")) return layout.maxSnapshotBytes(Number(part.slice(9)));
-  return layout.maxChangeBytes(Number(part));
 }
 
 /**

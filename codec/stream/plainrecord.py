@@ -1,0 +1,114 @@
+"""Play records for readers that cannot inflate zstd by themselves, as browsers (FORMAT.md, 10).
+
+Rule: a packet of coder zstd is in them as its content, and the whole body is coded by HTTP:
+`Content-Encoding: zstd`. As any zstd frames behind one another are one body, the packet goes out as
+it is stored, and nothing is compressed twice. A packet of coder gzip, which they can inflate, is in
+them as it is.
+"""
+
+from __future__ import annotations
+
+import struct
+
+import msgpack
+import zstandard
+
+from codec.coders import zstd
+from codec.coders.coder import Coder, coder_of
+from codec.errors import InvalidError
+
+from .playrecord import (
+    LENGTH,
+    MAX_RECORD_BYTES,
+    PACKETS_KEY,
+    Record,
+    SliceRecord,
+    SnapshotRecord,
+    encode_record,
+)
+
+MAX_WINDOW_BYTES = 8 << 20
+"""Browsers refuse zstd frames that need more (RFC 9659)."""
+
+HEAD_LEVEL = 1
+"""zstd level of what stands between packets."""
+
+Piece = tuple[bytes, bool]
+"""What of a record goes out in one: the bytes, and whether they are a packet of coder zstd."""
+
+
+class PlainRecordEncoder:
+    """Encodes the records of one response."""
+
+    def __init__(self, zstd_encoded: bool) -> None:
+        """zstd_encoded: the response says `Content-Encoding: zstd`; else packets are inflated
+        here."""
+        self._compressor = zstandard.ZstdCompressor(HEAD_LEVEL) if zstd_encoded else None
+
+    def encode(self, record: Record) -> bytes:
+        """The record's bytes in the body. Raises InvalidError if no reader would take them, and
+        CorruptError for a packet that is not one."""
+        pieces = _pieces(record)
+        if self._compressor is None:
+            return b"".join(
+                zstd.decompress(data, MAX_WINDOW_BYTES) if packed else data
+                for data, packed in pieces
+            )
+        compress = self._compressor.compress
+        return b"".join(data if packed else compress(data) for data, packed in pieces)
+
+
+def _pieces(record: Record) -> list[Piece]:
+    match record:
+        case SliceRecord():
+            value: dict[str, object] = {"kind": "slice", "birth": record.birth}
+            if record.first_layer:
+                value["first"] = record.first_layer
+            mask = record.mask
+        case SnapshotRecord():
+            value = {"kind": "snapshot", "frame": record.frame, "first": record.first_layer}
+            mask = None
+        case _:
+            return [(encode_record(record), False)]
+    packer = msgpack.Packer()
+    head = bytearray(packer.pack_map_header(len(value) + 1 + (mask is not None)))
+    for key, number in value.items():
+        head += packer.pack(key) + packer.pack(number)
+    pieces: list[Piece] = []
+    if mask is not None:
+        head += packer.pack("mask")
+        head = _add_packet(pieces, head, mask)
+    head += packer.pack(PACKETS_KEY) + packer.pack_array_header(len(record.packets))
+    for packet in record.packets:
+        head = _add_packet(pieces, head, packet)
+    if head:
+        pieces.append((bytes(head), False))
+    length = sum(
+        zstd.content_bytes(data, MAX_WINDOW_BYTES) if packed else len(data)
+        for data, packed in pieces
+    )
+    if length > MAX_RECORD_BYTES:
+        raise InvalidError(f"play: a record of {length} bytes, at most {MAX_RECORD_BYTES}")
+    return [(LENGTH.pack(length) + pieces[0][0], False), *pieces[1:]]
+
+
+def _add_packet(pieces: list[Piece], head: bytearray, packet: bytes) -> bytearray:
+    """Adds `packet` behind `head`; gives the head of what follows."""
+    if not packet or coder_of(packet) is Coder.GZIP:
+        return head + _bin_header(len(packet)) + packet
+    size = zstd.content_bytes(packet, MAX_WINDOW_BYTES)
+    window_bytes = zstandard.get_frame_parameters(packet).window_size
+    if window_bytes > MAX_WINDOW_BYTES:
+        raise InvalidError(f"packet: a browser takes no zstd frame that needs {window_bytes} bytes")
+    head += _bin_header(size)
+    pieces += [(bytes(head), False), (packet, True)]
+    return bytearray()
+
+
+def _bin_header(size: int) -> bytes:
+    """What msgpack writes before `size` bytes."""
+    if size < 1 << 8:
+        return struct.pack(">BB", 0xC4, size)
+    if size < 1 << 16:
+        return struct.pack(">BH", 0xC5, size)
+    return struct.pack(">BI", 0xC6, size)

@@ -1,0 +1,1 @@
+"""Pages for people, as text: no request and no response is known here."""
