@@ -60,7 +60,8 @@ def growth_bytes(page: Page, frames: tuple[int, int], lead_frames: int) -> int:
         page.wait(f"{PLAYER}.state.endFrame - {PLAYER}.state.frame >= {lead_frames}", 60)
         found.append(page.heaps_bytes())
     assert len(found[0]) == 3
-    return max(after - before for before, after in zip(*found, strict=True))
+    before, after = found
+    return max(b - a for a, b in zip(before, after, strict=True))
 
 
 def test_ten_thousand_frames(page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
