@@ -7,7 +7,7 @@ import { SplatRenderer } from "/player/web/renderer/splatrenderer.js";
 
 /** Pictures that are not counted: programs are compiled, and all that shows is uploaded. */
 const WARM_UP_PICTURES = 10;
-const NUM_DRAWS = 9;
+const NUM_DRAWS = 5;
 const TURN_PX = 2;
 
 /**
@@ -152,9 +152,9 @@ async function measure({ rate, uploadsAll, isMoving }) {
   const info = /** @type {any} */ (gl.getExtension("WEBGL_debug_renderer_info"));
   return {
     pictures: pictures.slice(WARM_UP_PICTURES),
-    playedS,
+    picturesPerS: pictures.length / playedS,
     stalls: player().state.stalls,
-    drawMs: finishedDrawMs(),
+    drawMs: uploadsAll ? 0 : finishedDrawMs(),
     device: gl.getParameter(info?.UNMASKED_RENDERER_WEBGL ?? gl.RENDERER),
   };
 }

@@ -79,9 +79,10 @@ class Measured:
     """What a play gave."""
 
     pictures: list[dict[str, float]]
-    played_s: float
+    pictures_per_s: float
     stalls: int
     draw_ms: float
+    """0 in the mode that uploads all."""
     device: str
 
     @staticmethod
@@ -89,9 +90,8 @@ class Measured:
         """What meter.js says. Raises InvalidError if it saw nothing."""
         if not found["pictures"]:
             raise InvalidError("this machine makes too few pictures; choose a lower --rate")
-        return Measured(
-            found["pictures"], found["playedS"], found["stalls"], found["drawMs"], found["device"]
-        )
+        names = "pictures", "picturesPerS", "stalls", "drawMs", "device"
+        return Measured(*(found[name] for name in names))
 
     def within(self, name: str, share: float = 0.5) -> float:
         """What `share` of the pictures take at most."""
@@ -101,10 +101,6 @@ class Measured:
     def upload_bytes(self) -> float:
         """Mean of a picture."""
         return fmean(picture["uploadBytes"] for picture in self.pictures)
-
-    @property
-    def pictures_per_s(self) -> float:
-        return len(self.pictures) / self.played_s
 
 
 def scene(**changes: object) -> dict[str, object]:

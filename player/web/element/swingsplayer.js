@@ -185,8 +185,12 @@ export class SwingsPlayerElement extends HTMLElement {
   #show(player) {
     const { state, manifest, numFrames } = player;
     const play = this.#part(".play");
-    play.innerHTML = state.playing ? ICONS.pause : ICONS.play;
-    play.setAttribute("aria-label", state.playing ? "Pause" : "Play");
+    const label = state.playing ? "Pause" : "Play";
+    // What is written anew is laid out anew, ten times a second.
+    if (play.getAttribute("aria-label") !== label) {
+      play.innerHTML = state.playing ? ICONS.pause : ICONS.play;
+      play.setAttribute("aria-label", label);
+    }
     const isShown = player.shownFrame >= 0;
     this.#part(".poster").classList.toggle("gone", isShown);
     this.#part(".spinner").toggleAttribute("hidden", !state.waiting);
