@@ -16,16 +16,11 @@ from rich.table import Table
 
 from codec.coders.coder import EncodedChunk, compress, decompress
 from codec.console import run_command
-from codec.slots.lattice import Bytes, Lattice, States, quantise
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.slotencoder import SlotEncoder
-from codec.slots.slotlayout import SlotLayout
-from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
-from codec.splats import Floats, Splats
-from tests.support.trained_like import trained_like_splats
+from codec.slots.update import Update
+from tests.support.slots.trained_updates import trained_like_layout, trained_like_updates
 
-SHARES = (0.35, 0.15, 0.2, 0.3)
-"""Of each layer."""
 SWIN_SIZE = 2
 NUM_FRAMES = 24
 SEGMENT_FRAMES = 30
@@ -40,63 +35,6 @@ class SlotsConfig:
     active: float = 0.3
     """Share of the slots that a slice changes: nine tenths of them predicted, the rest new or
     ended."""
-
-
-def moved(splats: Splats, rng: np.random.Generator) -> Splats:
-    """`splats` a frame later: a little farther, a little turned, a little brighter."""
-
-    def near(values: Floats, sigma: float) -> Floats:
-        return (values + rng.normal(0, sigma, values.shape)).astype(np.float32)
-
-    return Splats(
-        near(splats.means, 0.002),
-        near(splats.log_scales, 0.03),
-        near(splats.quats, 0.01),
-        near(splats.logit_opacities, 0.03),
-        near(splats.sh, 0.02),
-    )
-
-
-def made_updates(config: SlotsConfig) -> tuple[SlotLayout, list[Update]]:
-    """Updates of a trained-like scene whose changes come in spells of the same slots."""
-    rng = np.random.default_rng(0)
-    splats = [trained_like_splats(config.num_slots, lane) for lane in range(SWIN_SIZE)]
-    lattice = Lattice.suiting(splats[0])
-    counts = [round(share * config.num_slots) for share in SHARES[:-1]]
-    counts.append(config.num_slots - sum(counts))
-    layout = SlotLayout(SWIN_SIZE, tuple(counts), 0, (lattice,) * len(counts), SEGMENT_FRAMES)
-    states: list[States] = []
-    updates = []
-    for n in range(SWIN_SIZE):
-        made, fits = quantise(splats[n], lattice)
-        states.append(made)
-        statuses = np.where(fits, NEW, KEPT).astype(np.uint8)
-        updates.append(_update(n + 1 - SWIN_SIZE, statuses, made))
-    held = [update.statuses == NEW for update in updates]
-    busy = rng.random((SWIN_SIZE, config.num_slots)) < config.active
-    for birth in range(1, NUM_FRAMES):
-        lane = (birth + SWIN_SIZE - 1) % SWIN_SIZE
-        # A fifth of the slots that are busy or idle change over.
-        renewed = rng.random(config.num_slots) < 0.2
-        busy[lane] = np.where(renewed, rng.random(config.num_slots) < config.active, busy[lane])
-        splats[lane] = moved(splats[lane], rng)
-        made, fits = quantise(splats[lane], lattice, states[lane], 0.7)
-        kind = rng.random(config.num_slots)
-        status = np.where(kind < 0.9, PREDICTED, np.where(kind < 0.95, NEW, ENDED))
-        status = np.where(~held[lane] & (status == PREDICTED), NEW, status)
-        statuses = np.where(busy[lane] & fits, status, KEPT).astype(np.uint8)
-        coded = np.flatnonzero(statuses >= PREDICTED)
-        states[lane].put(coded, made.take(coded))
-        held[lane][statuses == NEW] = True
-        held[lane][statuses == ENDED] = False
-        updates.append(_update(birth, statuses, made))
-    return layout, updates
-
-
-def _update(birth: int, statuses: Bytes, made: States) -> Update:
-    coded = np.flatnonzero(statuses >= PREDICTED)
-    zeros = np.zeros(len(coded), np.uint8)
-    return Update(birth, statuses, made.take(coded), zeros, zeros > 0, Splats.empty())
 
 
 def median_ms(works: Sequence[Callable[[], object]]) -> float:
@@ -114,7 +52,8 @@ def packet(chunk: EncodedChunk) -> bytes:
 
 
 def run(config: SlotsConfig) -> None:
-    layout, updates = made_updates(config)
+    layout = trained_like_layout(config.num_slots, SWIN_SIZE, SEGMENT_FRAMES)
+    updates = list(trained_like_updates(layout, NUM_FRAMES, config.active))
     encoder, decoder = SlotEncoder(layout), SlotDecoder(layout)
     for update in updates[:SWIN_SIZE]:
         encoder.append(update)

@@ -208,8 +208,12 @@ export class SwingsPlayerElement extends MediaInterface {
   #show(player) {
     const { state, manifest, numFrames } = player;
     const play = this.#part(".play");
-    play.innerHTML = this.paused ? ICONS.play : ICONS.pause;
-    play.setAttribute("aria-label", this.paused ? "Play" : "Pause");
+    const label = this.paused ? "Play" : "Pause";
+    // What is written anew is laid out anew, ten times a second.
+    if (play.getAttribute("aria-label") !== label) {
+      play.innerHTML = this.paused ? ICONS.play : ICONS.pause;
+      play.setAttribute("aria-label", label);
+    }
     const isShown = player.shownFrame >= 0;
     this.#part(".poster").classList.toggle("gone", isShown);
     this.#part(".spinner").toggleAttribute("hidden", !state.waiting);

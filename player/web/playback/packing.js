@@ -4,7 +4,7 @@ import { opacityLogits } from "../format/opacity.js";
 import { ESCAPED, ON_LATTICE } from "../format/slots/slots.js";
 import { NEVER } from "../renderer/depthorder.js";
 import { ALPHA_MIN } from "../renderer/recipe.js";
-import { floatWords, latticeWords } from "../renderer/resident.js";
+import { floatWords, latticeWords, roomFor } from "../renderer/resident.js";
 
 /** One that is nowhere opaque enough to show is left out of every frame. */
 const LEAST_LOGIT = Math.log(ALPHA_MIN / (1 - ALPHA_MIN));
@@ -102,8 +102,8 @@ class Packer {
     /** @type {SplatUpdate} */
     this.update = {
       frame,
-      lattice: new Uint32Array(this.latticeWords * numLattice),
-      floats: new Uint32Array(this.floatWords * numFloats),
+      lattice: roomFor(numLattice, this.latticeWords),
+      floats: roomFor(numFloats, this.floatWords),
       slots: new Uint32Array(count),
       means: new Float32Array(3 * count),
       starts: new Int32Array(count),
@@ -133,14 +133,15 @@ class Packer {
     const { positions, attributes, numAttributes } = slots;
     const { means, lattice: words } = this.update;
     const word = this.latticeWords * this.atLattice++;
+    const from = numAttributes * row;
     for (let axis = 0; axis < 3; axis++) {
       const q = positions[3 * row + axis];
-      words[word + axis] = q;
+      words[word + axis] = (q << 8) | attributes[from + axis];
       means[3 * this.at + axis] = q * lattice.positionM;
     }
     words[word + 3] = (layer << 24) | slot;
-    const from = numAttributes * row;
-    this.latticeBytes.set(attributes.subarray(from, from + numAttributes), 4 * (word + 4));
+    const to = 4 * (word + 4) - 3;
+    for (let i = 3; i < numAttributes; i++) this.latticeBytes[to + i] = attributes[from + i];
     const logit = logits[attributes[from + numAttributes - 1]];
     this.#add(slot, logit >= LEAST_LOGIT ? start : NEVER);
   }

@@ -33,7 +33,7 @@ export class DepthOrder {
   }
 
   /**
-   * The slots to draw, a copy.
+   * The slots to draw, a copy; in two bytes each where they fit.
    * @param {number} frame
    * @param {number[]} w2c (4, 4) world to camera, metres
    * @param {number} nearM
@@ -53,7 +53,8 @@ export class DepthOrder {
       found++;
     }
     this.#sort(found);
-    return this.slots[1].slice(0, found);
+    const order = this.slots[1].subarray(0, found);
+    return starts.length <= 2 ** 16 ? new Uint16Array(order) : order.slice();
   }
 
   /**

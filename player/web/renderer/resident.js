@@ -13,13 +13,18 @@ export function texelsPerGaussian(shDegree) {
 
 /** Words of a Gaussian on the lattice as it is uploaded. @param {number} shDegree */
 export function latticeWords(shDegree) {
-  const numBytes = 7 + 3 * (shDegree + 1) ** 2;
-  return 4 * Math.ceil((4 + Math.ceil(numBytes / 4)) / 4);
+  const numBytes = 4 + 3 * (shDegree + 1) ** 2; // the log scales lie with the position
+  return 4 + Math.ceil(numBytes / 4);
 }
 
 /** Words of a Gaussian of floats as it is uploaded. @param {number} shDegree */
 export function floatWords(shDegree) {
-  return 4 * Math.ceil((12 + 3 * (shDegree + 1) ** 2) / 4);
+  return 12 + 3 * (shDegree + 1) ** 2;
+}
+
+/** Room for `count` Gaussians, in whole texels. @param {number} count @param {number} wordsEach */
+export function roomFor(count, wordsEach) {
+  return new Uint32Array(4 * Math.ceil((count * wordsEach) / 4));
 }
 
 /**
@@ -64,11 +69,11 @@ export class Resident {
     };
     this.lattice = makeProgram(gl, EXPAND_LATTICE, STORE_TEXEL, {
       ...defines,
-      ITEM_TEXELS: latticeWords(shDegree) / 4,
+      ITEM_WORDS: latticeWords(shDegree),
     });
     this.floats = makeProgram(gl, EXPAND_FLOATS, STORE_TEXEL, {
       ...defines,
-      ITEM_TEXELS: floatWords(shDegree) / 4,
+      ITEM_WORDS: floatWords(shDegree),
     });
     gl.useProgram(this.lattice.program);
     for (const [layer, steps] of lattices.entries()) {
@@ -80,7 +85,7 @@ export class Resident {
 
   /**
    * Puts Gaussians into their slots.
-   * @param {Uint32Array} words `latticeWords` each
+   * @param {Uint32Array} words `latticeWords` each, in `roomFor` them
    */
   putLattice(words) {
     this.#put(words, latticeWords(this.shDegree), this.lattice);
@@ -88,7 +93,7 @@ export class Resident {
 
   /**
    * Puts Gaussians into their slots.
-   * @param {Uint32Array} words the bits of `floatWords` floats each
+   * @param {Uint32Array} words the bits of `floatWords` floats each, in `roomFor` them
    */
   putFloats(words) {
     this.#put(words, floatWords(this.shDegree), this.floats);
@@ -110,7 +115,7 @@ export class Resident {
     gl.uniform1i(program.at("staged"), 0);
     gl.uniform2f(program.at("size_px"), this.widthPx, this.heightPx);
     gl.bindVertexArray(this.points);
-    gl.drawArrays(gl.POINTS, 0, (words.length / wordsEach) * this.texels);
+    gl.drawArrays(gl.POINTS, 0, Math.floor(words.length / wordsEach) * this.texels);
   }
 
   /** Uploads `words` into the next staging texture, and binds it. @param {Uint32Array} words */

@@ -22,7 +22,14 @@ function float(x) {
  * harmonics 9. Every texel is one point; all points of a Gaussian compute the same.
  */
 const EXPANDED = /* glsl */ `
+uniform usampler2D staged;
+
 flat out uvec4 texel;
+
+uint word(int item, int n) {
+  int at = item * ITEM_WORDS + n;
+  return texelFetch(staged, ivec2(at / 4 % STAGED_WIDTH_PX, at / 4 / STAGED_WIDTH_PX), 0)[at % 4];
+}
 
 void finish(uint slot, int n, vec3 mean, vec3 log_scales, vec4 quat, float opacity, vec3 dc,
             vec3 first, vec3 second, vec3 third) {
@@ -49,28 +56,25 @@ void finish(uint slot, int n, vec3 mean, vec3 log_scales, vec4 quat, float opaci
 }
 `;
 
-/** Gaussians on a lattice: three positions, slot and layer, then the attributes, a byte each. */
+/**
+ * Gaussians on a lattice: three positions of 24 bits, each with a log scale behind it, slot and layer,
+ * then the other attributes, a byte each.
+ */
 export const EXPAND_LATTICE = /* glsl */ `
-uniform usampler2D staged;
 uniform vec2 size_px;
 uniform vec4 steps[16];         // of each layer: position, log scale, log scale's base, rotation
 uniform vec2 more_steps[16];    // colour, opacity levels - 1
 
 ${EXPANDED}
 
-uint word(int item, int n) {
-  int at = item * ITEM_TEXELS + n / 4;
-  return texelFetch(staged, ivec2(at % STAGED_WIDTH_PX, at / STAGED_WIDTH_PX), 0)[n % 4];
-}
-
 int code_of(int item, int i) {
   return int(word(item, 4 + i / 4) << (24 - 8 * (i % 4))) >> 24;
 }
 
 vec3 rgb(int item, int c, float size) {
-  float y = float(code_of(item, 6 + c)) * size;
-  float co = float(code_of(item, 6 + K + c)) * size;
-  float cg = float(code_of(item, 6 + 2 * K + c)) * size;
+  float y = float(code_of(item, 3 + c)) * size;
+  float co = float(code_of(item, 3 + K + c)) * size;
+  float cg = float(code_of(item, 3 + 2 * K + c)) * size;
   return vec3(y - cg + co, y + cg, y - cg - co);
 }
 
@@ -80,11 +84,12 @@ void main() {
   int layer = int(place >> 24);
   vec4 sizes = steps[layer];
   vec2 more = more_steps[layer];
-  vec3 mean = vec3(ivec3(word(item, 0), word(item, 1), word(item, 2))) * sizes.x;
-  vec3 a = vec3(code_of(item, 0), code_of(item, 1), code_of(item, 2));
-  vec3 turn = vec3(code_of(item, 3), code_of(item, 4), code_of(item, 5)) * sizes.w;
+  ivec3 place_and_scale = ivec3(word(item, 0), word(item, 1), word(item, 2));
+  vec3 mean = vec3(place_and_scale >> 8) * sizes.x;
+  vec3 a = vec3((place_and_scale << 24) >> 24);
+  vec3 turn = vec3(code_of(item, 0), code_of(item, 1), code_of(item, 2)) * sizes.w;
   vec4 quat = vec4(sqrt(max(1.0 - dot(turn, turn), 0.0)), turn);
-  float opacity = float(code_of(item, 6 + 3 * K) & 255) / more.y;
+  float opacity = float(code_of(item, 3 + 3 * K) & 255) / more.y;
 #if K >= 4
   vec3 first = rgb(item, 1, more.x), second = rgb(item, 2, more.x), third = rgb(item, 3, more.x);
 #else
@@ -97,15 +102,12 @@ void main() {
 
 /** Gaussians as floats: slot, mean, log scales, quaternion, logit, harmonics. */
 export const EXPAND_FLOATS = /* glsl */ `
-uniform usampler2D staged;
 uniform vec2 size_px;
 
 ${EXPANDED}
 
 float number(int item, int n) {
-  int at = item * ITEM_TEXELS + n / 4;
-  return uintBitsToFloat(
-    texelFetch(staged, ivec2(at % STAGED_WIDTH_PX, at / STAGED_WIDTH_PX), 0)[n % 4]);
+  return uintBitsToFloat(word(item, n));
 }
 
 vec3 three(int item, int n) {

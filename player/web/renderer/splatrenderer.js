@@ -32,10 +32,9 @@ export class SplatRenderer {
     this.quads = gl.createVertexArray();
     gl.bindVertexArray(this.quads);
     gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
-    const slot = gl.getAttribLocation(this.splats.program, "slot");
-    gl.enableVertexAttribArray(slot);
-    gl.vertexAttribIPointer(slot, 1, gl.UNSIGNED_INT, 0, 0);
-    gl.vertexAttribDivisor(slot, 1);
+    this.slot = gl.getAttribLocation(this.splats.program, "slot");
+    gl.enableVertexAttribArray(this.slot);
+    gl.vertexAttribDivisor(this.slot, 1);
     this.nothing = gl.createVertexArray();
     this.orderBytes = 0;
     /** @type {{ widthPx: number, heightPx: number, texture: WebGLTexture, framebuffer: WebGLFramebuffer } | null} */
@@ -50,7 +49,7 @@ export class SplatRenderer {
   /**
    * Takes in what is new, and the order in which to draw from now on: both or none are seen.
    * @param {{ lattice: Uint32Array, floats: Uint32Array }[]} updates
-   * @param {Uint32Array} order slots, farthest first
+   * @param {Uint16Array | Uint32Array} order slots, farthest first
    */
   update(updates, order) {
     const { gl } = this;
@@ -61,6 +60,9 @@ export class SplatRenderer {
     gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
     // A new store: the frame before may still be read from the old one.
     gl.bufferData(gl.ARRAY_BUFFER, order, gl.STREAM_DRAW);
+    const type = order instanceof Uint16Array ? gl.UNSIGNED_SHORT : gl.UNSIGNED_INT;
+    gl.bindVertexArray(this.quads);
+    gl.vertexAttribIPointer(this.slot, 1, type, 0, 0);
     this.orderBytes += order.byteLength;
     this.numDrawn = order.length;
   }

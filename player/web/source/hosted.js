@@ -95,6 +95,20 @@ export async function handOver(manifest, record, part, packets, sink) {
   }
 }
 
+/**
+ * The parts of a segment that hold what was chosen.
+ * @param {import("../delivery/outlook.js").Send} send
+ * @param {import("../format/manifest.js").Manifest} manifest
+ */
+function partsOf({ kind, firstLayer, endLayer }, { layout }) {
+  const parts = [];
+  for (let layer = firstLayer; layer < endLayer; layer++) {
+    if (kind === "snapshots") parts.push(`snapshot-${layer}`);
+    else parts.push(...(layer === 0 && layout ? ["masks", "0"] : [String(layer)]));
+  }
+  return parts;
+}
+
 /** One play of a hosted stream: fetches what the session decides, and hands it over. */
 export class HostedPlay {
   /**
@@ -116,8 +130,8 @@ export class HostedPlay {
     /** @type {unknown} */
     this.failure = null;
     this.isClosed = false;
-    /** @type {Set<string>} objects that were asked for */
-    this.fetched = new Set();
+    /** @type {Map<number, Set<string>>} parts that were asked for, by segment */
+    this.fetched = new Map();
     /** @type {() => void} called when something has come or failed */
     this.onNews = () => {};
     /** Layers that are asked for, at most. */
@@ -130,6 +144,7 @@ export class HostedPlay {
       const nowS = this.nowS();
       this.session.acknowledge(nowS, this.comeBytes);
       const decision = this.session.decide(nowS);
+      this.#forget();
       switch (decision.kind) {
         case "slices":
         case "snapshots":
@@ -144,7 +159,7 @@ export class HostedPlay {
   }
 
   /**
-   * Objects come whole, so what is asked for goes on to the end of the last one's segment.
+   * Whole objects: of each segment that holds some of what was chosen.
    * @param {import("../delivery/outlook.js").Send} send
    * @param {number} nowS
    */
@@ -152,28 +167,42 @@ export class HostedPlay {
     const { manifest, records } = this.stream;
     const [first, last] =
       send.kind === "slices" ? [send.birth, send.endBirth - 1] : [send.frame, send.frame];
-    const segment = (/** @type {number} */ frame) =>
-      Math.floor(Math.max(frame, 0) / manifest.segmentFrames);
-    const parts = [];
-    for (let layer = send.firstLayer; layer < send.endLayer; layer++) {
-      if (send.kind === "snapshots") parts.push(`snapshot-${layer}`);
-      else parts.push(...(layer === 0 && manifest.layout ? ["masks", "0"] : [String(layer)]));
-    }
-    const isAllowed = send.firstLayer < this.mostLayers;
-    const asked = records.slice(segment(first), segment(last) + 1);
+    const endSegment = this.#segment(last) + 1;
     let numBytes = 0;
-    for (const record of asked) {
-      for (const part of parts) {
-        const name = `${record.segment}/${part}`;
-        if (!isAllowed || this.fetched.has(name)) continue;
-        numBytes += record.objectBytes[manifest.parts.indexOf(part)];
-        this.fetched.add(name);
-        this.#fetch(record, part);
+    for (let segment = this.#segment(first); segment < endSegment; segment++) {
+      if (send.firstLayer >= this.mostLayers) break;
+      for (const part of partsOf(send, manifest)) {
+        if (!this.#isNew(segment, part)) continue;
+        numBytes += records[segment].objectBytes[manifest.parts.indexOf(part)];
+        this.#fetch(records[segment], part);
       }
     }
-    const { firstFrame, numFrames } = asked[asked.length - 1];
+    const { firstFrame, numFrames } = records[endSegment - 1];
     const endBirth = firstFrame + numFrames;
     this.session.sent(send.kind === "slices" ? { ...send, endBirth } : send, numBytes, nowS);
+  }
+
+  /** @param {number} birth */
+  #segment(birth) {
+    return Math.floor(Math.max(birth, 0) / this.stream.manifest.segmentFrames);
+  }
+
+  /**
+   * Whether an object was not asked for yet; it counts as asked for from now on.
+   * @param {number} segment
+   * @param {string} part
+   */
+  #isNew(segment, part) {
+    const parts = this.fetched.get(segment) ?? new Set();
+    if (parts.has(part)) return false;
+    this.fetched.set(segment, parts.add(part));
+    return true;
+  }
+
+  /** Forgets what was asked for of segments of which nothing shows any more. */
+  #forget() {
+    const oldest = this.#segment(this.session.oldestFrame - this.stream.manifest.swinSize + 1);
+    for (const segment of this.fetched.keys()) if (segment < oldest) this.fetched.delete(segment);
   }
 
   /**

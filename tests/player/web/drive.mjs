@@ -74,6 +74,43 @@ const ACTIONS = {
   async offline({ offline }) {
     await page.context().setOffline(offline);
   },
+  /** Bytes that the page and each of its workers hold, without what nobody refers to any more. */
+  async heaps() {
+    const session = await page.context().newCDPSession(page);
+    /** @type {string[]} */
+    const workers = [];
+    /** @type {Map<number, (result: any) => void>} */
+    const asked = new Map();
+    session.on("Target.attachedToTarget", ({ sessionId }) => workers.push(sessionId));
+    session.on("Target.receivedMessageFromTarget", ({ message }) => {
+      const { id, result } = JSON.parse(message);
+      asked.get(id)?.(result);
+    });
+    await session.send("Target.setAutoAttach", {
+      autoAttach: true,
+      waitForDebuggerOnStart: false,
+      flatten: false,
+    });
+    /** @param {string} sessionId @param {string} method @returns {Promise<any>} */
+    const askWorker = async (sessionId, method) => {
+      const id = asked.size;
+      const answer = new Promise((resolve) => asked.set(id, resolve));
+      const message = JSON.stringify({ id, method });
+      await session.send("Target.sendMessageToTarget", { sessionId, message });
+      return answer;
+    };
+    /** @type {((method: any) => Promise<any>)[]} */
+    const asks = [(method) => session.send(method)];
+    for (const worker of workers) asks.push((method) => askWorker(worker, method));
+    const found = [];
+    for (const ask of asks) {
+      await ask("HeapProfiler.collectGarbage");
+      const { usedSize, backingStorageSize } = await ask("Runtime.getHeapUsage");
+      found.push(usedSize + backingStorageSize);
+    }
+    await session.detach();
+    return found;
+  },
   complaints() {
     return complaints;
   },

@@ -76,6 +76,11 @@ class Page:
     def set_offline(self, offline: bool) -> None:
         self._do("offline", offline=offline)
 
+    def heaps_bytes(self) -> list[int]:
+        """What the page and each of its workers hold, without what nobody refers to any more."""
+        found: list[int] = self._do("heaps")
+        return found
+
     @property
     def complaints(self) -> list[str]:
         """What the page threw, and its warnings."""
