@@ -115,6 +115,8 @@ export class SwingsPlayerElement extends HTMLElement {
       /** @type {string} */ type,
       /** @type {() => void} */ action,
     ) => this.#part(selector).addEventListener(type, action, { signal });
+    // It may not be there yet.
+    on(".poster", "error", () => this.#part(".poster").toggleAttribute("hidden", true));
     on(".play", "click", () => this.togglePlaying());
     on(".loop", "click", () => this.toggleAttribute("loop"));
     on(".reset", "click", () => this.resetView());
@@ -170,7 +172,8 @@ export class SwingsPlayerElement extends HTMLElement {
     }
     const poster = /** @type {HTMLImageElement} */ (this.#part(".poster"));
     if (poster.hidden && manifest.poster) {
-      poster.src = new URL(`${this.getAttribute("src")}/${manifest.poster}`, document.baseURI).href;
+      const path = manifest.poster.split("/").map(encodeURIComponent).join("/");
+      poster.src = new URL(`${this.getAttribute("src")}/${path}`, document.baseURI).href;
       poster.hidden = false;
     }
     const view = this.getAttribute("view");
