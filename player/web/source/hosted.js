@@ -152,30 +152,36 @@ export class HostedPlay {
   }
 
   /**
+   * Objects come whole, so what is asked for goes on to the end of the last one's segment.
    * @param {import("../delivery/outlook.js").Send} send
    * @param {number} nowS
    */
   #ask(send, nowS) {
     const { manifest, records } = this.stream;
-    const { segmentFrames } = manifest;
-    const birth = send.kind === "slices" ? send.birth : send.frame;
-    const record = records[Math.floor(Math.max(birth, 0) / segmentFrames)];
+    const [first, last] =
+      send.kind === "slices" ? [send.birth, send.endBirth - 1] : [send.frame, send.frame];
+    const segment = (/** @type {number} */ frame) =>
+      Math.floor(Math.max(frame, 0) / manifest.segmentFrames);
     const parts = [];
     for (let layer = send.firstLayer; layer < send.endLayer; layer++) {
       if (send.kind === "snapshots") parts.push(`snapshot-${layer}`);
       else parts.push(...(layer === 0 && manifest.layout ? ["masks", "0"] : [String(layer)]));
     }
     const isAllowed = send.firstLayer < this.mostLayers;
+    const asked = records.slice(segment(first), segment(last) + 1);
     let numBytes = 0;
-    for (const part of parts) {
-      const name = `${record.segment}/${part}`;
-      if (!isAllowed || this.fetched.has(name)) continue;
-      numBytes += record.objectBytes[manifest.parts.indexOf(part)];
-      this.fetched.add(name);
-      this.#fetch(record, part);
+    for (const record of asked) {
+      for (const part of parts) {
+        const name = `${record.segment}/${part}`;
+        if (!isAllowed || this.fetched.has(name)) continue;
+        numBytes += record.objectBytes[manifest.parts.indexOf(part)];
+        this.fetched.add(name);
+        this.#fetch(record, part);
+      }
     }
-    const end = record.firstFrame + record.numFrames;
-    this.session.sent(send.kind === "slices" ? { ...send, endBirth: end } : send, numBytes, nowS);
+    const { firstFrame, numFrames } = asked[asked.length - 1];
+    const endBirth = firstFrame + numFrames;
+    this.session.sent(send.kind === "slices" ? { ...send, endBirth } : send, numBytes, nowS);
   }
 
   /**
