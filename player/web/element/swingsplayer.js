@@ -2,6 +2,7 @@ import { RendererError } from "../renderer/program.js";
 import { MARKUP, timeText } from "./controls.js";
 import { listenToGestures } from "./gestures.js";
 import { ICONS } from "./icons.js";
+import { followLive } from "./livebadge.js";
 import { STYLE } from "./style.js";
 import { WebPlayer } from "./webplayer.js";
 
@@ -135,6 +136,8 @@ export class SwingsPlayerElement extends HTMLElement {
       this.#scrubbing = false;
       player.seek(Number(this.#scrub.value));
     });
+    followLive(/** @type {ShadowRoot} */ (this.shadowRoot), player, signal);
+    on(".badge", "click", () => this.goLive());
     document.addEventListener("visibilitychange", () => this.#seenOrNot(player), { signal });
     this.addEventListener("keydown", (event) => this.#pressed(event, player), { signal });
     for (const type of ["pointermove", "pointerdown", "keydown", "focusin"]) {
@@ -179,14 +182,15 @@ export class SwingsPlayerElement extends HTMLElement {
     const view = this.getAttribute("view");
     if (view && player.orbit !== null) player.orbit.text = view;
     this.#setLoop(this.hasAttribute("loop"));
-    const startS = Number(this.getAttribute("start") ?? 0);
-    if (startS > 0) player.seek(startS * manifest.fps);
+    const start = this.getAttribute("start");
+    // A live stream begins at its edge by itself, others at 0.
+    if (start !== null && Number(start) >= 0) player.seek(Number(start) * manifest.fps);
     if (this.hasAttribute("autoplay")) player.setPlaying(true);
   }
 
   /** @param {WebPlayer} player */
   #show(player) {
-    const { state, manifest, numFrames } = player;
+    const { state, numFrames } = player;
     const play = this.#part(".play");
     play.innerHTML = state.playing ? ICONS.pause : ICONS.play;
     play.setAttribute("aria-label", state.playing ? "Pause" : "Play");
@@ -205,7 +209,6 @@ export class SwingsPlayerElement extends HTMLElement {
       `linear-gradient(to right, #8ab4ff ${here}, rgb(255 255 255 / 0.5) ${here} ${buffered}, ` +
         `rgb(255 255 255 / 0.2) ${buffered})`,
     );
-    this.#part(".badge").classList.toggle("on", Boolean(manifest?.live));
   }
 
   /**
@@ -221,6 +224,14 @@ export class SwingsPlayerElement extends HTMLElement {
 
   togglePlaying() {
     this.player?.setPlaying(!this.player.state.playing);
+  }
+
+  /** Plays a live stream at its edge. */
+  goLive() {
+    const { player } = this;
+    if (!player?.live) return;
+    if (!player.state.playing) this.togglePlaying();
+    player.seekEdge();
   }
 
   resetView() {
@@ -323,7 +334,7 @@ export class SwingsPlayerElement extends HTMLElement {
       actions.arrowleft = () => player.seek(Math.max(0, frame - step));
       actions.arrowright = () => player.seek(Math.min(player.numFrames - 1, frame + step));
       actions.home = () => player.seek(0);
-      actions.end = () => player.seek(player.numFrames - 1);
+      actions.end = () => (player.live ? this.goLive() : player.seek(player.numFrames - 1));
     }
     const action = actions[event.key.toLowerCase()];
     if (action === undefined) return;

@@ -1,5 +1,6 @@
 import { SplatRenderer } from "../renderer/splatrenderer.js";
 import { RendererError } from "../renderer/program.js";
+import { edgeFrame } from "../source/liveedge.js";
 import { Orbit } from "../view/orbit.js";
 
 /**
@@ -41,8 +42,8 @@ function startWorker(path) {
  * Plays a stream on a canvas. Network and decoding run in one worker, sorting in another; this thread
  * uploads and draws.
  *
- * Events: `opened`, `state` (this.state), `ended`, `trouble` and `failed` (detail: a message, or null
- * when the trouble is over).
+ * Events: `opened`, `state` (this.state), `grown` (numFrames or live has changed), `ended`, `trouble`
+ * and `failed` (detail: a message, or null when the trouble is over).
  */
 export class WebPlayer extends EventTarget {
   /** @param {HTMLCanvasElement} canvas */
@@ -61,6 +62,8 @@ export class WebPlayer extends EventTarget {
     /** @type {any} what the stream's manifest says */
     this.manifest = null;
     this.numFrames = 0;
+    /** Whether the stream may still grow. */
+    this.live = false;
     /** @type {PlayState} */
     this.state = {
       frame: 0,
@@ -119,6 +122,12 @@ export class WebPlayer extends EventTarget {
     this.worker?.postMessage({ kind: "seek", frame });
   }
 
+  /** Goes on to the edge of a live stream. */
+  seekEdge() {
+    const edge = edgeFrame(this.manifest, this.numFrames);
+    if (this.state.frame < edge) this.seek(edge);
+  }
+
   /** @param {number} rate */
   setRate(rate) {
     this.worker?.postMessage({ kind: "rate", rate });
@@ -146,6 +155,7 @@ export class WebPlayer extends EventTarget {
       case "opened":
         this.manifest = data.manifest;
         this.numFrames = data.numFrames;
+        this.live = data.manifest.live;
         this.orbit = new Orbit(data.manifest);
         try {
           this.renderer?.close();
@@ -161,6 +171,11 @@ export class WebPlayer extends EventTarget {
         }
         this.moved();
         this.#say("opened");
+        break;
+      case "grown":
+        this.numFrames = data.numFrames;
+        this.live = data.live;
+        this.#say("grown");
         break;
       case "state":
         this.state = data;
@@ -257,6 +272,7 @@ export class WebPlayer extends EventTarget {
     this.sorted = null;
     this.asked = "none";
     this.shownFrame = -1;
+    this.live = false;
   }
 
   /** Ends all. */

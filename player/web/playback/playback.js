@@ -26,7 +26,10 @@ export class Playback {
   constructor(play, fps, numFrames, firstFrame) {
     this.play = play;
     this.fps = fps;
+    /** Frames that there are now. */
     this.numFrames = numFrames;
+    /** Whether there may be more later. */
+    this.live = false;
     /** The frame that shows next. */
     this.nextFrame = firstFrame;
     /** The first frame that is not there. */
@@ -48,7 +51,7 @@ export class Playback {
 
   /** Whether the last frame has shown. */
   get hasEnded() {
-    return this.isJoined && this.nextFrame >= this.numFrames;
+    return this.isJoined && !this.live && this.nextFrame >= this.numFrames;
   }
 
   /**
@@ -81,7 +84,8 @@ export class Playback {
     }
     const stepS = 1 / (this.fps * this.rate);
     if (this.dueS === null) {
-      const needed = Math.min(this.numFrames, this.nextFrame + Math.ceil(LEAD_S * this.fps));
+      const lead = this.nextFrame + Math.ceil(LEAD_S * this.fps);
+      const needed = this.live ? lead : Math.min(this.numFrames, lead);
       this.waiting = this.endFrame < needed;
       if (this.waiting) return null;
       this.dueS = nowS + stepS;
@@ -89,7 +93,7 @@ export class Playback {
     }
     /** @type {Shown | null} */
     let shown = null;
-    while (this.dueS <= nowS && this.nextFrame < this.numFrames) {
+    while (this.dueS <= nowS && !this.hasEnded) {
       if (this.nextFrame >= this.endFrame) {
         this.stalls += 1;
         this.waiting = true;

@@ -2,7 +2,9 @@
 
 import { FormatError } from "../format/bytes/errors.js";
 import { Fetcher, SourceError } from "../source/fetcher.js";
+import { follow } from "../source/follow.js";
 import { HostedPlay, HostedStream } from "../source/hosted.js";
+import { edgeFrame } from "../source/liveedge.js";
 import { buffersOf } from "./packing.js";
 import { Playback } from "./playback.js";
 import { SlicePlay } from "./sliceplay.js";
@@ -38,7 +40,26 @@ class Player {
     this.source = undefined;
     /** @type {Playback | undefined} */
     this.playback = undefined;
-    this.begin(0);
+    this.begin(stream.manifest.live ? edgeFrame(stream.manifest, stream.numFrames) : 0);
+  }
+
+  /**
+   * Goes to `frame`. A live stream that plays has too little to go on with behind its edge.
+   * @param {number} frame
+   */
+  seek(frame) {
+    const { manifest, numFrames } = this.stream;
+    const isBound = manifest.live && this.playing;
+    const most = Math.max(edgeFrame(manifest, numFrames), this.playback?.frame ?? 0);
+    this.begin(isBound ? Math.min(frame, most) : frame);
+  }
+
+  /** Takes in that a live stream has more frames, or has ended. */
+  grow() {
+    if (this.playback === undefined) return;
+    this.playback.numFrames = this.stream.numFrames;
+    this.playback.live = this.stream.manifest.live;
+    this.wake();
   }
 
   /** Plays from `frame` on: forgets what is here. @param {number} frame */
@@ -53,6 +74,7 @@ class Player {
     this.source.mostLayers = this.mostLayers;
     this.source.onNews = () => this.wake();
     this.playback = new Playback(play, manifest.fps, numFrames, first);
+    this.playback.live = manifest.live;
     this.playback.setRate(this.rate);
     this.playback.setPlaying(this.playing);
     this.wake();
@@ -160,6 +182,14 @@ async function open(base) {
     const { manifest, numFrames } = stream;
     scope.postMessage({ kind: "opened", manifest: plain(manifest), numFrames });
     if (sorter !== null) player = new Player(sorter, stream, fetcher);
+    await follow(stream, () => {
+      scope.postMessage({
+        kind: "grown",
+        numFrames: stream.numFrames,
+        live: stream.manifest.live,
+      });
+      player?.grow();
+    });
   } catch (error) {
     fail(error);
   }
@@ -182,7 +212,7 @@ scope.onmessage = ({ data }) => {
       player.setPlaying(data.playing);
       break;
     case "seek":
-      player?.begin(data.frame);
+      player?.seek(data.frame);
       break;
     case "rate":
       if (player !== null) player.rate = data.rate;

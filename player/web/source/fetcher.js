@@ -41,9 +41,10 @@ export class Fetcher {
    * @param {number} limitBytes
    * @param {(numBytes: number) => void} [onBytes] told of each piece that came; what came of a try
    *   that broke off is taken back as a negative number
+   * @param {RequestInit} [init]
    * @returns {Promise<Uint8Array>}
    */
-  async get(url, limitBytes, onBytes = () => {}) {
+  async get(url, limitBytes, onBytes = () => {}, init = {}) {
     const beganS = performance.now() / 1000;
     for (let tries = 1; ; tries++) {
       let came = 0;
@@ -53,7 +54,7 @@ export class Fetcher {
         onBytes(numBytes);
       };
       try {
-        const bytes = await this.#once(url, limitBytes, count);
+        const bytes = await this.#once(url, limitBytes, count, init);
         if (tries > 1) this.onTrouble(null);
         return bytes;
       } catch (error) {
@@ -74,9 +75,10 @@ export class Fetcher {
    * @param {string} url
    * @param {number} limitBytes
    * @param {(numBytes: number) => void} onBytes
+   * @param {RequestInit} init
    */
-  async #once(url, limitBytes, onBytes) {
-    const response = await fetch(url, { signal: this.abort.signal });
+  async #once(url, limitBytes, onBytes, init) {
+    const response = await fetch(url, { ...init, signal: this.abort.signal });
     if (response.status >= 500) throw new TypeError(`HTTP ${response.status}`);
     if (!response.ok) throw new SourceError(`${url}: HTTP ${response.status}`);
     /** @type {Uint8Array[]} */
