@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from codec.stream.poster import Draw
 from codec.tools.audit import describe, summarise, verify_stream
 from codec.tools.commands import Export, Import, export_files, import_files
 
@@ -45,7 +47,7 @@ class Command:
     action: Annotated[Info | Verify | Import | Export, tyro.conf.arg(name="")]
 
 
-def run(command: Command) -> None:
+def run(command: Command, draw: Draw | None) -> None:
     match command.action:
         case Info(stream=path, json=as_json, plot=picture):
             summary = summarise(path)
@@ -62,13 +64,15 @@ def run(command: Command) -> None:
                 f"{path}: {summary.num_frames} frames in {summary.num_segments} segments are good"
             )
         case Import() as config:
-            print(import_files(config))
+            print(import_files(config, draw))
         case Export() as config:
             print(export_files(config))
 
 
-def main() -> None:
-    run_command(Command, run, "swings-stream", "Looks at a stream; imports and exports Gaussians.")
+def main(draw: Draw | None = None) -> None:
+    """draw: for the poster of what is imported; `player.streamcommand` hands it in."""
+    what = "Looks at a stream; imports and exports Gaussians."
+    run_command(Command, partial(run, draw=draw), "swings-stream", what)
 
 
 if __name__ == "__main__":

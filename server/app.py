@@ -21,6 +21,9 @@ _NUMBER = "0|[1-9][0-9]{0,8}"
 _PART = f"{_NUMBER}|{MASKS}|snapshot-(?:{_NUMBER})"
 """What a segment has an object of; which of them there are, the stream says."""
 
+_PICTURE = r"[A-Za-z]{3,4}"
+"""How the name of a poster ends."""
+
 
 def make_app(library: Library, config: ServerConfig) -> web.Application:
     """The application that serves `library`; it must run on one event loop."""
@@ -46,6 +49,8 @@ def make_app(library: Library, config: ServerConfig) -> web.Application:
             ),
             web.get(f"{stream}/play", play, allow_head=False),
             web.post(f"{stream}/play/{{play:{TOKEN}}}", take_news),
+            # Last: its name may hold anything but for its end.
+            web.get(f"{stream}/{{poster:.+\\.{_PICTURE}}}", objects.poster),
         ]
     )
     return app

@@ -16,6 +16,7 @@ from codec.errors import SwingsError
 from codec.stream.index import INDEX_NAME, pack_record
 from codec.stream.integrity import CheckedObject
 from codec.stream.manifest import MANIFEST_NAME, Manifest, Part
+from codec.stream.poster import read_poster
 from codec.stream.reader import StreamReader
 from server.abr.media import SegmentSizes, segment_sizes
 
@@ -133,6 +134,10 @@ class ServedStream:
     def read_object(self, segment: int, part: Part) -> CheckedObject:
         """The object, checked against the index. Blocks."""
         return self._reader.read_object(segment, part)
+
+    def read_poster(self) -> bytes | None:
+        """The stream's poster; None while there is none. Blocks."""
+        return read_poster(self._folder, self.view.manifest)
 
     def read_index(self, start: int, stop: int) -> bytes:
         """Bytes start..stop-1 of index.bin, which the view must hold. Blocks."""

@@ -6,12 +6,14 @@ Rule: a strong ETag is a hash of the content, so equal tags mean equal bytes on 
 from __future__ import annotations
 
 import asyncio
+import hashlib
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 
 from aiohttp import web
 
 from codec.stream.manifest import Part
+from codec.stream.poster import picture_type
 
 from .byterange import ByteRange, Unsatisfiable, parse_range
 from .client.connection import PIECE_BYTES, Connection
@@ -22,7 +24,7 @@ IMMUTABLE = "public, max-age=31536000, immutable"
 """For objects: what a segment's URL gives never changes."""
 
 REVALIDATE = "no-cache"
-"""For the manifest and the index: they may change, so a cache asks each time and gets a 304."""
+"""For what may change, manifest, index and poster: a cache asks each time and gets a 304."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +102,24 @@ async def web_asset(request: web.Request) -> web.StreamResponse:
 
     size = len(asset.data)
     return await _send(request, Content(size, asset.sha256, asset.content_type, REVALIDATE, read))
+
+
+async def poster(request: web.Request) -> web.StreamResponse:
+    """The picture that the manifest names, and no other file."""
+    stream, name = await find_stream(request), request.match_info["poster"]
+    content_type = picture_type(name)
+    data = None
+    if content_type is not None and name == stream.view.manifest.poster:
+        data = await asyncio.to_thread(stream.read_poster)
+    if data is None or content_type is None:
+        raise RequestError(404, f"{stream.name} has no picture {name[:80]!r}")
+    picture = data
+
+    async def read(start: int, stop: int) -> bytes:
+        return picture[start:stop]
+
+    sha256 = hashlib.sha256(picture).hexdigest()
+    return await _send(request, Content(len(picture), sha256, content_type, REVALIDATE, read))
 
 
 async def _send(request: web.Request, content: Content) -> web.StreamResponse:

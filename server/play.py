@@ -10,7 +10,7 @@ import logging
 import random
 import re
 import secrets
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from aiohttp import web
@@ -18,7 +18,7 @@ from aiohttp import web
 from codec.errors import SwingsError
 from codec.stream.integrity import CheckedObject
 from codec.stream.manifest import MASKS, Part, snapshot_part
-from codec.stream.plainrecord import PlainRecordEncoder
+from codec.stream.plainrecord import CODINGS, PlainRecordEncoder
 from codec.stream.playrecord import (
     CONTENT_TYPE,
     EndRecord,
@@ -107,13 +107,17 @@ def parse_query(
     return PlayQuery(from_frame, until_frame, fixed, plain == "1")
 
 
-def accepts_zstd(request: web.Request) -> bool:
-    """Whether the client takes a body of `Content-Encoding: zstd` (RFC 9110, 12.5.3)."""
-    for entry in ",".join(request.headers.getall("Accept-Encoding", [])).split(","):
+def body_coding(accepted: str) -> str:
+    """The best coding of a plain body that an Accept-Encoding allows (RFC 9110, 12.5.3); nothing
+    for none."""
+    weights = {}
+    for entry in accepted.split(","):
         name, _, weight = (part.strip().lower() for part in entry.partition(";"))
-        if name == "zstd":
-            return not re.fullmatch(r"q\s*=\s*0(\.0*)?", weight)
-    return False
+        weights[name] = weight
+    for coding in CODINGS:
+        if coding in weights and not re.fullmatch(r"q\s*=\s*0(\.0*)?", weights[coding]):
+            return coding
+    return ""
 
 
 def _number(key: str, text: str) -> int:
@@ -165,11 +169,11 @@ class _Play:
         policy = own_policy(stream) if layers is None else fixed_policy(layers)
         self._token = token = secrets.token_urlsafe(16)
         headers = {"Content-Type": CONTENT_TYPE, "Cache-Control": "no-store", PLAY_HEADER: token}
-        self._encode: Callable[[Record], bytes] = encode_record
+        self._plain: PlainRecordEncoder | None = None
         if query.plain:
-            encoded = accepts_zstd(request)
-            headers |= {"Content-Encoding": "zstd"} if encoded else {}
-            self._encode = PlainRecordEncoder(encoded).encode
+            coding = body_coding(",".join(request.headers.getall("Accept-Encoding", [])))
+            headers |= {"Content-Encoding": coding} if coding else {}
+            self._plain = PlainRecordEncoder(coding)
         self.response = web.StreamResponse(headers=headers)
         self._state = state
         self._stream = stream
@@ -228,7 +232,7 @@ class _Play:
                 raise
             log.error("play of %s ended: %s", self._stream.name, error)
             outcome, last = "damaged", ErrorRecord("this stream is damaged on the server")
-        await self._connection.send(self.response, self._encode(last))
+        await self._connection.send(self.response, self._encode(last, last=True))
         return outcome
 
     async def _send_slices(self) -> tuple[str, Record]:
@@ -333,6 +337,11 @@ class _Play:
         for part, packet in zip(parts, packets, strict=True):
             self._state.metrics.packets.add(1, str(part))
             self._state.metrics.layer_bytes.add(len(packet), "play", str(part))
+
+    def _encode(self, record: Record, last: bool = False) -> bytes:
+        if self._plain is None:
+            return encode_record(record)
+        return self._plain.encode(record, last)
 
     async def _pause(self, seconds: float) -> None:
         """Waits, but not longer than the server runs."""

@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 from codec.stream import StreamReader
+from codec.stream.poster import POSTER_NAME
 from player.render.cpu import render_splats
 from player.render.gl import GlError, GlRenderer
 from tests.support.commands import run, run_ok, serving
@@ -70,6 +71,11 @@ def test_the_trained_stream_is_whole_and_shows_the_scene(made: Made) -> None:
     reader = StreamReader(made.stream)
     assert reader.num_frames == FRAMES
     assert not reader.manifest.live
+    poster = np.asarray(Image.open(made.stream / POSTER_NAME), np.float32) / np.float32(255)
+    middle = reader.active_splats(FRAMES // 2, 3)
+    drawn = render_splats(middle, reader.manifest.camera(), reader.manifest.near_m)
+    assert psnr_db(np.clip(drawn, 0, 1), poster, None) > 25
+    assert (made.raw / POSTER_NAME).is_file()
     scores = evaluation(made, made.stream)["layers"]
     assert [s["layers"] for s in scores] == [1, 2, 3]
     assert scores[-1]["psnr_db"] > 18

@@ -24,6 +24,7 @@ from codec.splats import Splats
 from codec.stream.chunk import MAX_SPLATS_PER_CHUNK
 from codec.stream.layers import RANKS, Rank
 from codec.stream.manifest import Manifest, Point
+from codec.stream.poster import POSTER_NAME, Draw, write_poster
 from codec.stream.writer import StreamWriter
 
 from .formats import has_known_suffix, read_splats
@@ -152,8 +153,11 @@ def _point(values: Doubles) -> Point:
     return x, y, z
 
 
-def import_stream(source: Path, stream: Path, options: ImportOptions) -> Manifest:
-    """Writes a finished stream at `stream` of the file or numbered folder `source`.
+def import_stream(
+    source: Path, stream: Path, options: ImportOptions, draw: Draw | None = None
+) -> Manifest:
+    """Writes a finished stream at `stream` of the file or numbered folder `source`, with a poster
+    if there is something to draw it with.
 
     Each file of a sequence is read twice: the manifest comes first and describes them all, and only
     one is in memory at a time. Raises a SwingsError that names the file at fault before anything is
@@ -182,6 +186,8 @@ def import_stream(source: Path, stream: Path, options: ImportOptions) -> Manifes
         manifest = filler.manifest(plain)
     else:
         manifest = make_manifest(survey, options, title)
+    if draw is not None:
+        manifest = replace(manifest, poster=POSTER_NAME)
     with StreamWriter.create(stream, manifest, options.rank) as writer:
         for birth, file in enumerate(files):
             if birth:
@@ -190,4 +196,6 @@ def import_stream(source: Path, stream: Path, options: ImportOptions) -> Manifes
                 writer.append(Slice(birth, splats, np.zeros(len(splats), np.uint8)))
             else:
                 writer.append(filler.update(birth, splats))
+    if draw is not None:
+        write_poster(stream, draw)
     return writer.manifest

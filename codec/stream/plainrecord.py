@@ -1,14 +1,15 @@
 """Play records for readers that cannot inflate zstd by themselves, as browsers (FORMAT.md, 10).
 
-Rule: a packet of coder zstd is in them as its content, and the whole body is coded by HTTP:
-`Content-Encoding: zstd`. As any zstd frames behind one another are one body, the packet goes out as
-it is stored, and nothing is compressed twice. A packet of coder gzip, which they can inflate, is in
+Rule: a packet of coder zstd is in them as its content, and the whole body is coded by HTTP. As any
+zstd frames behind one another are one body, with `Content-Encoding: zstd` the packet goes out as it
+is stored, and nothing is compressed twice. A packet of coder gzip, which they can inflate, is in
 them as it is.
 """
 
 from __future__ import annotations
 
 import struct
+import zlib
 
 import msgpack
 import zstandard
@@ -30,6 +31,16 @@ from .playrecord import (
 MAX_WINDOW_BYTES = 8 << 20
 """Browsers refuse zstd frames that need more (RFC 9659)."""
 
+ZSTD, GZIP = CODINGS = ("zstd", "gzip")
+"""Codings of a body, the best first. Browsers take zstd from https and from their own machine;
+gzip, which costs the server time, wherever they are."""
+
+GZIP_LEVEL = 4
+"""zlib level: what one client needs is compressed while it waits."""
+
+GZIP_WBITS = 16 + zlib.MAX_WBITS
+"""zlib's way to say gzip."""
+
 HEAD_LEVEL = 1
 """zstd level of what stands between packets."""
 
@@ -38,24 +49,29 @@ Piece = tuple[bytes, bool]
 
 
 class PlainRecordEncoder:
-    """Encodes the records of one response."""
+    """Encodes the records of one response, in order."""
 
-    def __init__(self, zstd_encoded: bool) -> None:
-        """zstd_encoded: the response says `Content-Encoding: zstd`; else packets are inflated
-        here."""
-        self._compressor = zstandard.ZstdCompressor(HEAD_LEVEL) if zstd_encoded else None
+    def __init__(self, coding: str) -> None:
+        """coding: what the response says as Content-Encoding, one of CODINGS; nothing for none."""
+        self._zstd = zstandard.ZstdCompressor(HEAD_LEVEL) if coding == ZSTD else None
+        self._gzip = zlib.compressobj(GZIP_LEVEL, wbits=GZIP_WBITS) if coding == GZIP else None
 
-    def encode(self, record: Record) -> bytes:
-        """The record's bytes in the body. Raises InvalidError if no reader would take them, and
-        CorruptError for a packet that is not one."""
+    def encode(self, record: Record, last: bool = False) -> bytes:
+        """The record's bytes in the body, all that a reader needs to take it; last: with the end of
+        the body. Raises InvalidError if no reader would take them, and CorruptError for a packet
+        that is not one."""
         pieces = _pieces(record)
-        if self._compressor is None:
+        if self._zstd is not None:
             return b"".join(
-                zstd.decompress(data, MAX_WINDOW_BYTES) if packed else data
-                for data, packed in pieces
+                data if packed else self._zstd.compress(data) for data, packed in pieces
             )
-        compress = self._compressor.compress
-        return b"".join(data if packed else compress(data) for data, packed in pieces)
+        body = b"".join(
+            zstd.decompress(data, MAX_WINDOW_BYTES) if packed else data for data, packed in pieces
+        )
+        if self._gzip is None:
+            return body
+        flush = zlib.Z_FINISH if last else zlib.Z_SYNC_FLUSH
+        return self._gzip.compress(body) + self._gzip.flush(flush)
 
 
 def _pieces(record: Record) -> list[Piece]:

@@ -16,6 +16,7 @@ from codec.stream.integrity import (
     object_table,
 )
 from codec.stream.object import MAX_OBJECT_BYTES
+from codec.stream.poster import check_poster
 from codec.stream.reader import StreamReader, read_stream_file
 
 from .slotaudit import verify_slots
@@ -175,11 +176,11 @@ def describe(summary: StreamSummary) -> str:
 def verify_stream(path: Path) -> StreamSummary:
     """The summary of the stream at `path`, after every byte of it was read, checked and decoded.
 
-    Raises a CodecError for the first thing that is wrong, in the order manifest, index, objects.
-    Its message and `at` name the file and the first byte in it that may be wrong, as exactly as
-    the format tells: where the manifest stops being JSON, a field of the index or of an object's
-    table, the record or the compressed chunk whose checksum or content is wrong, or where a file
-    ends too early. Of two fields that contradict each other it is the first.
+    Raises a CodecError for the first thing that is wrong, in the order manifest, index, objects,
+    poster. Its message and `at` name the file and the first byte in it that may be wrong, as
+    exactly as the format tells: where the manifest stops being JSON, a field of the index or of an
+    object's table, the record or the compressed chunk whose checksum or content is wrong, or where
+    a file ends too early. Of two fields that contradict each other it is the first.
     """
     reader = StreamReader(path)
     manifest = reader.manifest
@@ -190,7 +191,15 @@ def verify_stream(path: Path) -> StreamSummary:
         raise error.within(index) from error
     if manifest.has_slots:
         verify_slots(reader)
-        return _summary(reader)
+    else:
+        _verify_slices(reader)
+    check_poster(path, manifest)
+    return _summary(reader)
+
+
+def _verify_slices(reader: StreamReader) -> None:
+    """Raises a CodecError for the first object that is wrong (version 1)."""
+    manifest = reader.manifest
     for record in reader.records:
         births = manifest.births(record.segment, record.num_frames)
         totals = [0] * len(births)
@@ -202,7 +211,6 @@ def verify_stream(path: Path) -> StreamSummary:
                     check_slice_size(birth, total, manifest)
             except CodecError as error:
                 raise error.within(reader.object_path(record.segment, layer)) from error
-    return _summary(reader)
 
 
 def _verify_object(reader: StreamReader, record: SegmentRecord, layer: int) -> list[int]:

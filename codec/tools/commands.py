@@ -12,6 +12,7 @@ from codec.errors import InvalidError
 from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat
 from codec.interop.importing import ImportOptions, import_stream
+from codec.stream.poster import Draw
 
 from .static import export_static
 
@@ -50,9 +51,9 @@ class Export:
     """Write all of the stream, coded so that browsers inflate it by themselves (gzip)."""
 
 
-def import_files(config: Import) -> str:
-    """Does what `config` says; gives a line about it."""
-    made = import_stream(config.input, config.stream, config.options)
+def import_files(config: Import, draw: Draw | None = None) -> str:
+    """Does what `config` says; gives a line about it. draw: for the poster."""
+    made = import_stream(config.input, config.stream, config.options, draw)
     return (
         f"{config.stream}: {made.title}, up to {made.num_gs} Gaussians a frame, "
         f"SH degree {made.sh_degree}, {made.profile}"

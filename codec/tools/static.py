@@ -20,6 +20,7 @@ from codec.stream.index import INDEX_NAME, SegmentRecord, pack_record
 from codec.stream.integrity import CheckedObject, fitting_slice
 from codec.stream.manifest import MANIFEST_NAME, MASKS, OBJECT_URL, object_file
 from codec.stream.object import encode_packet, join_packets
+from codec.stream.poster import read_poster
 from codec.stream.reader import StreamReader
 
 from .slotaudit import verify_slots
@@ -126,15 +127,9 @@ def _recoded(source: CheckedObject, birth: int) -> bytes:
 
 
 def _copy_poster(reader: StreamReader, folder: Path) -> None:
-    """Takes the picture along if it lies in the stream's folder; it may also be elsewhere."""
-    root = reader.path.resolve()
-    try:
-        poster = (root / (reader.manifest.poster or "")).resolve()
-        if not poster.is_relative_to(root) or not poster.is_file():
-            return
-    except (OSError, RuntimeError):  # links in a circle, or a path too long for this system
-        return
-    copy = folder / poster.relative_to(root)
-    if not copy.exists():  # else the poster is a part of the stream
+    """Takes the picture along, if it lies in the stream's folder."""
+    content = read_poster(reader.path, reader.manifest)
+    if content is not None and reader.manifest.poster is not None:
+        copy = folder / reader.manifest.poster
         copy.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(poster, copy)
+        write_atomic(copy, content)

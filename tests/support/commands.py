@@ -15,7 +15,7 @@ ENTRY = {
     "swings-synth": "trainer.__main__:synth",
     "swings-train": "trainer.__main__:train",
     "swings-eval": "trainer.__main__:evaluate",
-    "swings-stream": "codec.__main__:main",
+    "swings-stream": "player.streamcommand:main",
     "swings-serve": "server.__main__:main",
     "swings-play": "player.__main__:main",
     "swings-abr": "server.study.__main__:main",

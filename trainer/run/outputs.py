@@ -15,6 +15,8 @@ from codec.slots.update import Update
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import Manifest
+from codec.stream.poster import POSTER_NAME, write_poster
+from player.render.cpu import render_splats
 from trainer.pictures.framecache import FrameCache
 from trainer.score.meter import QualityMeter
 from trainer.score.picture import captured, displayed
@@ -49,6 +51,7 @@ class Outputs:
         self.quality = quality
         self.pending: list[Slice | Update] = []
         """What may not be in a finished segment of every stream yet, in order of birth."""
+        self._without_poster = [w for w in writers if not (w.path / POSTER_NAME).exists()]
 
     @property
     def played_bytes(self) -> int:
@@ -70,6 +73,10 @@ class Outputs:
         self.pending = [
             p for p in self.pending if any(p.birth >= w.durable_birth for w in self._writers)
         ]
+        for writer in self._without_poster:
+            if writer.durable_birth > 0:  # its first frames are there
+                write_poster(writer.path, render_splats)
+        self._without_poster = [w for w in self._without_poster if w.durable_birth <= 0]
 
 
 @contextmanager
@@ -78,7 +85,8 @@ def open_outputs(
 ) -> Iterator[Outputs]:
     """A stream in each of the folders; a resumed run leaves out those that are finished.
 
-    Leaving finishes the streams; leaving by an exception keeps what is in finished segments.
+    Leaving finishes the streams; leaving by an exception keeps what is in finished segments. Each
+    stream gets a poster with its first segment, and one of its middle when it is finished.
     """
     with ExitStack() as stack:
         writers, meters = [], []
@@ -99,6 +107,8 @@ def open_outputs(
         if not writers:
             raise InvalidError(f"{config.target} is finished; there is nothing to resume")
         yield Outputs(writers, meters[0])
+    for writer in writers:  # again: now there is all of the stream to choose from
+        write_poster(writer.path, render_splats)
 
 
 def write_snapshot(

@@ -19,6 +19,7 @@ from codec.profiles.profile import Profile
 from codec.slots.lattice import Lattice
 from codec.splats import Splats
 from codec.stream.manifest import SLOTS_VERSION, VERSION, Manifest
+from codec.stream.poster import POSTER_NAME
 from trainer.capture.capture import Capture, check_trainable
 from trainer.capture.layout import open_capture
 from trainer.capture.points import points_evenness, read_points_file
@@ -198,6 +199,7 @@ def make_manifest(
         cameras=cameras,
         default_camera=cameras[capture.watching[0]].name,
         live=True,
+        poster=POSTER_NAME,
         title=config.title or capture.root.resolve().name,
         capture_frame=prepared.frames.start,
     )

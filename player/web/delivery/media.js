@@ -75,7 +75,7 @@ export function segmentSizes(record, manifest) {
   return makeSizes(layerBytes, rising(record.psnrDb, layerBytes), snapshotBytes, changedShares);
 }
 
-/** The stream that is delivered; `records` may grow. */
+/** The stream that is delivered; it may grow. */
 export class Media {
   /**
    * @param {object} shape
@@ -117,9 +117,20 @@ export class Media {
  */
 export function streamMedia(manifest, records) {
   const media = new Media({ ...manifest, hasSlots: manifest.layout !== null });
-  media.segments = records.map((record) => segmentSizes(record, manifest));
-  const last = records[records.length - 1];
-  media.numFrames = last === undefined ? 0 : last.firstFrame + last.numFrames;
-  media.live = manifest.live;
+  growMedia(media, manifest, records);
   return media;
+}
+
+/**
+ * Takes in what the index says of the segments that follow, and whether more may come.
+ * @param {Media} media
+ * @param {import("../format/manifest.js").Manifest} manifest
+ * @param {import("../format/streamindex.js").SegmentRecord[]} records
+ */
+export function growMedia(media, manifest, records) {
+  for (const record of records) {
+    media.segments.push(segmentSizes(record, manifest));
+    media.numFrames = record.firstFrame + record.numFrames;
+  }
+  media.live = manifest.live;
 }

@@ -25,7 +25,7 @@ export const MARKUP = /* html */ `
   <input class="scrub" type="range" min="0" max="0" step="1" value="0" aria-label="Seek">
   <button class="play" aria-label="Play">${ICONS.play}</button>
   <span class="time">0:00 / 0:00</span>
-  <button class="badge" aria-label="Go to the live edge">LIVE</button>
+  <button class="badge" aria-label="Go to the live edge" title="Go to the live edge (End)"><span>LIVE</span></button>
   <span class="space"></span>
   <button class="reset wide" aria-label="Reset the view" title="Reset the view (R)">${ICONS.reset}</button>
   <button class="loop" aria-label="Loop" aria-pressed="false" title="Loop (L)">${ICONS.loop}</button>

@@ -211,9 +211,11 @@ export class MediaInterface extends HTMLElement {
     if (this.#layers !== 0) this.#setLayers();
     const view = this.getAttribute("view");
     if (view) this.view = view;
-    const startS = this.#startS ?? Number(this.getAttribute("start") ?? 0);
+    const start = this.getAttribute("start");
+    const startS = this.#startS ?? (start === null ? null : Number(start));
     this.#startS = null;
-    if (startS > 0) this.currentTime = startS;
+    // A live stream begins at its edge by itself, others at 0.
+    if (startS !== null && startS >= 0) this.currentTime = startS;
     this.#say("loadedmetadata");
     if (!this.#paused) player.setPlaying(true);
     else if (this.autoplay) this.play();

@@ -41,8 +41,10 @@ select option { background: #1c1c20; }
 svg { width: 20px; height: 20px; fill: currentColor; vertical-align: middle; }
 .time { font-variant-numeric: tabular-nums; }
 .space { flex: 1; }
-.badge { display: none; padding: 1px 6px; border-radius: 4px; background: #d33; font-weight: 600; }
-.badge.on { display: inline; }
+.badge { display: none; padding: 0 4px; }
+.badge.on { display: inline-block; }
+.badge span { padding: 2px 6px; border-radius: 4px; background: #d33; color: #fff; font-size: 12px; font-weight: 600; }
+.badge.behind span { background: #555; }
 .note {
   position: absolute; left: 50%; top: 50%; translate: -50% -50%;
   max-width: min(80%, 420px); padding: 10px 16px; border-radius: 8px;

@@ -2,6 +2,7 @@ import { RendererError } from "../renderer/program.js";
 import { MARKUP, timeText } from "./controls.js";
 import { listenToGestures } from "./gestures.js";
 import { ICONS } from "./icons.js";
+import { followLive } from "./livebadge.js";
 import { MediaInterface } from "./mediainterface.js";
 import { StereoControls } from "./stereocontrols.js";
 import { STYLE } from "./style.js";
@@ -130,6 +131,8 @@ export class SwingsPlayerElement extends MediaInterface {
       /** @type {string} */ type,
       /** @type {() => void} */ action,
     ) => this.#part(selector).addEventListener(type, action, { signal });
+    // It may not be there yet.
+    on(".poster", "error", () => this.#part(".poster").toggleAttribute("hidden", true));
     on(".play", "click", () => this.togglePlaying());
     on(".loop", "click", () => this.toggleAttribute("loop"));
     on(".reset", "click", () => this.resetView());
@@ -146,6 +149,8 @@ export class SwingsPlayerElement extends MediaInterface {
       this.#scrubbing = false;
       player.seek(Number(this.#scrub.value));
     });
+    followLive(/** @type {ShadowRoot} */ (this.shadowRoot), player, signal);
+    on(".badge", "click", () => this.goLive());
     document.addEventListener("visibilitychange", () => this.#seenOrNot(player), { signal });
     player.addEventListener("headset", () => this.#seenOrNot(player), { signal });
     player.addEventListener("select", () => this.togglePlaying(), { signal });
@@ -197,7 +202,8 @@ export class SwingsPlayerElement extends MediaInterface {
     }
     const poster = /** @type {HTMLImageElement} */ (this.#part(".poster"));
     if (poster.hidden && manifest.poster) {
-      poster.src = new URL(`${this.getAttribute("src")}/${manifest.poster}`, document.baseURI).href;
+      const path = manifest.poster.split("/").map(encodeURIComponent).join("/");
+      poster.src = new URL(path, player.base).href;
       poster.hidden = false;
     }
     this.#choose(".quality", this.layers);
@@ -206,7 +212,7 @@ export class SwingsPlayerElement extends MediaInterface {
 
   /** @param {WebPlayer} player */
   #show(player) {
-    const { state, manifest, numFrames } = player;
+    const { state, numFrames } = player;
     const play = this.#part(".play");
     const label = this.paused ? "Play" : "Pause";
     // What is written anew is laid out anew, ten times a second.
@@ -229,7 +235,6 @@ export class SwingsPlayerElement extends MediaInterface {
       `linear-gradient(to right, #8ab4ff ${here}, rgb(255 255 255 / 0.5) ${here} ${buffered}, ` +
         `rgb(255 255 255 / 0.2) ${buffered})`,
     );
-    this.#part(".badge").classList.toggle("on", Boolean(manifest?.live));
   }
 
   /**
@@ -246,6 +251,14 @@ export class SwingsPlayerElement extends MediaInterface {
   togglePlaying() {
     if (this.paused) this.play();
     else this.pause();
+  }
+
+  /** Plays a live stream at its edge. */
+  goLive() {
+    const { player } = this;
+    if (!player?.live) return;
+    this.play();
+    player.seekEdge();
   }
 
   resetView() {
@@ -352,7 +365,7 @@ export class SwingsPlayerElement extends MediaInterface {
       actions.arrowleft = () => player.seek(Math.max(0, frame - step));
       actions.arrowright = () => player.seek(Math.min(player.numFrames - 1, frame + step));
       actions.home = () => player.seek(0);
-      actions.end = () => player.seek(player.numFrames - 1);
+      actions.end = () => (player.live ? this.goLive() : player.seek(player.numFrames - 1));
     }
     const action = actions[event.key.toLowerCase()];
     if (action === undefined) return;

@@ -1,6 +1,7 @@
 import { startWorker } from "../playback/startworker.js";
 import { SplatRenderer } from "../renderer/splatrenderer.js";
 import { RendererError } from "../renderer/program.js";
+import { edgeFrame } from "../source/liveedge.js";
 import { EYE_DISTANCE_M, oneEye, sideBySide } from "../stereo/eyes.js";
 import { Headset } from "../stereo/headset.js";
 import { Orbit } from "../view/orbit.js";
@@ -48,9 +49,10 @@ const START = {
  * Plays a stream on a canvas. Network and decoding run in one worker, sorting in another; this thread
  * uploads and draws.
  *
- * Events: `opened`, `state` (this.state), `shown` (another frame), `seeking`, `seeked`, `ended`,
- * `headset` (it was put on, hidden or taken off), `select` (its trigger was pulled),
- * `trouble` and `failed` (detail: a message, or null when the trouble is over).
+ * Events: `opened`, `state` (this.state), `shown` (another frame), `seeking`, `seeked`, `grown`
+ * (numFrames or live has changed), `ended`, `headset` (it was put on, hidden or taken off), `select`
+ * (its trigger was pulled), `trouble` and `failed` (detail: a message, or null when the trouble is
+ * over).
  */
 export class WebPlayer extends EventTarget {
   /** @param {HTMLCanvasElement} canvas */
@@ -69,6 +71,10 @@ export class WebPlayer extends EventTarget {
     /** @type {any} what the stream's manifest says */
     this.manifest = null;
     this.numFrames = 0;
+    /** URL of the stream's folder, with a slash at its end. */
+    this.base = "";
+    /** Whether the stream may still grow. */
+    this.live = false;
     /** @type {PlayState} */
     this.state = START;
     /** @type {Timings} */
@@ -134,6 +140,12 @@ export class WebPlayer extends EventTarget {
     this.#say("seeking");
   }
 
+  /** Goes on to the edge of a live stream. */
+  seekEdge() {
+    const edge = edgeFrame(this.manifest, this.numFrames);
+    if (this.state.frame < edge) this.seek(edge);
+  }
+
   /** @param {number} rate */
   setRate(rate) {
     this.worker?.postMessage({ kind: "rate", rate });
@@ -160,6 +172,8 @@ export class WebPlayer extends EventTarget {
       case "opened":
         this.manifest = data.manifest;
         this.numFrames = data.numFrames;
+        this.base = data.base;
+        this.live = data.manifest.live;
         this.orbit = new Orbit(data.manifest);
         try {
           this.renderer?.close();
@@ -177,6 +191,11 @@ export class WebPlayer extends EventTarget {
         this.headset?.replace();
         this.moved();
         this.#say("opened");
+        break;
+      case "grown":
+        this.numFrames = data.numFrames;
+        this.live = data.live;
+        this.#say("grown");
         break;
       case "state":
         this.state = data;
@@ -342,6 +361,7 @@ export class WebPlayer extends EventTarget {
     this.isSeeking = false;
     this.manifest = null;
     this.state = START;
+    this.live = false;
   }
 
   /** Ends all. */

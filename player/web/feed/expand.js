@@ -21,17 +21,22 @@ import { floatWords, latticeWords } from "../renderer/resident.js";
 export function expandLattice(words, shDegree, lattices) {
   const each = latticeWords(shDegree);
   const numAttributes = 7 + 3 * numCoefficients(shDegree);
+  const count = Math.floor(words.length / each);
   const bytes = new Uint8Array(words.buffer, words.byteOffset, words.byteLength);
   /** @type {number[][]} where each begins, by layer */
   const places = lattices.map(() => []);
-  for (let at = 0; at < words.length; at += each) places[words[at + 3] >>> 24].push(at);
+  for (let at = 0; at < count * each; at += each) places[words[at + 3] >>> 24].push(at);
   return places.map((found, layer) => {
     const rows = new Slots(found.length, numAttributes, ON_LATTICE);
     const slots = new Uint32Array(found.length);
     for (const [row, at] of found.entries()) {
-      rows.positions.set(words.subarray(at, at + 3), 3 * row);
+      for (let axis = 0; axis < 3; axis++) {
+        rows.positions[3 * row + axis] = words[at + axis] >> 8;
+        rows.attributes[numAttributes * row + axis] = words[at + axis] & 0xff;
+      }
       const from = 4 * (at + 4);
-      rows.attributes.set(bytes.subarray(from, from + numAttributes), numAttributes * row);
+      const others = bytes.subarray(from, from + numAttributes - 3);
+      rows.attributes.set(others, numAttributes * row + 3);
       slots[row] = words[at + 3] & 0xffffff;
     }
     return {
@@ -52,7 +57,7 @@ export function expandLattice(words, shDegree, lattices) {
  */
 export function expandFloats(words, shDegree) {
   const each = floatWords(shDegree);
-  const count = words.length / each;
+  const count = Math.floor(words.length / each);
   const values = new Float32Array(words.buffer, words.byteOffset, words.length);
   const slots = new Uint32Array(count);
   const rest = 3 * numCoefficients(shDegree);

@@ -1,6 +1,9 @@
 /** Seconds of media that are there before playing begins, or goes on after a stall. */
 const LEAD_S = 0.1;
 
+/** What comes late shows so often while playback is paused: all of the picture is sent anew for it. */
+const REFINE_S = 0.2;
+
 /** A frame that is late by more than this shows at once, and those after it count from there. */
 const LATE_S = 0.25;
 
@@ -26,7 +29,10 @@ export class Playback {
   constructor(play, fps, numFrames, firstFrame) {
     this.play = play;
     this.fps = fps;
+    /** Frames that there are now. */
     this.numFrames = numFrames;
+    /** Whether there may be more later. */
+    this.live = false;
     /** The frame that shows next. */
     this.nextFrame = firstFrame;
     /** The first frame that is not there. */
@@ -39,6 +45,7 @@ export class Playback {
     /** Whether it would play, but for what is not there. */
     this.waiting = true;
     this.stalls = 0;
+    this.refinedS = -Infinity;
   }
 
   /** The frame that shows; that which will show first, before anything does. */
@@ -48,7 +55,7 @@ export class Playback {
 
   /** Whether the last frame has shown. */
   get hasEnded() {
-    return this.isJoined && this.nextFrame >= this.numFrames;
+    return this.isJoined && !this.live && this.nextFrame >= this.numFrames;
   }
 
   /**
@@ -77,11 +84,12 @@ export class Playback {
     if (!this.playing || this.hasEnded) {
       this.waiting = false;
       this.dueS = null;
-      return null;
+      return this.#refine(nowS);
     }
     const stepS = 1 / (this.fps * this.rate);
     if (this.dueS === null) {
-      const needed = Math.min(this.numFrames, this.nextFrame + Math.ceil(LEAD_S * this.fps));
+      const lead = this.nextFrame + Math.ceil(LEAD_S * this.fps);
+      const needed = this.live ? lead : Math.min(this.numFrames, lead);
       this.waiting = this.endFrame < needed;
       if (this.waiting) return null;
       this.dueS = nowS + stepS;
@@ -89,7 +97,7 @@ export class Playback {
     }
     /** @type {Shown | null} */
     let shown = null;
-    while (this.dueS <= nowS && this.nextFrame < this.numFrames) {
+    while (this.dueS <= nowS && !this.hasEnded) {
       if (this.nextFrame >= this.endFrame) {
         this.stalls += 1;
         this.waiting = true;
@@ -108,7 +116,19 @@ export class Playback {
 
   /** Seconds until something may be due; null: not before something comes. @param {number} nowS */
   restS(nowS) {
-    return this.dueS === null ? null : Math.max(0, this.dueS - nowS);
+    if (this.dueS === null) return this.play.isLate ? REFINE_S : null;
+    return Math.max(0, this.dueS - nowS);
+  }
+
+  /**
+   * What shows, once more, if more of it has come: while frames pass, each brings what is late itself.
+   * @param {number} nowS
+   * @returns {Shown | null}
+   */
+  #refine(nowS) {
+    if (!this.play.isLate || nowS - this.refinedS < REFINE_S) return null;
+    this.refinedS = nowS;
+    return { frame: this.frame, isJoin: true, updates: this.play.again(this.frame) };
   }
 
   #join() {

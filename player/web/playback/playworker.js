@@ -2,7 +2,8 @@
 
 import { FormatError } from "../format/bytes/errors.js";
 import { Fetcher, SourceError } from "../source/fetcher.js";
-import { HostedPlay, HostedStream } from "../source/hosted.js";
+import { edgeFrame } from "../source/liveedge.js";
+import { openSource } from "../source/source.js";
 import { buffersOf } from "./packing.js";
 import { Playback } from "./playback.js";
 import { SlicePlay } from "./sliceplay.js";
@@ -10,6 +11,10 @@ import { SlotPlay } from "./slotplay.js";
 import { scope } from "./workerscope.js";
 
 const STATE_PERIOD_S = 0.1;
+/** What shows within so many seconds is not asked for again when more layers are wanted. */
+const SOON_S = 0.5;
+
+/** @typedef {import("../source/source.js").SourceStream} SourceStream */
 
 const nowS = () => performance.now() / 1000;
 
@@ -17,7 +22,7 @@ const nowS = () => performance.now() / 1000;
 class Player {
   /**
    * @param {MessagePort} sorter
-   * @param {HostedStream} stream
+   * @param {SourceStream} stream
    * @param {Fetcher} fetcher
    */
   constructor(sorter, stream, fetcher) {
@@ -32,30 +37,71 @@ class Player {
     this.toldS = 0;
     /** @type {number | undefined} */
     this.timer = undefined;
-    /** @type {number | null} */
-    this.rateBps = null;
-    /** @type {HostedPlay | undefined} */
+    /** @type {import("../source/source.js").SourcePlay | undefined} */
     this.source = undefined;
+    /** @type {import("../source/source.js").Sink | undefined} */
+    this.sink = undefined;
     /** @type {Playback | undefined} */
     this.playback = undefined;
-    this.begin(0);
+    this.begin(stream.manifest.live ? edgeFrame(stream.manifest, stream.numFrames) : 0);
+  }
+
+  /**
+   * Goes to `frame`. A live stream that plays has too little to go on with behind its edge.
+   * @param {number} frame
+   */
+  seek(frame) {
+    const { manifest, numFrames } = this.stream;
+    const isBound = manifest.live && this.playing;
+    const most = Math.max(edgeFrame(manifest, numFrames), this.playback?.frame ?? 0);
+    this.begin(isBound ? Math.min(frame, most) : frame);
+  }
+
+  /** Takes in that a live stream has more frames, or has ended. */
+  grow() {
+    if (this.playback === undefined) return;
+    this.playback.numFrames = this.stream.numFrames;
+    this.playback.live = this.stream.manifest.live;
+    this.wake();
   }
 
   /** Plays from `frame` on: forgets what is here. @param {number} frame */
   begin(frame) {
-    this.source?.close();
     const { manifest, numFrames } = this.stream;
     const first = Math.max(0, Math.min(numFrames - 1, Math.round(frame)));
     const play = manifest.layout ? new SlotPlay(manifest) : new SlicePlay(manifest);
-    const sink = /** @type {import("../source/hosted.js").Sink} */ (/** @type {unknown} */ (play));
-    this.rateBps = this.source?.session.rateBps ?? this.rateBps;
-    this.source = new HostedPlay(this.stream, sink, first, this.rateBps, nowS);
-    this.source.mostLayers = this.mostLayers;
-    this.source.onNews = () => this.wake();
+    this.sink = /** @type {import("../source/source.js").Sink} */ (/** @type {unknown} */ (play));
     this.playback = new Playback(play, manifest.fps, numFrames, first);
+    this.playback.live = manifest.live;
     this.playback.setRate(this.rate);
     this.playback.setPlaying(this.playing);
+    this.fetchFrom(first);
+  }
+
+  /** What shows from `frame` on is asked for; what is here already stays. @param {number} frame */
+  fetchFrom(frame) {
+    const { sink, mostLayers } = this;
+    if (sink === undefined) return;
+    this.source?.close();
+    this.source = this.stream.play(sink, { firstFrame: frame, mostLayers, nowS });
+    this.source.onNews = () => this.wake();
+    this.source.told(this.playback?.nextFrame ?? frame, !this.playing);
     this.wake();
+  }
+
+  /**
+   * Shows this many layers at most, from what is not here on; more of them a little sooner.
+   * @param {number} most
+   */
+  setLayers(most) {
+    const { playback } = this;
+    if (most === this.mostLayers || playback === undefined) return;
+    const isMore = most > this.mostLayers;
+    this.mostLayers = most;
+    const soon = playback.nextFrame + Math.round(SOON_S * playback.fps);
+    const from = isMore && this.playing ? Math.min(soon, playback.endFrame) : playback.endFrame;
+    if (!playback.isJoined || !this.playing) this.begin(playback.frame);
+    else if (from < this.stream.numFrames) this.fetchFrom(from);
   }
 
   /** Plays, from the beginning after the end, or pauses. @param {boolean} playing */
@@ -63,7 +109,7 @@ class Player {
     this.playing = playing;
     if (playing && this.playback?.hasEnded) this.begin(0);
     this.playback?.setPlaying(playing);
-    this.source?.session.told(nowS(), this.playback?.nextFrame ?? 0, !playing);
+    this.source?.told(this.playback?.nextFrame ?? 0, !playing);
   }
 
   /** Looks at once at what is to be done. */
@@ -83,7 +129,7 @@ class Player {
       if (shown !== null) {
         this.decodeMs = performance.now() - beganMs;
         this.show(shown);
-        source.session.told(nowS(), playback.nextFrame, !this.playing);
+        source.told(playback.nextFrame, !this.playing);
       }
       if (playback.hasEnded && this.playing) {
         if (this.loop) {
@@ -124,7 +170,7 @@ class Player {
       playing: this.playing,
       waiting: playback.waiting,
       stalls: playback.stalls,
-      rateBps: source.session.rateBps,
+      rateBps: source.rateBps,
       receivedBytes: this.fetcher.receivedBytes,
       decodeMs: this.decodeMs,
     });
@@ -156,10 +202,19 @@ async function open(base) {
     scope.postMessage({ kind: "trouble", message });
   const fetcher = new Fetcher({ onTrouble });
   try {
-    const stream = await HostedStream.open(base, fetcher);
+    const stream = await openSource(base, fetcher);
     const { manifest, numFrames } = stream;
-    scope.postMessage({ kind: "opened", manifest: plain(manifest), numFrames });
+    const opened = { manifest: plain(manifest), numFrames, base: stream.base };
+    scope.postMessage({ kind: "opened", ...opened });
     if (sorter !== null) player = new Player(sorter, stream, fetcher);
+    await stream.follow(() => {
+      scope.postMessage({
+        kind: "grown",
+        numFrames: stream.numFrames,
+        live: stream.manifest.live,
+      });
+      player?.grow();
+    });
   } catch (error) {
     fail(error);
   }
@@ -182,7 +237,7 @@ scope.onmessage = ({ data }) => {
       player.setPlaying(data.playing);
       break;
     case "seek":
-      player?.begin(data.frame);
+      player?.seek(data.frame);
       break;
     case "rate":
       if (player !== null) player.rate = data.rate;
@@ -192,8 +247,7 @@ scope.onmessage = ({ data }) => {
       if (player !== null) player.loop = data.loop;
       break;
     case "layers":
-      if (player !== null) player.mostLayers = data.most;
-      player?.begin(player.playback?.frame ?? 0);
+      player?.setLayers(data.most);
       break;
   }
   player?.wake();

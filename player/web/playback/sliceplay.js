@@ -36,6 +36,11 @@ export class SlicePlay {
     if (this.frame !== null && birth <= this.frame) this.late.add(birth);
   }
 
+  /** Whether something came for slices that show already. */
+  get isLate() {
+    return this.late.size > 0;
+  }
+
   /** Whether layer 0 of a slice is here. @param {number} birth */
   hasSlice(birth) {
     return Boolean(this.slices.get(birth)?.[0]);
@@ -48,8 +53,13 @@ export class SlicePlay {
     return true;
   }
 
-  /** @param {number} frame */
+  /** Begins with `frame`: all that it shows. @param {number} frame */
   join(frame) {
+    return this.again(frame);
+  }
+
+  /** All that shows, with what came late. @param {number} frame that shows */
+  again(frame) {
     this.late.clear();
     const births = [];
     for (let birth = frame - this.manifest.swinSize + 1; birth <= frame; birth++)

@@ -22,6 +22,8 @@ export class SlotPlay {
     this.snapshots = new Map();
     /** Chunks that were refused: their layers go without. */
     this.refused = 0;
+    /** Whether something came of use to what shows already, since all of it was handed out. */
+    this.isLate = false;
   }
 
   /** The frame that was brought last; null before the first. */
@@ -44,7 +46,7 @@ export class SlotPlay {
    */
   addChange(birth, layer, chunk) {
     if (this.frame === null || birth > this.frame) this.#row(this.changes, birth)[layer] = chunk;
-    else this.#try(() => this.decoder.late(birth, layer, chunk));
+    else this.#tryLate(() => this.decoder.late(birth, layer, chunk));
   }
 
   /**
@@ -55,7 +57,7 @@ export class SlotPlay {
   addSnapshot(frame, layer, chunk) {
     if (this.frame === null || frame > this.frame) this.#row(this.snapshots, frame)[layer] = chunk;
     else if (frame === this.layout.segmentStart(this.frame)) {
-      this.#try(() => this.decoder.load(chunk, layer, frame));
+      this.#tryLate(() => this.decoder.load(chunk, layer, frame));
     }
   }
 
@@ -81,6 +83,12 @@ export class SlotPlay {
     this.decoder = new SlotDecoder(this.layout);
     this.#load(first);
     for (let birth = first + 1; birth <= frame; birth++) this.#apply(birth);
+    return this.again(frame);
+  }
+
+  /** All that shows, with what came late. @param {number} frame that shows */
+  again(frame) {
+    this.isLate = false;
     return this.decoder.handOut().map((slice) => packSlots(this.decoder, slice, frame));
   }
 
@@ -130,13 +138,19 @@ export class SlotPlay {
     for (const known of this.snapshots.keys()) if (known <= frame) this.snapshots.delete(known);
   }
 
-  /** @param {() => unknown} action */
+  /** @param {() => boolean} action that says whether it was of use */
+  #tryLate(action) {
+    if (this.#try(action)) this.isLate = true;
+  }
+
+  /** @param {() => boolean} action */
   #try(action) {
     try {
-      action();
+      return action();
     } catch (error) {
       if (!(error instanceof FormatError)) throw error;
       this.refused += 1;
+      return false;
     }
   }
 

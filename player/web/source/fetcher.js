@@ -15,13 +15,21 @@ const FIRST_DELAY_S = 0.25;
 const LONGEST_DELAY_S = 1;
 
 /** So often a host must have failed before it is asked whether it only refuses this page. */
-const TRIES_BEFORE_DOUBT = 3;
+export const TRIES_BEFORE_DOUBT = 3;
 
 /** How long to wait before try number `tries`, seconds. @param {number} tries from 1 on */
 export function delayS(tries) {
   const mostS = Math.min(LONGEST_DELAY_S, FIRST_DELAY_S * 2 ** (tries - 1));
   // Clients that lost a server together do not come back together.
   return mostS * (0.5 + 0.5 * Math.random());
+}
+
+/** What to say of a host that only refuses this page. @param {string} url */
+export function refusal(url) {
+  return new SourceError(
+    `${new URL(url).origin} answers, but does not let pages of other hosts read ${url}; ` +
+      "it has to send the header Access-Control-Allow-Origin (docs/EMBED.md)",
+  );
 }
 
 /**
@@ -47,9 +55,10 @@ export class Fetcher {
    * @param {number} limitBytes
    * @param {(numBytes: number) => void} [onBytes] told of each piece that came; what came of a try
    *   that broke off is taken back as a negative number
+   * @param {RequestInit} [init]
    * @returns {Promise<Uint8Array>}
    */
-  async get(url, limitBytes, onBytes = () => {}) {
+  async get(url, limitBytes, onBytes = () => {}, init = {}) {
     if (url.startsWith("file:")) {
       throw new SourceError(
         `A page may not read ${url}; play it from a web server (docs/EMBED.md)`,
@@ -64,7 +73,7 @@ export class Fetcher {
         onBytes(numBytes);
       };
       try {
-        const bytes = await this.#once(url, limitBytes, count);
+        const bytes = await this.#once(url, limitBytes, count, init);
         if (tries > 1) this.onTrouble(null);
         return bytes;
       } catch (error) {
@@ -73,11 +82,8 @@ export class Fetcher {
         // What fetch throws when there is no network is a TypeError.
         if (!(error instanceof TypeError)) throw error;
         const isPassing = error instanceof PassingTrouble;
-        if (!isPassing && tries >= TRIES_BEFORE_DOUBT && (await this.#isRefused(url))) {
-          throw new SourceError(
-            `${new URL(url).origin} answers, but does not let pages of other hosts read ${url}; ` +
-              "it has to send the header Access-Control-Allow-Origin (docs/EMBED.md)",
-          );
+        if (!isPassing && tries >= TRIES_BEFORE_DOUBT && (await this.isRefused(url))) {
+          throw refusal(url);
         }
         if (performance.now() / 1000 - beganS > this.giveUpS) {
           throw new SourceError(`${url} cannot be reached; check the network and try again`);
@@ -93,7 +99,7 @@ export class Fetcher {
    * that looks like a network that is gone.
    * @param {string} url
    */
-  async #isRefused(url) {
+  async isRefused(url) {
     if (this.receivedBytes > 0 || new URL(url).origin === globalThis.origin) return false;
     try {
       await fetch(url, { method: "HEAD", mode: "no-cors", signal: this.abort.signal });
@@ -107,9 +113,10 @@ export class Fetcher {
    * @param {string} url
    * @param {number} limitBytes
    * @param {(numBytes: number) => void} onBytes
+   * @param {RequestInit} init
    */
-  async #once(url, limitBytes, onBytes) {
-    const response = await fetch(url, { signal: this.abort.signal });
+  async #once(url, limitBytes, onBytes, init) {
+    const response = await fetch(url, { ...init, signal: this.abort.signal });
     if (response.status >= 500) throw new PassingTrouble(`HTTP ${response.status}`);
     if (!response.ok) throw new SourceError(`${url}: HTTP ${response.status}`);
     /** @type {Uint8Array[]} */

@@ -1,22 +1,17 @@
-import { streamMedia } from "../delivery/media.js";
+import { growMedia, streamMedia } from "../delivery/media.js";
 import { PlaySession } from "../delivery/session.js";
 import { corrupt } from "../format/bytes/errors.js";
 import { objectPath, readManifest } from "../format/manifest.js";
 import { GZIP, readObject } from "../format/objecttable.js";
 import { inflatePacket, limitBytes } from "../format/packet.js";
-import { readIndex } from "../format/streamindex.js";
 import { SourceError } from "./fetcher.js";
+import { follow } from "./follow.js";
+import { GrowingIndex } from "./growingindex.js";
+import { followPeriodS } from "./liveedge.js";
 
 const MAX_MANIFEST_BYTES = 2 ** 20;
-const MAX_INDEX_BYTES = 2 ** 28;
 
-/**
- * What a source hands over: chunks of slices and snapshots, as a SlotPlay or a SlicePlay takes them.
- * @typedef {object} Sink
- * @property {(birth: number, chunk: Uint8Array) => void} addMask
- * @property {(birth: number, layer: number, chunk: Uint8Array) => void} addChange
- * @property {(frame: number, layer: number, chunk: Uint8Array) => void} addSnapshot
- */
+/** @typedef {import("./source.js").Sink} Sink */
 
 /** A stream of files on any static host: whole objects are fetched, in the order of what they are worth. */
 export class HostedStream {
@@ -24,31 +19,68 @@ export class HostedStream {
    * @param {string} base URL of the folder, with a slash at its end
    * @param {import("./fetcher.js").Fetcher} fetcher
    * @param {import("../format/manifest.js").Manifest} manifest
-   * @param {import("../format/streamindex.js").SegmentRecord[]} records
    */
-  constructor(base, fetcher, manifest, records) {
+  constructor(base, fetcher, manifest) {
     this.base = base;
     this.fetcher = fetcher;
     this.manifest = manifest;
-    this.records = records;
+    this.index = new GrowingIndex(`${base}index.bin`, fetcher, manifest);
+    /** @type {number | null} what the last play took the link to carry */
+    this.rateBps = null;
+    /** What all plays of it see grow. */
+    this.media = streamMedia(manifest, []);
   }
 
   /**
-   * Reads manifest and index. Rejects with a SourceError or a FormatError.
+   * Reads manifest and index; waits for the first frames of a live stream. Rejects with a SourceError
+   * or a FormatError.
    * @param {string} base
    * @param {import("./fetcher.js").Fetcher} fetcher
    */
   static async open(base, fetcher) {
-    const manifest = readManifest(await fetcher.get(`${base}manifest.json`, MAX_MANIFEST_BYTES));
-    const index = await fetcher.get(`${base}index.bin`, MAX_INDEX_BYTES);
-    const records = readIndex(index, manifest);
-    if (records.length === 0) throw new SourceError(`${base} has no frames yet; come back later`);
-    return new HostedStream(base, fetcher, { ...manifest, live: false }, records);
+    const stream = new HostedStream(base, fetcher, await fetchManifest(base, fetcher));
+    growMedia(stream.media, stream.manifest, await stream.index.refresh());
+    if (stream.numFrames > 0) return stream;
+    while (stream.manifest.live && stream.numFrames === 0) {
+      fetcher.onTrouble("This stream has no frames yet; it begins when the first ones come");
+      await new Promise((resolve) => setTimeout(resolve, 1000 * followPeriodS(stream.manifest)));
+      await stream.refresh();
+    }
+    fetcher.onTrouble(null);
+    if (stream.numFrames === 0) throw new SourceError(`${base} ended before its first frame`);
+    return stream;
+  }
+
+  /** Takes in what is new of a live stream; gives whether anything is. Rejects as `open` does. */
+  async refresh() {
+    // Before the index: a manifest that says finished then goes with a whole index.
+    const { live } = await fetchManifest(this.base, this.fetcher);
+    const fresh = await this.index.refresh();
+    const hasEnded = this.manifest.live && !live;
+    this.manifest = { ...this.manifest, live };
+    growMedia(this.media, this.manifest, fresh);
+    return hasEnded || fresh.length > 0;
+  }
+
+  /**
+   * @param {Sink} sink
+   * @param {import("./source.js").Wish} wish
+   */
+  play(sink, wish) {
+    return new HostedPlay(this, sink, wish);
+  }
+
+  /** Follows it while it grows. @param {() => void} onGrown */
+  follow(onGrown) {
+    return follow(this, onGrown);
+  }
+
+  get records() {
+    return this.index.records;
   }
 
   get numFrames() {
-    const last = this.records[this.records.length - 1];
-    return last.firstFrame + last.numFrames;
+    return this.media.numFrames;
   }
 
   /**
@@ -72,6 +104,18 @@ export class HostedStream {
     }
     return packets;
   }
+}
+
+/**
+ * The manifest as it is now. Rejects with a SourceError or a FormatError.
+ * @param {string} base
+ * @param {import("./fetcher.js").Fetcher} fetcher
+ */
+async function fetchManifest(base, fetcher) {
+  const init = /** @type {RequestInit} */ ({ cache: "no-cache" });
+  return readManifest(
+    await fetcher.get(`${base}manifest.json`, MAX_MANIFEST_BYTES, undefined, init),
+  );
 }
 
 /**
@@ -114,18 +158,15 @@ export class HostedPlay {
   /**
    * @param {HostedStream} stream
    * @param {Sink} sink
-   * @param {number} firstFrame
-   * @param {number | null} rateBps what is known of the link
-   * @param {() => number} nowS
+   * @param {import("./source.js").Wish} wish
    */
-  constructor(stream, sink, firstFrame, rateBps, nowS) {
+  constructor(stream, sink, { firstFrame, mostLayers, nowS }) {
     this.stream = stream;
     this.sink = sink;
+    this.mostLayers = mostLayers;
     this.nowS = nowS;
-    this.session = new PlaySession(streamMedia(stream.manifest, stream.records), nowS(), {
-      firstFrame,
-      rateBps,
-    });
+    const { media, rateBps } = stream;
+    this.session = new PlaySession(media, nowS(), { firstFrame, rateBps });
     this.comeBytes = 0;
     /** @type {unknown} */
     this.failure = null;
@@ -134,8 +175,18 @@ export class HostedPlay {
     this.fetched = new Map();
     /** @type {() => void} called when something has come or failed */
     this.onNews = () => {};
-    /** Layers that are asked for, at most. */
-    this.mostLayers = stream.manifest.numLayers;
+  }
+
+  get rateBps() {
+    return this.session.rateBps;
+  }
+
+  /**
+   * @param {number} frame the next one that shows
+   * @param {boolean} paused
+   */
+  told(frame, paused) {
+    this.session.told(this.nowS(), frame, paused);
   }
 
   /** Asks for what is worth it now; gives seconds until it should be called again, at most. */
@@ -224,5 +275,6 @@ export class HostedPlay {
 
   close() {
     this.isClosed = true;
+    this.stream.rateBps = this.rateBps ?? this.stream.rateBps;
   }
 }

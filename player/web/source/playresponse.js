@@ -1,17 +1,30 @@
+import { corrupt } from "../format/bytes/errors.js";
 import { RecordParser } from "../format/playrecord.js";
-import { SourceError } from "./fetcher.js";
+import { delayS, refusal, SourceError, TRIES_BEFORE_DOUBT } from "./fetcher.js";
 
 /** The server is gone, or has no time; it may be back soon. */
 export class GoneError extends Error {
-  /** @param {number} afterS not to be tried again before so many seconds */
-  constructor(afterS = 0) {
-    super("The server is gone");
+  /**
+   * @param {string} message
+   * @param {number} afterS not to be tried again before so many seconds
+   */
+  constructor(message, afterS = 0) {
+    super(message);
     this.name = "GoneError";
     this.afterS = afterS;
   }
 }
 
-const NOT_THERE = [404, 410];
+const GONE = "The network is gone";
+const BUSY = "The server is busy";
+
+/**
+ * What a play shall be.
+ * @typedef {object} PlayWish
+ * @property {number} fromFrame
+ * @property {number | null} layers null for the server's choice
+ * @property {string | null} lastToken of the play before this one
+ */
 
 /** One response of a swings server to `play?plain=1`, record by record (FORMAT.md, section 10). */
 export class PlayResponse {
@@ -21,21 +34,19 @@ export class PlayResponse {
    */
   constructor(response, abort) {
     const { body } = response;
-    if (body === null) throw new GoneError();
+    if (body === null) throw new GoneError(GONE);
     this.token = response.headers.get("Swings-Play");
     this.abort = abort;
     this.reader = body.getReader();
     this.parser = new RecordParser();
     /** @type {import("../format/playrecord.js").PlayRecord[]} parsed, but not handed out */
     this.records = [];
-    this.receivedBytes = 0;
   }
 
   /**
    * Rejects with a GoneError, or with a SourceError if trying again would not help.
    * @param {string} base URL of the stream, with a slash at its end
-   * @param {{ fromFrame: number, layers: number | null, lastToken: string | null }} wish
-   *   layers: null for the server's choice; lastToken: of the play before this one
+   * @param {PlayWish} wish
    */
   static async open(base, { fromFrame, layers, lastToken }) {
     const url = `${base}play?plain=1&from=${fromFrame}${layers === null ? "" : `&layers=${layers}`}`;
@@ -45,30 +56,30 @@ export class PlayResponse {
     try {
       response = await fetch(url, { headers, signal: abort.signal, cache: "no-store" });
     } catch {
-      throw new GoneError();
+      throw new GoneError(GONE);
     }
-    if (response.status >= 500) throw new GoneError(Number(response.headers.get("Retry-After")));
-    if (NOT_THERE.includes(response.status)) {
-      throw new SourceError(`${base} is not a stream of this server (HTTP ${response.status})`);
+    if (response.status >= 500) {
+      throw new GoneError(BUSY, Number(response.headers.get("Retry-After")) || 0);
     }
-    if (!response.ok) throw new SourceError(`${url}: HTTP ${response.status}`);
+    if (!response.ok) throw new SourceError(`${base}: HTTP ${response.status}`);
     return new PlayResponse(response, abort);
   }
 
   /**
    * The next record; null at the end of the body. Rejects with a GoneError, or with a FormatError.
+   * @param {(numBytes: number) => void} [onBytes] told of what came, decoded
    * @returns {Promise<import("../format/playrecord.js").PlayRecord | null>}
    */
-  async next() {
+  async next(onBytes = () => {}) {
     while (this.records.length === 0) {
       let piece;
       try {
         piece = await this.reader.read();
       } catch {
-        throw new GoneError();
+        throw new GoneError(GONE);
       }
       if (piece.done) return null;
-      this.receivedBytes += piece.value.length;
+      onBytes(piece.value.length);
       this.records = this.parser.feed(piece.value);
     }
     return this.records.shift() ?? null;
@@ -76,5 +87,85 @@ export class PlayResponse {
 
   close() {
     this.abort.abort();
+  }
+}
+
+/** @typedef {{ response: PlayResponse, start: import("../format/playrecord.js").StartRecord }} BegunPlay */
+
+/**
+ * A response, and how it starts. Rejects as PlayResponse.open does.
+ * @param {string} base
+ * @param {PlayWish} wish
+ * @returns {Promise<BegunPlay>}
+ */
+export async function begunPlay(base, wish) {
+  const response = await PlayResponse.open(base, wish);
+  const start = await response.next();
+  if (start === null) throw new GoneError(GONE);
+  if (start.kind !== "start") throw corrupt("play: the first record does not say how it starts");
+  return { response, start };
+}
+
+/** How often and how long a server that is gone is tried again. */
+export class Patience {
+  /**
+   * @param {import("./fetcher.js").Fetcher} fetcher whose `giveUpS` and `onTrouble` hold
+   * @param {string} base URL of the stream
+   */
+  constructor(fetcher, base) {
+    this.fetcher = fetcher;
+    this.base = base;
+    /** What was wrong last. */
+    this.why = GONE;
+    this.tries = 0;
+    this.sinceMs = 0;
+    /** Whether nobody waits any more. */
+    this.isOver = false;
+  }
+
+  /** All is well. */
+  reset() {
+    if (this.tries > 0) this.fetcher.onTrouble(null);
+    this.tries = 0;
+  }
+
+  /**
+   * Tries until it works. Rejects with a SourceError after a while, and with what else goes wrong.
+   * @param {() => Promise<BegunPlay>} action
+   */
+  async begin(action) {
+    for (;;) {
+      try {
+        const begun = await action();
+        this.fetcher.onTrouble(null);
+        return begun;
+      } catch (error) {
+        if (!(error instanceof GoneError) || this.isOver) throw error;
+        this.why = error.message;
+        await this.wait(error.afterS);
+      }
+    }
+  }
+
+  /**
+   * Says what is wrong, and waits until the next try. Rejects with a SourceError after a while.
+   * @param {number} leastS
+   */
+  async wait(leastS = 0) {
+    const { fetcher, base, why } = this;
+    if (this.tries === 0) this.sinceMs = performance.now();
+    this.tries += 1;
+    const isDoubtful = why === GONE && this.tries >= TRIES_BEFORE_DOUBT;
+    if (isDoubtful && (await fetcher.isRefused(base))) throw refusal(base);
+    if (performance.now() - this.sinceMs > 1000 * fetcher.giveUpS) {
+      throw new SourceError(
+        why === GONE
+          ? `${base} cannot be reached; check the network and try again`
+          : `${base}: ${why}`,
+      );
+    }
+    fetcher.onTrouble(`${why}; trying again`);
+    const restS = Math.max(delayS(this.tries), Math.min(leastS, fetcher.giveUpS));
+    await new Promise((resolve) => setTimeout(resolve, 1000 * restS));
   }
 }

@@ -1,60 +1,84 @@
 import { corrupt } from "../format/bytes/errors.js";
 import { readManifest } from "../format/manifest.js";
 import { inflatePacket, isGzip, limitBytes } from "../format/packet.js";
-import { delayS, SourceError } from "./fetcher.js";
-import { GoneError, PlayResponse } from "./playresponse.js";
+import { SourceError } from "./fetcher.js";
+import { begunPlay, GoneError, Patience } from "./playresponse.js";
 
 /** A response is not read on while so much is here that has not shown: a server may not fill memory. */
 const MOST_AHEAD_S = 20;
 /** Seconds from one word to the server of how the play stands to the next. */
 const NEWS_S = 1;
-/** What shows within so many seconds is not asked for again when the number of layers changes. */
-const SOON_S = 0.5;
 
-/** @typedef {import("../format/playrecord.js").StartRecord} StartRecord */
+/** @typedef {import("./source.js").Sink} Sink */
+/** @typedef {import("./playresponse.js").PlayResponse} PlayResponse */
+
+/** A path that names a stream of a swings server. */
+const SERVED_PATH = /^(.*)\/(?:v1\/streams|watch)\/([^/]+)\/?$/;
+
+/**
+ * The URL of the stream on a swings server that `url` names, with a slash at its end; null where it
+ * is not such an address.
+ * @param {string} url
+ */
+export function servedBase(url) {
+  const { origin, pathname } = new URL(url);
+  const found = SERVED_PATH.exec(pathname);
+  return found === null ? null : `${origin}${found[1]}/v1/streams/${found[2]}/`;
+}
 
 /** A stream of a swings server, which chooses itself what it sends when. */
 export class ServedStream {
   /**
-   * @param {string} base URL of the stream, with a slash at its end
+   * @param {string} base
    * @param {import("./fetcher.js").Fetcher} fetcher
-   * @param {PlayResponse} response that has said how it starts
-   * @param {StartRecord} start
+   * @param {import("./playresponse.js").BegunPlay} first
    */
-  constructor(base, fetcher, response, start) {
+  constructor(base, fetcher, first) {
     this.base = base;
     this.fetcher = fetcher;
-    this.manifest = readManifest(start.manifest);
-    this.numFrames = start.numFrames;
+    this.manifest = readManifest(first.start.manifest);
+    this.numFrames = first.start.numFrames;
     /** @type {PlayResponse | null} for the play that begins where it does */
-    this.first = response;
+    this.first = first.response;
     /** @type {string | null} of the last play: the server knows the link from there */
-    this.lastToken = response.token;
-    /** @type {() => void} called when there are more frames, or never will be */
+    this.lastToken = first.response.token;
     this.onGrown = () => {};
   }
 
   /**
-   * Begins to play from the first frame on. Rejects with a SourceError or a FormatError.
-   * @param {string} base
+   * Begins to play from the first frame on; waits for the first frames of a live stream. Rejects with
+   * a SourceError or a FormatError.
+   * @param {string} base URL of the stream, with a slash at its end
    * @param {import("./fetcher.js").Fetcher} fetcher
    */
   static async open(base, fetcher) {
-    const wish = { fromFrame: 0, layers: null, lastToken: null };
-    const { response, start } = await patiently(fetcher, base, () => begun(base, wish));
-    if (start.numFrames === 0) {
-      response.close();
-      throw new SourceError(`${base} has no frames yet; come back later`);
+    const patience = new Patience(fetcher, base);
+    for (;;) {
+      const wish = { fromFrame: 0, layers: null, lastToken: null };
+      const stream = new ServedStream(
+        base,
+        fetcher,
+        await patience.begin(() => begunPlay(base, wish)),
+      );
+      if (stream.numFrames > 0) return stream;
+      stream.first?.close();
+      if (!stream.manifest.live) throw new SourceError(`${base} ended before its first frame`);
+      fetcher.onTrouble("This stream has no frames yet; it begins when the first ones come");
+      await new Promise((resolve) => setTimeout(resolve, 1000 * NEWS_S));
     }
-    return new ServedStream(base, fetcher, response, start);
   }
 
   /**
-   * @param {import("./hosted.js").Sink} sink
-   * @param {{ firstFrame: number, mostLayers: number }} wish
+   * @param {Sink} sink
+   * @param {import("./source.js").Wish} wish
    */
   play(sink, wish) {
     return new ServedPlay(this, sink, wish);
+  }
+
+  /** Its plays see it grow. @param {() => void} onGrown */
+  async follow(onGrown) {
+    this.onGrown = onGrown;
   }
 
   /**
@@ -74,20 +98,20 @@ export class ServedStream {
 export class ServedPlay {
   /**
    * @param {ServedStream} stream
-   * @param {import("./hosted.js").Sink} sink
-   * @param {{ firstFrame: number, mostLayers: number }} wish
+   * @param {Sink} sink
+   * @param {import("./source.js").Wish} wish
    */
-  constructor(stream, sink, { firstFrame, mostLayers }) {
+  constructor(stream, sink, { firstFrame, mostLayers, nowS }) {
     this.stream = stream;
     this.sink = sink;
-    this.firstFrame = firstFrame;
     this.mostLayers = mostLayers;
+    this.nowS = nowS;
     /** Behind the last slice whose layer 0 is here. */
     this.endBirth = firstFrame;
     this.nextFrame = firstFrame;
     this.paused = false;
-    this.newsS = -Infinity;
-    /** @type {number | null} what the server says that the link carries */
+    this.toldS = -Infinity;
+    /** @type {number | null} what the server takes the link to carry */
     this.rateBps = null;
     /** @type {unknown} */
     this.failure = null;
@@ -96,8 +120,8 @@ export class ServedPlay {
     this.onNews = () => {};
     /** @type {PlayResponse | null} */
     this.response = null;
-    /** @type {() => void} */
     this.moveOn = () => {};
+    this.patience = new Patience(stream.fetcher, stream.base);
     this.#run().catch((error) => {
       if (this.isClosed) return;
       this.failure = error;
@@ -105,23 +129,22 @@ export class ServedPlay {
     });
   }
 
-  /** Gives seconds until it should be called again, at most. */
   step() {
     return NEWS_S;
   }
 
   /**
-   * The playback says where it is; the server hears of it now and then.
-   * @param {number} nowS
-   * @param {number} frame the next one that it will show
+   * The server hears of it now and then.
+   * @param {number} frame the next one that shows
    * @param {boolean} paused
    */
-  told(nowS, frame, paused) {
+  told(frame, paused) {
     this.nextFrame = frame;
     this.moveOn();
-    if (paused === this.paused && nowS - this.newsS < NEWS_S) return;
+    const nowS = this.nowS();
+    if (paused === this.paused && nowS - this.toldS < NEWS_S) return;
     this.paused = paused;
-    this.newsS = nowS;
+    this.toldS = nowS;
     this.#tell();
   }
 
@@ -138,50 +161,37 @@ export class ServedPlay {
     }
   }
 
-  /** Shows this many layers at most, as soon as it can. @param {number} most */
-  setLayers(most) {
-    const isMore = most > this.mostLayers;
-    this.mostLayers = most;
-    const soon = this.nextFrame + Math.round(SOON_S * this.stream.manifest.fps);
-    if (isMore) this.endBirth = Math.max(this.firstFrame, Math.min(this.endBirth, soon));
-    this.response?.close();
-  }
-
-  get #isWhole() {
-    const { manifest, numFrames } = this.stream;
-    return !manifest.live && this.endBirth >= numFrames;
-  }
-
   async #run() {
+    const { stream, patience } = this;
     while (!this.isClosed) {
-      const { stream } = this;
+      const { endBirth } = this;
       this.response = await this.#begin();
+      if (this.isClosed) this.response.close();
+      this.toldS = -Infinity; // so that the next word goes to this response
       try {
         if (await this.#takeAll(this.response)) return;
       } catch (error) {
         if (!(error instanceof GoneError)) throw error;
       }
       stream.lastToken = this.response.token;
-      if (this.#isWhole) return;
+      if (!stream.manifest.live && this.endBirth >= stream.numFrames) return;
+      // A server that answers and then breaks off may do so for ever.
+      if (this.endBirth > endBirth) patience.reset();
+      else await patience.wait();
     }
   }
 
   /** The response that brings what is not here. */
   async #begin() {
     const { stream, endBirth, mostLayers } = this;
-    const { first, manifest, base, fetcher } = stream;
+    const { first, base, lastToken } = stream;
     stream.first = null;
-    const layers = mostLayers < manifest.numLayers ? mostLayers : null;
+    const layers = mostLayers < stream.manifest.numLayers ? mostLayers : null;
     if (first !== null && endBirth === 0 && layers === null) return first;
     first?.close();
-    const wish = { fromFrame: endBirth, layers, lastToken: stream.lastToken };
-    const { response, start } = await patiently(
-      fetcher,
-      base,
-      () => begun(base, wish),
-      () => this.isClosed,
-    );
-    stream.grow(start.numFrames, manifest.live);
+    const wish = { fromFrame: endBirth, layers, lastToken };
+    const { response, start } = await this.patience.begin(() => begunPlay(base, wish));
+    stream.grow(start.numFrames, stream.manifest.live);
     return response;
   }
 
@@ -191,11 +201,8 @@ export class ServedPlay {
    */
   async #takeAll(response) {
     const { stream } = this;
-    let counted = 0;
     for (;;) {
-      const record = await response.next();
-      stream.fetcher.receivedBytes += response.receivedBytes - counted;
-      counted = response.receivedBytes;
+      const record = await response.next((numBytes) => (stream.fetcher.receivedBytes += numBytes));
       if (this.isClosed) return true;
       if (record === null) return false;
       if (record.kind === "end") {
@@ -204,7 +211,7 @@ export class ServedPlay {
         return true;
       }
       if (record.kind === "error") {
-        stream.fetcher.onTrouble(`The server says: ${record.message}`);
+        this.patience.why = `The server says: ${record.message}`;
         return false;
       }
       if (record.kind !== "start") await this.#take(record);
@@ -228,9 +235,9 @@ export class ServedPlay {
     }
     for (const [n, packet] of record.packets.entries()) {
       const layer = record.firstLayer + n;
+      if (layer >= manifest.numLayers) throw corrupt(`play: a packet of layer ${layer}`);
       const part = isSnapshot ? `snapshot-${layer}` : `${layer}`;
       const chunk = await chunkOf(packet, limitBytes(manifest, part));
-      if (layer >= manifest.numLayers) continue;
       if (isSnapshot) sink.addSnapshot(birth, layer, chunk);
       else sink.addChange(birth, layer, chunk);
     }
@@ -241,7 +248,8 @@ export class ServedPlay {
 
   /** Waits while too much is here that has not shown. */
   async #room() {
-    const most = MOST_AHEAD_S * this.stream.manifest.fps + this.stream.manifest.segmentFrames;
+    const { fps, segmentFrames } = this.stream.manifest;
+    const most = MOST_AHEAD_S * fps + segmentFrames;
     while (!this.isClosed && this.endBirth > this.nextFrame + most) {
       await new Promise((resolve) => (this.moveOn = () => resolve(undefined)));
     }
@@ -249,53 +257,10 @@ export class ServedPlay {
 
   close() {
     this.isClosed = true;
+    this.patience.isOver = true;
     this.moveOn();
     this.stream.lastToken = this.response?.token ?? this.stream.lastToken;
     this.response?.close();
-  }
-}
-
-/**
- * A response, and how it starts. Rejects as PlayResponse.open does.
- * @param {string} base
- * @param {{ fromFrame: number, layers: number | null, lastToken: string | null }} wish
- */
-async function begun(base, wish) {
-  const response = await PlayResponse.open(base, wish);
-  const start = await response.next();
-  if (start === null) throw new GoneError();
-  if (start.kind !== "start") throw corrupt("play: the first record does not say how it starts");
-  return { response, start };
-}
-
-/**
- * Tries again and again while the server is gone. Rejects with a SourceError after a while, and with
- * what else goes wrong.
- * @template T
- * @param {import("./fetcher.js").Fetcher} fetcher
- * @param {string} base
- * @param {() => Promise<T>} action
- * @param {() => boolean} [isOver] whether nobody waits any more
- * @returns {Promise<T>}
- */
-async function patiently(fetcher, base, action, isOver = () => false) {
-  const beganMs = performance.now();
-  for (let tries = 1; ; tries++) {
-    let afterS = 0;
-    try {
-      const result = await action();
-      fetcher.onTrouble(null);
-      return result;
-    } catch (error) {
-      if (!(error instanceof GoneError) || isOver()) throw error;
-      ({ afterS } = error);
-    }
-    if (performance.now() - beganMs > 1000 * fetcher.giveUpS) {
-      throw new SourceError(`${base} cannot be reached; check the network and try again`);
-    }
-    fetcher.onTrouble("The server is gone; trying again");
-    const restS = Math.max(delayS(tries), Math.min(afterS || 0, fetcher.giveUpS));
-    await new Promise((resolve) => setTimeout(resolve, 1000 * restS));
   }
 }
 
@@ -308,18 +273,4 @@ async function chunkOf(packet, most) {
   if (packet.length > most)
     throw corrupt(`play: a chunk of ${packet.length} bytes, at most ${most}`);
   return packet;
-}
-
-/** A path that names a stream of a swings server, with the name. */
-const SERVED_PATH = /^(.*)\/(?:v1\/streams|watch)\/([^/]+)\/?$/;
-
-/**
- * The URL of the stream on a swings server that `url` names, with a slash at its end; null where it
- * is not such an address.
- * @param {string} url
- */
-export function servedBase(url) {
-  const { origin, pathname } = new URL(url);
-  const found = SERVED_PATH.exec(pathname);
-  return found === null ? null : `${origin}${found[1]}/v1/streams/${found[2]}/`;
 }

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from codec.errors import CodecError, InvalidError, UnsupportedError
 from codec.interop.exporting import export_stream, numbered
@@ -239,6 +240,9 @@ def test_the_commands(tmp_path: Path) -> None:
     told = run_ok("swings-stream", "import", model, tmp_path / "stream", "--profile", "raw")
     assert told == f"{tmp_path}/stream: model.ply, up to 60 Gaussians a frame, SH degree 0, raw\n"
     run_ok("swings-stream", "verify", tmp_path / "stream")
+    poster = Image.open(tmp_path / "stream" / "poster.jpg")
+    assert (poster.format, poster.size) == ("JPEG", (640, 360))
+    assert np.asarray(poster).max() > 60
     out = tmp_path / "out.spz"
     told = run_ok("swings-stream", "export", tmp_path / "stream", out, "--frame", 0)
     assert told == f"{out}: 1 file, {out.stat().st_size} bytes\n"

@@ -16,7 +16,11 @@ import { RecordParser } from "../../../player/web/format/playrecord.js";
 import { SlotDecoder } from "../../../player/web/format/slots/slotdecoder.js";
 import { SlotLayout } from "../../../player/web/format/slots/slotlayout.js";
 import { EMPTY, ON_LATTICE, UNKNOWN } from "../../../player/web/format/slots/slots.js";
+import { Fetcher, SourceError } from "../../../player/web/source/fetcher.js";
+import { GrowingIndex } from "../../../player/web/source/growingindex.js";
 import { handOver, HostedPlay } from "../../../player/web/source/hosted.js";
+import { edgeFrame, followPeriodS, isBehind } from "../../../player/web/source/liveedge.js";
+import { Playback } from "../../../player/web/playback/playback.js";
 import { SlicePlay } from "../../../player/web/playback/sliceplay.js";
 import { SlotPlay } from "../../../player/web/playback/slotplay.js";
 import { DepthOrder } from "../../../player/web/renderer/depthorder.js";
@@ -38,6 +42,8 @@ const optional = (text) => (text === null ? null : unhex(text));
 
 /** @type {SlotDecoder} */
 let decoder;
+/** @type {GrowingIndex} */
+let index;
 
 /** What all slots hold: [lane][layer][slot], see tests/support/slots/plain.py. */
 function held() {
@@ -184,6 +190,8 @@ const ANSWERS = {
     const stream = {
       manifest,
       records,
+      rateBps,
+      media: streamMedia(manifest, records),
       /** @type {import("../../../player/web/source/hosted.js").HostedStream["object"]} */
       async object({ segment }, part, onBytes) {
         const bytes = unhex(files[`segments/${segment}/${part}`]);
@@ -194,11 +202,12 @@ const ANSWERS = {
     };
     const slicePlay = new SlicePlay(manifest);
     let nowS = 0;
-    const play = new HostedPlay(/** @type {any} */ (stream), slicePlay, 0, rateBps, () => nowS);
+    const wish = { firstFrame: 0, mostLayers: manifest.numLayers, nowS: () => nowS };
+    const play = new HostedPlay(/** @type {any} */ (stream), slicePlay, wish);
     const last = records[records.length - 1];
     for (let frame = 0; frame < last.firstFrame + last.numFrames; frame++) {
       nowS = frame / manifest.fps;
-      play.session.told(nowS, frame, false);
+      play.told(frame, false);
       play.step();
     }
     return asked;
@@ -271,6 +280,48 @@ const ANSWERS = {
   sizes({ manifest, bytes }) {
     const read = readManifest(unhex(manifest));
     return streamMedia(read, readIndex(unhex(bytes), read)).segments;
+  },
+  /** The index at a URL, as far as it has come; the same one again without a URL. */
+  async refresh({ url, manifest }) {
+    if (url) index = new GrowingIndex(url, new Fetcher(), readManifest(unhex(manifest)));
+    const beforeBytes = index.fetcher.receivedBytes;
+    try {
+      const fresh = (await index.refresh()).map(({ segment }) => segment);
+      const numBytes = index.fetcher.receivedBytes - beforeBytes;
+      return { fresh, known: index.records.length, numBytes };
+    } catch (error) {
+      if (error instanceof SourceError) return { failed: error.message };
+      throw error;
+    }
+  },
+  /** Where a stream of each of these lengths is joined, and what shows too late. */
+  edges({ fps, segmentFrames, lengths }) {
+    const shape = { fps, segmentFrames };
+    return lengths.map((/** @type {number} */ numFrames) => {
+      const edge = edgeFrame(shape, numFrames);
+      const behind = Array.from({ length: numFrames }, (_, n) => isBehind(shape, numFrames, n));
+      return { edge, periodS: followPeriodS(shape), behind: behind.lastIndexOf(true) };
+    });
+  },
+  /** What a playback shows of a stream that grows and ends, of which all that there is has come. */
+  growing({ fps, numFrames, firstFrame, events }) {
+    const play = {
+      has: (/** @type {number} */ frame) => frame < playback.numFrames,
+      hasSlice: (/** @type {number} */ frame) => frame < playback.numFrames,
+      join: () => [],
+      advance: () => [],
+    };
+    const playback = new Playback(/** @type {any} */ (play), fps, numFrames, firstFrame);
+    playback.live = true;
+    playback.setPlaying(true);
+    const found = [];
+    for (const [nowS, numFrames, live] of events) {
+      Object.assign(playback, { numFrames, live });
+      const shown = playback.tick(nowS);
+      const { frame, waiting, stalls, hasEnded } = playback;
+      found.push({ frame, isNew: shown !== null, waiting, stalls, hasEnded });
+    }
+    return found;
   },
   /** What a session decides to which the same happens as to one of the package. */
   replay({ shape, segments, firstFrame, untilFrame, rateBps, events }) {

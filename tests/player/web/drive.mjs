@@ -42,15 +42,19 @@ const ACTIONS = {
       frame.url().includes(part);
     scene = page.frames().find(isIt) ?? (await page.waitForEvent("framenavigated", isIt));
   },
-  /** Runs `code`, the body of an async function of `value`, in the page. */
+  /**
+   * Runs `code`, the body of an async function of `value`, in the page: as a whole expression, for a
+   * page may forbid that it makes code of text.
+   */
   async run({ code, value }) {
-    return scene.evaluate(
-      ([body, given]) => new Function("value", `return (async () => {${body}})()`)(given),
-      [code, value],
-    );
+    return scene.evaluate(`(async (value) => {${code}})(${JSON.stringify(value ?? null)})`);
   },
   async wait({ code, timeoutS }) {
-    await scene.waitForFunction(code, undefined, { timeout: 1000 * timeoutS, polling: 50 });
+    const endMs = performance.now() + 1000 * timeoutS;
+    while (!(await scene.evaluate(`Boolean(${code})`))) {
+      if (performance.now() > endMs) throw new Error(`after ${timeoutS} s still not: ${code}`);
+      await new Promise((resolve) => setTimeout(resolve, 50));
+    }
   },
   async press({ key }) {
     await page.keyboard.press(key);

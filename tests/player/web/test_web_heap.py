@@ -79,4 +79,4 @@ def test_a_loop(page: Page, tmp_path: Path) -> None:
     """Twenty times from the beginning: what is kept of a play would show."""
     write_busy_stream(tmp_path / "stream", 60, small_layout(1, (200, 200, 100), 0, 15))
     with opened(page, tmp_path, 20) as playing:
-        assert growth_bytes(playing, (600, 1800), 0) < 20 * 15_000
+        assert growth_bytes(playing, (600, 1800), 0) < 20 * 25_000

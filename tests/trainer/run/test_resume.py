@@ -18,6 +18,7 @@ from codec.errors import InvalidError
 from codec.slice import Slice
 from codec.slots.update import Update
 from codec.stream import StreamReader
+from codec.stream.poster import POSTER_NAME
 from tests.support.commands import command, environment, run, run_ok
 from tests.support.slots.updates import patternless_updates, small_layout
 from tests.support.tiny_capture import write_dynerf
@@ -145,6 +146,23 @@ def test_ctrl_c_ends_the_window_and_can_be_resumed(
     assert process.returncode == 1
     assert "--resume" in errors.splitlines()[-1]
     run_ok("swings-train", capture, stream, *SETTINGS, "--resume")
+    assert contents(stream) == uninterrupted
+
+
+def test_a_poster_comes_with_the_first_segment_and_stays_when_the_run_goes_on(
+    capture: Path, uninterrupted: dict[str, bytes], tmp_path: Path
+) -> None:
+    stream = tmp_path / "stream"
+    process = start_until(capture, stream, 4)
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=60)
+    if process.returncode == 0:
+        pytest.skip("the run was over before the signal came")
+    assert StreamReader(stream).num_frames == 4
+    first = (stream / POSTER_NAME).read_bytes()
+    process = start_until(capture, stream, 0, "--resume")
+    assert (stream / POSTER_NAME).read_bytes() in (first, uninterrupted[POSTER_NAME])
+    process.communicate(timeout=60)
     assert contents(stream) == uninterrupted
 
 

@@ -1,0 +1,208 @@
+"""The poster: drawn once there are frames, whole, bounded, and never outside its folder."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from PIL import Image
+
+from codec.camera import Camera
+from codec.errors import CorruptError
+from codec.splats import Splats
+from codec.stream import StreamReader, StreamWriter
+from codec.stream.manifest import Manifest
+from codec.stream.poster import (
+    MAX_PICTURE_BYTES,
+    POSTER_NAME,
+    check_poster,
+    find_poster,
+    picture_type,
+    read_poster,
+    write_poster,
+)
+from codec.tools.audit import verify_stream
+from player.render.cpu import render_splats
+from tests.support.tiny_stream import tiny_manifest, tiny_slice, write_tiny
+
+Floats = npt.NDArray[np.float32]
+
+
+def manifest_of(width_px: int, height_px: int, poster: str | None = POSTER_NAME) -> Manifest:
+    w2c = np.eye(4)
+    w2c[2, 3] = 6.0
+    camera = Camera(
+        "front", width_px, height_px, width_px, width_px, width_px / 2, height_px / 2, w2c
+    )
+    return replace(tiny_manifest(), cameras=(camera,), poster=poster)
+
+
+def black_and_white(splats: Splats, camera: Camera, near_m: float) -> Floats:
+    """The picture that JPEG can do least with."""
+    shape = (camera.height_px, camera.width_px, 3)
+    return np.random.default_rng(0).integers(0, 2, shape).astype(np.float32)
+
+
+def test_it_shows_what_the_default_camera_sees_of_the_middle(tmp_path: Path) -> None:
+    write_tiny(tmp_path / "s", 6, manifest_of(320, 200))
+    write_poster(tmp_path / "s", render_splats)
+    shown = np.asarray(Image.open(tmp_path / "s" / POSTER_NAME), np.float64) / 255
+    reader = StreamReader(tmp_path / "s")
+
+    def error(frame: int) -> float:
+        splats = reader.active_splats(frame, 2)
+        drawn = render_splats(splats, reader.manifest.camera(), reader.manifest.near_m)
+        return float(np.sqrt(np.mean((np.clip(drawn, 0, 1) - shown) ** 2)))
+
+    errors = [error(frame) for frame in range(6)]
+    assert errors[3] < 0.03
+    assert min(errors[:3] + errors[4:]) > 2 * errors[3]
+
+
+@pytest.mark.parametrize(
+    ("size_px", "expected_px"),
+    [
+        ((64, 48), (64, 48)),
+        ((640, 360), (640, 360)),
+        ((900, 600), (640, 427)),
+        ((3840, 2160), (640, 360)),
+        ((1080, 1920), (640, 1138)),
+        ((500, 5000), (128, 1280)),
+        ((16384, 1), (640, 1)),
+    ],
+)
+def test_its_size_is_bounded_in_pixels(
+    size_px: tuple[int, int], expected_px: tuple[int, int], tmp_path: Path
+) -> None:
+    write_tiny(tmp_path / "s", 2, manifest_of(*size_px))
+    drawn_px = []
+
+    def draw(splats: Splats, camera: Camera, near_m: float) -> Floats:
+        drawn_px.append((camera.width_px, camera.height_px))
+        return np.full((camera.height_px, camera.width_px, 3), 2, np.float32)
+
+    write_poster(tmp_path / "s", draw)
+    picture = Image.open(tmp_path / "s" / POSTER_NAME)
+    assert (picture.format, picture.size) == ("JPEG", expected_px)
+    assert picture.getextrema() == ((255, 255),) * 3
+    # Never larger than the camera, nor than is of use.
+    assert all(d <= min(s, 2 * e) for d, s, e in zip(*drawn_px, size_px, expected_px, strict=True))
+
+
+def test_noise_of_the_largest_size_keeps_the_bound(tmp_path: Path) -> None:
+    write_tiny(tmp_path / "s", 2, manifest_of(640, 1280))
+    write_poster(tmp_path / "s", black_and_white)
+    assert 1 << 19 < (tmp_path / "s" / POSTER_NAME).stat().st_size <= MAX_PICTURE_BYTES
+    check_poster(tmp_path / "s", StreamReader(tmp_path / "s").manifest)
+
+
+def test_there_is_none_before_the_first_frame_nor_where_the_manifest_names_none(
+    tmp_path: Path,
+) -> None:
+    StreamWriter.create(tmp_path / "new", manifest_of(64, 48)).abort()
+    write_tiny(tmp_path / "none", 2, manifest_of(64, 48, None))
+    write_tiny(tmp_path / "other", 2, manifest_of(64, 48, "other.jpg"))
+    for name in ("new", "none", "other"):
+        write_poster(tmp_path / name, render_splats)
+        assert not list((tmp_path / name).glob("*.jpg"))
+
+
+def test_a_live_stream_has_one_from_its_first_segment_on(tmp_path: Path) -> None:
+    manifest = manifest_of(64, 48)
+    writer = StreamWriter.create(tmp_path / "s", manifest)
+    for birth in range(manifest.first_birth, 5):
+        writer.append(tiny_slice(birth))
+    write_poster(tmp_path / "s", render_splats)
+    first = (tmp_path / "s" / POSTER_NAME).read_bytes()
+    for birth in range(5, 8):
+        writer.append(tiny_slice(birth))
+    writer.close()
+    write_poster(tmp_path / "s", render_splats)
+    assert (tmp_path / "s" / POSTER_NAME).read_bytes() != first
+    names = sorted(path.name for path in (tmp_path / "s").iterdir())
+    assert names == ["index.bin", "manifest.json", "poster.jpg", "segments"]
+
+
+def test_one_that_cannot_be_written_leaves_the_one_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_tiny(tmp_path / "s", 2, manifest_of(64, 48))
+    (tmp_path / "s" / POSTER_NAME).write_bytes(b"before")
+
+    def save(picture: Image.Image, path: Path, *args: object, **options: object) -> None:
+        path.write_bytes(b"half")
+        raise OSError(28, "no space")
+
+    monkeypatch.setattr(Image.Image, "save", save)
+    with pytest.raises(OSError, match="no space"):
+        write_poster(tmp_path / "s", render_splats)
+    assert (tmp_path / "s" / POSTER_NAME).read_bytes() == b"before"
+    assert not list((tmp_path / "s").glob(".*"))
+
+
+def picture_bytes(kind: str) -> bytes:
+    file = io.BytesIO()
+    Image.new("RGB", (8, 8)).save(file, kind)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [("a.jpg", "JPEG"), ("b/a.JPEG", "JPEG"), ("é #?.png", "PNG"), ("a.webp", "WEBP")],
+)
+def test_a_picture_in_the_folder_is_found_and_must_be_what_its_name_says(
+    name: str, kind: str, tmp_path: Path
+) -> None:
+    manifest, path = manifest_of(64, 48, name), tmp_path / name
+    assert read_poster(tmp_path, manifest) is None
+    check_poster(tmp_path, manifest)  # it may come later
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(picture_bytes(kind))
+    check_poster(tmp_path, manifest)
+    assert read_poster(tmp_path, manifest) == path.read_bytes()
+    path.write_bytes(b"<html>")
+    with pytest.raises(CorruptError, match=r"does not begin as image/"):
+        check_poster(tmp_path, manifest)
+    path.write_bytes(picture_bytes(kind) + bytes(MAX_PICTURE_BYTES))
+    with pytest.raises(CorruptError, match=r"a poster has at most 1048576"):
+        check_poster(tmp_path, manifest)
+    assert read_poster(tmp_path, manifest) is None
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["", ".", "manifest.json", "a.svg", "a.jpg.html", "jpg", ".jpg", "../a.jpg", "b/../a.jpg",
+     "link.jpg", "out/a.jpg", "folder.jpg", "https://cdn/a.jpg", "a.jpg/a.jpg", "{root}/s/a.jpg"],
+)  # fmt: skip
+def test_what_is_not_a_picture_in_the_folder_is_none(name: str, tmp_path: Path) -> None:
+    root = tmp_path / "s"
+    (root / "folder.jpg").mkdir(parents=True)
+    (root / "b").mkdir()
+    for path in (root / "a.jpg", root / "a.svg", root / "manifest.json", tmp_path / "a.jpg"):
+        path.write_bytes(picture_bytes("JPEG"))
+    (root / "link.jpg").symlink_to(tmp_path / "a.jpg")
+    (root / "out").symlink_to(tmp_path)
+    manifest = manifest_of(64, 48, name.replace("{root}", str(tmp_path)))
+    assert find_poster(root, manifest) is None
+    assert read_poster(root, manifest) is None
+    check_poster(root, manifest)
+
+
+def test_verify_names_a_poster_that_is_wrong(tmp_path: Path) -> None:
+    write_tiny(tmp_path / "s", 2, manifest_of(64, 48))
+    verify_stream(tmp_path / "s")
+    write_poster(tmp_path / "s", render_splats)
+    verify_stream(tmp_path / "s")
+    path = tmp_path / "s" / POSTER_NAME
+    path.write_bytes(b"\x00" + path.read_bytes()[1:])
+    with pytest.raises(CorruptError, match=f"^{path}: does not begin as image/jpeg does$"):
+        verify_stream(tmp_path / "s")
+
+
+def test_names_and_media_types() -> None:
+    assert picture_type("a.JPG") == "image/jpeg"
+    assert picture_type("a.svg") is picture_type("poster") is picture_type("") is None

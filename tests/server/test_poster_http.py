@@ -1,0 +1,210 @@
+"""A stream's poster over HTTP: the picture that its manifest names, and nothing else."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+from urllib.parse import quote
+
+import aiohttp
+import pytest
+import yarl
+
+from codec.files import write_atomic
+from codec.stream import StreamReader
+from codec.stream.poster import MAX_PICTURE_BYTES, write_poster
+from player.render.cpu import render_splats
+from tests.support.running_server import Running, make_stream, on_server, raw_request
+
+JPEG = b"\xff\xd8\xff" + bytes(range(256)) * 40
+
+
+def stream_with_poster(root: Path, stream: str, poster: str | None) -> Path:
+    path = make_stream(root / stream, 3)
+    manifest = replace(StreamReader(path).manifest, poster=poster)
+    write_atomic(path / "manifest.json", manifest.to_json())
+    return path
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    folder = tmp_path / "root"
+    path = stream_with_poster(folder, "walk", "poster.jpg")
+    (path / "poster.jpg").write_bytes(JPEG)
+    (path / "other.jpg").write_bytes(JPEG)
+    (folder / "secret.jpg").write_bytes(b"not for you")
+    return folder
+
+
+URL = "/v1/streams/walk/poster.jpg"
+
+
+def test_it_is_served_like_the_other_files(root: Path) -> None:
+    tag = f'"{hashlib.sha256(JPEG).hexdigest()}"'
+
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        async with client.get(URL) as response:
+            assert (response.status, await response.read()) == (200, JPEG)
+            headers = {
+                "ETag": tag,
+                "Content-Type": "image/jpeg",
+                "Cache-Control": "no-cache",
+                "Accept-Ranges": "bytes",
+                "X-Content-Type-Options": "nosniff",
+                "Access-Control-Allow-Origin": "*",
+            }
+            assert {name: response.headers[name] for name in headers} == headers
+        async with client.head(URL) as response:
+            assert (response.status, await response.read()) == (200, b"")
+            assert response.headers["Content-Length"] == str(len(JPEG))
+            assert response.headers["ETag"] == tag
+        async with client.get(URL, headers={"If-None-Match": tag}) as response:
+            assert (response.status, await response.read()) == (304, b"")
+        async with client.get(URL, headers={"Range": "bytes=3-9"}) as response:
+            assert (response.status, await response.read()) == (206, JPEG[3:10])
+        async with client.post(URL) as response:
+            assert response.status == 405
+
+    on_server(root, check)
+
+
+def test_one_that_is_replaced_or_comes_later_is_served_as_it_is(root: Path) -> None:
+    path = root / "walk" / "poster.jpg"
+
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        async with client.get(URL) as response:
+            tag = response.headers["ETag"]
+        write_atomic(path, JPEG + b"more")
+        async with client.get(URL, headers={"If-None-Match": tag}) as response:
+            assert (response.status, await response.read()) == (200, JPEG + b"more")
+        path.unlink()
+        assert (await client.get(URL)).status == 404
+        write_atomic(path, JPEG)
+        assert (await client.get(URL)).status == 200
+
+    on_server(root, check)
+
+
+@pytest.mark.parametrize(
+    ("name", "content_type"),
+    [
+        ("art/front view.PNG", "image/png"),
+        ("é#?%.webp", "image/webp"),
+        ("segments/0/0.jpeg", "image/jpeg"),
+    ],
+)
+def test_its_path_and_its_name_give_its_url_and_its_type(
+    name: str, content_type: str, tmp_path: Path
+) -> None:
+    path = stream_with_poster(tmp_path, "walk", name) / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(JPEG)
+
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        url = f"{server.url}/v1/streams/walk/"
+        async with client.get(yarl.URL(url + quote(name), encoded=True)) as response:
+            assert (response.status, await response.read()) == (200, JPEG)
+            assert response.headers["Content-Type"] == content_type
+
+    on_server(tmp_path, check)
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "walk/other.jpg",
+        "walk/poster.jpeg",
+        "walk/POSTER.JPG",
+        "walk/poster.jpg/",
+        "walk/x/../poster.jpg",
+        "walk//poster.jpg",
+        "walk/./poster.jpg",
+        "walk/../secret.jpg",
+        "walk/..%2fsecret.jpg",
+        "walk/%2e%2e/secret.jpg",
+        "walk/poster.jpg%00",
+        "walk/" + "a" * 3000 + ".jpg",
+        "nobody/poster.jpg",
+    ],
+)
+def test_no_other_picture_is_served(path: str, root: Path) -> None:
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        request = f"GET /v1/streams/{path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n"
+        head, _, body = (await raw_request(server.port, request.encode())).partition(b"\r\n\r\n")
+        assert head.startswith(b"HTTP/1.1 404 "), head
+        assert len(json.loads(body)["error"]) < 200
+
+    on_server(root, check)
+
+
+@pytest.mark.parametrize(
+    "poster",
+    [None, "", "manifest.json", "index.bin", "segments/0/0", "page.html", "page.svg",
+     "../secret.jpg", "x/../poster.jpg", "link.jpg", "out/secret.jpg", "folder.jpg", "pipe.jpg"],
+)  # fmt: skip
+def test_what_a_manifest_should_not_name_is_not_a_poster(
+    poster: str | None, tmp_path: Path
+) -> None:
+    path = stream_with_poster(tmp_path, "walk", poster)
+    (tmp_path / "secret.jpg").write_bytes(b"not for you")
+    for name in ("page.html", "page.svg", "poster.jpg"):
+        (path / name).write_bytes(b"<script>")
+    (path / "folder.jpg").mkdir()
+    (path / "link.jpg").symlink_to(tmp_path / "secret.jpg")
+    (path / "out").symlink_to(tmp_path)
+    os.mkfifo(path / "pipe.jpg")
+
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        for name in {poster or "poster.jpg", "poster.jpg"}:
+            request = (
+                f"GET /v1/streams/walk/{name} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n"
+            )
+            answer = await raw_request(server.port, request.encode())
+            head, _, body = answer.partition(b"\r\n\r\n")
+            assert b"not for you" not in body
+            assert b"<script>" not in body
+            if name not in ("manifest.json", "index.bin", "segments/0/0"):
+                assert head.startswith(b"HTTP/1.1 404 "), head
+            assert b"image/" not in head
+
+    on_server(tmp_path, check)
+
+
+def test_one_that_is_too_large_is_not_served(root: Path) -> None:
+    path = root / "walk" / "poster.jpg"
+    path.write_bytes(bytes(MAX_PICTURE_BYTES + 1))
+
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        async with client.get(URL) as response:
+            assert response.status == 404
+        path.write_bytes(bytes(MAX_PICTURE_BYTES))
+        async with client.get(URL) as response:
+            assert len(await response.read()) == MAX_PICTURE_BYTES
+
+    on_server(root, check)
+
+
+def test_many_ask_while_it_is_replaced_and_each_gets_a_whole_one(root: Path) -> None:
+    path = root / "walk"
+    write_poster(path, render_splats)
+    one = (path / "poster.jpg").read_bytes()
+
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        async def get() -> bytes:
+            async with client.get(URL) as response:
+                return await response.read()
+
+        def replace_it() -> None:
+            for n in range(60):
+                write_atomic(path / "poster.jpg", (JPEG, one)[n % 2])
+
+        replacing = asyncio.create_task(asyncio.to_thread(replace_it))
+        while not replacing.done():
+            assert set(await asyncio.gather(*(get() for _ in range(5)))) <= {JPEG, one}
+        await replacing
+
+    on_server(root, check)
