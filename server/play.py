@@ -38,7 +38,7 @@ from server.abr.session import (
     WaitForNews,
     WaitUntil,
 )
-from server.abr.standing import PLAY_HEADER
+from server.abr.standing import PLAY_HEADER, Standing
 
 from .client.connection import Connection, StalledError
 from .client.tcpinfo import TcpInfo
@@ -75,6 +75,8 @@ class PlayQuery:
     """A fixed number of layers; None for the server's choice."""
     plain: bool = False
     """Whether packets come as what is in them, see codec.stream.plainrecord."""
+    paused: bool = False
+    """Whether the client begins with a still picture."""
 
 
 def parse_query(
@@ -83,14 +85,12 @@ def parse_query(
     """The checked query. Raises RequestError 400 that says what is allowed."""
     values: dict[str, str] = {}
     for key, value in pairs:
-        if key not in ("from", "until", "layers", "plain") or key in values:
+        if key not in ("from", "until", "layers", "plain", "paused") or key in values:
             raise RequestError(
-                400, f"play takes from, until, layers and plain once each, not {key[:40]!r}"
+                400, f"play takes from, until, layers, plain and paused once each, not {key[:40]!r}"
             )
         values[key] = value
-    plain = values.get("plain", "0")
-    if plain not in ("0", "1"):
-        raise RequestError(400, f"plain={plain[:40]!r}: give 0 or 1")
+    plain, paused = (_flag(key, values.get(key, "0")) for key in ("plain", "paused"))
     from_frame = _number("from", values["from"]) if "from" in values else 0
     # A live stream may be joined before it has its first segment.
     if from_frame >= (num_frames or int(live)):
@@ -100,11 +100,11 @@ def parse_query(
         raise RequestError(400, f"until={until_frame} must be greater than from={from_frame}")
     layers = values.get("layers", "auto")
     if layers == "auto":
-        return PlayQuery(from_frame, until_frame, None, plain == "1")
+        return PlayQuery(from_frame, until_frame, None, plain, paused)
     fixed = _number("layers", layers)
     if not 1 <= fixed <= num_layers:
         raise RequestError(400, f"layers={fixed}: give auto or 1 to {num_layers}")
-    return PlayQuery(from_frame, until_frame, fixed, plain == "1")
+    return PlayQuery(from_frame, until_frame, fixed, plain, paused)
 
 
 def body_coding(accepted: str) -> str:
@@ -124,6 +124,12 @@ def _number(key: str, text: str) -> int:
     if not (text.isascii() and text.isdigit() and len(text) <= 10 and int(text) <= MAX_FRAME):
         raise RequestError(400, f"{key}={text[:40]!r} is not a number from 0 to {MAX_FRAME}")
     return int(text)
+
+
+def _flag(key: str, text: str) -> bool:
+    if text not in ("0", "1"):
+        raise RequestError(400, f"{key}={text[:40]!r}: give 0 or 1")
+    return text == "1"
 
 
 def _figure(value: float | None, scale: float) -> str:
@@ -193,6 +199,8 @@ class _Play:
             # Clients that begin together, as at the start of a show, shall not burst in step.
             rest_share=random.random(),
         )
+        if query.paused:
+            self._session.told(now_s, Standing(query.from_frame, paused=True))
         self._objects: dict[tuple[int, Part], CheckedObject] = {}
         self._sent_slices = 0
         self._sent_layers = 0

@@ -69,6 +69,8 @@ class Outlook:
     """Seconds of media that may be sent ahead."""
     run_s: float
     """Seconds of the link that one answer may fill."""
+    paused: bool = False
+    """Whether next_frame shows, and goes on to."""
 
     def due_s(self, birth: int) -> float:
         """When the slice shows first; now, before the client has begun to play."""

@@ -270,6 +270,7 @@ class PlaySession:
             end_birth=end_birth,
             max_lead_s=config.max_lead_s,
             run_s=config.run_s,
+            paused=self._paused_frame is not None,
         )
         full = end_birth < num_frames
         # A client that turned out to be further behind may hold more than the lead.

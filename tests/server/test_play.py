@@ -76,6 +76,7 @@ def packets_on_disk(path: Path) -> dict[tuple[int, int], bytes]:
         ("?from=0&layers=auto", 0, 23, None),
         ("?from=11&layers=2", 11, 23, 2),
         ("?from=22&layers=3", 22, 23, 3),
+        ("?from=5&paused=1&layers=2", 5, 23, 2),
         ("?from=4&until=9&layers=4", 4, 9, 4),
         ("?until=500&layers=2", 0, 23, 2),
     ],

@@ -18,6 +18,7 @@
  * @property {number} nextFrame the first frame that has not shown
  * @property {number} endBirth the first slice that may not be asked for yet
  * @property {number} runS seconds of the link that one answer may fill
+ * @property {boolean} paused whether nextFrame shows, and goes on to
  */
 
 /** A standing, and what follows from it. */
@@ -34,6 +35,7 @@ export class Outlook {
     this.nextFrame = standing.nextFrame;
     this.endBirth = standing.endBirth;
     this.runS = standing.runS;
+    this.paused = standing.paused;
   }
 
   /** When the slice shows first; now, before playing has begun. @param {number} birth */

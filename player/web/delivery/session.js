@@ -263,6 +263,7 @@ export class PlaySession {
       nextFrame: this.oldestFrame,
       endBirth,
       runS: this.config.runS,
+      paused: this.pausedFrame !== null,
     });
   }
 

@@ -17,6 +17,7 @@ export class SliceSweep {
     this.next = null;
     /** @type {number[]} of each layer a birth from which on no slice has it */
     this.ends = [];
+    this.paused = false;
   }
 
   /**
@@ -27,10 +28,12 @@ export class SliceSweep {
    */
   choose(outlook, holding) {
     const { media } = outlook;
-    if (this.next === null) {
-      this.next = new Array(media.numLayers).fill(holding.firstBirth);
-      this.ends = new Array(media.numLayers).fill(holding.firstBirth);
+    if (this.next === null) this.ends = new Array(media.numLayers).fill(holding.firstBirth);
+    if (this.next === null || (outlook.paused && !this.paused)) {
+      const oldest = Math.max(holding.firstBirth, outlook.nextFrame - media.swinSize + 1);
+      this.next = new Array(media.numLayers).fill(oldest);
     }
+    this.paused = outlook.paused;
     const rateBps = this.config.safety * outlook.rateBps;
     this.patienceS = this.patience.note(outlook);
     const freeS = outlook.comesS(0, rateBps);
@@ -77,6 +80,7 @@ export class SliceSweep {
       if (layer) {
         let life = Math.min(swinSize, birth + swinSize - clock.firstFrame);
         life -= Math.max(0, -slackS) * fps;
+        if (outlook.paused) life = swinSize;
         if (life < config.leastLife * swinSize) continue;
         gainDb *= life / swinSize;
       }

@@ -337,7 +337,7 @@ export class SwingsPlayerElement extends MediaInterface {
     // What has a use for a key keeps it.
     const isOnSelect = target instanceof HTMLSelectElement;
     const isOnButton = target instanceof HTMLButtonElement;
-    const { frame } = player.state;
+    const frame = player.isSeeking ? player.soughtFrame : Math.max(0, player.shownFrame);
     const step = event.shiftKey ? 1 : Math.round(player.manifest?.fps ?? 30);
     const turn = (/** @type {number} */ x, /** @type {number} */ y) => {
       player.orbit?.dragTurn(x, y);

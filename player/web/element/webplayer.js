@@ -83,6 +83,12 @@ export class WebPlayer extends EventTarget {
     this.isSeeking = false;
     this.soughtFrame = 0;
     this.pixelRatio = Math.min(2, globalThis.devicePixelRatio || 1);
+    /** What the page gives the canvas; to ask the canvas itself would lay the page out at once. */
+    this.sizePx = [canvas.clientWidth, canvas.clientHeight];
+    this.resizing = new ResizeObserver(([{ contentRect }]) => {
+      this.sizePx = [contentRect.width, contentRect.height];
+    });
+    this.resizing.observe(canvas);
     this.isSideBySide = false;
     this.eyeDistanceM = EYE_DISTANCE_M;
     /** @type {Headset | null} while a headset shows the scene, and the canvas does not */
@@ -336,9 +342,8 @@ export class WebPlayer extends EventTarget {
   }
 
   #fitCanvas() {
-    const { canvas, pixelRatio } = this;
-    const widthPx = Math.max(1, Math.round(canvas.clientWidth * pixelRatio));
-    const heightPx = Math.max(1, Math.round(canvas.clientHeight * pixelRatio));
+    const { canvas, pixelRatio, sizePx } = this;
+    const [widthPx, heightPx] = sizePx.map((px) => Math.max(1, Math.round(px * pixelRatio)));
     if (canvas.width === widthPx && canvas.height === heightPx) return;
     canvas.width = widthPx;
     canvas.height = heightPx;
@@ -368,6 +373,7 @@ export class WebPlayer extends EventTarget {
   dispose() {
     this.isDisposed = true;
     cancelAnimationFrame(this.loopId);
+    this.resizing.disconnect();
     this.headset?.end();
     this.close();
   }

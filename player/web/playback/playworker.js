@@ -75,17 +75,21 @@ class Player {
     this.playback.live = manifest.live;
     this.playback.setRate(this.rate);
     this.playback.setPlaying(this.playing);
-    this.fetchFrom(first);
+    this.fetchFrom(first, false);
   }
 
-  /** What shows from `frame` on is asked for; what is here already stays. @param {number} frame */
-  fetchFrom(frame) {
+  /**
+   * What shows from `frame` on is asked for; what is here already stays.
+   * @param {number} frame
+   * @param {boolean} continues whether what shows before is here
+   */
+  fetchFrom(frame, continues) {
     const { sink, mostLayers } = this;
     if (sink === undefined) return;
     this.source?.close();
-    this.source = this.stream.play(sink, { firstFrame: frame, mostLayers, nowS });
+    this.source = this.stream.play(sink, { firstFrame: frame, continues, mostLayers, nowS });
     this.source.onNews = () => this.wake();
-    this.source.told(this.playback?.nextFrame ?? frame, !this.playing);
+    this.say();
     this.wake();
   }
 
@@ -101,7 +105,7 @@ class Player {
     const soon = playback.nextFrame + Math.round(SOON_S * playback.fps);
     const from = isMore && this.playing ? Math.min(soon, playback.endFrame) : playback.endFrame;
     if (!playback.isJoined || !this.playing) this.begin(playback.frame);
-    else if (from < this.stream.numFrames) this.fetchFrom(from);
+    else if (from < this.stream.numFrames) this.fetchFrom(from, true);
   }
 
   /** Plays, from the beginning after the end, or pauses. @param {boolean} playing */
@@ -109,7 +113,7 @@ class Player {
     this.playing = playing;
     if (playing && this.playback?.hasEnded) this.begin(0);
     this.playback?.setPlaying(playing);
-    this.source?.told(this.playback?.nextFrame ?? 0, !playing);
+    this.say();
   }
 
   /** Looks at once at what is to be done. */
@@ -129,8 +133,8 @@ class Player {
       if (shown !== null) {
         this.decodeMs = performance.now() - beganMs;
         this.show(shown);
-        source.told(playback.nextFrame, !this.playing);
       }
+      if (shown !== null || !this.playing) this.say();
       if (playback.hasEnded && this.playing) {
         if (this.loop) {
           this.begin(0);
@@ -155,6 +159,13 @@ class Player {
     const { numGs } = this.stream.manifest;
     const message = { ...shown, numSlots: numGs };
     this.sorter.postMessage(message, shown.updates.flatMap(buffersOf));
+  }
+
+  /** Tells the source where playback is. */
+  say() {
+    const { source, playback, playing } = this;
+    if (playback !== undefined)
+      source?.told(playing ? playback.nextFrame : playback.frame, !playing);
   }
 
   /** Tells how things stand, now and then. */

@@ -182,7 +182,7 @@ export class HostedPlay {
   }
 
   /**
-   * @param {number} frame the next one that shows
+   * @param {number} frame
    * @param {boolean} paused
    */
   told(frame, paused) {

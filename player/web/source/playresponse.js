@@ -24,6 +24,7 @@ const BUSY = "The server is busy";
  * @property {number} fromFrame
  * @property {number | null} layers null for the server's choice
  * @property {string | null} lastToken of the play before this one
+ * @property {boolean} paused whether it begins with a still picture
  */
 
 /** One response of a swings server to `play?plain=1`, record by record (FORMAT.md, section 10). */
@@ -48,8 +49,11 @@ export class PlayResponse {
    * @param {string} base URL of the stream, with a slash at its end
    * @param {PlayWish} wish
    */
-  static async open(base, { fromFrame, layers, lastToken }) {
-    const url = `${base}play?plain=1&from=${fromFrame}${layers === null ? "" : `&layers=${layers}`}`;
+  static async open(base, { fromFrame, layers, lastToken, paused }) {
+    const query = new URLSearchParams({ plain: "1", from: String(fromFrame) });
+    if (layers !== null) query.set("layers", String(layers));
+    if (paused) query.set("paused", "1");
+    const url = `${base}play?${query}`;
     const abort = new AbortController();
     const headers = /** @type {HeadersInit} */ (lastToken ? { "Swings-Play": lastToken } : {});
     let response;

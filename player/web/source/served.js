@@ -54,7 +54,8 @@ export class ServedStream {
   static async open(base, fetcher) {
     const patience = new Patience(fetcher, base);
     for (;;) {
-      const wish = { fromFrame: 0, layers: null, lastToken: null };
+      // Until it is known whether it plays, it does not.
+      const wish = { fromFrame: 0, layers: null, lastToken: null, paused: true };
       const stream = new ServedStream(
         base,
         fetcher,
@@ -101,11 +102,13 @@ export class ServedPlay {
    * @param {Sink} sink
    * @param {import("./source.js").Wish} wish
    */
-  constructor(stream, sink, { firstFrame, mostLayers, nowS }) {
+  constructor(stream, sink, { firstFrame, continues, mostLayers, nowS }) {
     this.stream = stream;
     this.sink = sink;
+    this.continues = continues;
     this.mostLayers = mostLayers;
     this.nowS = nowS;
+    this.firstFrame = firstFrame;
     /** Behind the last slice whose layer 0 is here. */
     this.endBirth = firstFrame;
     this.nextFrame = firstFrame;
@@ -122,11 +125,15 @@ export class ServedPlay {
     this.response = null;
     this.moveOn = () => {};
     this.patience = new Patience(stream.fetcher, stream.base);
-    this.#run().catch((error) => {
+    const failed = (/** @type {unknown} */ error) => {
       if (this.isClosed) return;
       this.failure = error;
       this.onNews();
-    });
+    };
+    // Once it has been told where playback is.
+    Promise.resolve()
+      .then(() => this.#run())
+      .catch(failed);
   }
 
   step() {
@@ -135,7 +142,7 @@ export class ServedPlay {
 
   /**
    * The server hears of it now and then.
-   * @param {number} frame the next one that shows
+   * @param {number} frame
    * @param {boolean} paused
    */
   told(frame, paused) {
@@ -165,6 +172,7 @@ export class ServedPlay {
     const { stream, patience } = this;
     while (!this.isClosed) {
       const { endBirth } = this;
+      this.continues ||= endBirth > this.firstFrame;
       this.response = await this.#begin();
       if (this.isClosed) this.response.close();
       this.toldS = -Infinity; // so that the next word goes to this response
@@ -189,7 +197,10 @@ export class ServedPlay {
     const layers = mostLayers < stream.manifest.numLayers ? mostLayers : null;
     if (first !== null && endBirth === 0 && layers === null) return first;
     first?.close();
-    const wish = { fromFrame: endBirth, layers, lastToken };
+    const paused = this.paused && endBirth === this.nextFrame;
+    // The first slice of a segment is not sent to who begins with it, but is what others go on with.
+    const fromFrame = this.continues ? Math.max(0, endBirth - 1) : endBirth;
+    const wish = { fromFrame, layers, lastToken, paused };
     const { response, start } = await this.patience.begin(() => begunPlay(base, wish));
     stream.grow(start.numFrames, stream.manifest.live);
     return response;

@@ -13,6 +13,7 @@ import { servedBase, ServedStream } from "./served.js";
  * What is asked of one play.
  * @typedef {object} Wish
  * @property {number} firstFrame
+ * @property {boolean} continues whether the sink has what shows before firstFrame
  * @property {number} mostLayers
  * @property {() => number} nowS the clock
  */
@@ -22,7 +23,8 @@ import { servedBase, ServedStream } from "./served.js";
  * @typedef {object} SourcePlay
  * @property {() => number} step does what is to be done; gives seconds until it should be called
  *   again, at most
- * @property {(frame: number, paused: boolean) => void} told the playback says where it is
+ * @property {(frame: number, paused: boolean) => void} told the playback says where it is:
+ *   the frame that shows next, or while it is paused the one that shows
  * @property {number | null} rateBps what the link is taken to carry
  * @property {unknown} failure what ended it; null while nothing did
  * @property {() => void} onNews called when something has come or failed

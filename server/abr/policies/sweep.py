@@ -140,6 +140,7 @@ class SliceSweep:
         self._patience_s = (0.0, 0.0)
         self._next: list[int] | None = None
         """Of each layer a birth before which no slice lacks just this layer."""
+        self._paused = False
         self._ends: list[int] = []
         """Of each layer a birth from which on no slice has it."""
 
@@ -148,8 +149,12 @@ class SliceSweep:
         assert isinstance(holding, SliceHolding)
         config, media = self._config, outlook.media
         if self._next is None:
-            self._next = [holding.first_birth] * media.num_layers
             self._ends = [holding.first_birth] * media.num_layers
+        if self._next is None or outlook.paused > self._paused:
+            # What was not worth it while time ran may be now.
+            oldest = max(holding.first_birth, outlook.next_frame - media.swin_size + 1)
+            self._next = [oldest] * media.num_layers
+        self._paused = outlook.paused
         rate_bps = config.safety * outlook.rate_bps
         self._patience_s = self._patience.note(outlook)
         free_s = outlook.comes_s(0.0, rate_bps)
@@ -191,6 +196,8 @@ class SliceSweep:
             if layer:
                 life = float(min(swin_size, birth + swin_size - outlook.clock.first_frame))
                 life -= max(0.0, -slack_s) * fps
+                if outlook.paused:
+                    life = float(swin_size)  # what a still picture shows, it shows for long
                 if life < config.least_life * swin_size:
                     continue
                 gain_db *= life / swin_size

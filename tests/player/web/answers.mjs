@@ -202,7 +202,12 @@ const ANSWERS = {
     };
     const slicePlay = new SlicePlay(manifest);
     let nowS = 0;
-    const wish = { firstFrame: 0, mostLayers: manifest.numLayers, nowS: () => nowS };
+    const wish = {
+      firstFrame: 0,
+      continues: false,
+      mostLayers: manifest.numLayers,
+      nowS: () => nowS,
+    };
     const play = new HostedPlay(/** @type {any} */ (stream), slicePlay, wish);
     const last = records[records.length - 1];
     for (let frame = 0; frame < last.firstFrame + last.numFrames; frame++) {

@@ -2,35 +2,38 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from codec.camera import Camera
 from codec.pose import rotation_about, world_to_camera
 from codec.stream.reader import StreamReader
 from codec.tools.static import export_static
-from player.render.cpu import render_splats
 from tests.support.hosted_streams import static_host, write_stream
+from tests.support.web.canvas import (
+    ELEMENT,
+    LEAST_PSNR_DB,
+    PIXELS,
+    PLAYER,
+    STATE,
+    Doubles,
+    canvas_of,
+    expected_of,
+    picture_of,
+    psnr_db,
+)
 from tests.support.web.chromium import Page
 from tests.support.web.nodeprocess import SCRIPTS, Json
-
-Doubles = npt.NDArray[np.float64]
 
 HERE = Path(__file__).parent
 ROOT = Path(__file__).parents[4]
 EMULATOR = SCRIPTS / "node_modules" / "iwer" / "build" / "iwer.min.js"
-ELEMENT = "document.querySelector('swings-player')"
-PLAYER = f"{ELEMENT}.player"
-STATE = f"{PLAYER}.state"
 NUM_FRAMES = 60
-LEAST_PSNR_DB = 45.0
 EMULATED_EYES_M = 1.6
 WIDTH_PX, HEIGHT_PX = 640, 320
 
@@ -62,7 +65,7 @@ def opened(page: Page, folder: Path) -> Callable[..., AbstractContextManager[Pag
     def opening(*scripts: Path) -> Iterator[Page]:
         with static_host(folder) as url:
             address = f"{url}/web/watch.html?src=../static&autoplay=0"
-            page.open(address, WIDTH_PX, HEIGHT_PX, scripts=(*scripts, HERE / "pixels.js"))
+            page.open(address, WIDTH_PX, HEIGHT_PX, scripts=(*scripts, PIXELS))
             page.wait(f"{PLAYER}?.shownFrame === 0", 60)
             yield page
             assert not page.complaints
@@ -79,25 +82,6 @@ def worn(opened: Callable[..., AbstractContextManager[Page]]) -> Iterator[Page]:
         yield page
 
 
-def picture_of(found: Json) -> Doubles:
-    """(height, width, 3) 0..1, the top row first."""
-    pixels = np.frombuffer(base64.b64decode(found["pixels"]), np.uint8)
-    upwards = pixels.reshape(found["heightPx"], found["widthPx"], 4)
-    picture: Doubles = upwards[::-1, :, :3] / 255
-    return picture
-
-
-def psnr_db(a: npt.NDArray[np.floating], b: npt.NDArray[np.floating]) -> float:
-    return float(-10 * np.log10(np.mean((a - b) ** 2)))
-
-
-def expected_of(reader: StreamReader, camera: Camera) -> npt.NDArray[np.float32]:
-    splats = reader.active_splats(0, reader.manifest.num_layers)
-    picture = render_splats(splats, camera, reader.manifest.near_m).clip(0, 1)
-    assert picture.mean() > 0.03
-    return picture
-
-
 def aside(camera: Camera, aside_m: float) -> Camera:
     """The same camera, moved to its right."""
     return replace(
@@ -112,7 +96,7 @@ def test_side_by_side(
         alone = page.run(f"return window.readCanvas({PLAYER})")
         page.click("swings-player .side-by-side")
         assert page.run(f"return {part('.side-by-side')}.ariaPressed") == "true"
-        both = picture_of(page.run(f"return window.readCanvas({PLAYER})"))
+        both = canvas_of(page)
         page.screenshot(tmp_path / "side-by-side.png")
         page.press("b")
         again = page.run(f"return window.readCanvas({PLAYER})")
@@ -216,7 +200,7 @@ def test_it_plays_in_a_headset_and_goes_on_at_the_page(worn: Page, reader: Strea
     worn.press("k")
     worn.press("Home")
     worn.wait(f"{PLAYER}.shownFrame === 0 && !{STATE}.playing", 30)
-    found = picture_of(worn.run(f"return window.readCanvas({PLAYER})"))
+    found = canvas_of(worn)
     whole = reader.manifest.camera().fitted(WIDTH_PX, HEIGHT_PX)
     assert psnr_db(found, expected_of(reader, whole)) >= LEAST_PSNR_DB
 

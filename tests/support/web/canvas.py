@@ -1,0 +1,50 @@
+"""What the page has drawn, and what it should have."""
+
+from __future__ import annotations
+
+import base64
+
+import numpy as np
+import numpy.typing as npt
+
+from codec.camera import Camera
+from codec.stream.reader import StreamReader
+from player.render.cpu import render_splats
+from tests.support.web.chromium import Page
+from tests.support.web.nodeprocess import SCRIPTS, Json
+
+Doubles = npt.NDArray[np.float64]
+
+PIXELS = SCRIPTS / "pixels.js"
+"""Runs in the page before its own scripts, and reads pixels there."""
+
+ELEMENT = "document.querySelector('swings-player')"
+PLAYER = f"{ELEMENT}.player"
+STATE = f"{PLAYER}.state"
+
+LEAST_PSNR_DB = 45.0
+"""Of what is drawn to what the CPU renderer draws."""
+
+
+def picture_of(found: Json) -> Doubles:
+    """(height, width, 3) 0..1, the top row first."""
+    pixels = np.frombuffer(base64.b64decode(found["pixels"]), np.uint8)
+    upwards = pixels.reshape(found["heightPx"], found["widthPx"], 4)
+    picture: Doubles = upwards[::-1, :, :3] / 255
+    return picture
+
+
+def canvas_of(page: Page) -> Doubles:
+    """The canvas, once it shows what is seen from where the camera is."""
+    return picture_of(page.run(f"return window.readCanvas({PLAYER})"))
+
+
+def psnr_db(a: npt.NDArray[np.floating], b: npt.NDArray[np.floating]) -> float:
+    return float(-10 * np.log10(np.mean((a - b) ** 2)))
+
+
+def expected_of(reader: StreamReader, camera: Camera, frame: int = 0) -> npt.NDArray[np.float32]:
+    splats = reader.active_splats(frame, reader.manifest.num_layers)
+    picture = render_splats(splats, camera, reader.manifest.near_m).clip(0, 1)
+    assert picture.mean() > 0.03
+    return picture
