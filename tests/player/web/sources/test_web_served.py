@@ -222,7 +222,7 @@ def test_what_is_not_there_and_what_is_no_stream(page: Page, server: ServerProce
 @contextmanager
 def hostile_server(body: bytes) -> Iterator[str]:
     """A server whose plays are `body`, and which has all files of the page."""
-    web = Path(__file__).parents[3] / "player" / "web"
+    web = Path(__file__).parents[4] / "player" / "web"
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
