@@ -143,11 +143,14 @@ function everyThird(code) {
  */
 function fillScales(logScales, planes, head) {
   const [, a, b, c] = planes;
+  const { scaleStep, scaleBase } = head;
   for (let i = 0; i < a.length; i++) {
-    const q = [a[i], a[i] - b[i], a[i] - b[i] - c[i]];
-    for (let j = 0; j < 3; j++) {
-      logScales[3 * i + j] = fround(fround(q[j] * head.scaleStep) + head.scaleBase);
-    }
+    let q = a[i];
+    logScales[3 * i] = fround(fround(q * scaleStep) + scaleBase);
+    q -= b[i];
+    logScales[3 * i + 1] = fround(fround(q * scaleStep) + scaleBase);
+    q -= c[i];
+    logScales[3 * i + 2] = fround(fround(q * scaleStep) + scaleBase);
   }
 }
 

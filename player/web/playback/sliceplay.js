@@ -1,7 +1,5 @@
 import { decodeChunk } from "../format/chunk.js";
 import { FormatError, corrupt } from "../format/bytes/errors.js";
-import { gaussianAt } from "../format/slots/slots.js";
-import { numCoefficients } from "../format/gaussians.js";
 import { packLane } from "./packing.js";
 
 /** The chunks of a stream of version 1 that are here, frame by frame; see SlotPlay. */
@@ -10,7 +8,6 @@ export class SlicePlay {
   constructor(manifest) {
     this.manifest = manifest;
     this.sliceSize = manifest.numGs / manifest.swinSize;
-    this.k = numCoefficients(manifest.shDegree);
     /** @type {number | null} */
     this.frame = null;
     /** @type {Map<number, (Uint8Array | null)[]>} by birth, of each layer; kept while it shows */
@@ -92,8 +89,9 @@ export class SlicePlay {
    */
   #lane(frame, birth) {
     const { swinSize, shDegree, profile } = this.manifest;
-    /** @type {{ values: Float32Array, start: number }[]} */
+    /** @type {import("./packing.js").SlicePart[]} */
     const found = [];
+    let count = 0;
     for (const [layer, bytes] of (this.slices.get(birth) ?? []).entries()) {
       if (bytes === null) break;
       try {
@@ -103,14 +101,12 @@ export class SlicePlay {
           chunk.layer !== layer ||
           chunk.profile !== profile ||
           chunk.shDegree !== shDegree ||
-          found.length + chunk.count > this.sliceSize
+          count + chunk.count > this.sliceSize
         ) {
           throw corrupt(`chunk: not the one of birth ${birth}, layer ${layer}`);
         }
-        for (let i = 0; i < chunk.count; i++) {
-          const values = gaussianAt(chunk.gaussians, i, this.k);
-          found.push({ values, start: birth + chunk.startOffsets[i] });
-        }
+        found.push(chunk);
+        count += chunk.count;
       } catch (error) {
         if (!(error instanceof FormatError) || layer === 0) throw error;
         this.refused += 1;
@@ -118,6 +114,6 @@ export class SlicePlay {
       }
     }
     const lane = ((birth % swinSize) + swinSize) % swinSize;
-    return packLane(shDegree, frame, lane * this.sliceSize, this.sliceSize, found);
+    return packLane(shDegree, frame, lane * this.sliceSize, this.sliceSize, birth, found);
   }
 }

@@ -122,7 +122,11 @@ export class Orbit {
     const away = times(subtract(pose.position, this.centre), this.zoom);
     const aside = add(times(pose.right, this.pan[0]), times(pose.down, this.pan[1]));
     const position = subtract(add(this.centre, away), times(aside, length(away)));
-    return { ...fitted(start, widthPx, heightPx), w2c: worldToCamera({ ...pose, position }) };
+    const w2c = worldToCamera({ ...pose, position });
+    return {
+      ...closer(fitted(start, widthPx, heightPx), closeness(start, widthPx, heightPx)),
+      w2c,
+    };
   }
 
   /** All of it as a short text, for a link. */
@@ -141,6 +145,34 @@ export class Orbit {
     this.zoom = Math.min(Math.max(zoom, LEAST_ZOOM), MOST_ZOOM);
     this.pan = [right, down];
   }
+}
+
+/**
+ * How much larger all is in an upright picture of a view that is not: halfway, as factors go, between
+ * all of the view and a picture that it fills. Most of a phone would show what hardly a camera saw.
+ * @param {{ widthPx: number, heightPx: number }} start
+ * @param {number} widthPx
+ * @param {number} heightPx
+ */
+export function closeness(start, widthPx, heightPx) {
+  if (widthPx >= heightPx) return 1;
+  return Math.sqrt(Math.max(1, (heightPx / start.heightPx) * (start.widthPx / widthPx)));
+}
+
+/**
+ * @param {import("../format/camera.js").Camera} camera
+ * @param {number} factor
+ * @returns {import("../format/camera.js").Camera}
+ */
+function closer(camera, factor) {
+  const { widthPx, heightPx, fxPx, fyPx, cxPx, cyPx } = camera;
+  return {
+    ...camera,
+    fxPx: fxPx * factor,
+    fyPx: fyPx * factor,
+    cxPx: widthPx / 2 + (cxPx - widthPx / 2) * factor,
+    cyPx: heightPx / 2 + (cyPx - heightPx / 2) * factor,
+  };
 }
 
 /**

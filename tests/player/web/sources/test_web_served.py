@@ -1,4 +1,4 @@
-"""The page of swings-serve in Chromium plays as a person would have it, whatever the network does."""
+"""The page of swings-serve in Chromium plays as a person would have it, over any network."""
 
 from __future__ import annotations
 
