@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import json
 import re
+from dataclasses import replace
+from html import unescape
 from pathlib import Path
 from urllib.parse import urljoin
 
@@ -12,6 +14,7 @@ import aiohttp
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from yarl import URL
 
 from codec.errors import InvalidError
 from codec.stream import StreamWriter
@@ -57,6 +60,23 @@ def test_the_list_and_the_front_page_name_every_stream(root: Path) -> None:
         assert server.url in page
 
     on_server(root, check)
+
+
+def test_a_poster_of_any_name_shows_on_the_front_page(tmp_path: Path) -> None:
+    name = 'a "b" & <c>?.png'
+    manifest = replace(small_manifest(), poster=name)
+    with StreamWriter.create(tmp_path / "walk", manifest) as writer:
+        for birth in births_of(1):
+            writer.append(random_slice(birth, 8))
+    (tmp_path / "walk" / name).write_bytes(b"\x89PNG\r\n\x1a\n and so on")
+
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        async with client.get("/") as response:
+            (picture,) = re.findall('<img src="([^"]*)"', await response.text())
+        async with client.get(URL(f"{server.url}/{unescape(picture)}", encoded=True)) as response:
+            assert (response.status, response.content_type) == (200, "image/png")
+
+    on_server(tmp_path, check)
 
 
 def test_every_stream_has_a_page_that_plays_it(root: Path) -> None:

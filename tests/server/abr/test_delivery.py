@@ -8,14 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from server.abr.holding import SliceHolding
 from server.abr.link.link import Link, LinkStep
 from server.abr.media import SegmentSizes
 from server.abr.outlook import SendSlices, SendSnapshots
 from server.abr.playout import PlayoutClock
 from server.abr.policies.choice import fixed_policy, own_policy
-from server.abr.session import SessionConfig
-from server.abr.simulate.simulator import Shown, play_out, simulate
+from server.abr.session import PlaySession, SessionConfig
+from server.abr.simulate.simulator import Shown, play_out, send_bytes, simulate
 from server.abr.slotholding import open_holding
+from server.abr.standing import Standing
 from tests.support.delivery.media import MadeMedia, demo_media, slot_media
 
 LATENCY_S = 0.02
@@ -183,3 +185,24 @@ def test_the_simulator_is_the_same_every_time() -> None:
     link = link_of((2, 9), (1, 0.5), (3, 5))
     media = slot_media(300)
     assert simulate(media, own_policy(media), link) == simulate(media, own_policy(media), link)
+
+
+@pytest.mark.parametrize("steps_before", [0, 20])
+def test_a_still_picture_gets_all_layers_of_all_slices_that_it_shows(steps_before: int) -> None:
+    """Also of those that would have shown for a frame or two only."""
+    media, frame, now_s = demo_media(120), 60, 0.0
+    session = PlaySession(media, own_policy(media), CONFIG, now_s, frame)
+    for n in range(2000):
+        if n == steps_before:
+            frame = session.next_frame
+        if n >= steps_before:
+            session.told(now_s, Standing(frame, paused=True))
+        decision = session.decide(now_s)
+        if isinstance(decision, SendSlices):
+            session.sent(decision, send_bytes(media, decision), now_s)
+        now_s += 0.005
+        session.acknowledge(now_s, session.sent_bytes)
+    holding = session.holding
+    assert isinstance(holding, SliceHolding)
+    shows = range(frame - media.swin_size + 1, frame + 1)
+    assert [holding.level(birth) for birth in shows] == [media.num_layers] * len(shows)
