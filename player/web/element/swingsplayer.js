@@ -314,6 +314,7 @@ export class SwingsPlayerElement extends MediaInterface {
       `buffer    ${buffered.toFixed(1)} s, ${state.stalls} stalls`,
       `link      ${rate}, ${(state.receivedBytes / 1e6).toFixed(1)} MB so far`,
       `Gaussians ${renderer?.numDrawn ?? 0} of ${manifest.numGs}`,
+      `layers    ${state.layers} of ${manifest.numLayers}`,
       `decode    ${ms(state.decodeMs)}`,
       `sort      ${ms(timings.sortMs)}`,
       `upload    ${ms(timings.uploadMs)}, ${((renderer?.uploadedBytes ?? 0) / 1e6).toFixed(1)} MB so far`,

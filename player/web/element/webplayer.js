@@ -19,6 +19,7 @@ const LEAST_FOCUS_M = 0.5;
  * @property {boolean} playing
  * @property {boolean} waiting for what has not come
  * @property {number} stalls
+ * @property {number} layers of what shows
  * @property {number | null} rateBps estimated throughput
  * @property {number} receivedBytes
  * @property {number} decodeMs of the last frame
@@ -40,6 +41,7 @@ const START = {
   playing: false,
   waiting: true,
   stalls: 0,
+  layers: 0,
   rateBps: null,
   receivedBytes: 0,
   decodeMs: 0,

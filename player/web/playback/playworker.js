@@ -181,6 +181,7 @@ class Player {
       playing: this.playing,
       waiting: playback.waiting,
       stalls: playback.stalls,
+      layers: playback.play.layers,
       rateBps: source.rateBps,
       receivedBytes: this.fetcher.receivedBytes,
       decodeMs: this.decodeMs,

@@ -15,6 +15,8 @@ export class SlicePlay {
     /** @type {Set<number>} births of which something came when they showed already */
     this.late = new Set();
     this.refused = 0;
+    /** Layers of the newest slice that shows. */
+    this.layers = 0;
   }
 
   /**
@@ -113,6 +115,7 @@ export class SlicePlay {
         break;
       }
     }
+    if (birth === frame) this.layers = found.length;
     const lane = ((birth % swinSize) + swinSize) % swinSize;
     return packLane(shDegree, frame, lane * this.sliceSize, this.sliceSize, birth, found);
   }

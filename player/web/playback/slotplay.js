@@ -24,6 +24,8 @@ export class SlotPlay {
     this.refused = 0;
     /** Whether something came of use to what shows already, since all of it was handed out. */
     this.isLate = false;
+    /** Layers that came in time of what was brought last. */
+    this.layers = 0;
   }
 
   /** The frame that was brought last; null before the first. */
@@ -107,6 +109,7 @@ export class SlotPlay {
     const mask = this.masks.get(birth) ?? null;
     const none = new Array(this.layout.numLayers).fill(null);
     const changes = this.changes.get(birth) ?? none;
+    this.layers = numHere(changes);
     this.masks.delete(birth);
     this.changes.delete(birth);
     try {
@@ -130,6 +133,7 @@ export class SlotPlay {
   /** Loads the snapshots of `frame` of layers that lack something. @param {number} frame */
   #load(frame) {
     const chunks = this.snapshots.get(frame) ?? [];
+    if (this.frame === null) this.layers = numHere(chunks);
     for (const [layer, chunk] of chunks.entries()) {
       if (chunk === null) continue;
       if (layer === 0 && this.frame === null) this.decoder.load(chunk, layer, frame);
@@ -166,4 +170,10 @@ export class SlotPlay {
     }
     return row;
   }
+}
+
+/** How many layers are here without a gap. @param {(Uint8Array | null)[]} chunks */
+function numHere(chunks) {
+  const gap = chunks.indexOf(null);
+  return gap < 0 ? chunks.length : gap;
 }

@@ -69,6 +69,18 @@ const ACTIONS = {
     await page.mouse.move(toPx[0], toPx[1], { steps: 5 });
     await page.mouse.up({ button });
   },
+  /** Fingers at the places of each step, until the last one lifts them. */
+  async touch({ steps }) {
+    const session = await page.context().newCDPSession(page);
+    const send = (/** @type {any} */ type, /** @type {number[][]} */ places) =>
+      session.send("Input.dispatchTouchEvent", {
+        type,
+        touchPoints: places.map(([x, y], id) => ({ x, y, id })),
+      });
+    for (const [n, places] of steps.entries()) await send(n ? "touchMove" : "touchStart", places);
+    await send("touchEnd", []);
+    await session.detach();
+  },
   async screenshot({ path, selector }) {
     const target = selector ? page.locator(selector) : page;
     await target.screenshot({ path });

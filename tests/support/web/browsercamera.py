@@ -24,4 +24,4 @@ def for_browser(camera: Camera) -> dict[str, object]:
 def from_browser(found: Json) -> Camera:
     size = (found["widthPx"], found["heightPx"])
     lens = (found["fxPx"], found["fyPx"], found["cxPx"], found["cyPx"])
-    return Camera("found", *size, *lens, np.array(found["w2c"]).reshape(4, 4))
+    return Camera("found", *size, *lens, np.array(found["w2c"], np.float64).reshape(4, 4))

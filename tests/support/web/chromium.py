@@ -67,6 +67,10 @@ class Page:
     ) -> None:
         self._do("drag", fromPx=from_px, toPx=to_px, button=button)
 
+    def touch(self, *steps: Sequence[tuple[float, float]]) -> None:
+        """Fingers that move from the places of each step to those of the next, in pixels."""
+        self._do("touch", steps=steps)
+
     def screenshot(self, path: Path, selector: str | None = None) -> None:
         self._do("screenshot", path=str(path), selector=selector)
 

@@ -39,13 +39,13 @@ from tests.support.web.chromium import Page
 
 WIDTH_PX, HEIGHT_PX = 480, 320
 NUM_FRAMES = 600
-SLICE_SIZE = 250
+SLICE_SIZE = 500
 ROOT_NODE = f"{ELEMENT}.shadowRoot"
 
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two streams of 20 s, of both versions; the first one with 1,000 Gaussians a frame."""
+    """Two streams of 20 s, of both versions; the first one with 2,000 Gaussians a frame."""
     folder = tmp_path_factory.mktemp("served")
     write_stream(folder / "slices", NUM_FRAMES, SLICE_SIZE)
     write_busy_stream(folder / "slots", NUM_FRAMES, small_layout(1, (20, 20, 10), 0, 15))
@@ -133,9 +133,10 @@ def test_another_number_of_layers_does_not_begin_anew(
         page.wait(f"{STATE}.frame > 30")
         page.run(choose, "1")
         page.wait(f"{STATE}.frame > 240", 60)  # what was here with more layers has been shown
+        page.wait(f"{STATE}.layers === 1")
         few = page.run(f"return {drawn}")
         page.run(choose, "0")
-        page.wait(f"{drawn} > 1.5 * {few}", 60)
+        page.wait(f"{drawn} > 1.5 * {few} && {STATE}.layers === 3", 60)
         assert page.run("return window.joins") == 0
         assert page.run(f"return {STATE}.stalls") == 0
 
