@@ -7,7 +7,6 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
@@ -21,6 +20,7 @@ from tests.support.hosted_streams import (
     random_slice,
     served,
     small_manifest,
+    static_host,
     write_stream,
 )
 from tests.support.slots.slot_streams import write_busy_stream
@@ -37,6 +37,7 @@ from tests.support.web.canvas import (
 )
 from tests.support.web.chromium import Page
 
+ROOT = Path(__file__).parents[4]
 WIDTH_PX, HEIGHT_PX = 480, 320
 NUM_FRAMES = 600
 SLICE_SIZE = 500
@@ -220,38 +221,6 @@ def test_what_is_not_there_and_what_is_no_stream(page: Page, server: ServerProce
     page.wait(f"{chosen('.note:not(.soft)')}.textContent.includes('HTTP 404')", 30)
 
 
-@contextmanager
-def hostile_server(body: bytes) -> Iterator[str]:
-    """A server whose plays are `body`, and which has all files of the page."""
-    web = Path(__file__).parents[4] / "player" / "web"
-
-    class Handler(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            path = web / self.path.partition("?")[0].removeprefix("/web/")
-            is_play = "/play?" in self.path
-            self.send_response(200 if is_play or path.is_file() else 404)
-            kind = {".js": "text/javascript", ".html": "text/html"}
-            self.send_header("Content-Type", kind.get(path.suffix, "application/octet-stream"))
-            self.end_headers()
-            if is_play:
-                self.wfile.write(body)
-            elif path.is_file():
-                self.wfile.write(path.read_bytes())
-
-        def log_message(self, format: str, *args: object) -> None:
-            pass
-
-    host = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    thread = threading.Thread(target=host.serve_forever, kwargs={"poll_interval": 0.02})
-    thread.start()
-    try:
-        yield f"http://127.0.0.1:{host.server_port}"
-    finally:
-        host.shutdown()
-        thread.join()
-        host.server_close()
-
-
 def play_body(root: Path) -> bytes:
     manifest = (root / "slices" / "manifest.json").read_bytes()
     records = [StartRecord(0, NUM_FRAMES, manifest)]
@@ -259,7 +228,7 @@ def play_body(root: Path) -> bytes:
 
 
 @pytest.mark.parametrize("kind", ["noise", "flipped", "nothing", "far ahead", "too many layers"])
-def test_a_hostile_server(page: Page, root: Path, kind: str) -> None:
+def test_a_hostile_server(page: Page, root: Path, tmp_path: Path, kind: str) -> None:
     """The page says what is wrong; it does not break, and does not hang."""
     body = play_body(root)
     rng = random.Random(kind)
@@ -273,7 +242,11 @@ def test_a_hostile_server(page: Page, root: Path, kind: str) -> None:
         body += encode_record(SliceRecord(2**31 - 1, (b"some bytes",)))
     else:
         body += encode_record(SliceRecord(-3, (b"some bytes",) * 9))
-    with hostile_server(body) as url:
+    (tmp_path / "web").symlink_to(ROOT / "player" / "web")
+    plays = tmp_path / "v1" / "streams" / "any"
+    plays.mkdir(parents=True)
+    (plays / "play").write_bytes(body)
+    with static_host(tmp_path) as url:
         page.open(f"{url}/web/watch.html?src=/v1/streams/any", WIDTH_PX, HEIGHT_PX)
         said = f"({chosen('.note:not(.soft)')}?.textContent || {chosen('.note.soft')}?.textContent)"
         page.wait(f"Boolean({said})", 30)
