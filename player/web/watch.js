@@ -21,3 +21,9 @@ for (const [name, attribute] of [
 player.toggleAttribute("loop", query.get("loop") !== "0");
 player.toggleAttribute("autoplay", query.get("autoplay") !== "0");
 document.body.append(player);
+// Keys work before anything was clicked; a focus from the start would put a frame around the picture.
+document.addEventListener("keydown", (event) => {
+  if (event.target !== document.body) return;
+  player.focus();
+  player.dispatchEvent(new KeyboardEvent("keydown", event));
+});

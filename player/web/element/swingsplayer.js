@@ -32,7 +32,7 @@ export class SwingsPlayerElement extends MediaInterface {
 
   constructor() {
     super();
-    const root = this.attachShadow({ mode: "open" });
+    const root = this.attachShadow({ mode: "open", delegatesFocus: true });
     // A page's content security policy may forbid a <style>.
     const sheet = new CSSStyleSheet();
     sheet.replaceSync(STYLE);

@@ -61,6 +61,18 @@ def test_it_plays_pauses_seeks_and_ends(watched: Page, tmp_path: Path) -> None:
     watched.wait(f"{PLAYER}.shownFrame < 30 && {STATE}.playing", 30)
 
 
+def test_keys_work_before_anything_is_clicked(watched: Page) -> None:
+    root = "document.querySelector('swings-player').shadowRoot"
+    watched.press("i")
+    watched.wait(f"!{root}.querySelector('.stats').hidden")
+    watched.press("Space")
+    watched.wait(f"{STATE}.playing")
+    watched.press("Space")
+    watched.wait(f"!{STATE}.playing")
+    watched.press("Tab")
+    watched.wait(f"{root}.activeElement.className === 'scrub'")
+
+
 @pytest.fixture(scope="module")
 def long_stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the page and a stream of 20 s."""
