@@ -15,8 +15,6 @@ export class SlicePlay {
     /** @type {Set<number>} births of which something came when they showed already */
     this.late = new Set();
     this.refused = 0;
-    /** Layers of the newest slice that shows. */
-    this.layers = 0;
   }
 
   /**
@@ -33,6 +31,17 @@ export class SlicePlay {
     }
     row[layer] = chunk;
     if (this.frame !== null && birth <= this.frame) this.late.add(birth);
+  }
+
+  /** Layers that show whole. */
+  get layers() {
+    const { swinSize, numLayers } = this.manifest;
+    let most = this.frame === null ? 0 : numLayers;
+    for (let n = 0; n < swinSize && most > 0; n++) {
+      const gap = (this.slices.get((this.frame ?? 0) - n) ?? [null]).indexOf(null);
+      if (gap >= 0) most = Math.min(most, gap);
+    }
+    return most;
   }
 
   /** Whether something came for slices that show already. */
@@ -115,7 +124,6 @@ export class SlicePlay {
         break;
       }
     }
-    if (birth === frame) this.layers = found.length;
     const lane = ((birth % swinSize) + swinSize) % swinSize;
     return packLane(shDegree, frame, lane * this.sliceSize, this.sliceSize, birth, found);
   }

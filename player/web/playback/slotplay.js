@@ -1,5 +1,6 @@
 import { FormatError } from "../format/bytes/errors.js";
 import { SlotDecoder } from "../format/slots/slotdecoder.js";
+import { UNKNOWN } from "../format/slots/slots.js";
 import { packSlots } from "./packing.js";
 
 /**
@@ -24,13 +25,20 @@ export class SlotPlay {
     this.refused = 0;
     /** Whether something came of use to what shows already, since all of it was handed out. */
     this.isLate = false;
-    /** Layers that came in time of what was brought last. */
-    this.layers = 0;
   }
 
   /** The frame that was brought last; null before the first. */
   get frame() {
     return this.decoder.frame;
+  }
+
+  /** Layers that show whole. */
+  get layers() {
+    const { numLayers } = this.layout;
+    for (let layer = 0; layer < numLayers; layer++) {
+      if (this.decoder.lanes.some((lane) => lane[layer].conditions.includes(UNKNOWN))) return layer;
+    }
+    return numLayers;
   }
 
   /**
@@ -109,7 +117,6 @@ export class SlotPlay {
     const mask = this.masks.get(birth) ?? null;
     const none = new Array(this.layout.numLayers).fill(null);
     const changes = this.changes.get(birth) ?? none;
-    this.layers = numHere(changes);
     this.masks.delete(birth);
     this.changes.delete(birth);
     try {
@@ -133,7 +140,6 @@ export class SlotPlay {
   /** Loads the snapshots of `frame` of layers that lack something. @param {number} frame */
   #load(frame) {
     const chunks = this.snapshots.get(frame) ?? [];
-    if (this.frame === null) this.layers = numHere(chunks);
     for (const [layer, chunk] of chunks.entries()) {
       if (chunk === null) continue;
       if (layer === 0 && this.frame === null) this.decoder.load(chunk, layer, frame);
@@ -170,10 +176,4 @@ export class SlotPlay {
     }
     return row;
   }
-}
-
-/** How many layers are here without a gap. @param {(Uint8Array | null)[]} chunks */
-function numHere(chunks) {
-  const gap = chunks.indexOf(null);
-  return gap < 0 ? chunks.length : gap;
 }

@@ -113,6 +113,7 @@ def test_the_picture_is_the_cpu_renderer_s_with_all_layers_though_it_is_paused(
         for _ in range(100):
             found_db = psnr_db(canvas_of(page), expected)
             if found_db >= LEAST_PSNR_DB:
+                page.wait(f"{STATE}.layers === {reader.manifest.num_layers}")
                 return
             time.sleep(0.1)
         raise AssertionError(f"{found_db} dB")
