@@ -83,6 +83,8 @@ export class WebPlayer extends EventTarget {
     this.timings = { sortMs: 0, uploadMs: 0, drawMs: 0, framesPerS: 0 };
     this.shownFrame = -1;
     this.isSeeking = false;
+    /** Counts seeks: what was on its way when the last one began is not what it asked for. */
+    this.seeks = 0;
     this.soughtFrame = 0;
     this.pixelRatio = Math.min(2, globalThis.devicePixelRatio || 1);
     /** What the page gives the canvas; to ask the canvas itself would lay the page out at once. */
@@ -144,7 +146,8 @@ export class WebPlayer extends EventTarget {
   seek(frame) {
     this.soughtFrame = Math.max(0, Math.min(this.numFrames - 1, frame));
     this.isSeeking = true;
-    this.worker?.postMessage({ kind: "seek", frame: this.soughtFrame });
+    this.seeks += 1;
+    this.worker?.postMessage({ kind: "seek", frame: this.soughtFrame, seeks: this.seeks });
     this.#say("seeking");
   }
 
@@ -327,7 +330,7 @@ export class WebPlayer extends EventTarget {
 
   /** @param {SplatRenderer} renderer */
   #takeIn(renderer) {
-    const { updates, order, frame, isJoin, sortMs } = this.sorted;
+    const { updates, order, frame, seeks, sortMs } = this.sorted;
     this.sorted = null;
     const beganMs = performance.now();
     renderer.update(updates, order);
@@ -337,7 +340,7 @@ export class WebPlayer extends EventTarget {
     const isNew = frame !== this.shownFrame;
     this.shownFrame = frame;
     if (isNew) this.#say("shown");
-    if (isJoin && this.isSeeking) {
+    if (seeks === this.seeks && this.isSeeking) {
       this.isSeeking = false;
       this.#say("seeked");
     }

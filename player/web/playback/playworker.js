@@ -31,6 +31,8 @@ class Player {
     this.fetcher = fetcher;
     this.loop = false;
     this.playing = false;
+    /** Of the page's seeks the last one that it knows of. */
+    this.seeks = 0;
     this.rate = 1;
     this.mostLayers = stream.manifest.numLayers;
     this.decodeMs = 0;
@@ -49,8 +51,10 @@ class Player {
   /**
    * Goes to `frame`. A live stream that plays has too little to go on with behind its edge.
    * @param {number} frame
+   * @param {number} seeks how many that makes
    */
-  seek(frame) {
+  seek(frame, seeks) {
+    this.seeks = seeks;
     const { manifest, numFrames } = this.stream;
     const isBound = manifest.live && this.playing;
     const most = Math.max(edgeFrame(manifest, numFrames), this.playback?.frame ?? 0);
@@ -157,7 +161,7 @@ class Player {
   /** @param {import("./playback.js").Shown} shown */
   show(shown) {
     const { numGs } = this.stream.manifest;
-    const message = { ...shown, numSlots: numGs };
+    const message = { ...shown, numSlots: numGs, seeks: this.seeks };
     this.sorter.postMessage(message, shown.updates.flatMap(buffersOf));
   }
 
@@ -249,7 +253,7 @@ scope.onmessage = ({ data }) => {
       player.setPlaying(data.playing);
       break;
     case "seek":
-      player?.seek(data.frame);
+      player?.seek(data.frame, data.seeks);
       break;
     case "rate":
       if (player !== null) player.rate = data.rate;

@@ -7,7 +7,7 @@ import { DepthOrder } from "../renderer/depthorder.js";
 import { buffersOf } from "./packing.js";
 import { scope } from "./workerscope.js";
 
-/** @typedef {import("./playback.js").Shown & { numSlots: number }} Coming */
+/** @typedef {import("./playback.js").Shown & { numSlots: number, seeks: number }} Coming */
 
 /** @type {DepthOrder | null} */
 let order = null;
@@ -17,8 +17,6 @@ let newest = null;
 let updates = [];
 /** @type {{ w2c: number[], nearM: number } | null} set while the thread that draws waits */
 let wanted = null;
-/** Whether one of these frames began anew. */
-let isJoin = false;
 /** Whether something is new since the last order: a frame, or where the camera is. */
 let isStale = false;
 
@@ -27,7 +25,6 @@ function take(shown) {
   if (order === null || shown.isJoin) {
     order = new DepthOrder(shown.numSlots);
     updates = [];
-    isJoin = true;
   }
   for (const update of shown.updates) order.put(update.slots, update.means, update.starts);
   updates.push(...shown.updates);
@@ -41,10 +38,9 @@ function sort() {
   const beganMs = performance.now();
   const slots = order.farFirst(newest.frame, wanted.w2c, wanted.nearM);
   const sortMs = performance.now() - beganMs;
-  const handed = { frame: newest.frame, isJoin, updates, order: slots, sortMs };
+  const handed = { frame: newest.frame, seeks: newest.seeks, updates, order: slots, sortMs };
   wanted = null;
   updates = [];
-  isJoin = false;
   isStale = false;
   scope.postMessage(handed, [
     /** @type {ArrayBuffer} */ (slots.buffer),
