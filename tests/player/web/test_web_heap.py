@@ -76,7 +76,8 @@ def test_ten_thousand_frames(page: Page, tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_a_loop(page: Page, tmp_path: Path) -> None:
-    """Twenty times from the beginning: what is kept of a play would show."""
+    """Forty times from the beginning: a play that is kept takes 38 kB. What has come ahead when
+    the heaps are looked at makes 300 kB more or less."""
     write_busy_stream(tmp_path / "stream", 60, small_layout(1, (200, 200, 100), 0, 15))
     with opened(page, tmp_path, 20) as playing:
-        assert growth_bytes(playing, (600, 1800), 0) < 20 * 25_000
+        assert growth_bytes(playing, (600, 3000), 0) < 40 * 20_000
