@@ -44,8 +44,9 @@ GZIP_WBITS = 16 + zlib.MAX_WBITS
 HEAD_LEVEL = 1
 """zstd level of what stands between packets."""
 
-Piece = tuple[bytes, bool]
-"""What of a record goes out in one: the bytes, and whether they are a packet of coder zstd."""
+Piece = tuple[bytes, int | None]
+"""What of a record goes out in one: the bytes, and of a packet of coder zstd the size of what is in
+it; else None."""
 
 
 class PlainRecordEncoder:
@@ -63,10 +64,10 @@ class PlainRecordEncoder:
         pieces = _pieces(record)
         if self._zstd is not None:
             return b"".join(
-                data if packed else self._zstd.compress(data) for data, packed in pieces
+                self._zstd.compress(data) if size is None else data for data, size in pieces
             )
         body = b"".join(
-            zstd.decompress(data, MAX_WINDOW_BYTES) if packed else data for data, packed in pieces
+            data if size is None else zstd.decompress(data, size) for data, size in pieces
         )
         if self._gzip is None:
             return body
@@ -85,7 +86,7 @@ def _pieces(record: Record) -> list[Piece]:
             value = {"kind": "snapshot", "frame": record.frame, "first": record.first_layer}
             mask = None
         case _:
-            return [(encode_record(record), False)]
+            return [(encode_record(record), None)]
     packer = msgpack.Packer()
     head = bytearray(packer.pack_map_header(len(value) + 1 + (mask is not None)))
     for key, number in value.items():
@@ -98,14 +99,11 @@ def _pieces(record: Record) -> list[Piece]:
     for packet in record.packets:
         head = _add_packet(pieces, head, packet)
     if head:
-        pieces.append((bytes(head), False))
-    length = sum(
-        zstd.content_bytes(data, MAX_WINDOW_BYTES) if packed else len(data)
-        for data, packed in pieces
-    )
+        pieces.append((bytes(head), None))
+    length = sum(len(data) if size is None else size for data, size in pieces)
     if length > MAX_RECORD_BYTES:
         raise InvalidError(f"play: a record of {length} bytes, at most {MAX_RECORD_BYTES}")
-    return [(LENGTH.pack(length) + pieces[0][0], False), *pieces[1:]]
+    return [(LENGTH.pack(length) + pieces[0][0], None), *pieces[1:]]
 
 
 def _add_packet(pieces: list[Piece], head: bytearray, packet: bytes) -> bytearray:
@@ -117,7 +115,7 @@ def _add_packet(pieces: list[Piece], head: bytearray, packet: bytes) -> bytearra
     if window_bytes > MAX_WINDOW_BYTES:
         raise InvalidError(f"packet: a browser takes no zstd frame that needs {window_bytes} bytes")
     head += _bin_header(size)
-    pieces += [(bytes(head), False), (packet, True)]
+    pieces += [(bytes(head), None), (packet, size)]
     return bytearray()
 
 
