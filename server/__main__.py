@@ -13,10 +13,10 @@ import tyro
 
 from codec.console import run_command
 
-from .app import make_app
 from .config import ServerConfig
 from .library import Library
-from .listener import bind, run_until_stopped, url_of
+from .listener import RunningServer, bind, run_until_stopped, url_of
+from .state import ServerState
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +47,8 @@ def run(command: ServeCommand) -> None:
 async def _serve(
     command: ServeCommand, library: Library, listener: socket.socket, ready: Callable[[], None]
 ) -> None:
-    app = make_app(library, command.server)
-    await run_until_stopped(app, listener, command.server, ready)
+    server = RunningServer(ServerState(library, command.server), listener)
+    await run_until_stopped(server, ready)
 
 
 def main() -> None:

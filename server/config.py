@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from codec.errors import InvalidError
 from server.abr.session import SessionConfig
 
+from .http.site import PatienceConfig
+
 
 @dataclass(frozen=True, slots=True)
 class ServerConfig:
@@ -16,10 +18,10 @@ class ServerConfig:
     """Pacing of plays."""
     max_plays: int = 256
     """Plays at the same time; one more is answered 503."""
-    write_timeout_s: float = 20.0
-    """Seconds without progress after which a client that does not read is cut off."""
-    keepalive_timeout_s: float = 15.0
-    """Seconds that an idle connection, or an unfinished request head, is kept."""
+    patience: PatienceConfig = field(default_factory=PatienceConfig)
+    """How long clients may take."""
+    max_connections: int = 4096
+    """Connections at the same time; who comes after that waits to be accepted."""
     shutdown_timeout_s: float = 10.0
     """Seconds that requests in progress get when the server stops."""
     send_queue_bytes: int = 64 * 1024
@@ -42,8 +44,7 @@ class ServerConfig:
     def __post_init__(self) -> None:
         for name in (
             "max_plays",
-            "write_timeout_s",
-            "keepalive_timeout_s",
+            "max_connections",
             "shutdown_timeout_s",
             "send_queue_bytes",
             "poll_s",

@@ -10,10 +10,11 @@ import hashlib
 import logging
 import re
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 
 from codec.errors import SwingsError
-from codec.stream.index import INDEX_NAME, pack_record
+from codec.stream.index import pack_record
 from codec.stream.integrity import CheckedObject
 from codec.stream.manifest import MANIFEST_NAME, Manifest, Part
 from codec.stream.poster import read_poster
@@ -23,6 +24,8 @@ from server.abr.media import SegmentSizes, segment_sizes
 from .errors import ServerError
 
 log = logging.getLogger(__name__)
+
+_GENERATIONS = count()
 
 STREAM_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
 """What a stream may be called: it needs no quoting in a URL, a metric or a page."""
@@ -37,7 +40,7 @@ class StreamView:
     manifest_sha256: str
     num_segments: int
     num_frames: int
-    index_bytes: int
+    index_data: bytes
     index_sha256: str
 
 
@@ -46,6 +49,8 @@ class ServedStream:
 
     def __init__(self, folder: Path) -> None:
         self.name = folder.name
+        self.generation = next(_GENERATIONS)
+        self.gone = False
         self.refreshed_s = 0.0
         self.lock = asyncio.Lock()
         self.trouble = ""
@@ -69,7 +74,7 @@ class ServedStream:
             manifest_sha256=hashlib.sha256(manifest_json).hexdigest(),
             num_segments=len(records),
             num_frames=self._reader.num_frames,
-            index_bytes=self._reader.index_bytes,
+            index_data=b"".join(map(pack_record, records)),
             index_sha256=self._index_hash.hexdigest(),
         )
 
@@ -139,15 +144,13 @@ class ServedStream:
         """The stream's poster; None while there is none. Blocks."""
         return read_poster(self._folder, self.view.manifest)
 
-    def read_index(self, start: int, stop: int) -> bytes:
-        """Bytes start..stop-1 of index.bin, which the view must hold. Blocks."""
-        path = self._folder / INDEX_NAME
-        with open(path, "rb") as file:
-            file.seek(start)
-            data = file.read(stop - start)
-        if len(data) != stop - start:
-            raise ServerError(f"{path} became shorter while it was served")
-        return data
+    async def wait_for_growth(self, num_segments: int, timeout_s: float) -> None:
+        """Returns when there are more segments, or the time is over."""
+        loop = asyncio.get_running_loop()
+        until_s = loop.time() + timeout_s
+        while self.view.num_segments <= num_segments and self.live and loop.time() < until_s:
+            await asyncio.sleep(0.05)
+            await asyncio.to_thread(self.refresh)
 
 
 class Library:
@@ -162,6 +165,7 @@ class Library:
         self._scanned_s = 0.0
         self._lock = asyncio.Lock()
         self._refused: set[str] = set()
+        self.broken: dict[str, str] = {}
         if not self._root.is_dir():
             raise ServerError(f"{root} is not a folder; name a stream or a folder of streams")
         self._single = (self._root / MANIFEST_NAME).exists()
@@ -175,6 +179,17 @@ class Library:
     def _folders(self) -> list[Path]:
         found = (path.parent for path in self._root.glob(f"*/{MANIFEST_NAME}"))
         return sorted(path for path in found if not path.name.startswith("."))
+
+    async def look(self) -> None:
+        now_s = asyncio.get_running_loop().time()
+        await self.rescan(now_s)
+        for stream in self.streams.values():
+            await self.refresh(stream, now_s)
+
+    async def watch(self) -> None:
+        while True:
+            await self.look()
+            await asyncio.sleep(self._refresh_s)
 
     async def find(self, name: str, now_s: float) -> ServedStream | None:
         """The stream called `name`, as it is now; None where there is none."""

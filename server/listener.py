@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 import signal
 import socket
+import ssl
 from collections.abc import Callable
 
-from aiohttp import web
-from aiohttp.http_exceptions import HttpProcessingError
-
-from .client.connection import bound_connections
-from .config import ServerConfig
+from .app import Application
 from .errors import ServerError
+from .http.acceptor import Acceptor
+from .state import ServerState
+
+UNSENT_BYTES = 256 * 1024
+"""Bytes that the kernel takes of one connection before they can be sent."""
 
 BACKLOG = 1024
 """Connections that the kernel may hold until the event loop accepts them."""
@@ -52,24 +53,54 @@ def url_of(listener: socket.socket) -> str:
     )
 
 
-def make_runner(app: web.Application, config: ServerConfig) -> web.AppRunner:
-    """aiohttp's part of the server, with our limits; `cleanup` ends it gracefully."""
-    return web.AppRunner(
-        app,
-        access_log=None,
-        logger=_quiet_logger(),
-        keepalive_timeout=config.keepalive_timeout_s,
-        shutdown_timeout=config.shutdown_timeout_s,
-    )
+def bound_connections(listener: socket.socket, write_timeout_s: float) -> None:
+    """Bounds what a peer that takes nothing costs: UNSENT_BYTES in the kernel, for a while only.
+
+    The kernel cuts such a connection after twice the timeout. That covers what nobody here watches
+    any more: bytes that are still in buffers when a connection was closed. Accepted connections
+    inherit both from `listener`.
+    """
+    if hasattr(socket, "TCP_NOTSENT_LOWAT"):
+        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT_BYTES)
+    if hasattr(socket, "TCP_USER_TIMEOUT"):
+        milliseconds = max(1, round(2000 * write_timeout_s))
+        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, milliseconds)
 
 
-async def run_until_stopped(
-    app: web.Application,
-    listener: socket.socket,
-    config: ServerConfig,
-    ready: Callable[[], None],
-) -> None:
-    """Serves on `listener`, calls `ready` once, and ends gracefully on SIGTERM or SIGINT.
+class RunningServer:
+    """The server on one socket, between `start` and `stop`."""
+
+    def __init__(
+        self, state: ServerState, listener: socket.socket, tls: ssl.SSLContext | None = None
+    ) -> None:
+        """tls: None for plain HTTP."""
+        self._state = state
+        self._listener = listener
+        self.app = Application(state)
+        self._acceptor = Acceptor(self.app, listener, tls)
+        self._watch: asyncio.Task[None] | None = None
+
+    async def start(self) -> None:
+        """Begins to serve, what is in the library by then."""
+        bound_connections(self._listener, self._state.config.patience.write_timeout_s)
+        self._watch = asyncio.create_task(self._state.library.watch())
+        self._acceptor.start()
+
+    async def stop(self) -> None:
+        """Lets plays end at their next slice and answers what was asked, within
+        `shutdown_timeout_s`. Stopping twice is the same as once."""
+        if self._state.stopping.is_set():
+            return
+        self._state.stopping.set()
+        await self._acceptor.stop(self._state.config.shutdown_timeout_s)
+        self._listener.close()
+        if self._watch is not None:
+            self._watch.cancel()
+            await asyncio.wait([self._watch])
+
+
+async def run_until_stopped(server: RunningServer, ready: Callable[[], None]) -> None:
+    """Serves, calls `ready` once, and ends gracefully on SIGTERM or SIGINT.
 
     A second signal ends the process at once.
     """
@@ -78,26 +109,11 @@ async def run_until_stopped(
     signals = (signal.SIGTERM, signal.SIGINT)
     for number in signals:
         loop.add_signal_handler(number, stop.set)
-    bound_connections(listener, config.write_timeout_s)
-    runner = make_runner(app, config)
-    await runner.setup()
+    await server.start()
     try:
-        await web.SockSite(runner, listener, backlog=BACKLOG).start()
         ready()
         await stop.wait()
     finally:
         for number in signals:
             loop.remove_signal_handler(number)
-        await runner.cleanup()
-
-
-def _quiet_logger() -> logging.Logger:
-    """aiohttp's log without the tracebacks of requests that are not HTTP."""
-    logger = logging.getLogger("server.http")
-    logger.addFilter(_is_our_fault)
-    return logger
-
-
-def _is_our_fault(record: logging.LogRecord) -> bool:
-    error = record.exc_info[1] if record.exc_info else None
-    return not isinstance(error, HttpProcessingError | web.RequestPayloadError)
+        await server.stop()

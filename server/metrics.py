@@ -84,11 +84,11 @@ class Metrics:
             "What clients told of their plays, by what became of it.",
             "outcome",
         )
-        self.stalled_writers = CounterFamily(
-            "swings_stalled_writers_total", "Clients cut because they stopped reading.", "route"
+        self.timeouts = CounterFamily(
+            "swings_timeouts_total", "Connections ended because a client took too long.", "kind"
         )
-        self.disconnects = CounterFamily(
-            "swings_disconnects_total", "Clients that went away inside a response.", "route"
+        self.accept_pauses = CounterFamily(
+            "swings_accept_pauses_total", "Times that new clients had to wait to be accepted."
         )
         self.active_plays = GaugeFamily("swings_active_plays", "Plays in progress.")
         self.cache_bytes = GaugeFamily("swings_cache_bytes", "Bytes of objects held in memory.")

@@ -1,19 +1,16 @@
-"""What the handlers of one running server share, and how they find the stream of a request."""
+"""What the handlers of one running server share."""
 
 from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass, field
 
-from aiohttp import web
-
 from .cache import ObjectCache
-from .client.register import PlayRegister
 from .config import ServerConfig
-from .errors import RequestError
 from .html.webplayer import WebPlayer
-from .library import Library, ServedStream
+from .library import Library
 from .metrics import Metrics
+from .register import PlayRegister
 
 
 @dataclass(slots=True)
@@ -22,6 +19,8 @@ class ServerState:
 
     library: Library
     config: ServerConfig
+    scheme: str = "http"
+    """http or https: how clients call the server."""
     metrics: Metrics = field(default_factory=Metrics)
     web_player: WebPlayer = field(default_factory=WebPlayer)
     stopping: asyncio.Event = field(default_factory=asyncio.Event)
@@ -32,16 +31,3 @@ class ServerState:
     def __post_init__(self) -> None:
         self.cache = ObjectCache(self.config.cache_bytes, self.metrics)
         self.plays = PlayRegister(self.config.remember_plays, self.config.remember_s)
-
-
-STATE = web.AppKey("state", ServerState)
-
-
-async def find_stream(request: web.Request) -> ServedStream:
-    """The stream that the URL names, as it is now. Raises RequestError 404 where there is none."""
-    name = request.match_info["stream"]
-    now_s = asyncio.get_running_loop().time()
-    stream = await request.app[STATE].library.find(name, now_s)
-    if stream is None:
-        raise RequestError(404, f"no stream is called {name[:80]!r}; /v1/streams lists them")
-    return stream

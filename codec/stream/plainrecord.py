@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Sequence
 
 import msgpack
 import zstandard
@@ -18,6 +19,7 @@ from codec.coders import zstd
 from codec.coders.coder import Coder, coder_of
 from codec.errors import InvalidError
 
+from .object import ChunkEntry
 from .playrecord import (
     LENGTH,
     MAX_RECORD_BYTES,
@@ -73,6 +75,18 @@ class PlainRecordEncoder:
             return body
         flush = zlib.Z_FINISH if last else zlib.Z_SYNC_FLUSH
         return self._gzip.compress(body) + self._gzip.flush(flush)
+
+
+def inflates_whole(data: bytes, entries: Sequence[ChunkEntry]) -> bool:
+    """Whether the object `data` is one zstd stream that a browser takes as `Content-Encoding:
+    zstd`. entries: its table."""
+    for entry in entries:
+        packet = memoryview(data)[entry.offset : entry.offset + entry.size]
+        if coder_of(packet) is not Coder.ZSTD:
+            return False
+        if zstandard.get_frame_parameters(packet).window_size > MAX_WINDOW_BYTES:
+            return False
+    return True
 
 
 def _pieces(record: Record) -> list[Piece]:

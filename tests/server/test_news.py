@@ -70,7 +70,7 @@ def test_news_is_taken_or_refused_in_one_line(root: Path, caplog: pytest.LogCapt
             assert (await post(url, b" " * 1025))[0] == 413
             status, text = await post(url, b"not gzip", **{"Content-Encoding": "gzip"})
             assert status == 400, text
-            assert news.value("refused") == len(NONSENSE) + 3
+            assert news.value("refused") == len(NONSENSE) + 2
             for other in (f"/v1/streams/walk/play/{token}", f"{url}x"):
                 status, text = await post(other, b'{"frame": 1}')
                 assert status == 404
@@ -97,7 +97,7 @@ def test_a_body_that_does_not_come_is_not_waited_for(root: Path) -> None:
             reading = asyncio.create_task(read_on(response))
             for length, body, status in (
                 ("Content-Length: 9", "{", b"408"),
-                ("Transfer-Encoding: chunked", "zz\r\n", b"400"),
+                ("Transfer-Encoding: chunked", "zz\r\n", b"411"),
             ):
                 head = f"POST {path} HTTP/1.1\r\nHost: x\r\n{length}\r\n\r\n"
                 reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
@@ -153,7 +153,7 @@ def test_a_client_that_comes_back_does_not_start_blind(
             known.append(values[6])
             super().__init__(*values, **named)
 
-    monkeypatch.setattr("server.play.PlaySession", Noting)
+    monkeypatch.setattr("server.answers.play.PlaySession", Noting)
 
     async def check(server: Running, client: aiohttp.ClientSession) -> None:
         async def play(last: str) -> str:
@@ -186,9 +186,9 @@ def test_the_log_says_how_a_play_went(root: Path, caplog: pytest.LogCaptureFixtu
             await response.read()
         await eventually(lambda: not len(server.state.plays))
 
-    with caplog.at_level(logging.INFO, "server.play"):
+    with caplog.at_level(logging.INFO, "server.answers.play"):
         on_server(root, check)
-    (record,) = [one for one in caplog.records if one.name == "server.play"]
+    (record,) = [one for one in caplog.records if one.name == "server.answers.play"]
     message = record.getMessage()
     assert record.levelno == logging.INFO
     assert message.startswith("play of walk: complete, ")

@@ -25,9 +25,9 @@ from codec.stream.playrecord import (
     SliceRecord,
     StartRecord,
 )
-from server.client.connection import PIECE_BYTES
+from server.answers.playquery import parse_query
 from server.errors import RequestError
-from server.play import parse_query
+from server.listener import UNSENT_BYTES
 from tests.support.running_server import (
     SEGMENT_FRAMES,
     SWIN_SIZE,
@@ -257,7 +257,7 @@ def test_a_reader_that_stops_is_cut(
         # Another client is served meanwhile.
         assert slices_of(await play(client, "walk", "?layers=1"))
         await eventually(lambda: metrics.requests.value(route, "499"))
-        assert metrics.stalled_writers.value(route) == 1
+        assert metrics.timeouts.value("write") == 1
         assert len(server.state.plays) == 0
         stuck.close()
 
@@ -271,14 +271,12 @@ def test_bytes_left_in_buffers_do_not_hold_a_connection(root: Path) -> None:
 
     async def check(server: Running, client: aiohttp.ClientSession) -> None:
         # More than the client and the kernel take, less than makes the handler wait.
-        part = f"Range: bytes=0-{PIECE_BYTES + 48 * 1024}"
+        part = f"Range: bytes=0-{UNSENT_BYTES + 48 * 1024}"
         stuck = SlowClient(server.port, "/v1/streams/wide/segments/0/0", rate=1, header=part)
         await asyncio.to_thread(stuck.read_a_little)
         requests = server.state.metrics.requests
         await eventually(lambda: requests.value(route, "206") or requests.value(route, "499"))
-        http = server.runner.server
-        assert http is not None
-        await eventually(lambda: not http.connections)
+        await eventually(lambda: not server.server.app.connections)
         stuck.close()
 
     on_server(root, check, quick_config(write_timeout_s=0.3, keepalive_timeout_s=0.3))
@@ -406,7 +404,7 @@ def test_stopping_ends_plays_at_a_slice_boundary(root: Path) -> None:
         task = asyncio.create_task(play(client, "long", "?layers=2"))
         await eventually(lambda: server.state.metrics.packets.value("1"))
         began_s = time.monotonic()
-        await server.runner.cleanup()
+        await server.server.stop()
         records = await task
         assert time.monotonic() - began_s < 1
         last = records[-1]

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import aiohttp
 import pytest
+import server.answers.play
 
-import server.play
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import MASKS, Part, snapshot_part
 from codec.stream.playrecord import (
@@ -153,7 +153,7 @@ def test_long_snapshots_come_in_several_records(
 ) -> None:
     reader = StreamReader(root / "slots")
     packets = [packet(reader, 5, snapshot_part(n)) for n in range(3)]
-    monkeypatch.setattr(server.play, "SNAPSHOTS_BYTES", len(packets[0]) + 1)
+    monkeypatch.setattr(server.answers.play, "SNAPSHOTS_BYTES", len(packets[0]) + 1)
 
     async def check(server: Running, client: aiohttp.ClientSession) -> None:
         records = await play(client, "slots", "?from=5&until=6")

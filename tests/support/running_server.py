@@ -10,7 +10,6 @@ from pathlib import Path
 
 import aiohttp
 import numpy as np
-from aiohttp import web
 
 from codec.camera import Camera
 from codec.profiles.profile import Profile
@@ -20,12 +19,11 @@ from codec.stream import StreamWriter
 from codec.stream.manifest import Manifest
 from codec.stream.playrecord import Record, RecordParser, SliceRecord
 from server.abr.session import SessionConfig
-from server.app import make_app
-from server.client.connection import bound_connections
 from server.config import ServerConfig
+from server.http.site import PatienceConfig
 from server.library import Library
-from server.listener import bind, make_runner
-from server.state import STATE, ServerState
+from server.listener import RunningServer, bind
+from server.state import ServerState
 
 SWIN_SIZE = 4
 SEGMENT_FRAMES = 5
@@ -91,8 +89,11 @@ def quick_config(
     return ServerConfig(
         session=SessionConfig(max_lead_s=max_lead_s),
         max_plays=max_plays,
-        write_timeout_s=write_timeout_s,
-        keepalive_timeout_s=keepalive_timeout_s,
+        patience=PatienceConfig(
+            request_timeout_s=keepalive_timeout_s,
+            keepalive_timeout_s=keepalive_timeout_s,
+            write_timeout_s=write_timeout_s,
+        ),
         shutdown_timeout_s=2.0,
         send_queue_bytes=send_queue_bytes,
         refresh_s=0.02,
@@ -107,7 +108,7 @@ class Running:
 
     port: int
     state: ServerState
-    runner: web.AppRunner
+    server: RunningServer
 
     @property
     def url(self) -> str:
@@ -118,16 +119,14 @@ class Running:
 async def running(root: Path, config: ServerConfig | None = None) -> AsyncIterator[Running]:
     """A server of `root` until the block ends."""
     config = config or quick_config()
-    app = make_app(Library(root, config.refresh_s), config)
-    runner = make_runner(app, config)
-    await runner.setup()
+    listener = bind("127.0.0.1", 0)
+    state = ServerState(Library(root, config.refresh_s), config)
+    server = RunningServer(state, listener)
+    await server.start()
     try:
-        listener = bind("127.0.0.1", 0)
-        bound_connections(listener, config.write_timeout_s)
-        await web.SockSite(runner, listener).start()
-        yield Running(listener.getsockname()[1], app[STATE], runner)
+        yield Running(listener.getsockname()[1], state, server)
     finally:
-        await runner.cleanup()
+        await server.stop()
 
 
 def parse_records(pieces: Iterable[bytes]) -> list[Record]:

@@ -12,11 +12,11 @@ from statistics import median
 
 import pytest
 
-import server.play
+import server.answers.play
 from player.link.linkprocess import LinkProcess
 from player.link.linktext import read_link
 from server.abr.session import Decision, PlaySession
-from server.client.tcpinfo import unacked_bytes
+from server.http.tcpinfo import unacked_bytes
 from tests.player.link.starved import Watch
 from tests.support.running_server import make_stream, quick_config, running
 
@@ -111,7 +111,7 @@ class Play:
                 noted.append((time.monotonic(), self.rate_bps or 0.0, self.queued_bytes))
                 return super().decide(now_s)
 
-        patch.setattr(server.play, "PlaySession", NotingSession)
+        patch.setattr(server.answers.play, "PlaySession", NotingSession)
         self._came: list[tuple[float, int]] = []
         with Watch() as watch:
             asyncio.run(self._run(root, link, lasts_s))

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from server.byterange import UNSATISFIABLE, ByteRange, parse_range
+from server.http.byterange import UNSATISFIABLE, ByteRange, parse_range
 
 CASES = [
     (None, 10, None),

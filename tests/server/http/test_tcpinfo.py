@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from server.client.tcpinfo import (
+from server.http.tcpinfo import (
     SO_NWRITE,
     TCP_INFO_BYTES,
     TcpInfo,

@@ -1,0 +1,41 @@
+"""A request as the handlers get it, and how they find what it names."""
+
+from __future__ import annotations
+
+from collections.abc import Coroutine, Mapping
+from dataclasses import dataclass
+from typing import Any
+from urllib.parse import unquote
+
+from server.errors import RequestError
+from server.http.request import Request
+from server.http.response import AnyResponse
+from server.library import ServedStream
+from server.state import ServerState
+
+Answer = AnyResponse | Coroutine[Any, Any, AnyResponse]
+"""What a handler gives: a response, or a coroutine that ends with one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """One request to one route."""
+
+    state: ServerState
+    request: Request
+    address: str
+    """Of the client."""
+    names: Mapping[str, str]
+    """The parts of the path by the names that the route gives them, as they were sent."""
+
+    def name(self, key: str) -> str:
+        """A part of the path, with its %XX read."""
+        return unquote(self.names[key])
+
+    def stream(self) -> ServedStream:
+        """The stream that the URL names. Raises RequestError 404 where there is none."""
+        name = self.name("stream")
+        stream = self.state.library.streams.get(name)
+        if stream is None:
+            raise RequestError(404, f"no stream is called {name[:80]!a}; /v1/streams lists them")
+        return stream

@@ -1,0 +1,75 @@
+"""A stream's files over HTTP, under the same relative paths as on disk."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+
+from codec.stream.manifest import Part
+from codec.stream.poster import picture_type
+from server.errors import RequestError
+from server.http.content import IMMUTABLE, REVALIDATE, Content, respond
+from server.http.response import Response
+from server.library import ServedStream
+
+from .call import Answer, Call
+
+OBJECT_TYPE = "application/octet-stream"
+
+
+def manifest(call: Call) -> Response:
+    view = call.stream().view
+    data = view.manifest_json
+    content = Content(data, len(data), view.manifest_sha256, "application/json", REVALIDATE)
+    return respond(call.request, content)
+
+
+def index(call: Call) -> Response:
+    view = call.stream().view
+    data = view.index_data
+    return respond(
+        call.request, Content(data, len(data), view.index_sha256, OBJECT_TYPE, REVALIDATE)
+    )
+
+
+def segment_object(call: Call) -> Answer:
+    stream, segment, name = call.stream(), int(call.names["segment"]), call.names["layer"]
+    part: Part = int(name) if name.isdigit() else name
+    found = call.state.cache.content(stream, segment, part)
+    if found is not None:
+        return respond(call.request, found)
+    if not stream.has_object(segment, part):
+        raise RequestError(404, f"{stream.name} has no segment {segment} layer {name}")
+    return _load(call, stream, segment, part)
+
+
+async def _load(call: Call, stream: ServedStream, segment: int, part: Part) -> Response:
+    if call.request.method == "HEAD":
+        # What the index says of it is enough.
+        size, sha256 = stream.object_bytes(segment, part), stream.object_sha256(segment, part)
+        return respond(call.request, Content(b"", size, sha256, OBJECT_TYPE, IMMUTABLE))
+    return respond(call.request, await call.state.cache.load_content(stream, segment, part))
+
+
+def web_asset(call: Call) -> Response:
+    """A file of the browser player."""
+    name = call.name("asset")
+    asset = call.state.web_player.assets.get(name)
+    if asset is None:
+        raise RequestError(404, f"the browser player has no file {name[:80]!a}")
+    data = asset.data
+    content = Content(data, len(data), asset.sha256, asset.content_type, REVALIDATE)
+    return respond(call.request, content)
+
+
+async def poster(call: Call) -> Response:
+    """The picture that the manifest names, and no other file."""
+    stream, name = call.stream(), call.name("poster")
+    content_type = picture_type(name)
+    data = None
+    if content_type is not None and name == stream.view.manifest.poster:
+        data = await asyncio.to_thread(stream.read_poster)
+    if data is None or content_type is None:
+        raise RequestError(404, f"{stream.name} has no picture {name[:80]!a}")
+    sha256 = hashlib.sha256(data).hexdigest()
+    return respond(call.request, Content(data, len(data), sha256, content_type, REVALIDATE))

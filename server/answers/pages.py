@@ -1,0 +1,111 @@
+"""What is not a stream's own data: pages for people, the list of streams, health and metrics."""
+
+from __future__ import annotations
+
+from server.errors import RequestError
+from server.html import htmlpage, webplayer
+from server.html.gallery import Card, front_page, missing_page
+from server.http.response import Response, json_response
+from server.library import ServedStream
+from server.metrics import CONTENT_TYPE
+
+from .call import Call
+
+REVALIDATE = {"Cache-Control": "no-cache"}
+
+
+def _page(text: str, security: str, status: int = 200) -> Response:
+    fields = {
+        "Content-Type": "text/html; charset=utf-8",
+        "Content-Security-Policy": security,
+        **REVALIDATE,
+    }
+    return Response(status, fields, text.encode())
+
+
+def _text(text: str) -> Response:
+    return Response(200, {"Content-Type": "text/plain; charset=utf-8"}, text.encode())
+
+
+def _origin(call: Call) -> str:
+    """scheme://host of this server as the client calls it."""
+    return f"{call.state.scheme}://{call.request.host}"
+
+
+def _title(stream: ServedStream) -> str:
+    return stream.view.manifest.title or stream.name
+
+
+def _about(stream: ServedStream) -> str:
+    """The stream in a few figures, for people."""
+    manifest = stream.view.manifest
+    layers = "1 layer" if manifest.num_layers == 1 else f"{manifest.num_layers} layers"
+    return f"{manifest.num_gs:,} Gaussians, {layers}, {stream.fps:g} fps"
+
+
+def _streams(call: Call) -> list[ServedStream]:
+    return [stream for _, stream in sorted(call.state.library.streams.items())]
+
+
+def front(call: Call) -> Response:
+    cards = [
+        Card(
+            stream.name,
+            _title(stream),
+            stream.view.manifest.poster,
+            stream.num_frames / stream.fps,
+            stream.live,
+            _about(stream),
+        )
+        for stream in _streams(call)
+    ]
+    return _page(front_page(cards, _origin(call)), htmlpage.SECURITY)
+
+
+def watch(call: Call) -> Response:
+    """The browser player with one stream, under the address that swings-play takes too."""
+    origin = _origin(call)
+    try:
+        stream = call.stream()
+    except RequestError as error:
+        return _page(missing_page("../"), htmlpage.SECURITY, error.status)
+    hint = f"This page needs JavaScript. On a desktop: swings-play {origin}/watch/{stream.name}"
+    player = call.state.web_player
+    return _page(player.watch_page(_title(stream), "../web/", hint), webplayer.SECURITY)
+
+
+def streams(call: Call) -> Response:
+    listed = [
+        {
+            "name": stream.name,
+            "title": stream.view.manifest.title,
+            "live": stream.live,
+            "fps": stream.fps,
+            "num_frames": stream.num_frames,
+            "num_layers": stream.view.manifest.num_layers,
+            "manifest": f"/v1/streams/{stream.name}/manifest.json",
+        }
+        for stream in _streams(call)
+    ]
+    broken = [
+        {"name": name, "reason": reason}
+        for name, reason in sorted(call.state.library.broken.items())
+    ]
+    return json_response({"streams": listed, "broken": broken}, 200, REVALIDATE)
+
+
+def healthz(call: Call) -> Response:
+    """The process runs its event loop."""
+    return _text("ok\n")
+
+
+def readyz(call: Call) -> Response:
+    """New requests are welcome: not while stopping."""
+    if call.state.stopping.is_set():
+        raise RequestError(503, "the server is stopping")
+    return _text("ready\n")
+
+
+def metrics(call: Call) -> Response:
+    text = call.state.metrics.text()
+    return Response(200, {"Content-Type": CONTENT_TYPE}, text.encode())

@@ -1,0 +1,68 @@
+"""The query string of a /play: what a client wants of a stream.
+
+Rule: every text gives a query or a 400 in one line that says what is allowed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from server.errors import RequestError
+
+MAX_FRAME = 2**31 - 1
+
+
+@dataclass(frozen=True, slots=True)
+class PlayQuery:
+    """What the query string asks for."""
+
+    from_frame: int
+    until_frame: int | None
+    """First frame that is not wanted; None for all."""
+    num_layers: int | None
+    """A fixed number of layers; None for the server's choice."""
+    plain: bool = False
+    """Whether packets come as what is in them, see codec.stream.plainrecord."""
+    paused: bool = False
+    """Whether the client begins with a still picture."""
+
+
+def parse_query(
+    pairs: Iterable[tuple[str, str]], num_frames: int, live: bool, num_layers: int
+) -> PlayQuery:
+    """The checked query. Raises RequestError 400 that says what is allowed."""
+    values: dict[str, str] = {}
+    for key, value in pairs:
+        if key not in ("from", "until", "layers", "plain", "paused") or key in values:
+            raise RequestError(
+                400, f"play takes from, until, layers, plain and paused once each, not {key[:40]!r}"
+            )
+        values[key] = value
+    plain, paused = (_flag(key, values.get(key, "0")) for key in ("plain", "paused"))
+    from_frame = _number("from", values["from"]) if "from" in values else 0
+    # A live stream may be joined before it has its first segment.
+    if from_frame >= (num_frames or int(live)):
+        raise RequestError(400, f"from={from_frame}: the stream has {num_frames} frames, from 0 on")
+    until_frame = _number("until", values["until"]) if "until" in values else None
+    if until_frame is not None and until_frame <= from_frame:
+        raise RequestError(400, f"until={until_frame} must be greater than from={from_frame}")
+    layers = values.get("layers", "auto")
+    if layers == "auto":
+        return PlayQuery(from_frame, until_frame, None, plain, paused)
+    fixed = _number("layers", layers)
+    if not 1 <= fixed <= num_layers:
+        raise RequestError(400, f"layers={fixed}: give auto or 1 to {num_layers}")
+    return PlayQuery(from_frame, until_frame, fixed, plain, paused)
+
+
+def _number(key: str, text: str) -> int:
+    if not (text.isascii() and text.isdigit() and len(text) <= 10 and int(text) <= MAX_FRAME):
+        raise RequestError(400, f"{key}={text[:40]!r} is not a number from 0 to {MAX_FRAME}")
+    return int(text)
+
+
+def _flag(key: str, text: str) -> bool:
+    if text not in ("0", "1"):
+        raise RequestError(400, f"{key}={text[:40]!r}: give 0 or 1")
+    return text == "1"

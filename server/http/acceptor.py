@@ -1,0 +1,149 @@
+"""Takes connections from a listening socket, as many as there is room for.
+
+Rule: what is missing, room or descriptors, makes new clients wait in the kernel's queue, and is
+said once. Nobody who is connected notices.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import logging
+import socket
+import ssl
+from contextlib import suppress
+from typing import Final
+
+from .connection import HttpConnection
+from .site import Site
+
+log = logging.getLogger(__name__)
+
+CHECK_S: Final = 0.5
+"""Most seconds between two looks at connections that take their time."""
+
+PAUSE_S: Final = 0.25
+"""Seconds without accepting when there was no descriptor or no room for one more."""
+
+AT_ONCE: Final = 64
+"""Connections accepted before the others have their turn."""
+
+TLS_HANDSHAKE_S: Final = 8.0
+
+_SHORT_OF: Final = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
+
+
+class Acceptor:
+    """Serves a site on one listening socket, until it is stopped."""
+
+    def __init__(
+        self, site: Site, listener: socket.socket, tls: ssl.SSLContext | None = None
+    ) -> None:
+        """tls: None for plain HTTP."""
+        self._site = site
+        self._listener = listener
+        self._tls = tls
+        self._starting: set[asyncio.Task[None]] = set()
+        self._loop = asyncio.get_running_loop()
+        self._check_handle: asyncio.TimerHandle | None = None
+        self._pause_handle: asyncio.TimerHandle | None = None
+        self._check_s = min(CHECK_S, site.patience.least_s / 4)
+        self._short = False  # whether descriptors were missing at the last accept
+
+    def start(self) -> None:
+        """Begins to accept."""
+        self._listener.setblocking(False)
+        self._loop.add_reader(self._listener, self._accept)
+        self._check()
+
+    def close(self) -> None:
+        """Accepts no more; connections that wait in the kernel's queue are left to it."""
+        self._loop.remove_reader(self._listener)
+        if self._pause_handle is not None:
+            self._pause_handle.cancel()
+            self._pause_handle = None
+
+    async def stop(self, patience_s: float) -> None:
+        """Ends: idle connections at once, the others when their response is over, or after
+        `patience_s` in any case."""
+        self.close()
+        for connection in list(self._site.connections):
+            connection.stop()
+        with suppress(TimeoutError):
+            async with asyncio.timeout(patience_s):
+                await self._wait_until_empty()
+        for task in self._starting:
+            task.cancel()
+        for connection in list(self._site.connections):
+            connection.abort()
+        await self._wait_until_empty()
+        if self._check_handle is not None:
+            self._check_handle.cancel()
+
+    async def _wait_until_empty(self) -> None:
+        if self._starting:
+            await asyncio.wait(self._starting)
+        while self._site.connections:
+            self._site.emptied.clear()
+            await self._site.emptied.wait()
+
+    def _accept(self) -> None:
+        for _ in range(AT_ONCE):
+            if not self._site.has_room():
+                self._pause()
+                return
+            try:
+                sock, address = self._listener.accept()
+            except (BlockingIOError, InterruptedError, ConnectionAbortedError):
+                return
+            except OSError as error:
+                if error.errno not in _SHORT_OF:
+                    raise
+                if not self._short:
+                    log.error("no new clients for now: %s", error.strerror)
+                self._short = True
+                self._pause()
+                return
+            self._short = False
+            self._begin(sock, str(address[0]))
+
+    def _begin(self, sock: socket.socket, address: str) -> None:
+        sock.setblocking(False)
+        refusal = self._site.admit(address)
+        if refusal is not None:
+            # Short enough for any send buffer; what the client has sent may cost it these words.
+            if self._tls is None:
+                with suppress(OSError):
+                    sock.send(refusal)
+            sock.close()
+            return
+        task = self._loop.create_task(self._connect(sock, address))
+        self._starting.add(task)
+        task.add_done_callback(self._starting.discard)
+
+    async def _connect(self, sock: socket.socket, address: str) -> None:
+        past = sock if self._tls is None else None
+
+        def protocol() -> HttpConnection:
+            return HttpConnection(self._site, past, address)
+
+        seconds = TLS_HANDSHAKE_S if self._tls is not None else None
+        with suppress(OSError):  # it went away, or does not speak TLS
+            await self._loop.connect_accepted_socket(
+                protocol, sock, ssl=self._tls, ssl_handshake_timeout=seconds
+            )
+
+    def _pause(self) -> None:
+        self._loop.remove_reader(self._listener)
+        self._site.paused()
+        self._pause_handle = self._loop.call_later(PAUSE_S, self._resume)
+
+    def _resume(self) -> None:
+        self._pause_handle = None
+        self._loop.add_reader(self._listener, self._accept)
+
+    def _check(self) -> None:
+        now_s = self._loop.time()
+        for connection in list(self._site.connections):
+            connection.check(now_s)
+        self._check_handle = self._loop.call_later(self._check_s, self._check)
