@@ -18,7 +18,7 @@ from .answers.call import Call
 from .errors import RequestError
 from .http.response import AnyResponse, HeadWriter, Response, error_response
 from .http.site import Connection, Exchange, Site
-from .router import find_route
+from .router import OBJECT_ROUTE, find_route
 from .state import ServerState
 
 log = logging.getLogger(__name__)
@@ -48,6 +48,12 @@ class Application(Site):
     def answer(self, exchange: Exchange) -> AnyResponse | Coroutine[Any, Any, AnyResponse]:
         request = exchange.request
         assert request is not None
+        if request.is_plain:
+            # Of all requests the most by far, and always the same.
+            ready = self.state.cache.response(request.path)
+            if ready is not None:
+                exchange.route = OBJECT_ROUTE
+                return ready
         if request.method == "OPTIONS":
             return _preflight()
         try:

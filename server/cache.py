@@ -4,40 +4,35 @@ from __future__ import annotations
 
 import asyncio
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 from codec.stream.integrity import CheckedObject
 from codec.stream.manifest import Part
 from codec.stream.plainrecord import ZSTD, inflates_whole
 
-from .http.content import IMMUTABLE, Content
-from .http.memoryfile import SUPPORTED, MemoryFile
+from .http.content import IMMUTABLE, Content, respond
+from .http.request import Request
+from .http.response import Response, whole_fields
 from .library import ServedStream
 from .metrics import Metrics
 
 Key = tuple[int, int, Part]
 """Generation of the stream, segment and part."""
 
-FILE_BYTES = 16 * 1024
-"""Objects of so many bytes are sent from a file in memory; shorter ones cost less by a copy."""
-
-MAX_FILES = 4096
-"""Files in memory at the same time: each is a descriptor."""
-
 
 @dataclass(slots=True)
 class CachedObject:
     """An object, and what a request for it is answered with once there was one."""
 
+    key: Key
+    stream: ServedStream
     checked: CheckedObject
     content: Content | None = None
-
-    @property
-    def size_bytes(self) -> int:
-        """What it takes of the memory: twice its length if it is there as a file too."""
-        filed = self.content is not None and isinstance(self.content.data, MemoryFile)
-        return len(self.checked.data) * (2 if filed else 1)
+    path: str = ""
+    """Of the URL under which `response` is asked for."""
+    response: Response | None = None
+    """What a plain GET gets."""
 
 
 class ObjectCache:
@@ -51,12 +46,36 @@ class ObjectCache:
         self._metrics = metrics
         self._objects: OrderedDict[Key, CachedObject] = OrderedDict()
         self._loading: dict[Key, asyncio.Task[CachedObject]] = {}
-        self._num_files = 0
+        self._ready: dict[str, CachedObject] = {}  # by path
         self.size_bytes = 0
 
     async def load(self, stream: ServedStream, segment: int, part: Part) -> CheckedObject:
         """The object of (segment, part), which `stream` has. Raises CodecError for a bad file."""
         return (await self._cached(stream, segment, part)).checked
+
+    def response(self, path: str) -> Response | None:
+        """What a plain GET of `path` gets, if that was made ready."""
+        found = self._ready.get(path)
+        if found is None or found.response is None:
+            return None
+        if found.stream.gone:
+            del self._ready[path]
+            return None
+        self._metrics.cache_hits.add(1)
+        self._metrics.layer_bytes.add(len(found.checked.data), "object", str(found.key[2]))
+        self._objects.move_to_end(found.key)
+        return found.response
+
+    def make_ready(self, path: str, stream: ServedStream, segment: int, part: Part) -> None:
+        """Makes what a plain GET of `path`, which is the object's, gets from now on."""
+        found = self._objects.get((stream.generation, segment, part))
+        if found is None or found.content is None or found.response is not None:
+            return
+        uncounted = replace(found.content, count=None)
+        response = respond(Request("GET", path, "", "", {}, True, True, True), uncounted)
+        response.fields_text = whole_fields(response)
+        found.path, found.response = path, response
+        self._ready[path] = found
 
     def content(self, stream: ServedStream, segment: int, part: Part) -> Content | None:
         """The object as an answer, if one was made already."""
@@ -72,24 +91,16 @@ class ObjectCache:
         """The object as an answer. Raises CodecError for a bad file."""
         cached = await self._cached(stream, segment, part)
         if cached.content is None:
-            before_bytes = cached.size_bytes
-            data, name = cached.checked.data, str(part)
-            filed = SUPPORTED and len(data) >= FILE_BYTES and self._num_files < MAX_FILES
-            content = Content(
-                MemoryFile(data) if filed else data,
+            data = cached.checked.data
+            cached.content = Content(
+                data,
                 len(data),
                 stream.object_sha256(segment, part),
                 "application/octet-stream",
                 IMMUTABLE,
                 coding=ZSTD if inflates_whole(data, cached.checked.entries) else "",
-                count=partial(self._count, name),
+                count=partial(self._count, str(part)),
             )
-            cached.content = content
-            key = (stream.generation, segment, part)
-            if self._objects.get(key) is cached:
-                self._num_files += filed
-                self.size_bytes += cached.size_bytes - before_bytes
-                self._shrink()
         return cached.content
 
     def _count(self, layer: str, num_bytes: int) -> None:
@@ -114,19 +125,21 @@ class ObjectCache:
 
     async def _load(self, key: Key, stream: ServedStream) -> CachedObject:
         try:
-            loaded = CachedObject(await asyncio.to_thread(stream.read_object, *key[1:]))
+            loaded = CachedObject(
+                key, stream, await asyncio.to_thread(stream.read_object, *key[1:])
+            )
         finally:
             del self._loading[key]
-        if loaded.size_bytes <= self._capacity_bytes:
+        if len(loaded.checked.data) <= self._capacity_bytes:
             self._objects[key] = loaded
-            self.size_bytes += loaded.size_bytes
+            self.size_bytes += len(loaded.checked.data)
         self._shrink()
         return loaded
 
     def _shrink(self) -> None:
         while self.size_bytes > self._capacity_bytes:
             _, dropped = self._objects.popitem(last=False)
-            self.size_bytes -= dropped.size_bytes
-            if dropped.content is not None and isinstance(dropped.content.data, MemoryFile):
-                self._num_files -= 1
+            self.size_bytes -= len(dropped.checked.data)
+            if dropped.path:
+                del self._ready[dropped.path]
         self._metrics.cache_bytes.set(self.size_bytes)

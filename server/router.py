@@ -55,8 +55,10 @@ class Route:
 _READ = ("GET", "HEAD")
 _STREAM = "/v1/streams/{stream}"
 
+OBJECT_ROUTE = f"{_STREAM}/segments/{{segment}}/{{layer}}"
+
 ROUTES: Sequence[Route] = (
-    Route(f"{_STREAM}/segments/{{segment}}/{{layer}}", _READ, objects.segment_object),
+    Route(OBJECT_ROUTE, _READ, objects.segment_object),
     Route(f"{_STREAM}/play/{{play}}", ("POST",), take_news),
     Route(f"{_STREAM}/play", ("GET",), play),
     Route(f"{_STREAM}/{MANIFEST_NAME}", _READ, objects.manifest),

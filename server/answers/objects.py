@@ -48,7 +48,10 @@ async def _load(call: Call, stream: ServedStream, segment: int, part: Part) -> R
         # What the index says of it is enough.
         size, sha256 = stream.object_bytes(segment, part), stream.object_sha256(segment, part)
         return respond(call.request, Content(b"", size, sha256, OBJECT_TYPE, IMMUTABLE))
-    return respond(call.request, await call.state.cache.load_content(stream, segment, part))
+    cache = call.state.cache
+    content = await cache.load_content(stream, segment, part)
+    cache.make_ready(call.request.path, stream, segment, part)
+    return respond(call.request, content)
 
 
 def web_asset(call: Call) -> Response:

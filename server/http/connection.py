@@ -20,12 +20,12 @@ from server.errors import RequestError
 from .outlet import PIECE_BYTES, Outlet
 from .request import HEAD_END, MAX_HEAD_BYTES, HeadParser, Request
 from .response import (
-    NO_CONTENT,
     AnyResponse,
     Response,
     StreamedResponse,
     error_response,
     fields_text,
+    whole_fields,
 )
 from .site import Exchange, Site
 from .tcpinfo import TcpInfo
@@ -225,10 +225,7 @@ class HttpConnection(asyncio.Protocol):
         assert exchange is not None
         request, body = exchange.request, response.body
         status = exchange.status = response.status
-        fields = fields_text(response.fields)
-        if status not in NO_CONTENT:
-            length = len(body) if response.length is None else response.length
-            fields += b"Content-Length: %d\r\n" % length
+        fields = response.fields_text or whole_fields(response)
         if request is not None and request.method == "HEAD":
             body = b""
         exchange.first_s = self._loop.time()

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from server.errors import RequestError
 
 from .byterange import ByteRange, Unsatisfiable, parse_range
-from .memoryfile import MemoryFile
 from .request import Request
-from .response import FilePart, Response
+from .response import Response
 
 IMMUTABLE = "public, max-age=31536000, immutable"
 """For what a URL gives for ever."""
@@ -27,7 +26,7 @@ REVALIDATE = "no-cache"
 class Content:
     """Bytes with a name of their own."""
 
-    data: bytes | memoryview | MemoryFile
+    data: bytes
     size: int
     sha256: str
     content_type: str
@@ -72,10 +71,7 @@ def respond(request: Request, content: Content) -> Response:
         return Response(status, fields, length=stop - start)
     if content.count is not None:
         content.count(stop - start)
-    data = content.data
-    if isinstance(data, MemoryFile):
-        return Response(status, fields, FilePart(data, start, stop))
-    return Response(status, fields, memoryview(data)[start:stop])
+    return Response(status, fields, memoryview(content.data)[start:stop])
 
 
 def _wanted(request: Request, size: int, etag: str) -> ByteRange | Unsatisfiable | None:

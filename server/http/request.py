@@ -12,7 +12,7 @@ from typing import Final
 
 from server.errors import RequestError
 
-MAX_TARGET_BYTES: Final = 8 * 1024
+MAX_LINE_BYTES: Final = 8 * 1024
 MAX_HEAD_BYTES: Final = 16 * 1024
 """Longest head, with the empty line that ends it."""
 MAX_FIELDS: Final = 100
@@ -20,12 +20,12 @@ MAX_FIELDS: Final = 100
 HEAD_END: Final = b"\r\n\r\n"
 
 _LINE = re.compile(
-    rb"(?P<method>[!#$%&'*+.^_`|~0-9A-Za-z-]{1,32}) (?P<target>[\x21-\x7e]+)"
-    rb" HTTP/(?P<major>[0-9])\.(?P<minor>[0-9])"
+    r"(?P<method>[!#$%&'*+.^_`|~0-9A-Za-z-]{1,32})"
+    r" (?:https?://(?P<authority>[^/?# ]*))?(?P<path>/[^?# \x00-\x20\x7f-\xff]*|(?<=OPTIONS )\*)"
+    r"(?:\?(?P<query>[^# \x00-\x20\x7f-\xff]*))? HTTP/1\.(?P<minor>[0-9])",
+    re.IGNORECASE,
 )
-_TARGET = re.compile(
-    r"(?:https?://(?P<authority>[^/?#]*))?(?P<path>/[^?#]*)(?:\?(?P<query>[^#]*))?", re.IGNORECASE
-)
+_ANY_LINE = re.compile(r"[\x21-\x7e]+ [\x21-\x7e]+ HTTP/(?P<major>[0-9])(?:\.[0-9])?")
 _FIELD = re.compile(
     rb"([!#$%&'*+.^_`|~0-9A-Za-z-]+):[ \t]*((?:[\x21-\x7e\x80-\xff](?:[ \t\x21-\x7e\x80-\xff]*"
     rb"[\x21-\x7e\x80-\xff])?)?)[ \t]*"
@@ -33,11 +33,19 @@ _FIELD = re.compile(
 _HOST = re.compile(r"(?:[A-Za-z0-9._-]{1,255}|\[[0-9A-Fa-f:.]{2,64}\])(?::(?P<port>[0-9]{1,5}))?")
 _LENGTH = re.compile(r"[0-9]{1,15}")
 
+_CHOOSING: Final = {
+    "range",
+    "if-range",
+    "if-match",
+    "if-none-match",
+}
+"""Fields by which a client may ask for less than all."""
+
 Fields = dict[str, str]
 """The values of a head by their names in small letters; several of one name joined by ", "."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Request:
     """A request, with its body where it has one."""
 
@@ -53,6 +61,8 @@ class Request:
     """Whether the client takes another response on the same connection."""
     chunks: bool
     """Whether it takes a body in chunks: not before HTTP/1.1."""
+    is_plain: bool
+    """Whether it is a GET of all that the path names, whatever the client has, uncoded."""
     body_bytes: int = 0
     """Length that the head gives of the body."""
     body: bytes = b""
@@ -72,43 +82,35 @@ class HeadParser:
         # A client sends the same fields again and again.
         self._block = b""
         self._fields: Fields = {}
-        self._host_field = ""
+        self._host = ""
         self._length = 0
         self._closes = False
         self._stays = False
+        self._plain = False
 
     def parse(self, head: bytes) -> Request:
         """The request whose head is `head`, without the empty line at its end."""
         line, _, block = head.partition(b"\r\n")
-        match = _LINE.fullmatch(line)
+        match = _LINE.fullmatch(line.decode("latin-1"))
         if match is None:
-            raise RequestError(400, "the request line is not METHOD TARGET HTTP/1.1")
-        method, target, major, minor = match.groups()
-        if major != b"1":
-            raise RequestError(505, "this server speaks HTTP/1.1")
+            raise _wrong_line(line)
+        if len(line) > MAX_LINE_BYTES:
+            raise RequestError(414, f"the request line has more than {MAX_LINE_BYTES} bytes")
         if block != self._block or not block:
             self._read_fields(block)
-        host = self._host_field
-        modern = minor != b"0"
-        if modern and "host" not in self._fields:
+        method, authority, path, query, minor = match.groups()
+        modern = minor != "0"
+        if modern and not self._host:
             raise RequestError(400, "HTTP/1.1 needs a Host")
-        if len(target) > MAX_TARGET_BYTES:
-            raise RequestError(414, f"the target has more than {MAX_TARGET_BYTES} bytes")
-        parts = _TARGET.fullmatch(target.decode("ascii"))
-        if parts is None:
-            if target == b"*" and method == b"OPTIONS":
-                parts = _TARGET.fullmatch("/*")
-            if parts is None:
-                raise RequestError(400, "the target is not a path, such as /v1/streams")
-        authority, path, query = parts.groups()
         return Request(
-            method.decode("ascii"),
+            method,
             path,
             query or "",
-            host if authority is None else _checked_host(authority),
+            self._host if authority is None else _checked_host(authority),
             self._fields,
             not self._closes if modern else self._stays,
             modern,
+            self._plain and method == "GET" and query is None,
             self._length,
         )
 
@@ -129,7 +131,10 @@ class HeadParser:
             else:
                 fields[name] += ", " + value
         self._length = self._body_length(fields)
-        self._host_field = _checked_host(fields["host"]) if "host" in fields else ""
+        self._host = _checked_host(fields["host"]) if "host" in fields else ""
+        self._plain = not _CHOOSING & fields.keys() and "zstd" not in fields.get(
+            "accept-encoding", ""
+        )
         tokens = {token.strip().lower() for token in fields.get("connection", "").split(",")}
         self._closes, self._stays = "close" in tokens, "keep-alive" in tokens
         self._fields, self._block = fields, block
@@ -147,6 +152,15 @@ class HeadParser:
         if int(text) > self._max_body_bytes:
             raise RequestError(413, f"a body has {self._max_body_bytes} bytes at most here")
         return int(text)
+
+
+def _wrong_line(line: bytes) -> RequestError:
+    match = _ANY_LINE.fullmatch(line.decode("latin-1"))
+    if match is None:
+        return RequestError(400, "the request line is not METHOD TARGET HTTP/1.1")
+    if match["major"] != "1":
+        return RequestError(505, "this server speaks HTTP/1.1")
+    return RequestError(400, "the target is not a path, such as /v1/streams")
 
 
 def _checked_host(text: str) -> str:

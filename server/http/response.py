@@ -10,7 +10,6 @@ from http import HTTPStatus
 from typing import Final
 
 from .bodywriter import BodyWriter
-from .memoryfile import MemoryFile
 
 NO_CONTENT: Final = (204, 304)
 """Statuses of responses that never have a body."""
@@ -20,30 +19,17 @@ _STATUS_LINES: Final = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class FilePart:
-    """Bytes start..stop-1 of a file in memory."""
-
-    file: MemoryFile
-    start: int
-    stop: int
-
-    def __len__(self) -> int:
-        return self.stop - self.start
-
-
-Body = bytes | memoryview | FilePart
-
-
 @dataclass(slots=True)
 class Response:
     """A response that is known whole when it begins."""
 
     status: int
     fields: Mapping[str, str] = field(default_factory=dict)
-    body: Body = b""
+    body: bytes | memoryview = b""
     length: int | None = None
     """Content-Length where it is not the length of `body`: the answer to a HEAD."""
+    fields_text: bytes = b""
+    """All of that as lines of a head, see `whole_fields`, where it was made before."""
 
 
 @dataclass(slots=True)
@@ -77,7 +63,8 @@ class HeadWriter:
 
     def __init__(self, common: Mapping[str, str]) -> None:
         self._common = fields_text(common)
-        self._dated: tuple[int, bytes] = (-1, b"")
+        self._second = -1
+        self._begins: dict[int, bytes] = {}  # of this second, by status
 
     def head(
         self, status: int, fields: bytes, keep_alive: bool, modern: bool, now_s: float
@@ -85,13 +72,26 @@ class HeadWriter:
         """The head of a response. fields: its own ones, see `fields_text`. modern: whether the
         client speaks HTTP/1.1. now_s: since 1970."""
         second = int(now_s)
-        if second != self._dated[0]:
-            self._dated = second, f"Date: {formatdate(second, usegmt=True)}\r\n".encode()
+        if second != self._second:
+            self._second, self._begins = second, {}
+        begin = self._begins.get(status)
+        if begin is None:
+            date = f"Date: {formatdate(second, usegmt=True)}\r\n".encode()
+            begin = self._begins[status] = b"".join((_STATUS_LINES[status], date, self._common))
         if not keep_alive:
             fields += b"Connection: close\r\n"
         elif not modern:
             fields += b"Connection: keep-alive\r\n"
-        return b"".join((_STATUS_LINES[status], self._dated[1], self._common, fields, b"\r\n"))
+        return b"".join((begin, fields, b"\r\n"))
+
+
+def whole_fields(response: Response) -> bytes:
+    """The fields of a response as lines of a head, with the length of its body."""
+    fields = fields_text(response.fields)
+    if response.status in NO_CONTENT:
+        return fields
+    length = len(response.body) if response.length is None else response.length
+    return fields + b"Content-Length: %d\r\n" % length
 
 
 def fields_text(fields: Mapping[str, str]) -> bytes:
