@@ -10,7 +10,11 @@ from .config import ServerConfig
 from .html.webplayer import WebPlayer
 from .library import Library
 from .metrics import Metrics
+from .recordcache import RecordCache
 from .register import PlayRegister
+
+RECORDS_PART = 8
+"""Of so many parts of the memory for objects, one is for the records of plays besides."""
 
 
 @dataclass(slots=True)
@@ -26,8 +30,10 @@ class ServerState:
     stopping: asyncio.Event = field(default_factory=asyncio.Event)
     """Set when the server begins to stop; plays then end at the next slice."""
     cache: ObjectCache = field(init=False)
+    records: RecordCache = field(init=False)
     plays: PlayRegister = field(init=False)
 
     def __post_init__(self) -> None:
         self.cache = ObjectCache(self.config.cache_bytes, self.metrics)
+        self.records = RecordCache(self.cache, self.config.cache_bytes // RECORDS_PART)
         self.plays = PlayRegister(self.config.remember_plays, self.config.remember_s)

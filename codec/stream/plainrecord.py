@@ -56,8 +56,14 @@ class PlainRecordEncoder:
 
     def __init__(self, coding: str) -> None:
         """coding: what the response says as Content-Encoding, one of CODINGS; nothing for none."""
+        self.coding = coding
         self._zstd = zstandard.ZstdCompressor(HEAD_LEVEL) if coding == ZSTD else None
         self._gzip = zlib.compressobj(GZIP_LEVEL, wbits=GZIP_WBITS) if coding == GZIP else None
+
+    @property
+    def continues(self) -> bool:
+        """Whether a record's bytes depend on the records before it."""
+        return self._gzip is not None
 
     def encode(self, record: Record, last: bool = False) -> bytes:
         """The record's bytes in the body, all that a reader needs to take it; last: with the end of

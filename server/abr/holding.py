@@ -66,7 +66,7 @@ class SliceHolding(Holding):
         self._levels: dict[int, int] = {}
         self._early: dict[int, list[tuple[int, int]]] = {}
         """Layers that came before those under them."""
-        self._end_birth = self.first_birth
+        self._oldest = self._end_birth = self.first_birth
 
     @property
     def end_frame(self) -> int:
@@ -100,11 +100,12 @@ class SliceHolding(Holding):
         return [count / swin_size for count in reversed(above)]
 
     def forget(self, frame: int) -> None:
-        oldest = frame - self.media.swin_size + 1
-        for birth in [b for b in self._levels if b < oldest]:
-            if birth < self._end_birth:
-                del self._levels[birth]
-                self._early.pop(birth, None)
+        # What lies beyond the end is kept: it may join what is there.
+        oldest = min(frame - self.media.swin_size + 1, self._end_birth)
+        while self._oldest < oldest:
+            self._levels.pop(self._oldest, None)
+            self._early.pop(self._oldest, None)
+            self._oldest += 1
 
     def is_complete(self, frame: int, end_frame: int) -> bool:
         num_layers = self.media.num_layers

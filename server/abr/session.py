@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from codec.errors import InvalidError
 
 from .estimator import EstimatorConfig, RateEstimator
 from .media import Media
-from .outlook import Outlook, Policy, Send
+from .outlook import Outlook, Policy, Send, SendSlices
 from .playout import PlayoutClock, PlayoutConfig
 from .slotholding import open_holding
 from .standing import Standing
@@ -89,7 +90,7 @@ class Finished:
     """Nothing more will be sent."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _Underway:
     """Something that was sent, and is not acknowledged."""
 
@@ -234,6 +235,18 @@ class PlaySession:
         send.add_to(self.holding)
         self.sent_bytes += num_bytes
         self._underway.append(_Underway(self.sent_bytes, self.holding.end_frame, now_s))
+
+    def sent_slices(self, send: SendSlices, num_bytes: Sequence[int], now_s: float) -> None:
+        """`send` went out, slice after slice, with so many bytes each."""
+        if send.first_layer:
+            # No frame waits for these: whether they come one by one or together is all the same.
+            self.sent(send, sum(num_bytes), now_s)
+            return
+        holding, underway = self.holding, self._underway
+        for birth, size in zip(send.births, num_bytes, strict=True):
+            holding.add(birth, 0, send.end_layer)
+            self.sent_bytes += size
+            underway.append(_Underway(self.sent_bytes, holding.end_frame, now_s))
 
     def decide(self, now_s: float) -> Decision:
         """What to do now."""

@@ -13,16 +13,12 @@ from collections.abc import Sequence
 from urllib.parse import parse_qsl
 
 from codec.errors import SwingsError
-from codec.stream.integrity import CheckedObject
-from codec.stream.manifest import MASKS, Part, snapshot_part
 from codec.stream.plainrecord import CODINGS, PlainRecordEncoder
 from codec.stream.playrecord import (
     CONTENT_TYPE,
     EndRecord,
     ErrorRecord,
     Record,
-    SliceRecord,
-    SnapshotRecord,
     StartRecord,
     encode_record,
 )
@@ -42,6 +38,7 @@ from server.http.content import accepted_codings
 from server.http.response import StreamedResponse
 from server.http.tcpinfo import TcpInfo
 from server.library import ServedStream
+from server.recordcache import CodedRecord
 
 from .call import Call
 from .playquery import PlayQuery, parse_query
@@ -53,6 +50,9 @@ RETRY_AFTER_S = 5
 
 SNAPSHOTS_BYTES = 1 << 20
 """Bytes of snapshots after which a record ends, and the next layer goes into another one."""
+
+PLAYS_PER_REST = 100
+"""For so many plays that run already a new one rests once more as long between two bursts."""
 
 TOGETHER_BYTES = 32 * 1024
 """Bytes of records that are written in one go."""
@@ -115,14 +115,12 @@ class _Play:
             query.from_frame,
             query.until_frame,
             last_rate_bps,
-            # Clients that begin together, as at the start of a show, shall not burst in step.
-            rest_share=random.random(),
+            # Clients that begin together, as at the start of a show, shall not burst in step; and
+            # where there are many, each is sent more at a time, but less often.
+            rest_share=random.random() + len(state.plays) / PLAYS_PER_REST,
         )
         if query.paused:
             self._session.told(now_s, Standing(query.from_frame, paused=True))
-        self._objects: dict[tuple[int, Part], CheckedObject] = {}
-        self._unsent: list[bytes] = []
-        self._unsent_bytes = 0
         self._sent_slices = 0
         self._sent_layers = 0
         self._tcp_info = TcpInfo()
@@ -174,9 +172,7 @@ class _Play:
         except (SwingsError, OSError) as error:
             log.error("play of %s ended: %s", self._stream.name, error)
             outcome, last = "damaged", ErrorRecord("this stream is damaged on the server")
-        # Behind what was sent before an error, as the client shall have it.
-        self._unsent.append(self._encode(last, last=True))
-        await self._flush()
+        await self._writer.write(self._encode(last, last=True))
         return outcome
 
     async def _send_slices(self) -> tuple[str, Record]:
@@ -228,68 +224,46 @@ class _Play:
         resume_frame = max(self._from_frame, self._session.holding.end_frame)
         return ErrorRecord(f"{reason}; play again from frame {resume_frame}")
 
-    async def _object(self, birth: int, part: Part) -> CheckedObject:
-        """The object that holds the packet of `birth`. It is kept at hand for as long as the client
-        shows frames of its segment: the lead bounds how many there are."""
-        manifest = self._stream.view.manifest
-        segment = manifest.segment_of(birth)
-        found = self._objects.get((segment, part))
-        if found is None:
-            found = await self._state.cache.load(self._stream, segment, part)
-            oldest = manifest.segment_of(self._session.next_frame - manifest.swin_size + 1)
-            self._objects = {key: kept for key, kept in self._objects.items() if key[0] >= oldest}
-            self._objects[segment, part] = found
-        return found
-
     async def _send_layers(self, send: SendSlices) -> None:
-        layers: list[Part] = [*range(send.first_layer, send.end_layer)]
-        masked = self._stream.has_slots and not send.first_layer
-        parts = [*layers, MASKS] if masked else layers
-        for birth in send.births:
-            packets = [(await self._object(birth, part)).packet(birth) for part in parts]
-            mask = packets[-1] if masked else None
-            record = SliceRecord(birth, tuple(packets[: len(layers)]), mask, send.first_layer)
-            one = SendSlices(range(birth, birth + 1), send.first_layer, send.end_layer)
-            await self._send_part(one, record)
-            self._count(parts, packets)
-        await self._flush()
-        self._sent_slices += 0 if send.first_layer else len(send.births)
-        self._sent_layers += len(layers) * len(send.births)
+        coded, error = await self._state.records.slices(self._stream, send, self._plain)
+        first, end = send.births.start, send.births.start + len(coded)
+        sent = SendSlices(range(first, end), send.first_layer, send.end_layer)
+        self._session.sent_slices(sent, [len(one.data) for one in coded], self._clock())
+        await self._write(coded)
+        self._sent_slices += 0 if send.first_layer else len(coded)
+        self._sent_layers += (send.end_layer - send.first_layer) * len(coded)
+        if error is not None:
+            raise error
 
     async def _send_snapshots(self, send: SendSnapshots) -> None:
         """Sends the snapshots in records of not much more than SNAPSHOTS_BYTES."""
-        first, packets = send.first_layer, list[bytes]()
-        for layer in range(send.first_layer, send.end_layer):
-            part = snapshot_part(layer)
-            segment = self._stream.view.manifest.segment_of(send.frame)
-            snapshot = await self._state.cache.load(self._stream, segment, part)
-            packets.append(snapshot.packet(send.frame))
-            if sum(map(len, packets)) < SNAPSHOTS_BYTES and layer + 1 < send.end_layer:
-                continue
-            one = SendSnapshots(send.frame, first, layer + 1)
-            await self._send_part(one, SnapshotRecord(send.frame, first, tuple(packets)))
-            self._count([snapshot_part(n) for n in range(first, layer + 1)], packets)
-            first, packets = layer + 1, []
-        await self._flush()
+        frame, first, records = send.frame, send.first_layer, self._state.records
+        while first < send.end_layer:
+            coded = await records.snapshots(
+                self._stream, frame, first, SNAPSHOTS_BYTES, send.end_layer, self._plain
+            )
+            end = first + len(coded.parts)
+            one = SendSnapshots(frame, first, end)
+            self._session.sent(one, len(coded.data), self._clock())
+            await self._write([coded])
+            first = end
 
-    async def _send_part(self, send: SendSlices | SendSnapshots, record: Record) -> None:
-        """Sends a record that is what the session has decided, or a part of it. Short ones go
-        together."""
-        data = self._encode(record)
-        self._session.sent(send, len(data), self._clock())
-        self._unsent.append(data)
-        self._unsent_bytes += len(data)
-        if self._unsent_bytes >= TOGETHER_BYTES:
-            await self._flush()
-
-    async def _flush(self) -> None:
-        data, self._unsent, self._unsent_bytes = b"".join(self._unsent), [], 0
-        await self._writer.write(data)
-
-    def _count(self, parts: Sequence[Part], packets: Sequence[bytes]) -> None:
-        for part, packet in zip(parts, packets, strict=True):
-            self._state.metrics.packets.add(1, str(part))
-            self._state.metrics.layer_bytes.add(len(packet), "play", str(part))
+    async def _write(self, coded: Sequence[CodedRecord]) -> None:
+        """Writes records of the same parts, short ones together."""
+        unsent = [one.data for one in coded]
+        metrics = self._state.metrics
+        for n, part in enumerate(coded[0].parts if coded else ()):
+            num_bytes = sum(one.packet_bytes[n] for one in coded)
+            metrics.packets.add(len(coded), str(part))
+            metrics.layer_bytes.add(num_bytes, "play", str(part))
+        while unsent:
+            count, num_bytes = 0, 0
+            while count < len(unsent) and num_bytes < TOGETHER_BYTES:
+                num_bytes += len(unsent[count])
+                count += 1
+            data = b"".join(unsent[:count])
+            del unsent[:count]
+            await self._writer.write(data)
 
     def _encode(self, record: Record, last: bool = False) -> bytes:
         if self._plain is None:
