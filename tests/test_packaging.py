@@ -28,7 +28,7 @@ MAY_USE: dict[str, tuple[str, ...]] = {
 FLOORS: dict[str, tuple[set[str], ...]] = {
     "codec": (
         {"codec"},
-        {"codec/coders", "codec/profiles"},
+        {"codec/coders", "codec/profiles", "codec/storage"},
         {"codec/slots"},
         {"codec/stream"},
         {"codec/interop"},
