@@ -6,7 +6,6 @@ import asyncio
 import socket
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Annotated
 
 import tyro
@@ -23,8 +22,8 @@ from .listener import bind, run_until_stopped, url_of
 class ServeCommand:
     """Serve one stream, or a folder of streams."""
 
-    root: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="ROOT")]]
-    """Folder of a stream, or of streams."""
+    root: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="ROOT")]]
+    """Folder of a stream, or of streams; or their URL in an object store, as s3://BUCKET/PATH."""
     host: str = "127.0.0.1"
     """Address to listen on; 0.0.0.0 for all of IPv4."""
     port: int = 8080

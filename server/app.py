@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import suppress
+
 from aiohttp import web
 
 from codec.stream.index import INDEX_NAME
@@ -31,6 +35,7 @@ def make_app(library: Library, config: ServerConfig) -> web.Application:
     app[STATE] = ServerState(library, config)
     app.on_response_prepare.append(add_headers)
     app.on_shutdown.append(_stop_plays)
+    app.cleanup_ctx.append(_watch_library)
     stream = "/v1/streams/{stream}"
     app.add_routes(
         [
@@ -54,6 +59,14 @@ def make_app(library: Library, config: ServerConfig) -> web.Application:
         ]
     )
     return app
+
+
+async def _watch_library(app: web.Application) -> AsyncIterator[None]:
+    watching = asyncio.create_task(app[STATE].library.watch())
+    yield
+    watching.cancel()
+    with suppress(asyncio.CancelledError):
+        await watching
 
 
 async def _stop_plays(app: web.Application) -> None:

@@ -11,8 +11,8 @@ from codec.stream.manifest import Part
 from .library import ServedStream
 from .metrics import Metrics
 
-Key = tuple[str, int, Part]
-"""Stream, segment and part."""
+Key = tuple[int, int, Part]
+"""Generation of the stream, segment and part."""
 
 
 class ObjectCache:
@@ -30,7 +30,7 @@ class ObjectCache:
 
     async def load(self, stream: ServedStream, segment: int, part: Part) -> CheckedObject:
         """The object of (segment, part), which `stream` has. Raises CodecError for a bad file."""
-        key = (stream.name, segment, part)
+        key = (stream.generation, segment, part)
         found = self._objects.get(key)
         if found is not None:
             self._metrics.cache_hits.add(1)

@@ -51,11 +51,10 @@ async def manifest(request: web.Request) -> web.StreamResponse:
 
 
 async def index(request: web.Request) -> web.StreamResponse:
-    stream = await find_stream(request)
-    view = stream.view
+    view = (await find_stream(request)).view
 
     async def read(start: int, stop: int) -> bytes:
-        return await asyncio.to_thread(stream.read_index, start, stop)
+        return view.index_data[start:stop]
 
     content = Content(
         view.index_bytes, view.index_sha256, "application/octet-stream", REVALIDATE, read

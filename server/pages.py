@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import re
 
 from aiohttp import web
@@ -41,12 +40,8 @@ def _about(stream: ServedStream) -> str:
 
 
 async def _streams(request: web.Request) -> list[ServedStream]:
-    library, now_s = request.app[STATE].library, asyncio.get_running_loop().time()
-    await library.rescan(now_s)
-    listed = [library.streams[name] for name in sorted(library.streams)]
-    for stream in listed:
-        await library.refresh(stream, now_s)
-    return listed
+    library = request.app[STATE].library
+    return [library.streams[name] for name in sorted(library.streams)]
 
 
 async def front(request: web.Request) -> web.StreamResponse:
@@ -89,7 +84,12 @@ async def streams(request: web.Request) -> web.StreamResponse:
         }
         for stream in await _streams(request)
     ]
-    return web.json_response({"streams": listed}, headers={"Cache-Control": "no-cache"})
+    broken = [
+        {"name": name, "reason": reason}
+        for name, reason in sorted(request.app[STATE].library.broken.items())
+    ]
+    body = {"streams": listed, "broken": broken}
+    return web.json_response(body, headers={"Cache-Control": "no-cache"})
 
 
 async def healthz(request: web.Request) -> web.StreamResponse:

@@ -272,7 +272,6 @@ class _Play:
                     if now_s - waiting_since_s > config.live_idle_s:
                         return "idle", self._broken_off("no new frames have come for a long time")
                     await self._pause(config.poll_s if self._session.queued_bytes else LIVE_POLL_S)
-                    await self._state.library.refresh(self._stream, self._clock())
                 case Finished():
                     return "complete", EndRecord(self._stream.num_frames)
 

@@ -40,7 +40,7 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
         {"server/abr/policies"},
         {"server/abr/simulate"},
         {"server/abr/oracle"},
-        {"server/study", "server/client", "server/html"},
+        {"server/study", "server/client", "server/html", "server/library"},
         {"server"},
     ),
     "player": (
