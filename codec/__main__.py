@@ -16,7 +16,7 @@ from codec.tools.commands import Export, Import, export_files, import_files
 
 from .console import run_command
 
-Folder = Annotated[Path, tyro.conf.arg(metavar="STREAM")]
+Stream = Annotated[str, tyro.conf.arg(metavar="STREAM")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,8 +24,8 @@ class Info:
     """Say what a stream holds, from its manifest and index; where slots last (version 2), also
     from its masks."""
 
-    stream: tyro.conf.Positional[Folder]
-    """Folder of the stream."""
+    stream: tyro.conf.Positional[Stream]
+    """Folder of the stream, or its URL in an object store, as s3://BUCKET/PATH."""
     json: bool = False
     """Print one JSON object instead of text."""
     plot: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
@@ -36,8 +36,8 @@ class Info:
 class Verify:
     """Read, check and decode every byte of a stream; name the first file and byte that is wrong."""
 
-    stream: tyro.conf.Positional[Folder]
-    """Folder of the stream."""
+    stream: tyro.conf.Positional[Stream]
+    """Folder of the stream, or its URL in an object store, as s3://BUCKET/PATH."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,6 +44,11 @@ class CorruptError(CodecError):
     """The bytes break a rule of the format: truncated, altered, or never of this format."""
 
 
+class UnreadableError(CorruptError):
+    """What is there cannot be read now: no permission, no descriptor left, a store that does not
+    answer. The same may be well later."""
+
+
 class UnsupportedError(CodecError):
     """The bytes may be right, but this version cannot read them."""
 

@@ -7,12 +7,16 @@ its name by a rename once all of it is on the disk.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+import stat
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from .errors import CorruptError, InvalidError
+from .errors import CorruptError, InvalidError, UnreadableError
+
+Opener = Callable[[str, int], int]
+"""Gives the descriptor of the file at a path, opened with flags of `os`."""
 
 
 def sync_folder(path: Path) -> None:
@@ -81,28 +85,42 @@ def append_durably(path: Path, size_bytes: int, data: bytes) -> None:
             raise
 
 
+def open_without_waiting(path: str, flags: int) -> int:
+    """An `Opener` for files of strangers: nobody has to open the other end of a pipe."""
+    return os.open(path, flags | os.O_NONBLOCK)
+
+
 @contextmanager
-def _opened(path: Path, if_missing: str | None = None) -> Iterator[BinaryIO]:
-    """The file at `path`, to be read. Raises CorruptError if it cannot be."""
+def _opened(path: Path, opener: Opener, if_missing: str | None = None) -> Iterator[BinaryIO]:
+    """The regular file at `path`, to be read. Raises CorruptError if it cannot be."""
     try:
-        with open(path, "rb") as file:
+        with open(path, "rb", opener=opener) as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise CorruptError(f"{path} cannot be read: it is not a regular file")
             yield file
-    except FileNotFoundError as error:
+    except (FileNotFoundError, NotADirectoryError) as error:
         meaning = "" if if_missing is None else f"; {if_missing}"
         raise CorruptError(f"{path} is missing{meaning}") from error
-    except OSError as error:
+    except IsADirectoryError as error:
         raise CorruptError(f"{path} cannot be read: {error.strerror}") from error
+    except OSError as error:
+        raise UnreadableError(f"{path} cannot be read: {error.strerror}") from error
 
 
 def read_bounded(
-    path: Path, limit_bytes: int, offset: int = 0, *, if_missing: str | None = None
+    path: Path,
+    limit_bytes: int,
+    offset: int = 0,
+    *,
+    if_missing: str | None = None,
+    opener: Opener = open_without_waiting,
 ) -> bytes:
-    """The file at `path` from `offset` on.
+    """The regular file at `path` from `offset` on.
 
     Raises CorruptError if it cannot be read, or if that is more than `limit_bytes`. `if_missing`
     tells the user what it means that there is no such file.
     """
-    with _opened(path, if_missing) as file:
+    with _opened(path, opener, if_missing) as file:
         # Python takes at once what it is told to read, however short the file is.
         size = max(os.fstat(file.fileno()).st_size - offset, 0)
         file.seek(offset)
@@ -113,9 +131,9 @@ def read_bounded(
 
 
 def read_head(path: Path, head_bytes: int) -> tuple[bytes, int]:
-    """The first bytes of the file at `path`, `head_bytes` at most, and how many it has in all.
+    """The first bytes of the regular file at `path`, `head_bytes` at most, and how many it has.
 
     Raises CorruptError if it cannot be read.
     """
-    with _opened(path) as file:
+    with _opened(path, open_without_waiting) as file:
         return file.read(head_bytes), os.fstat(file.fileno()).st_size

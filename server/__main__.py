@@ -6,25 +6,24 @@ import asyncio
 import socket
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from codec.console import run_command
 
-from .config import ServerConfig
 from .library import Library
 from .listener import RunningServer, bind, run_until_stopped, url_of
-from .state import ServerState
+from .state.config import ServerConfig
+from .state.serverstate import ServerState
 
 
 @dataclass(frozen=True, slots=True)
 class ServeCommand:
     """Serve one stream, or a folder of streams."""
 
-    root: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="ROOT")]]
-    """Folder of a stream, or of streams."""
+    root: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="ROOT")]]
+    """Folder of a stream, or of streams; or their URL in an object store, as s3://BUCKET/PATH."""
     host: str = "127.0.0.1"
     """Address to listen on; 0.0.0.0 for all of IPv4."""
     port: int = 8080

@@ -15,11 +15,11 @@ from codec.errors import SwingsError
 from server.abr.standing import MAX_BODY_BYTES, PLAY_HEADER, RATE_HEADER
 
 from .answers.call import Call
-from .errors import RequestError
+from .http.errors import RequestError
 from .http.response import AnyResponse, HeadWriter, Response, error_response
 from .http.site import Connection, Exchange, Site
 from .router import OBJECT_ROUTE, find_route
-from .state import ServerState
+from .state.serverstate import ServerState
 
 log = logging.getLogger(__name__)
 

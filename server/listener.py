@@ -11,7 +11,7 @@ from collections.abc import Callable
 from .app import Application
 from .errors import ServerError
 from .http.acceptor import Acceptor
-from .state import ServerState
+from .state.serverstate import ServerState
 
 UNSENT_BYTES = 256 * 1024
 """Bytes that the kernel takes of one connection before they can be sent."""

@@ -17,7 +17,7 @@ from .answers import objects, pages
 from .answers.call import Answer, Call
 from .answers.news import take_news
 from .answers.play import play
-from .errors import RequestError
+from .http.errors import RequestError
 
 _NUMBER = "0|[1-9][0-9]{0,8}"
 

@@ -28,7 +28,7 @@ MAY_USE: dict[str, tuple[str, ...]] = {
 FLOORS: dict[str, tuple[set[str], ...]] = {
     "codec": (
         {"codec"},
-        {"codec/coders", "codec/profiles"},
+        {"codec/coders", "codec/profiles", "codec/storage"},
         {"codec/slots"},
         {"codec/stream"},
         {"codec/interop"},
@@ -40,7 +40,9 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
         {"server/abr/policies"},
         {"server/abr/simulate"},
         {"server/abr/oracle"},
-        {"server/study", "server/client", "server/html"},
+        {"server/study", "server/html", "server/http", "server/library"},
+        {"server/state"},
+        {"server/answers"},
         {"server"},
     ),
     "player": (

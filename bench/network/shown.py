@@ -93,7 +93,7 @@ def shown_scores(held_out: HeldOut, report: dict[str, Any], every: int) -> Itera
     if not frames or any(report["dropped"].values()):
         raise InvalidError("the report does not hold all of a play; play less at a time")
     first = frames[0]["frame"]
-    media = open_media(reader.path, reader.num_frames / manifest.fps)
+    media = open_media(Path(reader.name), reader.num_frames / manifest.fps)
     holding = open_holding(media, first)
     assembler = open_assembler(manifest, manifest.num_layers, first)
     renderer = CpuRenderer(manifest)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from codec.errors import InvalidError
 from codec.framerange import FrameRange
+from codec.storage.openstorage import Place
 from codec.stream.reader import StreamReader
 
 from .formats import SplatFormat, write_splats
@@ -37,7 +38,7 @@ def numbered(out: Path, frame: int, format: SplatFormat) -> Path:
 
 
 def export_stream(
-    stream: Path,
+    stream: Place,
     out: Path,
     frame: int | None,
     frames: str | None,
@@ -55,11 +56,11 @@ def export_stream(
     reader = StreamReader(stream)
     layers = reader.manifest.num_layers if layers is None else layers
     if frames is not None:
-        wanted = FrameRange.parse(frames).of(reader.num_frames, stream)
+        wanted = FrameRange.parse(frames).of(reader.num_frames, reader.name)
     elif frame is not None and 0 <= frame < reader.num_frames:
         wanted = range(frame, frame + 1)
     else:
-        raise InvalidError(f"{stream} has no frame {frame}; it has {reader.num_frames} frames")
+        raise InvalidError(f"{reader.name} has no frame {frame}; it has {reader.num_frames} frames")
     written = []
     for number in wanted:
         path = out if frames is None else numbered(out, number, format)

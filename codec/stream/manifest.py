@@ -78,12 +78,17 @@ def is_snapshot(part: Part) -> bool:
     return type(part) is str and part != MASKS
 
 
-def object_file(stream: Path, segment: int, part: Part) -> Path:
-    """Where the object of (segment, part) lies in the folder `stream`.
+def object_name(segment: int, part: Part) -> str:
+    """Where the object of (segment, part) lies in a stream's folder.
 
     Always there: the `object_url` of a manifest is only for those who fetch by URL.
     """
-    return stream / SEGMENTS_NAME / str(segment) / str(part)
+    return f"{SEGMENTS_NAME}/{segment}/{part}"
+
+
+def object_file(stream: Path, segment: int, part: Part) -> Path:
+    """Where the object of (segment, part) lies if the folder is `stream`."""
+    return stream / object_name(segment, part)
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,9 @@ from PIL import Image
 
 from codec.camera import Camera
 from codec.errors import CorruptError
-from codec.files import read_bounded, read_head, replacing
+from codec.files import replacing
 from codec.splats import Splats
+from codec.storage.openstorage import Place, open_storage
 
 from .manifest import Manifest
 from .reader import StreamReader
@@ -53,41 +54,39 @@ def picture_type(name: str) -> str | None:
     return PICTURE_TYPES.get(Path(name).suffix.lower())
 
 
-def find_poster(stream: Path, manifest: Manifest) -> Path | None:
-    """The file of the poster that `manifest` names, if it is a picture in the folder `stream`."""
+def find_poster(place: Place, manifest: Manifest) -> str | None:
+    """The path of the poster that `manifest` names, if it is a picture of the stream at `place`."""
     name = PurePosixPath(manifest.poster or "")
     if picture_type(name.name) is None or name.is_absolute() or ".." in name.parts:
         return None
-    root = stream.resolve()
-    try:
-        path = (root / name).resolve()
-        found = path.is_relative_to(root) and path.is_file()
-    except (OSError, RuntimeError):  # links in a circle, or a path too long for this system
-        return None
-    return path if found else None
+    return str(name) if open_storage(place).holds(str(name)) else None
 
 
-def read_poster(stream: Path, manifest: Manifest) -> bytes | None:
+def read_poster(place: Place, manifest: Manifest) -> bytes | None:
     """The content of `find_poster`; None if that is too large. Raises CorruptError if it cannot be
     read."""
-    path = find_poster(stream, manifest)
-    if path is None or path.stat().st_size > MAX_PICTURE_BYTES:
+    storage, path = open_storage(place), find_poster(place, manifest)
+    stamp = None if path is None else storage.stamp(path)
+    if path is None or stamp is None or stamp.size_bytes > MAX_PICTURE_BYTES:
         return None
-    return read_bounded(path, MAX_PICTURE_BYTES)
+    return storage.read(path, MAX_PICTURE_BYTES)
 
 
-def check_poster(stream: Path, manifest: Manifest) -> None:
+def check_poster(place: Place, manifest: Manifest) -> None:
     """Raises CorruptError, with the file, if there is a poster that is too large, or of another
     kind than its name says. A stream may go without the poster that it names."""
-    path = find_poster(stream, manifest)
-    if path is None:
+    storage, path = open_storage(place), find_poster(place, manifest)
+    stamp = None if path is None else storage.stamp(path)
+    if path is None or stamp is None:
         return
-    head, num_bytes = read_head(path, 16)
-    if num_bytes > MAX_PICTURE_BYTES:
-        raise CorruptError(f"{path}: {num_bytes} bytes; a poster has at most {MAX_PICTURE_BYTES}")
-    kind = picture_type(manifest.poster or "")
-    if kind is not None and not head.startswith(MAGICS[kind]):
-        raise CorruptError(f"{path}: does not begin as {kind} does")
+    name = storage.place(path)
+    if stamp.size_bytes > MAX_PICTURE_BYTES:
+        raise CorruptError(
+            f"{name}: {stamp.size_bytes} bytes; a poster has at most {MAX_PICTURE_BYTES}"
+        )
+    kind = picture_type(path)
+    if kind is not None and not storage.read(path, MAX_PICTURE_BYTES).startswith(MAGICS[kind]):
+        raise CorruptError(f"{name}: does not begin as {kind} does")
 
 
 def write_poster(stream: Path, draw: Draw) -> None:

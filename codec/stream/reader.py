@@ -1,4 +1,4 @@
-"""Reads the folder of a stream: any slice, any window, any number of layers; memory stays bounded.
+"""Reads a stream where it lies: any slice, any window, any number of layers; memory stays bounded.
 
 Rule: every file is checked against the index before it is decoded, and an error names the file.
 """
@@ -7,32 +7,33 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterator
-from pathlib import Path
 
-from codec.errors import CodecError, CorruptError, InvalidError
-from codec.files import read_bounded
+from codec.errors import CodecError, InvalidError
 from codec.slice import Slice, active_splats, window_births
 from codec.slots.slotdecoder import SlotDecoder
 from codec.splats import Splats
+from codec.storage.openstorage import Place, open_storage
+from codec.storage.storage import Storage
 
 from .chunk import Chunk
 from .index import INDEX_NAME, SegmentRecord, record_bytes
 from .integrity import MAX_INDEX_BYTES, CheckedObject, fitting_slice, read_index
-from .manifest import MANIFEST_NAME, MAX_MANIFEST_BYTES, Manifest, Part, object_file
+from .manifest import MANIFEST_NAME, MAX_MANIFEST_BYTES, Manifest, Part, object_name
 from .seeker import SlotSeeker, join
 
 
-def read_stream_file(path: Path, limit_bytes: int, offset: int = 0) -> bytes:
-    """A file of a stream from `offset` on. Raises CorruptError, see `read_bounded`."""
+def read_stream_file(storage: Storage, path: str, limit_bytes: int, offset: int = 0) -> bytes:
+    """The file at `path` of the stream in `storage`, from `offset` on. Raises CorruptError."""
     meaning = "this is not a whole swings stream"
-    return read_bounded(path, limit_bytes, offset, if_missing=meaning)
+    return storage.read(path, limit_bytes, offset, if_missing=meaning)
 
 
 class StreamReader:
-    """A stream in its folder, finished or still growing (`refresh`)."""
+    """A stream where it lies, finished or still growing (`refresh`)."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, place: Place) -> None:
+        self.storage = open_storage(place)
+        self.name = self.storage.name
         self.records: list[SegmentRecord] = []
         """One record for each finished segment."""
         self._objects: OrderedDict[tuple[int, Part], CheckedObject] = OrderedDict()
@@ -43,14 +44,12 @@ class StreamReader:
         self.refresh()
 
     def _read_manifest(self) -> None:
-        path = self.path / MANIFEST_NAME
-        if not self.path.is_dir():
-            raise CorruptError(f"{self.path} is not a folder; name the folder of a stream")
-        data = read_stream_file(path, MAX_MANIFEST_BYTES)
+        self.storage.check()
+        data = read_stream_file(self.storage, MANIFEST_NAME, MAX_MANIFEST_BYTES)
         try:
             self.manifest = Manifest.from_json(data)
         except CodecError as error:
-            raise error.within(path) from error
+            raise error.within(self.storage.place(MANIFEST_NAME)) from error
         self.manifest_json = data
 
     @property
@@ -79,34 +78,32 @@ class StreamReader:
         if self.manifest.live:
             # Before the index: a manifest that says finished then goes with a whole index.
             self._read_manifest()
-        path = self.path / INDEX_NAME
         begin = self.index_bytes
-        data = read_stream_file(path, MAX_INDEX_BYTES, begin)
+        data = read_stream_file(self.storage, INDEX_NAME, MAX_INDEX_BYTES, begin)
         try:
             fresh = read_index(data, self.manifest, self.records)
         except CodecError as error:
-            raise error.within(path, begin) from error
+            raise error.within(self.storage.place(INDEX_NAME), begin) from error
         self.records += fresh
         return len(fresh)
 
-    def object_path(self, segment: int, part: Part) -> Path:
-        """Where the object of (segment, part) lies."""
-        return object_file(self.path, segment, part)
+    def object_place(self, segment: int, part: Part) -> str:
+        """Where the object of (segment, part) lies, for errors."""
+        return self.storage.place(object_name(segment, part))
 
     def read_object(self, segment: int, part: Part) -> CheckedObject:
         """The object of (segment, part), read and checked now."""
         if not 0 <= segment < len(self.records) or part not in self.manifest.parts:
             name = f"layer {part}" if type(part) is int else part
             raise InvalidError(
-                f"{self.path} has no segment {segment} {name}: it has "
+                f"{self.name} has no segment {segment} {name}: it has "
                 f"{len(self.records)} segments of {self.manifest.num_layers} layers"
             )
         record = self.records[segment]
-        path = self.object_path(segment, part)
         size = record.part_bytes[self.manifest.part_number(part)]
-        return CheckedObject.check(
-            str(path), read_stream_file(path, size), self.manifest, record, part
-        )
+        data = read_stream_file(self.storage, object_name(segment, part), size)
+        place = self.object_place(segment, part)
+        return CheckedObject.check(place, data, self.manifest, record, part)
 
     def _object(self, segment: int, part: Part) -> CheckedObject:
         key = (segment, part)
@@ -148,7 +145,7 @@ class StreamReader:
         self._check_layers(num_layers)
         if birth not in self.births:
             raise InvalidError(
-                f"{self.path} has no slice born at {birth}; it has {len(self.births)} slices "
+                f"{self.name} has no slice born at {birth}; it has {len(self.births)} slices "
                 f"from {self.manifest.first_birth} on"
             )
         if self._seeker is not None:
@@ -157,7 +154,7 @@ class StreamReader:
         return fitting_slice(
             (self.chunk(birth, layer) for layer in range(num_layers)),
             self.manifest,
-            lambda layer: self.object_path(segment, layer),
+            lambda layer: self.object_place(segment, layer),
         )
 
     def _check_layers(self, num_layers: int) -> None:
@@ -168,7 +165,7 @@ class StreamReader:
         """A decoder of the caller's own that stands at `frame` (version 2)."""
         self._check_layers(num_layers)
         if not 0 <= frame < self.num_frames:
-            raise InvalidError(f"{self.path} has no frame {frame}; it has {self.num_frames} frames")
+            raise InvalidError(f"{self.name} has no frame {frame}; it has {self.num_frames} frames")
         decoder = SlotDecoder(self.manifest.slot_layout, num_layers)
         join(self._object, self.manifest, frame, decoder)
         return decoder
@@ -177,7 +174,7 @@ class StreamReader:
         """The slices from `first_birth` to the last one there is when it is reached."""
         birth = first_birth
         if birth < self.manifest.first_birth:
-            raise InvalidError(f"{self.path} has no slice born at {birth}")
+            raise InvalidError(f"{self.name} has no slice born at {birth}")
         while birth in self.births:
             yield self.slice(birth, num_layers)
             birth += 1
@@ -185,7 +182,7 @@ class StreamReader:
     def window(self, frame: int, num_layers: int) -> list[Slice]:
         """The swin_size slices that show at `frame`, oldest first."""
         if not 0 <= frame < self.num_frames:
-            raise InvalidError(f"{self.path} has no frame {frame}; it has {self.num_frames} frames")
+            raise InvalidError(f"{self.name} has no frame {frame}; it has {self.num_frames} frames")
         if self._seeker is not None:
             self._check_layers(num_layers)
             return self._seeker.window(frame, num_layers)

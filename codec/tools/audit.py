@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 
 from codec.errors import CodecError
+from codec.storage.openstorage import Place
 from codec.stream.index import INDEX_NAME, SegmentRecord
 from codec.stream.integrity import (
     check_index_end,
@@ -15,6 +15,7 @@ from codec.stream.integrity import (
     decode_fitting_chunk,
     object_table,
 )
+from codec.stream.manifest import object_name
 from codec.stream.object import MAX_OBJECT_BYTES
 from codec.stream.poster import check_poster
 from codec.stream.reader import StreamReader, read_stream_file
@@ -70,10 +71,10 @@ class StreamSummary:
     """Only in version 2."""
 
 
-def summarise(path: Path) -> StreamSummary:
-    """The summary of the stream at `path`, from its manifest and index; in version 2 also from its
+def summarise(place: Place) -> StreamSummary:
+    """The summary of the stream at `place`, from its manifest and index; in version 2 also from its
     masks and the snapshots of frame 0. Raises a CodecError."""
-    return _summary(StreamReader(path))
+    return _summary(StreamReader(place))
 
 
 def _summary(reader: StreamReader) -> StreamSummary:
@@ -173,8 +174,8 @@ def describe(summary: StreamSummary) -> str:
     return "\n".join(lines)
 
 
-def verify_stream(path: Path) -> StreamSummary:
-    """The summary of the stream at `path`, after every byte of it was read, checked and decoded.
+def verify_stream(place: Place) -> StreamSummary:
+    """The summary of the stream at `place`, after every byte of it was read, checked and decoded.
 
     Raises a CodecError for the first thing that is wrong, in the order manifest, index, objects,
     poster. Its message and `at` name the file and the first byte in it that may be wrong, as
@@ -182,18 +183,18 @@ def verify_stream(path: Path) -> StreamSummary:
     object's table, the record or the compressed chunk whose checksum or content is wrong, or where
     a file ends too early. Of two fields that contradict each other it is the first.
     """
-    reader = StreamReader(path)
-    manifest = reader.manifest
-    index = path / INDEX_NAME
+    reader = StreamReader(place)
+    storage, manifest = reader.storage, reader.manifest
+    index = storage.stamp(INDEX_NAME)
     try:
-        check_index_end(index.stat().st_size, manifest, len(reader.records))
+        check_index_end(0 if index is None else index.size_bytes, manifest, len(reader.records))
     except CodecError as error:
-        raise error.within(index) from error
+        raise error.within(storage.place(INDEX_NAME)) from error
     if manifest.has_slots:
         verify_slots(reader)
     else:
         _verify_slices(reader)
-    check_poster(path, manifest)
+    check_poster(storage, manifest)
     return _summary(reader)
 
 
@@ -210,13 +211,13 @@ def _verify_slices(reader: StreamReader) -> None:
                 for birth, total in zip(births, totals, strict=True):
                     check_slice_size(birth, total, manifest)
             except CodecError as error:
-                raise error.within(reader.object_path(record.segment, layer)) from error
+                raise error.within(reader.object_place(record.segment, layer)) from error
 
 
 def _verify_object(reader: StreamReader, record: SegmentRecord, layer: int) -> list[int]:
     """How many Gaussians each chunk of an object has. Raises a CodecError that says the place."""
-    path = reader.object_path(record.segment, layer)
-    data = read_stream_file(path, MAX_OBJECT_BYTES)
+    place = reader.object_place(record.segment, layer)
+    data = read_stream_file(reader.storage, object_name(record.segment, layer), MAX_OBJECT_BYTES)
     damage: CodecError | None = None
     try:
         check_object_bytes(data, record, layer)
@@ -227,9 +228,9 @@ def _verify_object(reader: StreamReader, record: SegmentRecord, layer: int) -> l
     except CodecError as error:
         # What was altered is told by its table or its chunks: a hash does not say where.
         told = error if damage is None else error.reworded(f"was altered: {error}", error.at)
-        raise told.within(path) from error
+        raise told.within(place) from error
     if damage is not None:
-        raise damage.within(path)
+        raise damage.within(place)
     return counts
 
 

@@ -34,8 +34,8 @@ class Export:
     """Write what a frame shows, or a range of frames, to files that other programs read; or, with
     --static, the whole stream to a folder for plain web servers."""
 
-    stream: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="STREAM")]]
-    """Folder of the stream."""
+    stream: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="STREAM")]]
+    """Folder of the stream, or its URL in an object store, as s3://BUCKET/PATH."""
     out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
     """The file; with --frames the name of the sequence, to which each frame's number is added:
     `name.ply` gives name_0000.ply ...; with --static the folder."""

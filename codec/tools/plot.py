@@ -16,6 +16,7 @@ from codec.errors import InvalidError
 from codec.files import write_atomic
 from codec.pose import Doubles
 from codec.slots.update import ENDED, NEW, PREDICTED
+from codec.storage.openstorage import Place
 from codec.stream.index import SegmentRecord
 from codec.stream.reader import StreamReader
 
@@ -89,14 +90,14 @@ def slot_bands(reader: StreamReader) -> list[Band]:
     return [Band(name, colour, means[:, status]) for (name, colour), status in named]
 
 
-def draw_stream(stream: Path, picture: Path) -> None:
+def draw_stream(stream: Place, picture: Path) -> None:
     """Draws the bitrate of each layer, where the index knows it the PSNR, and in version 2 what
     becomes of the slots, over time, as a PNG at `picture` that appears at once and whole. Raises a
     SwingsError."""
     reader = StreamReader(stream)
     records, manifest = reader.records, reader.manifest
     if not records:
-        raise InvalidError(f"{stream} has no frames yet; there is nothing to draw")
+        raise InvalidError(f"{reader.name} has no frames yet; there is nothing to draw")
     edges_s = np.array([r.first_frame for r in records] + [reader.num_frames]) / manifest.fps
     psnrs_db = np.array([record.psnr_db for record in records], np.float64)
     scored = not np.isnan(psnrs_db).all()
@@ -121,7 +122,7 @@ def draw_stream(stream: Path, picture: Path) -> None:
         for side in ("top", "right"):
             axes.spines[side].set_visible(False)
     # A title is anybody's text: nothing in it is mathematics.
-    title = " ".join((manifest.title or stream.resolve().name).split())[:MAX_TITLE_CHARS]
+    title = " ".join((manifest.title or reader.storage.last_name).split())[:MAX_TITLE_CHARS]
     figure.suptitle(
         f"{title}: {reader.num_frames} frames, {manifest.num_gs} Gaussians, "
         f"profile {manifest.profile}",

@@ -11,7 +11,7 @@ from codec.slots.slotstate import ESCAPED, ON_LATTICE, Slots, holds
 from codec.slots.snapshot import Snapshot, decode_snapshot
 from codec.stream.index import SegmentRecord
 from codec.stream.integrity import CheckedObject, check_object_bytes, object_table
-from codec.stream.manifest import MASKS, Part, snapshot_part
+from codec.stream.manifest import MASKS, Part, object_name, snapshot_part
 from codec.stream.object import MAX_OBJECT_BYTES
 from codec.stream.reader import StreamReader, read_stream_file
 from codec.stream.seeker import join, roll
@@ -44,8 +44,8 @@ def verify_slots(reader: StreamReader) -> None:
 def _whole_object(reader: StreamReader, record: SegmentRecord, part: Part) -> CheckedObject:
     """The object of `part`, whose packets all inflate."""
     manifest = reader.manifest
-    path = reader.object_path(record.segment, part)
-    data = read_stream_file(path, MAX_OBJECT_BYTES)
+    place = reader.object_place(record.segment, part)
+    data = read_stream_file(reader.storage, object_name(record.segment, part), MAX_OBJECT_BYTES)
     damage: CodecError | None = None
     try:
         check_object_bytes(data, record, manifest.part_number(part))
@@ -55,19 +55,19 @@ def _whole_object(reader: StreamReader, record: SegmentRecord, part: Part) -> Ch
         entries = object_table(data, manifest, record, part)
     except CodecError as error:
         # What was altered is told by its table or its packets: a hash does not say where.
-        raise _told(error, damage).within(path) from error
+        raise _told(error, damage).within(place) from error
     births = manifest.part_births(record.segment, record.num_frames, part)
-    made = CheckedObject(str(path), data, entries, manifest, part, births)
+    made = CheckedObject(place, data, entries, manifest, part, births)
     try:
         for entry in entries:
             made.content(entry.birth)
     except CodecError as error:
         if damage is None:
             raise
-        message = str(error).removeprefix(f"{path}: ")
-        raise error.reworded(f"{path}: was altered: {message}", error.at) from error
+        message = str(error).removeprefix(f"{place}: ")
+        raise error.reworded(f"{place}: was altered: {message}", error.at) from error
     if damage is not None:
-        raise damage.within(path)
+        raise damage.within(place)
     return made
 
 

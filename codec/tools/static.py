@@ -15,6 +15,7 @@ from codec.errors import InvalidError
 from codec.files import temporary_beside, write_atomic
 from codec.slots.slotchange import encoded_elsewhere as slots_encoded_elsewhere
 from codec.slots.slotchunk import Kind
+from codec.storage.openstorage import Place
 from codec.stream.chunk import encoded_elsewhere
 from codec.stream.index import INDEX_NAME, SegmentRecord, pack_record
 from codec.stream.integrity import CheckedObject, fitting_slice
@@ -38,7 +39,7 @@ class StaticExport:
     """The same of the exported one."""
 
 
-def export_static(stream: Path, out: Path) -> StaticExport:
+def export_static(stream: Place, out: Path) -> StaticExport:
     """Writes the stream at `stream` to the folder `out`, absent or empty, coded with gzip.
 
     Every chunk is decoded and checked on the way, and its values stay as they are. A live stream is
@@ -50,7 +51,7 @@ def export_static(stream: Path, out: Path) -> StaticExport:
     temporary = temporary_beside(out)
     reader = StreamReader(stream)
     if not reader.records:
-        raise InvalidError(f"{stream} has no frames yet; there is nothing to export")
+        raise InvalidError(f"{reader.name} has no frames yet; there is nothing to export")
     out.parent.mkdir(parents=True, exist_ok=True)
     if temporary.exists():
         shutil.rmtree(temporary)  # of an export that was killed
@@ -128,7 +129,7 @@ def _recoded(source: CheckedObject, birth: int) -> bytes:
 
 def _copy_poster(reader: StreamReader, folder: Path) -> None:
     """Takes the picture along, if it lies in the stream's folder."""
-    content = read_poster(reader.path, reader.manifest)
+    content = read_poster(reader.storage, reader.manifest)
     if content is not None and reader.manifest.poster is not None:
         copy = folder / reader.manifest.poster
         copy.parent.mkdir(parents=True, exist_ok=True)

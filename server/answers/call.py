@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 from urllib.parse import unquote
 
-from server.errors import RequestError
+from server.http.errors import RequestError
 from server.http.request import Request
 from server.http.response import AnyResponse
 from server.library import ServedStream
-from server.state import ServerState
+from server.state.serverstate import ServerState
 
 Answer = AnyResponse | Coroutine[Any, Any, AnyResponse]
 """What a handler gives: a response, or a coroutine that ends with one."""

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from codec.errors import InvalidError
 from server.abr.standing import RATE_HEADER, Standing
-from server.errors import RequestError
+from server.http.errors import RequestError
 from server.http.response import Response
-from server.register import NewsOutcome
+from server.state.register import NewsOutcome
 
 from .call import Call
 

@@ -7,8 +7,8 @@ import hashlib
 
 from codec.stream.manifest import Part
 from codec.stream.poster import picture_type
-from server.errors import RequestError
 from server.http.content import IMMUTABLE, REVALIDATE, Content, respond
+from server.http.errors import RequestError
 from server.http.response import Response
 from server.library import ServedStream
 

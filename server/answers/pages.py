@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from server.errors import RequestError
 from server.html import htmlpage, webplayer
 from server.html.gallery import Card, front_page, missing_page
+from server.http.errors import RequestError
 from server.http.response import Response, json_response
 from server.library import ServedStream
-from server.metrics import CONTENT_TYPE
+from server.state.metrics import CONTENT_TYPE
 
 from .call import Call
 

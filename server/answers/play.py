@@ -32,13 +32,13 @@ from server.abr.session import (
     WaitUntil,
 )
 from server.abr.standing import PLAY_HEADER, Standing
-from server.errors import RequestError
 from server.http.bodywriter import BodyWriter
 from server.http.content import accepted_codings
+from server.http.errors import RequestError
 from server.http.response import StreamedResponse
 from server.http.tcpinfo import TcpInfo
 from server.library import ServedStream
-from server.recordcache import CodedRecord
+from server.state.recordcache import CodedRecord
 
 from .call import Call
 from .playquery import PlayQuery, parse_query

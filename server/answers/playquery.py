@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from server.errors import RequestError
+from server.http.errors import RequestError
 
 MAX_FRAME = 2**31 - 1
 

@@ -15,8 +15,7 @@ from dataclasses import replace
 from http import HTTPStatus
 from typing import Any, Final
 
-from server.errors import RequestError
-
+from .errors import RequestError
 from .outlet import PIECE_BYTES, Outlet
 from .request import HEAD_END, MAX_HEAD_BYTES, HeadParser, Request
 from .response import (

@@ -9,9 +9,8 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from server.errors import RequestError
-
 from .byterange import ByteRange, Unsatisfiable, parse_range
+from .errors import RequestError
 from .request import Request
 from .response import Response
 

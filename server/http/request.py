@@ -10,7 +10,7 @@ import re
 from dataclasses import dataclass
 from typing import Final
 
-from server.errors import RequestError
+from .errors import RequestError
 
 MAX_LINE_BYTES: Final = 8 * 1024
 MAX_HEAD_BYTES: Final = 16 * 1024

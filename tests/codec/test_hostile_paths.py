@@ -18,12 +18,14 @@ from codec.errors import CodecError, SwingsError
 from codec.framerange import FrameRange
 from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat
+from codec.storage.folder import FolderStorage
 from codec.stream import StreamWriter
 from codec.stream.reader import StreamReader
 from codec.tools.audit import verify_stream
 from player.source.fetch import Fetcher, FetchError
 from player.source.locate import open_source
 from server.library import Library, ServedStream
+from server.library.streamview import view_of
 from tests.support.delivery.assembled import assembled
 from tests.support.tiny_stream import tiny_slice, write_tiny
 
@@ -53,6 +55,11 @@ def play(path: Path) -> None:
         source.close()
 
 
+def read_served(path: Path) -> None:
+    manifest_json, index = (path / "manifest.json").read_bytes(), (path / "index.bin").read_bytes()
+    ServedStream("x", FolderStorage(path), view_of(manifest_json, index)).read_object(0, 0)
+
+
 READERS: dict[str, Callable[[Path], object]] = {
     "verify": verify_stream,
     "reader": lambda path: StreamReader(path).slice(0, 1),
@@ -60,7 +67,7 @@ READERS: dict[str, Callable[[Path], object]] = {
         path, path.parent / "out.ply", 0, None, SplatFormat.PLY, None
     ),
     "player": play,
-    "server": lambda path: ServedStream(path).read_object(0, 0),
+    "server": read_served,
 }
 
 
@@ -89,8 +96,9 @@ def test_the_name_of_a_stream_is_looked_up_and_never_joined(tmp_path: Path, name
     write_tiny(tmp_path / "root" / "served", 4)
     write_tiny(tmp_path / "stream", 4)
     library = Library(tmp_path / "root", 0.0)
-    assert asyncio.run(library.find(name, 1e9)) is None
-    assert asyncio.run(library.find("served", 2e9)) is not None
+    asyncio.run(library.look())
+    assert library.find(name) is None
+    assert library.find("served") is not None
 
 
 @pytest.mark.parametrize("via", [None, ("127.0.0.1", 9)])

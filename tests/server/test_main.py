@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import signal
 import socket
@@ -81,12 +82,28 @@ def test_sigint_ends_a_play_at_a_slice_boundary(tmp_path: Path) -> None:
         assert (process.returncode, err) == (0, "")
 
 
-def test_mistakes_are_one_clear_line(tmp_path: Path) -> None:
-    good = make_stream(tmp_path / "good", 3)
-    empty = tmp_path / "empty"
-    empty.mkdir()
+def test_a_broken_stream_is_named_and_the_others_are_served(tmp_path: Path) -> None:
+    make_stream(tmp_path / "good", 3)
     bad = make_stream(tmp_path / "bad", 3)
     (bad / "manifest.json").write_text("{")
+    with serving(str(tmp_path), "--port", "0") as (process, url):
+        with urllib.request.urlopen(f"{url}/v1/streams", timeout=10) as response:
+            listed = json.load(response)
+        assert process.stdout is not None
+        assert process.stdout.readline() == "good\n"
+        process.send_signal(signal.SIGTERM)
+        out, err = process.communicate(timeout=20)
+    assert [one["name"] for one in listed["streams"]] == ["good"]
+    assert [one["name"] for one in listed["broken"]] == ["bad"]
+    assert listed["broken"][0]["reason"].startswith("manifest.json: ")
+    assert str(tmp_path) not in json.dumps(listed)
+    assert out == ""
+    assert err.count("\n") == 1
+    assert f"{bad} is not served: manifest.json: " in err
+
+
+def test_mistakes_are_one_clear_line(tmp_path: Path) -> None:
+    good = make_stream(tmp_path / "good", 3)
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -94,8 +111,8 @@ def test_mistakes_are_one_clear_line(tmp_path: Path) -> None:
         cases = [
             ([str(tmp_path / "absent")], "is not a folder"),
             ([str(good / "manifest.json")], "is not a folder"),
-            ([str(empty)], "holds no stream"),
-            ([str(bad)], "manifest.json"),
+            (["s3://"], "s3://"),
+            (["ftp://host/streams"], "folders, or from s3://"),
             ([str(good), "--port", port], f"port {port}"),
             ([str(good), "--port", "70000"], "70000"),
             ([str(good), "--host", "no.such.host.invalid"], "no.such.host.invalid"),

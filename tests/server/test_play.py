@@ -26,7 +26,7 @@ from codec.stream.playrecord import (
     StartRecord,
 )
 from server.answers.playquery import parse_query
-from server.errors import RequestError
+from server.http.errors import RequestError
 from server.listener import UNSENT_BYTES
 from tests.support.running_server import (
     SEGMENT_FRAMES,

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import aiohttp
 import pytest
-import server.answers.play
 
+import server.answers.play
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import MASKS, Part, snapshot_part
 from codec.stream.playrecord import (

@@ -19,11 +19,11 @@ from codec.stream import StreamWriter
 from codec.stream.manifest import Manifest
 from codec.stream.playrecord import Record, RecordParser, SliceRecord
 from server.abr.session import SessionConfig
-from server.config import ServerConfig
 from server.http.site import PatienceConfig
 from server.library import Library
 from server.listener import RunningServer, bind
-from server.state import ServerState
+from server.state.config import ServerConfig
+from server.state.serverstate import ServerState
 
 SWIN_SIZE = 4
 SEGMENT_FRAMES = 5

@@ -45,7 +45,7 @@ def slices_by_contribution(reader: StreamReader, views: Sequence[View]) -> Itera
     """
     manifest = reader.manifest
     if reader.num_frames == 0:
-        raise InvalidError(f"{reader.path}: the stream has no finished segment yet")
+        raise InvalidError(f"{reader.name}: the stream has no finished segment yet")
     sums: dict[int, Doubles] = {}
     window: list[Slice] = []
     for frame in range(reader.num_frames):

@@ -13,14 +13,13 @@ import sys
 import time
 from typing import NamedTuple
 
-from server.http.tcpinfo import unacked_bytes
-
 from server.abr.media import SegmentSizes
 from server.abr.outlook import SendSlices, SendSnapshots
 from server.abr.policies.choice import own_policy
 from server.abr.session import PlaySession, SessionConfig
 from server.abr.simulate.simulator import send_bytes
-from server.config import ServerConfig
+from server.http.tcpinfo import unacked_bytes
+from server.state.config import ServerConfig
 from tests.support.delivery.media import MadeMedia
 
 FPS = 30

@@ -10,11 +10,11 @@ from functools import partial
 from codec.stream.integrity import CheckedObject
 from codec.stream.manifest import Part
 from codec.stream.plainrecord import ZSTD, inflates_whole
+from server.http.content import IMMUTABLE, Content, respond
+from server.http.request import Request
+from server.http.response import Response, whole_fields
+from server.library import ServedStream
 
-from .http.content import IMMUTABLE, Content, respond
-from .http.request import Request
-from .http.response import Response, whole_fields
-from .library import ServedStream
 from .metrics import Metrics
 
 Key = tuple[int, int, Part]

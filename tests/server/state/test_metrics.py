@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from server.metrics import CounterFamily, GaugeFamily, Metrics
+from server.state.metrics import CounterFamily, GaugeFamily, Metrics
 
 
 def test_a_family_is_written_sorted_with_its_labels() -> None:

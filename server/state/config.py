@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 
 from codec.errors import InvalidError
 from server.abr.session import SessionConfig
-
-from .http.site import PatienceConfig
+from server.http.site import PatienceConfig
 
 
 @dataclass(frozen=True, slots=True)

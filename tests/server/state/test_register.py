@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from server.abr.standing import Standing
-from server.register import NewsOutcome, PlayRegister
+from server.state.register import NewsOutcome, PlayRegister
 
 
 def register(max_ended: int = 3, keep_s: float = 60.0) -> PlayRegister:

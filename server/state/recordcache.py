@@ -10,9 +10,9 @@ from codec.stream.manifest import MASKS, Part, snapshot_part
 from codec.stream.plainrecord import PlainRecordEncoder
 from codec.stream.playrecord import SliceRecord, SnapshotRecord, encode_record
 from server.abr.outlook import SendSlices
+from server.library import ServedStream
 
-from .cache import ObjectCache
-from .library import ServedStream
+from .objectcache import ObjectCache
 
 Key = tuple[int, int, int, int, str | None]
 """Generation of the stream, birth, first and end layer, coding."""

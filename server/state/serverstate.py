@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 from dataclasses import dataclass, field
 
-from .cache import ObjectCache
+from server.html.webplayer import WebPlayer
+from server.library import Library
+
 from .config import ServerConfig
-from .html.webplayer import WebPlayer
-from .library import Library
 from .metrics import Metrics
+from .objectcache import ObjectCache
 from .recordcache import RecordCache
 from .register import PlayRegister
 

@@ -1,0 +1,136 @@
+"""Streams in a folder of this machine.
+
+Rule: what is opened lies below the folder when all links are followed, and is a regular file.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from codec.errors import CorruptError, UnreadableError
+from codec.files import read_bounded
+
+from .storage import Stamp
+
+_MISSING = (FileNotFoundError, NotADirectoryError)
+
+_STEP = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
+
+
+class FolderStorage:
+    """A folder, which need not be there yet, and whose name may come to stand for another one."""
+
+    def __init__(self, folder: Path, root: Path | None = None) -> None:
+        """root: the folder that links may not lead out of on the way to this one; by default it
+        may be anywhere."""
+        self._folder = folder
+        self._root = folder if root is None else root
+
+    @property
+    def name(self) -> str:
+        return str(self._folder)
+
+    @property
+    def last_name(self) -> str:
+        return self._folder.resolve().name
+
+    def place(self, path: str) -> str:
+        return str(self._folder / path)
+
+    def check(self) -> None:
+        if not self._folder.is_dir():
+            raise CorruptError(f"{self._folder} is not a folder; name the folder of a stream")
+
+    def below(self, folder: str) -> FolderStorage:
+        return FolderStorage(self._folder / folder, self._root)
+
+    def read(
+        self, path: str, limit_bytes: int, offset: int = 0, *, if_missing: str | None = None
+    ) -> bytes:
+        return read_bounded(
+            self._folder / path, limit_bytes, offset, if_missing=if_missing, opener=self._open
+        )
+
+    def stamp(self, path: str) -> Stamp | None:
+        try:
+            found = os.stat(self._folder / path)
+        except _MISSING:
+            return None
+        except OSError as error:  # something is there; who reads it will say what is wrong
+            return Stamp(0, (error.errno or 0,))
+        return Stamp(
+            found.st_size,
+            (found.st_dev, found.st_ino, found.st_mode, found.st_mtime_ns, found.st_ctime_ns),
+        )
+
+    def holds(self, path: str) -> bool:
+        try:
+            return stat.S_ISREG(os.stat(self._resolved(self._folder / path)[1]).st_mode)
+        except (OSError, CorruptError):
+            return False
+
+    def folders(self, files: Sequence[str]) -> dict[str, tuple[Stamp | None, ...]]:
+        try:
+            names = [name for name in os.listdir(self._folder) if not name.startswith(".")]
+        except OSError as error:
+            raise self._unlisted("", error) from error
+        found = {}
+        for name in names:
+            first = self.stamp(f"{name}/{files[0]}")
+            if first is not None:
+                found[name] = (first, *(self.stamp(f"{name}/{file}") for file in files[1:]))
+        return found
+
+    def sizes(self, folder: str) -> Iterator[tuple[str, int]]:
+        for middle, _ in self._entries(folder):
+            for path, size_bytes in self._entries(middle):
+                if size_bytes is not None:
+                    yield path, size_bytes
+
+    def _entries(self, folder: str) -> list[tuple[str, int | None]]:
+        """The paths of what is in the folder at `folder`, and the sizes of the regular files; none
+        if it is not a folder that may be looked into."""
+        found = []
+        try:
+            with os.scandir(self._resolved(self._folder / folder)[1]) as entries:
+                for entry in entries:
+                    path = f"{folder}/{entry.name}"
+                    is_file = self.holds(path) if entry.is_symlink() else entry.is_file()
+                    found.append((path, entry.stat().st_size if is_file else None))
+        except (*_MISSING, CorruptError):
+            return []
+        except OSError as error:
+            raise self._unlisted(folder, error) from error
+        return found
+
+    def _unlisted(self, folder: str, error: OSError) -> UnreadableError:
+        return UnreadableError(f"{self.place(folder)} cannot be listed: {error.strerror}")
+
+    def _resolved(self, path: Path) -> tuple[str, str]:
+        """The root, and `path`, with all links followed. Raises CorruptError for a path that leads
+        out of the root, or of this folder."""
+        root, folder, real = map(os.path.realpath, (self._root, self._folder, path))
+        if not (_is_below(folder, root) and _is_below(real, folder)):
+            raise CorruptError(f"{path} cannot be read: a link leads out of its folder")
+        return root, real
+
+    def _open(self, path: str, flags: int) -> int:
+        """An `Opener`. A link that comes after the look at the path is not followed."""
+        root, real = self._resolved(Path(path))
+        *folders, name = os.path.relpath(real, root).split(os.sep)
+        at = os.open(root, _STEP & ~os.O_NOFOLLOW)
+        try:
+            for folder in folders:
+                below = os.open(folder, _STEP, dir_fd=at)
+                os.close(at)
+                at = below
+            return os.open(name, flags | os.O_NONBLOCK | os.O_NOFOLLOW, dir_fd=at)
+        finally:
+            os.close(at)
+
+
+def _is_below(path: str, folder: str) -> bool:
+    return path == folder or path.startswith(folder.rstrip(os.sep) + os.sep)

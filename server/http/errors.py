@@ -1,0 +1,10 @@
+"""What is wrong with a request, as an answer to its client."""
+
+
+class RequestError(Exception):
+    """A request that gets an error status and one line that says why."""
+
+    def __init__(self, status: int, message: str, headers: dict[str, str] | None = None) -> None:
+        super().__init__(message)
+        self.status = status
+        self.headers = headers or {}

@@ -1,0 +1,178 @@
+"""What the library knows under one name: a stream that can be served, or why there is none.
+
+Rule: while its files keep their stamps they are not read again.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Awaitable, Callable
+
+from codec.errors import CodecError, CorruptError, UnreadableError
+from codec.storage.storage import Stamp, Storage
+from codec.stream.index import INDEX_NAME
+from codec.stream.integrity import MAX_INDEX_BYTES
+from codec.stream.manifest import MANIFEST_NAME, MAX_MANIFEST_BYTES
+from codec.stream.reader import read_stream_file
+
+from .objectcensus import LackingObject, first_lacking
+from .servedstream import ServedStream
+from .streamview import continued, index_of, is_continued, view_of
+
+log = logging.getLogger(__name__)
+
+FILES = (MANIFEST_NAME, INDEX_NAME)
+"""Whose stamps tell whether a stream has changed; a folder with the first of them is a stream."""
+
+RETRY_S = 5.0
+"""Seconds after which what could not be read is read again, though it looks the same."""
+
+MAX_REASON_CHARS = 300
+
+UNREADABLE = "it cannot be read where it lies; the log of the server says why"
+BUG = "the server has a bug; its log says more"
+
+Stamps = tuple[Stamp | None, ...]
+
+
+def one_line(text: str) -> str:
+    """`text` without what a terminal or a log would take for more than a line of letters."""
+    shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text[:MAX_REASON_CHARS])
+    return shown + ("..." if len(text) > MAX_REASON_CHARS else "")
+
+
+class Entry:
+    """One name. Its methods block."""
+
+    def __init__(
+        self,
+        name: str,
+        storage: Storage,
+        look: Callable[[], Awaitable[None]],
+        live_poll_s: float,
+    ) -> None:
+        """look: looks at this one again; for those who wait for growth."""
+        self.stream: ServedStream | None = None
+        self.reason = ""
+        """Why there is no stream, in a line without the paths of this machine."""
+        self._name = name
+        self._storage = storage
+        self._open_arguments = look, live_poll_s
+        self._lock = threading.Lock()
+        self._stamps: Stamps | None = None
+        self._lacking: LackingObject | None = None
+        self._retry_s: float | None = None  # when, on the monotonic clock
+        self._said: object = None
+
+    def refuse(self, reason: str) -> None:
+        """Says that nothing is served under this name, whatever its files hold."""
+        self._drop(reason, reason)
+
+    def peek(self) -> bool:
+        """Looks at the files on its own; gives whether `stream` or its view is another now."""
+        if not self._lock.acquire(blocking=False):
+            return False  # somebody looks
+        try:
+            stamps = tuple(self._storage.stamp(path) for path in FILES)
+            # What comes and goes, and what is wrong with the whole place, is told to all at once.
+            return stamps[0] is not None and self._look(stamps)
+        except UnreadableError:
+            return False
+        finally:
+            self._lock.release()
+
+    def look(self, stamps: Stamps) -> None:
+        """Takes in what has changed; `stamps` were taken of FILES just now."""
+        with self._lock:
+            self._look(stamps)
+
+    def _look(self, stamps: Stamps) -> bool:
+        before = (self.stream, None if self.stream is None else self.stream.view)
+        try:
+            if stamps == self._stamps and not self._is_due():
+                return False
+            self._stamps, self._lacking, self._retry_s = stamps, None, None
+            self._take()
+        except UnreadableError as error:
+            self._retry_s = time.monotonic() + RETRY_S
+            if self.stream is None:
+                self._drop(UNREADABLE, str(error))
+            else:
+                self._say(logging.WARNING, "stays as it was known", str(error), UNREADABLE)
+        except CodecError as error:
+            reason = str(error).removeprefix(f"{self._storage.name}/")
+            self._drop(reason, reason)
+        except Exception:
+            # One stream that nobody foresaw must not keep the others from being followed.
+            if self.reason != BUG:
+                log.exception("%s is not served", one_line(self._storage.name))
+            self.stream, self.reason = None, BUG
+        return before != (self.stream, None if self.stream is None else self.stream.view)
+
+    def _is_due(self) -> bool:
+        """Whether it is worth reading though the files look the same."""
+        if self._retry_s is not None and time.monotonic() >= self._retry_s:
+            return True
+        return self._lacking is not None and self._lacking.has_come(self._storage)
+
+    def _take(self) -> None:
+        """Reads the files, and makes of them what they are."""
+        manifest_json = read_stream_file(self._storage, MANIFEST_NAME, MAX_MANIFEST_BYTES)
+        # After the manifest: one that says finished then goes with a whole index.
+        index = read_stream_file(self._storage, INDEX_NAME, MAX_INDEX_BYTES)
+        if self._stamps is None or self._storage.stamp(MANIFEST_NAME) != self._stamps[0]:
+            self._stamps = None  # replaced meanwhile: the two may not belong together
+            return
+        if self.stream is not None and is_continued(self.stream.view, manifest_json, index):
+            self._grow(self.stream, manifest_json, index)
+        else:
+            self._open(manifest_json, index)
+
+    def _open(self, manifest_json: bytes, index: bytes) -> None:
+        view = view_of(manifest_json, index)
+        self._lacking = first_lacking(self._storage, view)
+        if self._lacking is not None:
+            if not view.manifest.live:
+                raise CorruptError(f"{self._lacking}; is it half copied?")
+            view = view_of(manifest_json, index_of(view, self._lacking.segment))
+        known = self.stream is not None
+        self.stream = ServedStream(self._name, self._storage, view, *self._open_arguments)
+        self.reason = ""
+        what = "was replaced" if known else "is served"
+        self._say(logging.INFO, what, f"{view.num_frames} frames{', live' * view.manifest.live}")
+
+    def _grow(self, stream: ServedStream, manifest_json: bytes, index: bytes) -> None:
+        before = stream.view
+        try:
+            view = continued(before, manifest_json, index)
+        except CodecError as error:
+            # What was there before it broke can still be served.
+            self._say(logging.WARNING, "grows no more", str(error))
+            return
+        self._lacking = first_lacking(self._storage, view, before.num_segments)
+        if self._lacking is not None:
+            there = index_of(view, self._lacking.segment)
+            view = continued(before, before.manifest_json, there)
+        stream.view = view
+        if before.manifest.live and not view.manifest.live:
+            self._say(logging.INFO, "is finished", f"{view.num_frames} frames")
+
+    def _drop(self, reason: str, told: str) -> None:
+        """There is no stream now. told: the reason for the log."""
+        self.stream, self.reason = None, one_line(reason)
+        self._say(logging.WARNING, "is not served", told, reason)
+
+    def leave(self) -> None:
+        """Says that there is nothing under this name any more."""
+        self._say(logging.INFO, "is gone", "")
+
+    def _say(self, level: int, what: str, more: str, same: object = None) -> None:
+        """A line in the log, but not the one that was said last. same: what to know it by, if
+        `more` is another each time."""
+        key = (what, same or more)
+        if key != self._said:
+            self._said = key
+            place, end = one_line(self._storage.name), f": {one_line(more)}" if more else ""
+            log.log(level, "%s %s%s", place, what, end)

@@ -1,0 +1,135 @@
+"""The streams that are served: a table of names, never a way from a URL to a file.
+
+Rule: a request finds a stream by its name in the table and an object by its place in the index. No
+request looks at the disk for what may be new: `watch` does, for all.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import re
+import threading
+from functools import partial
+from pathlib import Path
+
+from codec.errors import SwingsError
+from codec.storage.openstorage import open_storage
+
+from .entry import FILES, Entry, Stamps, one_line
+from .growth import LIVE_POLL_S
+from .servedstream import ServedStream
+
+log = logging.getLogger(__name__)
+
+STREAM_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
+"""What a stream may be called: it needs no quoting in a URL, a metric or a page."""
+
+MISNAMED = "a stream's folder is called by letters, digits, '.', '_' and '-'; rename it"
+
+
+class Library:
+    """The streams below a root that is a stream itself, or a folder of streams.
+
+    Which of the two it is, the first stream that is found there decides. Raises a SwingsError at
+    construction if there is no such root.
+    """
+
+    def __init__(
+        self, root: Path | str, refresh_s: float, live_poll_s: float = LIVE_POLL_S
+    ) -> None:
+        self.streams: dict[str, ServedStream] = {}
+        """What can be served."""
+        self.broken: dict[str, str] = {}
+        """Of what cannot: why, in a line without the paths of this machine."""
+        self._storage = open_storage(root)
+        self._refresh_s = refresh_s
+        self._live_poll_s = live_poll_s
+        self._single: bool | None = None
+        self._entries: dict[str, Entry] = {}
+        self._scanning = threading.Lock()  # a thread outlives the task that waits for it
+        self._looking = asyncio.Lock()
+        self._in_trouble = False
+        self._storage.check()
+        self._scan()
+        self._apply()
+
+    def find(self, name: str) -> ServedStream | None:
+        """The stream called `name`, as it was at the last look; None where there is none."""
+        return self.streams.get(name)
+
+    async def watch(self) -> None:
+        """Looks at the root every refresh_s, until it is cancelled."""
+        while True:
+            try:
+                await self.look()
+            except Exception:
+                log.exception("looking at %s failed", one_line(self._storage.name))
+            await asyncio.sleep(self._refresh_s)
+
+    async def look(self) -> None:
+        """Looks at the root now. What is served stays as it is where the root cannot be read."""
+        async with self._looking:
+            try:
+                await asyncio.to_thread(self._scan)
+            except (SwingsError, OSError) as error:
+                if not self._in_trouble:
+                    log.warning("what is served stays as it is: %s", one_line(str(error)))
+                self._in_trouble = True
+                return
+            if self._in_trouble:
+                log.warning("%s can be read again", one_line(self._storage.name))
+            self._in_trouble = False
+            self._apply()
+
+    def _scan(self) -> None:
+        """Brings the entries up to date. Blocks. Raises SwingsError if the root cannot be read."""
+        with self._scanning:
+            found = self._found()
+            for name in self._entries.keys() - found.keys():
+                self._entries.pop(name).leave()
+            for name in sorted(found):
+                entry = self._entries.get(name)
+                if entry is None:
+                    storage = self._storage if self._single else self._storage.below(name)
+                    peek = partial(self._peek, name)
+                    entry = self._entries[name] = Entry(name, storage, peek, self._live_poll_s)
+                if STREAM_NAME.fullmatch(name):
+                    entry.look(found[name])
+                else:
+                    entry.refuse(MISNAMED)
+
+    def _found(self) -> dict[str, Stamps]:
+        """The stamps of all that has a manifest."""
+        if self._single is not False:
+            stamps = tuple(self._storage.stamp(path) for path in FILES)
+            if stamps[0] is not None:
+                self._single = True
+                return {self._storage.last_name: stamps}
+        found = self._storage.folders(FILES)  # raises where the root itself is gone
+        if self._single:
+            return {}
+        if found:
+            self._single = False
+        return found
+
+    async def _peek(self, name: str) -> None:
+        """Looks at one stream, for those who wait for it to grow."""
+        entry = self._entries.get(name)
+        if entry is not None and await asyncio.to_thread(entry.peek):
+            self._apply()
+
+    def _apply(self) -> None:
+        """Puts on the table what the last look has found, and tells who waits for it."""
+        before, streams, broken = self.streams, {}, {}
+        for name, entry in list(self._entries.items()):
+            if entry.stream is not None:
+                streams[name] = entry.stream
+            elif entry.reason:
+                broken[one_line(name)[:80]] = entry.reason
+        self.streams, self.broken = streams, broken
+        for name, stream in before.items():
+            if streams.get(name) is not stream:
+                stream.announce(gone=True)
+        for stream in streams.values():
+            stream.announce()

@@ -1,0 +1,133 @@
+"""One stream that is served, from the moment that it was found until it is gone or another."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from itertools import count
+
+from codec.storage.storage import Storage
+from codec.stream.integrity import CheckedObject
+from codec.stream.manifest import Part, object_name
+from codec.stream.poster import read_poster
+from codec.stream.reader import read_stream_file
+from server.abr.media import SegmentSizes, segment_sizes
+
+from .growth import LIVE_POLL_S, Growth
+from .streamview import StreamView
+
+_generations = count(1)
+
+
+async def _nobody_looks() -> None:
+    pass
+
+
+class ServedStream:
+    """A stream of the library; also the `Media` of a session.
+
+    It only grows. Where another stream takes its place, that is another object, and this one is
+    `gone`.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        storage: Storage,
+        view: StreamView,
+        look: Callable[[], Awaitable[None]] = _nobody_looks,
+        live_poll_s: float = LIVE_POLL_S,
+    ) -> None:
+        """look: looks at the files of this one, and calls `announce`."""
+        self.name = name
+        self.generation = next(_generations)
+        """No other object of this process has the same."""
+        self.view = view
+        self.gone = False
+        """Whether it is served no more; what was read of it is still right."""
+        self._storage = storage
+        self._sizes: dict[int, SegmentSizes] = {}
+        self._growth = Growth(look, live_poll_s)
+        self._announced = view
+
+    def announce(self, gone: bool = False) -> None:
+        """Wakes those who wait for growth if there is news for them; on the event loop."""
+        if gone or self._announced is not self.view:
+            self.gone = self.gone or gone
+            self._announced = self.view
+            self._growth.wake()
+
+    async def wait_for_growth(self, num_segments: int, timeout_s: float) -> None:
+        """Returns when the stream has more than `num_segments`, when it is not live any more, when
+        it is gone, or after `timeout_s`."""
+
+        def is_over() -> bool:
+            return self.gone or not self.live or self.view.num_segments > num_segments
+
+        if not is_over():
+            await self._growth.wait(is_over, timeout_s)
+
+    @property
+    def fps(self) -> float:
+        return self.view.manifest.fps
+
+    @property
+    def swin_size(self) -> int:
+        return self.view.manifest.swin_size
+
+    @property
+    def segment_frames(self) -> int:
+        return self.view.manifest.segment_frames
+
+    @property
+    def num_frames(self) -> int:
+        return self.view.num_frames
+
+    @property
+    def live(self) -> bool:
+        return self.view.manifest.live
+
+    @property
+    def has_slots(self) -> bool:
+        return self.view.manifest.has_slots
+
+    @property
+    def num_layers(self) -> int:
+        return self.view.manifest.num_layers
+
+    def has_object(self, segment: int, part: Part) -> bool:
+        view = self.view
+        return 0 <= segment < view.num_segments and part in view.manifest.parts
+
+    def object_bytes(self, segment: int, part: Part) -> int:
+        view = self.view
+        return view.records[segment].part_bytes[view.manifest.part_number(part)]
+
+    def object_sha256(self, segment: int, part: Part) -> str:
+        view = self.view
+        return view.records[segment].part_sha256[view.manifest.part_number(part)].hex()
+
+    def births(self, segment: int) -> range:
+        """The births of the slices in `segment`."""
+        view = self.view
+        return view.manifest.births(segment, view.records[segment].num_frames)
+
+    def sizes(self, birth: int) -> SegmentSizes:
+        """What the index says of the segment of `birth`."""
+        view = self.view
+        segment = view.manifest.segment_of(birth)
+        found = self._sizes.get(segment)
+        if found is None:
+            found = segment_sizes(view.records[segment], view.manifest)
+            self._sizes[segment] = found
+        return found
+
+    def read_object(self, segment: int, part: Part) -> CheckedObject:
+        """The object, checked against the index. Blocks. Raises a CodecError that names it."""
+        view, path = self.view, object_name(segment, part)
+        data = read_stream_file(self._storage, path, self.object_bytes(segment, part))
+        place = self._storage.place(path)
+        return CheckedObject.check(place, data, view.manifest, view.records[segment], part)
+
+    def read_poster(self) -> bytes | None:
+        """The stream's poster; None while there is none. Blocks."""
+        return read_poster(self._storage, self.view.manifest)

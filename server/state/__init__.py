@@ -1,0 +1,1 @@
+"""What all requests to one running server share: streams, memory, plays, settings, figures."""

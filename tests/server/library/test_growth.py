@@ -1,0 +1,158 @@
+"""Waiting for a live stream: at once when it grows, bounded when it does not, cheap for many."""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+import sys
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+
+import pytest
+
+from codec.stream import StreamWriter
+from server.library import Library
+from server.library.growth import Growth
+from tests.support.running_server import (
+    SEGMENT_FRAMES,
+    births_of,
+    make_stream,
+    random_slice,
+    small_manifest,
+)
+
+
+@asynccontextmanager
+async def seldom_watched(root: Path) -> AsyncIterator[Library]:
+    """Only those who wait make it look."""
+    library = Library(root, 3600.0)
+    watch = asyncio.create_task(library.watch())
+    await asyncio.sleep(0.05)
+    try:
+        yield library
+    finally:
+        watch.cancel()
+        with suppress(asyncio.CancelledError):
+            await watch
+
+
+def append_segment(writer: StreamWriter) -> None:
+    end = max(writer.next_birth, 0) + SEGMENT_FRAMES
+    for birth in range(writer.next_birth, end):
+        writer.append(random_slice(birth, 8))
+
+
+def test_who_waits_is_told_at_once_and_knows_the_new_view(tmp_path: Path) -> None:
+    writer = StreamWriter.create(tmp_path / "live", small_manifest())
+
+    async def check() -> None:
+        async with seldom_watched(tmp_path) as library:
+            stream = library.streams["live"]
+            for number in range(5):
+                waiters = [
+                    asyncio.create_task(stream.wait_for_growth(number, 5.0)) for _ in range(50)
+                ]
+                await asyncio.sleep(0.12)
+                assert not any(waiter.done() for waiter in waiters)
+                await asyncio.to_thread(append_segment, writer)
+                began_s = time.monotonic()
+                await asyncio.gather(*waiters)
+                late_s = time.monotonic() - began_s
+                assert stream.view.num_segments == number + 1
+                sys.stdout.write(f"50 waiters knew a segment {1e3 * late_s:.0f} ms after it came\n")
+                assert late_s < 1.0
+            waiter = asyncio.create_task(stream.wait_for_growth(5, 5.0))
+            await asyncio.sleep(0.05)
+            writer.close()
+            await asyncio.wait_for(waiter, 1.0)
+            assert not stream.live
+            # It will not grow: there is nothing to wait for.
+            await asyncio.wait_for(stream.wait_for_growth(5, 100.0), 0.5)
+
+    asyncio.run(check())
+
+
+def test_waiting_ends_in_time_and_may_be_cancelled(tmp_path: Path) -> None:
+    writer = StreamWriter.create(tmp_path / "live", small_manifest())
+
+    async def check() -> None:
+        async with seldom_watched(tmp_path) as library:
+            stream = library.streams["live"]
+            count = stream.view.num_segments
+            began_s = time.monotonic()
+            await stream.wait_for_growth(count, 0.2)
+            assert 0.19 < time.monotonic() - began_s < 1.0
+            long, short = (
+                asyncio.create_task(stream.wait_for_growth(count, seconds))
+                for seconds in (30.0, 0.1)
+            )
+            cancelled = asyncio.create_task(stream.wait_for_growth(count, 30.0))
+            await short
+            cancelled.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await cancelled
+            append_segment(writer)
+            await asyncio.wait_for(long, 1.0)
+            await asyncio.sleep(0.1)
+            # Nobody waits: nothing runs but this and the watch.
+            assert len(asyncio.all_tasks()) == 2
+
+    asyncio.run(check())
+    # The same again on another loop.
+    asyncio.run(check())
+
+
+@pytest.mark.parametrize("how", ["deleted", "replaced", "broken"])
+def test_who_waits_for_a_stream_that_goes_is_told(tmp_path: Path, how: str) -> None:
+    writer = StreamWriter.create(tmp_path / "root" / "live", small_manifest())
+    for birth in births_of(2 * SEGMENT_FRAMES):
+        writer.append(random_slice(birth, 8))
+    path = tmp_path / "root" / "live"
+    other = make_stream(tmp_path / "other", 3)
+
+    async def check() -> None:
+        library = Library(tmp_path / "root", 0.1)
+        watch = asyncio.create_task(library.watch())
+        stream = library.streams["live"]
+        waiter = asyncio.create_task(stream.wait_for_growth(2, 30.0))
+        await asyncio.sleep(0.1)
+        if how == "broken":
+            (path / "manifest.json").write_text("{")
+        else:
+            shutil.rmtree(path)
+            if how == "replaced":
+                shutil.copytree(other, path)
+        await asyncio.wait_for(waiter, 2.0)
+        assert stream.gone
+        assert library.find("live") is not stream
+        watch.cancel()
+
+    asyncio.run(check())
+
+
+def test_however_many_wait_one_looks() -> None:
+    looks = 0
+
+    async def look() -> None:
+        nonlocal looks
+        looks += 1
+
+    async def check() -> None:
+        growth, over = Growth(look, 0.02), False
+        waiters = [asyncio.create_task(growth.wait(lambda: over, 10.0)) for _ in range(1000)]
+        await asyncio.sleep(0.5)
+        assert growth.num_waiting == 1000
+        assert 5 <= looks <= 30
+        growth.wake()  # for another reason
+        await asyncio.sleep(0)
+        over = True
+        growth.wake()
+        await asyncio.wait_for(asyncio.gather(*waiters), 1.0)
+        assert growth.num_waiting == 0
+        before = looks
+        await asyncio.sleep(0.1)
+        assert looks == before
+
+    asyncio.run(check())

@@ -1,0 +1,308 @@
+"""The table of streams: what is served, under which name, and why something is not."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import re
+import shutil
+import socket
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from codec.errors import SwingsError
+from codec.stream import StreamReader, StreamWriter
+from codec.stream.index import record_bytes
+from server.library import Library
+from server.library.entry import one_line
+from tests.support.running_server import (
+    SEGMENT_FRAMES,
+    births_of,
+    make_stream,
+    random_slice,
+    small_manifest,
+)
+
+
+def look(library: Library) -> None:
+    asyncio.run(library.look())
+
+
+def said(caplog: pytest.LogCaptureFixture) -> list[str]:
+    """The lines of the log, without the folder's name before them."""
+    return [record.getMessage().rpartition("/")[2] for record in caplog.records]
+
+
+def test_a_stream_is_called_after_its_folder(tmp_path: Path) -> None:
+    root = make_stream(tmp_path / "walk-1", 7)
+    assert list(Library(root, 1.0).streams) == ["walk-1"]
+
+
+def test_a_folder_of_streams(tmp_path: Path) -> None:
+    make_stream(tmp_path / "b", 3)
+    make_stream(tmp_path / "a", 3)
+    make_stream(tmp_path / ".hidden", 3)
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes" / "readme.txt").write_text("x")
+    library = Library(tmp_path, 1.0)
+    assert list(library.streams) == ["a", "b"]
+    assert library.broken == {}
+
+
+def test_a_relative_root_has_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(make_stream(tmp_path / "here", 3))
+    assert list(Library(Path(), 1.0).streams) == ["here"]
+
+
+def test_an_empty_root_is_served_and_its_first_stream_says_what_it_is(tmp_path: Path) -> None:
+    folder, stream = Library(tmp_path, 1.0), tmp_path / "one"
+    stream.mkdir()
+    single = Library(stream, 1.0)
+    assert folder.streams == single.streams == {}
+    make_stream(stream, 3)
+    for library in (folder, single):
+        look(library)
+        assert list(library.streams) == ["one"]
+    # A stray manifest does not make a stream of a folder of streams.
+    (tmp_path / "manifest.json").write_text("{}")
+    look(folder)
+    assert (list(folder.streams), folder.broken) == (["one"], {})
+
+
+def test_a_root_that_is_not_there_is_said_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    for name in ("absent", "file"):
+        with pytest.raises(SwingsError, match="is not a folder"):
+            Library(tmp_path / name, 1.0)
+
+
+@pytest.mark.parametrize("name", ["a b", "ü", "-x", "a" * 81, "a\nb", "\x1b[31m"])
+def test_a_name_that_needs_quoting_is_refused_and_shown_without_harm(
+    tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    make_stream(tmp_path / name, 3)
+    make_stream(tmp_path / "good", 3)
+    for root in (tmp_path, tmp_path / name):
+        library = Library(root, 1.0)
+        look(library)
+        (shown, reason), *others = library.broken.items()
+        assert not others
+        assert shown.isprintable()
+        assert len(shown) <= 80
+        assert "rename it" in reason
+    lines = [line for line in said(caplog) if "rename it" in line]
+    assert len(lines) == 2
+    assert all(line.isprintable() for line in lines)
+    assert list(Library(tmp_path, 1.0).streams) == ["good"]
+
+
+def a_fifo(stream: Path, name: str) -> None:
+    (stream / name).unlink()
+    os.mkfifo(stream / name)
+
+
+def a_folder(stream: Path, name: str) -> None:
+    (stream / name).unlink()
+    (stream / name).mkdir()
+
+
+def a_socket(stream: Path, name: str) -> None:
+    (stream / name).unlink()
+    before = Path.cwd()
+    os.chdir(stream)  # a socket's path is short
+    try:
+        with socket.socket(socket.AF_UNIX) as bound:
+            bound.bind(name)
+    finally:
+        os.chdir(before)
+
+
+def endless(stream: Path, name: str) -> None:
+    (stream / name).unlink()
+    (stream / name).symlink_to("/dev/zero")
+
+
+def a_link_out(stream: Path, name: str) -> None:
+    root = next(folder for folder in stream.parents if folder.name == "root")
+    outside = root.with_name(f"outside-{name}")
+    shutil.move(stream / name, outside)
+    (stream / name).symlink_to(outside)
+
+
+def a_link_in_a_circle(stream: Path, name: str) -> None:
+    (stream / name).unlink()
+    (stream / name).symlink_to(name)
+
+
+def huge(stream: Path, name: str) -> None:
+    with open(stream / name, "ab") as file:
+        file.truncate(1 << 40)
+
+
+def altered(stream: Path, name: str) -> None:
+    data = bytearray((stream / name).read_bytes())
+    data[10] ^= 0xFF
+    (stream / name).write_bytes(data)
+
+
+def emptied(stream: Path, name: str) -> None:
+    (stream / name).write_bytes(b"")
+
+
+ODD: list[tuple[Callable[[Path, str], None], str]] = [
+    (a_fifo, r"{name} cannot be read: it is not a regular file"),
+    (a_folder, r"{name} cannot be read: Is a directory"),
+    (a_socket, r"it cannot be read where it lies; the log of the server says why"),
+    (endless, r"{name} cannot be read: a link leads out of its folder"),
+    (a_link_out, r"{name} cannot be read: a link leads out of its folder"),
+    (a_link_in_a_circle, r"it cannot be read where it lies; the log of the server says why"),
+    (huge, r"{name} is longer than \d+ bytes"),
+    (altered, r"{name}: byte \d+: .*"),
+]
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("name", ["manifest.json", "index.bin"])
+@pytest.mark.parametrize(("make", "reason"), ODD)
+def test_a_broken_stream_is_named_with_its_reason_and_the_others_are_served(
+    tmp_path: Path,
+    name: str,
+    make: Callable[[Path, str], None],
+    reason: str,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    root = tmp_path / "root"
+    whole = make_stream(tmp_path / "whole", 12)
+    make_stream(root / "good", 3)
+    stream = shutil.copytree(whole, root / "bad")
+    make(stream, name)
+    library = Library(root, 1.0)
+    look(library)
+    assert list(library.streams) == ["good"]
+    assert list(library.broken) == ["bad"]
+    assert re.fullmatch(reason.replace("{name}", name), library.broken["bad"])
+    assert str(tmp_path) not in library.broken["bad"]
+    (line,) = [r for r in caplog.records if "bad" in r.getMessage()]
+    assert line.levelno == logging.WARNING
+    assert line.getMessage().startswith(f"{stream} is not served: ")
+    assert name in line.getMessage()
+    # Repaired, it is served; and then another may break in the same way.
+    shutil.rmtree(stream)
+    shutil.copytree(whole, stream)
+    look(library)
+    assert (list(library.streams), library.broken) == (["bad", "good"], {})
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("make", [a_fifo, a_folder, a_link_out, endless, huge, emptied])
+def test_objects_are_regular_files_of_the_right_size(
+    tmp_path: Path, make: Callable[[Path, str], None]
+) -> None:
+    make_stream(tmp_path / "root" / "good", 3)
+    stream = make_stream(tmp_path / "root" / "bad", 60)
+    make(stream / "segments" / "1", "2")
+    library = Library(tmp_path / "root", 1.0)
+    assert list(library.streams) == ["good"]
+    assert library.broken["bad"].startswith("segments/1/2 ")
+    # What becomes odd while it is served is an error when it is read, at once.
+    good = library.streams["good"]
+    make(tmp_path / "root" / "good" / "segments" / "0", "1")
+    with pytest.raises(SwingsError, match=r"segments/0/1"):
+        good.read_object(0, 1)
+
+
+def test_a_folder_that_links_out_of_the_root_is_not_served(tmp_path: Path) -> None:
+    make_stream(tmp_path / "elsewhere" / "s", 3)
+    root = tmp_path / "root"
+    make_stream(root / "good", 3)
+    (root / "inside").symlink_to("good")
+    (root / "out").symlink_to(tmp_path / "elsewhere" / "s")
+    library = Library(root, 1.0)
+    assert list(library.streams) == ["good", "inside"]
+    assert library.broken == {"out": "manifest.json cannot be read: a link leads out of its folder"}
+    # The root itself may be a link.
+    (tmp_path / "link").symlink_to(root)
+    assert list(Library(tmp_path / "link", 1.0).streams) == ["good", "inside"]
+
+
+def test_the_reason_of_a_stranger_is_one_line_of_letters() -> None:
+    assert one_line("a\x1b[31m\nb\u202e") == "a\\x1b[31m\\nb\\u202e"
+    assert len(one_line("x" * 10_000)) < 310
+
+
+def test_a_live_stream_that_breaks_keeps_its_last_good_view(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    writer = StreamWriter.create(tmp_path / "live", small_manifest())
+    for birth in births_of(2 * SEGMENT_FRAMES):
+        writer.append(random_slice(birth, 8))
+    writer.abort()
+    library = Library(tmp_path, 1.0)
+    stream = library.streams["live"]
+    with open(tmp_path / "live" / "index.bin", "ab") as file:
+        file.write(b"\x01" * 2 * record_bytes(4))
+    for _ in range(3):
+        look(library)
+        assert library.find("live") is stream
+        assert stream.num_frames == 2 * SEGMENT_FRAMES
+    lines = [line for line in said(caplog) if "index.bin" in line]
+    assert len(lines) == 1
+    assert lines[0].startswith("live grows no more: index.bin: byte ")
+
+
+def test_it_follows_a_live_stream_to_its_end(tmp_path: Path) -> None:
+    writer = StreamWriter.create(tmp_path / "live", small_manifest())
+    library = Library(tmp_path, 1.0)
+    stream = library.find("live")
+    assert stream is not None
+    assert (stream.num_frames, stream.live) == (0, True)
+    tags = {stream.view.index_sha256}
+    for birth in births_of(2 * SEGMENT_FRAMES):
+        writer.append(random_slice(birth, 8))
+    assert stream.num_frames == 0  # nobody has looked
+    look(library)
+    assert library.find("live") is stream
+    assert stream.num_frames == 2 * SEGMENT_FRAMES
+    assert stream.view.index_sha256 not in tags
+    assert stream.view.index_data == (tmp_path / "live" / "index.bin").read_bytes()
+    writer.close()
+    look(library)
+    assert library.find("live") is stream
+    assert not stream.live
+    # The tag depends on the records, not on when they were seen.
+    again = Library(tmp_path, 1.0).streams["live"]
+    assert again.view.index_sha256 == stream.view.index_sha256
+    assert again.generation != stream.generation
+
+
+def test_a_root_that_goes_keeps_what_is_served_until_it_comes_back(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    make_stream(tmp_path / "root" / "one", 3)
+    library = Library(tmp_path / "root", 1.0)
+    stream = library.streams["one"]
+    (tmp_path / "root").rename(tmp_path / "away")
+    for _ in range(3):
+        look(library)
+        assert library.find("one") is stream
+    assert len(said(caplog)) == 1
+    (tmp_path / "away").rename(tmp_path / "root")
+    make_stream(tmp_path / "root" / "two", 3)
+    look(library)
+    assert list(library.streams) == ["one", "two"]
+    assert library.find("one") is stream
+    assert len(said(caplog)) == 2
+
+
+def test_sizes_are_means_over_the_segment(tmp_path: Path) -> None:
+    root = make_stream(tmp_path / "s", 12)
+    stream = Library(root, 1.0).streams["s"]
+    reader = StreamReader(root)
+    for birth, segment, count in ((-3, 0, 8), (4, 0, 8), (5, 1, 5), (11, 2, 2)):
+        sizes = reader.records[segment].object_bytes
+        means = stream.sizes(birth)
+        assert means.layer_bytes == tuple(size / count for size in sizes)
+        assert means is stream.sizes(birth)
