@@ -89,14 +89,14 @@ class RunningServer:
     async def stop(self) -> None:
         """Lets plays end at their next slice and answers what was asked, within
         `shutdown_timeout_s`. Stopping twice is the same as once."""
-        if self._state.stopping.is_set():
+        if self._watch is None:
             return
+        watch, self._watch = self._watch, None
         self._state.stopping.set()
         await self._acceptor.stop(self._state.config.shutdown_timeout_s)
         self._listener.close()
-        if self._watch is not None:
-            self._watch.cancel()
-            await asyncio.wait([self._watch])
+        watch.cancel()
+        await asyncio.wait([watch])
 
 
 async def run_until_stopped(server: RunningServer, ready: Callable[[], None]) -> None:

@@ -261,7 +261,7 @@ def test_a_reader_that_stops_is_cut(
         assert len(server.state.plays) == 0
         stuck.close()
 
-    on_server(root, check, quick_config(write_timeout_s=0.3))
+    on_server(root, check, quick_config(write_timeout_s=1.0))
     assert not caplog.records
 
 
@@ -279,7 +279,7 @@ def test_bytes_left_in_buffers_do_not_hold_a_connection(root: Path) -> None:
         await eventually(lambda: not server.server.app.connections)
         stuck.close()
 
-    on_server(root, check, quick_config(write_timeout_s=0.3, keepalive_timeout_s=0.3))
+    on_server(root, check, quick_config(write_timeout_s=1.0, keepalive_timeout_s=0.3))
 
 
 def test_one_play_more_is_asked_to_come_back(root: Path) -> None:
