@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -42,6 +43,11 @@ class S3Server:
             "AWS_ALLOW_HTTP": "true",
         }
 
+    def empty(self) -> None:
+        """Forgets what this process has put into any such server."""
+        url = f"{self.environment['AWS_ENDPOINT_URL']}/moto-api/reset"
+        urllib.request.urlopen(urllib.request.Request(url, method="POST")).close()
+
     def client(self) -> Any:
         """boto3's, by which the tests write: not by what they test."""
         import boto3
@@ -78,6 +84,7 @@ def s3_server() -> Iterator[S3Server]:
     before = {name: os.environ.get(name) for name in server.environment}
     os.environ.update(server.environment)
     try:
+        server.empty()
         server.client().create_bucket(Bucket=BUCKET)
         yield server
     finally:
