@@ -99,6 +99,29 @@ def test_a_device_is_refused(tmp_path: Path) -> None:
         FolderStorage(tmp_path).read("zero", 10)
 
 
+@pytest.mark.parametrize("swapped", ["deep", "deep/file"])
+def test_a_link_that_comes_after_the_look_is_not_followed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, swapped: str
+) -> None:
+    """The moment between the look at a path and its opening, made as long as it takes."""
+    (tmp_path / "away").mkdir()
+    (tmp_path / "away" / "file").write_bytes(b"secret")
+    (tmp_path / "folder" / "deep").mkdir(parents=True)
+    (tmp_path / "folder" / "deep" / "file").write_bytes(b"inside")
+    look = FolderStorage._resolved
+
+    def look_and_swap(self: FolderStorage, path: Path) -> tuple[str, str]:
+        found = look(self, path)
+        (tmp_path / "folder" / swapped).rename(tmp_path / "kept")
+        target = tmp_path / "away" / ("file" if swapped.endswith("file") else "")
+        (tmp_path / "folder" / swapped).symlink_to(target)
+        return found
+
+    monkeypatch.setattr(FolderStorage, "_resolved", look_and_swap)
+    with pytest.raises(CorruptError):
+        FolderStorage(tmp_path / "folder").read("deep/file", 10)
+
+
 def test_a_name_that_is_swapped_for_a_link_never_shows_what_it_leads_to(tmp_path: Path) -> None:
     """Somebody changes the folder as fast as it goes while it is read."""
     (tmp_path / "secret").write_bytes(b"secret")
