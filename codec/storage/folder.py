@@ -5,6 +5,7 @@ Rule: what is opened lies below the folder when all links are followed, and is a
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 from collections.abc import Iterator, Sequence
@@ -103,6 +104,8 @@ class FolderStorage:
         except (*_MISSING, CorruptError):
             return []
         except OSError as error:
+            if error.errno == errno.ELOOP:
+                return []
             raise self._unlisted(folder, error) from error
         return found
 

@@ -5,6 +5,7 @@ Credentials, region and endpoint come from the environment, as obstore reads the
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from datetime import timedelta
@@ -29,6 +30,9 @@ REQUESTS = 16
 """Requests at the same time when many files are looked at."""
 
 MAX_REASON_CHARS = 200
+
+_ANSWER = re.compile("<Code>(.*?)</Code>.*?<Message>(.*?)</Message>", re.DOTALL)
+"""In the error of an S3 server."""
 
 Value = TypeVar("Value")
 
@@ -133,10 +137,15 @@ class StorePrefix:
         except FileNotFoundError:
             return None
         except (obstore.exceptions.BaseError, ValueError, OSError) as error:
-            # The rest of the text is for those who develop obstore.
-            reason = str(error).partition("Debug source")[0]
-            reason = " ".join(reason.split())[:MAX_REASON_CHARS]
-            raise UnreadableError(f"{self.place(path)} cannot be read: {reason}") from error
+            raise UnreadableError(f"{self.place(path)} cannot be read: {_said(error)}") from error
+
+
+def _said(error: Exception) -> str:
+    """What the store said, in a line."""
+    answer = _ANSWER.search(str(error))
+    # What follows in the text is for those who develop obstore.
+    text = ": ".join(answer.groups()) if answer else str(error).partition("Debug source")[0]
+    return " ".join(text.split())[:MAX_REASON_CHARS]
 
 
 def _stamp(found: ObjectMeta) -> Stamp:
@@ -163,6 +172,5 @@ def open_store(url: str) -> StorePrefix:
             },
         )
     except (obstore.exceptions.BaseError, ValueError) as error:
-        reason = " ".join(str(error).partition("Debug source")[0].split())[:MAX_REASON_CHARS]
-        raise InvalidError(f"{url} does not name an object store: {reason}") from error
+        raise InvalidError(f"{url} does not name an object store: {_said(error)}") from error
     return StorePrefix(url, store)

@@ -14,9 +14,11 @@ from pathlib import Path
 import pytest
 
 from codec.errors import SwingsError
+from codec.storage.storage import Storage
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.index import record_bytes
-from server.library import Library
+from codec.stream.reader import read_stream_file
+from server.library import Library, entry
 from server.library.entry import one_line
 from tests.support.running_server import (
     SEGMENT_FRAMES,
@@ -295,6 +297,29 @@ def test_a_root_that_goes_keeps_what_is_served_until_it_comes_back(
     assert list(library.streams) == ["one", "two"]
     assert library.find("one") is stream
     assert len(said(caplog)) == 2
+
+
+def test_a_stream_that_is_replaced_while_it_is_read_is_not_mixed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The moment between the manifest of one stream and the index of the next."""
+    make_stream(tmp_path / "root" / "s", 12, title="old")
+    new = make_stream(tmp_path / "new", 7, title="new")
+    read, left = read_stream_file, [True]
+
+    def read_and_replace(storage: Storage, path: str, limit_bytes: int) -> bytes:
+        data = read(storage, path, limit_bytes)
+        if left.pop() if left else False:
+            (tmp_path / "root" / "s").rename(tmp_path / "away")
+            new.rename(tmp_path / "root" / "s")
+        return data
+
+    monkeypatch.setattr(entry, "read_stream_file", read_and_replace)
+    library = Library(tmp_path / "root", 1.0)
+    assert library.streams == {}
+    look(library)
+    view = library.streams["s"].view
+    assert (view.manifest.title, view.num_frames) == ("new", 7)
 
 
 def test_sizes_are_means_over_the_segment(tmp_path: Path) -> None:

@@ -18,7 +18,6 @@ class Publisher:
     """Copies a finished export into a folder, so that what lies there is always a valid stream."""
 
     def __init__(self, exported: Path, folder: Path) -> None:
-        self._exported = exported
         self._source = StreamReader(exported)
         self._folder = folder
         self._index_bytes = 0
@@ -40,7 +39,7 @@ class Publisher:
         """Appends the next segments."""
         for record in self._source.records[self.num_segments : self.num_segments + count]:
             part = Path(SEGMENTS_NAME) / str(record.segment)
-            shutil.copytree(self._exported / part, self._folder / part)
+            shutil.copytree(Path(self._source.name) / part, self._folder / part)
             packed = pack_record(record)
             append_durably(self._folder / INDEX_NAME, self._index_bytes, packed)
             self._index_bytes += len(packed)

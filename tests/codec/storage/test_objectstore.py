@@ -1,0 +1,106 @@
+"""Object stores: a real S3 server, and one clear line for each thing that can go wrong."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from codec.errors import CodecError, InvalidError, UnreadableError
+from codec.storage.openstorage import open_storage
+from tests.support.commands import ROOT
+from tests.support.s3_server import BUCKET, S3Server, s3_server
+from tests.support.tiny_stream import write_tiny
+
+
+@pytest.fixture
+def server() -> Iterator[S3Server]:
+    with s3_server() as server:
+        yield server
+
+
+def swings_stream(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "codec", *arguments],
+        cwd=ROOT,
+        env=os.environ,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+def test_the_commands_take_urls(server: S3Server, tmp_path: Path) -> None:
+    write_tiny(tmp_path / "s", 8)
+    server.upload(tmp_path / "s", "deep/er/s")
+    url = f"s3://{BUCKET}/deep/er/s"
+    for name in (url, f"{url}/"):
+        done = swings_stream("verify", name)
+        assert (done.returncode, done.stderr) == (0, "")
+        assert "8 frames in 2 segments are good" in done.stdout
+    told = json.loads(swings_stream("info", url, "--json").stdout)
+    assert told == json.loads(swings_stream("info", str(tmp_path / "s"), "--json").stdout)
+    out = tmp_path / "frame.ply"
+    done = swings_stream("export", url, str(out), "--frame", "3")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert out.stat().st_size > 0
+    done = swings_stream("verify", f"s3://{BUCKET}/nothing")
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert f"s3://{BUCKET}/nothing/manifest.json is missing" in done.stderr
+
+
+def test_what_the_store_says_no_to_is_one_line(server: S3Server) -> None:
+    storage = open_storage("s3://no-such-bucket/x")
+    with pytest.raises(UnreadableError) as caught:
+        storage.check()
+    assert str(caught.value).startswith("s3://no-such-bucket/x/ cannot be read: ")
+    assert "NoSuchBucket" in str(caught.value)
+    held = open_storage(f"s3://{BUCKET}/x")
+    server.stop()
+    try:
+        for ask in (held.check, lambda: held.read("m", 10), lambda: held.stamp("m")):
+            with pytest.raises(UnreadableError) as caught:
+                ask()
+            assert "\n" not in str(caught.value)
+            assert len(str(caught.value)) < 400
+    finally:
+        server.start()
+    assert held.stamp("m") is None
+
+
+@pytest.mark.parametrize("path", ["../x", "a//b", "", "a/./b"])
+def test_a_path_that_no_store_takes_is_an_error_of_ours(server: S3Server, path: str) -> None:
+    with pytest.raises(CodecError):
+        open_storage(f"s3://{BUCKET}/x").read(path, 10)
+
+
+def test_a_read_is_bounded(server: S3Server) -> None:
+    server.put("x/big", bytes(3 << 20))
+    storage = open_storage(f"s3://{BUCKET}/x")
+    assert len(storage.read("big", 3 << 20)) == 3 << 20
+    with pytest.raises(CodecError, match=f"s3://{BUCKET}/x/big is longer than 1000 bytes"):
+        storage.read("big", 1000)
+    with pytest.raises(CodecError, match="is longer than 1000 bytes"):
+        storage.read("big", 1000, (3 << 20) - 1001)
+    assert storage.read("big", 1000, (3 << 20) - 1000) == bytes(1000)
+
+
+@pytest.mark.parametrize("url", ["s3://", "S3:///x", "s3://[", "file:///etc", "ftp://x/y", "x://"])
+def test_a_url_that_names_no_store_is_refused(url: str) -> None:
+    pytest.importorskip("obstore", reason="object stores need the extra s3")
+    with pytest.raises(InvalidError, match=r"does not name an object store|streams are read from"):
+        open_storage(url)
+
+
+def test_without_obstore_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "obstore", None)
+    monkeypatch.setitem(sys.modules, "obstore.exceptions", None)
+    with pytest.raises(InvalidError, match=r"^s3://b/x: .* pip install 'swings\[s3\]'$"):
+        open_storage("s3://b/x")

@@ -1,0 +1,139 @@
+"""What every storage promises, whatever holds the files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from codec.errors import CodecError, CorruptError
+from codec.storage.openstorage import open_storage
+from codec.storage.storage import Storage
+from codec.stream.reader import StreamReader
+from codec.tools.audit import summarise, verify_stream
+from tests.support.s3_server import BUCKET, S3Server, s3_server
+from tests.support.tiny_stream import write_tiny
+
+
+@dataclass
+class Held:
+    """A storage, and how files come into it and go."""
+
+    storage: Storage
+    folder: Path | None
+    server: S3Server | None
+
+    def put(self, path: str, data: bytes) -> None:
+        if self.server is not None:
+            self.server.put(f"place/{path}", data)
+        elif self.folder is not None:
+            (self.folder / path).parent.mkdir(parents=True, exist_ok=True)
+            (self.folder / path).write_bytes(data)
+
+    def delete(self, path: str) -> None:
+        if self.server is not None:
+            self.server.delete(f"place/{path}")
+        elif self.folder is not None:
+            (self.folder / path).unlink()
+
+
+@pytest.fixture(params=["folder", "s3"])
+def held(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Held]:
+    if request.param == "folder":
+        folder = tmp_path / "place"
+        folder.mkdir()
+        yield Held(open_storage(folder), folder, None)
+        return
+    with s3_server() as server:
+        yield Held(open_storage(f"s3://{BUCKET}/place"), None, server)
+
+
+def test_a_file_is_read_from_an_offset_up_to_a_limit(held: Held) -> None:
+    held.put("a/file", b"0123456789")
+    held.put("empty", b"")
+    read = held.storage.read
+    assert read("a/file", 10) == b"0123456789"
+    assert read("a/file", 3, 7) == b"789"
+    assert read("a/file", 0, 10) == read("a/file", 0, 99) == read("empty", 0) == b""
+    assert held.storage.below("a").read("file", 10) == b"0123456789"
+    for limit_bytes, offset in ((9, 0), (2, 7), (0, 9)):
+        with pytest.raises(CorruptError, match=rf"a/file is longer than {limit_bytes} bytes$"):
+            read("a/file", limit_bytes, offset)
+
+
+def test_what_is_missing_is_named_with_its_whole_place(held: Held) -> None:
+    held.put("a/file", b"x")
+    for path in ("none", "a/none", "none/none", "a/file/none"):
+        place = held.storage.place(path)
+        assert place.endswith(f"place/{path}")
+        with pytest.raises(CorruptError) as caught:
+            held.storage.read(path, 10, if_missing="take another")
+        assert str(caught.value) == f"{place} is missing; take another"
+        assert held.storage.stamp(path) is None
+        assert not held.storage.holds(path)
+
+
+def test_another_content_has_another_stamp(held: Held) -> None:
+    stamps = []
+    for data in (b"one", b"two", b"three", b""):
+        held.put("file", data)
+        stamp = held.storage.stamp("file")
+        assert stamp is not None
+        assert stamp.size_bytes == len(data)
+        assert stamp == held.storage.stamp("file")
+        stamps.append(stamp)
+    assert len(set(stamps)) == len(stamps)
+    assert held.storage.holds("file")
+    held.delete("file")
+    assert held.storage.stamp("file") is None
+
+
+def test_folders_are_found_by_a_file_that_they_hold(held: Held) -> None:
+    held.storage.check()
+    assert held.storage.folders(("m", "i")) == {}
+    for path in ("one/m", "one/i", "two words/m", "three/i", "m", ".hidden/m", "four/deep/m"):
+        held.put(path, path.encode())
+    found = held.storage.folders(("m", "i"))
+    assert sorted(found) == ["one", "two words"]
+    assert found["one"] == (held.storage.stamp("one/m"), held.storage.stamp("one/i"))
+    assert found["two words"] == (held.storage.stamp("two words/m"), None)
+
+
+def test_sizes_are_those_of_the_files_two_levels_below(held: Held) -> None:
+    assert dict(held.storage.sizes("segments")) == {}
+    expected = {}
+    for segment in range(12):
+        for layer in range(3):
+            path = f"segments/{segment}/{layer}"
+            expected[path] = 5 * segment + layer
+            held.put(path, bytes(expected[path]))
+    held.put("other/0/0", b"x")
+    assert dict(held.storage.sizes("segments")) == expected
+    held.put("within/segments/0/0", b"xyz")
+    assert dict(held.storage.below("within").sizes("segments")) == {"segments/0/0": 3}
+
+
+def test_a_stream_is_read_and_verified_where_it_lies(held: Held, tmp_path: Path) -> None:
+    local = tmp_path / "local"
+    write_tiny(local, 10)
+    for path in local.rglob("*"):
+        if path.is_file():
+            held.put(f"s/{path.relative_to(local)}", path.read_bytes())
+    place = held.storage.name + "/s"
+    assert verify_stream(place) == verify_stream(local) == summarise(place)
+    here, there = StreamReader(local), StreamReader(held.storage.below("s"))
+    assert there.name == place
+    assert there.records == here.records or str(there.records) == str(here.records)
+    for birth in here.births:
+        assert (there.slice(birth, 2).splats.means == here.slice(birth, 2).splats.means).all()
+    data = (local / "segments" / "1" / "1").read_bytes()
+    held.put("s/segments/1/1", data[:-1] + bytes([data[-1] ^ 1]))
+    with pytest.raises(CodecError) as caught:
+        verify_stream(place)
+    assert str(caught.value).startswith(f"{place}/segments/1/1: ")
+    held.delete("s/segments/1/1")
+    with pytest.raises(CodecError) as caught:
+        verify_stream(place)
+    assert str(caught.value).startswith(f"{place}/segments/1/1 is missing; ")

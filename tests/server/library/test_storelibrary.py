@@ -1,0 +1,178 @@
+"""A library in an object store: the same promises, on a real S3 server."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import signal
+import sys
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from codec.errors import CodecError, SwingsError
+from codec.stream import StreamWriter
+from server.library import Library, ServedStream
+from tests.server.test_main import serving
+from tests.support.running_server import (
+    SEGMENT_FRAMES,
+    make_stream,
+    random_slice,
+    small_manifest,
+)
+from tests.support.s3_server import BUCKET, S3Server, s3_server
+
+ROOT = f"s3://{BUCKET}/root"
+BOUND_S = 2.0
+
+
+@pytest.fixture
+def server() -> Iterator[S3Server]:
+    with s3_server() as server:
+        yield server
+
+
+async def noticed(condition: Callable[[], object], what: str) -> None:
+    began_s = time.monotonic()
+    while not condition():
+        assert time.monotonic() - began_s < BOUND_S, what
+        await asyncio.sleep(0.005)
+    sys.stdout.write(f"{what}: noticed after {time.monotonic() - began_s:.3f} s\n")
+
+
+def check_whole(stream: ServedStream) -> None:
+    for segment in range(stream.view.num_segments):
+        for part in stream.view.manifest.parts:
+            stream.read_object(segment, part)
+
+
+def test_streams_come_go_break_and_are_repaired(server: S3Server, tmp_path: Path) -> None:
+    whole, other = make_stream(tmp_path / "whole", 12), make_stream(tmp_path / "other", 7)
+    index = (whole / "index.bin").read_bytes()
+
+    async def check() -> None:
+        library = Library(ROOT, 0.5)
+        watch = asyncio.create_task(library.watch())
+        await asyncio.sleep(0.2)
+        server.upload(whole, "root/one")
+        await noticed(lambda: "one" in library.streams, "a new stream")
+        stream = library.streams["one"]
+        check_whole(stream)
+        server.put("root/one/index.bin", b"\x01" + index[1:])
+        await noticed(lambda: "one" in library.broken, "a broken stream")
+        assert library.broken["one"].startswith("index.bin: byte ")
+        assert stream.gone
+        server.put("root/one/index.bin", index)
+        await noticed(lambda: "one" in library.streams, "a repaired stream")
+        assert library.broken == {}
+        before = library.streams["one"]
+        server.upload(other, "root/one")
+        await noticed(
+            lambda: library.find("one") not in (before, None), "a stream that was replaced"
+        )
+        assert before.gone
+        with pytest.raises(CodecError):
+            before.read_object(1, 0)
+        check_whole(library.streams["one"])
+        server.delete("root/one")
+        await noticed(lambda: not library.streams and not library.broken, "a deleted stream")
+        watch.cancel()
+
+    asyncio.run(check())
+
+
+def test_a_half_copied_stream_waits_for_its_objects(server: S3Server, tmp_path: Path) -> None:
+    whole = make_stream(tmp_path / "whole", 60)
+    server.upload(whole, "root/s")
+    server.delete("root/s/segments/9/2")
+    library = Library(ROOT, 0.5)
+    assert library.streams == {}
+    assert library.broken["s"].startswith("segments/9/2 is missing")
+    server.put("root/s/segments/9/2", (whole / "segments" / "9" / "2").read_bytes())
+    asyncio.run(library.look())
+    check_whole(library.streams["s"])
+
+
+def test_a_live_stream_is_followed_and_may_be_waited_for(server: S3Server, tmp_path: Path) -> None:
+    writer = StreamWriter.create(tmp_path / "s", small_manifest())
+    server.upload(tmp_path / "s", "root/live")
+
+    def mirror() -> None:
+        """One more segment, as a mirror uploads it: objects first."""
+        segment = max(writer.next_birth, 0) // SEGMENT_FRAMES
+        for birth in range(writer.next_birth, (segment + 1) * SEGMENT_FRAMES):
+            writer.append(random_slice(birth, 8))
+        folder = tmp_path / "s" / "segments" / str(segment)
+        server.upload(folder, f"root/live/segments/{segment}")
+        server.put("root/live/index.bin", (tmp_path / "s" / "index.bin").read_bytes())
+
+    async def check() -> None:
+        library = Library(ROOT, 3600.0)
+        stream = library.streams["live"]
+        for number in range(3):
+            waiter = asyncio.create_task(stream.wait_for_growth(number, 10.0))
+            await asyncio.to_thread(mirror)
+            began_s = time.monotonic()
+            await waiter
+            late_s = time.monotonic() - began_s
+            sys.stdout.write(f"a segment was known {1e3 * late_s:.0f} ms after its record\n")
+            assert stream.view.num_segments == number + 1
+            assert late_s < BOUND_S
+        check_whole(stream)
+
+    asyncio.run(check())
+
+
+def test_a_store_that_fails_keeps_what_is_served(
+    server: S3Server, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    server.upload(make_stream(tmp_path / "s", 7), "root/s")
+
+    async def check() -> None:
+        library = Library(ROOT, 0.5)
+        stream = library.streams["s"]
+        server.stop()
+        try:
+            for _ in range(3):
+                await library.look()
+                assert library.find("s") is stream
+            # Whoever waits is not kept for longer than it asked for.
+            began_s = time.monotonic()
+            await stream.wait_for_growth(10, 0.3)
+            assert time.monotonic() - began_s < 1.0
+        finally:
+            server.start()
+        server.delete("root/s")
+        await library.look()
+        assert library.streams == {}
+
+    asyncio.run(check())
+    lines = [record.getMessage() for record in caplog.records if record.name == "server.library"]
+    lines += [r.getMessage() for r in caplog.records if r.name == "server.library.library"]
+    assert len(lines) == 2, lines
+    assert "cannot be read" in lines[0]
+    assert lines[1] == f"{ROOT} can be read again"
+
+
+def test_a_bucket_that_is_not_there_is_an_error_at_the_start(server: S3Server) -> None:
+    with pytest.raises(SwingsError, match="s3://absent/x/ cannot be read: NoSuchBucket"):
+        Library("s3://absent/x", 0.5)
+
+
+def test_swings_serve_takes_a_url(server: S3Server, tmp_path: Path) -> None:
+    path = make_stream(tmp_path / "walk", 12)
+    server.upload(path, "root/walk")
+    for url in (ROOT, f"{ROOT}/walk"):
+        with serving(url, "--port", "0") as (process, address):
+            with urllib.request.urlopen(f"{address}/v1/streams", timeout=10) as response:
+                assert [one["name"] for one in json.load(response)["streams"]] == ["walk"]
+            for name in ("manifest.json", "index.bin", "segments/1/2"):
+                where = f"{address}/v1/streams/walk/{name}"
+                with urllib.request.urlopen(where, timeout=10) as response:
+                    assert response.read() == (path / name).read_bytes()
+            process.send_signal(signal.SIGTERM)
+            _, err = process.communicate(timeout=20)
+            assert (process.returncode, err) == (0, "")

@@ -1,0 +1,96 @@
+"""A real S3 server in this process, moto's, and the environment that points to it."""
+
+from __future__ import annotations
+
+import logging
+import os
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+BUCKET = "streams"
+
+
+class S3Server:
+    """Listens on a port of this machine; may be stopped and started again."""
+
+    def __init__(self) -> None:
+        pytest.importorskip("obstore", reason="object stores need the extra s3")
+        self._moto: Any = pytest.importorskip("moto.server", reason="moto is not installed")
+        logging.getLogger("werkzeug").setLevel(logging.ERROR)
+        self._port = 0
+        self.start()
+
+    def start(self) -> None:
+        self._server = self._moto.ThreadedMotoServer(port=self._port, verbose=False)
+        self._server.start()
+        _, self._port = self._server.get_host_and_port()
+
+    def stop(self) -> None:
+        self._server.stop()
+
+    @property
+    def environment(self) -> dict[str, str]:
+        return {
+            "AWS_ACCESS_KEY_ID": "id",
+            "AWS_SECRET_ACCESS_KEY": "key",
+            "AWS_REGION": "us-east-1",
+            "AWS_ENDPOINT_URL": f"http://127.0.0.1:{self._port}",
+            "AWS_ALLOW_HTTP": "true",
+        }
+
+    def empty(self) -> None:
+        """Forgets what this process has put into any such server."""
+        url = f"{self.environment['AWS_ENDPOINT_URL']}/moto-api/reset"
+        urllib.request.urlopen(urllib.request.Request(url, method="POST")).close()
+
+    def client(self) -> Any:
+        """boto3's, by which the tests write: not by what they test."""
+        import boto3
+
+        return boto3.client(
+            "s3",
+            endpoint_url=self.environment["AWS_ENDPOINT_URL"],
+            aws_access_key_id="id",
+            aws_secret_access_key="key",
+            region_name="us-east-1",
+        )
+
+    def put(self, key: str, data: bytes) -> None:
+        self.client().put_object(Bucket=BUCKET, Key=key, Body=data)
+
+    def delete(self, key: str) -> None:
+        """Deletes the object, and all below it."""
+        client = self.client()
+        for page in client.get_paginator("list_objects_v2").paginate(Bucket=BUCKET, Prefix=key):
+            for entry in page.get("Contents", ()):
+                client.delete_object(Bucket=BUCKET, Key=entry["Key"])
+
+    def upload(self, folder: Path, key: str) -> None:
+        """Puts all files of `folder` below `key`, the manifest last."""
+        files = sorted(path for path in folder.rglob("*") if path.is_file())
+        for path in sorted(files, key=lambda path: path.name == "manifest.json"):
+            self.put(f"{key}/{path.relative_to(folder)}", path.read_bytes())
+
+
+@contextmanager
+def s3_server() -> Iterator[S3Server]:
+    """A server with an empty bucket, which obstore finds by the environment."""
+    server = S3Server()
+    before = {name: os.environ.get(name) for name in server.environment}
+    os.environ.update(server.environment)
+    try:
+        server.empty()
+        server.client().create_bucket(Bucket=BUCKET)
+        yield server
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+        server.stop()
