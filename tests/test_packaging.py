@@ -40,7 +40,8 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
         {"server/abr/policies"},
         {"server/abr/simulate"},
         {"server/abr/oracle"},
-        {"server/study", "server/client", "server/html"},
+        {"server/operate/log", "server/operate/sign", "server/operate/workers"},
+        {"server/study", "server/client", "server/html", "server/operate"},
         {"server"},
     ),
     "player": (
