@@ -65,7 +65,7 @@ def read(folder: Path, toml: str = "", *flags: str, **variables: str) -> Command
     parse = settings_parser("SWINGS_SERVE", environment | {"HOME": "/"})
     command = parse(Command, args=arguments, prog="x", config=(tyro.conf.EnumChoicesFromValues,))
     assert isinstance(command, Command)
-    return command
+    return replace(command, settings=SettingsConfig())
 
 
 def test_each_source_goes_before_the_next(tmp_path: Path) -> None:

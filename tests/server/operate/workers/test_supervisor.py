@@ -27,7 +27,13 @@ class Served:
 
     def __init__(self, what: str, folder: Path, settings: dict[str, Any]) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "tests.support.echo_workers", what, json.dumps(settings)],
+            [
+                sys.executable,
+                "-m",
+                "tests.server.operate.workers.echo_workers",
+                what,
+                json.dumps(settings),
+            ],
             cwd=folder,
             env={**os.environ, "PYTHONPATH": str(ROOT)},
             stdout=subprocess.PIPE,

@@ -1,4 +1,4 @@
-"""A supervised server that says who answers and then echoes: `python -m tests.support.echo_workers
+"""A supervised server that says who answers and then echoes: `python -m tests.server.operate.workers.echo_workers
 WHAT CONFIG`, its port on the first line of stdout, its log on stderr.
 
 WHAT: "echo"; "slow", which takes a while to end; "stubborn", which never does; "crash", whose
