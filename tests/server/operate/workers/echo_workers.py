@@ -1,5 +1,5 @@
-"""A supervised server that says who answers and then echoes: `python -m tests.server.operate.workers.echo_workers
-WHAT CONFIG`, its port on the first line of stdout, its log on stderr.
+"""A supervised server that says who answers and then echoes, run as a module with WHAT CONFIG: its
+port is on the first line of stdout, its log on stderr.
 
 WHAT: "echo"; "slow", which takes a while to end; "stubborn", which never does; "crash", whose
 workers die; "refuse", which cannot start; "relay", which asks worker WORD for what comes as WORD.
