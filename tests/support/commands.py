@@ -19,6 +19,7 @@ ENTRY = {
     "swings-serve": "server.__main__:main",
     "swings-play": "player.__main__:main",
     "swings-abr": "server.study.__main__:main",
+    "swings-sign": "server.operate.sign.__main__:main",
 }
 
 

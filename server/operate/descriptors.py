@@ -1,0 +1,46 @@
+"""How many connections the limit of open files allows."""
+
+from __future__ import annotations
+
+import os
+import resource
+from pathlib import Path
+
+from codec.errors import SwingsError
+
+RESERVE = 64
+"""Descriptors kept for what is not a connection: files of objects, the log, the event loop."""
+
+RAISE_TO = 65_536
+"""The soft limit is raised to the hard one, but not above this: an unlimited table costs memory."""
+
+
+def connection_limit(wanted: int, per_connection: int = 1) -> int:
+    """The most connections, `wanted` or fewer, that this process has descriptors for.
+
+    Raises the process's own soft limit as far as the hard one allows. per_connection: descriptors
+    that each of them takes. Raises SwingsError where there is not room for one.
+    """
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    ceiling = RAISE_TO if hard == resource.RLIM_INFINITY else min(hard, RAISE_TO)
+    if soft != resource.RLIM_INFINITY and soft < ceiling:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (ceiling, hard))
+        soft = ceiling
+    if soft == resource.RLIM_INFINITY:
+        return wanted
+    taken = open_descriptors() + RESERVE
+    room = (soft - taken) // per_connection
+    if room < 1:
+        raise SwingsError(
+            f"the limit of open files is {soft}, which leaves none for connections; "
+            f"raise it (ulimit -n) to {taken + wanted * per_connection}"
+        )
+    return min(wanted, room)
+
+
+def open_descriptors() -> int:
+    """How many this process has open."""
+    for folder in ("/proc/self/fd", "/dev/fd"):
+        if Path(folder).is_dir():
+            return len(os.listdir(folder)) - 1  # listing it takes one
+    return 3

@@ -1,0 +1,1 @@
+"""The server's log: one line a request or event, whatever clients send."""

@@ -1,0 +1,115 @@
+"""The ladder of a worker under load: fewer layers first, then no new plays.
+
+Rule: no clock. What was measured comes in with its time; a sample of more load never gives a client
+more, and load that is gone is forgotten.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from codec.errors import InvalidError
+
+MAX_LOAD = 1.25
+"""What one sample counts for at most, however bad it was: so much sooner all is well again."""
+
+MAX_SAMPLE_S = 1.0
+"""Seconds that one sample speaks for at most: a worker that slept knows little of the time."""
+
+
+@dataclass(frozen=True, slots=True)
+class OverloadConfig:
+    """When a worker gives less, and when it gives more again."""
+
+    shed_from: float = 0.8
+    """Load from which plays get fewer layers, 1 for all that a core can do."""
+    refuse_from: float = 0.95
+    """Load from which plays get one layer, and new ones are answered 503."""
+    recover_margin: float = 0.05
+    """How far the load must fall below what was acted on before plays get more again."""
+    recover_per_s: float = 0.05
+    """Load that is given back in a second of recovery."""
+    smooth_s: float = 1.0
+    """Time constant of the average that is acted on, seconds."""
+    max_late_s: float = 0.2
+    """Lateness of the event loop that counts as a load of 1, seconds."""
+    max_egress_bps: float = 0.0
+    """Bits per second that all connections of a worker may take; 0 for no limit."""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.shed_from < self.refuse_from <= 1:
+            raise InvalidError(
+                f"shed_from is {self.shed_from} and refuse_from {self.refuse_from}; "
+                "give them rising, over 0 and not over 1"
+            )
+        if not 0 <= self.recover_margin < self.shed_from:
+            raise InvalidError(
+                f"recover_margin is {self.recover_margin}; give 0 or more, below shed_from"
+            )
+        for name in ("recover_per_s", "smooth_s", "max_late_s"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise InvalidError(f"{name} is {getattr(self, name)}; it must be positive")
+        if not 0 <= self.max_egress_bps < math.inf:
+            raise InvalidError(f"max_egress_bps is {self.max_egress_bps}; give 0 or more")
+
+
+@dataclass(frozen=True, slots=True)
+class LoadSample:
+    """What was measured of a worker since the last sample."""
+
+    time_s: float
+    """When it was taken."""
+    busy_share: float = 0.0
+    """CPU seconds of the process in a second."""
+    late_s: float = 0.0
+    """How late the event loop was."""
+    egress_bps: float = 0.0
+    """Bits sent in a second."""
+
+
+class Overload:
+    """What a worker can give now."""
+
+    def __init__(self, config: OverloadConfig, max_plays: int) -> None:
+        """max_plays: plays that run at the same time at most. Their number sheds no layers: as
+        long as the machine is idle, the last of them gets what the first got."""
+        self._config = config
+        self._max_plays = max_plays
+        self._time_s: float | None = None
+        self._smooth = 0.0
+        self.load = 0.0
+        """The load that is acted on: up with the average, down slowly."""
+
+    def observe(self, sample: LoadSample) -> None:
+        """Takes in one sample; those of an earlier time than the last one are passed over."""
+        config = self._config
+        last_s = sample.time_s if self._time_s is None else self._time_s
+        if sample.time_s < last_s:
+            return
+        self._time_s = sample.time_s
+        seconds = min(sample.time_s - last_s, MAX_SAMPLE_S)
+        measured = max(sample.busy_share, sample.late_s / config.max_late_s)
+        if config.max_egress_bps:
+            measured = max(measured, sample.egress_bps / config.max_egress_bps)
+        share = -math.expm1(-seconds / config.smooth_s)
+        self._smooth += share * (min(max(measured, 0.0), MAX_LOAD) - self._smooth)
+        recovered = self.load - config.recover_per_s * seconds
+        kept = min(self.load, max(self._smooth + config.recover_margin, recovered))
+        self.load = max(self._smooth, kept)
+
+    def max_layers(self, num_layers: int) -> int:
+        """How many of `num_layers` a play may take in: all below shed_from, 1 at refuse_from."""
+        config = self._config
+        room = (config.refuse_from - self.load) / (config.refuse_from - config.shed_from)
+        return max(1, min(num_layers, 1 + math.floor(num_layers * room)))
+
+    def accepts_plays(self, num_plays: int) -> bool:
+        """Whether one more may begin while `num_plays` run."""
+        return num_plays < self._max_plays and self.load < self._config.refuse_from
+
+    @property
+    def retry_after_s(self) -> int:
+        """Whole seconds after which one who was refused may try again."""
+        config = self._config
+        return 2 + math.ceil(max(0.0, self.load - config.refuse_from) / config.recover_per_s)

@@ -1,0 +1,67 @@
+"""swings-sign: URLs that show one stream for a while."""
+
+from __future__ import annotations
+
+import re
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from codec.console import run_command
+from codec.errors import InvalidError
+
+from .keyfile import add_key, read_keys
+from .signing import ALL, Signer
+
+MAX_HOURS = 10 * 366 * 24
+
+
+@dataclass(frozen=True, slots=True)
+class SignCommand:
+    """Sign a stream's URLs, with the keys that swings-serve verifies them with."""
+
+    keys: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="KEYS")]]
+    """File of the keys; nobody else may be able to read it."""
+    stream: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="NAME")]] = ""
+    """Name of the stream; "*" for all streams and the list of them."""
+    hours: float = 24.0
+    """How long the URLs hold."""
+    url: str = "http://127.0.0.1:8080"
+    """Where the server is for its clients."""
+    new_key: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Put a new key first in the file, which is made where there is none; have the server read it
+    again (SIGHUP) before you use what it signs. A key is withdrawn by deleting its line."""
+
+    def __post_init__(self) -> None:
+        if not (self.stream or self.new_key):
+            raise InvalidError("name a stream to sign for, or give --new-key")
+        if not 0 < self.hours <= MAX_HOURS:
+            raise InvalidError(f"hours is {self.hours}; give {MAX_HOURS} or less, over 0")
+        if not re.fullmatch(r"https?://[!-~]+", self.url):
+            raise InvalidError(f"url {self.url!a} does not look like https://HOST")
+
+
+def run(command: SignCommand) -> None:
+    if command.new_key:
+        print(f"new key   {add_key(command.keys)}")
+    if command.stream:
+        signer = Signer(read_keys(command.keys))
+        expiry_s = int(time.time() + command.hours * 3600)
+        base = command.url.rstrip("/") + signer.sign(command.stream, expiry_s)
+        if command.stream == ALL:
+            print(f"page      {base}/")
+            print(f"streams   {base}/v1/streams")
+        else:
+            print(f"page      {base}/watch/{command.stream}")
+            print(f"manifest  {base}/v1/streams/{command.stream}/manifest.json")
+
+
+def main() -> None:
+    run_command(SignCommand, run, "swings-sign", "Signs the URLs of a stream.")
+
+
+if __name__ == "__main__":
+    main()

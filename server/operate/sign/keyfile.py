@@ -1,0 +1,87 @@
+"""The file of signing keys: one `kid:secret` a line, the secret in hex, the newest first."""
+
+from __future__ import annotations
+
+import os
+import re
+import secrets
+import stat
+from pathlib import Path
+
+from codec.errors import InvalidError
+
+from .signing import KID
+
+MAX_BYTES = 64 * 1024
+
+SECRET_BYTES = 32
+
+_LINE = re.compile(rf"({KID}):((?:[0-9A-Fa-f]{{2}}){{16,128}})", re.ASCII)
+
+
+def read_keys(path: Path) -> dict[str, bytes]:
+    """The secrets by key name, in the order of the file; the first is the one to sign with.
+
+    Empty lines and those that begin with # count for nothing. Raises InvalidError for a file that
+    others may read or that is not one of keys, OSError where it cannot be read.
+    """
+    keys: dict[str, bytes] = {}
+    for number, line in enumerate(_read(path).splitlines(), start=1):
+        if not line.strip() or line.startswith("#"):
+            continue
+        match = _LINE.fullmatch(line.strip())
+        # The line itself stays untold: it may be a secret.
+        if match is None:
+            raise InvalidError(f"{path}: line {number} is not NAME:SECRET, 16 bytes or more in hex")
+        if match[1] in keys:
+            raise InvalidError(f"{path}: line {number} names the key {match[1]} again")
+        keys[match[1]] = bytes.fromhex(match[2])
+    if not keys:
+        raise InvalidError(f"{path} holds no key; swings-sign --new-key adds one")
+    return keys
+
+
+def add_key(path: Path) -> str:
+    """Puts a new key before those of `path`, which is made where there is none; gives its name.
+
+    The file is replaced in one step. Raises as `read_keys` does.
+    """
+    keys, text = dict[str, bytes](), ""
+    if path.exists():
+        keys, text = read_keys(path), _read(path)
+    kid = secrets.token_hex(4)
+    while kid in keys:
+        kid = secrets.token_hex(4)
+    draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    try:
+        with os.fdopen(descriptor, "w", encoding="ascii") as file:
+            file.write(f"{kid}:{secrets.token_hex(SECRET_BYTES)}\n{text}")
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(draft, path)
+    except BaseException:
+        draft.unlink(missing_ok=True)
+        raise
+    return kid
+
+
+def _read(path: Path) -> str:
+    # Not blocking: a FIFO is refused below and must not hold us up here.
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    with os.fdopen(descriptor, "rb") as file:
+        status = os.fstat(file.fileno())
+        if not stat.S_ISREG(status.st_mode):
+            raise InvalidError(f"{path} is not a regular file")
+        if status.st_mode & 0o077:
+            raise InvalidError(
+                f"{path} holds secrets and others may read it; make it yours alone: "
+                f"chmod 600 {path}"
+            )
+        data = file.read(MAX_BYTES + 1)
+    if len(data) > MAX_BYTES:
+        raise InvalidError(f"{path} has more than {MAX_BYTES} bytes; it is not a file of keys")
+    try:
+        return data.decode("ascii")
+    except UnicodeDecodeError as error:
+        raise InvalidError(f"{path} is not a file of keys: it is not ASCII text") from error

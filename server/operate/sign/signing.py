@@ -1,0 +1,129 @@
+"""URLs that carry their own permission: /t/{expiry}.{kid}.{signature}/v1/streams/NAME/...
+
+The signature stands in the path, so that relative URLs keep it, and caches need no query string.
+It covers the key's name, the expiry and one stream, or `*` for all and for the list of them.
+
+Rule: no clock and no files. Whatever path comes in, a verifier gives a grant or a reason.
+"""
+
+from __future__ import annotations
+
+import hmac
+import re
+from base64 import urlsafe_b64encode
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+from codec.errors import InvalidError
+
+ALL = "*"
+"""Signed in place of a stream's name: every stream, and the list of them."""
+
+KID = r"[A-Za-z0-9_-]{1,32}"
+"""What a key may be called: a regular expression."""
+
+_PREFIX = re.compile(rf"/t/([1-9][0-9]{{0,11}})\.({KID})\.([A-Za-z0-9_-]{{43}})(/.*)", re.ASCII)
+
+_OF_STREAM = re.compile(r"/(?:v1/streams|watch)/([A-Za-z0-9._-]+)(?:/.*)?", re.ASCII)
+
+_STREAM = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}", re.ASCII)
+
+_OF_ALL = ("/", "/v1/streams")
+
+OPEN = "/web/"
+"""How the paths begin that need no signature, but may have one: the player's own program."""
+
+_DOTS = re.compile(r"/(?:\.|%2[eE]){1,2}(?:/|$)")
+"""A part that a proxy or a cache might resolve to another path."""
+
+
+class Reason(StrEnum):
+    """Why a path is refused."""
+
+    UNSIGNED = "unsigned"
+    """It has no signature, or what is in its place does not look like one."""
+    KEY = "key"
+    """It is signed with a key that is not known here, or not any more."""
+    SIGNATURE = "signature"
+    """It was altered, or signed for another stream."""
+    EXPIRED = "expired"
+
+
+@dataclass(frozen=True, slots=True)
+class Grant:
+    """What a signature allows."""
+
+    path: str
+    """The path without the signature."""
+    stream: str
+    """The stream that it speaks of; ALL for the list of streams, empty for the player's program."""
+    expiry_s: int
+    """Unix time at which it ends."""
+
+
+class Signer:
+    """Signs with the first of its keys, verifies with all."""
+
+    def __init__(self, keys: Mapping[str, bytes]) -> None:
+        """keys: secrets by key name, at least one. Raises InvalidError for a name that is none."""
+        if not keys:
+            raise InvalidError("there is no key to sign with")
+        for kid in keys:
+            if not re.fullmatch(KID, kid):
+                raise InvalidError(f"key name {kid[:40]!a} is not 1 to 32 letters, digits, _ or -")
+        self._keys = dict(keys)
+        self._first = next(iter(keys))
+
+    def sign(self, stream: str, expiry_s: int) -> str:
+        """The prefix, without a slash at its end, that allows `stream` until `expiry_s`.
+
+        stream: a name, or ALL. Raises InvalidError for what is neither, or a time that is none.
+        """
+        if stream != ALL and not _STREAM.fullmatch(stream):
+            raise InvalidError(f"{stream[:90]!a} is not the name of a stream, nor {ALL} for all")
+        if not 0 < expiry_s < 10**12:
+            raise InvalidError(f"expiry {expiry_s} is not a time in Unix seconds")
+        expiry = str(expiry_s)
+        return f"/t/{expiry}.{self._first}.{self._signature(self._first, expiry, stream)}"
+
+    def verify(self, path: str, now_s: float) -> Grant | Reason:
+        """What `path` is allowed at `now_s`, or why it is not.
+
+        path: as the client sent it, nothing decoded, without a query. Whoever follows the grant
+        must read Grant.path and nothing else.
+        """
+        match = _PREFIX.fullmatch(path)
+        if match is None or _DOTS.search(path):
+            return Reason.UNSIGNED
+        expiry, kid, signature, inner = match.groups()
+        if inner.startswith(OPEN):
+            # Its signature names a stream that this path does not: there is nothing to check.
+            return Grant(inner, "", int(expiry))
+        found = _OF_STREAM.fullmatch(inner)
+        if found is None and inner not in _OF_ALL:
+            return Reason.SIGNATURE
+        if kid not in self._keys:
+            return Reason.KEY
+        stream = ALL if found is None else found[1]
+        # Texts are compared, not what they decode to: the last character has bits to spare.
+        given = signature.encode()
+        signed = any(
+            hmac.compare_digest(self._signature(kid, expiry, scope).encode(), given)
+            for scope in ({stream: None, ALL: None})
+        )
+        if not signed:
+            return Reason.SIGNATURE
+        if now_s >= int(expiry):
+            return Reason.EXPIRED
+        return Grant(inner, stream, int(expiry))
+
+    def _signature(self, kid: str, expiry: str, scope: str) -> str:
+        message = f"swings 1\n{kid}\n{expiry}\n{scope}".encode()
+        digest = hmac.digest(self._keys[kid], message, "sha256")
+        return urlsafe_b64encode(digest).rstrip(b"=").decode()
+
+
+def needs_signature(path: str) -> bool:
+    """Whether `path` shows a stream, or which there are: what signed URLs are there to guard."""
+    return path in _OF_ALL or path.startswith(("/v1/", "/watch/"))

@@ -1,0 +1,98 @@
+"""A supervised server that says who answers and then echoes, run as a module with WHAT CONFIG: its
+port is on the first line of stdout, its log on stderr.
+
+WHAT: "echo"; "slow", which takes a while to end; "stubborn", which never does; "crash", whose
+workers die; "refuse", which cannot start; "relay", which asks worker WORD for what comes as WORD.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import socket
+import sys
+import time
+from pathlib import Path
+
+from codec.errors import SwingsError
+from server.operate.log.eventlog import EventLog
+from server.operate.log.logline import LogStyle
+from server.operate.workers.backoff import BackoffConfig
+from server.operate.workers.peers import Peers
+from server.operate.workers.supervisor import Supervisor, SupervisorConfig, Worker
+
+
+async def serve(what: str, worker: Worker) -> None:
+    loop = asyncio.get_running_loop()
+    stop = asyncio.Event()
+    loop.add_signal_handler(signal.SIGTERM, stop.set)
+    peers = Peers(worker.number, worker.mailboxes)
+    peers.on_request = lambda message: b"%d of %d: " % (worker.number, os.getpid()) + message
+    peers.start()
+
+    async def talk(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            writer.write(f"{worker.number} {os.getpid()}\n".encode())
+            while line := await reader.readline():
+                if what == "relay":
+                    number, _, message = line.rstrip(b"\n").partition(b" ")
+                    answer = await peers.ask(int(number), message)
+                    line = b"%s\n" % (b"nothing" if answer is None else answer)
+                writer.write(line)
+                await writer.drain()
+        except (ConnectionError, asyncio.CancelledError):
+            pass
+        finally:
+            writer.close()
+
+    server = await asyncio.start_server(talk, sock=worker.listener, backlog=512)
+    worker.ready()
+    await stop.wait()
+    server.close()
+    if what == "slow":
+        await asyncio.sleep(0.5)
+    peers.close()
+
+
+def run(what: str, worker: Worker) -> None:
+    if what == "refuse" or Path("refuse").exists():
+        raise SwingsError("there is nothing\nto serve")
+    if what == "crash":
+        worker.ready()
+        sys.exit(3)
+    if what == "stubborn":
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        worker.ready()
+        while True:
+            time.sleep(1)
+    asyncio.run(serve(what, worker))
+
+
+def main() -> None:
+    what, settings = sys.argv[1], json.loads(sys.argv[2])
+    backoff = BackoffConfig(**settings.pop("backoff", {}))
+    listener = socket.create_server(("127.0.0.1", 0), backlog=512)
+    port = listener.getsockname()[1]
+    log = EventLog(2, LogStyle.JSON)
+    supervisor = Supervisor(
+        listener,
+        lambda worker: run(what, worker),
+        SupervisorConfig(**settings, backoff=backoff),
+        log.event,
+        lambda number: log.event("forgotten", worker=number),
+    )
+
+    def ready() -> None:
+        sys.stdout.write(f"{port}\n")
+        sys.stdout.flush()
+
+    try:
+        supervisor.run(ready)
+    except SwingsError as error:
+        sys.exit(f"failed: {error}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,171 @@
+"""Questions between workers: on one event loop, and between real processes that die."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from codec.errors import InvalidError
+from server.operate.workers.mailboxes import Mailboxes
+from server.operate.workers.peers import MAX_MESSAGE_BYTES, MAX_WAITING, Peers
+from tests.server.operate.workers.test_supervisor import serving, wait_until
+
+
+@asynccontextmanager
+async def group(count: int, timeout_s: float = 1.0) -> AsyncIterator[list[Peers]]:
+    """Workers 0..count-1, and a place after them where nobody is."""
+    mailboxes = Mailboxes(count + 1)
+    peers = [Peers(n, mailboxes, timeout_s) for n in range(count)]
+    for n, one in enumerate(peers):
+        one.on_request = lambda message, n=n: b"%d:" % n + message  # type: ignore[misc]
+        one.start()
+    try:
+        yield peers
+    finally:
+        for one in peers:
+            one.close()
+        mailboxes.close()
+
+
+def test_everybody_answers_everybody_even_itself() -> None:
+    async def work() -> None:
+        async with group(3) as peers:
+            for asker in peers:
+                for n in range(3):
+                    assert await asker.ask(n, b"hello") == b"%d:hello" % n
+            assert peers[0].counts.asked == peers[0].counts.answered == 3
+
+    asyncio.run(work())
+
+
+def test_far_more_questions_than_a_socket_holds_are_all_answered() -> None:
+    async def work() -> None:
+        async with group(3) as peers:
+            asked = [peers[n % 2].ask(2, b"%d" % n) for n in range(MAX_WAITING)]
+            assert await asyncio.gather(*asked) == [b"2:%d" % n for n in range(MAX_WAITING)]
+
+    asyncio.run(work())
+
+
+def test_who_is_not_there_is_not_waited_for_long() -> None:
+    async def work() -> None:
+        async with group(2, timeout_s=0.1) as peers:
+            began_s = time.monotonic()
+            assert await peers[0].ask(2, b"hello") is None
+            assert 0.05 < time.monotonic() - began_s < 0.5
+            assert await peers[0].ask(3, b"hello") is None
+            assert await peers[0].ask(-1, b"hello") is None
+            assert peers[0].counts.unanswered == 3
+            # However many ask for him, what waits is bounded and goes away.
+            answers = await asyncio.gather(*(peers[0].ask(2, b"x") for _ in range(1000)))
+            assert answers == [None] * 1000
+            assert peers[0].counts.dropped >= 1000 - MAX_WAITING - 600
+            await asyncio.sleep(0.2)
+            assert peers[0].counts.dropped > 1000 - 600
+            assert not peers[0]._unsent
+            assert await peers[0].ask(1, b"hello") == b"1:hello"
+
+    asyncio.run(work())
+
+
+def test_an_answer_that_fails_is_none(caplog: pytest.LogCaptureFixture) -> None:
+    async def work() -> None:
+        async with group(2, timeout_s=0.1) as peers:
+
+            def fails(_: bytes) -> bytes:
+                raise KeyError("bug")
+
+            peers[1].on_request = fails
+            assert await peers[0].ask(1, b"bug") is None
+            peers[1].on_request = lambda message: message
+            assert await peers[0].ask(1, b"hello") == b"hello"
+
+    asyncio.run(work())
+    assert "was not answered" in caplog.text
+
+
+def test_who_was_late_himself_takes_an_answer_that_is_there() -> None:
+    async def work() -> None:
+        async with group(2, timeout_s=0.1) as peers:
+
+            def slow(message: bytes) -> bytes:
+                time.sleep(0.15)  # both are on this event loop
+                return message
+
+            peers[1].on_request = slow
+            assert await peers[0].ask(1, b"hello") == b"hello"
+
+    asyncio.run(work())
+
+
+def test_messages_are_bounded() -> None:
+    async def work() -> None:
+        async with group(2) as peers:
+            peers[1].on_request = lambda message: message
+            longest = b"x" * MAX_MESSAGE_BYTES
+            assert await peers[0].ask(1, longest) == longest
+            assert await peers[0].ask(1, b"") == b""
+            with pytest.raises(InvalidError, match="at most"):
+                await peers[0].ask(1, longest + b"x")
+
+    asyncio.run(work())
+
+
+@given(st.lists(st.binary(max_size=60), max_size=20))
+def test_nonsense_in_a_mailbox_harms_nobody(messages: list[bytes]) -> None:
+    async def work() -> None:
+        async with group(2) as peers:
+            for message in messages:
+                peers[1]._take(message)
+                peers[1]._take(b"\x02\x00\x00" + message)
+            assert await peers[0].ask(1, b"hello") == b"1:hello"
+
+    asyncio.run(work())
+
+
+def test_questions_that_wait_at_the_end_are_given_up() -> None:
+    async def work() -> None:
+        async with group(2, timeout_s=60) as peers:
+            question = asyncio.create_task(peers[0].ask(2, b"hello"))
+            await asyncio.sleep(0.01)
+            peers[0].close()
+            assert await question is None
+
+    asyncio.run(work())
+
+
+def test_workers_ask_each_other_and_a_successor_reads_on(tmp_path: Path) -> None:
+    with serving(tmp_path, "relay", workers=2) as served:
+        wait_until(lambda: len(served.events("worker_ready")) == 2)
+        pids = {line["worker"]: line["pid"] for line in served.events("worker_ready")}
+        talk = served.connect()
+        other = 1 - talk.number
+
+        def answer(word: bytes) -> bytes:
+            talk._socket.sendall(b"%d %s\n" % (other, word))
+            return talk._file.readline()
+
+        assert answer(b"one") == b"%d of %d: one\n" % (other, pids[other])
+        os.kill(pids[other], signal.SIGSTOP)
+        began_s = time.monotonic()
+        assert answer(b"two") == b"nothing\n"
+        assert 0.9 < time.monotonic() - began_s < 3
+        # His answer comes too late, and is not taken for that to another question.
+        os.kill(pids[other], signal.SIGCONT)
+        time.sleep(0.1)
+        assert answer(b"again") == b"%d of %d: again\n" % (other, pids[other])
+        os.kill(pids[other], signal.SIGKILL)
+        wait_until(lambda: len(served.events("worker_ready")) == 3)
+        successor = served.events("worker_ready")[-1]
+        assert successor["worker"] == other
+        assert answer(b"three") == b"%d of %d: three\n" % (other, successor["pid"])
+        talk.close()
