@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-import socket
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -12,10 +9,10 @@ import tyro
 
 from codec.console import run_command
 
-from .library import Library
-from .listener import RunningServer, bind, run_until_stopped, url_of
+from .listener import bind, url_of
+from .operate.settings import SettingsConfig, settings_parser
+from .serving import Service
 from .state.config import ServerConfig
-from .state.serverstate import ServerState
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,33 +22,30 @@ class ServeCommand:
     root: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="ROOT")]]
     """Folder of a stream, or of streams; or their URL in an object store, as s3://BUCKET/PATH."""
     host: str = "127.0.0.1"
-    """Address to listen on; 0.0.0.0 for all of IPv4."""
+    """Address to listen on; 0.0.0.0 for all of IPv4, :: for all of both."""
     port: int = 8080
     """TCP port; 0 for any free one."""
+    settings: tyro.conf.OmitArgPrefixes[SettingsConfig] = field(default_factory=SettingsConfig)
+    """Where settings come from."""
     server: tyro.conf.OmitArgPrefixes[ServerConfig] = field(default_factory=ServerConfig)
+    """The server itself."""
 
 
 def run(command: ServeCommand) -> None:
-    library = Library(command.root, command.server.refresh_s)
     listener = bind(command.host, command.port)
-
-    def ready() -> None:
-        print(f"serving {url_of(listener)}", flush=True)
-        for name in sorted(library.streams):
-            print(name, flush=True)
-
-    asyncio.run(_serve(command, library, listener, ready))
-
-
-async def _serve(
-    command: ServeCommand, library: Library, listener: socket.socket, ready: Callable[[], None]
-) -> None:
-    server = RunningServer(ServerState(library, command.server), listener)
-    await run_until_stopped(server, ready)
+    url = url_of(listener, "http" if command.server.tls_cert is None else "https")
+    service = Service(command.root, command.server, listener)
+    service.run(ready=lambda: print(f"serving {url}", flush=True))
 
 
 def main() -> None:
-    run_command(ServeCommand, run, "swings-serve", "Serves streams over HTTP.")
+    run_command(
+        ServeCommand,
+        run,
+        "swings-serve",
+        "Serves streams over HTTP.",
+        settings_parser("SWINGS_SERVE"),
+    )
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import time
 from collections.abc import Coroutine
 from typing import Any
 
@@ -18,6 +19,11 @@ from .answers.call import Call
 from .http.errors import RequestError
 from .http.response import AnyResponse, HeadWriter, Response, error_response
 from .http.site import Connection, Exchange, Site
+from .operate.admission import Admission
+from .operate.clientaddress import client_address, is_proxy
+from .operate.descriptors import connection_limit
+from .operate.log.eventlog import EventLog
+from .operate.sign.signing import Grant, Reason, Signer, needs_signature
 from .router import OBJECT_ROUTE, find_route
 from .state.serverstate import ServerState
 
@@ -33,33 +39,46 @@ ALLOWED_HEADERS = f"Range, If-Range, If-None-Match, Content-Type, {PLAY_HEADER},
 class Application(Site):
     """Answers the requests of all connections of one event loop."""
 
-    def __init__(self, state: ServerState) -> None:
+    def __init__(self, state: ServerState, log: EventLog | None = None) -> None:
+        """log: where each request gets a line; None for nowhere."""
+        config, admission = state.config, state.config.admission
         self.state = state
-        self.patience = state.config.patience
+        self.patience = config.patience
         self.max_body_bytes = MAX_BODY_BYTES
-        self.heads = HeadWriter(_common_fields(state.config.cors_origin))
+        self.heads = HeadWriter(_common_fields(config.cors_origin))
         self.connections: set[Connection] = set()
         self.emptied = asyncio.Event()
+        self._max_connections = connection_limit(admission.max_connections)
+        self._admission = Admission(
+            self._max_connections, admission.max_address_connections, state.proxies
+        )
+        self._log = log if config.log_requests else None
 
     @property
     def stopping(self) -> bool:
         return self.state.stopping.is_set()
 
     def answer(self, exchange: Exchange) -> AnyResponse | Coroutine[Any, Any, AnyResponse]:
-        request = exchange.request
+        request, state = exchange.request, self.state
         assert request is not None
-        if request.is_plain:
-            # Of all requests the most by far, and always the same.
-            ready = self.state.cache.response(request.path)
-            if ready is not None:
-                exchange.route = OBJECT_ROUTE
-                return ready
         if request.method == "OPTIONS":
             return _preflight()
         try:
+            if state.signer is not None:
+                request.path = _granted_path(request.path, state.signer)
+            if request.is_plain:
+                # Of all requests the most by far, and always the same.
+                ready = state.cache.response(request.path)
+                if ready is not None:
+                    exchange.route = OBJECT_ROUTE
+                    return ready
             route, names = find_route(request.method, request.path)
             exchange.route = route.template
-            answer = route.handler(Call(self.state, request, exchange.address, names))
+            behind_proxy = is_proxy(exchange.address, state.proxies)
+            if behind_proxy and request.forwarded:
+                forwarded = (request.forwarded,)
+                exchange.address = client_address(exchange.address, forwarded, state.proxies)
+            answer = route.handler(Call(state, request, exchange.address, behind_proxy, names))
         except Exception as error:
             return self._refusal(exchange, error)
         return self._guarded(exchange, answer) if asyncio.iscoroutine(answer) else answer
@@ -77,38 +96,85 @@ class Application(Site):
         if isinstance(error, RequestError):
             exchange.note = str(error)
             return error_response(error.status, str(error), error.headers)
-        self._log(exchange, error)
+        self._report(exchange, error)
         if isinstance(error, SwingsError | OSError):
             return error_response(500, "this stream is damaged on the server", {})
         return error_response(500, "the server has a bug; its log says more", {})
 
-    def _log(self, exchange: Exchange, error: Exception) -> None:
-        path = exchange.request.path if exchange.request is not None else ""
+    def _report(self, exchange: Exchange, error: Exception) -> None:
+        path = exchange.request.path[:200] if exchange.request is not None else ""
         if isinstance(error, SwingsError | OSError):
             log.error("%s: %s", path, error)
         else:
             log.error("%s failed", path, exc_info=error)
 
     def failed(self, exchange: Exchange, error: Exception) -> None:
-        self._log(exchange, error)
+        self._report(exchange, error)
 
     def finished(self, exchange: Exchange, now_s: float) -> None:
-        self.state.metrics.requests.add(1, exchange.route, str(exchange.status))
+        state, began_s = self.state, exchange.began_s
+        state.sent_bytes += exchange.body_bytes
+        state.metrics.requests.add(1, exchange.route, str(exchange.status))
+        state.metrics.ttfb.observe(exchange.first_s - began_s)
+        if self._log is not None:
+            request = exchange.request
+            self._log.event(
+                "request",
+                address=exchange.address,
+                method=request.method if request is not None else None,
+                path=request.path if request is not None else None,
+                query=(request.query or None) if request is not None else None,
+                status=exchange.status,
+                bytes=exchange.body_bytes,
+                ms=round(1e3 * (now_s - began_s), 1),
+                note=exchange.note or None,
+            )
 
     def cut(self, kind: str) -> None:
         self.state.metrics.timeouts.add(1, kind)
 
     def has_room(self) -> bool:
-        return len(self.connections) < self.state.config.max_connections
+        return len(self.connections) < self._max_connections
 
     def paused(self) -> None:
         self.state.metrics.accept_pauses.add(1)
 
     def admit(self, address: str) -> bytes | None:
-        return None
+        refusal = self._admission.admit(address)
+        if refusal is None:
+            return None
+        self.state.metrics.refused.add(1, f"connection_{refusal}")
+        return _TOO_MANY
 
     def closed(self, address: str) -> None:
-        pass
+        self._admission.release(address)
+
+
+_TOO_MANY = (
+    b"HTTP/1.1 429 Too Many Requests\r\nRetry-After: 5\r\nContent-Length: 0\r\n"
+    b"Connection: close\r\n\r\n"
+)
+"""For an address that has all the connections that one may have."""
+
+
+def _granted_path(path: str, signer: Signer) -> str:
+    """The path without its signature. Raises RequestError 403 for one that needs another."""
+    if path.startswith("/t/"):
+        grant = signer.verify(path, time.time())
+        if isinstance(grant, Grant):
+            return grant.path
+        raise RequestError(403, f"this URL does not open anything: {_REASONS[grant]}")
+    if needs_signature(path):
+        raise RequestError(403, f"this URL does not open anything: {_REASONS[Reason.UNSIGNED]}")
+    return path
+
+
+_REASONS = {
+    Reason.UNSIGNED: "it is not signed",
+    Reason.KEY: "its key is not known here any more",
+    Reason.SIGNATURE: "its signature is for something else",
+    Reason.EXPIRED: "its time is over",
+}
 
 
 def _preflight() -> Response:

@@ -1,17 +1,11 @@
-"""Runs the application on a socket until the process is told to stop."""
+"""The socket that a server listens on."""
 
 from __future__ import annotations
 
-import asyncio
-import signal
 import socket
-import ssl
-from collections.abc import Callable
+from ipaddress import ip_address
 
-from .app import Application
 from .errors import ServerError
-from .http.acceptor import Acceptor
-from .state.serverstate import ServerState
 
 UNSENT_BYTES = 256 * 1024
 """Bytes that the kernel takes of one connection before they can be sent."""
@@ -45,12 +39,16 @@ def bind(host: str, port: int) -> socket.socket:
     return listener
 
 
-def url_of(listener: socket.socket) -> str:
-    """http://HOST:PORT of a bound socket."""
+def url_of(listener: socket.socket, scheme: str = "http") -> str:
+    """SCHEME://HOST:PORT of a bound socket."""
     host, port = listener.getsockname()[:2]
-    return (
-        f"http://[{host}]:{port}" if listener.family == socket.AF_INET6 else f"http://{host}:{port}"
-    )
+    shown = f"[{host}]" if listener.family == socket.AF_INET6 else host
+    return f"{scheme}://{shown}:{port}"
+
+
+def is_loopback(listener: socket.socket) -> bool:
+    """Whether only this machine reaches a bound socket."""
+    return ip_address(listener.getsockname()[0].partition("%")[0]).is_loopback
 
 
 def bound_connections(listener: socket.socket, write_timeout_s: float) -> None:
@@ -65,55 +63,3 @@ def bound_connections(listener: socket.socket, write_timeout_s: float) -> None:
     if hasattr(socket, "TCP_USER_TIMEOUT"):
         milliseconds = max(1, round(2000 * write_timeout_s))
         listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, milliseconds)
-
-
-class RunningServer:
-    """The server on one socket, between `start` and `stop`."""
-
-    def __init__(
-        self, state: ServerState, listener: socket.socket, tls: ssl.SSLContext | None = None
-    ) -> None:
-        """tls: None for plain HTTP."""
-        self._state = state
-        self._listener = listener
-        self.app = Application(state)
-        self._acceptor = Acceptor(self.app, listener, tls)
-        self._watch: asyncio.Task[None] | None = None
-
-    async def start(self) -> None:
-        """Begins to serve, what is in the library by then."""
-        bound_connections(self._listener, self._state.config.patience.write_timeout_s)
-        self._watch = asyncio.create_task(self._state.library.watch())
-        self._acceptor.start()
-
-    async def stop(self) -> None:
-        """Lets plays end at their next slice and answers what was asked, within
-        `shutdown_timeout_s`. Stopping twice is the same as once."""
-        if self._watch is None:
-            return
-        watch, self._watch = self._watch, None
-        self._state.stopping.set()
-        await self._acceptor.stop(self._state.config.shutdown_timeout_s)
-        self._listener.close()
-        watch.cancel()
-        await asyncio.wait([watch])
-
-
-async def run_until_stopped(server: RunningServer, ready: Callable[[], None]) -> None:
-    """Serves, calls `ready` once, and ends gracefully on SIGTERM or SIGINT.
-
-    A second signal ends the process at once.
-    """
-    loop = asyncio.get_running_loop()
-    stop = asyncio.Event()
-    signals = (signal.SIGTERM, signal.SIGINT)
-    for number in signals:
-        loop.add_signal_handler(number, stop.set)
-    await server.start()
-    try:
-        ready()
-        await stop.wait()
-    finally:
-        for number in signals:
-            loop.remove_signal_handler(number)
-        await server.stop()

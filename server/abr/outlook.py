@@ -12,6 +12,9 @@ from .holding import Holding
 from .media import Media
 from .playout import PlayoutClock
 
+MAX_LAYERS = 16
+"""More than any stream has."""
+
 
 @dataclass(frozen=True, slots=True)
 class SendSlices:
@@ -71,6 +74,13 @@ class Outlook:
     """Seconds of the link that one answer may fill."""
     paused: bool = False
     """Whether next_frame shows, and goes on to."""
+    max_layers: int = MAX_LAYERS
+    """Layers that may be sent, however many there are: a server under load has no more to give."""
+
+    @property
+    def num_layers(self) -> int:
+        """Layers that there are to choose from."""
+        return min(self.media.num_layers, self.max_layers)
 
     def due_s(self, birth: int) -> float:
         """When the slice shows first; now, before the client has begun to play."""

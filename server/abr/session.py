@@ -15,7 +15,7 @@ from codec.errors import InvalidError
 
 from .estimator import EstimatorConfig, RateEstimator
 from .media import Media
-from .outlook import Outlook, Policy, Send, SendSlices
+from .outlook import MAX_LAYERS, Outlook, Policy, Send, SendSlices
 from .playout import PlayoutClock, PlayoutConfig
 from .slotholding import open_holding
 from .standing import Standing
@@ -123,6 +123,8 @@ class PlaySession:
         that began together do not burst in step."""
         self._media = media
         self._policy = policy
+        self.max_layers = MAX_LAYERS
+        """Layers that may be sent from now on."""
         self._config = config
         self._until_frame = until_frame
         self._estimator = RateEstimator(config.estimator)
@@ -284,6 +286,7 @@ class PlaySession:
             max_lead_s=config.max_lead_s,
             run_s=config.run_s,
             paused=self._paused_frame is not None,
+            max_layers=self.max_layers,
         )
         full = end_birth < num_frames
         # A client that turned out to be further behind may hold more than the lead.

@@ -16,7 +16,10 @@ PLAY_HEADER = "Swings-Play"
 request that of the client's last play, whose estimate the new one begins with."""
 
 RATE_HEADER = "Swings-Rate"
-"""Says, in the answer to such news, what the link is taken to carry, bits per second."""
+"""Says, in the answer to such news, what the link is taken to carry, bits per second; in the
+request of a play what the last one said, for a server that does not know any more."""
+
+MOST_RATE_BPS = 10**12
 
 TOKEN = "[A-Za-z0-9_-]{1,64}"
 """What a token looks like: a regular expression."""
@@ -29,6 +32,13 @@ MAX_FRAME = 2**31 - 1
 MAX_BUFFER_S = 86_400
 
 _KEYS = ("frame", "buffer_s", "paused", "busy")
+
+
+def parse_rate(text: str) -> float | None:
+    """The bits per second that the value of a RATE_HEADER says; None where it says none."""
+    if not (text.isascii() and text.isdigit() and len(text) <= 13):
+        return None
+    return float(text) if 0 < int(text) <= MOST_RATE_BPS else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,6 +25,8 @@ class Call:
     request: Request
     address: str
     """Of the client."""
+    peer_is_proxy: bool
+    """Whether the connection is a proxy's that is trusted."""
     names: Mapping[str, str]
     """The parts of the path by the names that the route gives them, as they were sent."""
 

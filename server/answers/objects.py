@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+from urllib.parse import parse_qsl
 
+from codec.stream.integrity import MAX_INDEX_BYTES
 from codec.stream.manifest import Part
 from codec.stream.poster import picture_type
 from server.http.content import IMMUTABLE, REVALIDATE, Content, respond
@@ -13,6 +15,9 @@ from server.http.response import Response
 from server.library import ServedStream
 
 from .call import Answer, Call
+
+MAX_WAIT_S = 30
+"""Seconds that a client may wait for an index to grow."""
 
 OBJECT_TYPE = "application/octet-stream"
 
@@ -24,12 +29,49 @@ def manifest(call: Call) -> Response:
     return respond(call.request, content)
 
 
-def index(call: Call) -> Response:
-    view = call.stream().view
+def index(call: Call) -> Answer:
+    """The index; with ?after=N and &wait=S once it has more than N bytes, or after S seconds."""
+    stream = call.stream()
+    after_bytes, wait_s = parse_index_query(call.request.query)
+    if stream.live and wait_s and len(stream.view.index_data) <= after_bytes:
+        return _grown_index(call, stream, wait_s)
+    return _index(call, stream)
+
+
+async def _grown_index(call: Call, stream: ServedStream, wait_s: float) -> Response:
+    clock, num_segments = asyncio.get_running_loop().time, stream.view.num_segments
+    until_s = clock() + wait_s
+    while (
+        stream.live
+        and not stream.gone
+        and not call.state.stopping.is_set()
+        and stream.view.num_segments == num_segments
+        and clock() < until_s
+    ):
+        # Not all at once: the server may stop meanwhile.
+        await stream.wait_for_growth(num_segments, min(0.5, until_s - clock()))
+    return _index(call, call.stream())
+
+
+def _index(call: Call, stream: ServedStream) -> Response:
+    view = stream.view
     data = view.index_data
     return respond(
         call.request, Content(data, len(data), view.index_sha256, OBJECT_TYPE, REVALIDATE)
     )
+
+
+def parse_index_query(query: str) -> tuple[int, float]:
+    """The bytes of the index that a client has, and the seconds that it waits for more. What is
+    asked of other servers for other reasons, such as to get past a cache, is passed over."""
+    values = dict(parse_qsl(query, keep_blank_values=True))
+    numbers = []
+    for key, most in (("after", MAX_INDEX_BYTES), ("wait", MAX_WAIT_S)):
+        text = values.get(key, "0")
+        if not (text.isascii() and text.isdigit() and len(text) <= 10 and int(text) <= most):
+            raise RequestError(400, f"{key}={text[:40]!a} is not a number from 0 to {most}")
+        numbers.append(int(text))
+    return numbers[0], float(numbers[1])
 
 
 def segment_object(call: Call) -> Answer:

@@ -7,7 +7,7 @@ from server.html.gallery import Card, front_page, missing_page
 from server.http.errors import RequestError
 from server.http.response import Response, json_response
 from server.library import ServedStream
-from server.state.metrics import CONTENT_TYPE
+from server.operate.prometheus import CONTENT_TYPE
 
 from .call import Call
 
@@ -29,7 +29,11 @@ def _text(text: str) -> Response:
 
 def _origin(call: Call) -> str:
     """scheme://host of this server as the client calls it."""
-    return f"{call.state.scheme}://{call.request.host}"
+    scheme = call.state.scheme
+    said = call.request.fields.get("x-forwarded-proto", "")
+    if said in ("http", "https") and call.peer_is_proxy:
+        scheme = said
+    return f"{scheme}://{call.request.host}"
 
 
 def _title(stream: ServedStream) -> str:
@@ -101,8 +105,11 @@ def healthz(call: Call) -> Response:
 
 def readyz(call: Call) -> Response:
     """New requests are welcome: not while stopping."""
-    if call.state.stopping.is_set():
+    state = call.state
+    if state.stopping.is_set():
         raise RequestError(503, "the server is stopping")
+    if not state.overload.accepts_plays(len(state.plays)):
+        raise RequestError(503, "the server has no room for another play")
     return _text("ready\n")
 
 

@@ -31,7 +31,7 @@ from server.abr.session import (
     WaitForNews,
     WaitUntil,
 )
-from server.abr.standing import PLAY_HEADER, Standing
+from server.abr.standing import PLAY_HEADER, RATE_HEADER, Standing, parse_rate
 from server.http.bodywriter import BodyWriter
 from server.http.content import accepted_codings
 from server.http.errors import RequestError
@@ -73,13 +73,22 @@ def _figure(value: float | None, scale: float) -> str:
 async def play(call: Call) -> StreamedResponse:
     stream, state = call.stream(), call.state
     asked = parse_qsl(call.request.query, keep_blank_values=True)
-    num_layers = stream.view.manifest.num_layers
-    query = parse_query(asked, stream.num_frames, stream.live, num_layers)
+    num_layers, records = stream.view.manifest.num_layers, stream.view.records
+    # A segment's start: there all that shows can be had at once.
+    edge_frame = records[-1].first_frame if records else 0
+    query = parse_query(asked, stream.num_frames, stream.live, num_layers, edge_frame)
     if state.stopping.is_set():
         raise RequestError(503, "the server is stopping", {"Retry-After": str(RETRY_AFTER_S)})
-    if len(state.plays) >= state.config.max_plays:
-        message = f"the server has {len(state.plays)} plays, its most; try again later"
-        raise RequestError(503, message, {"Retry-After": str(RETRY_AFTER_S)})
+    if not state.overload.accepts_plays(len(state.plays)):
+        state.metrics.refused.add(1, "play_load")
+        message = f"the server has no room beside {len(state.plays)} plays; try again later"
+        after_s = max(RETRY_AFTER_S, state.overload.retry_after_s)
+        raise RequestError(503, message, {"Retry-After": str(after_s)})
+    refusal = state.play_admission.admit(call.address)
+    if refusal is not None:
+        state.metrics.refused.add(1, f"play_{refusal}")
+        message = "there are too many plays from this address; try again later"
+        raise RequestError(429, message, {"Retry-After": str(RETRY_AFTER_S)})
     # From here on nothing may wait before the body is made: its end gives the place free.
     running = _Play(call, stream, query)
     return StreamedResponse(running.fields, running.run)
@@ -92,7 +101,9 @@ class _Play:
         state, asked = call.state, call.request.fields
         layers = query.num_layers
         policy = own_policy(stream) if layers is None else fixed_policy(layers)
-        self._token = token = secrets.token_urlsafe(16)
+        # News may come to another worker, which reads from it whom to ask.
+        self._token = token = f"{state.number}-{secrets.token_urlsafe(16)}"
+        self._address = call.address
         self.fields = {"Content-Type": CONTENT_TYPE, "Cache-Control": "no-store"}
         self.fields[PLAY_HEADER] = token
         self._plain: PlainRecordEncoder | None = None
@@ -107,6 +118,8 @@ class _Play:
         self._clock = asyncio.get_running_loop().time
         self._began_s = now_s = self._clock()
         last_rate_bps = state.plays.rate_bps(asked.get(PLAY_HEADER.lower(), ""), now_s)
+        # Another worker, or one that died, knew it: the client says what that one said.
+        last_rate_bps = last_rate_bps or parse_rate(asked.get(RATE_HEADER.lower(), ""))
         self._session = PlaySession(
             stream,
             policy,
@@ -145,6 +158,7 @@ class _Play:
         now_s, session, tcp = self._clock(), self._session, self._tcp_info
         plays, metrics = self._state.plays, self._state.metrics
         plays.end(self._token, now_s)
+        self._state.play_admission.release(self._address)
         metrics.active_plays.set(len(plays))
         metrics.plays.add(1, outcome)
         log.info(
@@ -186,6 +200,7 @@ class _Play:
             if self._state.stopping.is_set():
                 return "stopped", self._broken_off("the server is stopping")
             self._hear(now_s)
+            self._session.max_layers = self._state.overload.max_layers(self._stream.num_layers)
             decision = self._session.decide(now_s)
             if not isinstance(decision, WaitForFrames):
                 waiting_since_s = None

@@ -10,6 +10,9 @@ from dataclasses import dataclass
 
 from server.http.errors import RequestError
 
+LIVE = "live"
+"""In place of the first frame: the newest that can be begun with."""
+
 MAX_FRAME = 2**31 - 1
 
 
@@ -29,9 +32,14 @@ class PlayQuery:
 
 
 def parse_query(
-    pairs: Iterable[tuple[str, str]], num_frames: int, live: bool, num_layers: int
+    pairs: Iterable[tuple[str, str]],
+    num_frames: int,
+    live: bool,
+    num_layers: int,
+    edge_frame: int = 0,
 ) -> PlayQuery:
-    """The checked query. Raises RequestError 400 that says what is allowed."""
+    """The checked query. edge_frame: where who asks for what is live begins. Raises RequestError
+    400 that says what is allowed."""
     values: dict[str, str] = {}
     for key, value in pairs:
         if key not in ("from", "until", "layers", "plain", "paused") or key in values:
@@ -40,7 +48,8 @@ def parse_query(
             )
         values[key] = value
     plain, paused = (_flag(key, values.get(key, "0")) for key in ("plain", "paused"))
-    from_frame = _number("from", values["from"]) if "from" in values else 0
+    text = values.get("from", "0")
+    from_frame = edge_frame if text == LIVE else _number("from", text)
     # A live stream may be joined before it has its first segment.
     if from_frame >= (num_frames or int(live)):
         raise RequestError(400, f"from={from_frame}: the stream has {num_frames} frames, from 0 on")

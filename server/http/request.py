@@ -68,6 +68,11 @@ class Request:
     body: bytes = b""
 
     @property
+    def forwarded(self) -> str:
+        """The addresses that proxies say the request comes from; empty where there are none."""
+        return self.fields.get("x-forwarded-for", "")
+
+    @property
     def waits_to_send(self) -> bool:
         """Whether the client holds its body back until it is told to go on."""
         return self.fields.get("expect", "").lower() == "100-continue"

@@ -7,6 +7,7 @@ X-Forwarded-For may have been made up by that stranger.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
 
 from codec.errors import InvalidError
@@ -51,6 +52,13 @@ def parse_address(text: str) -> Address | None:
 
 def is_trusted(address: Address, proxies: Sequence[Network]) -> bool:
     return any(address in network for network in proxies)
+
+
+@lru_cache(maxsize=4096)
+def is_proxy(peer: str, proxies: tuple[Network, ...]) -> bool:
+    """Whether `peer`, the address of a connection, is one of the trusted proxies."""
+    address = parse_address(peer)
+    return address is not None and is_trusted(address, proxies)
 
 
 def client_address(peer: str, forwarded_for: Sequence[str], proxies: Sequence[Network]) -> str:

@@ -126,12 +126,6 @@ class Metrics:
             "What clients told of their plays, by what became of it.",
             "outcome",
         )
-        self.stalled_writers = counter(
-            "swings_stalled_writers_total", "Clients cut because they stopped reading.", "route"
-        )
-        self.disconnects = counter(
-            "swings_disconnects_total", "Clients that went away inside a response.", "route"
-        )
         self.cache_hits = counter("swings_cache_hits_total", "Objects found in memory.")
         self.cache_misses = counter("swings_cache_misses_total", "Objects read from disk.")
         self.refused = counter(

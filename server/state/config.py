@@ -1,36 +1,58 @@
-"""What an operator can set; every default stands here once."""
+"""What an operator can set; every default stands here once, or beside the code it steers."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from codec.errors import InvalidError
 from server.abr.session import SessionConfig
 from server.http.site import PatienceConfig
+from server.operate.admission import AdmissionConfig
+from server.operate.clientaddress import parse_proxies
+from server.operate.log.logline import LogStyle
+from server.operate.overload import OverloadConfig
+from server.operate.workers.supervisor import SupervisorConfig
 
 
 @dataclass(frozen=True, slots=True)
 class ServerConfig:
-    """Limits and times of the HTTP server."""
+    """Limits and times of the server. What counts or holds something does so in each worker."""
 
     session: SessionConfig = field(default_factory=SessionConfig)
     """Pacing of plays."""
-    max_plays: int = 256
-    """Plays at the same time; one more is answered 503."""
     patience: PatienceConfig = field(default_factory=PatienceConfig)
     """How long clients may take."""
-    max_connections: int = 4096
-    """Connections at the same time; who comes after that waits to be accepted."""
-    shutdown_timeout_s: float = 10.0
-    """Seconds that requests in progress get when the server stops."""
+    admission: AdmissionConfig = field(default_factory=AdmissionConfig)
+    """What clients may hold at the same time."""
+    overload: OverloadConfig = field(default_factory=OverloadConfig)
+    """When plays get less."""
+    supervisor: SupervisorConfig = field(default_factory=SupervisorConfig)
+    """The worker processes."""
+    max_plays: int = 512
+    """Plays at the same time; one more is answered 503."""
+    trusted_proxies: str = "127.0.0.0/8,::1/128"
+    """Networks, between commas, whose X-Forwarded-For and X-Forwarded-Proto are believed."""
+    keys: Path | None = None
+    """File of the keys with which URLs must be signed (see swings-sign); none for open streams."""
+    public: bool = False
+    """Serve streams without signed URLs to other machines too."""
+    tls_cert: Path | None = None
+    """Certificate chain in PEM, for https."""
+    tls_key: Path | None = None
+    """Its private key in PEM."""
+    log: LogStyle = LogStyle.PLAIN
+    """How lines of the log look, which goes to standard error."""
+    log_requests: bool = True
+    """Whether each request is a line of the log."""
     send_queue_bytes: int = 64 * 1024
     """Bytes that may wait unsent for one play: the longer the queue, the staler the choice."""
     cache_bytes: int = 256 * 1024 * 1024
-    """Bytes of objects kept in memory."""
+    """Bytes of objects kept in memory: what all plays need of their segments should fit."""
     poll_s: float = 0.005
     """Seconds between two looks at what a client has acknowledged."""
     refresh_s: float = 0.5
-    """Seconds between two looks at a live stream, or at the folder for new streams."""
+    """Seconds between two looks at the streams below the root."""
     live_idle_s: float = 60.0
     """Seconds that a play waits for new slices of a live stream before it ends."""
     remember_plays: int = 1024
@@ -41,15 +63,7 @@ class ServerConfig:
     """Web origin that may read the streams; empty for none."""
 
     def __post_init__(self) -> None:
-        for name in (
-            "max_plays",
-            "max_connections",
-            "shutdown_timeout_s",
-            "send_queue_bytes",
-            "poll_s",
-            "refresh_s",
-            "live_idle_s",
-        ):
+        for name in ("max_plays", "send_queue_bytes", "poll_s", "refresh_s", "live_idle_s"):
             if not getattr(self, name) > 0:
                 raise InvalidError(f"{name} is {getattr(self, name)}; it must be positive")
         for name in ("cache_bytes", "remember_plays", "remember_s"):
@@ -57,3 +71,6 @@ class ServerConfig:
                 raise InvalidError(f"{name} is {getattr(self, name)}; it must not be negative")
         if any(not 0x20 < ord(c) < 0x7F for c in self.cors_origin):
             raise InvalidError("cors_origin is not a web origin; give *, an origin or nothing")
+        if (self.tls_cert is None) != (self.tls_key is None):
+            raise InvalidError("tls_cert and tls_key go together; give both or neither")
+        parse_proxies(self.trusted_proxies)

@@ -14,8 +14,7 @@ from server.http.content import IMMUTABLE, Content, respond
 from server.http.request import Request
 from server.http.response import Response, whole_fields
 from server.library import ServedStream
-
-from .metrics import Metrics
+from server.operate.prometheus import Metrics
 
 Key = tuple[int, int, Part]
 """Generation of the stream, segment and part."""

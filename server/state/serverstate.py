@@ -1,15 +1,20 @@
-"""What the handlers of one running server share."""
+"""What the handlers of one running worker share."""
 
 from __future__ import annotations
 
 import asyncio
-from dataclasses import dataclass, field
 
 from server.html.webplayer import WebPlayer
 from server.library import Library
+from server.operate.admission import Admission
+from server.operate.clientaddress import parse_proxies
+from server.operate.overload import Overload
+from server.operate.prometheus import Metrics
+from server.operate.sign.keyfile import read_keys
+from server.operate.sign.signing import Signer
+from server.operate.workers.peers import Peers
 
 from .config import ServerConfig
-from .metrics import Metrics
 from .objectcache import ObjectCache
 from .recordcache import RecordCache
 from .register import PlayRegister
@@ -18,23 +23,40 @@ RECORDS_PART = 8
 """Of so many parts of the memory for objects, one is for the records of plays besides."""
 
 
-@dataclass(slots=True)
 class ServerState:
-    """One for each application; lives on its event loop."""
+    """One for each worker; lives on its event loop."""
 
-    library: Library
-    config: ServerConfig
-    scheme: str = "http"
-    """http or https: how clients call the server."""
-    metrics: Metrics = field(default_factory=Metrics)
-    web_player: WebPlayer = field(default_factory=WebPlayer)
-    stopping: asyncio.Event = field(default_factory=asyncio.Event)
-    """Set when the server begins to stop; plays then end at the next slice."""
-    cache: ObjectCache = field(init=False)
-    records: RecordCache = field(init=False)
-    plays: PlayRegister = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.cache = ObjectCache(self.config.cache_bytes, self.metrics)
-        self.records = RecordCache(self.cache, self.config.cache_bytes // RECORDS_PART)
-        self.plays = PlayRegister(self.config.remember_plays, self.config.remember_s)
+    def __init__(
+        self,
+        library: Library,
+        config: ServerConfig,
+        metrics: Metrics | None = None,
+        number: int = 0,
+        peers: Peers | None = None,
+    ) -> None:
+        """metrics: None for a server of one process. number: of the worker. peers: the other
+        workers; None where there are none. Raises InvalidError for a file of keys that is not one,
+        OSError where it cannot be read."""
+        self.library = library
+        self.config = config
+        self.metrics = metrics or Metrics()
+        self.number = number
+        self.peers = peers
+        self.scheme = "http" if config.tls_cert is None else "https"
+        """How clients call the server, where no proxy says otherwise."""
+        self.proxies = parse_proxies(config.trusted_proxies)
+        self.signer = Signer(read_keys(config.keys)) if config.keys is not None else None
+        """Checks the signatures of URLs; None where they need none."""
+        self.web_player = WebPlayer()
+        self.stopping = asyncio.Event()
+        """Set when the server begins to stop; plays then end at the next slice."""
+        self.cache = ObjectCache(config.cache_bytes, self.metrics)
+        self.records = RecordCache(self.cache, config.cache_bytes // RECORDS_PART)
+        self.plays = PlayRegister(config.remember_plays, config.remember_s)
+        self.overload = Overload(config.overload, config.max_plays)
+        self.play_admission = Admission(
+            config.max_plays, config.admission.max_address_plays, self.proxies
+        )
+        """Plays by address."""
+        self.sent_bytes = 0
+        """Of bodies, since the worker began."""

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codec.stream import StreamReader, StreamWriter
-from tests.support.running_server import (
+from tests.support.server.running_server import (
     SEGMENT_FRAMES,
     Running,
     births_of,

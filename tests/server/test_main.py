@@ -17,7 +17,7 @@ import pytest
 
 from codec.stream.playrecord import ErrorRecord, SliceRecord
 from tests.support.commands import ROOT
-from tests.support.running_server import make_stream, parse_records
+from tests.support.server.running_server import make_stream, parse_records
 
 
 @contextmanager
@@ -60,8 +60,6 @@ def test_it_says_when_it_is_ready_and_ends_on_sigterm(tmp_path: Path) -> None:
     make_stream(tmp_path / "dance", 3)
     with serving(str(tmp_path), "--port", "0") as (process, url):
         assert re.fullmatch(r"http://127\.0\.0\.1:\d+", url)
-        assert process.stdout is not None
-        assert [process.stdout.readline() for _ in range(2)] == ["dance\n", "walk\n"]
         with urllib.request.urlopen(f"{url}/readyz", timeout=10) as response:
             assert response.read() == b"ready\n"
         process.send_signal(signal.SIGTERM)
@@ -89,8 +87,6 @@ def test_a_broken_stream_is_named_and_the_others_are_served(tmp_path: Path) -> N
     with serving(str(tmp_path), "--port", "0") as (process, url):
         with urllib.request.urlopen(f"{url}/v1/streams", timeout=10) as response:
             listed = json.load(response)
-        assert process.stdout is not None
-        assert process.stdout.readline() == "good\n"
         process.send_signal(signal.SIGTERM)
         out, err = process.communicate(timeout=20)
     assert [one["name"] for one in listed["streams"]] == ["good"]

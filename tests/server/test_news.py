@@ -13,7 +13,7 @@ import pytest
 from codec.stream.playrecord import RecordParser
 from server.abr.session import PlaySession
 from server.abr.standing import PLAY_HEADER, Standing
-from tests.support.running_server import (
+from tests.support.server.running_server import (
     SWIN_SIZE,
     Running,
     eventually,
@@ -116,7 +116,7 @@ def test_a_paused_client_is_sent_its_lead_and_no_more(root: Path) -> None:
 
         def births() -> int:
             """Slices that were sent, less those of the first window."""
-            return sent.value("0") - (SWIN_SIZE - 1)
+            return round(sent.value("0")) - (SWIN_SIZE - 1)
 
         async with client.get("/v1/streams/long/play?layers=1") as response:
             reading = asyncio.create_task(read_on(response))

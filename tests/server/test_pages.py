@@ -20,7 +20,7 @@ from codec.errors import InvalidError
 from codec.stream import StreamWriter
 from server.html.gallery import clock_text
 from server.html.webplayer import WebPlayer
-from tests.support.running_server import (
+from tests.support.server.running_server import (
     SEGMENT_FRAMES,
     Running,
     births_of,

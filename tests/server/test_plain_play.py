@@ -15,7 +15,7 @@ from codec.coders.coder import decompress
 from codec.stream.playrecord import Record, RecordParser, SliceRecord, SnapshotRecord
 from codec.tools.static import export_static
 from server.abr.standing import PLAY_HEADER, RATE_HEADER, Standing
-from tests.support.running_server import Running, make_stream, on_server, play
+from tests.support.server.running_server import Running, make_stream, on_server, play
 from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.updates import small_layout
 

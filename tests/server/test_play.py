@@ -28,7 +28,8 @@ from codec.stream.playrecord import (
 from server.answers.playquery import parse_query
 from server.http.errors import RequestError
 from server.listener import UNSENT_BYTES
-from tests.support.running_server import (
+from server.operate.workers.supervisor import SupervisorConfig
+from tests.support.server.running_server import (
     SEGMENT_FRAMES,
     SWIN_SIZE,
     Running,
@@ -414,7 +415,7 @@ def test_stopping_ends_plays_at_a_slice_boundary(root: Path) -> None:
         assert last.message.endswith(f"play again from frame {births[-1] + 1}")
 
     config = quick_config()
-    on_server(root, check, replace(config, shutdown_timeout_s=5.0))
+    on_server(root, check, replace(config, supervisor=SupervisorConfig(shutdown_timeout_s=5.0)))
 
 
 def test_metrics_count_what_was_sent(root: Path) -> None:

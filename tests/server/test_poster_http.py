@@ -18,7 +18,7 @@ from codec.files import write_atomic
 from codec.stream import StreamReader
 from codec.stream.poster import MAX_PICTURE_BYTES, write_poster
 from player.render.cpu import render_splats
-from tests.support.running_server import Running, make_stream, on_server, raw_request
+from tests.support.server.running_server import Running, make_stream, on_server, raw_request
 
 JPEG = b"\xff\xd8\xff" + bytes(range(256)) * 40
 

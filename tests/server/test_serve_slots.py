@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import json
+import re
 from pathlib import Path
 
 import aiohttp
@@ -21,7 +22,7 @@ from codec.stream.playrecord import (
     StartRecord,
 )
 from server.library import Library
-from tests.support.running_server import (
+from tests.support.server.running_server import (
     Running,
     make_stream,
     on_server,
@@ -73,8 +74,10 @@ def test_every_file_is_served_as_it_lies_on_disk(root: Path) -> None:
             async with client.head(url) as response:
                 assert response.headers["Content-Length"] == str(len(data))
         # Each name is one label, and there are no others.
-        lines = server.state.metrics.layer_bytes.lines()[2:]
-        assert {line.split('layer="')[1].split('"')[0] for line in lines} == parts
+        assert (
+            set(re.findall(r'layer_bytes_total{layer="([^"]+)"', server.state.metrics.text()))
+            == parts
+        )
 
     on_server(root, check)
 
@@ -105,7 +108,7 @@ def test_what_is_not_there_is_a_404_in_one_line_of_json(root: Path, path: str) -
         head, _, body = answer.partition(b"\r\n\r\n")
         assert head.startswith(b"HTTP/1.1 404 "), head
         assert "\n" not in json.loads(body)["error"]
-        assert not server.state.metrics.layer_bytes.lines()[2:]
+        assert "layer_bytes_total{" not in server.state.metrics.text()
 
     on_server(root, check)
 

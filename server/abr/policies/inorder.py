@@ -81,7 +81,8 @@ class InOrder:
     def _decide(self, outlook: Outlook, birth: int, held: int) -> None:
         """Asks the rule about the group that begins with `birth`."""
         situation = self._situation(outlook, birth, held)
-        self._layers = max(1, min(situation.most_layers, self._rule.choose_layers(situation)))
+        most = min(situation.most_layers, outlook.max_layers)
+        self._layers = max(1, min(most, self._rule.choose_layers(situation)))
         self._end = group_end(outlook.media, birth, self._group_s)
         self._rises = self._layers > held
 

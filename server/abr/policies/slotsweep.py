@@ -42,7 +42,7 @@ class SlotSweep:
         free_s = outlook.comes_s(0.0, rate_bps)
         best: _Offer | None = None
         end = outlook.end_birth
-        for layer in range(outlook.media.num_layers):
+        for layer in range(outlook.num_layers):
             offer = self._offer(outlook, holding, layer, end, free_s, rate_bps)
             if offer is not None and (best is None or offer.priority > best.priority):
                 best = offer

@@ -159,7 +159,7 @@ class SliceSweep:
         self._patience_s = self._patience.note(outlook)
         free_s = outlook.comes_s(0.0, rate_bps)
         best, chosen = 0.0, None
-        for layer in range(media.num_layers):
+        for layer in range(outlook.num_layers):
             found = self._first(outlook, holding, layer, free_s, rate_bps)
             if found is not None and found[0] > best:
                 best, chosen = found[0], (layer, found[1])

@@ -22,6 +22,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from codec.errors import InvalidError, SwingsError
+from server.operate.log.logline import Value
 
 from .backoff import Backoff, BackoffConfig
 from .forking import fork_worker
@@ -78,7 +79,7 @@ class Worker:
 class Tell(Protocol):
     """Writes one line into the log."""
 
-    def __call__(self, event: str, /, **fields: str | int | float | None) -> None: ...
+    def __call__(self, event: str, /, **fields: Value) -> None: ...
 
 
 @dataclass(slots=True)

@@ -24,7 +24,13 @@ from player.source.served import ServedSource
 from player.view.path import Size
 from server.abr.standing import PLAY_HEADER, Standing
 from tests.player.source.test_served import ALL, HEAD, HOLD, QUICK, answer, script, start
-from tests.support.running_server import SWIN_SIZE, Running, make_stream, quick_config, running
+from tests.support.server.running_server import (
+    SWIN_SIZE,
+    Running,
+    make_stream,
+    quick_config,
+    running,
+)
 
 FPS, LEAD_S = 20, 0.6
 
@@ -64,7 +70,7 @@ def wait_until(condition: Callable[[], object], timeout_s: float = 20.0) -> None
 def test_a_server_does_not_count_a_pause_as_shown(tmp_path: Path) -> None:
     make_stream(tmp_path / "long", 160, fps=FPS)
     with in_thread(tmp_path) as server:
-        metrics = server.state.metrics
+        metrics = server.operate.prometheus
 
         def births() -> int:
             """Slices that were sent, less those of the first window."""

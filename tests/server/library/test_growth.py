@@ -15,7 +15,7 @@ import pytest
 from codec.stream import StreamWriter
 from server.library import Library
 from server.library.growth import Growth
-from tests.support.running_server import (
+from tests.support.server.running_server import (
     SEGMENT_FRAMES,
     births_of,
     make_stream,

@@ -20,7 +20,7 @@ from codec.stream.index import record_bytes
 from codec.stream.reader import read_stream_file
 from server.library import Library, entry
 from server.library.entry import one_line
-from tests.support.running_server import (
+from tests.support.server.running_server import (
     SEGMENT_FRAMES,
     births_of,
     make_stream,

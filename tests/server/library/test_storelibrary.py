@@ -17,13 +17,13 @@ from codec.errors import CodecError, SwingsError
 from codec.stream import StreamWriter
 from server.library import Library, ServedStream
 from tests.server.test_main import serving
-from tests.support.running_server import (
+from tests.support.server.running_server import (
     SEGMENT_FRAMES,
     make_stream,
     random_slice,
     small_manifest,
 )
-from tests.support.s3_server import BUCKET, S3Server, s3_server
+from tests.support.server.s3_server import BUCKET, S3Server, s3_server
 
 ROOT = f"s3://{BUCKET}/root"
 BOUND_S = 2.0

@@ -19,7 +19,12 @@ from codec.errors import CodecError
 from codec.stream import StreamWriter
 from server.library import Library, ServedStream
 from server.library.streamview import StreamView, continued, index_of, is_continued, view_of
-from tests.support.running_server import SEGMENT_FRAMES, births_of, random_slice, small_manifest
+from tests.support.server.running_server import (
+    SEGMENT_FRAMES,
+    births_of,
+    random_slice,
+    small_manifest,
+)
 
 NUM_SEGMENTS = 4
 

@@ -21,7 +21,7 @@ from codec.errors import CodecError
 from codec.stream import StreamWriter
 from server.library import Library, ServedStream
 from tests.support.commands import ROOT
-from tests.support.running_server import (
+from tests.support.server.running_server import (
     SEGMENT_FRAMES,
     births_of,
     make_stream,

@@ -19,8 +19,6 @@ FAMILIES = {
     "swings_play_packets",
     "swings_plays",
     "swings_play_news",
-    "swings_stalled_writers",
-    "swings_disconnects",
     "swings_active_plays",
     "swings_cache_bytes",
     "swings_cache_hits",

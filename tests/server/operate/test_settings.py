@@ -18,11 +18,11 @@ from hypothesis import strategies as st
 
 from codec.console import option, run_command
 from codec.errors import InvalidError
-from server.config import ServerConfig
 from server.operate.log.logline import LogStyle
 from server.operate.overload import OverloadConfig
 from server.operate.settingfields import setting_fields
 from server.operate.settings import SettingsConfig, settings_parser, settings_text
+from server.state.config import ServerConfig
 from tests.support.commands import ROOT
 
 

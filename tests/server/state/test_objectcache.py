@@ -11,10 +11,10 @@ import pytest
 
 from codec.errors import CodecError
 from server.library import Library
-from server.state.metrics import Metrics
+from server.operate.prometheus import Metrics
 from server.state.objectcache import ObjectCache
 from tests.support.hostile import put_object
-from tests.support.running_server import make_stream
+from tests.support.server.running_server import make_stream
 
 
 def test_the_cache_is_bounded_and_reads_once(tmp_path: Path) -> None:

@@ -21,7 +21,9 @@ from codec.stream.playrecord import Record, RecordParser, SliceRecord
 from server.abr.session import SessionConfig
 from server.http.site import PatienceConfig
 from server.library import Library
-from server.listener import RunningServer, bind
+from server.listener import bind
+from server.operate.workers.supervisor import SupervisorConfig
+from server.runningserver import RunningServer
 from server.state.config import ServerConfig
 from server.state.serverstate import ServerState
 
@@ -94,7 +96,7 @@ def quick_config(
             keepalive_timeout_s=keepalive_timeout_s,
             write_timeout_s=write_timeout_s,
         ),
-        shutdown_timeout_s=2.0,
+        supervisor=SupervisorConfig(shutdown_timeout_s=2.0),
         send_queue_bytes=send_queue_bytes,
         refresh_s=0.02,
         live_idle_s=live_idle_s,

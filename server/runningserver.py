@@ -1,0 +1,114 @@
+"""One worker's server: from its first connection to the end of its last response."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import socket
+import ssl
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from .app import Application
+from .errors import ServerError
+from .http.acceptor import Acceptor
+from .listener import bound_connections
+from .operate.loadmeter import measure_load
+from .operate.log.eventlog import EventLog
+from .operate.overload import LoadSample
+from .state.serverstate import ServerState
+
+SHUTDOWN_SHARE = 0.9
+"""Of the time in which a server ends, the part that responses get; the rest is for what is left."""
+
+
+class RunningServer:
+    """The server on one socket, between `start` and `stop`."""
+
+    def __init__(
+        self, state: ServerState, listener: socket.socket, log: EventLog | None = None
+    ) -> None:
+        """log: where each request gets a line; None for nowhere. Raises ServerError for a
+        certificate that cannot be used."""
+        config = state.config
+        self._state = state
+        self._listener = listener
+        self.app = Application(state, log)
+        tls = None
+        if config.tls_cert is not None and config.tls_key is not None:
+            tls = load_tls(config.tls_cert, config.tls_key)
+        self._acceptor = Acceptor(self.app, listener, tls)
+        self._log = log
+        self._log_dropped = 0  # lines of it, counted so far
+        self._tasks: list[asyncio.Task[None]] = []
+
+    async def start(self) -> None:
+        """Begins to serve, what is in the library by then."""
+        state = self._state
+        bound_connections(self._listener, state.config.patience.write_timeout_s)
+        self._acceptor.start()
+        self._tasks = [
+            asyncio.create_task(state.library.watch()),
+            asyncio.create_task(measure_load(self._observe, lambda: state.sent_bytes)),
+        ]
+
+    def _observe(self, sample: LoadSample) -> None:
+        state, metrics = self._state, self._state.metrics
+        state.overload.observe(sample)
+        most = max((stream.num_layers for stream in state.library.streams.values()), default=1)
+        metrics.shed_layers.set(most - state.overload.max_layers(most))
+        metrics.loop_late.observe(sample.late_s)
+        metrics.open_connections.set(len(self.app.connections))
+        metrics.streams.set(len(state.library.streams), "served")
+        metrics.streams.set(len(state.library.broken), "broken")
+        if self._log is not None:
+            dropped = self._log.writer.num_dropped
+            metrics.log_dropped.add(dropped - self._log_dropped)
+            self._log_dropped = dropped
+
+    async def stop(self) -> None:
+        """Lets plays end at their next slice and answers what was asked, within
+        `shutdown_timeout_s`. Stopping twice is the same as once."""
+        if not self._tasks:
+            return
+        tasks, self._tasks = self._tasks, []
+        self._state.stopping.set()
+        patience_s = self._state.config.supervisor.shutdown_timeout_s
+        await self._acceptor.stop(SHUTDOWN_SHARE * patience_s)
+        self._listener.close()
+        for task in tasks:
+            task.cancel()
+        await asyncio.wait(tasks)
+
+
+def load_tls(cert: Path, key: Path) -> ssl.SSLContext:
+    """What speaks TLS with this certificate. Raises ServerError where it cannot be used."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    context.set_alpn_protocols(["http/1.1"])
+    try:
+        context.load_cert_chain(cert, key)
+    except (OSError, ssl.SSLError) as error:
+        raise ServerError(f"{cert} and {key} do not make a certificate: {error}") from error
+    return context
+
+
+async def run_until_stopped(
+    server: RunningServer, ready: Callable[[], None], signals: Iterable[signal.Signals]
+) -> None:
+    """Serves, calls `ready` once, and ends gracefully on one of `signals`.
+
+    A second signal ends the process at once.
+    """
+    loop = asyncio.get_running_loop()
+    stop = asyncio.Event()
+    for number in signals:
+        loop.add_signal_handler(number, stop.set)
+    await server.start()
+    try:
+        ready()
+        await stop.wait()
+    finally:
+        for number in signals:
+            loop.remove_signal_handler(number)
+        await server.stop()
