@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections.abc import Awaitable, Callable
 
 from codec.errors import CodecError, CorruptError, UnreadableError
@@ -25,9 +24,6 @@ log = logging.getLogger(__name__)
 
 FILES = (MANIFEST_NAME, INDEX_NAME)
 """Whose stamps tell whether a stream has changed; a folder with the first of them is a stream."""
-
-RETRY_S = 5.0
-"""Seconds after which what could not be read is read again, though it looks the same."""
 
 MAX_REASON_CHARS = 300
 
@@ -63,7 +59,6 @@ class Entry:
         self._lock = threading.Lock()
         self._stamps: Stamps | None = None
         self._lacking: LackingObject | None = None
-        self._retry_s: float | None = None  # when, on the monotonic clock
         self._said: object = None
 
     def refuse(self, reason: str) -> None:
@@ -93,10 +88,10 @@ class Entry:
         try:
             if stamps == self._stamps and not self._is_due():
                 return False
-            self._stamps, self._lacking, self._retry_s = stamps, None, None
+            self._stamps, self._lacking = stamps, None
             self._take()
         except UnreadableError as error:
-            self._retry_s = time.monotonic() + RETRY_S
+            self._stamps = None  # it may be well at the next look
             if self.stream is None:
                 self._drop(UNREADABLE, str(error))
             else:
@@ -113,8 +108,6 @@ class Entry:
 
     def _is_due(self) -> bool:
         """Whether it is worth reading though the files look the same."""
-        if self._retry_s is not None and time.monotonic() >= self._retry_s:
-            return True
         return self._lacking is not None and self._lacking.has_come(self._storage)
 
     def _take(self) -> None:

@@ -12,6 +12,7 @@ import aiohttp
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from prometheus_client.parser import text_string_to_metric_families
 
 from codec.stream import StreamReader, StreamWriter
 from tests.support.server.running_server import (
@@ -266,14 +267,17 @@ def test_health_readiness_and_metrics(root: Path) -> None:
         async with client.get("/metrics") as response:
             assert response.headers["Content-Type"].startswith("text/plain; version=0.0.4")
             text = await response.text()
-        lines = dict(line.rsplit(" ", 1) for line in text.splitlines() if not line.startswith("#"))
-        assert lines['swings_requests_total{route="/healthz",code="200"}'] == "1"
-        assert lines['swings_requests_total{route="unmatched",code="404"}'] == "1"
+        found = {
+            (sample.name, *sample.labels.values()): sample.value
+            for family in text_string_to_metric_families(text)
+            for sample in family.samples
+        }
+        assert found["swings_requests_total", "/healthz", "200"] == 1
+        assert found["swings_requests_total", "unmatched", "404"] == 1
         size = (root / "walk" / "segments" / "0" / "1").stat().st_size
-        assert lines['swings_layer_bytes_total{via="object",layer="1"}'] == str(size)
-        assert lines["swings_active_plays"] == "0"
-        for line in text.splitlines():
-            assert re.fullmatch(r'# (HELP|TYPE) \w+ .*|\w+(\{(\w+="[^"]*",?)+\})? \d+', line), line
+        assert found["swings_layer_bytes_total", "object", "1"] == size
+        assert found["swings_active_plays",] == 0
+        assert found["swings_ttfb_seconds_count",] == 5
         server.state.stopping.set()
         async with client.get("/readyz") as response:
             assert response.status == 503

@@ -14,7 +14,7 @@ import pytest
 from codec.errors import CodecError, InvalidError, UnreadableError
 from codec.storage.openstorage import open_storage
 from tests.support.commands import ROOT
-from tests.support.server.s3_server import BUCKET, S3Server, s3_server
+from tests.support.stores.s3_server import BUCKET, S3Server, s3_server
 from tests.support.tiny_stream import write_tiny
 
 

@@ -13,7 +13,7 @@ from codec.storage.openstorage import open_storage
 from codec.storage.storage import Storage
 from codec.stream.reader import StreamReader
 from codec.tools.audit import summarise, verify_stream
-from tests.support.server.s3_server import BUCKET, S3Server, s3_server
+from tests.support.stores.s3_server import BUCKET, S3Server, s3_server
 from tests.support.tiny_stream import write_tiny
 
 

@@ -70,14 +70,14 @@ def wait_until(condition: Callable[[], object], timeout_s: float = 20.0) -> None
 def test_a_server_does_not_count_a_pause_as_shown(tmp_path: Path) -> None:
     make_stream(tmp_path / "long", 160, fps=FPS)
     with in_thread(tmp_path) as server:
-        metrics = server.operate.prometheus
+        metrics = server.state.metrics
 
         def births() -> int:
             """Slices that were sent, less those of the first window."""
-            return metrics.packets.value("0") - (SWIN_SIZE - 1)
+            return round(metrics.packets.value("0")) - (SWIN_SIZE - 1)
 
         def told() -> int:
-            return metrics.play_news.value("taken") + metrics.play_news.value("replaced")
+            return round(metrics.play_news.value("taken") + metrics.play_news.value("replaced"))
 
         url = f"{server.url}/v1/streams/long"
         source = ServedSource("S", url, Fetcher(), FrameRange(), None)

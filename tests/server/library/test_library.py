@@ -6,6 +6,7 @@ import asyncio
 import logging
 import os
 import re
+import resource
 import shutil
 import socket
 from collections.abc import Callable
@@ -320,6 +321,47 @@ def test_a_stream_that_is_replaced_while_it_is_read_is_not_mixed(
     look(library)
     view = library.streams["s"].view
     assert (view.manifest.title, view.num_frames) == ("new", 7)
+
+
+def is_open(descriptor: int) -> bool:
+    try:
+        os.fstat(descriptor)
+    except OSError:
+        return False
+    return True
+
+
+def test_a_process_without_descriptors_keeps_what_it_serves(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """However few are left: it may list the folder and then open nothing."""
+    writer = StreamWriter.create(tmp_path / "live", small_manifest())
+    make_stream(tmp_path / "other", 3)
+    library = Library(tmp_path, 1.0)
+    served = dict(library.streams)
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+
+    async def check() -> None:
+        await library.look()  # the thread is there
+        for birth in births_of(SEGMENT_FRAMES):
+            writer.append(random_slice(birth, 8))
+        free = [number for number in range(1024) if not is_open(number)]
+        outcomes = set()
+        for spare in range(6):
+            resource.setrlimit(resource.RLIMIT_NOFILE, (free[spare], hard))
+            try:
+                await library.look()
+            finally:
+                resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+            assert library.streams == served
+            assert library.broken == {}
+            outcomes.add(served["live"].num_frames)
+        assert outcomes == {0, SEGMENT_FRAMES}
+
+    asyncio.run(check())
+    lines = [record.getMessage() for record in caplog.records]
+    assert any("Too many open files" in line for line in lines)
+    assert len(lines) <= 3, lines
 
 
 def test_sizes_are_means_over_the_segment(tmp_path: Path) -> None:

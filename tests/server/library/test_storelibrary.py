@@ -23,7 +23,7 @@ from tests.support.server.running_server import (
     random_slice,
     small_manifest,
 )
-from tests.support.server.s3_server import BUCKET, S3Server, s3_server
+from tests.support.stores.s3_server import BUCKET, S3Server, s3_server
 
 ROOT = f"s3://{BUCKET}/root"
 BOUND_S = 2.0

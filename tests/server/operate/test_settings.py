@@ -40,11 +40,11 @@ class Command:
     """Folder."""
     host: str = "127.0.0.1"
     """Address."""
-    log: LogStyle = LogStyle.PLAIN
+    style: LogStyle = LogStyle.PLAIN
     """Style."""
     mode: Literal["a", "b"] = "a"
     """Mode."""
-    public: bool = False
+    spread: bool = False
     """Whether."""
     key_file: Path | None = None
     """File."""
@@ -82,12 +82,12 @@ def test_each_source_goes_before_the_next(tmp_path: Path) -> None:
 def test_every_kind_of_setting_can_stand_everywhere(tmp_path: Path) -> None:
     command = read(
         tmp_path,
-        'root = "streams"\nhost = "::"\nlog = "json"\nmode = "b"\npublic = true\n'
+        'root = "streams"\nhost = "::"\nstyle = "json"\nmode = "b"\nspread = true\n'
         'key_file = "keys"\ndoubled = "21"\nrefresh_s = 3\n[overload]\nshed_from = 0.5\n',
     )
     assert command.root == Path("streams")
-    assert (command.host, command.log, command.mode) == ("::", LogStyle.JSON, "b")
-    assert (command.public, command.key_file, command.doubled) == (True, Path("keys"), 42)
+    assert (command.host, command.style, command.mode) == ("::", LogStyle.JSON, "b")
+    assert (command.spread, command.key_file, command.doubled) == (True, Path("keys"), 42)
     assert command.server.refresh_s == 3.0
     assert command.overload == OverloadConfig(shed_from=0.5)
     same = read(
@@ -96,7 +96,7 @@ def test_every_kind_of_setting_can_stand_everywhere(tmp_path: Path) -> None:
         DOUBLED="21", REFRESH_S="3", OVERLOAD_SHED_FROM="0.5",
     )  # fmt: skip
     assert same == command
-    flags = "streams --host :: --log json --mode b --public --key-file keys --doubled 21"
+    flags = "streams --host :: --style json --mode b --spread --key-file keys --doubled 21"
     more = "--refresh-s 3 --overload.shed-from 0.5"
     assert read(tmp_path, "", *f"{flags} {more}".split()) == command
 
@@ -122,9 +122,9 @@ def test_what_is_required_is_still_asked_for(
         ("max_plays = true", "swings.toml: max_plays: 'True' is not a whole number"),
         ("max_plays = 5.0", "swings.toml: max_plays: '5.0' is not a whole number"),
         ("refresh_s = 'soon'", "swings.toml: refresh_s: 'soon' is not a number"),
-        ("public = 1", "swings.toml: public: '1' is not true or false"),
+        ("spread = 1", "swings.toml: spread: '1' is not true or false"),
         ("host = 127", "swings.toml: host: '127' is not a text"),
-        ("log = 'xml'", "swings.toml: log: 'xml' is not one of json, plain"),
+        ("style = 'xml'", "swings.toml: style: 'xml' is not one of json, plain"),
         ("doubled = 'x'", "swings.toml: doubled: 'x' is not a number to double"),
         ("max_plays = [5]", "swings.toml: max_plays: '[5]' is not a whole number"),
         ("max_plays = 0", "swings.toml: max_plays: max_plays is 0; it must be positive"),
