@@ -221,7 +221,7 @@ def measure_objects(
             "nginx": stack.enter_context(nginx(root, folder, cores[0])),
             "aiohttp": stack.enter_context(file_response(root, cores[0])),
         }
-        stack.enter_context(around(servers["swings-serve"][0]))
+        stack.enter_context(around(servers["swings"][0]))
         rates: list[Rate] = []
         for case in cases_of(sizes_kb):
             headers = {server: header_of(case, port) for server, (_, port) in servers.items()}

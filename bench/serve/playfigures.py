@@ -76,7 +76,7 @@ class PlayFigures:
     load_longest_ms: float
     server_rss_bytes: int
     bytes_per_s: float
-    """Of frame_bytes a frame, as often as slices came; 0 where that is not known."""
+    """Of packets, at frame_bytes for a slice with all its layers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +148,7 @@ def figures_of(seen: Seen, shape: Shape, frame_bytes: int = 0) -> PlayFigures:
     arrays, known = seen.arrays, seen.known
     num_clients = len(arrays["asked_s"])
     late, beyond, rests, pictures = [], [], [], []
-    missing = double = slices = 0
+    missing = double = packets = 0
     layers = []
     failed = 0
     order = np.argsort(arrays["who"], kind="stable")
@@ -177,7 +177,7 @@ def figures_of(seen: Seen, shape: Shape, frame_bytes: int = 0) -> PlayFigures:
             more, rest_s = beyond_of(came_s, shape, picture_s)
             beyond.append(more)
             rests.append(rest_s)
-        slices += len(found)
+        packets += len(pairs)
     lasted_s = known["ended_s"] - known["began_s"]
     return PlayFigures(
         clients=num_clients,
@@ -195,7 +195,7 @@ def figures_of(seen: Seen, shape: Shape, frame_bytes: int = 0) -> PlayFigures:
         load_share=known["load_share"],
         load_longest_ms=1000 * known["load_longest_s"],
         server_rss_bytes=int(known["server_rss_bytes"]),
-        bytes_per_s=slices * frame_bytes / lasted_s,
+        bytes_per_s=packets * frame_bytes / shape.num_layers / lasted_s,
     )
 
 
