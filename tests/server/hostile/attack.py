@@ -52,7 +52,7 @@ def attack(kind: str, port: int, count: int, seconds: float, path: str) -> dict[
         began_s[sock.fileno()] = time.monotonic()
         # A reader has bytes waiting all the time: only the end is asked for.
         epoll.register(sock, GONE)
-    print("connected", flush=True)
+    say("connected")
     kept_s: list[float] = []
     next_s, end_s, step = time.monotonic() + 1, time.monotonic() + seconds, 10
     while socks and time.monotonic() < end_s:
@@ -73,9 +73,14 @@ def attack(kind: str, port: int, count: int, seconds: float, path: str) -> dict[
     return {"kept_s": kept_s, "left": len(socks), "refused": refused}
 
 
+def say(line: str) -> None:
+    sys.stdout.write(line + "\n")
+    sys.stdout.flush()
+
+
 def main() -> None:
     kind, port, count, seconds, path = sys.argv[1:]
-    print(json.dumps(attack(kind, int(port), int(count), float(seconds), path)), flush=True)
+    say(json.dumps(attack(kind, int(port), int(count), float(seconds), path)))
 
 
 if __name__ == "__main__":
