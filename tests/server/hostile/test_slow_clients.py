@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import resource
 import socket
@@ -62,6 +61,17 @@ def rss_bytes(pid: int) -> int:
     return total
 
 
+def num_sockets(pid: int) -> int:
+    """Of the process and its children. What the kernel still holds of a connection that the server
+    has closed is not among them."""
+    count = 0
+    for member in (pid, *children(pid)):
+        for descriptor in Path(f"/proc/{member}/fd").glob("*"):
+            with contextlib.suppress(OSError):
+                count += os.readlink(descriptor).startswith("socket:")
+    return count
+
+
 def children(pid: int) -> list[int]:
     found = []
     for task in Path(f"/proc/{pid}/task").glob("*/children"):
@@ -97,7 +107,8 @@ def test_a_thousand_slow_clients_are_cut_and_the_others_hardly_feel_them(
     first_byte_s(port, attacked)  # what it costs to have read it is not the attack's fault
     alone_s = [first_byte_s(port, ordinary) for _ in range(300)]
     before_bytes, most_bytes = rss_bytes(server.pid), 0
-    words = [kind, port, count, CUT_S + SLACK_S, attacked]
+    before_sockets = num_sockets(server.pid)
+    words = [kind, port, count, CUT_S + SLACK_S + 5, attacked]
     command = [sys.executable, "-m", "tests.server.hostile.attack", *map(str, words)]
     attack = subprocess.Popen(
         command, cwd=ROOT, env=environment(), stdout=subprocess.PIPE, text=True
@@ -105,18 +116,24 @@ def test_a_thousand_slow_clients_are_cut_and_the_others_hardly_feel_them(
     try:
         assert attack.stdout is not None
         assert attack.stdout.readline() == "connected\n"
+        began_s = time.monotonic()
+        while num_sockets(server.pid) < before_sockets + 0.9 * count:
+            assert time.monotonic() < began_s + 3, "they are not let in: that is not an attack"
+            time.sleep(0.01)
         with_s = []
-        end_s = time.monotonic() + CUT_S / 2  # while none is cut yet
-        while time.monotonic() < end_s:
+        while time.monotonic() < began_s + CUT_S / 2:  # while none is cut yet
             with_s.append(first_byte_s(port, ordinary))
             most_bytes = max(most_bytes, rss_bytes(server.pid))
             time.sleep(0.005)
-        told = json.loads(attack.stdout.readline())
+        left = count
+        while left > 0 and time.monotonic() < began_s + CUT_S + SLACK_S:
+            time.sleep(0.1)
+            most_bytes = max(most_bytes, rss_bytes(server.pid))
+            left = num_sockets(server.pid) - before_sockets
     finally:
         attack.terminate()
         attack.communicate()
-    assert told["left"] == 0, f"{told['left']} of {count} are kept after {CUT_S + SLACK_S} s"
-    assert max(told["kept_s"], default=0.0) <= CUT_S + SLACK_S
+    assert left <= 0, f"{left} of {count} are kept after {CUT_S + SLACK_S} s"
     assert most_bytes - before_bytes <= MEMORY_BYTES
     assert p99(with_s) <= 2 * p99(alone_s) + 0.02, f"{p99(alone_s)} s, {p99(with_s)} s attacked"
     lines = server.settled_log(0)
@@ -128,7 +145,7 @@ def test_a_reader_of_10_kb_a_second_gets_its_whole_object(
     server: ServerProcess, root: Path
 ) -> None:
     """It takes longer than the limit, but there is progress all the time."""
-    wanted = 350_000
+    wanted = 550_000
     whole = (root / "big" / "segments" / "0" / "2").read_bytes()[:wanted]
     with socket.socket() as sock:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
