@@ -35,11 +35,12 @@ def hotspots_of(lines: Iterable[str], count: int) -> list[Hotspot]:
     within: Counter[str] = Counter()
     for line in lines:
         stack, _, samples = line.rstrip().rpartition(" ")
-        frames = [frame.rpartition(":")[0] or frame for frame in stack.split(";")]
-        if not samples.isdigit():
+        # The outermost is the process; what was sampled between two functions has no other.
+        frames = [frame for frame in stack.split(";") if not frame.startswith("process ")]
+        if not samples.isdigit() or not frames:
             continue
-        own[frames[-1].rstrip(" (")] += int(samples)
-        for function in {frame.rstrip(" (") for frame in frames}:
+        own[frames[-1]] += int(samples)
+        for function in set(frames):
             within[function] += int(samples)
     total = max(1, own.total())
     return [Hotspot(name, n / total, within[name] / total) for name, n in own.most_common(count)]
