@@ -25,6 +25,9 @@ from .processes import pinned, serving
 SEGMENT_FRAMES = 30
 REST_S = 0.1
 """The server's --rest-s, with which the pacing is compared."""
+PLAYS_PER_REST = 100
+"""swings-serve makes a rest up to twice as long by chance, and once more as long for so many plays
+that run."""
 
 
 def measure_plays(
@@ -51,7 +54,8 @@ def measure_plays(
         settle_s = min(5.0, (seconds - arrive_s) / 3)
         config = LoadConfig(port, path, clients, arrive_s, settle_s, seconds, pid, str(out))
         run_load(config, cores[1])
-        shape = Shape(FPS, SWIN_SIZE, NUM_LAYERS, REST_S)
+        max_rest_s = REST_S * (2 + clients / PLAYS_PER_REST)
+        shape = Shape(FPS, SWIN_SIZE, NUM_LAYERS, REST_S, max_rest_s)
         return figures_of(Seen.read(out), shape, frame_bytes)
 
 

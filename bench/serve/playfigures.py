@@ -12,9 +12,10 @@ The words of its figures, exactly:
   arrived then. A server sends ahead, so this is 0 until its whole lead has been used up.
 * gap: the time between two reads that bring layer 0 of a new slice, taken once the client has its
   first picture. The server rests on purpose between bursts. beyond: a gap less that rest. The rest
-  of a client is the median of its gaps longer than half of rest_s, as the server makes it up to
-  twice as long by chance; it is never taken for more than 2 rest_s and a frame, what the options
-  allow, so that a server that is always late cannot hide, nor for less than a frame.
+  of a client is the median of its gaps longer than half of rest_s, as the server makes it longer
+  than that by chance; it is never taken for more than max_rest_s and a frame, which is what the
+  server's own rules allow, so that one that is always late cannot hide, nor for less than a frame.
+  As rests end with a whole frame, gaps of a server that has nothing else to do differ by a frame.
 * layers: how many layers of a slice had come by the end, of slices that were due by then.
 * missing: births between the first and the last that a client got of which layer 0 never came.
   double: packets of the same slice and layer that came again.
@@ -102,6 +103,8 @@ class Shape:
     num_layers: int
     rest_s: float
     """What the server calls so: the least rest between two bursts."""
+    max_rest_s: float
+    """The longest that it makes of that."""
     from_frame: int = 0
 
 
@@ -139,7 +142,7 @@ def beyond_of(came_s: Doubles, shape: Shape, picture_s: float) -> tuple[Doubles,
     long = gaps_s[gaps_s > shape.rest_s / 2]
     frame_s = 1 / shape.fps
     rest_s = float(np.median(long)) if len(long) else frame_s
-    rest_s = max(frame_s, min(rest_s, 2 * shape.rest_s + frame_s))
+    rest_s = max(frame_s, min(rest_s, shape.max_rest_s + frame_s))
     return np.maximum(0.0, gaps_s - rest_s), rest_s
 
 
