@@ -199,9 +199,9 @@ def headers() -> Iterator[Case]:
         "a name with brackets": ("X(y): z",),
     }.items():
         yield Case(f"header: {name}", get("/healthz", *lines), BAD, closes=True)
-    # A reader may take a bare line feed for the end of a line, if it does so everywhere.
+    # A reader may take a bare line feed for the end of a line, or wait for what it calls one.
     feeds = get("/healthz").replace(b"\r\n", b"\n")
-    yield Case("header: only bare line feeds", feeds, (200, 400), closes=True)
+    yield Case("header: only bare line feeds", feeds, (200, 400, 408), least=0)
     yield Case("header: a value that is not ASCII", get("/healthz", "X: \xe4"), (200, 400))
     yield Case("header: 100 lines", get("/healthz", *(f"X{n}: y" for n in range(98))), (200,))
     yield Case("header: 129 lines", get("/healthz", *(f"X{n}: y" for n in range(127))), TOO_LONG)
