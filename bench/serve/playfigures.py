@@ -10,8 +10,9 @@ The words of its figures, exactly:
   since, needs layer 0 of the slice born at f by the time that it shows frame f. late: how long
   after that it came, 0 if before; a slice that was due and had not come at the end counts as
   arrived then. A server sends ahead, so this is 0 until its whole lead has been used up.
-* gap: the time between two reads that bring layer 0 of a new slice, taken once the client has its
-  first picture. The server rests on purpose between bursts. beyond: a gap less that rest. The rest
+* gap: the time between two reads that bring layer 0 of a new slice, counted once all clients have
+  arrived and settled; while they do, a server fills their leads as it can, and `late` tells whether
+  that is enough. The server rests on purpose between bursts. beyond: a gap less that rest. The rest
   of a client is the median of its gaps longer than half of rest_s, as the server makes it longer
   than that by chance; it is never taken for more than max_rest_s and a frame, which is what the
   server's own rules allow, so that one that is always late cannot hide, nor for less than a frame.
@@ -135,9 +136,13 @@ def picture_at(births: NDArray[np.int32], came_s: Doubles, shape: Shape) -> floa
     return float(came_s[of_it].max()) if of_it.sum() == shape.swin_size else np.nan
 
 
-def beyond_of(came_s: Doubles, shape: Shape, picture_s: float) -> tuple[Doubles, float]:
-    """Seconds by which each gap after the first picture is longer than the rest; the rest."""
-    times_s = np.unique(came_s[came_s >= picture_s])
+def beyond_of(
+    came_s: Doubles, shape: Shape, steady_s: float, ended_s: float
+) -> tuple[Doubles, float]:
+    """Seconds by which each gap from `steady_s` on is longer than the rest; the rest."""
+    times_s = np.unique(came_s[came_s >= steady_s])
+    # A play that stopped is a gap as well.
+    times_s = np.append(times_s if len(times_s) else steady_s, ended_s)
     gaps_s = np.diff(times_s)
     long = gaps_s[gaps_s > shape.rest_s / 2]
     frame_s = 1 / shape.fps
@@ -177,7 +182,8 @@ def figures_of(seen: Seen, shape: Shape, frame_bytes: int = 0) -> PlayFigures:
         last_due = shape.from_frame + (known["ended_s"] - picture_s) * shape.fps
         layers += [n for birth, n in layers_of(births, count).items() if birth <= last_due]
         if not np.isnan(picture_s):
-            more, rest_s = beyond_of(came_s, shape, picture_s)
+            since_s = max(picture_s, known["steady_s"])
+            more, rest_s = beyond_of(came_s, shape, since_s, known["ended_s"])
             beyond.append(more)
             rests.append(rest_s)
         packets += len(pairs)

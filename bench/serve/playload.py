@@ -38,7 +38,7 @@ class LoadConfig:
     arrive_s: float
     """Seconds over which the clients arrive, evenly."""
     settle_s: float
-    """Seconds after the last has arrived before the server's CPU is read."""
+    """Seconds after the last has arrived before the server's CPU and its pacing are looked at."""
     seconds: float
     """Seconds from the first arrival to the end."""
     server_pid: int
@@ -213,6 +213,7 @@ class Load:
         steady = ended_s - before[0]
         return {
             "began_s": began_s,
+            "steady_s": before[0],
             "ended_s": ended_s,
             "realtime_offset_s": time.time() - time.monotonic(),
             "server_share": (cpu_s(config.server_pid) - before[1]) / steady,

@@ -31,6 +31,7 @@ def seen(
     who, birth, first, layers, at_s = zip(*packets, strict=True) if packets else ((),) * 5
     known = {
         "began_s": 10.0,
+        "steady_s": 10.1,
         "ended_s": ended_s,
         "realtime_offset_s": 1000.0,
         "server_share": 0.5,
@@ -99,6 +100,7 @@ def test_a_slice_is_late_by_what_exceeds_its_lead(delay_s: float) -> None:
 def test_a_play_that_stops_is_late_until_the_end() -> None:
     found = figures(paced(12), ended_s=13.05)
     assert found.late_ms.max == pytest.approx(1000 * (13.05 - (10.05 + 1.2)))
+    assert found.beyond_ms.max == pytest.approx(1000 * (13.05 - (10.05 + 0.6)) - 300)
 
 
 def test_a_server_that_is_always_late_cannot_call_it_pacing() -> None:
