@@ -88,8 +88,11 @@ def show_plays(figures: PlayFigures) -> None:
         f"{figures.layers:.2f} layers a slice, {figures.bytes_per_s / 1e6:.0f} MB/s; "
         f"server {100 * figures.server_share:.0f} % of a core, "
         f"{figures.server_rss_bytes / 1e6:.0f} MB; clients "
-        f"{100 * figures.load_share:.0f} % of theirs, {figures.load_longest_ms:.0f} ms at once",
+        f"{100 * figures.load_share:.0f} % of theirs, {figures.load_longest_ms:.0f} ms at once; "
+        f"others {100 * figures.others_share:.0f} %",
         soft_wrap=True,
     )
     if figures.load_share > 0.9:
         console.print("The clients used up their core: this measures them, not the server.")
+    if figures.others_share > 0.1:
+        console.print("Something else ran beside it: measure again when the machine is quiet.")

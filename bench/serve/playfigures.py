@@ -76,6 +76,8 @@ class PlayFigures:
     load_share: float
     """The same of the clients' process: 1 would be a measurement of itself."""
     load_longest_ms: float
+    others_share: float
+    """What everything else on the machine took, in cores: above a tenth it is not a measurement."""
     server_rss_bytes: int
     bytes_per_s: float
     """Of packets, at frame_bytes for a slice with all its layers."""
@@ -141,10 +143,10 @@ def beyond_of(
 ) -> tuple[Doubles, float]:
     """Seconds by which each gap from `steady_s` on is longer than the rest; the rest."""
     times_s = np.unique(came_s[came_s >= steady_s])
-    # A play that stopped is a gap as well.
-    times_s = np.append(times_s if len(times_s) else steady_s, ended_s)
     gaps_s = np.diff(times_s)
     long = gaps_s[gaps_s > shape.rest_s / 2]
+    # A play that stopped is a gap as well.
+    gaps_s = np.append(gaps_s, ended_s - (times_s[-1] if len(times_s) else steady_s))
     frame_s = 1 / shape.fps
     rest_s = float(np.median(long)) if len(long) else frame_s
     rest_s = max(frame_s, min(rest_s, shape.max_rest_s + frame_s))
@@ -203,6 +205,7 @@ def figures_of(seen: Seen, shape: Shape, frame_bytes: int = 0) -> PlayFigures:
         server_share=known["server_share"],
         load_share=known["load_share"],
         load_longest_ms=1000 * known["load_longest_s"],
+        others_share=known["others_share"],
         server_rss_bytes=int(known["server_rss_bytes"]),
         bytes_per_s=packets * frame_bytes / shape.num_layers / lasted_s,
     )

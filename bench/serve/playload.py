@@ -22,7 +22,7 @@ from pathlib import Path
 import msgpack
 import numpy as np
 
-from bench.serve.processes import cpu_s, rss_bytes
+from bench.serve.processes import cpu_s, machine_cpu_s, rss_bytes
 
 READ_BYTES = 1 << 20
 LENGTH = struct.Struct("<I")
@@ -189,7 +189,7 @@ class Load:
         config = self._config
         began_s = time.monotonic()
         steady_s = began_s + config.arrive_s + config.settle_s
-        before: tuple[float, float, float] | None = None
+        before: tuple[float, float, float, float] | None = None
         rss = 0
         looked_s = began_s
         while (now_s := time.monotonic()) < began_s + config.seconds:
@@ -199,7 +199,8 @@ class Load:
             for _ in range(due - len(self.all)):
                 self._arrive()
             if before is None and now_s >= steady_s:
-                before = (now_s, cpu_s(config.server_pid), own_cpu_s())
+                server_s = cpu_s(config.server_pid)
+                before = (now_s, server_s, own_cpu_s(), machine_cpu_s())
             if now_s >= looked_s + 1:
                 rss, looked_s = max(rss, rss_bytes(config.server_pid)), now_s
             events = self._epoll.poll(0.005 if len(self.all) < config.clients else 0.05)
@@ -211,13 +212,16 @@ class Load:
         ended_s = time.monotonic()
         assert before is not None, "it ends before it is steady"
         steady = ended_s - before[0]
+        server_s, load_s = cpu_s(config.server_pid) - before[1], own_cpu_s() - before[2]
+        others_s = machine_cpu_s() - before[3] - server_s - load_s
         return {
             "began_s": began_s,
             "steady_s": before[0],
             "ended_s": ended_s,
             "realtime_offset_s": time.time() - time.monotonic(),
-            "server_share": (cpu_s(config.server_pid) - before[1]) / steady,
-            "load_share": (own_cpu_s() - before[2]) / steady,
+            "server_share": server_s / steady,
+            "load_share": load_s / steady,
+            "others_share": max(0.0, others_s) / steady,
             "load_longest_s": self.longest_s,
             "server_rss_bytes": rss,
         }

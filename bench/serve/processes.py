@@ -99,6 +99,13 @@ def cpu_s(pid: int) -> float:
     return total / TICKS
 
 
+def machine_cpu_s() -> float:
+    """CPU seconds that all cores together have been busy so far, for anybody."""
+    fields = Path("/proc/stat").read_text().splitlines()[0].split()[1:]
+    user, nice, system, _, _, irq, softirq = map(int, fields[:7])
+    return (user + nice + system + irq + softirq) / TICKS
+
+
 def rss_bytes(pid: int) -> int:
     """Memory that the process and its descendants hold; what they share counts for each."""
     pages = 0

@@ -37,6 +37,7 @@ def seen(
         "server_share": 0.5,
         "load_share": 0.25,
         "load_longest_s": 0.001,
+        "others_share": 0.0,
         "server_rss_bytes": 1e6,
     }
     arrays: dict[str, Any] = {
