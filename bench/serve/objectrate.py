@@ -5,9 +5,9 @@ one after the other, so that a machine that gets slower does so for all. A figur
 its rounds. wrk asks over 32 connections that are kept, from a core that the server is not on.
 
 CPU seconds are user and system time of the server's processes over what wrk read, heads included.
-`to nginx` is bytes per CPU second as a share of nginx's; for 304, requests per CPU second. Of ranges
-compare that, and not the rate: with tcp_nopush, which Debian sets, nginx keeps the end of a range
-that does not begin with a page for 40 ms.
+`to nginx` is bytes per CPU second as a share of nginx's; for 304, requests per CPU second. Of
+ranges compare that, and not the rate: with tcp_nopush, which Debian sets, nginx keeps the end of a
+range that does not begin with a page for 40 ms.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ def nginx(root: Path, folder: Path, core: int) -> Iterator[tuple[int, int]]:
     with running(command) as process:
         for _ in range(500):
             try:
-                http.client.HTTPConnection("127.0.0.1", port).connect()
+                socket.create_connection(("127.0.0.1", port)).close()
                 break
             except OSError:
                 time.sleep(0.01)
