@@ -51,15 +51,8 @@ def is_loopback(listener: socket.socket) -> bool:
     return ip_address(listener.getsockname()[0].partition("%")[0]).is_loopback
 
 
-def bound_connections(listener: socket.socket, write_timeout_s: float) -> None:
-    """Bounds what a peer that takes nothing costs: UNSENT_BYTES in the kernel, for a while only.
-
-    The kernel cuts such a connection after twice the timeout. That covers what nobody here watches
-    any more: bytes that are still in buffers when a connection was closed. Accepted connections
-    inherit both from `listener`.
-    """
+def bound_connections(listener: socket.socket) -> None:
+    """Bounds what a peer that takes nothing costs in the kernel: UNSENT_BYTES. Accepted connections
+    inherit it from `listener`."""
     if hasattr(socket, "TCP_NOTSENT_LOWAT"):
         listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT_BYTES)
-    if hasattr(socket, "TCP_USER_TIMEOUT"):
-        milliseconds = max(1, round(2000 * write_timeout_s))
-        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, milliseconds)

@@ -18,6 +18,9 @@ from .operate.log.eventlog import EventLog
 from .operate.overload import LoadSample
 from .state.serverstate import ServerState
 
+LAG_EVERY_S = 0.02
+"""Seconds between two looks at how late the event loop is."""
+
 SHUTDOWN_SHARE = 0.9
 """Of the time in which a server ends, the part that responses get; the rest is for what is left."""
 
@@ -45,12 +48,22 @@ class RunningServer:
     async def start(self) -> None:
         """Begins to serve, what is in the library by then."""
         state = self._state
-        bound_connections(self._listener, state.config.patience.write_timeout_s)
+        bound_connections(self._listener)
         self._acceptor.start()
         self._tasks = [
             asyncio.create_task(state.library.watch()),
+            asyncio.create_task(self._measure_lag()),
             asyncio.create_task(measure_load(self._observe, lambda: state.sent_bytes)),
         ]
+
+    async def _measure_lag(self) -> None:
+        """Keeps `state.lag_s` up to date."""
+        clock, state = asyncio.get_running_loop().time, self._state
+        while True:
+            began_s = clock()
+            await asyncio.sleep(LAG_EVERY_S)
+            late_s = clock() - began_s - LAG_EVERY_S
+            state.lag_s = max(late_s, state.lag_s / 2)
 
     def _observe(self, sample: LoadSample) -> None:
         state, metrics = self._state, self._state.metrics

@@ -29,8 +29,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from bench.network.serve import serving
 from bench.network.shown import shown_scores
+from bench.serve.processes import serving
 from codec.console import run_command
 from codec.errors import SwingsError
 from codec.stream import StreamReader

@@ -160,6 +160,11 @@ class PlaySession:
         return self._least_latency_s
 
     @property
+    def lead_s(self) -> float:
+        """Seconds of media that were sent ahead of what the client showed at the last decision."""
+        return (self.holding.end_frame - self.next_frame) / self._media.fps
+
+    @property
     def queued_bytes(self) -> float:
         """Sent, but not acknowledged; less than a byte is what adding up parts of bytes leaves."""
         queued_bytes = self.sent_bytes - self.acked_bytes

@@ -57,6 +57,17 @@ PLAYS_PER_REST = 100
 TOGETHER_BYTES = 32 * 1024
 """Bytes of records that are written in one go."""
 
+ENOUGH_LEAD_S = 1.0
+"""Seconds of media ahead of what a client shows, above which it can let others go first."""
+
+COURTEOUS_FROM_S = 0.005
+"""Lateness of the event loop, seconds, from which it does."""
+
+COURTESY = 10
+"""How long it does: so many times that lateness, but not longer than MAX_COURTESY_S."""
+
+MAX_COURTESY_S = 0.25
+
 MAX_PAUSE_S = 0.5
 """Longest time in which a play does not look around, seconds."""
 
@@ -279,6 +290,10 @@ class _Play:
             data = b"".join(unsent[:count])
             del unsent[:count]
             await self._writer.write(data)
+            lag_s = self._state.lag_s
+            if lag_s > COURTEOUS_FROM_S and self._session.lead_s > ENOUGH_LEAD_S:
+                # Whoever waits for a first picture, or has little ahead, goes first.
+                await asyncio.sleep(min(MAX_COURTESY_S, COURTESY * lag_s))
 
     def _encode(self, record: Record, last: bool = False) -> bytes:
         if self._plain is None:

@@ -133,7 +133,7 @@ class HttpConnection(asyncio.Protocol):
                 return
             if request is None:
                 if self._ended:
-                    self._transport.close()
+                    self._close()
                 return
             self._answer(request)
 
@@ -260,15 +260,19 @@ class HttpConnection(asyncio.Protocol):
             self._site.finished(exchange, self._loop.time())
 
     def _linger(self, now_s: float) -> None:
-        if self._ended or not self._transport.can_write_eof():
-            self._transport.close()
+        """Ends the connection; reads on for a while, or what still comes would make the kernel
+        drop the response."""
+        if self._ended or not self._outlet.end():
+            self._close()
             return
         self._lingers, self._deadline_s = True, now_s + LINGER_S
         self._buffer.clear()
         if not self._reading:
             self._reading = True
             self._transport.resume_reading()
-        self._transport.write_eof()
+
+    def _close(self) -> None:
+        self._outlet.close(self._site.patience.write_timeout_s)
 
     # Time.
 
@@ -292,13 +296,13 @@ class HttpConnection(asyncio.Protocol):
             self._send(error_response(HTTPStatus.REQUEST_TIMEOUT, message, {}))
         else:
             self._site.cut("idle")
-            self._transport.close()
+            self._close()
 
     def stop(self) -> None:
         """Closes the connection as soon as no response is on its way."""
         self._keep_alive = False
         if self._exchange is None:
-            self._transport.close()
+            self._close()
 
     def abort(self, why: str = "stopped") -> None:
         """Ends the connection now."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import socket
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Final
 
 from .tcpinfo import TcpInfo, read_tcp_info, unacked_bytes
@@ -102,6 +103,27 @@ class Outlet:
             return 0
         self.sent_bytes += sent
         return sent
+
+    def close(self, timeout_s: float) -> None:
+        """Ends the connection behind what was written. The kernel forgets after `timeout_s` of
+        silence what nobody here watches any more: bytes that the client does not take."""
+        # Not before: a window that is nearly closed counts as silence too.
+        if hasattr(socket, "TCP_USER_TIMEOUT"):
+            with suppress(OSError):
+                milliseconds = max(1, round(1000 * timeout_s))
+                self._asked.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, milliseconds)
+        self._transport.close()
+
+    def end(self) -> bool:
+        """Tells the client that nothing more comes, if all has left this process and one side can
+        be closed alone; gives whether it was told."""
+        if self._socket is None or self._transport.get_write_buffer_size():
+            return False
+        try:
+            self._socket.shutdown(socket.SHUT_WR)
+        except OSError:  # it has gone
+            return False
+        return True
 
     def queued_bytes(self) -> int:
         """Bytes written but not yet acknowledged by the client's side, as far as one can see."""

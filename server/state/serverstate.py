@@ -58,5 +58,7 @@ class ServerState:
             config.max_plays, config.admission.max_address_plays, self.proxies
         )
         """Plays by address."""
+        self.lag_s = 0.0
+        """How late the event loop has been of late."""
         self.sent_bytes = 0
         """Of bodies, since the worker began."""

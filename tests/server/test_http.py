@@ -268,14 +268,14 @@ def test_health_readiness_and_metrics(root: Path) -> None:
             assert response.headers["Content-Type"].startswith("text/plain; version=0.0.4")
             text = await response.text()
         found = {
-            (sample.name, *sample.labels.values()): sample.value
+            (sample.name, *sorted(sample.labels.items())): sample.value
             for family in text_string_to_metric_families(text)
             for sample in family.samples
         }
-        assert found["swings_requests_total", "/healthz", "200"] == 1
-        assert found["swings_requests_total", "unmatched", "404"] == 1
+        assert found["swings_requests_total", ("code", "200"), ("route", "/healthz")] == 1
+        assert found["swings_requests_total", ("code", "404"), ("route", "unmatched")] == 1
         size = (root / "walk" / "segments" / "0" / "1").stat().st_size
-        assert found["swings_layer_bytes_total", "object", "1"] == size
+        assert found["swings_layer_bytes_total", ("layer", "1"), ("via", "object")] == size
         assert found["swings_active_plays",] == 0
         assert found["swings_ttfb_seconds_count",] == 5
         server.state.stopping.set()

@@ -1,0 +1,45 @@
+"""Appends noise to a new stream in real time: `python livewriter.py FOLDER GAUSSIANS SECONDS`.
+
+One line of JSON for each segment: its first birth, one past its last, and when its index record was
+there. That is the time of the index file's last change: from then on a server can see it, though
+the writer still waits for the disk.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+
+from bench.serve.material import FPS, noise_manifest, noise_slice
+from codec.stream import StreamWriter
+from codec.stream.index import INDEX_NAME
+
+SEGMENT_FRAMES = 5
+LEAD_FRAMES = 30
+"""Frames that are there at the start."""
+
+
+def main() -> None:
+    path, slice_size, seconds = Path(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])
+    manifest = noise_manifest(slice_size, SEGMENT_FRAMES, live=True)
+    num_frames = LEAD_FRAMES + round(seconds * FPS)
+    slices = {b: noise_slice(b, slice_size) for b in range(manifest.first_birth, num_frames)}
+    began_s = None
+    with StreamWriter.create(path, manifest) as writer:
+        for birth, one in slices.items():
+            if birth >= LEAD_FRAMES:
+                began_s = time.monotonic() if began_s is None else began_s
+                due_s = began_s + (birth - LEAD_FRAMES) / FPS
+                time.sleep(max(0.0, due_s - time.monotonic()))
+            before = writer.durable_birth
+            writer.append(one)
+            if writer.durable_birth > max(before, 0):
+                at_s = (path / INDEX_NAME).stat().st_mtime_ns / 1e9
+                told = {"birth": max(before, 0), "end_birth": writer.durable_birth, "at_s": at_s}
+                print(json.dumps(told), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,173 @@
+"""What `scripts/bench serve` says of plays that are made up, whose figures are known."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bench.serve.hotspots import hotspots_of
+from bench.serve.playfigures import PlayFigures, Seen, Shape, figures_of, live_latency_s
+from bench.serve.playload import Body
+from codec.stream.playrecord import SliceRecord, encode_record
+
+SHAPE = Shape(fps=10.0, swin_size=3, num_layers=2, rest_s=0.2, max_rest_s=0.4)
+REST_FRAMES = 3
+"""Frames that a burst brings: the server rests 0.3 s, between rest_s and twice that."""
+
+
+def seen(
+    packets: list[tuple[int, int, int, int, float]],
+    clients: int = 1,
+    ended_s: float = 100.0,
+    status: int = 200,
+    over: bool = False,
+) -> Seen:
+    """packets: client, birth, first layer, layers, and when they came; all asked at 10 s."""
+    who, birth, first, layers, at_s = zip(*packets, strict=True) if packets else ((),) * 5
+    known = {
+        "began_s": 10.0,
+        "steady_s": 10.1,
+        "ended_s": ended_s,
+        "realtime_offset_s": 1000.0,
+        "server_share": 0.5,
+        "load_share": 0.25,
+        "load_longest_s": 0.001,
+        "others_share": 0.0,
+        "server_rss_bytes": 1e6,
+    }
+    arrays: dict[str, Any] = {
+        "who": np.array(who, np.int32),
+        "birth": np.array(birth, np.int32),
+        "first": np.array(first, np.int8),
+        "layers": np.array(layers, np.int8),
+        "at_s": np.array(at_s, np.float64),
+        "asked_s": np.full(clients, 10.0),
+        "head_s": np.full(clients, 10.01),
+        "record_s": np.full(clients, 10.02),
+        "status": np.full(clients, status),
+        "over": np.full(clients, over),
+    }
+    return Seen(arrays, known)
+
+
+def paced(num_frames: int, client: int = 0) -> list[tuple[int, int, int, int, float]]:
+    """What a good server sends: six frames at once, and three each 0.3 s."""
+    return [
+        (client, birth, 0, 2, 10.05 if birth < 6 else 10.05 + 0.3 * (1 + (birth - 6) // 3))
+        for birth in range(1 - SHAPE.swin_size, num_frames)
+    ]
+
+
+def figures(packets: list[tuple[int, int, int, int, float]], **more: float) -> PlayFigures:
+    return figures_of(seen(packets, ended_s=more.pop("ended_s", 13.05)), SHAPE, 1000)
+
+
+def test_a_good_play_is_never_late_and_has_no_gap_beyond_its_rest() -> None:
+    found = figures(paced(60))
+    assert (found.failed, found.missing, found.double) == (0, 0, 0)
+    assert found.late_ms.max == 0
+    assert found.beyond_ms.max == pytest.approx(0, abs=1e-6)
+    assert found.rest_ms.p50 == pytest.approx(300)
+    assert found.layers == 2
+    assert found.head_ms.p50 == pytest.approx(10)
+    assert found.record_ms.max == pytest.approx(20)
+    assert found.picture_ms.p50 == pytest.approx(50)
+    assert found.bytes_per_s == pytest.approx(62 * 1000 / 3.05)
+
+
+def test_a_burst_that_comes_late_is_a_gap_and_no_slice_is_late_while_the_lead_lasts() -> None:
+    packets = [(*p[:4], p[4] + 0.1 * (12 <= p[1] < 15)) for p in paced(60)]
+    found = figures(packets)
+    assert found.beyond_ms.max == pytest.approx(100)
+    assert found.late_ms.max == 0
+
+
+@given(st.floats(0.7, 2.0))
+def test_a_slice_is_late_by_what_exceeds_its_lead(delay_s: float) -> None:
+    """Slice 20 comes 0.6 s before its time at best: 6 frames of lead, less where it is in its
+    burst."""
+    packets = [(*p[:4], p[4] + delay_s * (p[1] == 20)) for p in paced(60)]
+    due_s, came_s = 10.05 + 2.0, next(p[4] for p in packets if p[1] == 20)
+    assert figures(packets, ended_s=15.0).late_ms.max == pytest.approx(
+        max(0, 1000 * (came_s - due_s)), abs=1e-6
+    )
+
+
+def test_a_play_that_stops_is_late_until_the_end() -> None:
+    found = figures(paced(12), ended_s=13.05)
+    assert found.late_ms.max == pytest.approx(1000 * (13.05 - (10.05 + 1.2)))
+    assert found.beyond_ms.max == pytest.approx(1000 * (13.05 - (10.05 + 0.6)) - 300)
+
+
+def test_a_server_that_is_always_late_cannot_call_it_pacing() -> None:
+    slow = [(*p[:4], 10.05 + 0.9 * max(0, (p[1] - 3) // 3)) for p in paced(60)]
+    found = figures(slow, ended_s=30.0)
+    assert found.rest_ms.p50 == pytest.approx(500)  # max_rest_s and a frame
+    assert found.beyond_ms.p50 == pytest.approx(400)
+
+
+def test_what_lacks_and_what_comes_twice_is_counted() -> None:
+    packets = [p for p in paced(60) if p[1] != 9]
+    packets += [(0, 7, 0, 1, 12.0), (0, 9, 1, 1, 12.0)]  # layer 0 of 7 again; 9 without layer 0
+    found = figures(packets)
+    assert (found.missing, found.double) == (1, 1)
+
+
+def test_layers_that_come_apart_are_added_up() -> None:
+    packets = [(c, b, 0, 1, s) for c, b, _, _, s in paced(60)]
+    assert figures(packets).layers == 1
+    packets += [(c, b, 1, 1, s + 0.01) for c, b, _, _, s in paced(60)]
+    found = figures(packets)
+    assert (found.layers, found.double) == (2, 0)
+
+
+@pytest.mark.parametrize("how", ["refused", "cut", "silent"])
+def test_a_client_that_got_no_play_counts_as_failed(how: str) -> None:
+    packets = [] if how == "silent" else paced(60)
+    status = 503 if how == "refused" else 200
+    one = seen(packets, status=status, over=how == "cut", ended_s=13.05)
+    assert figures_of(one, SHAPE).failed == 1
+
+
+def test_live_latency_is_from_the_birth_of_a_segment() -> None:
+    packets = [(n, birth, 0, 2, 11 + birth / 10) for n in range(2) for birth in range(20)]
+    born_s = {0: (5, 1010.9), 5: (10, 1011.2), 10: (15, 1011.9), 15: (25, 1012.0)}
+    first_s, last_s = live_latency_s(seen(packets, clients=2), born_s, after_s=1011.0)
+    # The first is too old, the last never came whole.
+    assert sorted(first_s) == pytest.approx([0.1, 0.1, 0.3, 0.3])
+    assert sorted(last_s) == pytest.approx([0.5, 0.5, 0.7, 0.7])
+
+
+CHUNKED_PACKETS = (b"x" * 500, b"yz" * 9)
+CUTS = st.lists(st.integers(0, 1700), max_size=12).map(sorted)
+
+
+def pieces(data: bytes, cuts: list[int]) -> list[bytes]:
+    return [data[a:b] for a, b in zip([0, *cuts], [*cuts, len(data)], strict=True)]
+
+
+@given(CUTS, CUTS)
+def test_a_body_in_chunks_is_read_in_any_pieces(chunks: list[int], reads: list[int]) -> None:
+    records = [encode_record(SliceRecord(birth, CHUNKED_PACKETS)) for birth in range(3)]
+    body = b"".join(records)
+    sent = b"".join(b"%x\r\n%b\r\n" % (len(p), p) for p in pieces(body, chunks) if p)
+    got, reader = bytearray(), Body(chunked=True)
+    for piece in pieces(sent, reads):
+        reader.feed(memoryview(piece), got)
+    assert bytes(got) == body
+    assert msgpack.unpackb(bytes(got[4 : len(records[0])]))["birth"] == 0
+
+
+def test_hotspots_are_counted_where_they_are_and_in_all_that_lead_there() -> None:
+    lines = ["process 7;a;b;c 6", "process 7;a;b 2", "process 7;a;c;a 2", "process 7 5", "x y"]
+    spots = {spot.function: spot for spot in hotspots_of(lines, 9)}
+    assert {name: (s.own, s.within) for name, s in spots.items()} == {
+        "c": (0.6, 0.8),
+        "b": (0.2, 0.8),
+        "a": (0.2, 1.0),
+    }

@@ -1,0 +1,52 @@
+"""`scripts/bench serve`, small, on a real swings-serve: nothing is lost between both processes."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from contextlib import ExitStack
+
+import pytest
+
+from bench.serve.heldplays import measure_plays
+from bench.serve.livelatency import measure_live
+from bench.serve.objectrate import cases_of, measure_objects
+from bench.serve.processes import two_cores
+
+pytestmark = pytest.mark.skipif(
+    not sys.platform.startswith("linux")
+    or (os.cpu_count() or 1) < 2
+    or not shutil.which("taskset"),
+    reason="it needs Linux, two cores and taskset",
+)
+
+
+def nothing(pid: int) -> ExitStack:
+    return ExitStack()
+
+
+def test_every_slice_of_every_play_comes_once() -> None:
+    figures = measure_plays(8, 4000, 0.5, 4.0, two_cores(), (), nothing)
+    assert (figures.clients, figures.failed, figures.missing, figures.double) == (8, 0, 0, 0)
+    assert 0 < figures.head_ms.p50 <= figures.record_ms.p50 <= figures.picture_ms.p50
+    assert figures.layers > 1
+    assert 0 < figures.server_share < 1
+    assert figures.server_rss_bytes > 10_000_000
+
+
+def test_a_live_stream_reaches_who_follows_it() -> None:
+    figures = measure_live(3, 4000, 6.0, two_cores(), ())
+    assert figures.segments >= 3 * 5
+    # The stamp of a file is a few ms coarse.
+    assert -20 < figures.first_ms.p50 <= figures.last_ms.p50 < 3000
+
+
+def test_objects_are_measured_beside_others() -> None:
+    for program in ("nginx", "wrk"):
+        if not shutil.which(program) and not shutil.which(program, path="/usr/sbin"):
+            pytest.skip(f"{program} is not installed")
+    rates = measure_objects((20,), 1, 1.0, two_cores(), (), nothing)
+    assert len(rates) == 3 * len(cases_of((20,)))
+    assert all(rate.requests_per_s > 10 and rate.cpu_us_per_request > 0 for rate in rates)
+    assert {rate.to_nginx for rate in rates if rate.server == "nginx"} == {1.0}

@@ -1,0 +1,156 @@
+"""The files of deploy/, run as they are but for names, ports and folders."""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import os
+import re
+import shutil
+import socket
+import ssl
+import subprocess
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+DEPLOY = Path(__file__).parents[2] / "deploy"
+
+MAKE_CERTIFICATE = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2"]
+MAKE_CERTIFICATE += ["-subj", "/CN=swings.test"]
+
+
+def find_program(name: str) -> str | None:
+    """Where it is; Debian puts nginx where only root looks."""
+    return shutil.which(name) or shutil.which(name, path="/usr/sbin:/sbin")
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as sock:
+        return int(sock.getsockname()[1])
+
+
+def replaced(text: str, changes: Mapping[str, str]) -> str:
+    """`text` with every key, a regular expression, replaced; each must be there."""
+    for pattern, new in changes.items():
+        plain = new.replace("\\", r"\\")  # no backslash in it is a command
+        text, count = re.subn(pattern, plain, text, flags=re.MULTILINE)
+        assert count, f"{pattern} is not in the file any more"
+    return text
+
+
+@dataclass(frozen=True)
+class Proxy:
+    """One that runs before a server."""
+
+    port: int
+    tls: bool
+
+    def connect(self, timeout_s: float = 10.0) -> http.client.HTTPConnection:
+        if not self.tls:
+            return http.client.HTTPConnection("127.0.0.1", self.port, timeout=timeout_s)
+        context = ssl._create_unverified_context()  # made by the test a moment ago
+        return http.client.HTTPSConnection(
+            "127.0.0.1", self.port, timeout=timeout_s, context=context
+        )
+
+    def ask(
+        self,
+        path: str,
+        headers: Mapping[str, str] | None = None,
+        method: str = "GET",
+        body: bytes | None = None,
+    ) -> tuple[int, http.client.HTTPMessage, bytes]:
+        """Status, headers and body."""
+        connection = self.connect()
+        try:
+            connection.request(method, path, body, dict(headers or {}))
+            response = connection.getresponse()
+            return response.status, response.headers, response.read()
+        finally:
+            connection.close()
+
+
+@contextlib.contextmanager
+def started(command: list[str], proxy: Proxy, log: Path, **more: str) -> Iterator[Proxy]:
+    """Runs `command` until the block ends; it must listen within 10 s."""
+    with open(log, "w") as out:
+        process = subprocess.Popen(
+            command, stdout=out, stderr=subprocess.STDOUT, env={**os.environ, **more}
+        )
+    try:
+        for _ in range(1000):
+            with contextlib.suppress(OSError):
+                socket.create_connection(("127.0.0.1", proxy.port)).close()
+                break
+            assert process.poll() is None, log.read_text()
+            time.sleep(0.01)
+        yield proxy
+    finally:
+        process.terminate()
+        process.wait(timeout=20)
+
+
+@contextlib.contextmanager
+def nginx(backend: int, folder: Path) -> Iterator[Proxy]:
+    """nginx with TLS before the server at port `backend`."""
+    port, plain_port = free_port(), free_port()
+    key, certificate = folder / "key.pem", folder / "certificate.pem"
+    subprocess.run(
+        [*MAKE_CERTIFICATE, "-keyout", key, "-out", certificate],
+        check=True,
+        capture_output=True,
+    )
+    user = {r"^user www-data;": "user root;" if os.getuid() == 0 else ""}
+    text = replaced(
+        (DEPLOY / "nginx.conf").read_text(),
+        user
+        | {
+            r"^pid .*;": f"pid {folder}/nginx.pid; daemon off;",
+            r"^worker_processes auto;": "worker_processes 1;",
+            r"/var/log/nginx": str(folder),
+            r"/var/cache/nginx": str(folder / "cache"),
+            r"listen 80;": f"listen 127.0.0.1:{plain_port};",
+            r"listen 443 ssl": f"listen 127.0.0.1:{port} ssl",
+            r"/etc/letsencrypt/live/video.example.org/fullchain.pem": str(certificate),
+            r"/etc/letsencrypt/live/video.example.org/privkey.pem": str(key),
+            r"127\.0\.0\.1:8080": f"127.0.0.1:{backend}",
+            # Where a nginx that is not root may write.
+            r"default_type .*;": "".join(
+                f"{name}_temp_path {folder}/{name};"
+                for name in ("client_body", "proxy", "fastcgi", "uwsgi", "scgi")
+            ),
+        },
+    )
+    (folder / "cache").mkdir()
+    config = folder / "nginx.conf"
+    config.write_text(text)
+    program = find_program("nginx")
+    assert program is not None
+    command = [program, "-c", str(config), "-e", str(folder / "start.log")]
+    subprocess.run([*command, "-t"], check=True, capture_output=True)
+    with started(command, Proxy(port, tls=True), folder / "out.log") as proxy:
+        yield proxy
+
+
+@contextlib.contextmanager
+def caddy(backend: int, folder: Path) -> Iterator[Proxy]:
+    """Caddy, without TLS as nobody vouches for it here, before the server at port `backend`."""
+    port = free_port()
+    text = replaced(
+        (DEPLOY / "Caddyfile").read_text(),
+        {
+            r"^\{$": "{\n\tadmin off",
+            r"^video\.example\.org": f"http://127.0.0.1:{port}",
+            r"127\.0\.0\.1:8080": f"127.0.0.1:{backend}",
+        },
+    )
+    config = folder / "Caddyfile"
+    config.write_text(text)
+    program = find_program("caddy")
+    assert program is not None
+    home = {name: str(folder) for name in ("HOME", "XDG_DATA_HOME", "XDG_CONFIG_HOME")}
+    command = [program, "run", "--config", str(config), "--adapter", "caddyfile"]
+    with started(command, Proxy(port, tls=False), folder / "out.log", **home) as proxy:
+        yield proxy

@@ -1,0 +1,141 @@
+"""nginx and Caddy with the files of deploy/, before a real swings-serve."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from codec.stream.playrecord import (
+    EndRecord,
+    ErrorRecord,
+    Record,
+    RecordParser,
+    SliceRecord,
+    StartRecord,
+)
+from tests.deploy.echo import echoing
+from tests.deploy.proxied import Proxy, caddy, find_program, nginx
+from tests.support.commands import serving
+from tests.support.hosted_streams import SWIN_SIZE, write_stream
+
+PROXIES = {"nginx": nginx, "caddy": caddy}
+FRAMES = 20
+OBJECT = "/v1/streams/walk/segments/1/2"
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("root")
+    write_stream(root / "walk", FRAMES, fps=10.0)
+    return root
+
+
+@pytest.fixture(scope="module", params=sorted(PROXIES))
+def name(request: pytest.FixtureRequest) -> str:
+    name: str = request.param
+    if find_program(name) is None:
+        pytest.skip(f"{name} is not installed")
+    if name == "nginx" and find_program("openssl") is None:
+        pytest.skip("openssl, which makes a certificate for nginx, is not installed")
+    return name
+
+
+@pytest.fixture(scope="module")
+def proxy(name: str, root: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Proxy]:
+    # A lead shorter than the stream: a play then lasts about a second.
+    with serving(root, "--max-lead-s", 1) as url:
+        port = int(url.rpartition(":")[2])
+        with PROXIES[name](port, tmp_path_factory.mktemp(name)) as running:
+            yield running
+
+
+def test_objects_come_whole_in_parts_and_not_at_all(proxy: Proxy, root: Path) -> None:
+    data = (root / "walk" / "segments" / "1" / "2").read_bytes()
+    for _ in range(3):  # from the server, and from a cache
+        status, headers, body = proxy.ask(OBJECT)
+        assert (status, body) == (200, data)
+        assert "immutable" in headers["Cache-Control"]
+        tag = headers["ETag"]
+        assert tag.startswith('"'), "a strong tag must stay strong"
+        assert headers["Access-Control-Allow-Origin"] == "*"
+        status, headers, body = proxy.ask(OBJECT, {"Range": "bytes=3-9"})
+        assert (status, body) == (206, data[3:10])
+        assert headers["Content-Range"] == f"bytes 3-9/{len(data)}"
+        status, _, body = proxy.ask(OBJECT, {"Range": "bytes=-5", "If-Range": tag})
+        assert (status, body) == (206, data[-5:])
+        status, headers, body = proxy.ask(OBJECT, {"If-None-Match": tag})
+        assert (status, body, headers["ETag"]) == (304, b"", tag)
+        status, _, body = proxy.ask(OBJECT, method="HEAD")
+        assert (status, body) == (200, b"")
+
+
+def test_a_coded_object_and_a_range_of_it_do_not_get_mixed_up(proxy: Proxy, root: Path) -> None:
+    """Whatever a browser took before, a range is of the object as it lies on disk."""
+    path = "/v1/streams/walk/segments/2/0"
+    data = (root / "walk" / "segments" / "2" / "0").read_bytes()
+    zstd = {"Accept-Encoding": "gzip, zstd"}
+    for _ in range(2):
+        assert proxy.ask(path, zstd)[2] == data  # an object of coder zstd, coded so or not
+        status, headers, body = proxy.ask(path, zstd | {"Range": "bytes=1-4"})
+        assert (status, body) == (206, data[1:5])
+        assert headers["Content-Encoding"] is None
+        assert proxy.ask(path)[1]["Content-Encoding"] is None
+
+
+def test_nginx_keeps_objects_and_nothing_else(proxy: Proxy, name: str) -> None:
+    if name != "nginx":
+        pytest.skip("Caddy has no cache")
+    path = "/v1/streams/walk/segments/3/1"
+    assert [proxy.ask(path)[1]["X-Cache"] for _ in range(2)] == ["MISS", "HIT"]
+    for other in ("manifest.json", "index.bin"):
+        assert proxy.ask(f"/v1/streams/walk/{other}")[1]["X-Cache"] is None
+
+
+def test_what_is_told_of_the_server_itself_stays_inside(proxy: Proxy) -> None:
+    assert proxy.ask("/healthz")[0] == 200
+    assert proxy.ask("/metrics")[0] == 404
+    assert proxy.ask("/v1/streams/nobody/manifest.json")[0] == 404
+
+
+def test_a_play_comes_slice_by_slice_and_its_news_go_back(proxy: Proxy) -> None:
+    connection = proxy.connect()
+    parser, began_s = RecordParser(), time.monotonic()
+    try:
+        connection.request("GET", "/v1/streams/walk/play?from=0&layers=1")
+        response = connection.getresponse()
+        assert response.status == 200
+        token = response.headers["Swings-Play"]
+        came: list[tuple[float, Record]] = []
+        told = 0
+        while piece := response.read1(1 << 16):
+            came += [(time.monotonic() - began_s, record) for record in parser.feed(piece)]
+            if not told:
+                news = json.dumps({"frame": 0}).encode()
+                told = proxy.ask(f"/v1/streams/walk/play/{token}", None, "POST", news)[0]
+    finally:
+        connection.close()
+    assert told == 204
+    records = [record for _, record in came]
+    assert isinstance(records[0], StartRecord)
+    assert isinstance(records[-1], EndRecord), records[-1]
+    assert not [record for record in records if isinstance(record, ErrorRecord)]
+    births = [record.birth for record in records if isinstance(record, SliceRecord)]
+    assert births == list(range(1 - SWIN_SIZE, FRAMES))
+    # Half of it is ahead of the lead, and comes while it is shown.
+    assert came[0][0] < 1.0
+    assert came[-1][0] - came[0][0] > 0.4, "all came at once: somebody keeps it back"
+    assert len({round(at_s, 2) for at_s, _ in came}) >= 3
+
+
+def test_the_server_learns_the_clients_address_and_no_lies(name: str, tmp_path: Path) -> None:
+    with echoing() as port, PROXIES[name](port, tmp_path) as proxy:
+        for path in ("/", "/v1/streams/walk/play", "/v1/streams/walk/manifest.json"):
+            _, _, body = proxy.ask(path, {"X-Forwarded-For": "203.0.113.9"})
+            headers = json.loads(body)
+            assert headers["x-forwarded-for"] == "127.0.0.1", path
+            assert headers["x-forwarded-proto"] == ("https" if proxy.tls else "http")
+            assert headers["host"] == f"127.0.0.1:{proxy.port}"

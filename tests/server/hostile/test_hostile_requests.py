@@ -1,0 +1,91 @@
+"""Requests that no honest client makes, over raw sockets to a real swings-serve."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.server.hostile.requestcases import CASES, OBJECT, Case
+from tests.server.hostile.serverprocess import (
+    SECRET,
+    Answer,
+    ServerProcess,
+    answers_of,
+    exchange,
+    get,
+    server_process,
+)
+from tests.support.hosted_streams import write_stream
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of streams, with what nobody shall see in it and around it."""
+    top = tmp_path_factory.mktemp("hostile")
+    root = top / "root"
+    stream = write_stream(root / "walk", 12)
+    write_stream(root / ".hidden", 12)
+    for folder in (top, root, stream, stream / "segments"):
+        (folder / "secret.png").write_bytes(SECRET)
+    return root
+
+
+@pytest.fixture(scope="module")
+def server(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
+    with server_process(root, tmp_path_factory.mktemp("log")) as running:
+        yield running
+
+
+def check_bytes(answer: Answer, whole: bytes) -> None:
+    """An answer with a part of the object has just that part of it."""
+    if answer.headers.get("content-type") != "application/octet-stream":
+        return
+    if answer.status == 200:
+        assert answer.body == whole
+    elif answer.status == 206:
+        found = re.fullmatch(r"bytes (\d+)-(\d+)/(\d+)", answer.headers["content-range"])
+        assert found
+        assert answer.body == whole[int(found[1]) : int(found[2]) + 1]
+        assert int(found[3]) == len(whole)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_it_is_answered_as_http_says_and_nothing_else_happens(
+    case: Case, server: ServerProcess, root: Path
+) -> None:
+    whole = (root / "walk" / "segments" / "0" / "0").read_bytes()
+    tag = get(server.port, OBJECT).headers["etag"]
+    before = len(server.settled_log(0))
+    data, closed = exchange(server.port, case.sent.replace(b"ETAG", tag.encode()), case.shut)
+    answers, rest = answers_of(data)
+    statuses = [answer.status for answer in answers]
+    assert not rest, f"not a response: {rest[:200]!r}"
+    assert case.least <= len(answers) <= case.most, statuses
+    assert set(statuses) <= set(case.statuses), (statuses, data[:300])
+    assert closed or not case.closes, "the connection is kept, though nobody knows what comes next"
+    assert SECRET not in data
+    assert b"root:" not in data
+    assert b"Traceback" not in data
+    for answer in answers:
+        check_bytes(answer, whole)
+    written = server.settled_log(before)[before:]
+    assert not any("Traceback" in line for line in written), written
+    assert len(written) <= max(1, len(answers)), written
+    assert get(server.port, "/healthz").status == 200
+
+
+def test_no_two_cases_have_the_same_name() -> None:
+    names = [case.name for case in CASES]
+    assert len(set(names)) == len(names), sorted(names)
+
+
+def test_a_poisoned_request_would_be_seen(server: ServerProcess) -> None:
+    """The harness tells two answers from one."""
+    one = b"GET /healthz HTTP/1.1\r\nHost: h\r\n\r\n"
+    data, closed = exchange(server.port, one + one, quiet_s=0.3)
+    answers, rest = answers_of(data)
+    assert [answer.status for answer in answers] == [200, 200]
+    assert (rest, closed) == (b"", False)

@@ -1,0 +1,165 @@
+"""Slow clients by the thousand, and what the others feel of them; a slow one that is honest."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.server.hostile.serverprocess import ServerProcess, answers_of, server_process
+from tests.support.commands import ROOT, environment
+from tests.support.hosted_streams import write_stream
+
+CUT_S = 10.0
+"""Seconds after which a client that makes no progress is cut."""
+SLACK_S = 5.0
+"""More than that may go by on a busy machine, and until somebody looks."""
+MEMORY_BYTES = 100 << 20
+"""What all the slow clients together may cost the server."""
+SLOW_BPS = 10_000
+"""Bytes a second of the honest one."""
+
+pytestmark = pytest.mark.skipif(
+    sys.platform != "linux", reason="clients of many loopback addresses, and /proc: Linux only"
+)
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("slow")
+    write_stream(root / "big", 5, slice_size=24_000)  # objects of some MB: more than any buffer
+    write_stream(root / "small", 5)
+    return root
+
+
+@pytest.fixture(scope="module")
+def server(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
+    with server_process(root, tmp_path_factory.mktemp("log")) as running:
+        yield running
+
+
+def how_many() -> int:
+    """1,000, or as many as descriptors allow on this machine."""
+    return min(1000, (resource.getrlimit(resource.RLIMIT_NOFILE)[0] - 100) // 2)
+
+
+def rss_bytes(pid: int) -> int:
+    """Of the process and its children."""
+    total = 0
+    for member in (pid, *children(pid)):
+        with contextlib.suppress(OSError):
+            pages = Path(f"/proc/{member}/statm").read_text().split()[1]
+            total += int(pages) * os.sysconf("SC_PAGE_SIZE")
+    return total
+
+
+def num_sockets(pid: int) -> int:
+    """Of the process and its children. What the kernel still holds of a connection that the server
+    has closed is not among them."""
+    count = 0
+    for member in (pid, *children(pid)):
+        for descriptor in Path(f"/proc/{member}/fd").glob("*"):
+            with contextlib.suppress(OSError):
+                count += os.readlink(descriptor).startswith("socket:")
+    return count
+
+
+def children(pid: int) -> list[int]:
+    found = []
+    for task in Path(f"/proc/{pid}/task").glob("*/children"):
+        for child in map(int, task.read_text().split()):
+            found += [child, *children(child)]
+    return found
+
+
+def first_byte_s(port: int, path: str) -> float:
+    """Seconds from a request on a new connection to the first byte of its answer."""
+    began_s = time.monotonic()
+    with socket.create_connection(("127.0.0.1", port), timeout=20) as sock:
+        sock.sendall(f"GET {path} HTTP/1.1\r\nHost: h\r\nConnection: close\r\n\r\n".encode())
+        assert sock.recv(12) == b"HTTP/1.1 200"
+        took_s = time.monotonic() - began_s
+        while sock.recv(1 << 16):
+            pass
+    return took_s
+
+
+def p99(values: list[float]) -> float:
+    return sorted(values)[int(0.99 * (len(values) - 1))]
+
+
+@pytest.mark.parametrize("kind", ["heads", "readers"])
+def test_a_thousand_slow_clients_are_cut_and_the_others_hardly_feel_them(
+    kind: str, server: ServerProcess
+) -> None:
+    ordinary, attacked = "/v1/streams/small/segments/0/0", "/v1/streams/big/segments/0/2"
+    port, count = server.port, how_many()
+    if count < 50:
+        pytest.skip("this machine allows too few descriptors: raise `ulimit -n`")
+    first_byte_s(port, attacked)  # what it costs to have read it is not the attack's fault
+    alone_s = [first_byte_s(port, ordinary) for _ in range(300)]
+    before_bytes, most_bytes = rss_bytes(server.pid), 0
+    before_sockets = num_sockets(server.pid)
+    words = [kind, port, count, CUT_S + SLACK_S + 5, attacked]
+    command = [sys.executable, "-m", "tests.server.hostile.attack", *map(str, words)]
+    attack = subprocess.Popen(
+        command, cwd=ROOT, env=environment(), stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert attack.stdout is not None
+        assert attack.stdout.readline() == "connected\n"
+        began_s = time.monotonic()
+        while num_sockets(server.pid) < before_sockets + 0.9 * count:
+            assert time.monotonic() < began_s + 3, "they are not let in: that is not an attack"
+            time.sleep(0.01)
+        with_s = []
+        while time.monotonic() < began_s + CUT_S / 2:  # while none is cut yet
+            with_s.append(first_byte_s(port, ordinary))
+            most_bytes = max(most_bytes, rss_bytes(server.pid))
+            time.sleep(0.005)
+        left = count
+        while left > 0 and time.monotonic() < began_s + CUT_S + SLACK_S:
+            time.sleep(0.1)
+            most_bytes = max(most_bytes, rss_bytes(server.pid))
+            left = num_sockets(server.pid) - before_sockets
+    finally:
+        attack.terminate()
+        attack.communicate()
+    assert left <= 0, f"{left} of {count} are kept after {CUT_S + SLACK_S} s"
+    assert most_bytes - before_bytes <= MEMORY_BYTES
+    assert p99(with_s) <= 2 * p99(alone_s) + 0.02, f"{p99(alone_s)} s, {p99(with_s)} s attacked"
+    lines = server.settled_log(0)
+    assert not any("Traceback" in line for line in lines)
+    assert len(lines) <= 50 + len(alone_s) + len(with_s) + 2 * count, "more than a line each"
+
+
+def test_a_reader_of_10_kb_a_second_gets_its_whole_object(
+    server: ServerProcess, root: Path
+) -> None:
+    """It takes longer than the limit, but there is progress all the time."""
+    wanted = 550_000
+    whole = (root / "big" / "segments" / "0" / "2").read_bytes()[:wanted]
+    with socket.socket() as sock:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        sock.settimeout(30)
+        sock.connect(("127.0.0.1", server.port))
+        lines = f"Range: bytes=0-{wanted - 1}\r\nConnection: close"
+        sock.sendall(
+            f"GET /v1/streams/big/segments/0/2 HTTP/1.1\r\nHost: h\r\n{lines}\r\n\r\n".encode()
+        )
+        received, began_s = bytearray(), time.monotonic()
+        while piece := sock.recv(1000):
+            received += piece
+            ahead_s = len(received) / SLOW_BPS - (time.monotonic() - began_s)
+            time.sleep(max(0.0, ahead_s))
+    answers, _ = answers_of(bytes(received))
+    assert [answer.status for answer in answers] == [206]
+    assert answers[0].body == whole

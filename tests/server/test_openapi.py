@@ -1,0 +1,129 @@
+"""docs/openapi.yaml is what a real swings-serve does: every route, and whatever is asked of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import schemathesis
+from hypothesis import HealthCheck, given, settings
+from schemathesis.checks import not_a_server_error
+from schemathesis.core.result import Ok
+from schemathesis.generation import GenerationMode
+from schemathesis.schemas import BaseSchema
+from schemathesis.specs.openapi.checks import (
+    content_type_conformance,
+    response_headers_conformance,
+    response_schema_conformance,
+    status_code_conformance,
+)
+
+from server.router import ROUTES
+from tests.server.hostile.serverprocess import ServerProcess, server_process
+from tests.support.commands import ROOT
+from tests.support.hosted_streams import write_stream
+
+DOCUMENT = ROOT / "docs" / "openapi.yaml"
+HELD = [
+    not_a_server_error,
+    status_code_conformance,
+    content_type_conformance,
+    response_headers_conformance,
+    response_schema_conformance,
+]
+EXAMPLES = 100
+"""Requests of each kind for each operation."""
+NOTHING_TO_GET_WRONG = {"GET /", "GET /healthz", "GET /readyz", "GET /metrics", "GET /v1/streams"}
+LIKELY: dict[str, list[object]] = {
+    "segment": [0, 2, 3],
+    "layer": ["0", "2", "9", "masks"],
+    "asset": ["watch.html", "nothing.js"],
+    "poster": ["poster.png", "other.jpg"],
+}
+"""What is often asked for, as it is there, or could be."""
+
+
+def served_routes() -> set[tuple[str, str]]:
+    """Method and path of all that the server answers."""
+    return {
+        (method.lower(), route.template)
+        for route in ROUTES
+        for method in route.methods
+        if method != "HEAD"
+    }
+
+
+def described_routes(document: dict[str, Any]) -> set[tuple[str, str]]:
+    return {(method, path) for path, methods in document["paths"].items() for method in methods}
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("openapi")
+    write_stream(root / "walk", 12, poster="poster.png")
+    (root / "walk" / "poster.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
+    return root
+
+
+@pytest.fixture(scope="module")
+def server(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
+    with server_process(root, tmp_path_factory.mktemp("log")) as running:
+        yield running
+
+
+def made_likely() -> BaseSchema:
+    """The document, but that streams and objects are often those which are there."""
+    raw = schemathesis.openapi.from_path(DOCUMENT).raw_schema
+    raw["components"]["parameters"]["stream"]["schema"] = {"enum": ["walk", "nobody"]}
+    for methods in raw["paths"].values():
+        for operation in methods.values():
+            for parameter in operation.get("parameters", ()):
+                if parameter.get("name") in LIKELY:
+                    parameter["schema"] = {"enum": LIKELY[parameter["name"]]}
+    return schemathesis.openapi.from_dict(raw)
+
+
+OPERATIONS = {
+    one.ok().label: one.ok() for one in made_likely().get_all_operations() if isinstance(one, Ok)
+}
+
+
+def test_every_route_is_described_and_every_description_is_of_a_route(root: Path) -> None:
+    document = schemathesis.openapi.from_path(DOCUMENT).raw_schema
+    assert described_routes(document) == served_routes()
+    assert {label.lower() for label in OPERATIONS} == {
+        f"{method} {path}".lower() for method, path in described_routes(document)
+    }
+
+
+def test_it_is_a_valid_openapi_document() -> None:
+    schemathesis.openapi.from_path(DOCUMENT).validate()
+
+
+@pytest.mark.parametrize("mode", list(GenerationMode), ids=lambda mode: mode.value)
+@pytest.mark.parametrize("label", OPERATIONS)
+def test_whatever_is_asked_is_answered_as_described(
+    label: str, mode: GenerationMode, server: ServerProcess
+) -> None:
+    """As the document allows it, and as it does not."""
+    if mode is GenerationMode.NEGATIVE and label in NOTHING_TO_GET_WRONG:
+        pytest.skip("it takes nothing that could be wrong")
+
+    @given(case=OPERATIONS[label].as_strategy(generation_mode=mode))
+    @settings(
+        max_examples=EXAMPLES,
+        derandomize=True,
+        deadline=None,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+    )
+    def check(case: schemathesis.Case[Any]) -> None:
+        case.call_and_validate(base_url=f"http://127.0.0.1:{server.port}", checks=HELD, timeout=10)
+
+    check()
+
+
+def test_nothing_of_that_was_a_fault_of_the_server(server: ServerProcess) -> None:
+    assert not [line for line in server.settled_log(0) if "Traceback" in line]
