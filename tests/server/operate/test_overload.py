@@ -172,8 +172,8 @@ def test_the_meter_sees_a_loop_that_is_held_up() -> None:
         meter = asyncio.create_task(measure_load(samples.append, lambda: sent, 0.05))
         await asyncio.sleep(0.12)
         sent = 125_000
-        end_s = time.perf_counter() + 0.4
-        while time.perf_counter() < end_s:
+        end_s = time.process_time() + 0.4
+        while time.process_time() < end_s:
             pass
         await asyncio.sleep(0.12)
         meter.cancel()
@@ -181,6 +181,7 @@ def test_the_meter_sees_a_loop_that_is_held_up() -> None:
     asyncio.run(work())
     worst = max(samples, key=lambda sample: sample.late_s)
     assert worst.late_s > 0.3
-    assert worst.busy_share > 0.3  # of a core that others may use too
-    assert 1e5 < worst.egress_bps < 1e6 / 0.35
+    seconds = 0.05 + worst.late_s
+    assert 0.35 < worst.busy_share * seconds < 0.6
+    assert worst.egress_bps * seconds == pytest.approx(1e6)
     assert sum(sample.egress_bps > 0 for sample in samples) == 1
