@@ -52,7 +52,7 @@ async def serve(what: str, worker: Worker) -> None:
     await stop.wait()
     server.close()
     if what == "slow":
-        await asyncio.sleep(0.5)
+        await asyncio.sleep(1.0)
     peers.close()
 
 

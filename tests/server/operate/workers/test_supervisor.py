@@ -107,6 +107,14 @@ def wait_until(holds: Callable[[], object], seconds: float = 15.0) -> None:
         time.sleep(0.005)
 
 
+def is_refused(port: int) -> bool:
+    try:
+        socket.create_connection(("127.0.0.1", port)).close()
+    except ConnectionRefusedError:
+        return True
+    return False
+
+
 def is_alive(pid: int) -> bool:
     try:
         state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
@@ -208,12 +216,12 @@ def test_it_ends_its_workers_and_then_itself(tmp_path: Path, number: signal.Sign
         served.process.send_signal(number)
         wait_until(lambda: served.events("stopping"))
         assert talk.echoes(b"still here")
+        # Who comes while they end is told at once, and does not wait for nobody.
+        wait_until(lambda: is_refused(served.port) and not served.events("worker_ended"), 0.8)
         assert served.end() == 0
         assert [line["status"] for line in served.events("worker_ended")] == [0, 0]
         assert not served.events("worker_killed")
         assert not served.rest
-        with pytest.raises(ConnectionRefusedError):
-            socket.create_connection(("127.0.0.1", served.port))
         talk.close()
 
 
