@@ -7,6 +7,7 @@ X-Forwarded-For may have been made up by that stranger.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
 
 from codec.errors import InvalidError
@@ -31,6 +32,7 @@ def parse_proxies(text: str) -> tuple[Network, ...]:
     return tuple(networks)
 
 
+@lru_cache(maxsize=4096)
 def parse_address(text: str) -> Address | None:
     """The address in `text`, which may have a port, brackets or a zone; None where it has none.
 
