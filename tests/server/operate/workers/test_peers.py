@@ -174,8 +174,8 @@ def test_workers_ask_each_other_and_a_successor_reads_on(tmp_path: Path) -> None
         other = 1 - talk.number
 
         def answer(word: bytes) -> bytes:
-            talk._socket.sendall(b"%d %s\n" % (other, word))
-            return talk._file.readline()
+            talk.send(b"%d %s" % (other, word))
+            return talk.line()
 
         assert answer(b"one") == b"%d of %d: one\n" % (other, pids[other])
         os.kill(pids[other], signal.SIGSTOP)
