@@ -32,6 +32,7 @@ def parse_proxies(text: str) -> tuple[Network, ...]:
     return tuple(networks)
 
 
+@lru_cache(maxsize=4096)
 def parse_address(text: str) -> Address | None:
     """The address in `text`, which may have a port, brackets or a zone; None where it has none.
 

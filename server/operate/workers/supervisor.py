@@ -28,6 +28,8 @@ from .backoff import Backoff, BackoffConfig
 from .forking import fork_worker
 from .mailboxes import Mailboxes
 
+_SIGNAL_NAMES = {number.value: number.name for number in signal.Signals}
+
 MAX_WORKERS = 256
 
 RENEWAL_S = 60.0
@@ -286,7 +288,7 @@ class Supervisor:
         who: dict[str, str | int | float | None] = {
             "worker": child.place,
             "pid": child.pid,
-            "status": code if code >= 0 else signal.Signals(-code).name,
+            "status": _SIGNAL_NAMES.get(-code, code),
             "lived_s": round(lived_s, 3),
             "error": child.trouble or None,
         }

@@ -97,15 +97,14 @@ def test_one_bad_sample_does_not_refuse_anybody() -> None:
 
 
 def test_load_around_a_step_does_not_flap() -> None:
-    """Layers that were shed because of 0.86 do not come back at 0.84, to be shed again."""
+    """Layers that were shed because of 0.86 do not come back at 0.82, to be shed again."""
+    assert settled(0.86).max_layers(5) < settled(0.82).max_layers(5)
     overload = settled(0.86)
     now_s, before = 60.0, overload.max_layers(5)
-    seen = set()
     for _ in range(50):
-        for busy in (0.84, 0.86):
-            now_s = run(overload, now_s, 1.0, busy)
-            seen.add(overload.max_layers(5))
-    assert seen == {before}
+        for busy in (0.82, 0.86):
+            now_s = run(overload, now_s, 5.0, busy)
+            assert overload.max_layers(5) == before
 
 
 def test_it_recovers_and_says_when_to_come_back() -> None:
@@ -172,8 +171,8 @@ def test_the_meter_sees_a_loop_that_is_held_up() -> None:
         meter = asyncio.create_task(measure_load(samples.append, lambda: sent, 0.05))
         await asyncio.sleep(0.12)
         sent = 125_000
-        end_s = time.perf_counter() + 0.4
-        while time.perf_counter() < end_s:
+        end_s = time.process_time() + 0.4
+        while time.process_time() < end_s:
             pass
         await asyncio.sleep(0.12)
         meter.cancel()
@@ -181,6 +180,7 @@ def test_the_meter_sees_a_loop_that_is_held_up() -> None:
     asyncio.run(work())
     worst = max(samples, key=lambda sample: sample.late_s)
     assert worst.late_s > 0.3
-    assert worst.busy_share > 0.3  # of a core that others may use too
-    assert 1e5 < worst.egress_bps < 1e6 / 0.35
+    seconds = 0.05 + worst.late_s
+    assert 0.35 < worst.busy_share * seconds < 0.6
+    assert worst.egress_bps * seconds == pytest.approx(1e6)
     assert sum(sample.egress_bps > 0 for sample in samples) == 1

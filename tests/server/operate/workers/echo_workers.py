@@ -2,7 +2,8 @@
 port is on the first line of stdout, its log on stderr.
 
 WHAT: "echo"; "slow", which takes a while to end; "stubborn", which never does; "crash", whose
-workers die; "refuse", which cannot start; "relay", which asks worker WORD for what comes as WORD.
+workers die; "refuse", which cannot start; "relay", where "1 hello" asks worker 1 for its answer;
+"count", which counts connections and answers any line with all figures, in JSON.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from pathlib import Path
 from codec.errors import SwingsError
 from server.operate.log.eventlog import EventLog
 from server.operate.log.logline import LogStyle
+from server.operate.prometheus import Metrics, forget_worker
 from server.operate.workers.backoff import BackoffConfig
 from server.operate.workers.peers import Peers
 from server.operate.workers.supervisor import Supervisor, SupervisorConfig, Worker
@@ -31,11 +33,17 @@ async def serve(what: str, worker: Worker) -> None:
     peers = Peers(worker.number, worker.mailboxes)
     peers.on_request = lambda message: b"%d of %d: " % (worker.number, os.getpid()) + message
     peers.start()
+    metrics = Metrics(Path("metrics"), worker.number) if what == "count" else None
 
     async def talk(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
             writer.write(f"{worker.number} {os.getpid()}\n".encode())
+            if metrics is not None:
+                metrics.requests.add(1, "/", "200")
+                metrics.active_plays.set(1)
             while line := await reader.readline():
+                if metrics is not None:
+                    line = json.dumps(metrics.text()).encode() + b"\n"
                 if what == "relay":
                     number, _, message = line.rstrip(b"\n").partition(b" ")
                     answer = await peers.ask(int(number), message)
@@ -52,7 +60,7 @@ async def serve(what: str, worker: Worker) -> None:
     await stop.wait()
     server.close()
     if what == "slow":
-        await asyncio.sleep(0.5)
+        await asyncio.sleep(1.0)
     peers.close()
 
 
@@ -76,12 +84,17 @@ def main() -> None:
     listener = socket.create_server(("127.0.0.1", 0), backlog=512)
     port = listener.getsockname()[1]
     log = EventLog(2, LogStyle.JSON)
+
+    def forget(number: int) -> None:
+        forget_worker(Path("metrics"), number)
+        log.event("forgotten", worker=number)
+
     supervisor = Supervisor(
         listener,
         lambda worker: run(what, worker),
         SupervisorConfig(**settings, backoff=backoff),
         log.event,
-        lambda number: log.event("forgotten", worker=number),
+        forget,
     )
 
     def ready() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -77,9 +78,15 @@ class Talk:
         assert len(words) == 2, "cut before it began"
         self.number, self.pid = map(int, words)
 
+    def send(self, line: bytes) -> None:
+        self._socket.sendall(line + b"\n")
+
+    def line(self) -> bytes:
+        return self._file.readline()
+
     def echoes(self, word: bytes) -> bool:
-        self._socket.sendall(word + b"\n")
-        return self._file.readline() == word + b"\n"
+        self.send(word)
+        return self.line() == word + b"\n"
 
     def close(self) -> None:
         self._file.close()
@@ -105,6 +112,14 @@ def wait_until(holds: Callable[[], object], seconds: float = 15.0) -> None:
     while not holds():
         assert time.monotonic() < end_s, "it did not happen"
         time.sleep(0.005)
+
+
+def is_refused(port: int) -> bool:
+    try:
+        socket.create_connection(("127.0.0.1", port)).close()
+    except ConnectionRefusedError:
+        return True
+    return False
 
 
 def is_alive(pid: int) -> bool:
@@ -208,12 +223,12 @@ def test_it_ends_its_workers_and_then_itself(tmp_path: Path, number: signal.Sign
         served.process.send_signal(number)
         wait_until(lambda: served.events("stopping"))
         assert talk.echoes(b"still here")
+        # Who comes while they end is told at once, and does not wait for nobody.
+        wait_until(lambda: is_refused(served.port) and not served.events("worker_ended"), 0.8)
         assert served.end() == 0
         assert [line["status"] for line in served.events("worker_ended")] == [0, 0]
         assert not served.events("worker_killed")
         assert not served.rest
-        with pytest.raises(ConnectionRefusedError):
-            socket.create_connection(("127.0.0.1", served.port))
         talk.close()
 
 
@@ -300,6 +315,23 @@ def test_a_server_that_cannot_start_says_why_in_one_line(tmp_path: Path) -> None
         assert served.end() == 1
         assert served.rest == ["failed: there is nothing to serve\n"]
         assert not served.port
+
+
+def test_what_was_counted_outlives_the_workers_that_counted(tmp_path: Path) -> None:
+    (tmp_path / "metrics").mkdir()
+    with serving(tmp_path, "count", workers=2, backoff={"first_s": 0.01}) as served:
+        for n in range(1, 11):
+            talk = served.connect()
+            talk.send(b"figures")
+            text = json.loads(talk.line())
+            assert f'swings_requests_total{{code="200",route="/"}} {n}.0\n' in text
+            plays = re.search(r"^swings_active_plays (\d)", text, re.MULTILINE)
+            assert plays
+            assert 1 <= int(plays[1]) <= 2
+            os.kill(talk.pid, signal.SIGKILL)
+            wait_until(lambda n=n: len(served.events("worker_died")) == n)  # type: ignore[misc]
+            talk.close()
+        assert len(list((tmp_path / "metrics").glob("counter_*.db"))) <= 4
 
 
 def test_configs_that_make_no_sense_are_refused() -> None:
