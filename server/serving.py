@@ -77,7 +77,8 @@ class Service:
         state = ServerState(library, self.config, metrics, number, peers)
         signals = [signal.SIGTERM] if worker is not None else [signal.SIGTERM, signal.SIGINT]
         if peers is not None:
-            peers.on_request = partial(answer_peer, state)
+            clock = asyncio.get_running_loop().time
+            peers.on_request = lambda question: answer_peer(state, question, clock())
             peers.start()
         try:
             await run_until_stopped(RunningServer(state, self.listener, log), ready, signals)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import asyncio
 import logging
 import random
-import secrets
 from collections.abc import Sequence
 from urllib.parse import parse_qsl
 
@@ -38,9 +37,11 @@ from server.http.errors import RequestError
 from server.http.response import StreamedResponse
 from server.http.tcpinfo import TcpInfo
 from server.library import ServedStream
+from server.operate.workers.playmessage import make_token
 from server.state.recordcache import CodedRecord
 
 from .call import Call
+from .news import ask_rate_bps
 from .playquery import PlayQuery, parse_query
 
 log = logging.getLogger(__name__)
@@ -83,6 +84,10 @@ def _figure(value: float | None, scale: float) -> str:
 
 async def play(call: Call) -> StreamedResponse:
     stream, state = call.stream(), call.state
+    fields, now_s = call.request.fields, asyncio.get_running_loop().time()
+    # A client that comes back says what it was; another worker may know, or only itself.
+    rate_bps = await ask_rate_bps(state, fields.get(PLAY_HEADER.lower(), ""), now_s)
+    rate_bps = rate_bps or parse_rate(fields.get(RATE_HEADER.lower(), ""))
     asked = parse_qsl(call.request.query, keep_blank_values=True)
     num_layers, records = stream.view.manifest.num_layers, stream.view.records
     # A segment's start: there all that shows can be had at once.
@@ -101,19 +106,22 @@ async def play(call: Call) -> StreamedResponse:
         message = "there are too many plays from this address; try again later"
         raise RequestError(429, message, {"Retry-After": str(RETRY_AFTER_S)})
     # From here on nothing may wait before the body is made: its end gives the place free.
-    running = _Play(call, stream, query)
+    running = _Play(call, stream, query, rate_bps)
     return StreamedResponse(running.fields, running.run)
 
 
 class _Play:
     """One play in progress."""
 
-    def __init__(self, call: Call, stream: ServedStream, query: PlayQuery) -> None:
+    def __init__(
+        self, call: Call, stream: ServedStream, query: PlayQuery, rate_bps: float | None
+    ) -> None:
+        """rate_bps: what the client's link is known to carry."""
         state, asked = call.state, call.request.fields
         layers = query.num_layers
         policy = own_policy(stream) if layers is None else fixed_policy(layers)
         # News may come to another worker, which reads from it whom to ask.
-        self._token = token = f"{state.number}-{secrets.token_urlsafe(16)}"
+        self._token = token = make_token(state.number)
         self._address = call.address
         self.fields = {"Content-Type": CONTENT_TYPE, "Cache-Control": "no-store"}
         self.fields[PLAY_HEADER] = token
@@ -128,9 +136,6 @@ class _Play:
         self._from_frame = query.from_frame
         self._clock = asyncio.get_running_loop().time
         self._began_s = now_s = self._clock()
-        last_rate_bps = state.plays.rate_bps(asked.get(PLAY_HEADER.lower(), ""), now_s)
-        # Another worker, or one that died, knew it: the client says what that one said.
-        last_rate_bps = last_rate_bps or parse_rate(asked.get(RATE_HEADER.lower(), ""))
         self._session = PlaySession(
             stream,
             policy,
@@ -138,7 +143,7 @@ class _Play:
             now_s,
             query.from_frame,
             query.until_frame,
-            last_rate_bps,
+            rate_bps,
             # Clients that begin together, as at the start of a show, shall not burst in step; and
             # where there are many, each is sent more at a time, but less often.
             rest_share=random.random() + len(state.plays) / PLAYS_PER_REST,

@@ -21,7 +21,8 @@ HEAD_END: Final = b"\r\n\r\n"
 
 _LINE = re.compile(
     r"(?P<method>[!#$%&'*+.^_`|~0-9A-Za-z-]{1,32})"
-    r" (?:(?i:https?)://(?P<authority>[^/?# ]*))?(?P<path>/[^?# \x00-\x20\x7f-\xff]*|(?<=OPTIONS )\*)"
+    r" (?:(?i:https?)://(?P<authority>[^/?# ]*))?"
+    r"(?P<path>/[^?# \x00-\x20\x7f-\xff]*|(?<=OPTIONS )\*)"
     r"(?:\?(?P<query>[^# \x00-\x20\x7f-\xff]*))? HTTP/1\.(?P<minor>[0-9])"
 )
 _ANY_LINE = re.compile(r"[\x21-\x7e]+ [\x21-\x7e]+ HTTP/(?P<major>[0-9])(?:\.[0-9])?")

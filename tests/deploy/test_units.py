@@ -52,7 +52,7 @@ def test_the_server_may_stop_by_itself_before_systemd_kills_it() -> None:
     parser.read(UNIT)
     service = parser["Service"]
     given = re.search(r"--shutdown-timeout-s (\d+)", service["ExecStart"])
-    stop_s = float(given[1]) if given else ServerConfig().shutdown_timeout_s
+    stop_s = float(given[1]) if given else ServerConfig().supervisor.shutdown_timeout_s
     assert float(service["TimeoutStopSec"]) >= stop_s + 5
     assert service["KillSignal"] == "SIGTERM"
     for name, value in {

@@ -6,10 +6,13 @@ import contextlib
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from urllib.error import HTTPError
+from urllib.request import urlopen
 
 import numpy as np
 
@@ -147,3 +150,16 @@ def served(root: Path) -> Iterator[ServerProcess]:
         yield server
     finally:
         server.kill()
+
+
+def wait_for_stream(server: ServerProcess, name: str, timeout_s: float = 5.0) -> None:
+    """Returns when `server` has noticed the stream `name`."""
+    url = f"{server.url}/v1/streams/{name}/manifest.json"
+    until_s = time.monotonic() + timeout_s
+    while True:
+        try:
+            with urlopen(url, timeout=5):
+                return
+        except HTTPError:
+            assert time.monotonic() < until_s, f"{url} is not there"
+            time.sleep(0.05)

@@ -26,7 +26,7 @@ from player.source.locate import open_source
 from player.source.retry import RetryConfig
 from player.source.served import ServedSource
 from tests.support.delivery.assembled import Assembled, assembled, read_all, slices_of
-from tests.support.hosted_streams import ServerProcess, served, static_host
+from tests.support.hosted_streams import ServerProcess, served, static_host, wait_for_stream
 from tests.support.slots.slot_streams import (
     Shown,
     same_splats,
@@ -125,6 +125,7 @@ def test_a_model_that_stands_still_takes_nothing_after_its_first_frame(
     export_static(path, tmp_path / "gzip")
     assert verify_stream(tmp_path / "gzip").num_frames == verify_stream(path).num_frames == 30
     assert summarise_slots(reader, count_slots(reader)).kept == (40, 30)
+    wait_for_stream(server, "still")
     with static_host(library) as host:
         urls = f"{host}/still", f"{server.url}/watch/still"
         for source in (str(path), str(tmp_path / "gzip"), *urls):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -35,7 +36,9 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def server(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
-    with server_process(root, tmp_path_factory.mktemp("log")) as running:
+    # Without a line for each request, so that any other line shows.
+    log = tmp_path_factory.mktemp("log")
+    with server_process(root, log, "--no-log-requests") as running:
         yield running
 
 
@@ -58,7 +61,7 @@ def test_it_is_answered_as_http_says_and_nothing_else_happens(
 ) -> None:
     whole = (root / "walk" / "segments" / "0" / "0").read_bytes()
     tag = get(server.port, OBJECT).headers["etag"]
-    before = len(server.settled_log(0))
+    before = len(server.log_lines())
     data, closed = exchange(server.port, case.sent.replace(b"ETAG", tag.encode()), case.shut)
     answers, rest = answers_of(data)
     statuses = [answer.status for answer in answers]
@@ -73,8 +76,22 @@ def test_it_is_answered_as_http_says_and_nothing_else_happens(
         check_bytes(answer, whole)
     written = server.settled_log(before)[before:]
     assert not any("Traceback" in line for line in written), written
-    assert len(written) <= max(1, len(answers)), written
+    assert not written
     assert get(server.port, "/healthz").status == 200
+
+
+def test_each_request_is_one_line_of_the_log(root: Path, tmp_path: Path) -> None:
+    with server_process(root, tmp_path) as server:
+        tag = get(server.port, OBJECT).headers["etag"].encode()
+        num_answers = 1
+        for case in CASES:
+            data, _ = exchange(server.port, case.sent.replace(b"ETAG", tag), case.shut)
+            num_answers += len(answers_of(data)[0])
+        time.sleep(0.5)  # lines go out together
+        lines = [line for line in server.log_lines() if " request address=" in line]
+    # A client that goes away gets no answer, but a line.
+    assert num_answers <= len(lines) <= num_answers + len(CASES)
+    assert all(line.isascii() and line.isprintable() for line in lines)
 
 
 def test_no_two_cases_have_the_same_name() -> None:

@@ -92,7 +92,7 @@ def test_every_kind_of_setting_can_stand_everywhere(tmp_path: Path) -> None:
     assert command.overload == OverloadConfig(shed_from=0.5)
     same = read(
         tmp_path,
-        ROOT="streams", HOST="::", LOG="json", MODE="b", PUBLIC="true", KEY_FILE="keys",
+        ROOT="streams", HOST="::", STYLE="json", MODE="b", SPREAD="true", KEY_FILE="keys",
         DOUBLED="21", REFRESH_S="3", OVERLOAD_SHED_FROM="0.5",
     )  # fmt: skip
     assert same == command
@@ -116,7 +116,7 @@ def test_what_is_required_is_still_asked_for(
         ("max_playz = 5", "swings.toml: there is no setting 'max_playz'; is it max_plays?"),
         ("zzz = 5", "swings.toml: there is no setting 'zzz'; --help lists them"),
         ("[server]\nmax_plays = 5", "swings.toml: there is no setting 'server.max_plays'"),
-        ("shed_from = 0.5", "there is no setting 'shed_from'; is it overload.shed_from?"),
+        ("shed_fro = 0.5", "there is no setting 'shed_fro'; is it shed_from?"),
         ("config = 'x'", "there is no setting 'config'"),
         ("max_plays = '5'", "swings.toml: max_plays: '5' is not a whole number"),
         ("max_plays = true", "swings.toml: max_plays: 'True' is not a whole number"),
@@ -147,7 +147,7 @@ def test_a_bad_setting_names_the_file(tmp_path: Path, toml: str, message: str) -
         ("MAX_PLAYS", "many", "SWINGS_SERVE_MAX_PLAYS: 'many' is not a whole number"),
         ("MAX_PLAYS", "", "SWINGS_SERVE_MAX_PLAYS: '' is not a whole number"),
         ("MAX_PLAYS", "0", "SWINGS_SERVE_MAX_PLAYS: max_plays is 0; it must be positive"),
-        ("PUBLIC", "maybe", "SWINGS_SERVE_PUBLIC: 'maybe' is neither true nor false"),
+        ("SPREAD", "maybe", "SWINGS_SERVE_SPREAD: 'maybe' is neither true nor false"),
         ("MODE", "c", "SWINGS_SERVE_MODE: 'c' is not one of a, b"),
     ],
 )
@@ -194,12 +194,12 @@ def test_the_settings_printed_are_a_file_that_gives_them_again(
 ) -> None:
     flags = ["r", "--host", 'a"\\b\x1b', "--max-plays", "7", "--overload.shed-from", "0.125"]
     with pytest.raises(SystemExit) as ended:
-        read(tmp_path, "live_idle_s = 2", *flags, "--check-config", LOG="json")
+        read(tmp_path, "live_idle_s = 2", *flags, "--check-config", STYLE="json")
     assert ended.value.code == 0
     printed = capsys.readouterr().out
     assert tomllib.loads(printed)["overload"]["shed_from"] == 0.125
     assert "# key_file is not set\n" in printed
-    before = read(tmp_path, "live_idle_s = 2", *flags, LOG="json", DOUBLED="4")
+    before = read(tmp_path, "live_idle_s = 2", *flags, STYLE="json", DOUBLED="4")
     assert before.doubled == 8
     assert read(tmp_path, settings_text(before)) == before
 
