@@ -128,6 +128,7 @@ class Application(Site):
                 bytes=exchange.body_bytes,
                 ms=round(1e3 * (now_s - began_s), 1),
                 note=exchange.note or None,
+                **exchange.facts,
             )
 
     def cut(self, kind: str) -> None:

@@ -34,7 +34,7 @@ from server.abr.standing import PLAY_HEADER, RATE_HEADER, Standing, parse_rate
 from server.http.bodywriter import BodyWriter
 from server.http.content import accepted_codings
 from server.http.errors import RequestError
-from server.http.response import StreamedResponse
+from server.http.response import Facts, StreamedResponse
 from server.http.tcpinfo import TcpInfo
 from server.library import ServedStream
 from server.operate.workers.playmessage import make_token
@@ -77,9 +77,9 @@ TCP_INFO_S = 1.0
 is closed does not tell."""
 
 
-def _figure(value: float | None, scale: float) -> str:
-    """`value`, scaled, for the log; a dash where it is not known."""
-    return "-" if value is None else f"{value * scale:.1f}"
+def _figure(value: float | None, scale: float) -> float | None:
+    """`value`, scaled, for the log."""
+    return None if value is None else round(value * scale, 1)
 
 
 async def play(call: Call) -> StreamedResponse:
@@ -107,7 +107,7 @@ async def play(call: Call) -> StreamedResponse:
         raise RequestError(429, message, {"Retry-After": str(RETRY_AFTER_S)})
     # From here on nothing may wait before the body is made: its end gives the place free.
     running = _Play(call, stream, query, rate_bps)
-    return StreamedResponse(running.fields, running.run)
+    return StreamedResponse(running.fields, running.run, facts=running.facts)
 
 
 class _Play:
@@ -135,7 +135,7 @@ class _Play:
         self._stream = stream
         self._from_frame = query.from_frame
         self._clock = asyncio.get_running_loop().time
-        self._began_s = now_s = self._clock()
+        now_s = self._clock()
         self._session = PlaySession(
             stream,
             policy,
@@ -150,6 +150,7 @@ class _Play:
         )
         if query.paused:
             self._session.told(now_s, Standing(query.from_frame, paused=True))
+        self._outcome = ""
         self._sent_slices = 0
         self._sent_layers = 0
         self._tcp_info = TcpInfo()
@@ -170,26 +171,25 @@ class _Play:
             self._end(outcome)
 
     def _end(self, outcome: str) -> None:
-        """Gives the place free, and says how the play went."""
-        now_s, session, tcp = self._clock(), self._session, self._tcp_info
+        """Gives the place free."""
         plays, metrics = self._state.plays, self._state.metrics
-        plays.end(self._token, now_s)
+        plays.end(self._token, self._clock())
         self._state.play_admission.release(self._address)
         metrics.active_plays.set(len(plays))
         metrics.plays.add(1, outcome)
-        log.info(
-            "play of %s: %s, %.1f s, %d bytes, %.2f layers; Mbit/s: %s estimated, %s by TCP; "
-            "latency: %s ms, round trip %s ms by TCP",
-            self._stream.name,
-            outcome,
-            now_s - self._began_s,
-            session.sent_bytes,
-            self._sent_layers / max(1, self._sent_slices),
-            _figure(session.rate_bps, 1e-6),
-            _figure(tcp.delivery_rate_bps, 1e-6),
-            _figure(session.least_latency_s, 1e3),
-            _figure(tcp.min_rtt_s, 1e3),
-        )
+        self._outcome = outcome
+
+    def facts(self) -> Facts:
+        """How the play went."""
+        session, tcp = self._session, self._tcp_info
+        return {
+            "outcome": self._outcome,
+            "layers": round(self._sent_layers / max(1, self._sent_slices), 2),
+            "estimated_mbps": _figure(session.rate_bps, 1e-6),
+            "tcp_mbps": _figure(tcp.delivery_rate_bps, 1e-6),
+            "latency_ms": _figure(session.least_latency_s, 1e3),
+            "tcp_rtt_ms": _figure(tcp.min_rtt_s, 1e3),
+        }
 
     async def _send(self) -> str:
         """Sends the records; gives how the play ended."""

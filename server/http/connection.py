@@ -110,7 +110,8 @@ class HttpConnection(asyncio.Protocol):
 
     def connection_lost(self, error: Exception | None) -> None:
         self.cut = self.cut or "gone"
-        self._finish_exchange(CLIENT_GONE)
+        if self._writer is None:  # else whoever writes has something to say of it
+            self._finish_exchange(CLIENT_GONE)
         if self._task is not None:
             self._task.cancel()
         self._site.connections.discard(self)
@@ -215,6 +216,9 @@ class HttpConnection(asyncio.Protocol):
             return
         finally:
             self._writer = None
+            exchange.facts = response.facts()
+            if self.cut:
+                self._finish_exchange(CLIENT_GONE)
         self._outlet.hold_at_most(0)
         self._task = None
         self._finish_response()

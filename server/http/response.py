@@ -19,6 +19,10 @@ _STATUS_LINES: Final = {
 }
 
 
+Facts = Mapping[str, str | int | float | None]
+"""What is known of a response, by names of our own."""
+
+
 @dataclass(slots=True)
 class Response:
     """A response that is known whole when it begins."""
@@ -40,6 +44,8 @@ class StreamedResponse:
     produce: Callable[[BodyWriter], Awaitable[None]]
     """Writes the body. The response ends when it returns, and is cut off when it raises."""
     status: int = 200
+    facts: Callable[[], Facts] = dict
+    """What the log shall say of it when it is over."""
 
 
 AnyResponse = Response | StreamedResponse

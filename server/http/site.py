@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Coroutine
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from codec.errors import InvalidError
 
 from .request import Request
-from .response import AnyResponse, HeadWriter
+from .response import AnyResponse, Facts, HeadWriter
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +56,8 @@ class Exchange:
     """When the response began."""
     route: str = "unmatched"
     note: str = ""
+    """What was wrong with it."""
+    facts: Facts = field(default_factory=dict)
     """What the log shall say of it besides."""
 
 

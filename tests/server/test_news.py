@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ import pytest
 from codec.stream.playrecord import RecordParser
 from server.abr.session import PlaySession
 from server.abr.standing import PLAY_HEADER, Standing
+from server.http.site import Exchange
 from tests.support.server.running_server import (
     SWIN_SIZE,
     Running,
@@ -180,16 +180,25 @@ def test_a_client_that_comes_back_does_not_start_blind(
     on_server(root, check)
 
 
-def test_the_log_says_how_a_play_went(root: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_the_log_says_how_a_play_went(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    finished: list[Exchange] = []
+
     async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        app = server.server.app
+        finish = app.finished
+
+        def note(exchange: Exchange, now_s: float) -> None:
+            finished.append(exchange)
+            finish(exchange, now_s)
+
+        monkeypatch.setattr(app, "finished", note)
         async with client.get("/v1/streams/walk/play?layers=3") as response:
             await response.read()
-        await eventually(lambda: not len(server.state.plays))
+        async with client.get("/v1/streams/long/play?layers=1") as response:
+            response.close()
+        await eventually(lambda: len(finished) == 2)
 
-    with caplog.at_level(logging.INFO, "server.answers.play"):
-        on_server(root, check)
-    (record,) = [one for one in caplog.records if one.name == "server.answers.play"]
-    message = record.getMessage()
-    assert record.levelno == logging.INFO
-    assert message.startswith("play of walk: complete, ")
-    assert " bytes, 3.00 layers; " in message
+    on_server(root, check)
+    whole, left = finished
+    assert (whole.status, whole.facts["outcome"], whole.facts["layers"]) == (200, "complete", 3.0)
+    assert (left.status, left.facts["outcome"]) == (499, "gone")
