@@ -115,7 +115,8 @@ class Application(Site):
         state, began_s = self.state, exchange.began_s
         state.sent_bytes += exchange.body_bytes
         state.metrics.requests.add(1, exchange.route, str(exchange.status))
-        state.metrics.ttfb.observe(exchange.first_s - began_s)
+        if exchange.waited:
+            state.metrics.ttfb.observe(exchange.first_s - began_s)
         if self._log is not None:
             request = exchange.request
             self._log.event(

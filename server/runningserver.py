@@ -74,6 +74,7 @@ class RunningServer:
         metrics.open_connections.set(len(self.app.connections))
         metrics.streams.set(len(state.library.streams), "served")
         metrics.streams.set(len(state.library.broken), "broken")
+        metrics.flush()
         if self._log is not None:
             dropped = self._log.writer.num_dropped
             metrics.log_dropped.add(dropped - self._log_dropped)
@@ -92,6 +93,7 @@ class RunningServer:
         for task in tasks:
             task.cancel()
         await asyncio.wait(tasks)
+        self._state.metrics.flush()
 
 
 def load_tls(cert: Path, key: Path) -> ssl.SSLContext:

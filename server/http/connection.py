@@ -44,7 +44,11 @@ _BEGIN = re.compile(rb"[A-Za-z]|\r\Z")
 """What the first byte of a request is; an empty line may come before it."""
 
 
-class HttpConnection(asyncio.Protocol):
+_INCOMING: Final = memoryview(bytearray(64 * 1024))
+"""Where bytes come in, of one connection after the other: each takes them before the next reads."""
+
+
+class HttpConnection(asyncio.BufferedProtocol):
     """Speaks HTTP/1.1 with one client."""
 
     def __init__(self, site: Site, sock: socket.socket | None, address: str) -> None:
@@ -78,14 +82,17 @@ class HttpConnection(asyncio.Protocol):
         self._deadline_s = self._loop.time() + self._site.patience.request_timeout_s
         self._site.connections.add(self)
 
-    def data_received(self, data: bytes) -> None:
+    def get_buffer(self, sizehint: int) -> memoryview:
+        return _INCOMING
+
+    def buffer_updated(self, nbytes: int) -> None:
         if self._lingers:
             return
         if not self._begun:
             # From the first byte on, whatever trickles in later.
             self._begun = True
             self._deadline_s = self._loop.time() + self._site.patience.request_timeout_s
-        self._buffer += data
+        self._buffer += _INCOMING[:nbytes]
         if self._exchange is None:
             self._read_requests()
         if self._exchange is not None and len(self._buffer) > READ_AHEAD_BYTES and self._reading:
@@ -177,6 +184,7 @@ class HttpConnection(asyncio.Protocol):
         if isinstance(answer, Response):
             self._send(answer)
         else:
+            exchange.waited = True
             self._task = self._loop.create_task(self._answer_later(exchange, answer))
 
     async def _answer_later(

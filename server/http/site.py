@@ -54,6 +54,8 @@ class Exchange:
     """Sent of the body, as far as this process sees."""
     first_s: float = 0.0
     """When the response began."""
+    waited: bool = False
+    """Whether the response could not be given at once."""
     route: str = "unmatched"
     note: str = ""
     """What was wrong with it."""

@@ -23,32 +23,33 @@ LATE_BUCKETS_S: Final = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5
 
 
 class CounterSeries:
-    """A named counter with one value for each combination of labels; it only rises."""
+    """A named counter with one value for each combination of labels; it only rises.
+
+    What is added waits until `flush`: counting is done for each request, telling once in a while.
+    """
 
     def __init__(self, registry: CollectorRegistry, name: str, help: str, *labels: str) -> None:
         self._name = name
         self._labels = labels
         self._registry = registry
         self._counter = prometheus_client.Counter(name, help, labels, registry=registry)
-        self._bound: dict[tuple[str, ...], Callable[[float], None]] = {}
-        if not labels:
-            self._bind(())
+        self._added: dict[tuple[str, ...], float] = {}
 
     def add(self, amount: float, *values: str) -> None:
         """Adds `amount`, not negative, to the value of these labels."""
-        found = self._bound.get(values)
-        (found or self._bind(values))(amount)
+        self._added[values] = self._added.get(values, 0.0) + amount
+
+    def flush(self) -> None:
+        """Counts what was added."""
+        added, self._added = self._added, {}
+        for names, amount in added.items():
+            (self._counter.labels(*names) if self._labels else self._counter).inc(amount)
 
     def value(self, *values: str) -> float:
         """The value in this process."""
+        self.flush()
         labels = dict(zip(self._labels, map(str, values), strict=True))
         return self._registry.get_sample_value(self._name, labels) or 0.0
-
-    def _bind(self, values: tuple[str, ...]) -> Callable[[float], None]:
-        # Labels are looked up once: that costs three times what counting does.
-        child = self._counter.labels(*values) if values or self._labels else self._counter
-        self._bound[values] = child.inc
-        return child.inc
 
 
 class GaugeSeries:
@@ -101,8 +102,11 @@ class Metrics:
             values.ValueClass = values.MultiProcessValue(lambda: place)
         self._registry = registry = CollectorRegistry()
 
+        self._counters: list[CounterSeries] = []
+
         def counter(name: str, help: str, *labels: str) -> CounterSeries:
-            return CounterSeries(registry, name, help, *labels)
+            self._counters.append(CounterSeries(registry, name, help, *labels))
+            return self._counters[-1]
 
         self.requests = counter(
             "swings_requests_total", "Responses by route and status code.", "route", "code"
@@ -161,7 +165,7 @@ class Metrics:
         )
         self.ttfb = prometheus_client.Histogram(
             "swings_ttfb_seconds",
-            "Time from a whole request to the first byte of its response.",
+            "Time from a whole request to the first byte of its response, where it had to wait.",
             registry=registry,
             buckets=TTFB_BUCKETS_S,
         )
@@ -172,9 +176,15 @@ class Metrics:
             buckets=LATE_BUCKETS_S,
         )
 
+    def flush(self) -> None:
+        """Counts what was added; the other workers see it from now on."""
+        for series in self._counters:
+            series.flush()
+
     def text(self) -> str:
         """All families in the Prometheus text format: those of all workers, where there are
         several."""
+        self.flush()
         registry = self._registry
         if self._folder is not None:
             registry = CollectorRegistry()

@@ -5,12 +5,12 @@ Rule: a line is printable ASCII and ends with the only newline in it. No clock, 
 
 from __future__ import annotations
 
-import json
 import math
 import re
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from enum import StrEnum
+from functools import lru_cache
 from json.encoder import encode_basestring_ascii
 
 Value = str | int | float | bool | None
@@ -33,7 +33,18 @@ MAX_LONG_TEXT = 8192
 _BARE = re.compile(r"[!#-<>-\[\]-~]+")
 """Text that needs no quotes: printable, without a space, a quote, = or a backslash."""
 
-_encode = json.JSONEncoder(separators=(",", ":")).encode
+REMEMBERED_CHARS = 128
+REMEMBERED_TEXTS = 4096
+
+
+@lru_cache(maxsize=REMEMBERED_TEXTS)
+def _json_text(value: str) -> str:
+    return encode_basestring_ascii(value)
+
+
+@lru_cache(maxsize=REMEMBERED_TEXTS)
+def _plain_text(value: str) -> str:
+    return value if _BARE.fullmatch(value) else encode_basestring_ascii(value)
 
 
 class LogStyle(StrEnum):
@@ -64,31 +75,34 @@ class LineFormat:
     def _line(
         self, stamp: str, level: str, event: str, fields: Mapping[str, Value], max_text: int
     ) -> bytes:
-        kept = {}
-        for key, value in fields.items():
-            if value is None:
-                continue
-            if isinstance(value, str):
-                limit = MAX_LONG_TEXT if key == LONG else max_text
-                if len(value) > limit:
-                    value = value[: limit - 3] + "..."
-            elif isinstance(value, float):
-                value = round(value, 6) if math.isfinite(value) else str(value)
-            kept[key] = value
+        words = self._words(fields, max_text)
         if self._json:
-            head = f'{{"time":"{stamp}","level":"{level}","event":"{event}"'
-            tail = "," + _encode(kept)[1:] if kept else "}"
-            return f"{head}{tail}\n".encode("ascii")
-        words = [stamp, level, event]
-        for key, value in kept.items():
-            if isinstance(value, str):
-                text = value if _BARE.fullmatch(value) else encode_basestring_ascii(value)
-            elif isinstance(value, bool):
-                text = "true" if value else "false"
-            else:
-                text = str(value)
-            words.append(f"{key}={text}")
-        return (" ".join(words) + "\n").encode("ascii")
+            inside = "".join(f',"{key}":{text}' for key, text in words)
+            line = f'{{"time":"{stamp}","level":"{level}","event":"{event}"{inside}}}\n'
+        else:
+            inside = "".join(f" {key}={text}" for key, text in words)
+            line = f"{stamp} {level} {event}{inside}\n"
+        return line.encode("ascii")
+
+    def _words(self, fields: Mapping[str, Value], max_text: int) -> Iterator[tuple[str, str | int]]:
+        text_of = _json_text if self._json else _plain_text
+        for key, value in fields.items():
+            if type(value) is int:
+                yield key, value
+            elif isinstance(value, str):
+                limit = MAX_LONG_TEXT if key == LONG else max_text
+                # Of short texts the same come again and again: addresses, paths.
+                find = text_of if len(value) <= REMEMBERED_CHARS else text_of.__wrapped__
+                yield key, find(value if len(value) <= limit else value[: limit - 3] + "...")
+            elif value is not None:
+                yield key, self._number(value)
+
+    def _number(self, value: float | bool) -> str:
+        if isinstance(value, float):
+            if not math.isfinite(value):
+                return f'"{value}"' if self._json else str(value)
+            return str(round(value, 6))
+        return "true" if value else "false"
 
     def _stamp(self, time_s: float) -> str:
         milliseconds = int(time_s * 1000)

@@ -93,6 +93,7 @@ def worker(folder: Path, place: int, then: str = "") -> subprocess.Popen[str]:
         f"metrics.shed_layers.set({place})\n"
         "metrics.streams.set(4, 'served')\n"
         "metrics.ttfb.observe(0.02)\n"
+        "metrics.flush()\n"
         f"{then}\n"
         "print('counted', flush=True)\n"
         "time.sleep(60)\n"
