@@ -136,7 +136,7 @@ class Application(Site):
         self.state.metrics.timeouts.add(1, kind)
 
     def has_room(self) -> bool:
-        return len(self.connections) < self._max_connections
+        return self._admission.num_held < self._max_connections
 
     def paused(self) -> None:
         self.state.metrics.accept_pauses.add(1)

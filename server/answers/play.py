@@ -84,10 +84,6 @@ def _figure(value: float | None, scale: float) -> float | None:
 
 async def play(call: Call) -> StreamedResponse:
     stream, state = call.stream(), call.state
-    fields, now_s = call.request.fields, asyncio.get_running_loop().time()
-    # A client that comes back says what it was; another worker may know, or only itself.
-    rate_bps = await ask_rate_bps(state, fields.get(PLAY_HEADER.lower(), ""), now_s)
-    rate_bps = rate_bps or parse_rate(fields.get(RATE_HEADER.lower(), ""))
     asked = parse_qsl(call.request.query, keep_blank_values=True)
     num_layers, records = stream.view.manifest.num_layers, stream.view.records
     # A segment's start: there all that shows can be had at once.
@@ -100,6 +96,10 @@ async def play(call: Call) -> StreamedResponse:
         message = f"the server has no room beside {len(state.plays)} plays; try again later"
         after_s = max(RETRY_AFTER_S, state.overload.retry_after_s)
         raise RequestError(503, message, {"Retry-After": str(after_s)})
+    # Who comes back names the play before: a worker may know its link, or only the client does.
+    fields, now_s = call.request.fields, asyncio.get_running_loop().time()
+    rate_bps = await ask_rate_bps(state, fields.get(PLAY_HEADER.lower(), ""), now_s)
+    rate_bps = rate_bps or parse_rate(fields.get(RATE_HEADER.lower(), ""))
     refusal = state.play_admission.admit(call.address)
     if refusal is not None:
         state.metrics.refused.add(1, f"play_{refusal}")
@@ -212,7 +212,7 @@ class _Play:
         while True:
             now_s = self._clock()
             if self._stream.gone:
-                return "gone", self._broken_off("the stream was replaced or taken away")
+                return "replaced", self._broken_off("the stream was replaced or taken away")
             if self._state.stopping.is_set():
                 return "stopped", self._broken_off("the server is stopping")
             self._hear(now_s)

@@ -57,6 +57,8 @@ class HttpConnection(asyncio.BufferedProtocol):
         self._site = site
         self._socket = sock
         self.address = address
+        self.is_made = False
+        """Whether it has begun: with TLS, whether the client speaks that."""
         self._parser = HeadParser(site.max_body_bytes)
         self._buffer = bytearray()
         self._searched = 0  # bytes of the buffer that hold no end of a head
@@ -81,6 +83,7 @@ class HttpConnection(asyncio.BufferedProtocol):
         self._outlet = Outlet(transport, self._socket)
         self._deadline_s = self._loop.time() + self._site.patience.request_timeout_s
         self._site.connections.add(self)
+        self.is_made = True
 
     def get_buffer(self, sizehint: int) -> memoryview:
         return _INCOMING

@@ -139,6 +139,7 @@ class ObjectCache:
         while self.size_bytes > self._capacity_bytes:
             _, dropped = self._objects.popitem(last=False)
             self.size_bytes -= len(dropped.checked.data)
-            if dropped.path:
+            # Another stream may have taken the place of this one.
+            if self._ready.get(dropped.path) is dropped:
                 del self._ready[dropped.path]
         self._metrics.cache_bytes.set(self.size_bytes)
