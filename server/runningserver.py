@@ -68,6 +68,7 @@ class RunningServer:
     def _observe(self, sample: LoadSample) -> None:
         state, metrics = self._state, self._state.metrics
         state.overload.observe(sample)
+        state.busy_share = sample.busy_share
         most = max((stream.num_layers for stream in state.library.streams.values()), default=1)
         metrics.shed_layers.set(most - state.overload.max_layers(most))
         metrics.loop_late.observe(sample.late_s)

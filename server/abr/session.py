@@ -62,10 +62,10 @@ class SessionConfig:
             if not getattr(self, name) > 0:
                 raise InvalidError(f"{name} is {getattr(self, name)}; it must be positive")
 
-    def lead_frames(self, fps: float) -> int:
-        """How many frames may be sent ahead: as many as max_lead_s says, and no fewer than a
-        client waits for, which would wait for ever."""
-        return max(self.playout.least_frames(fps), round(self.max_lead_s * fps))
+    def lead_frames(self, fps: float, most_s: float = math.inf) -> int:
+        """How many frames may be sent ahead: as many as max_lead_s says, or `most_s` if that is
+        less, and no fewer than a client waits for, which would wait for ever."""
+        return max(self.playout.least_frames(fps), round(min(self.max_lead_s, most_s) * fps))
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +125,8 @@ class PlaySession:
         self._policy = policy
         self.max_layers = MAX_LAYERS
         """Layers that may be sent from now on."""
+        self.max_lead_s = math.inf
+        """Seconds of media that may be sent ahead, where that is less than config.max_lead_s."""
         self._config = config
         self._until_frame = until_frame
         self._estimator = RateEstimator(config.estimator)
@@ -276,7 +278,7 @@ class PlaySession:
         self._oldest_frame = oldest_frame = max(self._oldest_frame, next_frame)
         self.holding.forget(oldest_frame)
         num_frames = media.num_frames if last_frame is None else last_frame
-        end_birth = min(num_frames, next_frame + config.lead_frames(media.fps))
+        end_birth = min(num_frames, next_frame + config.lead_frames(media.fps, self.max_lead_s))
         outlook = Outlook(
             media=media,
             holding=self.holding,

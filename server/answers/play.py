@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 import random
 from collections.abc import Sequence
 from urllib.parse import parse_qsl
@@ -59,15 +60,16 @@ TOGETHER_BYTES = 32 * 1024
 """Bytes of records that are written in one go."""
 
 ENOUGH_LEAD_S = 1.0
-"""Seconds of media ahead of what a client shows, above which it can let others go first."""
+"""Seconds of media ahead of what a client shows, above which others may go first."""
 
-COURTEOUS_FROM_S = 0.005
-"""Lateness of the event loop, seconds, from which it does."""
+BUSY_SHARE = 0.6
+"""Of a core: from there on they do, before layers must be left out."""
 
-COURTESY = 10
-"""How long it does: so many times that lateness, but not longer than MAX_COURTESY_S."""
+BUSY_LAG_S = 0.005
+"""The same as lateness of the event loop, seconds."""
 
-MAX_COURTESY_S = 0.25
+BUSY_FILL = 0.5
+"""How many seconds of media more than it shows who has enough is then sent in a second."""
 
 MAX_PAUSE_S = 0.5
 """Longest time in which a play does not look around, seconds."""
@@ -150,6 +152,7 @@ class _Play:
         )
         if query.paused:
             self._session.told(now_s, Standing(query.from_frame, paused=True))
+        self._limited_s = now_s
         self._outcome = ""
         self._sent_slices = 0
         self._sent_layers = 0
@@ -217,6 +220,7 @@ class _Play:
                 return "stopped", self._broken_off("the server is stopping")
             self._hear(now_s)
             self._session.max_layers = self._state.overload.max_layers(self._stream.num_layers)
+            self._limit_lead(now_s)
             decision = self._session.decide(now_s)
             if not isinstance(decision, WaitForFrames):
                 waiting_since_s = None
@@ -295,10 +299,18 @@ class _Play:
             data = b"".join(unsent[:count])
             del unsent[:count]
             await self._writer.write(data)
-            lag_s = self._state.lag_s
-            if lag_s > COURTEOUS_FROM_S and self._session.lead_s > ENOUGH_LEAD_S:
-                # Whoever waits for a first picture, or has little ahead, goes first.
-                await asyncio.sleep(min(MAX_COURTESY_S, COURTESY * lag_s))
+
+    def _limit_lead(self, now_s: float) -> None:
+        """Where there is much to do, who has enough ahead gets more ahead slowly: so whoever waits
+        for a first picture, or has little ahead, is sent that first."""
+        state, session = self._state, self._session
+        if state.busy_share <= BUSY_SHARE and state.lag_s <= BUSY_LAG_S:
+            session.max_lead_s = math.inf
+        elif session.max_lead_s == math.inf:
+            session.max_lead_s = max(ENOUGH_LEAD_S, session.lead_s)
+        else:
+            session.max_lead_s += BUSY_FILL * (now_s - self._limited_s)
+        self._limited_s = now_s
 
     def _encode(self, record: Record, last: bool = False) -> bytes:
         if self._plain is None:

@@ -58,6 +58,8 @@ class ServerState:
             config.max_plays, config.admission.max_address_plays, self.proxies
         )
         """Plays by address."""
+        self.busy_share = 0.0
+        """Of a core, what this worker took of late."""
         self.lag_s = 0.0
         """How late the event loop has been of late."""
         self.sent_bytes = 0
