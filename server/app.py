@@ -118,19 +118,26 @@ class Application(Site):
         if exchange.waited:
             state.metrics.ttfb.observe(exchange.first_s - began_s)
         if self._log is not None:
-            request = exchange.request
-            self._log.event(
-                "request",
-                address=exchange.address,
-                method=request.method if request is not None else None,
-                path=request.path if request is not None else None,
-                query=(request.query or None) if request is not None else None,
-                status=exchange.status,
-                bytes=exchange.body_bytes,
-                ms=round(1e3 * (now_s - began_s), 1),
-                note=exchange.note or None,
-                **exchange.facts,
-            )
+            self._write_line(self._log, exchange, round(1e3 * (now_s - began_s), 1))
+
+    def _write_line(self, log: EventLog, exchange: Exchange, took_ms: float) -> None:
+        request = exchange.request
+        numbers = {"status": exchange.status, "bytes": exchange.body_bytes, "ms": took_ms}
+        note = exchange.note or None
+        if request is None:
+            log.event("request", address=exchange.address, **numbers, note=note)
+            return
+        texts = (
+            ("address", exchange.address),
+            ("method", request.method),
+            ("path", request.path),
+        )
+        if request.is_plain and note is None and not exchange.facts:
+            log.often("request", texts, numbers)
+            return
+        query = request.query or None
+        fields = {**dict(texts), "query": query, **numbers, "note": note, **exchange.facts}
+        log.event("request", **fields)
 
     def cut(self, kind: str) -> None:
         self.state.metrics.timeouts.add(1, kind)

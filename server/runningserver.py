@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import signal
 import socket
 import ssl
 from collections.abc import Callable, Iterable
+from dataclasses import asdict
 from pathlib import Path
+
+from codec.errors import SwingsError
 
 from .app import Application
 from .errors import ServerError
@@ -20,6 +24,8 @@ from .state.serverstate import ServerState
 
 LAG_EVERY_S = 0.02
 """Seconds between two looks at how late the event loop is."""
+
+log = logging.getLogger(__name__)
 
 SHUTDOWN_SHARE = 0.9
 """Of the time in which a server ends, the part that responses get; the rest is for what is left."""
@@ -37,12 +43,16 @@ class RunningServer:
         self._state = state
         self._listener = listener
         self.app = Application(state, log)
-        tls = None
+        self._tls = None
         if config.tls_cert is not None and config.tls_key is not None:
-            tls = load_tls(config.tls_cert, config.tls_key)
-        self._acceptor = Acceptor(self.app, listener, tls)
+            self._tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+            self._tls.minimum_version = ssl.TLSVersion.TLSv1_2
+            self._tls.set_alpn_protocols(["http/1.1"])
+            load_certificate(self._tls, config.tls_cert, config.tls_key)
+        self._acceptor = Acceptor(self.app, listener, self._tls)
         self._log = log
         self._log_dropped = 0  # lines of it, counted so far
+        self._peer_counts: dict[str, int] = {}  # likewise
         self._tasks: list[asyncio.Task[None]] = []
 
     async def start(self) -> None:
@@ -75,11 +85,28 @@ class RunningServer:
         metrics.open_connections.set(len(self.app.connections))
         metrics.streams.set(len(state.library.streams), "served")
         metrics.streams.set(len(state.library.broken), "broken")
+        if state.peers is not None:
+            for outcome, count in asdict(state.peers.counts).items():
+                metrics.peer_messages.add(count - self._peer_counts.get(outcome, 0), outcome)
+                self._peer_counts[outcome] = count
         metrics.flush()
         if self._log is not None:
             dropped = self._log.writer.num_dropped
             metrics.log_dropped.add(dropped - self._log_dropped)
             self._log_dropped = dropped
+
+    def renew(self) -> None:
+        """Reads keys and certificate again. What cannot be used is told in the log, and what was
+        known stays."""
+        config = self._state.config
+        try:
+            self._state.read_keys()
+            if self._tls is not None and config.tls_cert is not None and config.tls_key is not None:
+                load_certificate(self._tls, config.tls_cert, config.tls_key)
+        except (SwingsError, OSError) as error:
+            log.error("not renewed: %s", error)
+        else:
+            log.info("keys and certificate were read again")
 
     async def stop(self) -> None:
         """Lets plays end at their next slice and answers what was asked, within
@@ -97,26 +124,29 @@ class RunningServer:
         self._state.metrics.flush()
 
 
-def load_tls(cert: Path, key: Path) -> ssl.SSLContext:
-    """What speaks TLS with this certificate. Raises ServerError where it cannot be used."""
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    context.minimum_version = ssl.TLSVersion.TLSv1_2
-    context.set_alpn_protocols(["http/1.1"])
+def load_certificate(context: ssl.SSLContext, cert: Path, key: Path) -> None:
+    """Has new connections of `context` use this certificate. Raises ServerError where it cannot be
+    used; then the one before it stays."""
     try:
         context.load_cert_chain(cert, key)
     except (OSError, ssl.SSLError) as error:
         raise ServerError(f"{cert} and {key} do not make a certificate: {error}") from error
-    return context
 
 
 async def run_until_stopped(
-    server: RunningServer, ready: Callable[[], None], signals: Iterable[signal.Signals]
+    server: RunningServer,
+    ready: Callable[[], None],
+    signals: Iterable[signal.Signals],
+    renewing: Iterable[signal.Signals] = (),
 ) -> None:
-    """Serves, calls `ready` once, and ends gracefully on one of `signals`.
+    """Serves, calls `ready` once, and ends gracefully on one of `signals`; renews what it can on
+    one of `renewing`.
 
     A second signal ends the process at once.
     """
     loop = asyncio.get_running_loop()
+    for number in renewing:
+        loop.add_signal_handler(number, server.renew)
     stop = asyncio.Event()
     for number in signals:
         loop.add_signal_handler(number, stop.set)

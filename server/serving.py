@@ -81,7 +81,10 @@ class Service:
             peers.on_request = lambda question: answer_peer(state, question, clock())
             peers.start()
         try:
-            await run_until_stopped(RunningServer(state, self.listener, log), ready, signals)
+            server = RunningServer(state, self.listener, log)
+            # Workers are renewed as processes.
+            renewing = [signal.SIGHUP] if worker is None else []
+            await run_until_stopped(server, ready, signals, renewing)
         finally:
             if peers is not None:
                 peers.close()

@@ -9,7 +9,7 @@ from urllib.parse import parse_qsl
 from codec.stream.integrity import MAX_INDEX_BYTES
 from codec.stream.manifest import Part
 from codec.stream.poster import picture_type
-from server.http.content import IMMUTABLE, REVALIDATE, Content, respond
+from server.http.content import REVALIDATE, Content, respond
 from server.http.errors import RequestError
 from server.http.response import Response
 from server.library import ServedStream
@@ -86,10 +86,6 @@ def segment_object(call: Call) -> Answer:
 
 
 async def _load(call: Call, stream: ServedStream, segment: int, part: Part) -> Response:
-    if call.request.method == "HEAD":
-        # What the index says of it is enough.
-        size, sha256 = stream.object_bytes(segment, part), stream.object_sha256(segment, part)
-        return respond(call.request, Content(b"", size, sha256, OBJECT_TYPE, IMMUTABLE))
     cache = call.state.cache
     content = await cache.load_content(stream, segment, part)
     cache.make_ready(call.request.path, stream, segment, part)

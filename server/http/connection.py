@@ -147,6 +147,8 @@ class HttpConnection(asyncio.BufferedProtocol):
                     self._close()
                 return
             self._answer(request)
+            if not self._buffer:
+                return
 
     def _next_request(self) -> Request | None:
         """The next request of the buffer; None while it is not whole."""

@@ -47,7 +47,8 @@ class Outlet:
 
     def hold_at_most(self, queue_bytes: int) -> None:
         """Lets about `queue_bytes` wait in the process, and as many unsent in the kernel."""
-        self._transport.set_write_buffer_limits(high=queue_bytes, low=queue_bytes // 4)
+        # Not 0: with TLS nothing at all would be too much.
+        self._transport.set_write_buffer_limits(high=max(1, queue_bytes), low=queue_bytes // 4)
         if queue_bytes and hasattr(socket, "TCP_NOTSENT_LOWAT"):
             self._asked.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, queue_bytes)
 

@@ -141,6 +141,11 @@ class Metrics:
         self.timeouts = counter(
             "swings_timeouts_total", "Connections cut because they took too long, by kind.", "kind"
         )
+        self.peer_messages = counter(
+            "swings_peer_messages_total",
+            "Questions between workers, by what became of them.",
+            "outcome",
+        )
         self.log_dropped = counter(
             "swings_log_dropped_total", "Lines of the log that its sink did not take."
         )

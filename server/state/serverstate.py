@@ -45,8 +45,9 @@ class ServerState:
         self.scheme = "http" if config.tls_cert is None else "https"
         """How clients call the server, where no proxy says otherwise."""
         self.proxies = parse_proxies(config.trusted_proxies)
-        self.signer = Signer(read_keys(config.keys)) if config.keys is not None else None
+        self.signer: Signer | None = None
         """Checks the signatures of URLs; None where they need none."""
+        self.read_keys()
         self.web_player = WebPlayer()
         self.stopping = asyncio.Event()
         """Set when the server begins to stop; plays then end at the next slice."""
@@ -64,3 +65,8 @@ class ServerState:
         """How late the event loop has been of late."""
         self.sent_bytes = 0
         """Of bodies, since the worker began."""
+
+    def read_keys(self) -> None:
+        """Reads the file of keys, if there is to be one. Raises InvalidError, OSError."""
+        if self.config.keys is not None:
+            self.signer = Signer(read_keys(self.config.keys))

@@ -33,6 +33,9 @@ MAX_LONG_TEXT = 8192
 _BARE = re.compile(r"[!#-<>-\[\]-~]+")
 """Text that needs no quotes: printable, without a space, a quote, = or a backslash."""
 
+_TIME = "TIME"
+"""Stands for the time in what is remembered of a line."""
+
 REMEMBERED_CHARS = 128
 REMEMBERED_TEXTS = 4096
 
@@ -61,6 +64,7 @@ class LineFormat:
 
     def __init__(self, style: LogStyle) -> None:
         self._json = style is LogStyle.JSON
+        self._remembered = lru_cache(REMEMBERED_TEXTS)(self._around)
         self._second = -1
         self._second_text = ""
 
@@ -71,6 +75,21 @@ class LineFormat:
         if len(line) > MAX_LINE_BYTES:
             line = self._line(stamp, level, event, fields, SHORT_TEXT)
         return line
+
+    def often(
+        self,
+        time_s: float,
+        event: str,
+        texts: tuple[tuple[str, str], ...],
+        numbers: Mapping[str, int | float],
+    ) -> bytes:
+        """The line, of level info, of an event that comes often and with the same texts."""
+        begin, head, end = self._remembered(event, texts)
+        if self._json:
+            inside = "".join([f',"{key}":{value}' for key, value in numbers.items()])
+        else:
+            inside = "".join([f" {key}={value}" for key, value in numbers.items()])
+        return f"{begin}{self._stamp(time_s)}{head}{inside}{end}".encode("ascii")
 
     def _line(
         self, stamp: str, level: str, event: str, fields: Mapping[str, Value], max_text: int
@@ -83,6 +102,13 @@ class LineFormat:
             inside = "".join(f" {key}={text}" for key, text in words)
             line = f"{stamp} {level} {event}{inside}\n"
         return line.encode("ascii")
+
+    def _around(self, event: str, texts: tuple[tuple[str, str], ...]) -> tuple[str, str, str]:
+        """What stands before the time of a line, behind it, and behind the numbers at its end."""
+        line = self._line(_TIME, "info", event, dict(texts), MAX_TEXT).decode()
+        begin, _, rest = line.partition(_TIME)
+        end = "}\n" if self._json else "\n"
+        return begin, rest.removesuffix(end), end
 
     def _words(self, fields: Mapping[str, Value], max_text: int) -> Iterator[tuple[str, str | int]]:
         text_of = _json_text if self._json else _plain_text

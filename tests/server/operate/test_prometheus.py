@@ -31,6 +31,7 @@ FAMILIES = {
     "swings_shed_layers",
     "swings_loop_late_seconds",
     "swings_log_dropped",
+    "swings_peer_messages",
     "swings_streams",
 }
 
