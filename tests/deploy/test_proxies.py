@@ -17,6 +17,8 @@ from codec.stream.playrecord import (
     SliceRecord,
     StartRecord,
 )
+from server.operate.sign.keyfile import add_key, read_keys
+from server.operate.sign.signing import Signer
 from tests.deploy.echo import echoing
 from tests.deploy.proxied import Proxy, caddy, find_program, nginx
 from tests.support.commands import serving
@@ -101,11 +103,12 @@ def test_what_is_told_of_the_server_itself_stays_inside(proxy: Proxy) -> None:
     assert proxy.ask("/v1/streams/nobody/manifest.json")[0] == 404
 
 
-def test_a_play_comes_slice_by_slice_and_its_news_go_back(proxy: Proxy) -> None:
+def check_play(proxy: Proxy, prefix: str = "") -> None:
+    """A play comes slice by slice, and its news go back. prefix: of all paths."""
     connection = proxy.connect()
     parser, began_s = RecordParser(), time.monotonic()
     try:
-        connection.request("GET", "/v1/streams/walk/play?from=0&layers=1")
+        connection.request("GET", f"{prefix}/v1/streams/walk/play?from=0&layers=1")
         response = connection.getresponse()
         assert response.status == 200
         token = response.headers["Swings-Play"]
@@ -115,7 +118,8 @@ def test_a_play_comes_slice_by_slice_and_its_news_go_back(proxy: Proxy) -> None:
             came += [(time.monotonic() - began_s, record) for record in parser.feed(piece)]
             if not told:
                 news = json.dumps({"frame": 0}).encode()
-                told = proxy.ask(f"/v1/streams/walk/play/{token}", None, "POST", news)[0]
+                path = f"{prefix}/v1/streams/walk/play/{token}"
+                told = proxy.ask(path, None, "POST", news)[0]
     finally:
         connection.close()
     assert told == 204
@@ -129,6 +133,26 @@ def test_a_play_comes_slice_by_slice_and_its_news_go_back(proxy: Proxy) -> None:
     assert came[0][0] < 1.0
     assert came[-1][0] - came[0][0] > 0.4, "all came at once: somebody keeps it back"
     assert len({round(at_s, 2) for at_s, _ in came}) >= 3
+
+
+def test_a_play_comes_slice_by_slice_and_its_news_go_back(proxy: Proxy) -> None:
+    check_play(proxy)
+
+
+def test_behind_a_signed_url_a_play_comes_so_too_and_nothing_is_kept(
+    name: str, root: Path, tmp_path: Path
+) -> None:
+    keys = tmp_path / "keys"
+    add_key(keys)
+    prefix = Signer(read_keys(keys)).sign("walk", int(time.time()) + 60)
+    with serving(root, "--max-lead-s", 1, "--keys", keys) as url:
+        (tmp_path / name).mkdir()
+        with PROXIES[name](int(url.rpartition(":")[2]), tmp_path / name) as proxy:
+            check_play(proxy, prefix)
+            for _ in range(2):
+                status, headers, _ = proxy.ask(prefix + OBJECT)
+                assert (status, headers["X-Cache"]) == (200, None)
+            assert proxy.ask(OBJECT)[0] == 403
 
 
 def test_the_server_learns_the_clients_address_and_no_lies(name: str, tmp_path: Path) -> None:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import configparser
 import json
+import os
 import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -61,8 +63,40 @@ def test_the_server_may_stop_by_itself_before_systemd_kills_it() -> None:
         "NoNewPrivileges": "yes",
         "Restart": "on-failure",
         "CapabilityBoundingSet": "",
+        # Else a call that a library can do without kills the server.
+        "SystemCallErrorNumber": "EPERM",
     }.items():
         assert service[name] == value, name
+
+
+def checked_settings(words: list[str], environment: dict[str, str]) -> dict[str, object]:
+    """The settings of a server with these arguments; it must take them."""
+    done = subprocess.run(
+        [sys.executable, "-m", "server", *words, "--check-config"],
+        cwd=ROOT,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    return tomllib.loads(done.stdout)
+
+
+def test_the_server_takes_the_settings_of_the_unit_and_can_reload() -> None:
+    lines = UNIT.read_text().splitlines()
+    values = [line.split("=", 1) for line in lines if re.match(r"\w+=", line)]
+    command = next(value for name, value in values if name == "ExecStart").split()
+    environment = dict(value.split("=", 1) for name, value in values if name == "Environment")
+    settings = checked_settings(command[1:], environment)
+    assert settings["host"] == "127.0.0.1"
+    assert ["ExecReload", "/bin/kill -HUP $MAINPID"] in values
+    # A server of one process would end on SIGHUP.
+    assert settings["workers"] == 2
+
+
+def test_the_server_takes_the_settings_of_the_container() -> None:
+    settings = checked_settings(json.loads(dict(instructions())["CMD"]), {})
+    assert (settings["host"], settings["public"]) == ("0.0.0.0", True)
 
 
 def test_the_dockerfile_copies_what_is_there_and_runs_as_nobody_special() -> None:
