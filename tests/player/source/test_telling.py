@@ -20,9 +20,10 @@ from player.playout.threads import Threads
 from player.playout.timeline import Playout
 from player.render.renderer import RendererKind
 from player.source.fetch import Fetcher
+from player.source.lastplay import LastPlay
 from player.source.served import ServedSource
 from player.view.path import Size
-from server.abr.standing import PLAY_HEADER, Standing
+from server.abr.standing import PLAY_HEADER, RATE_HEADER, Standing
 from tests.player.source.test_served import ALL, HEAD, HOLD, QUICK, answer, script, start
 from tests.support.server.running_server import (
     SWIN_SIZE,
@@ -152,6 +153,38 @@ def test_a_new_connection_names_the_last_play() -> None:
             next(packets)
         assert PLAY_HEADER.encode() not in host.requests[0]
         assert f"{PLAY_HEADER}: abc-_1".encode() in host.requests[1]
+        source.close()
+
+
+@pytest.mark.parametrize(
+    ("said", "sent"), [(b"5000000", b"5000000"), (b"nan", b""), (b"-1", b""), (b"0", b"")]
+)
+def test_a_new_connection_says_what_the_server_said_of_the_link(said: bytes, sent: bytes) -> None:
+    cut = answer(start(), *ALL[:3]).replace(HEAD, NAMED)
+    heard = b"HTTP/1.1 204 Heard\r\n%s: %s\r\nConnection: close\r\n\r\n"
+    with script(cut, heard % (RATE_HEADER.encode(), said), answer(start(), *ALL)) as host:
+        source = served(host.url)
+        assert source.tell(Standing(1))
+        packets = source.packets()
+        for _ in range(4):
+            next(packets)
+        assert RATE_HEADER.encode() not in host.requests[0]
+        line = b"\r\n%s: %s\r\n" % (RATE_HEADER.encode(), sent)
+        assert (line in host.requests[2]) == bool(sent)
+        assert (RATE_HEADER.encode() in host.requests[2]) == bool(sent)
+        assert source.play == LastPlay("", float(sent) if sent else None)
+        source.close()
+
+
+def test_a_server_that_was_started_again_goes_by_what_the_last_one_said(tmp_path: Path) -> None:
+    make_stream(tmp_path / "long", 160, fps=FPS)
+    with in_thread(tmp_path) as server:
+        url = f"{server.url}/v1/streams/long"
+        # Its name means nothing to this one.
+        last = LastPlay("0-" + "a" * 22, 7e6)
+        source = ServedSource("S", url, Fetcher(), FrameRange(), None, last_play=last)
+        assert source.play.token != last.token
+        assert source.play.rate_bps == 7e6
         source.close()
 
 
