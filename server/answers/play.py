@@ -85,9 +85,11 @@ def _figure(value: float | None, scale: float) -> float | None:
 async def play(call: Call) -> StreamedResponse:
     stream, state = call.stream(), call.state
     fields, now_s = call.request.fields, asyncio.get_running_loop().time()
-    # A client that comes back says what it was; another worker may know, or only itself.
-    rate_bps = await ask_rate_bps(state, fields.get(PLAY_HEADER.lower(), ""), now_s)
+    # A client that comes back says what it was told last. Another worker may know more, but may
+    # have died: nobody shall wait for it who need not.
+    rate_bps = state.plays.rate_bps(token := fields.get(PLAY_HEADER.lower(), ""), now_s)
     rate_bps = rate_bps or parse_rate(fields.get(RATE_HEADER.lower(), ""))
+    rate_bps = rate_bps or await ask_rate_bps(state, token, now_s)
     asked = parse_qsl(call.request.query, keep_blank_values=True)
     num_layers, records = stream.view.manifest.num_layers, stream.view.records
     # A segment's start: there all that shows can be had at once.

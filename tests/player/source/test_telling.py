@@ -16,7 +16,7 @@ from player.config import PlayConfig
 from player.playback import play
 from player.playout.clock import Clock
 from player.playout.queues import Events
-from player.playout.threads import Threads
+from player.playout.threads import TELL_MOST_S, Threads
 from player.playout.timeline import Playout
 from player.render.renderer import RendererKind
 from player.source.fetch import Fetcher
@@ -154,6 +154,24 @@ def test_a_new_connection_names_the_last_play() -> None:
         assert PLAY_HEADER.encode() not in host.requests[0]
         assert f"{PLAY_HEADER}: abc-_1".encode() in host.requests[1]
         source.close()
+
+
+def test_a_new_connection_is_told_at_once_how_the_playback_stands() -> None:
+    """It would take a player that holds seconds of media for one that waits for its first picture,
+    and send it few layers."""
+    cut = answer(start(), *ALL[:4]).replace(HEAD, NAMED)
+    again = answer(start(), *ALL[4:5]).replace(HEAD, NAMED.replace(b"abc-_1", b"abc-_2")) + HOLD
+    heard = b"HTTP/1.1 204 Heard\r\nConnection: close\r\n\r\n"
+    with script(cut, again, heard) as host:
+        source = served(host.url)
+        events = Events(Playout(source.manifest, 0, 3), Clock(real=True))
+        began_s = time.monotonic()
+        with Threads(source, events):
+            wait_until(lambda: len(host.asked) == 3)
+            took_s = time.monotonic() - began_s
+        source.close()
+        assert host.asked[2] == "/v1/streams/s/play/abc-_2"
+        assert took_s < TELL_MOST_S
 
 
 @pytest.mark.parametrize(
