@@ -25,7 +25,6 @@ from rich.console import Console
 from rich.table import Table
 
 from codec.errors import SwingsError
-from server.abr.session import SessionConfig
 
 from .material import FPS, SWIN_SIZE, write_noise
 from .playfigures import Spread
@@ -47,6 +46,8 @@ class KillConfig:
     workers: int = 2
     frame_bytes: int = 20_000
     """Size of a frame, all its layers together."""
+    max_lead_s: float = 6.0
+    """What a client is sent ahead, and all at once when it comes back. See --max-lead-s."""
     settle_s: float = 5.0
     """See --settle-s of swings-serve."""
     arrive_s: float = 3.0
@@ -66,6 +67,7 @@ def measure_kills(config: KillConfig, options: tuple[str, ...] = ()) -> ResumeFi
         write_noise(folder / "streams" / "long", config.frame_bytes, num_frames, SEGMENT_FRAMES)
         log, out = folder / "serve.log", folder / "seen.npz"
         words = ["--log", "json", "--no-log-requests", "--workers", str(config.workers)]
+        words += ["--max-lead-s", str(config.max_lead_s)]
         words += ["--settle-s", str(config.settle_s), "--max-plays", str(config.clients + 16)]
         with serving(folder / "streams", *words, *options, log=log) as (_, port):
             load = ResumeConfig(
@@ -90,7 +92,7 @@ def measure_kills(config: KillConfig, options: tuple[str, ...] = ()) -> ResumeFi
                 _, said = clients.communicate()
             if clients.returncode:
                 raise SwingsError(f"the clients failed: {said.strip().splitlines()[-1:]}")
-        return resume_figures(out, kills, FPS, SessionConfig().max_lead_s)
+        return resume_figures(out, kills, FPS, config.max_lead_s)
 
 
 def _events(log: Path, *kinds: str) -> list[dict[str, Any]]:
@@ -144,7 +146,8 @@ def show_kills(figures: ResumeFigures) -> None:
         f"{figures.victims} plays cut, {figures.lost} not resumed; {figures.bystanders} others, "
         f"{figures.broken} of them broken; missing {figures.missing}, double {figures.double}; "
         f"{figures.before:.2f} layers a slice before, {figures.after:.2f} after; "
-        f"stalls {figures.stalls}, refused {figures.refused}; news {figures.news}, "
+        f"stalls {figures.stalls}, refused {figures.refused}, "
+        f"answered 503 {figures.busy}; news {figures.news}, "
         f"{figures.slowest_news_ms:.0f} ms at most",
         soft_wrap=True,
     )

@@ -71,6 +71,11 @@ class ResumeFigures:
     double: int
     stalls: int
     refused: int
+    """Connections that were not accepted."""
+    busy: int
+    """Plays that were asked for and answered 503: a worker with too much to do takes no new ones."""
+    said: dict[str, int]
+    """How often responses ended with which word of the server."""
     news: dict[str, int]
     """How often news was answered with which status; 0 for not at all."""
     slowest_news_ms: float
@@ -126,6 +131,8 @@ def resume_figures(path: Path, kills: list[Kill], fps: float, max_lead_s: float)
         double=sum(one.double for one in clients),
         stalls=known["stalls"],
         refused=known["refused"],
+        busy=known["busy"],
+        said=known["said"],
         news=known["news"],
         slowest_news_ms=1e3 * known["slowest_news_s"],
     )

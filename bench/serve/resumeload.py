@@ -64,7 +64,9 @@ class ResumeLoad:
         self.stalls = 0
         """How often a client had nothing left to show."""
         self.refused = 0
-        """Connections that were not accepted, and answers other than 200."""
+        """Connections that were not accepted."""
+        self.busy = 0
+        """Answers other than 200: the server has no time for one more play."""
         self.said: dict[str, int] = {}
         """How often responses ended with which word of the server."""
         self.news: dict[int, int] = {}
@@ -92,7 +94,12 @@ class ResumeLoad:
                 task.cancel()
 
     def save(self) -> None:
-        known = {"stalls": self.stalls, "refused": self.refused, "said": self.said}
+        known = {
+            "stalls": self.stalls,
+            "refused": self.refused,
+            "busy": self.busy,
+            "said": self.said,
+        }
         known |= {"news": self.news, "slowest_news_s": self.slowest_news_s}
         np.savez(
             self.config.out,
@@ -156,7 +163,7 @@ class _Client:
             headers.pop(RATE_HEADER, None)
         async with self._session.get(f"{load.base}?from={frame}", headers=headers) as response:
             if response.status != 200:
-                load.refused += 1
+                load.busy += 1
                 return
             token = response.headers[PLAY_HEADER]
             self._last = LastPlay(token, self._last.rate_bps)

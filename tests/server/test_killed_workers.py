@@ -16,7 +16,7 @@ pytestmark = pytest.mark.skipif(
 def test_killed_workers_cost_their_clients_a_moment_and_the_others_nothing() -> None:
     """`scripts/bench serve --parts kills` kills 100."""
     # So each restart is the first in a row, as with workers that die seldom.
-    seen = measure_kills(KillConfig(kills=15, every_s=1.5, settle_s=1.0, arrive_s=2.0))
+    seen = measure_kills(KillConfig(kills=15, every_s=1.5, settle_s=1.0, max_lead_s=2.0))
     assert (seen.clients, seen.kills) == (50, 15)
     assert seen.victims > 100
     assert seen.lost == 0
