@@ -23,6 +23,7 @@ from player.playout.timeline import FrameRecord, Playout, QueueConfig
 from player.render.gl import GlError
 from player.render.renderer import Renderer, RendererKind, create_renderer
 from player.show.sink import FrameSink, open_sink, to_bytes
+from player.source.lastplay import NO_PLAY
 from player.source.locate import open_source
 from player.source.source import Source
 from player.view.path import Size
@@ -105,7 +106,7 @@ class _Playback:
         self._relay = relay
         self._clock = Clock(real=True)
         self._renderers: list[Renderer] = []
-        self._last_play = ""
+        self._last_play = NO_PLAY
         self._journal = Journal(MAX_ROWS if config.report or config.plot else 0)
         self._summary = PlaySummary(
             config.source, preparing_s=preparing_s, link=config.link, journal=self._journal

@@ -1,9 +1,11 @@
-"""What serving costs: objects beside nginx and aiohttp's FileResponse, held plays, live latency.
+"""What serving costs: objects beside nginx and aiohttp's FileResponse, held plays, live latency;
+and what clients feel of workers that are killed.
 
-Usage: scripts/bench serve [--parts objects plays live] [--quick] [--json FILE] [--profile]
+Usage: scripts/bench serve [--parts objects plays live kills] [--quick] [--json FILE] [--profile]
 
-The server gets one core and its clients another. `objectrate`, `playfigures` and `livelatency` say
-what each figure means. It needs Debian's nginx and wrk, and for --profile py-spy.
+The server gets one core and its clients another, but where workers are killed. `objectrate`,
+`playfigures`, `livelatency` and `resumefigures` say what each figure means. It needs Debian's nginx
+and wrk, and for --profile py-spy.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from rich.table import Table
 
 from bench.serve.heldplays import measure_plays, show_plays
 from bench.serve.hotspots import hotspots_of, sampled
+from bench.serve.killedworkers import KillConfig, measure_kills, show_kills
 from bench.serve.livelatency import measure_live, show_live
 from bench.serve.objectrate import measure_objects, show_objects
 from bench.serve.processes import two_cores
@@ -31,14 +34,15 @@ class Part(StrEnum):
     OBJECTS = "objects"
     PLAYS = "plays"
     LIVE = "live"
+    KILLS = "kills"
 
 
 @dataclass(frozen=True, slots=True)
 class BenchConfig:
     """What to measure."""
 
-    parts: tuple[Part, ...] = tuple(Part)
-    """Which measurements."""
+    parts: tuple[Part, ...] = (Part.OBJECTS, Part.PLAYS, Part.LIVE)
+    """Which measurements; 100 kills take five minutes."""
     quick: bool = False
     """Fewer and shorter rounds: to see that it works, not to report."""
     json: Path | None = None
@@ -63,6 +67,8 @@ class BenchConfig:
     """Plays that follow a live stream."""
     live_s: float = 15.0
     """Seconds that they follow it."""
+    kills: int = 100
+    """Workers that are killed."""
     options: tuple[str, ...] = ()
     """Options for swings-serve, one word each; give them as `--options=--workers --options=1`."""
 
@@ -98,6 +104,11 @@ def run(config: BenchConfig) -> None:
         live = measure_live(config.live_clients, frame_bytes, seconds, cores, config.options)
         show_live(live)
         figures["live"] = asdict(live)
+    if Part.KILLS in config.parts:
+        kills = KillConfig(kills=5 if quick else config.kills)
+        killed = measure_kills(kills, config.options)
+        show_kills(killed)
+        figures["kills"] = asdict(killed)
     if config.json:
         config.json.write_text(json.dumps(figures, indent=1) + "\n")
 

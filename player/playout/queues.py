@@ -72,6 +72,12 @@ class Events:
         self._has_news = True
         self._changed.notify_all()
 
+    def reconnected(self) -> None:
+        """What follows comes from somebody who does not know yet how the playback stands."""
+        with self._changed:
+            self._has_news = True
+            self._changed.notify_all()
+
     def standing(self, least_s: float, most_s: float) -> Standing | None:
         """How the playback stands, `most_s` seconds from now, or sooner (`least_s` at least) when
         something has changed that who sends should know. None once nothing more will come."""

@@ -44,7 +44,11 @@ class Joined:
 def receive_thread(source: Source, events: Events) -> None:
     """Reads the stream into the events queue."""
     try:
+        token = source.play.token
         for packets in source.packets():
+            if source.play.token != token:
+                token = source.play.token
+                events.reconnected()
             events.append(packets)
         events.finish()
     except StoppedError:

@@ -10,6 +10,7 @@ from codec.stream import StreamReader
 from codec.stream.manifest import Manifest
 from server.abr.standing import Standing
 
+from .lastplay import NO_PLAY
 from .segments import SegmentPlay
 from .source import Packets, check_frames, check_layers
 
@@ -21,7 +22,7 @@ class DirectorySource:
         """layers: None takes all."""
         self._reader = reader = StreamReader(path)
         self.name = str(path)
-        self.play = ""
+        self.play = NO_PLAY
         self.adaptive = False
         self.num_layers = check_layers(layers, reader.manifest, self.name)
         self.frames = check_frames(frames, reader.manifest, reader.num_frames, self.name)

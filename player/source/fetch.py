@@ -51,6 +51,7 @@ class Response:
     """A whole answer."""
 
     status: int
+    headers: Mapping[str, str]
     body: bytes
 
 
@@ -92,8 +93,8 @@ class Fetcher:
         request = self._request(url, headers=headers)
         return OpenResponse(self, url, self._run(request, url))
 
-    def post(self, url: str, body: bytes) -> int:
-        """The status of the answer to a POST; its body is not read."""
+    def post(self, url: str, body: bytes) -> Response:
+        """The answer to a POST, without its body, which is not read."""
         return self._run(self._post(url, body), url)
 
     def another(self, config: FetchConfig) -> Fetcher:
@@ -194,9 +195,9 @@ class Fetcher:
             allow_redirects=False,
         )
 
-    async def _post(self, url: str, body: bytes) -> int:
+    async def _post(self, url: str, body: bytes) -> Response:
         async with await self._request(url, "POST", body) as response:
-            return response.status
+            return Response(response.status, response.headers, b"")
 
     async def _get(self, url: str, limit_bytes: int) -> Response:
         response = await self._request(url)
@@ -207,7 +208,7 @@ class Fetcher:
                 self.count(len(piece))
                 if len(body) > limit_bytes:
                     raise FetchError(f"{url} is longer than {limit_bytes} bytes")
-            return Response(response.status, bytes(body))
+            return Response(response.status, response.headers, bytes(body))
 
 
 class OpenResponse:

@@ -13,6 +13,7 @@ from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest, Part
 from server.abr.standing import Standing
 
 from .fetch import BrokenError, Fetcher, FetchError
+from .lastplay import NO_PLAY
 from .retry import Retry, RetryConfig
 from .segments import SegmentPlay
 from .source import Packets, check_frames, check_layers
@@ -53,7 +54,7 @@ class HostedSource:
         self._base = base
         self._fetcher = fetcher
         self._retry = retry or RetryConfig()
-        self.play = ""
+        self.play = NO_PLAY
         self.adaptive = False
         self.num_layers = check_layers(layers, manifest, name)
         self._records = self._read_index()

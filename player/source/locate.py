@@ -14,6 +14,7 @@ from codec.stream.manifest import MANIFEST_NAME
 from .directory import DirectorySource
 from .fetch import Fetcher, FetchError
 from .hosted import HostedSource, fetch_manifest
+from .lastplay import NO_PLAY, LastPlay
 from .served import ServedSource
 from .source import Source
 
@@ -30,13 +31,13 @@ def open_source(
     layers: int | None,
     via: tuple[str, int] | None = None,
     received: Callable[[int], None] | None = None,
-    last_play: str = "",
+    last_play: LastPlay = NO_PLAY,
 ) -> Source:
     """The stream that `source` names, from `frames.first` on.
 
     layers: None lets a server choose, and takes all elsewhere. via: the relay of `--link`.
     received: is told how many bytes each read from the network gave. last_play: the `play` of the
-    source before this one: a server that knows the link from there does not start blind.
+    source before this one: a server that hears of the link does not start blind.
     """
     if not source.lower().startswith(("http://", "https://")):
         if "://" in source:
@@ -53,7 +54,7 @@ def open_source(
 
 
 def _open_url(
-    source: str, fetcher: Fetcher, frames: FrameRange, layers: int | None, last_play: str
+    source: str, fetcher: Fetcher, frames: FrameRange, layers: int | None, last_play: LastPlay
 ) -> Source:
     parts = urlsplit(source)
     if not parts.hostname:

@@ -22,9 +22,10 @@ from codec.stream.playrecord import (
     SnapshotRecord,
     StartRecord,
 )
-from server.abr.standing import PLAY_HEADER, TOKEN, Standing
+from server.abr.standing import PLAY_HEADER, RATE_HEADER, TOKEN, Standing, parse_rate
 
 from .fetch import BrokenError, FetchConfig, Fetcher, FetchError, OpenResponse, StoppedError
+from .lastplay import NO_PLAY, LastPlay
 from .receiver import Receiver
 from .retry import Retry, RetryConfig
 from .source import Packets, check_frames, check_layers
@@ -44,13 +45,12 @@ class ServedSource:
         frames: FrameRange,
         layers: int | None,
         retry: RetryConfig | None = None,
-        last_play: str = "",
+        last_play: LastPlay = NO_PLAY,
     ) -> None:
         """Connects, and reads the manifest.
 
         url: the stream's, to which /play is added. fetcher: is closed together with the source.
-        layers: None leaves the choice to the server. last_play: what a server called the play
-        before this one.
+        layers: None leaves the choice to the server. last_play: the one before this.
         """
         self.name = name
         self._url = url
@@ -59,7 +59,8 @@ class ServedSource:
         self._layers = layers
         self._asked = frames
         self._response: OpenResponse | None = None
-        self.play = last_play  # an older server gives none
+        self._token = last_play.token  # an older server gives none
+        self._rate_bps = last_play.rate_bps  # only `tell` changes it
         self._ended_play = ""
         self._parser = RecordParser()
         self._waiting: list[Record] = []
@@ -77,6 +78,10 @@ class ServedSource:
             raise
 
     @property
+    def play(self) -> LastPlay:
+        return LastPlay(self._token, self._rate_bps)
+
+    @property
     def received_bytes(self) -> int:
         return self._fetcher.received_bytes
 
@@ -87,15 +92,14 @@ class ServedSource:
         if self._asked.end is not None:
             url += f"&until={self._asked.end}"
         self._disconnect()
-        last = {PLAY_HEADER: self.play} if self.play else None
-        self._response = response = self._fetcher.open(url, last)
+        self._response = response = self._fetcher.open(url, self.play.headers())
         self._parser, self._waiting = RecordParser(), []
         if response.status != 200:
             raise self._refusal(response)
         if response.content_type.partition(";")[0].strip() != CONTENT_TYPE:
             raise FetchError(f"{self.name} is not a stream: it answers {response.content_type}")
         token = response.headers.get(PLAY_HEADER, "")
-        self.play = token if re.fullmatch(TOKEN, token) else ""
+        self._token = token if re.fullmatch(TOKEN, token) else ""
         record = self._next_record()
         if not isinstance(record, StartRecord):
             raise CorruptError(f"{self.name}: the response does not begin with a start record")
@@ -187,17 +191,19 @@ class ServedSource:
             self._response = None
 
     def tell(self, standing: Standing) -> bool:
-        token = self.play
+        token = self._token
         if token and token != self._ended_play:
             try:
-                status = self._teller.post(f"{self._url}/play/{token}", standing.to_json())
+                answer = self._teller.post(f"{self._url}/play/{token}", standing.to_json())
             except StoppedError:
                 return False
             except FetchError:
                 return True  # lost; the next news says more than this
-            if status == 404:
+            rate_bps = parse_rate(answer.headers.get(RATE_HEADER, ""))
+            self._rate_bps = rate_bps or self._rate_bps
+            if answer.status == 404:
                 self._ended_play = token  # the connection broke, and another play may follow
-            elif status == 405:
+            elif answer.status == 405:
                 return False
         return bool(token)
 

@@ -16,6 +16,8 @@ from codec.stream.manifest import Manifest, Part
 from server.abr.holding import Holding
 from server.abr.standing import Standing
 
+from .lastplay import LastPlay
+
 Blame = Callable[[CodecError, Part], CodecError]
 """Makes an error name where the packet of a part came from."""
 
@@ -114,8 +116,8 @@ class Source(Protocol):
         ...
 
     @property
-    def play(self) -> str:
-        """The server's name for this play; empty where nobody gave one."""
+    def play(self) -> LastPlay:
+        """What the server said of this play, for the one after it; empty where it said nothing."""
         ...
 
     @property

@@ -98,10 +98,13 @@ async def play(call: Call) -> StreamedResponse:
         message = f"the server has no room beside {len(state.plays)} plays; try again later"
         after_s = max(RETRY_AFTER_S, state.overload.retry_after_s)
         raise RequestError(503, message, {"Retry-After": str(after_s)})
-    # Who comes back names the play before: a worker may know its link, or only the client does.
+    # Who comes back names the play before, and its rate. Another worker may know more, but may
+    # have died: nobody shall wait for it who need not.
     fields, now_s = call.request.fields, asyncio.get_running_loop().time()
-    rate_bps = await ask_rate_bps(state, fields.get(PLAY_HEADER.lower(), ""), now_s)
+    token = fields.get(PLAY_HEADER.lower(), "")
+    rate_bps = state.plays.rate_bps(token, now_s)
     rate_bps = rate_bps or parse_rate(fields.get(RATE_HEADER.lower(), ""))
+    rate_bps = rate_bps or await ask_rate_bps(state, token, now_s)
     refusal = state.play_admission.admit(call.address)
     if refusal is not None:
         state.metrics.refused.add(1, f"play_{refusal}")

@@ -24,6 +24,7 @@ const BUSY = "The server is busy";
  * @property {number} fromFrame
  * @property {number | null} layers null for the server's choice
  * @property {string | null} lastToken of the play before this one
+ * @property {number | null} rateBps what a server said of the link, for one that does not know
  * @property {boolean} paused whether it begins with a still picture
  */
 
@@ -49,13 +50,14 @@ export class PlayResponse {
    * @param {string} base URL of the stream, with a slash at its end
    * @param {PlayWish} wish
    */
-  static async open(base, { fromFrame, layers, lastToken, paused }) {
+  static async open(base, { fromFrame, layers, lastToken, rateBps, paused }) {
     const query = new URLSearchParams({ plain: "1", from: String(fromFrame) });
     if (layers !== null) query.set("layers", String(layers));
     if (paused) query.set("paused", "1");
     const url = `${base}play?${query}`;
     const abort = new AbortController();
-    const headers = /** @type {HeadersInit} */ (lastToken ? { "Swings-Play": lastToken } : {});
+    const headers = new Headers(lastToken ? { "Swings-Play": lastToken } : {});
+    if (rateBps !== null) headers.set("Swings-Rate", String(rateBps));
     let response;
     try {
       response = await fetch(url, { headers, signal: abort.signal, cache: "no-store" });

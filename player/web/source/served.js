@@ -42,6 +42,8 @@ export class ServedStream {
     this.first = first.response;
     /** @type {string | null} of the last play: the server knows the link from there */
     this.lastToken = first.response.token;
+    /** @type {number | null} what the server took the link to carry when it last said so */
+    this.rateBps = null;
     this.onGrown = () => {};
   }
 
@@ -55,7 +57,7 @@ export class ServedStream {
     const patience = new Patience(fetcher, base);
     for (;;) {
       // Until it is known whether it plays, it does not.
-      const wish = { fromFrame: 0, layers: null, lastToken: null, paused: true };
+      const wish = { fromFrame: 0, layers: null, lastToken: null, rateBps: null, paused: true };
       const stream = new ServedStream(
         base,
         fetcher,
@@ -162,7 +164,7 @@ export class ServedPlay {
     try {
       const answer = await fetch(`${this.stream.base}play/${token}`, { method: "POST", body });
       const rateBps = Number(answer.headers.get("Swings-Rate"));
-      if (rateBps > 0) this.rateBps = rateBps;
+      if (rateBps > 0) this.rateBps = this.stream.rateBps = rateBps;
     } catch {
       // The response says soon enough that the server is gone.
     }
@@ -192,7 +194,7 @@ export class ServedPlay {
   /** The response that brings what is not here. */
   async #begin() {
     const { stream, endBirth, mostLayers } = this;
-    const { first, base, lastToken } = stream;
+    const { first, base, lastToken, rateBps } = stream;
     stream.first = null;
     const layers = mostLayers < stream.manifest.numLayers ? mostLayers : null;
     if (first !== null && endBirth === 0 && layers === null) return first;
@@ -200,7 +202,7 @@ export class ServedPlay {
     const paused = this.paused && endBirth === this.nextFrame;
     // The first slice of a segment is not sent to who begins with it, but is what others go on with.
     const fromFrame = this.continues ? Math.max(0, endBirth - 1) : endBirth;
-    const wish = { fromFrame, layers, lastToken, paused };
+    const wish = { fromFrame, layers, lastToken, rateBps, paused };
     const { response, start } = await this.patience.begin(() => begunPlay(base, wish));
     stream.grow(start.numFrames, stream.manifest.live);
     return response;

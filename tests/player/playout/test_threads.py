@@ -23,6 +23,7 @@ from player.playout.queues import EmptyStreamError, Events, Handoff
 from player.playout.threads import Threads, render_thread
 from player.playout.timeline import FrameRecord, Playout, QueueConfig
 from player.source.fetch import StoppedError
+from player.source.lastplay import NO_PLAY
 from player.source.source import Packets, SlicePackets
 from server.abr.playout import PlayoutConfig
 from server.abr.standing import Standing
@@ -66,7 +67,7 @@ class ListSource:
     name = "list"
     manifest: Manifest = MANIFEST
     frames = FrameRange(0)
-    play = ""
+    play = NO_PLAY
     adaptive = False
     num_layers = 3
     received_bytes = 0

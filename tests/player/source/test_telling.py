@@ -16,13 +16,14 @@ from player.config import PlayConfig
 from player.playback import play
 from player.playout.clock import Clock
 from player.playout.queues import Events
-from player.playout.threads import Threads
+from player.playout.threads import TELL_MOST_S, Threads
 from player.playout.timeline import Playout
 from player.render.renderer import RendererKind
 from player.source.fetch import Fetcher
+from player.source.lastplay import LastPlay
 from player.source.served import ServedSource
 from player.view.path import Size
-from server.abr.standing import PLAY_HEADER, Standing
+from server.abr.standing import PLAY_HEADER, RATE_HEADER, Standing
 from tests.player.source.test_served import ALL, HEAD, HOLD, QUICK, answer, script, start
 from tests.support.server.running_server import (
     SWIN_SIZE,
@@ -152,6 +153,56 @@ def test_a_new_connection_names_the_last_play() -> None:
             next(packets)
         assert PLAY_HEADER.encode() not in host.requests[0]
         assert f"{PLAY_HEADER}: abc-_1".encode() in host.requests[1]
+        source.close()
+
+
+def test_a_new_connection_is_told_at_once_how_the_playback_stands() -> None:
+    """It would take a player that holds seconds of media for one that waits for its first picture,
+    and send it few layers."""
+    cut = answer(start(), *ALL[:4]).replace(HEAD, NAMED)
+    again = answer(start(), *ALL[4:5]).replace(HEAD, NAMED.replace(b"abc-_1", b"abc-_2")) + HOLD
+    heard = b"HTTP/1.1 204 Heard\r\nConnection: close\r\n\r\n"
+    with script(cut, again, heard) as host:
+        source = served(host.url)
+        events = Events(Playout(source.manifest, 0, 3), Clock(real=True))
+        began_s = time.monotonic()
+        with Threads(source, events):
+            wait_until(lambda: len(host.asked) == 3)
+            took_s = time.monotonic() - began_s
+        source.close()
+        assert host.asked[2] == "/v1/streams/s/play/abc-_2"
+        assert took_s < TELL_MOST_S
+
+
+@pytest.mark.parametrize(
+    ("said", "sent"), [(b"5000000", b"5000000"), (b"nan", b""), (b"-1", b""), (b"0", b"")]
+)
+def test_a_new_connection_says_what_the_server_said_of_the_link(said: bytes, sent: bytes) -> None:
+    cut = answer(start(), *ALL[:3]).replace(HEAD, NAMED)
+    heard = b"HTTP/1.1 204 Heard\r\n%s: %s\r\nConnection: close\r\n\r\n"
+    with script(cut, heard % (RATE_HEADER.encode(), said), answer(start(), *ALL)) as host:
+        source = served(host.url)
+        assert source.tell(Standing(1))
+        packets = source.packets()
+        for _ in range(4):
+            next(packets)
+        assert RATE_HEADER.encode() not in host.requests[0]
+        line = b"\r\n%s: %s\r\n" % (RATE_HEADER.encode(), sent)
+        assert (line in host.requests[2]) == bool(sent)
+        assert (RATE_HEADER.encode() in host.requests[2]) == bool(sent)
+        assert source.play == LastPlay("", float(sent) if sent else None)
+        source.close()
+
+
+def test_a_server_that_was_started_again_goes_by_what_the_last_one_said(tmp_path: Path) -> None:
+    make_stream(tmp_path / "long", 160, fps=FPS)
+    with in_thread(tmp_path) as server:
+        url = f"{server.url}/v1/streams/long"
+        # Its name means nothing to this one.
+        last = LastPlay("0-" + "a" * 22, 7e6)
+        source = ServedSource("S", url, Fetcher(), FrameRange(), None, last_play=last)
+        assert source.play.token != last.token
+        assert source.play.rate_bps == 7e6
         source.close()
 
 

@@ -7,6 +7,9 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from email.message import Message
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
@@ -170,6 +173,65 @@ def test_a_server_that_is_killed_and_comes_back(page: Page, root: Path) -> None:
             page.wait(f"{PLAYER}.shownFrame > {end + 10}", 30)
         finally:
             second.kill()
+
+
+@contextmanager
+def breaking_server(root: Path, folder: Path) -> Iterator[tuple[str, list[Message]]]:
+    """A host of the stream `any` whose plays begin, and break off once they had news; its URL, and
+    the headers with which plays were asked for."""
+    asked: list[Message] = []
+    had_news = threading.Semaphore(0)
+
+    class Handler(SimpleHTTPRequestHandler):
+        def do_GET(self) -> None:
+            if not self.path.startswith("/v1/streams/any/play?"):
+                super().do_GET()
+                return
+            asked.append(self.headers)
+            self.send_response(200)
+            self.send_header("Swings-Play", f"play-{len(asked)}")
+            self.end_headers()
+            self.wfile.write(play_body(root))
+            self.wfile.flush()
+            had_news.acquire(timeout=30)
+
+        def do_POST(self) -> None:
+            self.rfile.read(int(self.headers["Content-Length"]))
+            self.send_response(204)
+            self.send_header("Swings-Rate", "12345678")
+            self.end_headers()
+            had_news.release()
+
+        def log_message(self, format: str, *args: object) -> None:
+            pass
+
+    (folder / "web").symlink_to(ROOT / "player" / "web")
+    host = ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=str(folder)))
+    thread = threading.Thread(target=host.serve_forever, kwargs={"poll_interval": 0.02})
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{host.server_port}", asked
+    finally:
+        had_news.release(1000)
+        host.shutdown()
+        thread.join()
+        host.server_close()
+
+
+def test_a_play_goes_on_with_what_the_last_server_said_of_the_link(
+    page: Page, root: Path, tmp_path: Path
+) -> None:
+    with breaking_server(root, tmp_path) as (url, asked):
+        page.open(f"{url}/web/watch.html?src=/v1/streams/any", WIDTH_PX, HEIGHT_PX)
+        until_s = time.monotonic() + 30
+        while not (asked and asked[-1]["Swings-Rate"]):
+            assert time.monotonic() < until_s, [one.items() for one in asked]
+            time.sleep(0.05)
+        assert asked[0]["Swings-Rate"] is None
+        assert asked[0]["Swings-Play"] is None
+        assert asked[-1]["Swings-Rate"] == "12345678"
+        assert asked[-1]["Swings-Play"] == f"play-{len(asked) - 1}"
+        page.open("about:blank")
 
 
 def test_a_link_of_12_4_and_12_mbit_s_without_a_stall(

@@ -1,0 +1,247 @@
+"""Clients of /play that come back, as a process: `python resumeload.py CONFIG_JSON` (ResumeConfig).
+
+Each does what a player does: it parses the records, shows frames as time goes by, tells the server
+once a second where it is, and when its response breaks asks for its next slice with what it was
+told of its last play. Which packets came when is written down; `resumefigures` makes sense of it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+import time
+from array import array
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import aiohttp
+import numpy as np
+
+from codec.stream.playrecord import EndRecord, ErrorRecord, RecordParser, SliceRecord
+from player.source.lastplay import LastPlay
+from player.source.retry import RetryConfig
+from server.abr.standing import PLAY_HEADER, RATE_HEADER, Standing, parse_rate
+
+NEWS_S = 1.0
+"""Seconds between two words to the server."""
+
+FIRST_FRAMES = 15
+"""Frames that a client waits for before it shows the first one."""
+
+
+@dataclass(frozen=True, slots=True)
+class ResumeConfig:
+    """What to ask, and how often."""
+
+    port: int
+    path: str
+    """Of the stream."""
+    clients: int
+    arrive_s: float
+    """Seconds over which the clients arrive, evenly."""
+    fps: float
+    swin_size: int
+    out: str
+    """File that gets what was seen, as numpy's npz. The process ends when its stdin does."""
+    tells_rate: bool = True
+    """Whether a client that comes back says what it was told of its link."""
+
+
+class ResumeLoad:
+    """All clients, and what they saw."""
+
+    def __init__(self, config: ResumeConfig) -> None:
+        self.config = config
+        self.base = f"http://127.0.0.1:{config.port}{config.path}/play"
+        # Of packets.
+        self.who, self.birth, self.at_s = array("i"), array("i"), array("d")
+        self.first, self.layers = array("b"), array("b")
+        # Of responses: when asked for, whose, in which worker, and their first slice.
+        self.play_s, self.play_who, self.play_place = array("d"), array("i"), array("i")
+        self.play_birth = array("i")
+        self.stalls = 0
+        """How often a client had nothing left to show."""
+        self.refused = 0
+        """Connections that were not accepted."""
+        self.busy = 0
+        """Answers other than 200: the server has no time for one more play."""
+        self.said: dict[str, int] = {}
+        """How often responses ended with which word of the server."""
+        self.news: dict[int, int] = {}
+        """How often news was answered with which status; 0 for not at all."""
+        self.slowest_news_s = 0.0
+
+    async def run(self) -> None:
+        """Until the end of stdin."""
+        config = self.config
+        timeout = aiohttp.ClientTimeout(total=None, sock_connect=10, sock_read=30)
+        # A play gets a connection of its own; news goes over whichever is there.
+        plays = aiohttp.TCPConnector(limit=0, force_close=True)
+        async with (
+            aiohttp.ClientSession(connector=plays, timeout=timeout) as session,
+            aiohttp.ClientSession(timeout=aiohttp.ClientTimeout(total=5)) as teller,
+            asyncio.TaskGroup() as group,
+        ):
+            clients = [_Client(self, number, session, teller) for number in range(config.clients)]
+            tasks = [
+                group.create_task(one.run(config.arrive_s * n / config.clients))
+                for n, one in enumerate(clients)
+            ]
+            await asyncio.to_thread(sys.stdin.read)
+            for task in tasks:
+                task.cancel()
+
+    def save(self) -> None:
+        known = {
+            "stalls": self.stalls,
+            "refused": self.refused,
+            "busy": self.busy,
+            "said": self.said,
+        }
+        known |= {"news": self.news, "slowest_news_s": self.slowest_news_s}
+        np.savez(
+            self.config.out,
+            who=np.frombuffer(self.who, np.int32),
+            birth=np.frombuffer(self.birth, np.int32),
+            at_s=np.frombuffer(self.at_s, np.float64),
+            first=np.frombuffer(self.first, np.int8),
+            layers=np.frombuffer(self.layers, np.int8),
+            play_s=np.frombuffer(self.play_s, np.float64),
+            play_who=np.frombuffer(self.play_who, np.int32),
+            play_place=np.frombuffer(self.play_place, np.int32),
+            play_birth=np.frombuffer(self.play_birth, np.int32),
+            known=np.array(json.dumps(known)),
+        )
+
+
+class _Client:
+    """One of them."""
+
+    def __init__(
+        self,
+        load: ResumeLoad,
+        number: int,
+        session: aiohttp.ClientSession,
+        teller: aiohttp.ClientSession,
+    ) -> None:
+        self._load = load
+        self._number = number
+        self._session = session
+        self._teller = teller
+        self._next_birth = 1 - load.config.swin_size
+        self._last = LastPlay()
+        self._frame = 0.0  # shown next
+        self._looked_s: float | None = None  # when that was so; None before the first picture
+        self._over = False
+        self._begun = asyncio.Event()  # a response that has had no news
+
+    async def run(self, wait_s: float) -> None:
+        await asyncio.sleep(wait_s)
+        telling = asyncio.create_task(self._tell())
+        patience, failures = RetryConfig(), 0
+        try:
+            while not self._over:
+                before = self._next_birth
+                try:
+                    await self._play()
+                except (aiohttp.ClientError, OSError, TimeoutError) as error:
+                    self._load.refused += isinstance(error, aiohttp.ClientConnectorError)
+                failures = 1 if self._next_birth > before else failures + 1
+                delay_s = patience.first_delay_s * 2.0 ** (failures - 1)
+                await asyncio.sleep(min(delay_s, patience.max_delay_s))
+        finally:
+            telling.cancel()
+
+    async def _play(self) -> None:
+        """One response, to its end."""
+        load, number, asked_s = self._load, self._number, time.monotonic()
+        frame = self._next_birth + load.config.swin_size - 1
+        headers = self._last.headers()
+        if not load.config.tells_rate:
+            headers.pop(RATE_HEADER, None)
+        async with self._session.get(f"{load.base}?from={frame}", headers=headers) as response:
+            if response.status != 200:
+                load.busy += 1
+                return
+            token = response.headers[PLAY_HEADER]
+            self._last = LastPlay(token, self._last.rate_bps)
+            load.play_s.append(asked_s)
+            load.play_who.append(number)
+            load.play_place.append(int(token.partition("-")[0]))
+            load.play_birth.append(self._next_birth)
+            self._begun.set()
+            parser = RecordParser()
+            async for piece in response.content.iter_any():
+                now_s = time.monotonic()
+                for record in parser.feed(piece):
+                    if isinstance(record, SliceRecord):
+                        self._take(record, now_s)
+                    elif isinstance(record, ErrorRecord):
+                        load.said[record.message] = load.said.get(record.message, 0) + 1
+                    elif isinstance(record, EndRecord):
+                        self._over = True
+
+    def _take(self, record: SliceRecord, now_s: float) -> None:
+        load = self._load
+        load.who.append(self._number)
+        load.birth.append(record.birth)
+        load.at_s.append(now_s)
+        load.first.append(record.first_layer)
+        load.layers.append(len(record.packets))
+        if not record.first_layer:
+            self._show(now_s)
+            self._next_birth = max(self._next_birth, record.birth + 1)
+            if self._looked_s is None and self._next_birth >= FIRST_FRAMES:
+                self._looked_s = now_s
+
+    def _show(self, now_s: float) -> None:
+        """Shows frames until now, as far as they are here."""
+        if self._looked_s is None:
+            return
+        self._frame += (now_s - self._looked_s) * self._load.config.fps
+        self._looked_s = now_s
+        if self._frame > self._next_birth:
+            self._frame = self._next_birth
+            self._load.stalls += 1
+
+    async def _tell(self) -> None:
+        load = self._load
+        while True:
+            # A new response hears at once where its client is, and later once a second.
+            with suppress(TimeoutError):
+                async with asyncio.timeout(NEWS_S):
+                    await self._begun.wait()
+            self._begun.clear()
+            began_s = time.monotonic()
+            self._show(began_s)
+            if self._last.token:
+                status = 0
+                try:
+                    body = Standing(int(self._frame)).to_json()
+                    url = f"{load.base}/{self._last.token}"
+                    async with self._teller.post(url, data=body) as answer:
+                        status = answer.status
+                        rate_bps = parse_rate(answer.headers.get(RATE_HEADER, ""))
+                    if rate_bps is not None:
+                        self._last = LastPlay(self._last.token, rate_bps)
+                except (aiohttp.ClientError, OSError, TimeoutError):
+                    pass  # it is lost; the next says more
+                load.news[status] = load.news.get(status, 0) + 1
+                load.slowest_news_s = max(load.slowest_news_s, time.monotonic() - began_s)
+
+
+def resume_command(config: ResumeConfig) -> list[str]:
+    """What runs this file with `config`."""
+    return [sys.executable, str(Path(__file__)), json.dumps(asdict(config))]
+
+
+def main() -> None:
+    load = ResumeLoad(ResumeConfig(**json.loads(sys.argv[1])))
+    asyncio.run(load.run())
+    load.save()
+
+
+if __name__ == "__main__":
+    main()
