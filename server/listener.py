@@ -52,7 +52,9 @@ def is_loopback(listener: socket.socket) -> bool:
 
 
 def bound_connections(listener: socket.socket) -> None:
-    """Bounds what a peer that takes nothing costs in the kernel: UNSENT_BYTES. Accepted connections
-    inherit it from `listener`."""
+    """Bounds what a peer that takes nothing costs in the kernel: UNSENT_BYTES; and has what is
+    written go out at once. Accepted connections inherit both from `listener`."""
+    # Else the last, small piece of a response waits until the client has acknowledged the others.
+    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     if hasattr(socket, "TCP_NOTSENT_LOWAT"):
         listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT_BYTES)
