@@ -122,16 +122,17 @@ class Acceptor:
         task.add_done_callback(self._starting.discard)
 
     async def _connect(self, sock: socket.socket, address: str) -> None:
-        past = sock if self._tls is None else None
-
-        def protocol() -> HttpConnection:
-            return HttpConnection(self._site, past, address)
-
+        connection = HttpConnection(self._site, sock if self._tls is None else None, address)
         seconds = TLS_HANDSHAKE_S if self._tls is not None else None
-        with suppress(OSError):  # it went away, or does not speak TLS
+        try:
             await self._loop.connect_accepted_socket(
-                protocol, sock, ssl=self._tls, ssl_handshake_timeout=seconds
+                lambda: connection, sock, ssl=self._tls, ssl_handshake_timeout=seconds
             )
+        except OSError:
+            pass  # it went away, or does not speak TLS
+        finally:
+            if not connection.began:
+                self._site.closed(address)
 
     def _pause(self) -> None:
         self._loop.remove_reader(self._listener)
