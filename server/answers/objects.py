@@ -8,8 +8,9 @@ from urllib.parse import parse_qsl
 
 from codec.stream.integrity import MAX_INDEX_BYTES
 from codec.stream.manifest import Part
+from codec.stream.plainrecord import ZSTD
 from codec.stream.poster import picture_type
-from server.http.content import IMMUTABLE, REVALIDATE, Content, respond
+from server.http.content import IMMUTABLE, REVALIDATE, Content, accepted_codings, respond
 from server.http.errors import RequestError
 from server.http.response import Response
 from server.library import ServedStream
@@ -86,10 +87,14 @@ def segment_object(call: Call) -> Answer:
 
 
 async def _load(call: Call, stream: ServedStream, segment: int, part: Part) -> Response:
-    if call.request.method == "HEAD":
-        # What the index says of it is enough.
+    codings = accepted_codings(call.request.fields.get("accept-encoding", ""))
+    if call.request.method == "HEAD" and ZSTD not in codings:
+        # What the index says of it is enough. Whether it can be had coded, it does not say.
         size, sha256 = stream.object_bytes(segment, part), stream.object_sha256(segment, part)
-        return respond(call.request, Content(b"", size, sha256, OBJECT_TYPE, IMMUTABLE))
+        whole = Content(b"", size, sha256, OBJECT_TYPE, IMMUTABLE)
+        response = respond(call.request, whole)
+        response.fields = {**response.fields, "Vary": "Accept-Encoding"}
+        return response
     cache = call.state.cache
     content = await cache.load_content(stream, segment, part)
     cache.make_ready(call.request.path, stream, segment, part)

@@ -26,7 +26,9 @@ TAGS = st.lists(
     st.sampled_from([TAG, CODED, OTHER, f"W/{TAG}", f"W/{CODED}", "*", "", "f00d"]), max_size=3
 ).map(", ".join)
 RANGES = st.one_of(
-    st.tuples(st.integers(0, 120), st.integers(0, 120)).map(lambda pair: "bytes=%d-%d" % pair),
+    st.tuples(st.integers(0, 120), st.integers(0, 120)).map(
+        lambda pair: f"bytes={pair[0]}-{pair[1]}"
+    ),
     st.integers(0, 120).map(lambda n: f"bytes={n}-"),
     st.integers(0, 120).map(lambda n: f"bytes=-{n}"),
     st.sampled_from(["bytes=0-1,3-4", "lines=1-2", "bytes", ""]),
