@@ -143,6 +143,7 @@ class Application(Site):
         self.state.metrics.timeouts.add(1, kind)
 
     def has_room(self) -> bool:
+        # Those too that were accepted just now, or are still at their handshake.
         return self._admission.num_held < self._max_connections
 
     def paused(self) -> None:

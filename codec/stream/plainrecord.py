@@ -88,6 +88,8 @@ def inflates_whole(data: bytes, entries: Sequence[ChunkEntry]) -> bool:
     zstd`. entries: its table."""
     for entry in entries:
         packet = memoryview(data)[entry.offset : entry.offset + entry.size]
+        if not packet:
+            continue  # a chunk of nothing, in version 2
         if coder_of(packet) is not Coder.ZSTD:
             return False
         if zstandard.get_frame_parameters(packet).window_size > MAX_WINDOW_BYTES:

@@ -130,7 +130,7 @@ class Acceptor:
                     lambda: connection, sock, ssl=self._tls, ssl_handshake_timeout=seconds
                 )
         finally:
-            if not connection.is_made:
+            if not connection.began:
                 sock.close()
                 self._site.closed(address)
 

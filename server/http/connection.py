@@ -39,6 +39,8 @@ bytes takes the response with it."""
 READ_AHEAD_BYTES: Final = MAX_HEAD_BYTES
 """Bytes of further requests that are kept while one is answered."""
 
+TURN_REQUESTS: Final = 16
+"""Requests of one client that are answered before the other connections have their turn."""
 
 _BEGIN = re.compile(rb"[A-Za-z]|\r\Z")
 """What the first byte of a request is; an empty line may come before it."""
@@ -57,8 +59,6 @@ class HttpConnection(asyncio.BufferedProtocol):
         self._site = site
         self._socket = sock
         self.address = address
-        self.is_made = False
-        """Whether it has begun: with TLS, whether the client speaks that."""
         self._parser = HeadParser(site.max_body_bytes)
         self._buffer = bytearray()
         self._searched = 0  # bytes of the buffer that hold no end of a head
@@ -70,7 +70,10 @@ class HttpConnection(asyncio.BufferedProtocol):
         self._lingers = False
         self._ended = False  # the client sends no more
         self._reading = True
+        self._due = False  # the loop will read requests from the buffer
         self._begun = False  # whether a part of a request has come
+        self.began = False
+        """Whether there was a connection, after any handshake; if so, it tells its end itself."""
         self.cut = ""
         self._deadline_s = 0.0
 
@@ -78,12 +81,13 @@ class HttpConnection(asyncio.BufferedProtocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
+        self.began = True
         self._transport = transport
         self._loop = asyncio.get_running_loop()
         self._outlet = Outlet(transport, self._socket)
+        self._outlet.hold_at_most(0)  # may pause it at once: TLS has greetings of its own
         self._deadline_s = self._loop.time() + self._site.patience.request_timeout_s
         self._site.connections.add(self)
-        self.is_made = True
 
     def get_buffer(self, sizehint: int) -> memoryview:
         return _INCOMING
@@ -98,7 +102,8 @@ class HttpConnection(asyncio.BufferedProtocol):
         self._buffer += _INCOMING[:nbytes]
         if self._exchange is None:
             self._read_requests()
-        if self._exchange is not None and len(self._buffer) > READ_AHEAD_BYTES and self._reading:
+        waits = self._exchange is not None or self._due
+        if waits and len(self._buffer) > READ_AHEAD_BYTES and self._reading:
             self._reading = False
             self._transport.pause_reading()
 
@@ -107,7 +112,7 @@ class HttpConnection(asyncio.BufferedProtocol):
         if self._writer is not None:
             self.abort("gone")  # who plays has left; nobody waits for the rest
         # Who has sent the last request may close that side. TLS cannot keep the other one.
-        return self._exchange is not None and self._socket is not None
+        return (self._exchange is not None or self._due) and self._socket is not None
 
     def pause_writing(self) -> None:
         self._outlet.paused = True
@@ -132,8 +137,11 @@ class HttpConnection(asyncio.BufferedProtocol):
     # Reading.
 
     def _read_requests(self) -> None:
-        """Answers the requests in the buffer, until one takes its time."""
-        while self._exchange is None and not self._lingers and not self._transport.is_closing():
+        """Answers the requests in the buffer, until one takes its time or others have a turn."""
+        self._due = False
+        for _ in range(TURN_REQUESTS):
+            if self._exchange is not None or self._lingers or self._transport.is_closing():
+                return
             try:
                 request = self._next_request()
             except RequestError as error:
@@ -168,7 +176,7 @@ class HttpConnection(asyncio.BufferedProtocol):
             self._searched = 0
             request = self._parser.parse(bytes(buffer[:end]))
             del buffer[: end + len(HEAD_END)]
-            if request.body_bytes and request.waits_to_send and not buffer:
+            if request.waits_to_send and not buffer:
                 self._outlet.write(b"HTTP/1.1 100 Continue\r\n\r\n")
         if len(buffer) < request.body_bytes:
             self._awaited = request
@@ -250,7 +258,7 @@ class HttpConnection(asyncio.BufferedProtocol):
         self._outlet.send(head, body, self._finish_response)
 
     def _head(self, status: int, fields: bytes, modern: bool) -> bytes:
-        keep_alive = self._keep_alive and not self._ended
+        keep_alive = self._keep_alive and (not self._ended or bool(self._buffer))
         return self._site.heads.head(status, fields, keep_alive, modern, time.time())
 
     def _finish_response(self) -> None:
@@ -259,15 +267,16 @@ class HttpConnection(asyncio.BufferedProtocol):
         if self._transport.is_closing():
             return
         now_s = self._loop.time()
-        if not self._keep_alive or self._ended:
+        if not self._keep_alive or (self._ended and not self._buffer):
             self._linger(now_s)
             return
         self._deadline_s = now_s + self._site.patience.keepalive_timeout_s
-        if not self._reading:
+        if not self._reading and len(self._buffer) <= READ_AHEAD_BYTES:
             self._reading = True
             self._transport.resume_reading()
-        if self._buffer:
+        if self._buffer and not self._due:
             # Not at once, or as many responses would be on the stack as requests came together.
+            self._due = True
             self._loop.call_soon(self._read_requests)
 
     def _finish_exchange(self, status: int = 0) -> None:
@@ -299,7 +308,7 @@ class HttpConnection(asyncio.BufferedProtocol):
         least_bytes = patience.least_rate_bytes * patience.write_timeout_s
         if self._outlet.has_stalled(now_s, patience.write_timeout_s, max(1.0, least_bytes)):
             self._end("stalled", "write")
-        elif self._exchange is not None or now_s < self._deadline_s:
+        elif self._exchange is not None or now_s < self._deadline_s or self._transport.is_closing():
             return
         elif self._lingers:
             self._transport.abort()

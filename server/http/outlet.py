@@ -43,11 +43,10 @@ class Outlet:
         self._body = memoryview(b"")  # what is left of it
         self._then: Callable[[], None] | None = None
         self._window: tuple[float, int] | None = None  # when it began, what had arrived by then
-        self.hold_at_most(0)
 
     def hold_at_most(self, queue_bytes: int) -> None:
         """Lets about `queue_bytes` wait in the process, and as many unsent in the kernel."""
-        # Not 0: with TLS nothing at all would be too much.
+        # Not 0: a TLS transport would be paused before it has anything, and nothing resumes it.
         self._transport.set_write_buffer_limits(high=max(1, queue_bytes), low=queue_bytes // 4)
         if queue_bytes and hasattr(socket, "TCP_NOTSENT_LOWAT"):
             self._asked.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, queue_bytes)
@@ -59,13 +58,14 @@ class Outlet:
             self._transport.write(data)
 
     def send(self, head: bytes, body: bytes | memoryview, then: Callable[[], None]) -> None:
-        """Sends `head` and `body`, and calls `then` once nothing of them is left here. The
-        transport may hold a little still."""
+        """Sends `head` and `body`, and calls `then` once the transport has room again: who sends
+        requests and takes no responses is not read on."""
+        self._then = then
         if len(body) <= SHORT_BYTES:
             self.write(b"".join((head, body)))
-            then()
+            self.pump()
             return
-        self._body, self._then = memoryview(body), then
+        self._body = memoryview(body)
         sent = self._give(head, self._body)
         self._body = self._body[max(0, sent - len(head)) :]
         if sent < len(head):
@@ -88,6 +88,8 @@ class Outlet:
                 sent = TRIPWIRE_BYTES if self._socket is not None else PIECE_BYTES
                 self.write(self._body[:sent])
             self._body = self._body[sent:]
+        if self.paused:
+            return
         then, self._then = self._then, None
         then()
 

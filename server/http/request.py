@@ -74,8 +74,10 @@ class Request:
 
     @property
     def waits_to_send(self) -> bool:
-        """Whether the client holds its body back until it is told to go on."""
-        return self.fields.get("expect", "").lower() == "100-continue"
+        """Whether the client holds its body back until it is told to go on. In HTTP/1.0 nobody
+        does, whatever it says (RFC 9110, section 10.1.1)."""
+        expects = self.fields.get("expect", "").lower() == "100-continue"
+        return expects and self.chunks and self.body_bytes > 0
 
 
 class HeadParser:

@@ -1,0 +1,147 @@
+"""Objects as `Content-Encoding: zstd`: the bytes as they lie, and a client that inflates them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import aiohttp
+import pytest
+import zstandard
+
+from codec.coders import gzip
+from codec.stream import StreamReader
+from codec.stream.manifest import Part
+from codec.stream.object import ChunkEntry, packet_content
+from codec.stream.plainrecord import inflates_whole
+from tests.support.server.running_server import (
+    Running,
+    make_stream,
+    on_server,
+)
+from tests.support.slots.slot_streams import write_slot_stream
+from tests.support.slots.updates import small_layout
+
+URL = "/v1/streams/walk/segments/0/1"
+ZSTD = {"Accept-Encoding": "gzip, deflate, br, zstd"}
+NONE = {"Accept-Encoding": "identity"}
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("root")
+    make_stream(root / "walk", 12, slice_size=500)
+    write_slot_stream(root / "slots", 13, small_layout(3, (6, 4, 5), 0, 5))
+    return root
+
+
+def inflated(data: bytes) -> bytes:
+    """All frames of it, as a browser takes them."""
+    with zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True) as reader:
+        return reader.read()
+
+
+def contents(folder: Path, segment: int, part: Part) -> bytes:
+    """What is in the packets, one behind the other."""
+    found = StreamReader(folder).read_object(segment, part)
+    packets = [found.data[one.offset : one.offset + one.size] for one in found.entries]
+    return b"".join(packet_content(packet, 1 << 24) for packet in packets)
+
+
+Raw = tuple[int, Mapping[str, str], bytes]
+
+
+async def fetch(client: aiohttp.ClientSession, url: str, method: str = "GET", **fields: str) -> Raw:
+    """Status, fields and the bytes as they came."""
+    headers = {name.replace("_", "-"): value for name, value in fields.items()}
+    async with client.request(method, url, headers=headers) as response:
+        return response.status, response.headers, await response.read()
+
+
+async def each_way(port: int, url: str, method: str = "GET", **fields: str) -> tuple[Raw, Raw]:
+    """As it lies and coded, by a client that decodes nothing."""
+    async with aiohttp.ClientSession(f"http://127.0.0.1:{port}", auto_decompress=False) as client:
+        plain = await fetch(client, url, method, **{**NONE, **fields})
+        return plain, await fetch(client, url, method, **{**ZSTD, **fields})
+
+
+def test_its_frames_hold_the_contents_of_its_packets(root: Path) -> None:
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        urls = [
+            (f"/v1/streams/{name}/segments/{segment}/{part}", root / name, segment, part)
+            for name in ("walk", "slots")
+            for segment in range(2)
+            for part in StreamReader(root / name).manifest.parts
+        ]
+        assert len(urls) > 12
+        for url, folder, segment, part in urls:
+            for _ in range(2):  # read for it, and from memory
+                plain, coded = await each_way(server.port, url)
+                assert (
+                    plain[2]
+                    == coded[2]
+                    == (folder / "segments" / url.split("segments/")[1]).read_bytes()
+                )
+                assert "Content-Encoding" not in plain[1]
+                assert coded[1]["Content-Encoding"] == "zstd"
+                assert inflated(coded[2]) == contents(folder, segment, part)
+                assert plain[1]["ETag"] != coded[1]["ETag"]
+                assert plain[1]["Vary"] == coded[1]["Vary"] == "Accept-Encoding"
+
+    on_server(root, check)
+
+
+def test_each_form_is_revalidated_with_its_own_tag(root: Path) -> None:
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        for method in ("HEAD", "GET", "HEAD"):  # HEAD before it was read, and after
+            plain, coded = await each_way(server.port, URL, method)
+            tags = plain[1]["ETag"], coded[1]["ETag"]
+            assert tags[0] != tags[1]
+            for n, tag in enumerate(tags):
+                got = await each_way(server.port, URL, method, If_None_Match=tag)
+                assert [one[0] for one in got] == [304 if m == n else 200 for m in (0, 1)]
+                got = await each_way(server.port, URL, method, If_Match=tag)
+                assert [one[0] for one in got] == [200 if m == n else 412 for m in (0, 1)]
+
+    on_server(root, check)
+
+
+def test_a_range_is_never_coded(root: Path) -> None:
+    whole = (root / "walk" / "segments" / "0" / "1").read_bytes()
+
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        for text, status, body in (
+            ("bytes=5-99", 206, whole[5:100]),
+            ("bytes=0-", 206, whole),
+            ("bytes=0-1,4-5", 200, whole),
+        ):
+            plain, coded = await each_way(server.port, URL, Range=text)
+            assert plain[0] == coded[0] == status
+            assert plain[2] == coded[2] == body
+            assert "Content-Encoding" not in coded[1]
+            assert plain[1]["ETag"] == coded[1]["ETag"]
+
+    on_server(root, check)
+
+
+def test_what_is_not_an_object_is_never_coded(root: Path) -> None:
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        for url in ("/v1/streams/walk/manifest.json", "/v1/streams/walk/index.bin"):
+            plain, coded = await each_way(server.port, url)
+            assert "Content-Encoding" not in coded[1]
+            assert plain[1]["ETag"] == coded[1]["ETag"]
+            assert plain[2] == coded[2]
+
+    on_server(root, check)
+
+
+def test_an_object_is_one_zstd_stream_or_not() -> None:
+    packet, empty = zstandard.compress(b"something"), ChunkEntry(0, 0, 0)
+    some = ChunkEntry(1, 0, len(packet))
+    assert inflates_whole(packet, [empty, some])  # a packet of no bytes is part of any stream
+    assert inflates_whole(b"", [])
+    other = gzip.compress(b"something")
+    assert not inflates_whole(packet + other, [some, ChunkEntry(2, len(packet), len(other))])
+    wide = zstandard.ZstdCompressionParameters(window_log=24)
+    packet = zstandard.ZstdCompressor(compression_params=wide).compress(bytes(1 << 25))
+    assert not inflates_whole(packet, [ChunkEntry(0, 0, len(packet))])  # browsers refuse it
