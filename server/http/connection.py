@@ -36,6 +36,9 @@ LINGER_S: Final = 2.0
 """Seconds that a connection is read on after its last response: one that is closed with unread
 bytes takes the response with it."""
 
+LAST_CALL_S: Final = 0.5
+"""Seconds for the first request of who was accepted just before the server stopped."""
+
 READ_AHEAD_BYTES: Final = MAX_HEAD_BYTES
 """Bytes of further requests that are kept while one is answered."""
 
@@ -64,7 +67,8 @@ class HttpConnection(asyncio.Protocol):
         self._lingers = False
         self._ended = False  # the client sends no more
         self._reading = True
-        self._begun = False  # whether a part of a request has come
+        self._fresh = True  # whether no request has come yet
+        self._begun = False  # whether a part of one has come since the last
         self.cut = ""
         self._deadline_s = 0.0
 
@@ -75,7 +79,7 @@ class HttpConnection(asyncio.Protocol):
         self._transport = transport
         self._loop = asyncio.get_running_loop()
         self._outlet = Outlet(transport, self._socket)
-        self._deadline_s = self._loop.time() + self._site.patience.request_timeout_s
+        self._deadline_s = self._request_deadline_s()
         self._site.connections.add(self)
 
     def data_received(self, data: bytes) -> None:
@@ -84,7 +88,7 @@ class HttpConnection(asyncio.Protocol):
         if not self._begun:
             # From the first byte on, whatever trickles in later.
             self._begun = True
-            self._deadline_s = self._loop.time() + self._site.patience.request_timeout_s
+            self._deadline_s = self._request_deadline_s()
         self._buffer += data
         if self._exchange is None:
             self._read_requests()
@@ -170,7 +174,7 @@ class HttpConnection(asyncio.Protocol):
     # Answering.
 
     def _answer(self, request: Request) -> None:
-        self._begun = False
+        self._begun = self._fresh = False
         self._keep_alive = request.keep_alive and not self._site.stopping
         self._exchange = exchange = Exchange(self.address, self._loop.time(), request)
         answer = self._site.answer(exchange)
@@ -302,10 +306,22 @@ class HttpConnection(asyncio.Protocol):
             self._site.cut("idle")
             self._close()
 
+    def _request_deadline_s(self) -> float:
+        """When a request must have come of which the first byte comes now."""
+        patience_s = self._site.patience.request_timeout_s
+        return self._loop.time() + (
+            min(patience_s, LAST_CALL_S) if self._site.stopping else patience_s
+        )
+
     def stop(self) -> None:
-        """Closes the connection as soon as no response is on its way."""
+        """Closes the connection as soon as no response is on its way. Whose request is, as the
+        connection was accepted a moment ago, is answered yet."""
         self._keep_alive = False
-        if self._exchange is None:
+        if self._exchange is not None or self._lingers:
+            return
+        if self._fresh or self._begun:
+            self._deadline_s = min(self._deadline_s, self._request_deadline_s())
+        else:
             self._close()
 
     def abort(self, why: str = "stopped") -> None:
