@@ -1,9 +1,9 @@
 """Workers of swings-serve that are killed under its clients; `resumefigures` says what is measured.
 
-Every `every_s` seconds one of the workers that live, by chance, gets a SIGKILL. With two workers it
-has then lived for twice as long on average, but often only once: where it dies within the
-supervisor's settle_s of its start it is started again after 0.1 s, the next time in a row after
-0.2 s, and so on. Its clients do not wait for it: the other worker takes them.
+Every `every_s` seconds one of the workers that live, by chance, gets a SIGKILL. As it has settled
+by then, it is started again at once. With a `settle_s` above `every_s` these are crash loops: most
+restarts wait up to ten seconds, the other worker serves all alone, and does what it does under too
+much load, fewer layers first and then 503 to whoever comes back.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class KillConfig:
     """Size of a frame, all its layers together."""
     max_lead_s: float = 6.0
     """What a client is sent ahead, and all at once when it comes back. See --max-lead-s."""
-    settle_s: float = 5.0
+    settle_s: float = 2.5
     """See --settle-s of swings-serve."""
     arrive_s: float = 3.0
     """Seconds over which the clients arrive; as many later the killing begins."""

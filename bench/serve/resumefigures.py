@@ -73,7 +73,7 @@ class ResumeFigures:
     refused: int
     """Connections that were not accepted."""
     busy: int
-    """Plays that were asked for and answered 503: a worker with too much to do takes no new ones."""
+    """Plays that were answered 503: a worker with too much to do takes no new ones."""
     said: dict[str, int]
     """How often responses ended with which word of the server."""
     news: dict[str, int]

@@ -36,6 +36,9 @@ LINGER_S: Final = 2.0
 """Seconds that a connection is read on after its last response: one that is closed with unread
 bytes takes the response with it."""
 
+LAST_CALL_S: Final = 0.5
+"""Seconds for the first request of who was accepted just before the server stopped."""
+
 READ_AHEAD_BYTES: Final = MAX_HEAD_BYTES
 """Bytes of further requests that are kept while one is answered."""
 
@@ -71,7 +74,8 @@ class HttpConnection(asyncio.BufferedProtocol):
         self._ended = False  # the client sends no more
         self._reading = True
         self._due = False  # the loop will read requests from the buffer
-        self._begun = False  # whether a part of a request has come
+        self._fresh = True  # whether no request has come yet
+        self._begun = False  # whether a part of one has come since the last
         self.began = False
         """Whether there was a connection, after any handshake; if so, it tells its end itself."""
         self.cut = ""
@@ -86,7 +90,7 @@ class HttpConnection(asyncio.BufferedProtocol):
         self._loop = asyncio.get_running_loop()
         self._outlet = Outlet(transport, self._socket)
         self._outlet.hold_at_most(0)  # may pause it at once: TLS has greetings of its own
-        self._deadline_s = self._loop.time() + self._site.patience.request_timeout_s
+        self._deadline_s = self._request_deadline_s()
         self._site.connections.add(self)
 
     def get_buffer(self, sizehint: int) -> memoryview:
@@ -98,7 +102,7 @@ class HttpConnection(asyncio.BufferedProtocol):
         if not self._begun:
             # From the first byte on, whatever trickles in later.
             self._begun = True
-            self._deadline_s = self._loop.time() + self._site.patience.request_timeout_s
+            self._deadline_s = self._request_deadline_s()
         self._buffer += _INCOMING[:nbytes]
         if self._exchange is None:
             self._read_requests()
@@ -190,7 +194,7 @@ class HttpConnection(asyncio.BufferedProtocol):
     # Answering.
 
     def _answer(self, request: Request) -> None:
-        self._begun = False
+        self._begun = self._fresh = False
         self._keep_alive = request.keep_alive and not self._site.stopping
         self._exchange = exchange = Exchange(self.address, self._loop.time(), request)
         answer = self._site.answer(exchange)
@@ -324,10 +328,22 @@ class HttpConnection(asyncio.BufferedProtocol):
             self._site.cut("idle")
             self._close()
 
+    def _request_deadline_s(self) -> float:
+        """When a request must have come of which the first byte comes now."""
+        patience_s = self._site.patience.request_timeout_s
+        return self._loop.time() + (
+            min(patience_s, LAST_CALL_S) if self._site.stopping else patience_s
+        )
+
     def stop(self) -> None:
-        """Closes the connection as soon as no response is on its way."""
+        """Closes the connection as soon as no response is on its way. Whose request is, as the
+        connection was accepted a moment ago, is answered yet."""
         self._keep_alive = False
-        if self._exchange is None:
+        if self._exchange is not None or self._lingers:
+            return
+        if self._fresh or self._begun:
+            self._deadline_s = min(self._deadline_s, self._request_deadline_s())
+        else:
             self._close()
 
     def abort(self, why: str = "stopped") -> None:

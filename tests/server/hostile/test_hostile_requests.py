@@ -39,6 +39,10 @@ def server(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ser
     # Without a line for each request, so that any other line shows.
     log = tmp_path_factory.mktemp("log")
     with server_process(root, log, "--no-log-requests") as running:
+        for _ in range(1000):
+            if any("is served" in line for line in running.log_lines()):
+                break
+            time.sleep(0.01)
         yield running
 
 

@@ -1,0 +1,258 @@
+"""swings-serve with workers: what a client asks may come to another one, or to its successor."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import os
+import re
+import signal
+import socket
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from codec.stream.playrecord import EndRecord, ErrorRecord, Record
+from server.abr.standing import PLAY_HEADER, RATE_HEADER
+from tests.server.hostile.serverprocess import ServerProcess, get, server_process
+from tests.support.server.running_server import (
+    births_with_layer_0,
+    make_stream,
+    parse_records,
+)
+
+pytestmark = pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="several workers need Linux"
+)
+
+JSON = ("--log", "json")
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("root")
+    make_stream(folder / "long", 600, slice_size=500)
+    make_stream(folder / "big", 300, slice_size=4000)
+    return folder
+
+
+def events(server: ServerProcess, *kinds: str) -> list[dict[str, Any]]:
+    lines = [json.loads(line) for line in server.log_lines() if line.startswith("{")]
+    return [line for line in lines if line["event"] in kinds]
+
+
+def wait_until(holds: Any, seconds: float = 15.0) -> None:
+    end_s = time.monotonic() + seconds
+    while not holds():
+        assert time.monotonic() < end_s, "it did not happen"
+        time.sleep(0.02)
+
+
+class Play:
+    """A play that runs, and is read as it comes."""
+
+    def __init__(self, server: ServerProcess, query: str = "") -> None:
+        self._connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=20)
+        self._connection.request("GET", f"/v1/streams/long/play{query}")
+        self.response = self._connection.getresponse()
+        assert self.response.status == 200
+        self.token = self.response.headers[PLAY_HEADER]
+        self.place = int(self.token.partition("-")[0])
+        self.pieces: list[bytes] = []
+        self._reader = threading.Thread(target=self._read)
+        self._reader.start()
+
+    def _read(self) -> None:
+        with suppress(OSError, http.client.HTTPException):
+            while piece := self.response.read1(65536):
+                self.pieces.append(piece)
+
+    def records(self) -> list[Record]:
+        """All that came, once the response has ended."""
+        self._reader.join(20)
+        return parse_records(self.pieces)
+
+    def close(self) -> None:
+        if self._connection.sock is not None:
+            with suppress(OSError):  # it has ended
+                self._connection.sock.shutdown(socket.SHUT_RDWR)
+        self._reader.join(20)
+        self.response.close()
+        self._connection.close()
+
+
+def connections_to_both(server: ServerProcess, stack: ExitStack) -> dict[int, Any]:
+    """By worker a connection to it that is kept."""
+    found: dict[int, http.client.HTTPConnection] = {}
+    for _ in range(300):
+        one = http.client.HTTPConnection("127.0.0.1", server.port, timeout=20)
+        one.request("GET", "/v1/streams/long/play?until=1&layers=1")
+        response = one.getresponse()
+        response.read()
+        place = int(response.headers[PLAY_HEADER].partition("-")[0])
+        if place in found:
+            one.close()
+            continue
+        found[place] = stack.enter_context(closing(one))
+        if len(found) == 2:
+            return found
+    raise AssertionError("one worker takes all connections")
+
+
+def test_news_of_a_play_may_come_to_any_worker(root: Path, tmp_path: Path) -> None:
+    with (
+        server_process(root, tmp_path, "--workers", 2, *JSON) as server,
+        ExitStack() as stack,
+    ):
+        wait_until(lambda: len(events(server, "worker_ready")) == 2)
+        to_both = connections_to_both(server, stack)
+
+        def tell(place: int, token: str, body: bytes) -> tuple[int, str | None]:
+            one = to_both[place]
+            one.request("POST", f"/v1/streams/long/play/{token}", body)
+            answer = one.getresponse()
+            answer.read()
+            return answer.status, answer.headers[RATE_HEADER]
+
+        places = set[int]()
+        while places != {0, 1}:
+            play = stack.enter_context(closing(Play(server)))
+            places.add(play.place)
+            for place in to_both:
+                wait_until(lambda p=place, t=play.token: tell(p, t, b'{"frame": 1}')[1])
+                status, rate = tell(place, play.token, b'{"frame": 1}')
+                assert status == 204
+                assert rate is not None
+                assert int(rate) > 1_000_000
+                assert tell(place, play.token, b"nonsense") == (400, None)
+            play.close()
+            for place in to_both:
+                wait_until(lambda p=place, t=play.token: tell(p, t, b'{"frame": 1}')[0] == 404)
+        # What it counts it counts once, whoever was asked.
+        text = get(server.port, "/metrics").body.decode()
+        assert re.search(r'^swings_play_news_total\{outcome="refused"\} [1-9]', text, re.MULTILINE)
+
+
+class Comers:
+    """Clients that come one after the other, while something happens."""
+
+    def __init__(self, port: int) -> None:
+        self._port = port
+        self._stop = threading.Event()
+        self.answered = 0
+        self.troubles: list[str] = []
+        self.longest_s = 0.0
+        self._thread = threading.Thread(target=self._come)
+
+    def __enter__(self) -> Comers:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stop.set()
+        self._thread.join()
+
+    def _come(self) -> None:
+        while not self._stop.is_set():
+            began_s = time.monotonic()
+            try:
+                status = get(self._port, "/v1/streams/long/manifest.json").status
+                self.answered += status == 200
+                if status != 200:
+                    self.troubles.append(str(status))
+            except (OSError, AssertionError) as error:
+                self.troubles.append(repr(error))
+            self.longest_s = max(self.longest_s, time.monotonic() - began_s)
+
+
+def test_renewed_workers_say_where_to_go_on_and_nobody_is_refused(
+    root: Path, tmp_path: Path
+) -> None:
+    with server_process(root, tmp_path, "--workers", 2, *JSON) as server, ExitStack() as stack:
+        wait_until(lambda: len(events(server, "worker_ready")) == 2)
+        plays = [stack.enter_context(closing(Play(server, "?layers=2"))) for _ in range(12)]
+        with Comers(server.port) as comers:
+            time.sleep(0.3)
+            for round in (1, 2):  # and once more: there is room for it
+                os.kill(server.pid, signal.SIGHUP)
+                wait_until(lambda n=2 * round: len(events(server, "worker_ended")) == n)
+            time.sleep(0.3)
+        assert comers.troubles == []
+        assert comers.answered > 20
+        assert comers.longest_s < 2
+        assert not events(server, "worker_died", "worker_killed", "renewal_failed")
+        for play in plays:
+            records = play.records()
+            last = records[-1]
+            assert isinstance(last, ErrorRecord)
+            match = re.fullmatch(
+                r"the server is stopping; play again from frame (\d+)", last.message
+            )
+            assert match, last
+            frame = int(match[1])
+            births = births_with_layer_0(records)
+            assert births[-1] == frame - 1
+            query = f"?from={frame}&until={frame + 20}&layers=2"
+            with closing(Play(server, query)) as rest:
+                more = rest.records()
+            assert isinstance(more[-1], EndRecord)
+            new = [birth for birth in births_with_layer_0(more) if birth >= frame]
+            assert births + new == list(range(births[0], frame + 20))
+
+
+SHUTDOWN_S = 3.0
+
+
+@pytest.fixture
+def stuck_plays() -> Iterator[list[socket.socket]]:
+    """Sockets, which are closed at the end."""
+    sockets: list[socket.socket] = []
+    yield sockets
+    for one in sockets:
+        one.close()
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_it_ends_in_time_though_50_clients_read_nothing(
+    root: Path, tmp_path: Path, workers: int, stuck_plays: list[socket.socket]
+) -> None:
+    words = ("--workers", workers, "--shutdown-timeout-s", SHUTDOWN_S, *JSON)
+    with server_process(root, tmp_path, *words) as server:
+        for _ in range(50):
+            one = socket.socket()
+            one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            one.connect(("127.0.0.1", server.port))
+            one.sendall(b"GET /v1/streams/big/play HTTP/1.1\r\nHost: h\r\n\r\n")
+            stuck_plays.append(one)
+
+        def active() -> float:
+            found = re.search(
+                r"^swings_active_plays (\d+)", get(server.port, "/metrics").body.decode(), re.M
+            )
+            return float(found[1]) if found else 0
+
+        wait_until(lambda: active() == 50)
+        time.sleep(0.5)  # they fill whatever buffers there are
+        began_s = time.monotonic()
+        os.kill(server.pid, signal.SIGTERM)
+        wait_until(lambda: not alive(server.pid))
+        took_s = time.monotonic() - began_s
+        assert took_s < SHUTDOWN_S + 0.5
+        assert not events(server, "worker_killed", "worker_died")
+        cut = [line for line in events(server, "request") if line["path"].endswith("/play")]
+        assert len(cut) == 50
+        assert {line["outcome"] for line in cut} == {"stopped"}
+
+
+def alive(pid: int) -> bool:
+    """Whether it runs; a process that has ended is nobody's until its parent looks."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
