@@ -294,15 +294,15 @@ def test_a_flood_of_requests_is_bounded_and_others_have_their_turn(
 ) -> None:
     """One client asks without end and takes nothing."""
     most = 0
-    received = HttpConnection.data_received
+    received = HttpConnection.buffer_updated
 
-    def noting(self: HttpConnection, data: bytes) -> None:
+    def noting(self: HttpConnection, nbytes: int) -> None:
         nonlocal most
-        received(self, data)
+        received(self, nbytes)
         waiting = self._transport.get_write_buffer_size()
         most = max(most, len(self._buffer) + waiting)
 
-    monkeypatch.setattr(HttpConnection, "data_received", noting)
+    monkeypatch.setattr(HttpConnection, "buffer_updated", noting)
     one = b"GET /short HTTP/1.1\r\nHost: h\r\n\r\n"
 
     async def check(site: RunningSite) -> None:
