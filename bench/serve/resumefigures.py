@@ -93,7 +93,9 @@ def resume_figures(path: Path, kills: list[Kill], fps: float, max_lead_s: float)
     lost = broken = bystanders = victims = 0
     for n, kill in enumerate(kills):
         end_s = kills[n + 1].at_s if n + 1 < len(kills) else np.inf
-        for one in clients:
+        for number, one in enumerate(clients):
+            if known["over_s"].get(str(number), np.inf) < kill.at_s:
+                continue  # who comes back is sent a whole lead more, and so ends early
             last = int(np.searchsorted(one.play_s, kill.at_s)) - 1
             if last < 0:
                 continue

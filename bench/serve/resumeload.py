@@ -72,6 +72,8 @@ class ResumeLoad:
         self.news: dict[int, int] = {}
         """How often news was answered with which status; 0 for not at all."""
         self.slowest_news_s = 0.0
+        self.over_s: dict[int, float] = {}
+        """When clients had the whole stream."""
 
     async def run(self) -> None:
         """Until the end of stdin."""
@@ -100,7 +102,7 @@ class ResumeLoad:
             "busy": self.busy,
             "said": self.said,
         }
-        known |= {"news": self.news, "slowest_news_s": self.slowest_news_s}
+        known |= {"news": self.news, "slowest_news_s": self.slowest_news_s, "over_s": self.over_s}
         np.savez(
             self.config.out,
             who=np.frombuffer(self.who, np.int32),
@@ -182,6 +184,7 @@ class _Client:
                         load.said[record.message] = load.said.get(record.message, 0) + 1
                     elif isinstance(record, EndRecord):
                         self._over = True
+                        load.over_s[number] = now_s
 
     def _take(self, record: SliceRecord, now_s: float) -> None:
         load = self._load
