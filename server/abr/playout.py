@@ -106,6 +106,13 @@ class PlayoutClock:
         passed = math.ceil((now_s - base_s) * self.fps - 1e-6)
         return min(self.end_frame, base_frame + max(0, passed))
 
+    def early_frames(self, now_s: float) -> int:
+        """How many frames, of those before the first one here, are still to show: whoever comes
+        back with something in hand shows that first."""
+        if not self._bases:
+            return 0
+        return max(0, math.floor((self._bases[-1][1] - now_s) * self.fps + 1e-6))
+
     def stalled(self, now_s: float) -> bool:
         """Whether the picture stands still at `now_s` because the next frame is not there."""
         if not self._bases or self._ended:

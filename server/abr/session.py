@@ -278,7 +278,10 @@ class PlaySession:
         self._oldest_frame = oldest_frame = max(self._oldest_frame, next_frame)
         self.holding.forget(oldest_frame)
         num_frames = media.num_frames if last_frame is None else last_frame
-        end_birth = min(num_frames, next_frame + config.lead_frames(media.fps, self.max_lead_s))
+        # What a client has in hand from before is a part of its lead.
+        lead_frames = config.lead_frames(media.fps, self.max_lead_s) - clock.early_frames(now_s)
+        lead_frames = max(config.playout.least_frames(media.fps), lead_frames)
+        end_birth = min(num_frames, next_frame + lead_frames)
         outlook = Outlook(
             media=media,
             holding=self.holding,

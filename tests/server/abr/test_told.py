@@ -61,6 +61,7 @@ def test_a_frame_before_the_first_puts_it_off() -> None:
     clock.told(70, 2.0)
     assert clock.next_frame(4.9) == 100
     assert clock.due_s(100) == pytest.approx(5.0)
+    assert [clock.early_frames(now_s) for now_s in (2.0, 4.0, 5.0, 6.0)] == [30, 10, 0, 0]
 
 
 def test_a_clock_that_has_not_begun_begins_where_it_is_told() -> None:
@@ -153,6 +154,26 @@ def played(until_s: float = 3.0, rest_share: float = 0.0) -> PlaySession:
     run_until(session, 0.0, until_s)
     assert session.next_frame == round(until_s * FPS)
     return session
+
+
+@pytest.mark.parametrize("media", [demo_media(), slot_media()], ids=["version 1", "version 2"])
+def test_what_a_client_has_in_hand_when_it_comes_back_is_a_part_of_its_lead(
+    media: MadeMedia,
+) -> None:
+    first, in_hand = 120, 90
+    session = PlaySession(media, own_policy(media), CONFIG, 0.0, first)
+    now_s, told = 0.0, False
+    while now_s < 1.0:
+        decision = session.decide(now_s)
+        if isinstance(decision, SendSlices | SendSnapshots):
+            session.sent(decision, 100.0, now_s)
+        now_s += 0.002
+        session.acknowledge(now_s, session.sent_bytes)
+        if not told and session.clock.started_s is not None:
+            told = True
+            session.told(now_s, Standing(first - in_hand))
+    showing = first - in_hand + FPS * now_s
+    assert session.holding.end_frame <= showing + LEAD + 3
 
 
 def test_a_paused_client_is_sent_no_more_than_its_lead() -> None:
