@@ -80,7 +80,7 @@ class HttpConnection(asyncio.Protocol):
         self.began = True
         self._transport = transport
         self._loop = asyncio.get_running_loop()
-        self._outlet = Outlet(transport, self._socket)
+        self._outlet = Outlet(transport, self._socket, self._site.sent)
         self._outlet.hold_at_most(0)  # may pause it at once: TLS has greetings of its own
         self._deadline_s = self._loop.time() + self._site.patience.request_timeout_s
         self._site.connections.add(self)

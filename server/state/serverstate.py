@@ -61,4 +61,4 @@ class ServerState:
         self.lag_s = 0.0
         """How late the event loop has been of late."""
         self.sent_bytes = 0
-        """Of bodies, since the worker began."""
+        """Since the worker began."""
