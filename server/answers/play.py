@@ -69,6 +69,11 @@ COURTESY = 10
 
 MAX_COURTESY_S = 0.25
 
+REPLACED = "the stream was replaced or taken away"
+
+MAX_LOOK_S = 2.0
+"""Longest time in which a play that cannot go on waits for the reason."""
+
 MAX_PAUSE_S = 0.5
 """Longest time in which a play does not look around, seconds."""
 
@@ -200,8 +205,13 @@ class _Play:
         try:
             outcome, last = await self._send_slices()
         except (SwingsError, OSError) as error:
-            log.error("play of %s ended: %s", self._stream.name, error)
-            outcome, last = "damaged", ErrorRecord("this stream is damaged on the server")
+            # Perhaps there is another stream in its place, which the next look finds.
+            await asyncio.sleep(min(MAX_LOOK_S, 2 * self._state.config.refresh_s))
+            if self._stream.gone:
+                outcome, last = "gone", self._broken_off(REPLACED)
+            else:
+                log.error("play of %s ended: %s", self._stream.name, error)
+                outcome, last = "damaged", ErrorRecord("this stream is damaged on the server")
         await self._writer.write(self._encode(last, last=True))
         return outcome
 
@@ -212,7 +222,7 @@ class _Play:
         while True:
             now_s = self._clock()
             if self._stream.gone:
-                return "gone", self._broken_off("the stream was replaced or taken away")
+                return "gone", self._broken_off(REPLACED)
             if self._state.stopping.is_set():
                 return "stopped", self._broken_off("the server is stopping")
             self._hear(now_s)
