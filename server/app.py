@@ -113,7 +113,6 @@ class Application(Site):
 
     def finished(self, exchange: Exchange, now_s: float) -> None:
         state, began_s = self.state, exchange.began_s
-        state.sent_bytes += exchange.body_bytes
         state.metrics.requests.add(1, exchange.route, str(exchange.status))
         if exchange.waited:
             state.metrics.ttfb.observe(exchange.first_s - began_s)
@@ -138,6 +137,10 @@ class Application(Site):
         query = request.query or None
         fields = {**dict(texts), "query": query, **numbers, "note": note, **exchange.facts}
         log.event("request", **fields)
+
+    def sent(self, num_bytes: int) -> None:
+        # At once: a play that runs for an hour is load all the time.
+        self.state.sent_bytes += num_bytes
 
     def cut(self, kind: str) -> None:
         self.state.metrics.timeouts.add(1, kind)

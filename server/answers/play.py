@@ -71,6 +71,11 @@ BUSY_LAG_S = 0.005
 BUSY_FILL = 0.5
 """How many seconds of media more than it shows who has enough is then sent in a second."""
 
+REPLACED = "the stream was replaced or taken away"
+
+MAX_LOOK_S = 2.0
+"""Longest time in which a play that cannot go on waits for the reason."""
+
 MAX_PAUSE_S = 0.5
 """Longest time in which a play does not look around, seconds."""
 
@@ -206,8 +211,13 @@ class _Play:
         try:
             outcome, last = await self._send_slices()
         except (SwingsError, OSError) as error:
-            log.error("play of %s ended: %s", self._stream.name, error)
-            outcome, last = "damaged", ErrorRecord("this stream is damaged on the server")
+            # Perhaps there is another stream in its place, which the next look finds.
+            await asyncio.sleep(min(MAX_LOOK_S, 2 * self._state.config.refresh_s))
+            if self._stream.gone:
+                outcome, last = "replaced", self._broken_off(REPLACED)
+            else:
+                log.error("play of %s ended: %s", self._stream.name, error)
+                outcome, last = "damaged", ErrorRecord("this stream is damaged on the server")
         await self._writer.write(self._encode(last, last=True))
         return outcome
 
@@ -218,7 +228,7 @@ class _Play:
         while True:
             now_s = self._clock()
             if self._stream.gone:
-                return "replaced", self._broken_off("the stream was replaced or taken away")
+                return "replaced", self._broken_off(REPLACED)
             if self._state.stopping.is_set():
                 return "stopped", self._broken_off("the server is stopping")
             self._hear(now_s)

@@ -88,7 +88,7 @@ class HttpConnection(asyncio.BufferedProtocol):
         self.began = True
         self._transport = transport
         self._loop = asyncio.get_running_loop()
-        self._outlet = Outlet(transport, self._socket)
+        self._outlet = Outlet(transport, self._socket, self._site.sent)
         self._outlet.hold_at_most(0)  # may pause it at once: TLS has greetings of its own
         self._deadline_s = self._request_deadline_s()
         self._site.connections.add(self)

@@ -30,10 +30,17 @@ TRIPWIRE_BYTES: Final = 2048
 class Outlet:
     """Writes to one connection, through its transport or past it to its socket."""
 
-    def __init__(self, transport: asyncio.Transport, sock: socket.socket | None) -> None:
-        """sock: the socket itself where bytes may go past the transport; None with TLS."""
+    def __init__(
+        self,
+        transport: asyncio.Transport,
+        sock: socket.socket | None,
+        count: Callable[[int], None],
+    ) -> None:
+        """sock: the socket itself where bytes may go past the transport; None with TLS. count: is
+        told how many bytes leave, as they do."""
         self._transport = transport
         self._socket = sock
+        self._count = count
         self._asked = transport.get_extra_info("socket")
         self._loop = asyncio.get_running_loop()
         self.paused = False
@@ -55,6 +62,7 @@ class Outlet:
         """Writes `data`, which is short or was waited for."""
         if not self._transport.is_closing():
             self.sent_bytes += len(data)
+            self._count(len(data))
             self._transport.write(data)
 
     def send(self, head: bytes, body: bytes | memoryview, then: Callable[[], None]) -> None:
@@ -105,6 +113,7 @@ class Outlet:
             self._transport.abort()
             return 0
         self.sent_bytes += sent
+        self._count(sent)
         return sent
 
     def close(self, timeout_s: float) -> None:

@@ -108,6 +108,10 @@ class Site(Protocol):
         """`exchange` is over."""
         ...
 
+    def sent(self, num_bytes: int) -> None:
+        """So many bytes, of whatever response, are on their way."""
+        ...
+
     def cut(self, kind: str) -> None:
         """A connection was ended because its client took too long: "head", "idle", "write"."""
         ...

@@ -64,7 +64,7 @@ class ServerState:
         self.lag_s = 0.0
         """How late the event loop has been of late."""
         self.sent_bytes = 0
-        """Of bodies, since the worker began."""
+        """Since the worker began."""
 
     def read_keys(self) -> None:
         """Reads the file of keys, if there is to be one. Raises InvalidError, OSError."""

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import hashlib
+import time
 from pathlib import Path
 
 from codec.stream import StreamReader
 from codec.stream.object import packet_content
+from server.operate.sign.keyfile import add_key, read_keys
+from server.operate.sign.signing import Signer
 from tests.support.commands import serving
 from tests.support.hosted_streams import write_stream
+from tests.support.slots.slot_streams import write_busy_stream
+from tests.support.slots.updates import small_layout
 from tests.support.web.chromium import Page
 
 FETCH = """
@@ -38,3 +43,16 @@ def test_fetch_gives_what_is_in_the_packets(page: Page, tmp_path: Path) -> None:
             assert page.run(FETCH, value) == expected
         ranged = {"url": path, "headers": {"Range": "bytes=0-99"}, "cache": "no-store"}
         assert page.run(FETCH, ranged) == [206, 100, hashlib.sha256(stored[:100]).hexdigest()]
+
+
+def test_the_page_plays_under_a_signed_url(page: Page, tmp_path: Path) -> None:
+    write_busy_stream(tmp_path / "root" / "walk", 30, small_layout(1, (400, 300, 300), 0, 15))
+    add_key(tmp_path / "keys")
+    prefix = Signer(read_keys(tmp_path / "keys")).sign("walk", int(time.time()) + 600)
+    player = "document.querySelector('swings-player').player"
+    with serving(tmp_path / "root", "--keys", tmp_path / "keys") as url:
+        page.open(f"{url}{prefix}/watch/walk?autoplay=0", 480, 320)
+        page.wait(f"{player}?.shownFrame >= 0", 60)
+        page.click("swings-player .play")
+        page.wait(f"{player}.shownFrame >= 20", 60)
+        assert not page.complaints

@@ -73,7 +73,10 @@ def test_bodies_of_any_size_come_whole_one_after_the_other(tls: Tls) -> None:
             assert (await client.answer())[2] == BODY[:900_000]
             assert await client.rest() == b""
 
-    assert not on_site({"/body": body}, check, tls=tls[0]).cuts
+    site = on_site({"/body": body}, check, tls=tls[0])
+    assert not site.cuts
+    sent_bytes = 2 * sum(sizes) + 900_000
+    assert sent_bytes < site.num_bytes < sent_bytes + 300 * len(site.done)
 
 
 def test_a_slow_reader_gets_every_byte_and_little_waits_in_the_process(tls: Tls) -> None:
@@ -236,7 +239,8 @@ def test_who_stalls_is_who_had_something_to_take_and_did_not(
     async def run() -> None:
         with socket.socket(socket.AF_UNIX) as sock:  # not TCP: the kernel tells nothing of it
             transport = Transport(sock)
-            outlet = Outlet(transport, None)
+            counted: list[int] = []
+            outlet = Outlet(transport, None, counted.append)
             window: tuple[int, int] | None = None  # the step and the bytes taken by then
             taken = 0
             for number, (more, takes) in enumerate(steps):
@@ -254,5 +258,6 @@ def test_who_stalls_is_who_had_something_to_take_and_did_not(
                     expected = taken - window[1] < LEAST_BYTES
                     window = number, taken
                 assert found == expected
+            assert sum(counted) == outlet.sent_bytes
 
     asyncio.run(run())

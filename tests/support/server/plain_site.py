@@ -37,6 +37,7 @@ class PlainSite(Site):
         self.errors: list[Exception] = []
         self.cuts: list[str] = []
         self.num_pauses = 0
+        self.num_bytes = 0
 
     @property
     def stopping(self) -> bool:
@@ -56,6 +57,9 @@ class PlainSite(Site):
 
     def finished(self, exchange: Exchange, now_s: float) -> None:
         self.done.append(exchange)
+
+    def sent(self, num_bytes: int) -> None:
+        self.num_bytes += num_bytes
 
     def cut(self, kind: str) -> None:
         self.cuts.append(kind)

@@ -1,0 +1,216 @@
+"""Fuzzing of the server, from the bytes of a client to those of its responses.
+
+The law under test: whatever a client sends, it gets well-formed responses, in the order of its
+requests; never a 500, and never a byte of a file that is not a stream's. The server is whole, but
+for sockets: its bytes go through memory.
+
+How to run it, in an environment as fuzz/codec.py says, with what the server needs:
+
+    mkdir -p /tmp/found /tmp/requests
+    /tmp/fuzz/bin/python -m fuzz.httpseed /tmp/requests
+    /tmp/fuzz/bin/python -m fuzz http /tmp/found /tmp/requests -max_total_time=600 -max_len=4096
+
+`tests/server/http/test_fuzz.py` sends the same requests, and some that are near them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import socket
+import tempfile
+from pathlib import Path
+
+from codec.stream import StreamWriter
+from server.app import Application
+from server.http.connection import CLIENT_GONE, HttpConnection
+from server.http.site import Exchange
+from server.library import Library
+from server.state.config import ServerConfig
+from server.state.serverstate import ServerState
+
+from .seed import made_manifest, made_slice
+
+SECRET = b"not for you: 9c41e7"
+"""What files hold that lie around the stream."""
+
+PIECE_BYTES = 32 * 1024
+"""Bytes that come in one read."""
+
+LEAVE_S = 0.5
+"""A client goes away then: a play that is paused has no end."""
+
+GO_ON = b"HTTP/1.1 100 Continue\r\n\r\n"
+
+_HEAD = re.compile(
+    rb"HTTP/1\.1 ([1-5][0-9]{2}) [A-Za-z -]+\r\n((?:[A-Za-z-]+: [\x20-\x7e]*\r\n)*)\r\n"
+)
+_CHUNK = re.compile(rb"([0-9a-f]{1,8})\r\n")
+
+
+class MemoryTransport(asyncio.Transport):
+    """Keeps what is sent, and takes all at once."""
+
+    def __init__(self, sock: socket.socket) -> None:
+        """sock: what options are set on."""
+        super().__init__({"socket": sock})
+        self.sent = bytearray()
+        self._closing = False
+
+    def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
+        pass
+
+    def get_write_buffer_size(self) -> int:
+        return 0
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        self.sent += data
+
+    def is_closing(self) -> bool:
+        return self._closing
+
+    def close(self) -> None:
+        self._closing = True
+
+    def abort(self) -> None:
+        self._closing = True
+
+    def pause_reading(self) -> None:
+        pass
+
+    def resume_reading(self) -> None:
+        pass
+
+
+class NotingApplication(Application):
+    """Keeps the exchanges that are over."""
+
+    def __init__(self, state: ServerState) -> None:
+        super().__init__(state)
+        self.done: list[Exchange] = []
+
+    def finished(self, exchange: Exchange, now_s: float) -> None:
+        super().finished(exchange, now_s)
+        self.done.append(exchange)
+
+
+class Served:
+    """A small stream with secrets around it, and clients that come one after the other."""
+
+    def __init__(self, folder: Path) -> None:
+        root = folder / "root"
+        stream = root / "walk"
+        manifest = made_manifest()
+        with StreamWriter.create(stream, manifest) as writer:
+            for birth in range(1 - manifest.swin_size, 6):
+                writer.append(made_slice(birth, manifest.num_gs // manifest.swin_size, 0))
+        for place in (folder, root, stream, stream / "segments"):
+            (place / "secret.png").write_bytes(SECRET)
+        self._runner = asyncio.Runner()
+        self.app = self._runner.run(self._start(root))
+        self._socket = socket.socket()
+
+    async def _start(self, root: Path) -> NotingApplication:
+        config = ServerConfig(live_idle_s=0.05)
+        library = Library(root, config.refresh_s)
+        await library.look()
+        assert library.streams, library.broken
+        return NotingApplication(ServerState(library, config))
+
+    def close(self) -> None:
+        self._socket.close()
+        self._runner.close()
+
+    def answers(self, *pieces: bytes) -> list[int]:
+        """The statuses of what a client gets that sends `pieces`. Raises what breaks the law."""
+        self.app.done.clear()
+        data = self._runner.run(self._talk(pieces))
+        assert SECRET not in data
+        return check_responses(data, self.app.done)
+
+    async def _talk(self, pieces: tuple[bytes, ...]) -> bytes:
+        transport = MemoryTransport(self._socket)
+        connection = HttpConnection(self.app, None, "127.0.0.1")
+        assert self.app.admit("127.0.0.1") is None
+        connection.connection_made(transport)
+        loop = asyncio.get_running_loop()
+        until_s = loop.time() + LEAVE_S
+        for piece in pieces:
+            for start in range(0, len(piece), PIECE_BYTES):
+                if not transport.is_closing():
+                    part = piece[start : start + PIECE_BYTES]
+                    connection.get_buffer(-1)[: len(part)] = part
+                    connection.buffer_updated(len(part))
+            # Objects are read in threads, and plays look at the clock.
+            while (connection._exchange or connection._due) and loop.time() < until_s:  # noqa: ASYNC110
+                await asyncio.sleep(0.0002)
+        sent = bytes(transport.sent)
+        connection.eof_received()
+        connection.connection_lost(None)
+        if connection._task is not None:
+            await asyncio.wait([connection._task])
+        return sent
+
+
+def check_responses(data: bytes, done: list[Exchange]) -> list[int]:
+    """The statuses of the responses in `data`, which are those to `done`, in order."""
+    statuses: list[int] = []
+    for exchange in done:
+        while True:
+            head = _HEAD.match(data)
+            if head is None and exchange.status == CLIENT_GONE:
+                assert exchange is done[-1], "a client leaves once"
+                return statuses
+            assert head is not None, data[:200]
+            data = data[head.end() :]
+            status = int(head[1])
+            if status != 100:
+                break
+        assert status != 500, exchange
+        assert exchange.status in (status, CLIENT_GONE), exchange
+        statuses.append(status)
+        method = exchange.request.method if exchange.request is not None else ""
+        whole, data = _body(head, data, status, method)
+        assert whole or (exchange.status == CLIENT_GONE and exchange is done[-1]), exchange
+    # Who was told to go on may still leave.
+    assert data in (b"", GO_ON), data[:200]
+    return statuses
+
+
+def _body(head: re.Match[bytes], data: bytes, status: int, method: str) -> tuple[bool, bytes]:
+    """Whether a body is whole, and what stands behind it."""
+    lines = [line.split(b": ", 1) for line in head[2].split(b"\r\n")[:-1]]
+    fields = {name.lower(): value for name, value in lines}
+    assert len(fields) == len(lines), "a field stands there twice"
+    if status in (204, 304) or method == "HEAD":
+        return True, data
+    if b"transfer-encoding" not in fields:
+        if b"content-length" not in fields:  # HTTP/1.0: to the end of the connection
+            assert fields[b"connection"] == b"close"
+            return True, b""
+        length = int(fields[b"content-length"])
+        return len(data) >= length, data[length:]
+    while chunk := _CHUNK.match(data):
+        length, data = int(chunk[1], 16), data[chunk.end() :]
+        if len(data) < length + 2:
+            return False, b""
+        assert data[length : length + 2] == b"\r\n"
+        data = data[length + 2 :]
+        if not length:
+            return True, data
+    assert not data, data[:200]
+    return False, data
+
+
+_served: Served | None = None
+
+
+def test_one_input(data: bytes) -> None:
+    """The first byte says into how many pieces the rest is cut."""
+    global _served
+    if _served is None:
+        _served = Served(Path(tempfile.mkdtemp(prefix="fuzz-http-")))
+    if data:
+        size = max(1, (len(data) - 1) // (1 + data[0] % 4))
+        pieces = [data[start : start + size] for start in range(1, len(data), size)]
+        _served.answers(*pieces)

@@ -1,0 +1,128 @@
+"""swings-serve with keys: what a signed URL opens, as a process and in a browser."""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.error import HTTPError
+from urllib.request import Request, urlopen
+
+import pytest
+
+from codec.stream.playrecord import EndRecord
+from server.abr.standing import PLAY_HEADER
+from server.operate.sign.keyfile import add_key, read_keys
+from server.operate.sign.signing import Signer
+from tests.support.commands import run, run_ok, serving
+from tests.support.hosted_streams import write_stream
+from tests.support.server.running_server import parse_records
+
+STREAM = "/v1/streams/walk"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("signed")
+    write_stream(folder / "root" / "walk", 12)
+    write_stream(folder / "root" / "other", 12)
+    add_key(folder / "keys")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def url(folder: Path) -> Iterator[str]:
+    with serving(folder / "root", "--keys", folder / "keys") as url:
+        yield url
+
+
+@pytest.fixture(scope="module")
+def signer(folder: Path) -> Signer:
+    return Signer(read_keys(folder / "keys"))
+
+
+def ask(url: str, method: str = "GET", body: bytes | None = None) -> tuple[int, str, bytes]:
+    """Status, the play's token and body."""
+    try:
+        with urlopen(Request(url, body, method=method), timeout=20) as response:
+            return response.status, response.headers.get(PLAY_HEADER, ""), response.read()
+    except HTTPError as error:
+        return error.code, "", error.read()
+
+
+def soon() -> int:
+    return int(time.time()) + 600
+
+
+def test_a_signed_url_opens_all_of_its_stream(url: str, folder: Path) -> None:
+    said = run_ok("swings-sign", folder / "keys", "walk", "--url", url)
+    page, manifest = (line.split()[1] for line in said.splitlines())
+    status, _, html = ask(page)
+    assert status == 200
+    assert b'<base href="../web/" />' in html
+    found = re.findall(r'"(?:\./)?([a-z]+\.js)"', html.decode())
+    assert found
+    for asset in found:
+        assert ask(f"{page.rsplit('/watch/', 1)[0]}/web/{asset}")[0] == 200
+    base = manifest.rsplit("/", 1)[0]
+    for name in ("manifest.json", "index.bin", "segments/0/0"):
+        status, _, data = ask(f"{base}/{name}")
+        assert (status, data) == (200, (folder / "root" / "walk" / name).read_bytes())
+    status, token, body = ask(f"{base}/play?layers=1")
+    assert status == 200
+    assert isinstance(parse_records([body])[-1], EndRecord)
+    # It is over; but the path led to whom it asks.
+    status, _, body = ask(f"{base}/play/{token}", "POST", b'{"frame": 1}')
+    assert status == 404
+    assert b"no such play" in body
+
+
+def test_a_url_for_all_opens_the_list(url: str, signer: Signer) -> None:
+    base = url + signer.sign("*", soon())
+    assert ask(f"{base}/")[0] == 200
+    status, _, body = ask(f"{base}/v1/streams")
+    assert [one["name"] for one in json.loads(body)["streams"]] == ["other", "walk"]
+    assert ask(f"{base}{STREAM}/manifest.json")[0] == status == 200
+
+
+def test_what_is_not_signed_for_it_is_403_in_one_line(url: str, signer: Signer) -> None:
+    good, late = signer.sign("walk", soon()), signer.sign("walk", int(time.time()) - 1)
+    altered = good[:-1] + ("A" if good[-1] != "A" else "B")
+    for path in (
+        f"{STREAM}/manifest.json",
+        f"{STREAM}/play",
+        "/watch/walk",
+        "/",
+        "/v1/streams",
+        f"{good}/v1/streams/other/manifest.json",
+        f"{good}/watch/other",
+        f"{good}/v1/streams",
+        f"{good}/",
+        f"{late}{STREAM}/manifest.json",
+        f"{altered}{STREAM}/manifest.json",
+        f"{good}/v1/streams/walk/../other/manifest.json",
+        f"{good}{good}{STREAM}/manifest.json",
+        "/t/1.a.b/",
+    ):
+        status, _, body = ask(url + path)
+        assert status == 403, path
+        message = json.loads(body)["error"]
+        assert "\n" not in message
+        assert len(message) < 120
+    for path in ("/healthz", "/readyz"):
+        assert ask(url + path)[0] == 200
+    assert ask(f"{url}{STREAM}/manifest.json", "OPTIONS")[0] == 204
+    assert ask(f"{url}{good}{STREAM}/play", "OPTIONS")[0] == 204
+
+
+def test_other_machines_are_let_in_on_purpose_only(folder: Path) -> None:
+    root, keys = folder / "root", folder / "keys"
+    done = run("swings-serve", root, "--host", "0.0.0.0", "--port", 0)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.count("\n") == 1
+    assert "--public" in done.stderr
+    for options in (("--public",), ("--keys", keys)):
+        with serving(root, "--host", "0.0.0.0", *options) as url:
+            assert ask(f"{url}/healthz")[0] == 200
