@@ -15,9 +15,9 @@ HERE = Path(__file__).parent
 
 HELD_BY = {
     "idle connections take all descriptors; the log is flooded, nobody else is served": (
-        "test_operated.py::test_idle_clients_beyond_all_descriptors_are_waited_out_quietly",
+        "operate/test_operated.py::test_idle_clients_beyond_all_descriptors_are_waited_out_quietly",
         "operate/test_admission.py::test_connections_stay_below_the_limit_of_open_files",
-        "test_operated.py::test_connections_above_the_limit_wait_and_are_served",
+        "operate/test_operated.py::test_connections_above_the_limit_wait_and_are_served",
         "library/test_library.py::test_a_process_without_descriptors_keeps_what_it_serves",
     ),
     "one bad folder beside good ones keeps the server from starting": (
@@ -51,11 +51,11 @@ HELD_BY = {
         "http/test_outlet.py::test_who_stalls_is_who_had_something_to_take_and_did_not",
     ),
     "a time without an end is a traceback": (
-        "test_operated.py::test_times_without_an_end_are_refused_in_one_line",
+        "operate/test_operated.py::test_times_without_an_end_are_refused_in_one_line",
         "http/test_connection.py::test_times_that_make_no_sense_are_refused",
     ),
     "plays that are stuck keep a server that was told to end": (
-        "test_operated.py::test_plays_that_are_stuck_do_not_keep_a_server_that_shall_end",
+        "operate/test_operated.py::test_plays_that_are_stuck_do_not_keep_a_server_that_shall_end",
     ),
     "of two lines of If-None-Match only the first is read; If-Match is not read at all": (
         "http/test_content.py::test_it_is_as_the_rfc_says",
@@ -64,9 +64,9 @@ HELD_BY = {
     ),
     "HTTP/2.0 on the port gets a 200": ("http/test_request.py::test_lines_that_are_not_taken",),
     "one client takes all plays, or all connections": (
-        "test_operated.py::test_one_client_of_a_proxy_has_so_many_plays",
-        "test_operated.py::test_a_stranger_cannot_say_who_it_is",
-        "test_operated.py::test_one_address_has_so_many_connections",
+        "operate/test_operated.py::test_one_client_of_a_proxy_has_so_many_plays",
+        "operate/test_operated.py::test_a_stranger_cannot_say_who_it_is",
+        "operate/test_operated.py::test_one_address_has_so_many_connections",
         "operate/test_admission.py::test_one_address_cannot_take_all_places",
     ),
     "plays that began together burst in step": (
@@ -75,7 +75,7 @@ HELD_BY = {
     "what strangers send reaches the operator's terminal as escapes": (
         "operate/log/test_logline.py::test_whatever_a_field_holds_the_line_is_one_and_printable",
         "library/test_library.py::test_the_reason_of_a_stranger_is_one_line_of_letters",
-        "test_operated.py::test_every_line_of_a_json_log_is_json",
+        "operate/test_operated.py::test_every_line_of_a_json_log_is_json",
     ),
     "requests without an end, whose answers nobody takes, fill the memory": (
         "http/test_connection.py::test_a_flood_of_requests_is_bounded_and_others_have_their_turn",
