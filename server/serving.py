@@ -74,6 +74,8 @@ class Service:
         peers = None if worker is None else Peers(number, worker.mailboxes)
         metrics = Metrics(folder, number)
         library = Library(self.root, self.config.refresh_s)
+        if not (library.streams or library.broken):
+            log.trouble("no_stream_yet", "warning", root=self.root)
         state = ServerState(library, self.config, metrics, number, peers)
         signals = [signal.SIGTERM] if worker is not None else [signal.SIGTERM, signal.SIGINT]
         if peers is not None:

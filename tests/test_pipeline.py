@@ -322,7 +322,7 @@ def test_a_url_that_is_not_a_stream_and_a_port_in_use(made: Made, tmp_path: Path
     check_one_line("swings-play", (f"http://127.0.0.1:{port}", "--capture", out), str(port))
     with serving(made.stream) as url:
         check_one_line("swings-play", (f"{url}/v1/streams/nothing", "--capture", out), "nothing")
-    check_one_line("swings-serve", (made.capture, "--port", 0), "capture")
+    check_one_line("swings-serve", (made.capture / "absent", "--port", 0), "absent")
     assert not out.exists()
 
 

@@ -104,6 +104,15 @@ def test_a_broken_stream_is_named_and_the_others_are_served(tmp_path: Path) -> N
     assert f"{bad} is not served: manifest.json: " in err
 
 
+def test_a_folder_without_a_stream_is_served_and_the_log_says_so(tmp_path: Path) -> None:
+    with serving(str(tmp_path), "--port", "0") as (process, url):
+        with urllib.request.urlopen(f"{url}/v1/streams", timeout=10) as response:
+            assert json.load(response) == {"streams": [], "broken": []}
+        process.send_signal(signal.SIGTERM)
+        _, err = process.communicate(timeout=20)
+    assert f"warning no_stream_yet root={tmp_path}" in err
+
+
 def test_mistakes_are_one_clear_line(tmp_path: Path) -> None:
     good = make_stream(tmp_path / "good", 3)
     with socket.socket() as taken:
