@@ -9,6 +9,7 @@ import asyncio
 import logging
 import math
 import random
+import re
 from collections.abc import Sequence
 from urllib.parse import parse_qsl
 
@@ -31,7 +32,7 @@ from server.abr.session import (
     WaitForNews,
     WaitUntil,
 )
-from server.abr.standing import PLAY_HEADER, RATE_HEADER, Standing, parse_rate
+from server.abr.standing import PLAY_HEADER, RATE_HEADER, TOKEN, Standing, parse_rate
 from server.http.bodywriter import BodyWriter
 from server.http.content import accepted_codings
 from server.http.errors import RequestError
@@ -98,15 +99,15 @@ async def play(call: Call) -> StreamedResponse:
     query = parse_query(asked, stream.num_frames, stream.live, num_layers, edge_frame)
     if state.stopping.is_set():
         raise RequestError(503, "the server is stopping", {"Retry-After": str(RETRY_AFTER_S)})
-    if not state.overload.accepts_plays(len(state.plays)):
-        state.metrics.refused.add(1, "play_load")
-        message = f"the server has no room beside {len(state.plays)} plays; try again later"
-        after_s = max(RETRY_AFTER_S, state.overload.retry_after_s)
-        raise RequestError(503, message, {"Retry-After": str(after_s)})
     # Who comes back names the play before, and its rate. Another worker may know more, but may
     # have died: nobody shall wait for it who need not.
     fields, now_s = call.request.fields, asyncio.get_running_loop().time()
     token = fields.get(PLAY_HEADER.lower(), "")
+    if not state.overload.accepts_plays(len(state.plays), bool(re.fullmatch(TOKEN, token))):
+        state.metrics.refused.add(1, "play_load")
+        message = f"the server has no room beside {len(state.plays)} plays; try again later"
+        after_s = max(RETRY_AFTER_S, state.overload.retry_after_s)
+        raise RequestError(503, message, {"Retry-After": str(after_s)})
     rate_bps = state.plays.rate_bps(token, now_s)
     rate_bps = rate_bps or parse_rate(fields.get(RATE_HEADER.lower(), ""))
     rate_bps = rate_bps or await ask_rate_bps(state, token, now_s)
