@@ -13,7 +13,7 @@ from collections.abc import Coroutine
 from typing import Any
 
 from codec.errors import SwingsError
-from server.abr.standing import MAX_BODY_BYTES, PLAY_HEADER, RATE_HEADER
+from server.abr.standing import FRAME_HEADER, MAX_BODY_BYTES, PLAY_HEADER, RATE_HEADER
 
 from .answers.call import Call
 from .http.errors import RequestError
@@ -32,7 +32,9 @@ log = logging.getLogger(__name__)
 PREFLIGHT_AGE_S = 86400
 """Seconds that a browser may remember what a preflight said."""
 
-ALLOWED_HEADERS = f"Range, If-Range, If-None-Match, Content-Type, {PLAY_HEADER}, {RATE_HEADER}"
+ALLOWED_HEADERS = (
+    f"Range, If-Range, If-None-Match, Content-Type, {PLAY_HEADER}, {RATE_HEADER}, {FRAME_HEADER}"
+)
 """What a page of another origin may send."""
 
 

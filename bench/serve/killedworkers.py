@@ -147,7 +147,7 @@ def show_kills(figures: ResumeFigures) -> None:
         f"{figures.broken} of them broken; missing {figures.missing}, double {figures.double}; "
         f"{figures.before:.2f} layers a slice before, {figures.after:.2f} after; "
         f"stalls {figures.stalls}, refused {figures.refused}, "
-        f"answered 503 {figures.busy}; news {figures.news}, "
+        f"answered otherwise {figures.answered}; news {figures.news}, "
         f"{figures.slowest_news_ms:.0f} ms at most",
         soft_wrap=True,
     )

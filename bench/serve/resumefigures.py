@@ -72,8 +72,8 @@ class ResumeFigures:
     stalls: int
     refused: int
     """Connections that were not accepted."""
-    busy: int
-    """Plays that were answered 503: a worker with too much to do takes no new ones."""
+    answered: dict[str, int]
+    """How often plays were answered with which status other than 200."""
     said: dict[str, int]
     """How often responses ended with which word of the server."""
     news: dict[str, int]
@@ -133,7 +133,7 @@ def resume_figures(path: Path, kills: list[Kill], fps: float, max_lead_s: float)
         double=sum(one.double for one in clients),
         stalls=known["stalls"],
         refused=known["refused"],
-        busy=known["busy"],
+        answered=known["answered"],
         said=known["said"],
         news=known["news"],
         slowest_news_ms=1e3 * known["slowest_news_s"],

@@ -22,7 +22,7 @@ import numpy as np
 from codec.stream.playrecord import EndRecord, ErrorRecord, RecordParser, SliceRecord
 from player.source.lastplay import LastPlay
 from player.source.retry import RetryConfig
-from server.abr.standing import PLAY_HEADER, RATE_HEADER, Standing, parse_rate
+from server.abr.standing import FRAME_HEADER, PLAY_HEADER, RATE_HEADER, Standing, parse_rate
 
 NEWS_S = 1.0
 """Seconds between two words to the server."""
@@ -65,8 +65,9 @@ class ResumeLoad:
         """How often a client had nothing left to show."""
         self.refused = 0
         """Connections that were not accepted."""
-        self.busy = 0
-        """Answers other than 200: the server has no time for one more play."""
+        self.answered: dict[int, int] = {}
+        """How often a play was answered with which status other than 200: 503 by a server that has
+        no time for one more."""
         self.said: dict[str, int] = {}
         """How often responses ended with which word of the server."""
         self.news: dict[int, int] = {}
@@ -99,7 +100,7 @@ class ResumeLoad:
         known = {
             "stalls": self.stalls,
             "refused": self.refused,
-            "busy": self.busy,
+            "answered": self.answered,
             "said": self.said,
         }
         known |= {"news": self.news, "slowest_news_s": self.slowest_news_s, "over_s": self.over_s}
@@ -163,9 +164,15 @@ class _Client:
         headers = self._last.headers()
         if not load.config.tells_rate:
             headers.pop(RATE_HEADER, None)
+        if self._last.token:
+            headers[FRAME_HEADER] = str(int(self._frame))
         async with self._session.get(f"{load.base}?from={frame}", headers=headers) as response:
             if response.status != 200:
-                load.busy += 1
+                load.answered[response.status] = load.answered.get(response.status, 0) + 1
+                if response.status == 400:
+                    # Only slices of the last window lack: no frame begins with the first of them.
+                    self._over = True
+                    load.over_s[number] = time.monotonic()
                 return
             token = response.headers[PLAY_HEADER]
             self._last = LastPlay(token, self._last.rate_bps)

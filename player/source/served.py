@@ -22,7 +22,14 @@ from codec.stream.playrecord import (
     SnapshotRecord,
     StartRecord,
 )
-from server.abr.standing import PLAY_HEADER, RATE_HEADER, TOKEN, Standing, parse_rate
+from server.abr.standing import (
+    FRAME_HEADER,
+    PLAY_HEADER,
+    RATE_HEADER,
+    TOKEN,
+    Standing,
+    parse_rate,
+)
 
 from .fetch import BrokenError, FetchConfig, Fetcher, FetchError, OpenResponse, StoppedError
 from .lastplay import NO_PLAY, LastPlay
@@ -62,6 +69,7 @@ class ServedSource:
         self._token = last_play.token  # an older server gives none
         self._rate_bps = last_play.rate_bps  # only `tell` changes it
         self._ended_play = ""
+        self._told_frame: int | None = None  # the next one to show, when it was told last
         self._parser = RecordParser()
         self._waiting: list[Record] = []
         try:
@@ -92,7 +100,11 @@ class ServedSource:
         if self._asked.end is not None:
             url += f"&until={self._asked.end}"
         self._disconnect()
-        self._response = response = self._fetcher.open(url, self.play.headers())
+        headers = self.play.headers()
+        if self._told_frame is not None:
+            # Else the server would send a whole lead beyond the one that is here.
+            headers[FRAME_HEADER] = str(self._told_frame)
+        self._response = response = self._fetcher.open(url, headers)
         self._parser, self._waiting = RecordParser(), []
         if response.status != 200:
             raise self._refusal(response)
@@ -192,6 +204,8 @@ class ServedSource:
 
     def tell(self, standing: Standing) -> bool:
         token = self._token
+        if standing.frame is not None:
+            self._told_frame = standing.frame
         if token and token != self._ended_play:
             try:
                 answer = self._teller.post(f"{self._url}/play/{token}", standing.to_json())

@@ -143,7 +143,7 @@ class PlayoutClock:
         if frame > self.end_frame:
             self.end_frame = self._here_frame
         if not self._bases:
-            if frame <= self.first_frame:
+            if frame == self.first_frame:
                 return
             self._started_s = now_s
         base_frame = max(frame, self.first_frame)

@@ -15,6 +15,10 @@ PLAY_HEADER = "Swings-Play"
 """Names, in the response of a play, the token under which its client tells how it stands; in the
 request that of the client's last play, whose estimate the new one begins with."""
 
+FRAME_HEADER = "Swings-Frame"
+"""Of a request for a play, and only of a client that comes back with something in hand: the next
+frame that it will show."""
+
 RATE_HEADER = "Swings-Rate"
 """Says, in the answer to such news, what the link is taken to carry, bits per second; in the
 request of a play what the last one said, for a server that does not know any more."""
@@ -39,6 +43,13 @@ def parse_rate(text: str) -> float | None:
     if not (text.isascii() and text.isdigit() and len(text) <= 13):
         return None
     return float(text) if 0 < int(text) <= MOST_RATE_BPS else None
+
+
+def parse_frame(text: str) -> int | None:
+    """The frame that the value of a FRAME_HEADER names; None where it names none."""
+    if not (text.isascii() and text.isdigit() and len(text) <= 10):
+        return None
+    return int(text) if int(text) <= MAX_FRAME else None
 
 
 @dataclass(frozen=True, slots=True)

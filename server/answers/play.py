@@ -32,7 +32,15 @@ from server.abr.session import (
     WaitForNews,
     WaitUntil,
 )
-from server.abr.standing import PLAY_HEADER, RATE_HEADER, TOKEN, Standing, parse_rate
+from server.abr.standing import (
+    FRAME_HEADER,
+    PLAY_HEADER,
+    RATE_HEADER,
+    TOKEN,
+    Standing,
+    parse_frame,
+    parse_rate,
+)
 from server.http.bodywriter import BodyWriter
 from server.http.content import accepted_codings
 from server.http.errors import RequestError
@@ -159,8 +167,10 @@ class _Play:
             # where there are many, each is sent more at a time, but less often.
             rest_share=random.random() + len(state.plays) / PLAYS_PER_REST,
         )
-        if query.paused:
-            self._session.told(now_s, Standing(query.from_frame, paused=True))
+        next_frame = parse_frame(asked.get(FRAME_HEADER.lower(), ""))
+        if query.paused or next_frame is not None:
+            frame = query.from_frame if next_frame is None else next_frame
+            self._session.told(now_s, Standing(frame, paused=query.paused))
         self._limited_s = now_s
         self._outcome = ""
         self._sent_slices = 0

@@ -26,6 +26,7 @@ const BUSY = "The server is busy";
  * @property {string | null} lastToken of the play before this one
  * @property {number | null} rateBps what a server said of the link, for one that does not know
  * @property {boolean} paused whether it begins with a still picture
+ * @property {number | null} nextFrame the frame that shows next, if what shows by fromFrame is here
  */
 
 /** One response of a swings server to `play?plain=1`, record by record (FORMAT.md, section 10). */
@@ -50,7 +51,7 @@ export class PlayResponse {
    * @param {string} base URL of the stream, with a slash at its end
    * @param {PlayWish} wish
    */
-  static async open(base, { fromFrame, layers, lastToken, rateBps, paused }) {
+  static async open(base, { fromFrame, layers, lastToken, rateBps, paused, nextFrame }) {
     const query = new URLSearchParams({ plain: "1", from: String(fromFrame) });
     if (layers !== null) query.set("layers", String(layers));
     if (paused) query.set("paused", "1");
@@ -58,6 +59,7 @@ export class PlayResponse {
     const abort = new AbortController();
     const headers = new Headers(lastToken ? { "Swings-Play": lastToken } : {});
     if (rateBps !== null) headers.set("Swings-Rate", String(rateBps));
+    if (nextFrame !== null) headers.set("Swings-Frame", String(nextFrame));
     let response;
     try {
       response = await fetch(url, { headers, signal: abort.signal, cache: "no-store" });

@@ -57,7 +57,8 @@ export class ServedStream {
     const patience = new Patience(fetcher, base);
     for (;;) {
       // Until it is known whether it plays, it does not.
-      const wish = { fromFrame: 0, layers: null, lastToken: null, rateBps: null, paused: true };
+      const nothing = { layers: null, lastToken: null, rateBps: null, nextFrame: null };
+      const wish = { ...nothing, fromFrame: 0, paused: true };
       const stream = new ServedStream(
         base,
         fetcher,
@@ -202,7 +203,9 @@ export class ServedPlay {
     const paused = this.paused && endBirth === this.nextFrame;
     // The first slice of a segment is not sent to who begins with it, but is what others go on with.
     const fromFrame = this.continues ? Math.max(0, endBirth - 1) : endBirth;
-    const wish = { fromFrame, layers, lastToken, rateBps, paused };
+    // Else the server would send a whole lead beyond the one that is here.
+    const nextFrame = this.continues ? this.nextFrame : null;
+    const wish = { fromFrame, layers, lastToken, rateBps, paused, nextFrame };
     const { response, start } = await this.patience.begin(() => begunPlay(base, wish));
     stream.grow(start.numFrames, stream.manifest.live);
     return response;

@@ -23,7 +23,7 @@ from player.source.fetch import Fetcher
 from player.source.lastplay import LastPlay
 from player.source.served import ServedSource
 from player.view.path import Size
-from server.abr.standing import PLAY_HEADER, RATE_HEADER, Standing
+from server.abr.standing import FRAME_HEADER, PLAY_HEADER, RATE_HEADER, Standing
 from tests.player.source.test_served import ALL, HEAD, HOLD, QUICK, answer, script, start
 from tests.support.server.running_server import (
     SWIN_SIZE,
@@ -191,6 +191,20 @@ def test_a_new_connection_says_what_the_server_said_of_the_link(said: bytes, sen
         assert (line in host.requests[2]) == bool(sent)
         assert (RATE_HEADER.encode() in host.requests[2]) == bool(sent)
         assert source.play == LastPlay("", float(sent) if sent else None)
+        source.close()
+
+
+def test_a_new_connection_says_which_frame_shows_next() -> None:
+    cut = answer(start(), *ALL[:3]).replace(HEAD, NAMED)
+    heard = b"HTTP/1.1 204 Heard\r\nConnection: close\r\n\r\n"
+    with script(cut, heard, answer(start(), *ALL)) as host:
+        source = served(host.url)
+        source.tell(Standing(2))
+        packets = source.packets()
+        for _ in range(4):
+            next(packets)
+        assert FRAME_HEADER.encode() not in host.requests[0]
+        assert b"\r\n%s: 2\r\n" % FRAME_HEADER.encode() in host.requests[2]
         source.close()
 
 

@@ -62,6 +62,28 @@ def test_a_frame_before_the_first_puts_it_off() -> None:
     assert clock.next_frame(4.9) == 100
     assert clock.due_s(100) == pytest.approx(5.0)
     assert [clock.early_frames(now_s) for now_s in (2.0, 4.0, 5.0, 6.0)] == [30, 10, 0, 0]
+    nothing_here = PlayoutClock(100, 10.0)
+    nothing_here.told(70, 2.0)
+    assert nothing_here.early_frames(2.0) == 30
+    assert nothing_here.end_frame == 100
+
+
+def test_who_comes_back_with_frames_in_hand_is_sent_no_whole_lead_beyond_them() -> None:
+    """It would be layer 0 of all of it, and when the connection breaks again nothing above."""
+    media = demo_media(900)
+    session = PlaySession(media, own_policy(media), CONFIG, 0.0, first_frame=300, rate_bps=1e9)
+    session.told(0.0, Standing(300 - LEAD + 30))
+    layers: dict[int, int] = {}
+    for step in range(100):
+        now_s = step / 100
+        while isinstance(decision := session.decide(now_s), SendSlices):
+            session.sent(decision, 9_000.0 * len(decision.births), now_s)
+            session.acknowledge(now_s, session.sent_bytes)
+            for birth in decision.births:
+                layers[birth] = max(layers.get(birth, 0), decision.end_layer)
+    # A second of the lead was free, and another one has passed; a client may wait for some frames.
+    assert max(layers) < 300 + 60 + 30
+    assert min(layers[birth] for birth in range(300, 350)) == media.num_layers
 
 
 def test_a_clock_that_has_not_begun_begins_where_it_is_told() -> None:
