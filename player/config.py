@@ -13,6 +13,7 @@ from codec.errors import InvalidError
 from codec.framerange import FRAMES, FrameRange
 from codec.stream.manifest import Manifest
 from player.link.linktext import read_link
+from player.playout.clock import MAX_RATE, MIN_RATE
 from player.render.renderer import RendererKind
 from player.show.sink import check_output
 from player.view.path import CameraPath, Size, camera_path, check_path
@@ -48,6 +49,16 @@ def parse_layers(text: str) -> int | None:
     return int(text)
 
 
+def parse_loop(text: str) -> int | None:
+    """How often to play; None for `forever`. Raises InvalidError."""
+    if text == "forever":
+        return None
+    if not (text.isdecimal() and len(text) <= 9 and int(text) >= 1):
+        raise InvalidError(f"loop {text!r} is neither forever nor a number from 1 on")
+    return int(text)
+
+
+LOOP = option("N|forever", parse_loop, lambda loop: "forever" if loop is None else str(loop))
 LAYERS = option("auto|N", parse_layers, lambda layers: "auto" if layers is None else str(layers))
 CAMERA = option("PATH", CameraPathName)
 SIZE = option("WxH", Size.parse)
@@ -80,8 +91,10 @@ class PlayConfig:
     file; also when Ctrl-C ends the play."""
     plot: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
     """Draw link, goodput, layers and buffer over time into this picture."""
-    loop: Annotated[int, tyro.conf.arg(metavar="N")] = 1
-    """Play the frames so often; each time the stream is asked for anew."""
+    loop: Annotated[int | None, LOOP] = 1
+    """Play the frames so often, or forever; each time the stream is asked for anew."""
+    rate: float = 1.0
+    """Seconds of the stream in a second of a window, 0.25 to 4."""
 
     def __post_init__(self) -> None:
         """Raises InvalidError for options that do not go together, whatever the stream is."""
@@ -91,8 +104,10 @@ class PlayConfig:
             check_output(self.capture)
         elif self.renderer is RendererKind.CPU:
             raise InvalidError("a window is drawn by OpenGL; --renderer cpu goes with --capture")
-        if self.loop < 1:
-            raise InvalidError(f"loop {self.loop}: play the frames once at least")
+        elif not MIN_RATE <= self.rate <= MAX_RATE:
+            raise InvalidError(f"rate {self.rate} is not within {MIN_RATE:g}..{MAX_RATE:g}")
+        if self.capture is not None and (self.loop is None or self.rate != 1):
+            raise InvalidError("--loop forever and --rate go with a window, not with --capture")
         for name, path in (("report", self.report), ("plot", self.plot)):
             if path is not None and not path.parent.is_dir():
                 raise InvalidError(f"{name} {path}: there is no folder {path.parent}")

@@ -47,8 +47,6 @@ class Rows(Generic[Row]):
 
 @dataclass(frozen=True, slots=True)
 class ShownFrame:
-    play: int
-    """Which play of `--loop`, from 0 on."""
     record: FrameRecord
     drawn_s: float | None
     """When its picture was there; None when a newer frame was due by then."""
@@ -59,6 +57,7 @@ class Arrival:
     """Packets that came together."""
 
     play: int
+    """Which of the plays, from 0 on: each loop and each seek begins one."""
     birth: int | None
     """Of the slice; None for snapshots."""
     frame: int | None
@@ -95,8 +94,6 @@ class Journal:
 
     def __init__(self, most: int = MAX_ROWS) -> None:
         """most: rows of each kind; 0 notes nothing but the counts."""
-        self.play = 0
-        """The play that frames and arrivals are of."""
         self.undrawn_frames = 0
         self.frames: Rows[ShownFrame] = Rows(most)
         self.arrivals: Rows[Arrival] = Rows(most)
@@ -105,12 +102,12 @@ class Journal:
     def shown(self, record: FrameRecord, drawn_s: float | None) -> None:
         """`record` was drawn at `drawn_s`, or skipped."""
         self.undrawn_frames += drawn_s is None
-        self.frames.add(ShownFrame(self.play, record, drawn_s))
+        self.frames.add(ShownFrame(record, drawn_s))
 
-    def arrived(self, packets: Packets, now_s: float) -> None:
+    def arrived(self, play: int, packets: Packets, now_s: float) -> None:
         self.arrivals.add(
             Arrival(
-                self.play,
+                play,
                 packets.birth if isinstance(packets, SlicePackets) else None,
                 None if isinstance(packets, SlicePackets) else packets.frame,
                 packets.first_layer,

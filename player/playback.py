@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Iterator
@@ -15,8 +16,10 @@ from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from codec.errors import InvalidError
+from codec.framerange import FrameRange
 from player.link.linkprocess import LinkProcess
 from player.playout.clock import Clock
+from player.playout.conductor import Conductor
 from player.playout.queues import Events
 from player.playout.threads import Joined, Threads, render_thread
 from player.playout.timeline import FrameRecord, Playout, QueueConfig
@@ -28,11 +31,15 @@ from player.source.locate import open_source
 from player.source.source import Source
 from player.view.path import Size
 from server.abr.link.link import Link
+from server.abr.playout import PlayoutConfig
 
 from .config import PlayConfig
 from .journal import MAX_ROWS, Journal
 from .rehearsal import rehearse
 from .report import PlayedOnce, PlaySummary, write_report
+
+WINDOW_PLAYOUT = PlayoutConfig(conceal_s=0.15)
+"""A picture that stands still for a moment is hardly seen; one that is late from then on is."""
 
 Floats = npt.NDArray[np.float32]
 
@@ -115,11 +122,8 @@ class _Playback:
     def run(self) -> None:
         if self._config.capture is not None:
             self._capture()
-            return
-        from player.show.window import show_window
-
-        joins = [self._join] * self._config.loop
-        show_window(joins, self._renderers, self._note)
+        else:
+            self._show_window()
 
     def write(self, interrupted: bool) -> PlaySummary:
         """The summary, which is written to where it is asked for."""
@@ -142,26 +146,51 @@ class _Playback:
     def _note(self, record: FrameRecord, drawn: bool) -> None:
         self._journal.shown(record, self._clock.now_s() if drawn else None)
 
+    def _open(self, first_frame: int) -> Source:
+        """Asks for the stream from a frame on."""
+        config = self._config
+        frames = FrameRange(first_frame, config.frames.end)
+        via = self._relay.address if self._relay is not None else None
+        return open_source(
+            config.source, frames, config.layers, via, self._received, self._last_play
+        )
+
+    def _events(self, source: Source, play: int, not_before_s: float) -> Events:
+        """The queue of a play."""
+        config, summary, clock = self._config, self._summary, self._clock
+        playout = _playout(config, source, play, not_before_s)
+        summary.source, summary.fps = source.name, source.manifest.fps
+        summary.begin(PlayedOnce(max(not_before_s, clock.now_s()), playout.totals))
+        return Events(playout, clock, partial(self._journal.arrived, play))
+
+    def _show_window(self) -> None:
+        """Plays in a window until that is closed."""
+        from player.show.window import show_window
+
+        config = self._config
+        self._clock.set_rate(config.rate)
+        plays = math.inf if config.loop is None else config.loop
+        conductor = Conductor(self._open, self._events, self._clock, config.frames.first, plays)
+        try:
+            with conductor:
+                source = conductor.source
+                path = config.camera.of(source.manifest, config.size, source.frames)
+                show_window(conductor, path, self._renderers, self._note)
+        finally:
+            self._summary.received_bytes += conductor.received_bytes
+
     def _received(self, num_bytes: int) -> None:
         self._journal.received(num_bytes, self._clock.now_s(), time.monotonic())
 
     @contextmanager
     def _join(self) -> Iterator[Joined]:
-        """Asks for the stream."""
+        """Asks for the stream, to capture it."""
         config, summary, clock = self._config, self._summary, self._clock
-        asked_s = clock.now_s()
-        via = self._relay.address if self._relay is not None else None
-        source = open_source(
-            config.source, config.frames, config.layers, via, self._received, self._last_play
-        )
-        with closing(source):
+        with closing(self._open(config.frames.first)) as source:
             path = config.camera.of(source.manifest, config.size, source.frames)
             # What a server chooses for a frame is known when the frame is due, and not before.
-            clock.real = config.capture is None or source.adaptive
-            events = Events(_playout(config, source), clock, self._journal.arrived)
-            self._journal.play = len(summary.plays)
-            summary.source, summary.fps = source.name, source.manifest.fps
-            summary.plays.append(PlayedOnce(asked_s, events.totals))
+            clock.real = source.adaptive
+            events = self._events(source, summary.num_plays, 0.0)
             try:
                 yield Joined(source, events, path)
             finally:
@@ -172,6 +201,7 @@ class _Playback:
         """Draws every frame into files."""
         output, loop = self._config.capture, self._config.loop
         assert output is not None
+        assert loop is not None
         with ExitStack() as stack:
             files: _Files | None = None
             for _ in range(loop):
@@ -210,11 +240,20 @@ class _Files:
         self._progress.advance(self._progress.task_ids[0])
 
 
-def _playout(config: PlayConfig, source: Source) -> Playout:
-    queue = QueueConfig() if config.capture is None else CAPTURE_QUEUE
+def _playout(config: PlayConfig, source: Source, play: int, not_before_s: float) -> Playout:
+    windowed = config.capture is None
     # Who has said how many layers to show gets them.
     needed = 1 if source.adaptive else source.num_layers
-    return Playout(source.manifest, source.frames.first, source.frames.end, queue, needed=needed)
+    return Playout(
+        source.manifest,
+        source.frames.first,
+        source.frames.end,
+        QueueConfig() if windowed else CAPTURE_QUEUE,
+        WINDOW_PLAYOUT if windowed else None,
+        needed,
+        not_before_s=not_before_s,
+        play=play,
+    )
 
 
 def _progress() -> Progress:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,10 +14,13 @@ from server.abr.link.link import Link
 
 from .journal import Journal
 
+MAX_PLAYS = 1000
+"""Plays that are kept apart; of those before only the sums are kept."""
+
 
 @dataclass(frozen=True, slots=True)
 class PlayedOnce:
-    """One play of `--loop`, or the only one."""
+    """One play: each loop and each seek begins one."""
 
     asked_s: float
     """When the player asked for the stream, seconds on its clock."""
@@ -35,7 +39,9 @@ class PlaySummary:
     source: str = ""
     renderer: str = "nothing"
     fps: float = 0.0
-    plays: list[PlayedOnce] = field(default_factory=list)
+    plays: deque[PlayedOnce] = field(default_factory=lambda: deque(maxlen=MAX_PLAYS))
+    """The newest."""
+    num_plays: int = 0
     preparing_s: float = 0.0
     """What it took before that to make decoder and renderer ready."""
     received_bytes: int = 0
@@ -47,25 +53,22 @@ class PlaySummary:
     """Bytes that came over `--link`; None without it."""
     interrupted: bool = False
     journal: Journal = field(default_factory=Journal)
+    _before: PlayoutTotals = field(default_factory=PlayoutTotals)
 
-    @property
-    def startup_s(self) -> float:
-        """Of all plays."""
-        return sum(play.startup_s for play in self.plays)
+    def begin(self, play: PlayedOnce) -> None:
+        """One more play."""
+        if len(self.plays) == MAX_PLAYS:
+            self._before.add(self.plays[0].totals, self.plays[0].startup_s)
+        self.plays.append(play)
+        self.num_plays += 1
 
     @property
     def totals(self) -> PlayoutTotals:
         """Of all plays together: sums, and the most of what is a most."""
-        found = PlayoutTotals(startup_s=self.startup_s)
-        for totals in (play.totals for play in self.plays):
-            found.frames += totals.frames
-            found.stalls += totals.stalls
-            found.stalled_s += totals.stalled_s
-            found.layers += totals.layers
-            found.wire_bytes += totals.wire_bytes
-            found.late_packets += totals.late_packets
-            found.most_frames_waiting = max(found.most_frames_waiting, totals.most_frames_waiting)
-            found.most_bytes_waiting = max(found.most_bytes_waiting, totals.most_bytes_waiting)
+        found = PlayoutTotals()
+        found.add(self._before, self._before.startup_s)
+        for play in self.plays:
+            found.add(play.totals, play.startup_s)
         return found
 
     def lines(self) -> list[str]:
@@ -74,7 +77,7 @@ class PlaySummary:
         return [
             f"{totals.frames} frames of {self.source}, drawn by {self.renderer}",
             f"startup {totals.startup_s:.3f} s, {totals.stalls} stalls, "
-            f"{totals.stalled_s:.3f} s stalled",
+            f"{totals.stalled_s:.3f} s stalled, {totals.concealed} frames concealed",
             f"{totals.mean_layers:.2f} layers on average, {totals.wire_bytes} bytes in packets; "
             f"{totals.late_packets} packets came late",
         ]
@@ -87,13 +90,14 @@ class PlaySummary:
             "fps": self.fps,
             "interrupted": self.interrupted,
             "totals": {
-                "plays": len(self.plays),
+                "plays": self.num_plays,
                 "frames": totals.frames,
                 "undrawn_frames": journal.undrawn_frames,
                 "preparing_s": self.preparing_s,
                 "startup_s": totals.startup_s,
                 "stalls": totals.stalls,
                 "stalled_s": totals.stalled_s,
+                "concealed": totals.concealed,
                 "mean_layers": totals.mean_layers,
                 "bytes": totals.wire_bytes,
                 "received_bytes": self.received_bytes,
@@ -108,12 +112,14 @@ class PlaySummary:
             ],
             "frames": [
                 {
-                    "play": shown.play,
+                    "play": shown.record.play,
                     "frame": shown.record.frame,
                     "layers": shown.record.layers,
                     "due_s": shown.record.due_s,
                     "shown_s": shown.record.shown_s,
                     "drawn_s": shown.drawn_s,
+                    "concealed": shown.record.concealed,
+                    "decode_s": shown.record.decode_s,
                     "bytes": shown.record.wire_bytes,
                 }
                 for shown in journal.frames.all()

@@ -46,6 +46,23 @@ class Events:
     def totals(self) -> PlayoutTotals:
         return self._playout.totals
 
+    @property
+    def finished(self) -> bool:
+        """Whether all of the stream has come."""
+        return self._finished
+
+    @property
+    def end_frame(self) -> int:
+        """The first frame that cannot show yet."""
+        with self._changed:
+            return self._playout.end_frame
+
+    @property
+    def end_s(self) -> float | None:
+        """When the frame after the last one that has come would show; None before the first."""
+        with self._changed:
+            return self._playout.end_s
+
     def append(self, packets: Packets) -> None:
         """Adds packets that arrived now; waits for room first. Raises StoppedError."""
         if self._arrived is not None:
@@ -119,15 +136,21 @@ class Events:
             self._stopped = True
             self._changed.notify_all()
 
-    def toggle_pause(self) -> None:
-        """Lets the time stand still, or go on."""
+    def time_changed(self) -> None:
+        """Somebody has stopped or started the clock, or changed its rate."""
         with self._changed:
-            if self._clock.running:
-                self._clock.stop()
-            else:
-                self._clock.start()
             self._has_news = True
             self._changed.notify_all()
+
+    def step(self) -> bool:
+        """Moves the clock on to the next frame; gives whether that is there."""
+        with self._changed:
+            shown_s = self._playout.next_shown_s
+            if shown_s is None:
+                return False
+            self._clock.skip_to(shown_s)
+            self._changed.notify_all()
+            return True
 
     def take(self) -> DueFrame | None:
         """The next frame, once it is due; None after the last one. Raises StoppedError."""
@@ -142,9 +165,9 @@ class Events:
                     if not self.totals.frames:
                         raise EmptyStreamError("the stream ended before its first frame")
                     return None
-                # None: until something changes.
+                # None: until something changes, as where the clock stands.
                 wait_s = None if shown_s is None else self._clock.until_s(shown_s)
-                if wait_s == 0:
+                if shown_s is not None and wait_s == 0:
                     due = self._playout.take()
                     assert due is not None
                     # Only here is it known when the picture began, or that it stood still.

@@ -11,8 +11,9 @@ tells who sends how the playback stands, and nothing waits for it.
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -67,9 +68,10 @@ def update_thread(
             due = events.take()
             if due is None:
                 break
+            began_s = time.perf_counter()
             for slice in assembler.take(due.record.frame, due.packets):
                 renderer.put(slice)
-            handoff.put(due.record)
+            handoff.put(replace(due.record, decode_s=time.perf_counter() - began_s))
         handoff.finish()
     except StoppedError:
         pass
@@ -102,13 +104,16 @@ class Threads:
     made.
     """
 
-    def __init__(self, source: Source, events: Events) -> None:
-        self._source, self._events = source, events
+    def __init__(
+        self, source: Source, events: Events, ended: Callable[[], None] = lambda: None
+    ) -> None:
+        """ended: is called, by some thread, when receive_thread and when update_thread ends."""
+        self._source, self._events, self._ended = source, events, ended
         self._handoff = Handoff()
         self._threads: list[threading.Thread] = []
 
     def __enter__(self) -> Threads:
-        self._start("receive", receive_thread, self._source, self._events)
+        self._start("receive", self._then_ended(receive_thread), self._source, self._events)
         self._start("tell", tell_thread, self._source, self._events)
         return self
 
@@ -116,8 +121,22 @@ class Threads:
         """Starts update_thread; gives where it hands over its frames. Call it once."""
         source = self._source
         assembler = open_assembler(source.manifest, source.num_layers, source.frames.first)
-        self._start("update", update_thread, self._events, assembler, renderer, self._handoff)
+        self._start(
+            "update",
+            self._then_ended(update_thread),
+            self._events,
+            assembler,
+            renderer,
+            self._handoff,
+        )
         return self._handoff
+
+    def _then_ended(self, target: Callable[..., None]) -> Callable[..., None]:
+        def run(*arguments: object) -> None:
+            target(*arguments)
+            self._ended()
+
+        return run
 
     def _start(self, name: str, target: Callable[..., None], *arguments: object) -> None:
         thread = threading.Thread(target=target, args=arguments, name=name)

@@ -40,6 +40,12 @@ class FrameRecord:
     """When it should have shown: a frame time after the one before; the first, when it did."""
     shown_s: float
     """When it showed."""
+    concealed: bool = False
+    """Whether it came only after it was due, and put nothing off: the frame before stood for it."""
+    play: int = 0
+    """Which play it is of: each seek and each loop begins one."""
+    decode_s: float = 0.0
+    """What it took to decode and to pack what came into use with it."""
 
     @property
     def late(self) -> bool:
@@ -64,6 +70,8 @@ class PlayoutTotals:
     """From the start of the clock to the first picture."""
     stalls: int = 0
     stalled_s: float = 0.0
+    concealed: int = 0
+    """Frames that came after they were due, and put nothing off."""
     layers: float = 0.0
     """Sum over the frames of the layers that show."""
     wire_bytes: int = 0
@@ -75,6 +83,20 @@ class PlayoutTotals:
     @property
     def mean_layers(self) -> float:
         return self.layers / self.frames if self.frames else 0.0
+
+    def add(self, other: PlayoutTotals, startup_s: float) -> None:
+        """Adds what another play came to, which began to show `startup_s` after it was asked
+        for."""
+        self.frames += other.frames
+        self.startup_s += startup_s
+        self.stalls += other.stalls
+        self.stalled_s += other.stalled_s
+        self.concealed += other.concealed
+        self.layers += other.layers
+        self.wire_bytes += other.wire_bytes
+        self.late_packets += other.late_packets
+        self.most_frames_waiting = max(self.most_frames_waiting, other.most_frames_waiting)
+        self.most_bytes_waiting = max(self.most_bytes_waiting, other.most_bytes_waiting)
 
 
 class PlayedMedia:
@@ -119,12 +141,17 @@ class Playout:
         queue: QueueConfig | None = None,
         config: PlayoutConfig | None = None,
         needed: int = 1,
+        *,
+        not_before_s: float = 0.0,
+        play: int = 0,
     ) -> None:
         """until_frame: the first that will not come, if that is known. needed: layers without
-        which a frame does not show."""
+        which a frame does not show. not_before_s: the first frame does not show earlier. play: the
+        number that its frames carry."""
         media = PlayedMedia(manifest)
         self._queue = queue or QueueConfig()
-        self._clock = PlayoutClock(first_frame, media.fps, config, until_frame)
+        self._play = play
+        self._clock = PlayoutClock(first_frame, media.fps, config, until_frame, not_before_s)
         self._here = open_holding(media, first_frame, needed)
         self._shown = open_holding(media, first_frame)
         self._waiting: dict[int, deque[_Waiting]] = {}
@@ -144,6 +171,17 @@ class Playout:
         clock = self._clock
         frame = clock.next_frame(now_s)
         return frame, (clock.end_frame - frame) / clock.fps
+
+    @property
+    def end_frame(self) -> int:
+        """The first frame that cannot show yet."""
+        return self._clock.end_frame
+
+    @property
+    def end_s(self) -> float | None:
+        """When the frame after the last one would show; None before the first one shows."""
+        clock = self._clock
+        return None if clock.started_s is None else clock.due_s(clock.end_frame)
 
     @property
     def _ready(self) -> bool:
@@ -189,13 +227,23 @@ class Playout:
         due_s, shown_s = self._clock.times_s(frame)
         if shown_s > now_s:
             return None
-        taken = list(self._used(frame, shown_s))
+        concealed = frame < self._clock.concealed_until
+        taken = self._used(frame, float("inf") if concealed else shown_s)
         for packets in taken:
             packets.add_to(self._shown)
         wire_bytes = sum(packets.wire_bytes for packets in taken)
         self._queue_bytes -= wire_bytes
-        record = FrameRecord(frame, self._shown.layers(frame), wire_bytes, due_s, shown_s)
+        record = FrameRecord(
+            frame,
+            self._shown.layers(frame),
+            wire_bytes,
+            due_s,
+            shown_s,
+            concealed=concealed,
+            play=self._play,
+        )
         totals = self.totals
+        totals.concealed = self._clock.concealed_frames
         if not totals.frames:
             totals.startup_s = shown_s
         if record.late:
@@ -210,17 +258,17 @@ class Playout:
         self._shown.forget(frame)
         return DueFrame(record, tuple(taken))
 
-    def _used(self, frame: int, shown_s: float) -> list[Packets]:
-        """Takes the packets out of the queue that `frame` is the first to show, in order of birth,
-        a snapshot behind the slice of its frame."""
+    def _used(self, frame: int, until_s: float) -> list[Packets]:
+        """Takes the packets out of the queue that came by `until_s` and that `frame` is the first
+        to show, in order of birth, a snapshot behind the slice of its frame."""
         used: list[Packets] = []
         for birth in sorted(birth for birth in self._waiting if birth <= frame):
             waiting = self._waiting[birth]
-            come = [one.packets for one in waiting if one.came_s <= shown_s]
+            come = [one.packets for one in waiting if one.came_s <= until_s]
             if len(come) == len(waiting):
                 del self._waiting[birth]
             else:
-                self._waiting[birth] = deque(one for one in waiting if one.came_s > shown_s)
+                self._waiting[birth] = deque(one for one in waiting if one.came_s > until_s)
             if birth < frame and self.totals.frames:
                 self.totals.late_packets += len(come)
             used += come

@@ -1,27 +1,27 @@
-"""The interactive window: the mouse moves the camera while the stream plays.
-
-Left button turns around the scene, right button moves it, the wheel comes nearer, space pauses, R
-goes back to the path's camera, Escape closes.
-"""
+"""The interactive window; controls.py says what its keys and the mouse do."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, closing, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from typing import Any
 
 import glfw
 import moderngl
 
 from codec.errors import SwingsError
-from player.playout.queues import Events, Handoff
-from player.playout.threads import Joined, Threads
+from player.playout.conductor import Conductor
 from player.playout.timeline import FrameRecord
 from player.render.gl import MIN_VERSION, GlError, GlRenderer, Target
 from player.render.renderer import Renderer, check_drawable
-from player.view.mouse import View, view_of
-from player.view.path import Size
+from player.view.mouse import view_of
+from player.view.path import CameraPath, Size
+
+from .controls import Controls
+from .overlaygl import OverlayPainter
+from .overlays import Overlays
+from .playmeter import PlayMeter
 
 IDLE_S = 0.005
 """Seconds between two looks at the keyboard while there is nothing new to draw."""
@@ -48,83 +48,86 @@ def _reason() -> str:
     return text.decode(errors="replace") if text else "glfw does not say why"
 
 
-Join = Callable[[], AbstractContextManager[Joined]]
 Note = Callable[[FrameRecord, bool], None]
 """Told of each frame, and whether it was drawn: not where a newer one was due by then."""
 
 
-def show_window(joins: Sequence[Join], renderers: list[Renderer], note: Note) -> None:
-    """Plays what each of `joins` asks for, one after another, until the window is closed.
+def show_window(
+    conductor: Conductor, path: CameraPath, renderers: list[Renderer], note: Note
+) -> None:
+    """Shows what plays until the window is closed. The last picture stays until then.
 
-    renderers: gets the one of each play, for its name and counters.
+    renderers: gets the one that draws, for its name and counters.
     """
-    window: _Window | None = None
-    for number, join in enumerate(joins):
-        with join() as joined, Threads(joined.source, joined.events) as threads:
-            manifest = joined.source.manifest
-            check_drawable(manifest)
-            window = window or _Window(joined)
-            renderer = GlRenderer(manifest, Target.FLOAT16, window.context)
-            renderers.append(renderer)
-            with closing(renderer):
-                # The last picture stays until the window is closed.
-                ends = number + 1 < len(joins)
-                window.play(joined, renderer, threads.update(renderer), note, ends)
-        if window.closed:
-            return
+    manifest = conductor.source.manifest
+    check_drawable(manifest)
+    window = _Window(conductor, path)
+    renderer = GlRenderer(manifest, Target.FLOAT16, window.context)
+    renderers.append(renderer)
+    with closing(renderer):
+        conductor.attach(renderer)
+        window.show(renderer, note)
 
 
 class _Window:
-    """The window of all plays, and the camera that the mouse moved."""
+    """The window, and the camera that a person moves."""
 
-    def __init__(self, joined: Joined) -> None:
-        first = joined.path(joined.source.frames.first)
-        size = Size(first.width_px, first.height_px)
-        self._window = _open(size, joined.source.name)
+    def __init__(self, conductor: Conductor, path: CameraPath) -> None:
+        source = conductor.source
+        first = path(source.frames.first)
+        self._conductor, self._path = conductor, path
+        self._manifest = source.manifest
+        self._window = _open(Size(first.width_px, first.height_px), source.name)
         try:
             self.context = moderngl.create_context(require=MIN_VERSION)
         except Exception as error:  # moderngl and glcontext raise bare Exception
             raise GlError(f"OpenGL 3.3 cannot start in a window: {error}") from error
-        self._view = view_of(joined.source.manifest)
-        self._controls = _Controls(self._window, self._view, first.fy_px)
+        self._view = view_of(source.manifest)
+        self._controls = Controls(self._window, conductor, self._view, first.fy_px)
+        self._painter = OverlayPainter(self.context)
+        self._meter = PlayMeter()
+        self._overlays = Overlays(self._meter, source.manifest.fps)
 
-    @property
-    def closed(self) -> bool:
-        return bool(glfw.window_should_close(self._window))
-
-    def play(
-        self, joined: Joined, renderer: GlRenderer, handoff: Handoff, note: Note, ends: bool
-    ) -> None:
-        """Shows one play; returns when the window is closed, or, if it `ends`, after its last
-        frame."""
-        self._controls.events = joined.events
-        frame, drawn = None, None
+    def show(self, renderer: GlRenderer, note: Note) -> None:
+        """Returns when the window is closed."""
+        frame, drawn, camera = None, None, None
         waiting: list[FrameRecord] = []
-        while not self.closed:
+        last_s = time.monotonic()
+        while not glfw.window_should_close(self._window):
             glfw.poll_events()
-            ended = handoff.ended
-            for record in handoff.poll():
+            now_s = time.monotonic()
+            began_s = time.perf_counter()
+            for record in self._conductor.poll():
                 waiting.append(record)
                 frame = record.frame
+            if waiting:
+                self._meter.took("upload", time.perf_counter() - began_s)
+            if camera is not None:
+                self._controls.fly(camera, now_s - last_s)
+            last_s = now_s
             size = glfw.get_framebuffer_size(self._window)
-            state = (frame, self._controls.changes, size)
+            overlays = self._overlays.now(self._conductor, self._controls, size, now_s)
+            state = (frame, self._controls.changes, size, overlays)
             if frame is None or state == drawn or not all(size):
-                for record in waiting:  # nobody sees a window without a size
-                    note(record, False)
-                waiting.clear()
-                if ends and ended:
-                    return
+                self._noted(waiting, None, note)  # nobody sees a window without a size
                 time.sleep(IDLE_S)
                 continue
-            camera = self._view.applied(joined.path(frame)).fitted(*size)
-            if waiting:
-                renderer.upload(frame)
+            began_s = time.perf_counter()
+            camera = self._view.applied(self._path(frame)).fitted(*size)
             renderer.present(frame, camera, self.context.screen)
+            for placed in overlays:
+                self._painter.paint(placed, self.context.screen, size)
+            self._meter.took("draw", time.perf_counter() - began_s)
             glfw.swap_buffers(self._window)
             drawn = state
-            for record in waiting:
-                note(record, record.frame == frame)
-            waiting.clear()
+            self._noted(waiting, frame, note)
+
+    def _noted(self, waiting: list[FrameRecord], frame: int | None, note: Note) -> None:
+        """`frame` was drawn, of those that waited to be."""
+        for record in waiting:
+            note(record, record.frame == frame)
+            self._meter.shown(record, record.frame == frame, time.monotonic())
+        waiting.clear()
 
 
 def _open(size: Size, title: str) -> Any:
@@ -138,48 +141,3 @@ def _open(size: Size, title: str) -> Any:
     glfw.make_context_current(window)
     glfw.swap_interval(1)
     return window
-
-
-class _Controls:
-    """Turns mouse and keys into a View. `changes` goes up with whatever changes the picture."""
-
-    def __init__(self, window: Any, view: View, focal_px: float) -> None:
-        self._view, self._focal_px = view, focal_px
-        self.events: Events | None = None
-        """What plays now."""
-        self._at_px = (0.0, 0.0)
-        self.changes = 0
-        glfw.set_cursor_pos_callback(window, self._moved)
-        glfw.set_scroll_callback(window, self._scrolled)
-        glfw.set_key_callback(window, self._pressed)
-        glfw.set_window_refresh_callback(window, self._damaged)
-
-    def _moved(self, window: Any, x_px: float, y_px: float) -> None:
-        right_px, down_px = x_px - self._at_px[0], y_px - self._at_px[1]
-        self._at_px = (x_px, y_px)
-        if glfw.get_mouse_button(window, glfw.MOUSE_BUTTON_LEFT) == glfw.PRESS:
-            self._view.drag_turn(right_px, down_px)
-        elif glfw.get_mouse_button(window, glfw.MOUSE_BUTTON_RIGHT) == glfw.PRESS:
-            self._view.drag_pan(right_px, down_px, self._focal_px)
-        else:
-            return
-        self.changes += 1
-
-    def _scrolled(self, window: Any, x_steps: float, y_steps: float) -> None:
-        self._view.scroll(y_steps)
-        self.changes += 1
-
-    def _pressed(self, window: Any, key: int, code: int, action: int, modifiers: int) -> None:
-        if action != glfw.PRESS:
-            return
-        if key == glfw.KEY_ESCAPE:
-            glfw.set_window_should_close(window, True)
-        elif key == glfw.KEY_SPACE:
-            if self.events is not None:
-                self.events.toggle_pause()
-        elif key == glfw.KEY_R:
-            self._view.reset()
-            self.changes += 1
-
-    def _damaged(self, window: Any) -> None:
-        self.changes += 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from codec.stream.manifest import Manifest
 from .path import scene_centre, turned
 
 TURN_RAD_PER_PX = 0.005
+TURN_RAD_PER_STEP = 0.05
 ZOOM_PER_STEP = 0.9
 """Distance to the scene's centre after one step of the wheel, as a share of that before."""
 
@@ -31,6 +32,8 @@ class View:
     """Distance to the centre as a share of the path's."""
     pan: tuple[float, float] = (0.0, 0.0)
     """To the right and down, in distances to the centre per focal length."""
+    flown: Doubles = field(default_factory=lambda: np.zeros(3))
+    """(3,) metres, world, from where all that leads."""
 
     def applied(self, camera: Camera) -> Camera:
         """`camera` as the user wants it."""
@@ -40,7 +43,7 @@ class View:
         distance_m = float(np.linalg.norm(away)) * self.zoom
         place = self.centre + away * self.zoom
         place = place - distance_m * (self.pan[0] * seen.right + self.pan[1] * seen.down)
-        return replace(seen, w2c=world_to_camera(seen.w2c[:3, :3], place))
+        return replace(seen, w2c=world_to_camera(seen.w2c[:3, :3], place + self.flown))
 
     def drag_turn(self, right_px: float, down_px: float) -> None:
         """The near side of the scene follows the mouse."""
@@ -51,12 +54,21 @@ class View:
     def drag_pan(self, right_px: float, down_px: float, focal_px: float) -> None:
         self.pan = (self.pan[0] + right_px / focal_px, self.pan[1] + down_px / focal_px)
 
-    def scroll(self, steps: float) -> None:
-        self.zoom = min(max(self.zoom * ZOOM_PER_STEP**steps, 0.02), 50.0)
+    def scroll(self, right_steps: float, up_steps: float) -> None:
+        """A wheel comes nearer; two fingers on a touchpad also turn."""
+        self.zoom = min(max(self.zoom * ZOOM_PER_STEP**up_steps, 0.02), 50.0)
+        self.turn_rad -= right_steps * TURN_RAD_PER_STEP
+
+    def fly(self, camera: Camera, right: float, down: float, forward: float) -> None:
+        """Moves on from `camera`, the one that `applied` gave last, in distances to the centre."""
+        distance_m = float(np.linalg.norm(camera.position - self.centre))
+        # The rows of the rotation point to the right, down and forward.
+        along = np.array([right, down, forward]) @ camera.w2c[:3, :3]
+        self.flown = self.flown + distance_m * along
 
     def reset(self) -> None:
         self.turn_rad = self.tilt_rad = 0.0
-        self.zoom, self.pan = 1.0, (0.0, 0.0)
+        self.zoom, self.pan, self.flown = 1.0, (0.0, 0.0), np.zeros(3)
 
 
 def view_of(manifest: Manifest) -> View:

@@ -21,9 +21,12 @@ class PlayoutConfig:
     that just carries layer 0 delivers it unevenly."""
     resume_lead_s: float = 0.1
     """The same after a stall: a link below layer 0 would show frame by frame, each as it comes."""
+    conceal_s: float = 0.0
+    """Seconds that the picture may stand still while the time goes on: what comes by then is
+    caught up with, and nothing is put off. What comes later is a stall."""
 
     def __post_init__(self) -> None:
-        for name in ("start_lead_s", "resume_lead_s"):
+        for name in ("start_lead_s", "resume_lead_s", "conceal_s"):
             if not 0 <= getattr(self, name) <= 60:
                 raise InvalidError(f"{name} is {getattr(self, name)}; it must be in 0..60")
 
@@ -45,8 +48,9 @@ class PlayoutClock:
 
     A frame can show when layer 0 of all that it needs has come. The first one shows when so much
     of the stream is there as the configuration asks for; every later one frame time after the one
-    before. One that is not there by then stalls the picture until there is some lead again, and
-    what follows moves with it.
+    before. One that is not there by then holds the picture. If it comes soon, the frames in
+    between are left out (they are concealed); else it stalls the picture until there is some lead
+    again, and what follows moves with it.
     """
 
     def __init__(
@@ -55,14 +59,17 @@ class PlayoutClock:
         fps: float,
         config: PlayoutConfig | None = None,
         until_frame: int | None = None,
+        not_before_s: float = 0.0,
     ) -> None:
-        """until_frame: the first frame that will not come; None while it is not known."""
+        """until_frame: the first frame that will not come; None while it is not known.
+        not_before_s: the first frame does not show earlier."""
         if first_frame < 0 or not fps > 0:
             raise InvalidError(f"playout: frame {first_frame}, {fps} fps")
         self._config = config or PlayoutConfig()
         self.first_frame = first_frame
         self.fps = fps
         self.until_frame = until_frame
+        self._not_before_s = not_before_s
         self.end_frame = first_frame
         """The first frame that cannot show yet."""
         self._here_frame = first_frame
@@ -70,6 +77,10 @@ class PlayoutClock:
         self.stalls = 0
         self.stalled_s = 0.0
         """Of the stalls that are over."""
+        self.concealed_until = first_frame
+        """The frame after the last one that came too late to show, and put nothing off."""
+        self.concealed_frames = 0
+        """How many of them there were."""
         # (frame, when it showed) of the start, of each stall and of what was told: due times are
         # counted from the last one, not summed up frame by frame.
         self._bases: list[tuple[int, float]] = []
@@ -124,15 +135,27 @@ class PlayoutClock:
         self._here_frame = max(self._here_frame, end_frame)
         if not self._bases:
             if self._has_lead(self.first_frame, self._config.start_lead_s):
-                self._started_s = now_s
-                self._bases.append((self.first_frame, now_s))
+                self._started_s = max(now_s, self._not_before_s)
+                self._bases.append((self.first_frame, self._started_s))
         elif self.stalled(now_s):
+            if self._conceals(now_s):
+                return
             if not self._has_lead(self.end_frame, self._config.resume_lead_s):
                 return
             self.stalls += 1
             self.stalled_s += now_s - self.due_s(self.end_frame)
             self._bases.append((self.end_frame, now_s))
         self.end_frame = self._here_frame
+
+    def _conceals(self, now_s: float) -> bool:
+        """Goes on as if nothing had been missing, where that lasted no longer than it may."""
+        held_s = now_s - self.due_s(self.end_frame)
+        if held_s > self._config.conceal_s + 1e-9 or self._here_frame == self.end_frame:
+            return False
+        missed = min(self._here_frame, self.end_frame + math.ceil(held_s * self.fps - 1e-6))
+        self.concealed_frames += missed - self.end_frame
+        self.concealed_until, self.end_frame = missed, self._here_frame
+        return True
 
     def told(self, frame: int, now_s: float) -> None:
         """Whoever shows says that `frame` comes next, at `now_s`; from then on this time line is

@@ -200,7 +200,10 @@ def test_a_server_that_dies_leaves_no_half_video(library: Path, tmp_path: Path) 
         (("--camera", "absent.json"), "there is no file absent.json"),
         (("--capture", "x.mp4", "--report", "/absent/r.json"), "there is no folder"),
         (("--capture", "x.mp4", "--plot", "/absent/p.png"), "there is no folder"),
-        (("--capture", "x.mp4", "--loop", "0"), "once at least"),
+        (("--capture", "x.mp4", "--loop", "0"), "neither forever nor a number from 1 on"),
+        (("--capture", "x.mp4", "--loop", "forever"), "go with a window"),
+        (("--capture", "x.mp4", "--rate", "2"), "go with a window"),
+        (("--rate", "5"), "not within 0.25..4"),
     ],
 )
 def test_options_that_are_wrong_for_any_stream(

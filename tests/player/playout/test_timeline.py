@@ -196,6 +196,72 @@ def test_play_begins_with_a_lead_or_when_there_is_no_more() -> None:
     assert known.next_shown_s == 1.0
 
 
+def conceals(conceal_s: float) -> Playout:
+    config = PlayoutConfig(start_lead_s=0, resume_lead_s=0, conceal_s=conceal_s)
+    playout = Playout(manifest_of(1, 10), 0, None, None, config)
+    for birth in range(3):
+        playout.push(packets(birth), 1.0)
+    for _ in range(3):
+        assert playout.take() is not None
+    return playout
+
+
+def test_what_comes_soon_after_it_was_due_puts_nothing_off() -> None:
+    playout = conceals(0.25)
+    assert playout.next_shown_s is None
+    playout.push(packets(3), 1.45)  # due at 1.3
+    playout.push(packets(4), 1.45)  # due at 1.4
+    playout.push(packets(5), 1.45)
+    taken = [playout.take() for _ in range(3)]
+    records = [one.record for one in taken if one is not None]
+    assert [one.concealed for one in records] == [True, True, False]
+    assert [one.shown_s for one in records] == pytest.approx([1.3, 1.4, 1.5])
+    assert [one.packets for one in taken if one is not None] == [(packets(n),) for n in (3, 4, 5)]
+    totals = playout.totals
+    assert (totals.stalls, totals.stalled_s, totals.concealed, totals.late_packets) == (0, 0, 2, 0)
+
+
+def test_what_comes_later_is_a_stall_and_nothing_is_left_out() -> None:
+    playout = conceals(0.25)
+    playout.push(packets(3), 1.6)  # due at 1.3
+    playout.push(packets(4), 1.6)
+    shown_s = [due.record.shown_s for due in iter(playout.take, None)]
+    assert shown_s == pytest.approx([1.6, 1.7])
+    assert (playout.totals.stalls, playout.totals.concealed) == (1, 0)
+    assert playout.totals.stalled_s == pytest.approx(0.3)
+
+
+@given(gaps_s, windows, rates, st.floats(0, 1))
+def test_concealed_or_not_every_frame_comes_once_and_its_slices_with_it(
+    gaps_s: list[float], swin_size: int, fps: float, conceal_s: float
+) -> None:
+    config = PlayoutConfig(start_lead_s=0, resume_lead_s=0, conceal_s=conceal_s)
+    playout = Playout(manifest_of(swin_size, fps), 0, None, None, config)
+    births, records = [], []
+    for birth, arrival_s in enumerate(itertools.accumulate(gaps_s), 1 - swin_size):
+        playout.push(packets(birth), arrival_s)
+        while due := playout.take():
+            records.append(due.record)
+            births += [one.birth for one in due.packets if isinstance(one, SlicePackets)]
+            held_s = arrival_s - due.record.due_s
+            assert due.record.concealed <= (0 < held_s <= conceal_s + EPSILON_S)
+    assert births == list(range(1 - swin_size, 1 - swin_size + len(births)))
+    assert [record.frame for record in records] == list(range(len(records)))
+    assert playout.totals.concealed == sum(record.concealed for record in records)
+    assert not any(record.concealed and record.late for record in records)
+
+
+def test_a_play_that_follows_another_shows_when_that_is_over() -> None:
+    playout = Playout(manifest_of(1, 10), 0, 5, None, AT_ONCE, not_before_s=4.0, play=7)
+    for birth in range(5):
+        playout.push(packets(birth), 1.0)
+    records = [due.record for due in iter(playout.take, None)]
+    assert [one.shown_s for one in records] == pytest.approx([4.0, 4.1, 4.2, 4.3, 4.4])
+    assert {one.play for one in records} == {7}
+    assert playout.end_s == pytest.approx(4.5)
+    assert playout.totals.stalls == 0
+
+
 def test_where_slots_last_a_layer_shows_while_its_chain_is_whole() -> None:
     layout = small_layout(1, (4, 3), 0, 5)
     playout = Playout(slot_manifest(layout, fps=10.0), 5, None, None, AT_ONCE)

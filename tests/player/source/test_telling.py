@@ -82,12 +82,14 @@ def test_a_server_does_not_count_a_pause_as_shown(tmp_path: Path) -> None:
 
         url = f"{server.url}/v1/streams/long"
         source = ServedSource("S", url, Fetcher(), FrameRange(), None)
-        events = Events(Playout(source.manifest, 0, 160), Clock(real=True))
+        clock = Clock(real=True)
+        events = Events(Playout(source.manifest, 0, 160), clock)
         with Threads(source, events):
             for _ in range(5):
                 due = events.take()
                 assert due is not None
-            events.toggle_pause()
+            clock.stop()
+            events.time_changed()
             before = told()
             # The first may have been on its way, the last may not have been looked at.
             wait_until(lambda: told() > before + 2)
@@ -98,7 +100,8 @@ def test_a_server_does_not_count_a_pause_as_shown(tmp_path: Path) -> None:
             most = max(births(), standing.frame + round(LEAD_S * FPS))
             time.sleep(1.5)
             assert births() <= most
-            events.toggle_pause()
+            clock.start()
+            events.time_changed()
             wait_until(lambda: births() > most + FPS)
         source.close()
         assert metrics.play_news.value("refused") == 0

@@ -157,7 +157,7 @@ def test_the_view_turns_moves_and_zooms_about_the_scene() -> None:
     near_side_px = seen_at_px(seen, CENTRE - (0, 0, 1))
     assert near_side_px[0] > 33
     assert near_side_px[1] > 25
-    view.scroll(1)
+    view.scroll(0, 1)
     assert np.linalg.norm(view.applied(camera).position - CENTRE) == pytest.approx(3.6)
     view.drag_pan(6, -3, camera.fy_px)
     # The centre follows the mouse.

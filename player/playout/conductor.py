@@ -1,0 +1,333 @@
+"""Plays a stream from wherever it is told to: one play after another, on one clock.
+
+A play is a request for the stream from a frame on, and the threads that carry it. A seek ends the
+one that runs and begins another; at the end of a loop the next one is asked for as soon as all of
+the one before has come, so that its first frame shows a frame time after the last one.
+
+conduct_thread begins and ends plays; whoever draws polls; commands may come from any thread.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from player.render.renderer import Renderer
+from player.source.fetch import StoppedError
+from player.source.source import Source
+
+from .clock import Clock
+from .queues import Events, Handoff
+from .threads import Threads
+from .timeline import FrameRecord
+from .transport import Transport, next_rate
+
+OpenAt = Callable[[int], Source]
+"""Asks for the stream from a frame on. Raises what a source raises."""
+
+MakeEvents = Callable[[Source, int, float], Events]
+"""The queue of a play: its source, its number, and when its first frame may show at the soonest."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlayState:
+    """How a playback stands, for people."""
+
+    frame: int
+    """The one that shows, or that was asked for if it does not show yet."""
+    first_frame: int
+    end_frame: int
+    """Behind the last frame that one can go to."""
+    buffered_until: int
+    """Frames before this one can show now."""
+    running: bool
+    seeking: bool
+    """Whether the frame was asked for, and does not show yet."""
+    rate: float
+    loops: bool
+    live: bool
+
+
+class _Play:
+    """One play and its threads. Made by any thread; `update` and `close` belong to one."""
+
+    def __init__(
+        self, source: Source, events: Events, number: int, changed: Callable[[], None]
+    ) -> None:
+        self.source, self.events, self.number = source, events, number
+        self.handoff: Handoff | None = None
+        self._threads = Threads(source, events, changed)
+        self._threads.__enter__()
+
+    def update(self, renderer: Renderer) -> None:
+        self.handoff = self._threads.update(renderer)
+
+    @property
+    def drawn(self) -> bool:
+        """Whether its last frame was polled."""
+        return self.handoff is not None and self.handoff.ended
+
+    def close(self) -> None:
+        self._threads.__exit__()
+        self.source.close()
+
+
+class Conductor:
+    """The plays of one window. Leaving the `with` block ends whatever runs."""
+
+    def __init__(
+        self,
+        open_at: OpenAt,
+        make_events: MakeEvents,
+        clock: Clock,
+        first_frame: int = 0,
+        plays: float = 1,
+    ) -> None:
+        """plays: how often the frames are played; math.inf for without end."""
+        self._open_at, self._make_events = open_at, make_events
+        self._clock = clock
+        self._first_frame, self._plays = first_frame, plays
+        self._changed = threading.Condition()
+        self._renderer: Renderer | None = None
+        self._current: _Play | None = None
+        self._following: _Play | None = None
+        self._wanted: int | None = None
+        self._shows = True  # whether the last frame that was asked for shows
+        self._number = 0
+        self._stopped = False
+        self._failure: BaseException | None = None
+        self.received_bytes = 0
+        """Of the plays that have ended."""
+        self._thread = threading.Thread(target=self._conduct, name="conduct")
+
+    def __enter__(self) -> Conductor:
+        """Asks for the stream."""
+        play = self._begin(self._first_frame, 0.0)
+        frames = play.source.frames
+        self.transport = Transport(frames.first, frames.end, play.source.manifest.fps, self._plays)
+        self._current = play
+        self._shows = False
+        return self
+
+    @property
+    def source(self) -> Source:
+        """That of the newest play, for its manifest and what is known of its frames."""
+        with self._changed:
+            assert self._newest is not None
+            return self._newest.source
+
+    @property
+    def _newest(self) -> _Play | None:
+        return self._following or self._current
+
+    def attach(self, renderer: Renderer) -> None:
+        """Begins to fill `renderer`. Call it once."""
+        assert self._current is not None
+        self._renderer = renderer
+        self._current.update(renderer)
+        self._thread.start()
+
+    def __exit__(self, *error: object) -> None:
+        with self._changed:
+            self._stopped = True
+            self._changed.notify_all()
+            plays = [play for play in (self._current, self._following) if play is not None]
+        for play in plays:
+            play.source.interrupt()
+        if self._thread.ident is not None:
+            self._thread.join()
+        for ended in (self._current, self._following):
+            if ended is not None:
+                self._end(ended)
+
+    # What a person wants.
+
+    def seek(self, frame: int) -> None:
+        """Goes on from `frame`, or from the nearest one that there is."""
+        with self._changed:
+            self._seek(self.transport.seek(frame))
+
+    def seek_newest(self) -> None:
+        """Goes to the last frame; where more of them come, to where they can be followed from."""
+        with self._changed:
+            self._seek(self.transport.newest)
+
+    def skip(self, seconds: float) -> None:
+        """Goes on from so many seconds of media later, or earlier."""
+        with self._changed:
+            self._seek(self.transport.skip(seconds, self._wanted))
+
+    def step(self, frames: int) -> None:
+        """Stops, and shows the frame before or behind."""
+        with self._changed:
+            self._clock.stop()
+            if frames > 0 and self.transport.at_end:
+                return
+            current = self._current
+            goes_on = frames == 1 and self._wanted is None and self._shows
+            if not (goes_on and current is not None and current.events.step()):
+                self._seek(self.transport.skip(frames / self.transport.fps, self._wanted))
+            self._time_changed()
+
+    def toggle_pause(self) -> None:
+        """Stops, or goes on; at the end, begins anew."""
+        with self._changed:
+            if self._clock.running and not self.transport.at_end:
+                self._clock.stop()
+            else:
+                self._clock.start()
+                if self.transport.at_end and self._wanted is None:
+                    self._seek(self.transport.first_frame)
+            self._time_changed()
+
+    def change_rate(self, steps: int) -> None:
+        """Plays faster or slower, by so many of the rates that there are; 0 for as filmed."""
+        with self._changed:
+            self._clock.set_rate(next_rate(self._clock.rate, steps) if steps else 1.0)
+            self._time_changed()
+
+    def toggle_loop(self) -> None:
+        with self._changed:
+            self.transport.toggle_loop()
+            self._changed.notify_all()
+
+    def _seek(self, frame: int) -> None:
+        self._wanted, self._shows = frame, False
+        self._changed.notify_all()
+
+    def _time_changed(self) -> None:
+        for play in (self._current, self._following):
+            if play is not None:
+                play.events.time_changed()
+
+    # What a window wants.
+
+    def poll(self) -> list[FrameRecord]:
+        """The frames that came to be shown, in order; what they need is in the renderer. Raises
+        what ended the playback."""
+        with self._changed:
+            if self._failure is not None:
+                raise self._failure
+            play = self._current
+            if play is None or play.handoff is None or self._wanted is not None:
+                return []
+            records = play.handoff.poll()
+            if records:
+                assert self._renderer is not None
+                self._renderer.upload(records[-1].frame)
+                self.transport.shown = records[-1].frame
+                self.transport.known_end = max(self.transport.known_end, records[-1].frame + 1)
+                self._shows = True
+            if play.handoff.ended:
+                self._changed.notify_all()
+            return records
+
+    def state(self) -> PlayState:
+        with self._changed:
+            transport, play = self.transport, self._current
+            frame = transport.shown if self._wanted is None else self._wanted
+            frame = transport.first_frame if frame is None else frame
+            buffered = play.events.end_frame if play is not None else frame
+            transport.known_end = max(transport.known_end, buffered)
+            return PlayState(
+                frame,
+                transport.first_frame,
+                transport.last_frame + 1,
+                buffered,
+                self._clock.running,
+                not self._shows,
+                self._clock.rate,
+                transport.loops,
+                play is not None and play.source.manifest.live,
+            )
+
+    # conduct_thread
+
+    def _conduct(self) -> None:
+        try:
+            while True:
+                with self._changed:
+                    self._changed.wait_for(self._has_work)
+                    if self._stopped:
+                        return
+                    frame, current, following = self._wanted, self._current, self._following
+                if frame is not None:
+                    self._go_to(frame)
+                elif following is not None and not self.transport.loops:
+                    self._forget_following(following)
+                elif current is not None and following is not None:
+                    self._go_on(current, following)
+                elif current is not None:
+                    self._follow(current)
+        except StoppedError:
+            pass
+        except BaseException as error:
+            with self._changed:
+                self._failure = error
+
+    def _has_work(self) -> bool:
+        if self._stopped or self._wanted is not None:
+            return True
+        current, loops = self._current, self.transport.loops
+        if current is None:
+            return False
+        if self._following is not None:
+            return current.drawn or not loops
+        return loops and current.events.finished
+
+    def _begin(self, frame: int, not_before_s: float) -> _Play:
+        source = self._open_at(frame)
+        try:
+            events = self._make_events(source, self._number, not_before_s)
+            play = _Play(source, events, self._number, self._notify)
+        except BaseException:
+            source.close()
+            raise
+        self._number += 1
+        return play
+
+    def _end(self, play: _Play) -> None:
+        play.close()
+        self.received_bytes += play.source.received_bytes
+
+    def _notify(self) -> None:
+        with self._changed:
+            self._changed.notify_all()
+
+    def _go_to(self, frame: int) -> None:
+        """Ends what plays, and plays from `frame` on."""
+        with self._changed:
+            ended = [play for play in (self._current, self._following) if play is not None]
+            self._current = self._following = None
+        for play in ended:
+            self._end(play)
+        assert self._renderer is not None
+        self._renderer.forget_waiting()
+        play = self._begin(frame, 0.0)
+        play.update(self._renderer)
+        with self._changed:
+            self._current = play
+            if self._wanted == frame:
+                self._wanted = None
+
+    def _follow(self, current: _Play) -> None:
+        """Asks for the next play of a loop, whose frames show behind those of `current`."""
+        following = self._begin(self.transport.first_frame, current.events.end_s or 0.0)
+        with self._changed:
+            self._following = following
+
+    def _forget_following(self, following: _Play) -> None:
+        """It does not begin anew after all."""
+        with self._changed:
+            self._following = None
+        self._end(following)
+
+    def _go_on(self, current: _Play, following: _Play) -> None:
+        """The next play of a loop takes its turn."""
+        self._end(current)
+        assert self._renderer is not None
+        following.update(self._renderer)
+        with self._changed:
+            self.transport.plays_left -= 1
+            self._current, self._following = following, None

@@ -1,0 +1,101 @@
+"""What is written over the picture: lines of text, and the bar that one seeks with. Pure.
+
+Rule: an overlay is an array of pixels, (H, W, 4) uint8, RGBA, row 0 on top, straight alpha.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image, ImageDraw, ImageFont
+
+from player.playout.conductor import PlayState
+
+Pixels = npt.NDArray[np.uint8]
+
+TEXT_PX = 14
+LINE_PX = 18
+MARGIN_PX = 8
+BAR_PX = 30
+"""Height of the strip that the bar lies in: what the mouse may hit."""
+
+TRACK_PX = 6
+KNOB_PX = 7
+
+_BACK = (0, 0, 0, 150)
+_TEXT = (255, 255, 255, 255)
+_TRACK = (255, 255, 255, 70)
+_BUFFERED = (255, 255, 255, 150)
+_PLAYED = (80, 170, 255, 255)
+
+
+@dataclass(frozen=True)
+class Placed:
+    """An overlay and its place. Equal only to itself."""
+
+    place: str
+    pixels: Pixels = field(compare=False)
+    corner_px: tuple[int, int]
+    """Left and top."""
+    version: int
+    """Goes up with every change of what is shown."""
+
+
+@cache
+def _font() -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    return ImageFont.load_default(TEXT_PX)
+
+
+def text_panel(lines: Sequence[str]) -> Pixels:
+    """The lines, white on a dark panel that is just large enough."""
+    font = _font()
+    width_px = max((int(font.getlength(line)) for line in lines), default=0)
+    size = (width_px + 2 * MARGIN_PX, len(lines) * LINE_PX + 2 * MARGIN_PX)
+    image = Image.new("RGBA", size, _BACK)
+    draw = ImageDraw.Draw(image)
+    for n, line in enumerate(lines):
+        draw.text((MARGIN_PX, MARGIN_PX + n * LINE_PX), line, font=font, fill=_TEXT)
+    return np.array(image)
+
+
+def _track(width_px: int) -> tuple[int, int]:
+    """Where the bar's track begins and ends."""
+    margin_px = min(MARGIN_PX + KNOB_PX, width_px // 4)
+    return margin_px, max(margin_px + 1, width_px - margin_px)
+
+
+def frame_at(x_px: float, width_px: int, state: PlayState) -> int:
+    """The frame that the bar of that width shows at `x_px`."""
+    left_px, right_px = _track(width_px)
+    share = min(max((x_px - left_px) / (right_px - left_px), 0.0), 1.0)
+    return state.first_frame + round(share * (state.end_frame - 1 - state.first_frame))
+
+
+def seek_bar(width_px: int, state: PlayState) -> Pixels:
+    """A strip of BAR_PX: all frames, those that can show now, those that were, and a knob."""
+    image = Image.new("RGBA", (width_px, BAR_PX), _BACK)
+    draw = ImageDraw.Draw(image)
+    left_px, right_px = _track(width_px)
+    most = max(1, state.end_frame - 1 - state.first_frame)
+
+    def at_px(frame: int) -> float:
+        share = (frame - state.first_frame) / most
+        return left_px + min(max(share, 0.0), 1.0) * (right_px - left_px)
+
+    top_px, bottom_px = (BAR_PX - TRACK_PX) // 2, (BAR_PX + TRACK_PX) // 2 - 1
+    shown_px = at_px(state.frame)
+    draw.rectangle((left_px, top_px, right_px, bottom_px), fill=_TRACK)
+    if state.buffered_until > state.frame:
+        end_px = at_px(state.buffered_until - 1)
+        draw.rectangle((shown_px, top_px, end_px, bottom_px), fill=_BUFFERED)
+    draw.rectangle((left_px, top_px, shown_px, bottom_px), fill=_PLAYED)
+    middle_px = BAR_PX / 2
+    draw.ellipse(
+        (shown_px - KNOB_PX, middle_px - KNOB_PX, shown_px + KNOB_PX, middle_px + KNOB_PX),
+        fill=_TEXT,
+    )
+    return np.array(image)

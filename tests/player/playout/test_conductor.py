@@ -1,0 +1,261 @@
+"""Seeking, stepping, looping: plays of a real folder, one after another, into a renderer."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from codec.errors import SwingsError
+from codec.framerange import FrameRange
+from player.playout.clock import Clock
+from player.playout.conductor import Conductor
+from player.playout.queues import Events
+from player.playout.timeline import FrameRecord, Playout
+from player.render.cpu import CpuRenderer
+from player.source.directory import DirectorySource
+from player.source.source import Source
+from server.abr.playout import PlayoutConfig
+from tests.support.hosted_streams import write_stream
+from tests.support.slots.slot_streams import write_busy_stream
+from tests.support.slots.updates import small_layout
+
+FPS = 30.0
+PATIENCE_S = 20.0
+AT_ONCE = PlayoutConfig(start_lead_s=0, resume_lead_s=0)
+
+
+class Played:
+    """A stream that is conducted, and what was polled of it."""
+
+    def __init__(self, path: Path, clock: Clock, plays: float, first: int = 0) -> None:
+        self.path = path
+        self.opened: list[int] = []
+        self.records: list[FrameRecord] = []
+        self.fails: SwingsError | None = None
+        self.conductor = Conductor(self.open_at, self.make_events, clock, first, plays)
+        self.clock = clock
+
+    def open_at(self, frame: int) -> Source:
+        if self.fails is not None:
+            raise self.fails
+        self.opened.append(frame)
+        return DirectorySource(self.path, FrameRange(frame), None)
+
+    def make_events(self, source: Source, play: int, not_before_s: float) -> Events:
+        frames = source.frames
+        playout = Playout(
+            source.manifest,
+            frames.first,
+            frames.end,
+            None,
+            AT_ONCE,
+            not_before_s=not_before_s,
+            play=play,
+        )
+        return Events(playout, self.clock)
+
+    def poll_until(self, is_enough: Callable[[], bool]) -> None:
+        began_s = time.monotonic()
+        while not is_enough():
+            assert time.monotonic() < began_s + PATIENCE_S, self.records[-3:]
+            records = self.conductor.poll()
+            self.records += records
+            if not records:
+                time.sleep(0.001)
+
+    def shows(self, frame: int) -> None:
+        """Waits until `frame` shows."""
+        self.poll_until(
+            lambda: (
+                bool(self.records)
+                and self.records[-1].frame == frame
+                and not self.conductor.state().seeking
+            )
+        )
+
+
+@contextmanager
+def conducted(
+    path: Path, *, real: bool = False, plays: float = 1, first: int = 0
+) -> Iterator[tuple[Played, CpuRenderer]]:
+    played = Played(path, Clock(real), plays, first)
+    with played.conductor as conductor:
+        renderer = CpuRenderer(conductor.source.manifest)
+        conductor.attach(renderer)
+        yield played, renderer
+    assert not {"conduct", "receive", "tell", "update"} & {
+        thread.name for thread in threading.enumerate()
+    }
+
+
+@pytest.fixture(scope="module", params=[1, 2])
+def stream(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of either version, 40 frames."""
+    path = tmp_path_factory.mktemp("conducted") / "s"
+    if request.param == 1:
+        return write_stream(path, 40)
+    write_busy_stream(path, 40, small_layout(3, (4, 3), 0, 5), fps=FPS)
+    return path
+
+
+def picture(path: Path, frame: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+    """The frame as it shows when one begins with it."""
+    with conducted(path, first=frame, real=True) as (played, renderer):
+        played.conductor.toggle_pause()
+        played.shows(frame)
+        manifest = played.conductor.source.manifest
+        return renderer.render_again(frame, manifest.camera())
+
+
+def test_it_plays_to_the_end_and_stands_there(stream: Path) -> None:
+    with conducted(stream) as (played, _):
+        played.shows(39)
+        assert [record.frame for record in played.records] == list(range(40))
+        assert played.conductor.transport.at_end
+        assert played.opened == [0]
+
+
+def test_a_seek_shows_the_exact_frame_whatever_showed_before(stream: Path) -> None:
+    frames = [33, 7, 8, 0, 39, 21]
+    expected = {frame: picture(stream, frame) for frame in frames}
+    with conducted(stream, real=True) as (played, renderer):
+        conductor = played.conductor
+        camera = conductor.source.manifest.camera()
+        conductor.toggle_pause()
+        for frame in frames:
+            conductor.seek(frame)
+            played.shows(frame)
+            seen = renderer.render_again(frame, camera)
+            np.testing.assert_array_equal(seen, expected[frame])
+        assert conductor.state().frame == 21
+        assert played.opened == [0, *frames]
+
+
+def test_steps_show_each_frame_once_both_ways_and_time_stands(stream: Path) -> None:
+    with conducted(stream, real=True, first=10) as (played, _):
+        conductor = played.conductor
+        conductor.toggle_pause()
+        played.shows(10)
+        for frame in (11, 12, 13):
+            conductor.step(1)
+            played.shows(frame)
+        assert played.opened == [10]  # what is here is not asked for again
+        for frame in (12, 11, 10):
+            conductor.step(-1)
+            played.shows(frame)
+        assert played.opened == [10, 12, 11, 10]
+        time.sleep(3 / FPS)
+        assert conductor.poll() == []
+
+
+def test_seeks_that_follow_fast_end_at_the_last_of_them(stream: Path) -> None:
+    with conducted(stream, real=True) as (played, _):
+        conductor = played.conductor
+        conductor.toggle_pause()
+        for frame in (30, 3, 20, 9, 35):
+            conductor.seek(frame)
+        assert conductor.state().frame == 35
+        played.shows(35)
+        time.sleep(3 / FPS)
+        assert conductor.poll() == []
+
+
+def test_a_rate_of_4_shows_all_frames_in_a_quarter_of_the_time(stream: Path) -> None:
+    with conducted(stream, real=True) as (played, _):
+        for _ in range(9):
+            played.conductor.change_rate(1)
+        assert played.conductor.state().rate == 4
+        played.shows(0)
+        began_s = time.monotonic()
+        played.shows(39)
+        took_s = time.monotonic() - began_s
+        assert [record.frame for record in played.records] == list(range(40))
+        assert took_s > 0.9 * 39 / FPS / 4
+        assert took_s < 39 / FPS
+
+
+def test_space_at_the_end_begins_anew(stream: Path) -> None:
+    with conducted(stream, first=30) as (played, _):
+        played.shows(39)
+        played.conductor.seek(35)
+        played.shows(39)
+        played.conductor.toggle_pause()
+        played.poll_until(lambda: played.records[-1].play == 2)
+        assert next(record.frame for record in played.records if record.play == 2) == 30
+        assert played.opened == [30, 35, 30]
+
+
+def test_a_loop_neither_drifts_nor_skips_and_ends_when_told(stream: Path) -> None:
+    with conducted(stream, plays=3) as (played, _):
+        played.poll_until(lambda: len(played.records) == 120)
+        shown = [(record.play, record.frame) for record in played.records]
+        assert shown == [divmod(n, 40) for n in range(120)]
+        first_s = played.records[0].shown_s
+        for n, record in enumerate(played.records):
+            assert record.shown_s == pytest.approx(first_s + n / FPS, abs=1e-6)
+        time.sleep(0.2)
+        assert played.conductor.poll() == []
+        assert played.opened == [0, 0, 0]
+
+
+def test_a_loop_that_is_left_ends_at_the_end(stream: Path) -> None:
+    with conducted(stream, real=True, plays=math.inf, first=20) as (played, _):
+        played.shows(20)
+        # All of the stream is here: the next play is asked for.
+        played.poll_until(lambda: played.opened == [20, 20])
+        played.conductor.toggle_loop()
+        played.shows(39)
+        time.sleep(0.2)
+        assert played.conductor.poll() == []
+        assert played.conductor.transport.at_end
+
+
+def test_what_fails_on_a_seek_is_raised_by_the_next_look(stream: Path) -> None:
+    with conducted(stream) as (played, _):
+        played.shows(39)
+        played.fails = SwingsError("gone")
+        played.conductor.seek(3)
+        with pytest.raises(SwingsError, match="gone"):
+            played.poll_until(lambda: False)
+
+
+def test_it_can_be_closed_before_anything_shows(stream: Path) -> None:
+    with conducted(stream) as (played, _):
+        played.conductor.seek(30)
+
+
+def resident_bytes() -> int:
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+@pytest.mark.skipif(not os.path.exists("/proc/self/statm"), reason="reads memory from /proc")
+def test_100_000_frames_of_an_endless_loop_in_flat_memory(tmp_path: Path) -> None:
+    """At the speed of the machine: no frame waits until it is due."""
+    num_frames, most = 500, 100_000
+    path = write_stream(tmp_path / "s", num_frames)
+    expected = itertools.cycle(range(num_frames))
+    memory, shown, first_s = list[int](), 0, 0.0
+    with conducted(path, plays=math.inf) as (played, _):
+        while shown < most:
+            records = played.conductor.poll()
+            if not records:
+                time.sleep(0.0005)
+            for record in records:
+                first_s = first_s or record.shown_s
+                assert record.frame == next(expected)
+                assert record.shown_s == pytest.approx(first_s + shown / FPS, abs=1e-3)
+                shown += 1
+                if shown % 20_000 == 0:
+                    memory.append(resident_bytes())
+    grown = memory[-1] - memory[0]
+    assert grown < 8 << 20, f"{grown} bytes more after {most} frames: {memory}"
