@@ -26,8 +26,7 @@ from player.playout.timeline import FrameRecord, Playout, QueueConfig
 from player.render.gl import GlError
 from player.render.renderer import Renderer, RendererKind, create_renderer
 from player.show.sink import FrameSink, open_sink, to_bytes
-from player.source.lastplay import NO_PLAY
-from player.source.locate import open_source
+from player.source.opener import Opener
 from player.source.source import Source
 from player.view.path import Size
 from server.abr.link.link import Link
@@ -65,6 +64,7 @@ def play(config: PlayConfig) -> PlaySummary:
         began_s = time.monotonic()
         kind = _rehearsed(config)
         playback = _Playback(config, kind, relay, time.monotonic() - began_s)
+        stack.callback(playback.close)
         try:
             playback.run()
         except KeyboardInterrupt:
@@ -113,11 +113,15 @@ class _Playback:
         self._relay = relay
         self._clock = Clock(real=True)
         self._renderers: list[Renderer] = []
-        self._last_play = NO_PLAY
         self._journal = Journal(MAX_ROWS if config.report or config.plot else 0)
         self._summary = PlaySummary(
             config.source, preparing_s=preparing_s, link=config.link, journal=self._journal
         )
+        via = relay.address if relay is not None else None
+        self._opener = Opener(config.source, via, self._received)
+
+    def close(self) -> None:
+        self._opener.close()
 
     def run(self) -> None:
         if self._config.capture is not None:
@@ -149,11 +153,7 @@ class _Playback:
     def _open(self, first_frame: int) -> Source:
         """Asks for the stream from a frame on."""
         config = self._config
-        frames = FrameRange(first_frame, config.frames.end)
-        via = self._relay.address if self._relay is not None else None
-        return open_source(
-            config.source, frames, config.layers, via, self._received, self._last_play
-        )
+        return self._opener.open(FrameRange(first_frame, config.frames.end), config.layers)
 
     def _events(self, source: Source, play: int, not_before_s: float) -> Events:
         """The queue of a play."""
@@ -170,7 +170,14 @@ class _Playback:
         config = self._config
         self._clock.set_rate(config.rate)
         plays = math.inf if config.loop is None else config.loop
-        conductor = Conductor(self._open, self._events, self._clock, config.frames.first, plays)
+        conductor = Conductor(
+            self._open,
+            self._events,
+            self._clock,
+            config.frames.first,
+            plays,
+            self._opener.interrupt,
+        )
         try:
             with conductor:
                 source = conductor.source
@@ -195,7 +202,6 @@ class _Playback:
                 yield Joined(source, events, path)
             finally:
                 summary.received_bytes += source.received_bytes
-                self._last_play = source.play
 
     def _capture(self) -> None:
         """Draws every frame into files."""

@@ -83,9 +83,12 @@ class Conductor:
         clock: Clock,
         first_frame: int = 0,
         plays: float = 1,
+        interrupt: Callable[[], None] = lambda: None,
     ) -> None:
-        """plays: how often the frames are played; math.inf for without end."""
+        """plays: how often the frames are played; math.inf for without end. interrupt: makes an
+        `open_at` that waits raise StoppedError."""
         self._open_at, self._make_events = open_at, make_events
+        self._interrupt = interrupt
         self._clock = clock
         self._first_frame, self._plays = first_frame, plays
         self._changed = threading.Condition()
@@ -135,6 +138,7 @@ class Conductor:
             plays = [play for play in (self._current, self._following) if play is not None]
         for play in plays:
             play.source.interrupt()
+        self._interrupt()
         if self._thread.ident is not None:
             self._thread.join()
         for ended in (self._current, self._following):

@@ -156,6 +156,13 @@ class ServedSource:
         return record
 
     def packets(self) -> Iterator[Packets]:
+        try:
+            yield from self._packets()
+        finally:
+            # By the thread that reads: the next source may use the connections already.
+            self._disconnect()
+
+    def _packets(self) -> Iterator[Packets]:
         retry = Retry(self._retry_config)
         connected, receiver = True, self._receiver
         while True:
