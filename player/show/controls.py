@@ -27,19 +27,19 @@ FLY_PER_S = 0.5
 """Distances to the scene's centre that one flies in a second."""
 
 HELP = (
-    "space         pause, go on",
-    "left, right   skip 1 s (with shift 5 s)",
-    "comma, stop   step a frame back, on",
-    "home, end     first frame, newest frame",
-    "[  ]          slower, faster; backspace: as filmed",
-    "L             loop",
-    "F             full screen; escape leaves it, or closes",
-    "I             how the playback stands",
-    "R             back to the path's camera",
-    "W A S D Q E   fly",
-    "left drag     turn; right drag: move; wheel: nearer",
-    "touchpad      up and down: nearer; sideways: turn",
-    "H             this help",
+    "space\tpause, go on",
+    "left, right\tskip 1 s (with shift 5 s)",
+    "comma, stop\tstep a frame back, on",
+    "home, end\tfirst frame, newest frame",
+    "[  ]\tslower, faster; backspace: as filmed",
+    "L\tloop",
+    "F\tfull screen; escape leaves it, or closes",
+    "I\thow the playback stands",
+    "R\tback to the path's camera",
+    "W A S D Q E\tfly",
+    "left drag\tturn; right drag: move; wheel: nearer",
+    "touchpad\tup and down: nearer; sideways: turn",
+    "H\tthis help",
 )
 
 

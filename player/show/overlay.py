@@ -51,14 +51,21 @@ def _font() -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 
 
 def text_panel(lines: Sequence[str]) -> Pixels:
-    """The lines, white on a dark panel that is just large enough."""
+    """The lines, white on a dark panel that is just large enough; what stands behind a tab is a
+    second column."""
     font = _font()
-    width_px = max((int(font.getlength(line)) for line in lines), default=0)
-    size = (width_px + 2 * MARGIN_PX, len(lines) * LINE_PX + 2 * MARGIN_PX)
-    image = Image.new("RGBA", size, _BACK)
+    rows = [line.split("\t", 1) for line in lines]
+    columns = [
+        max((int(font.getlength(row[n])) for row in rows if len(row) > n), default=0)
+        for n in range(2)
+    ]
+    second_px = MARGIN_PX + columns[0] + 2 * MARGIN_PX
+    width_px = second_px + columns[1] if columns[1] else MARGIN_PX + columns[0]
+    image = Image.new("RGBA", (width_px + MARGIN_PX, len(rows) * LINE_PX + 2 * MARGIN_PX), _BACK)
     draw = ImageDraw.Draw(image)
-    for n, line in enumerate(lines):
-        draw.text((MARGIN_PX, MARGIN_PX + n * LINE_PX), line, font=font, fill=_TEXT)
+    for n, row in enumerate(rows):
+        for left_px, text in zip((MARGIN_PX, second_px), row, strict=False):
+            draw.text((left_px, MARGIN_PX + n * LINE_PX), text, font=font, fill=_TEXT)
     return np.array(image)
 
 

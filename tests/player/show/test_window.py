@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -14,8 +13,7 @@ import pytest
 
 from tests.support.commands import ROOT
 from tests.support.hosted_streams import write_stream
-
-XVFB = shutil.which("Xvfb")
+from tests.support.xserver import x_server
 
 # Plays in a window, notes what is on it, turns the view by mouse and key events and closes it.
 PLAY = """
@@ -57,19 +55,8 @@ print(json.dumps({
 
 @pytest.fixture
 def display() -> Iterator[str]:
-    if XVFB is None:
-        pytest.skip("needs Xvfb, an X server without a screen")
-    reading, writing = os.pipe()
-    command = [XVFB, "-displayfd", str(writing), "-screen", "0", "640x480x24", "-nolisten", "tcp"]
-    process = subprocess.Popen(command, pass_fds=(writing,), stderr=subprocess.DEVNULL)
-    os.close(writing)
-    with os.fdopen(reading) as pipe:
-        number = pipe.readline().strip()
-    try:
-        yield f":{number}"
-    finally:
-        process.terminate()
-        process.wait()
+    with x_server() as name:
+        yield name
 
 
 @pytest.mark.parametrize(("num_frames", "loop"), [(40, 1), (5, 9)])

@@ -1,0 +1,177 @@
+"""A person before the window: keys and mouse through an X server, and the pixels that follow."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from player.show.overlay import BAR_PX
+from tests.support.commands import ROOT
+from tests.support.hosted_streams import write_stream
+from tests.support.xserver import Person, Pixels, x_server
+
+FRAMES = 300
+SIZE = "320x240"
+
+
+@contextmanager
+def playing(stream: Path, report: Path, *options: str) -> Iterator[Person]:
+    """A person before a window that plays `stream`; escape has to end it."""
+    with x_server() as display:
+        command = [sys.executable, "-m", "player", str(stream), "--size", SIZE]
+        process = subprocess.Popen(
+            [*command, "--report", str(report), *options],
+            cwd=ROOT,
+            env={**os.environ, "DISPLAY": display},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        try:
+            person = Person(display, "swings:")
+            person.wait_for(lambda: person.sees().max() > 50)
+            yield person
+            person.presses("Escape")
+            out, err = process.communicate(timeout=30)
+            assert (process.returncode, err) == (0, ""), out + err
+            person.leaves()
+        finally:
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture(scope="module")
+def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_stream(tmp_path_factory.mktemp("keys") / "s", FRAMES)
+
+
+def scene(seen: Pixels) -> Pixels:
+    """All but the strip of the bar."""
+    return seen[:-BAR_PX]
+
+
+def differ(one: Pixels, other: Pixels) -> float:
+    """Share of the scene's pixels that are not the same."""
+    return float((scene(one) != scene(other)).any(axis=2).mean())
+
+
+def frames_of(report: Path) -> list[int]:
+    return [shown["frame"] for shown in json.loads(report.read_text())["frames"]]
+
+
+def test_time_stands_steps_and_is_sought(stream: Path, tmp_path: Path) -> None:
+    report = tmp_path / "r.json"
+    with playing(stream, report) as person:
+        moving = person.sees()
+        person.wait_for(lambda: differ(moving, person.sees()) > 0.01)
+        person.presses("space")
+        still = person.sees_rest()
+        person.presses("period")
+        person.wait_for(lambda: differ(still, person.sees()) > 0.001)
+        person.presses("comma")
+        # The very picture, though it was asked for anew.
+        person.wait_for(lambda: differ(still, person.sees()) == 0)
+        person.presses("Right")
+        after = person.sees_rest()
+        assert differ(still, after) > 0.01
+        person.presses("Left")
+        person.wait_for(lambda: differ(still, person.sees()) == 0)
+        person.presses("Home")
+        first = person.sees_rest()
+        person.presses("End")
+        last = person.sees_rest()
+        assert differ(first, last) > 0.01
+        person.presses("space")  # at the end: begins anew
+        person.wait_for(lambda: differ(first, person.sees()) == 0)
+    frames = frames_of(report)
+    assert {0, FRAMES - 1} <= set(frames)
+    # As shown: a step on, one back, a second on and back.
+    back = next(n for n in range(len(frames)) if frames[n + 1] < frames[n]) + 1
+    still = frames[back]
+    assert frames[back - 2 : back + 3] == [still, still + 1, still, still + 30, still]
+
+
+def test_the_bar_seeks_to_where_it_is_dragged(stream: Path, tmp_path: Path) -> None:
+    report = tmp_path / "r.json"
+    with playing(stream, report) as person:
+        person.presses("space")
+        person.sees_rest()
+        width_px, height_px = person.size_px
+        y_px = height_px - BAR_PX // 2
+        person.drags(1, (width_px // 2, y_px), (width_px // 4, y_px), (3 * width_px // 4, y_px))
+        there = person.sees_rest()
+        bar = there[-BAR_PX:].astype(int)
+        blue = (bar[:, :, 2] - bar[:, :, 0] > 60).any(axis=0)  # what was played
+        assert blue[width_px // 2]
+        assert not blue[7 * width_px // 8]
+    assert abs(frames_of(report)[-1] - 3 * FRAMES // 4) < FRAMES // 20
+
+
+def test_the_mouse_and_keys_move_the_camera_and_r_brings_it_back(
+    stream: Path, tmp_path: Path
+) -> None:
+    with playing(stream, tmp_path / "r.json") as person:
+        person.presses("space")
+        person.points(5, 5)
+        before = person.sees_rest()
+
+        def moved_by(act: str) -> None:
+            seen = person.sees_rest()
+            assert differ(before, seen) > 0.05, act
+            person.presses("r")
+            person.wait_for(lambda: differ(before, person.sees()) == 0)
+
+        person.drags(1, (100, 100), (140, 100), (160, 90))
+        moved_by("turn")
+        person.drags(3, (100, 100), (140, 100))
+        moved_by("pan")
+        person.drags(4, (100, 100))
+        moved_by("wheel")
+        person.holds("w", 0.5)
+        moved_by("fly")
+
+
+def test_the_overlays_say_how_it_stands_and_what_keys_do(stream: Path, tmp_path: Path) -> None:
+    with playing(stream, tmp_path / "r.json") as person:
+        person.presses("space")
+        before = person.sees_rest()
+        person.presses("i")
+        person.wait_for(lambda: differ(before, person.sees()) > 0.05)
+        info = person.sees()
+        person.presses("h")
+        person.wait_for(lambda: differ(info, person.sees()) > 0.05)
+        person.presses("h")
+        person.presses("i")
+        person.wait_for(lambda: differ(before, person.sees()) == 0)
+
+
+def test_rate_and_loop_by_keys(stream: Path, tmp_path: Path) -> None:
+    report = tmp_path / "r.json"
+    with playing(stream, report, "--frames", "280:300") as person:
+        person.presses("l")
+        for _ in range(3):
+            person.presses("bracketright")
+        time.sleep(1.5)
+    frames = np.array(frames_of(report))
+    anew = int((np.diff(frames) < 0).sum())
+    # A turn lasts 20 frames: 0.67 s as filmed, 0.17 s at four times that.
+    assert anew >= 4
+    assert set(frames.tolist()) == set(range(280, 300))
+
+
+def test_full_screen_fills_the_screen_and_escape_leaves_it(stream: Path, tmp_path: Path) -> None:
+    with playing(stream, tmp_path / "r.json") as person:
+        assert person.size_px == (320, 240)
+        person.presses("f")
+        person.wait_for(lambda: person.size_px == (640, 480))
+        person.presses("Escape")
+        person.wait_for(lambda: person.size_px == (320, 240))
