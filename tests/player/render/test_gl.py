@@ -27,7 +27,7 @@ from tests.support.hosted_streams import (
     random_splats,
     small_manifest,
 )
-from tests.support.opengl import NO_GL, needs_gl
+from tests.support.screen.opengl import NO_GL, needs_gl
 from tests.support.slots.leases import LeasedStream, leased_slice, leased_streams, replayed
 
 Floats = npt.NDArray[np.float32]

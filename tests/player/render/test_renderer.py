@@ -17,7 +17,7 @@ from codec.errors import InvalidError, UnsupportedError
 from player.render.renderer import Renderer, RendererKind, check_drawable, create_renderer
 from tests.support.commands import ROOT
 from tests.support.hosted_streams import SWIN_SIZE, random_slice, small_manifest
-from tests.support.opengl import needs_gl
+from tests.support.screen.opengl import needs_gl
 
 Floats = npt.NDArray[np.float32]
 

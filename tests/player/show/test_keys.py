@@ -17,7 +17,7 @@ import pytest
 from player.show.overlay import BAR_PX
 from tests.support.commands import ROOT
 from tests.support.hosted_streams import write_stream
-from tests.support.xserver import Person, Pixels, x_server
+from tests.support.screen.xserver import Person, Pixels, x_server
 
 FRAMES = 300
 SIZE = "320x240"
@@ -96,8 +96,8 @@ def test_time_stands_steps_and_is_sought(stream: Path, tmp_path: Path) -> None:
     assert {0, FRAMES - 1} <= set(frames)
     # As shown: a step on, one back, a second on and back.
     back = next(n for n in range(len(frames)) if frames[n + 1] < frames[n]) + 1
-    still = frames[back]
-    assert frames[back - 2 : back + 3] == [still, still + 1, still, still + 30, still]
+    stood = frames[back]
+    assert frames[back - 2 : back + 3] == [stood, stood + 1, stood, stood + 30, stood]
 
 
 def test_the_bar_seeks_to_where_it_is_dragged(stream: Path, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from tests.support.commands import ROOT
 from tests.support.hosted_streams import write_stream
-from tests.support.xserver import x_server
+from tests.support.screen.xserver import x_server
 
 # Plays in a window, notes what is on it, turns the view by mouse and key events and closes it.
 PLAY = """
