@@ -1,0 +1,178 @@
+"""Seeks over an emulated link: how long until the frame is there, and until it is there whole.
+
+Usage: scripts/bench seek [--stream PATH] [--link 50M,20ms]
+"""
+
+from __future__ import annotations
+
+import random
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from bench.serve.processes import serving
+from codec.console import option, run_command
+from codec.errors import SwingsError
+from codec.framerange import FrameRange
+from codec.stream import StreamReader, StreamWriter
+from player.link.linkprocess import LinkProcess
+from player.link.linktext import read_link
+from player.playout.clock import Clock
+from player.playout.conductor import Conductor
+from player.playout.queues import Events
+from player.playout.timeline import FrameRecord, Playout
+from player.render.renderer import Renderer, RendererKind, create_renderer
+from player.source.opener import Opener
+from player.source.source import Source
+from player.view.path import Size, camera_path
+from server.abr.link.link import Link
+from tests.support.slots.slot_streams import slot_manifest
+from tests.support.slots.trained_updates import trained_like_layout, trained_like_updates
+
+SWIN_SIZE, SEGMENT_FRAMES = 5, 30
+PATIENCE_S = 20.0
+LINK = "50M,20ms"
+SIZE = Size(640, 360)
+"""Of the picture that is drawn before a seek counts as done."""
+
+
+@dataclass(frozen=True, slots=True)
+class SeekConfig:
+    """Seeks to frames by chance while a served stream plays over a slow link."""
+
+    stream: Path | None = None
+    """A stream to play; without it one is made that is like a trained one."""
+    link: Annotated[Link, option("RATE|TRACE", read_link)] = field(
+        default_factory=lambda: read_link(LINK)
+    )
+    """The link, as for swings-play."""
+    seeks: int = 30
+    """How many."""
+    num_gs: int = 40_000
+    """Gaussians of the stream that is made."""
+    active: float = 0.3
+    """Share of its slots that a slice changes."""
+    num_frames: int = 300
+    """Its frames."""
+    renderer: RendererKind = RendererKind.AUTO
+    """What draws it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Seek:
+    """One of them, seconds from the command on."""
+
+    base_s: float
+    """Until the frame is drawn, in whatever layers."""
+    full_s: float
+    """Until a frame is drawn with all layers."""
+
+
+def make_stream(path: Path, config: SeekConfig) -> None:
+    layout = trained_like_layout(config.num_gs // SWIN_SIZE, SWIN_SIZE, SEGMENT_FRAMES)
+    layers = tuple(count / layout.num_slots for count in layout.slots)
+    with StreamWriter.create(path, slot_manifest(layout, layers=layers)) as writer:
+        for update in trained_like_updates(layout, config.num_frames, config.active):
+            writer.append(update)
+
+
+def measure(config: SeekConfig, stream: Path, port: int) -> list[Seek]:
+    link = LinkProcess(config.link, "127.0.0.1", port)
+    clock = Clock(real=True)
+    rng = random.Random(0)
+    with link as relay, closing(Opener(f"http://127.0.0.1:{port}", relay.address)) as opener:
+
+        def open_at(frame: int) -> Source:
+            return opener.open(FrameRange(frame), None)
+
+        def events(source: Source, play: int, not_before_s: float) -> Events:
+            frames = source.frames
+            playout = Playout(
+                source.manifest, frames.first, frames.end, not_before_s=not_before_s, play=play
+            )
+            return Events(playout, clock)
+
+        with Conductor(open_at, events, clock, interrupt=opener.interrupt) as conductor:
+            manifest = conductor.source.manifest
+            path = camera_path("default", manifest, SIZE, conductor.source.frames)
+            with closing(create_renderer(config.renderer, manifest)) as renderer:
+                conductor.attach(renderer)
+
+                def drawn(is_enough: Callable[[FrameRecord], bool]) -> FrameRecord:
+                    return draw_until(conductor, renderer, path, is_enough)
+
+                drawn(lambda record: record.layers > manifest.num_layers - 0.01)
+                seeks = []
+                for _ in range(config.seeks):
+                    time.sleep(rng.uniform(0.2, 0.5))
+                    frame = rng.randrange(conductor.transport.last_frame - round(manifest.fps))
+                    began_s = time.monotonic()
+                    conductor.seek(frame)
+                    first = drawn(lambda _: True)
+                    base_s = time.monotonic() - began_s
+                    if first.frame != frame:
+                        raise SwingsError(f"a seek to {frame} showed {first.frame}")
+                    drawn(lambda record: record.layers > manifest.num_layers - 0.01)
+                    seeks.append(Seek(base_s, time.monotonic() - began_s))
+                return seeks
+
+
+def draw_until(
+    conductor: Conductor,
+    renderer: Renderer,
+    path: Callable[[int], object],
+    is_enough: Callable[[FrameRecord], bool],
+) -> FrameRecord:
+    """Draws the newest frames until one is enough; gives the first that was polled."""
+    until_s, first = time.monotonic() + PATIENCE_S, None
+    while time.monotonic() < until_s:
+        records = conductor.poll()
+        if not records:
+            time.sleep(0.001)
+            continue
+        first = first or records[0]
+        renderer.render_again(records[-1].frame, path(records[-1].frame))  # type: ignore[arg-type]
+        if is_enough(records[-1]):
+            return first
+    raise SwingsError(f"a seek did not end within {PATIENCE_S:.0f} s")
+
+
+def run(config: SeekConfig) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        stream = config.stream or Path(folder) / "stream"
+        if config.stream is None:
+            make_stream(stream, config)
+        reader = StreamReader(stream)
+        num_bytes = sum(sum(record.part_bytes) for record in reader.records)
+        with serving(stream, "--log", "json", log=Path(folder) / "log") as (_, port):
+            seeks = measure(config, stream, port)
+    manifest = reader.manifest
+    table = Table("seconds", "p50", "p90", "max")
+    for name, values in (
+        ("to the frame, as it first shows", [one.base_s for one in seeks]),
+        ("to all layers", [one.full_s for one in seeks]),
+    ):
+        cells = np.percentile(values, (50, 90, 100))
+        table.add_row(name, *(f"{cell:.3f}" for cell in cells))
+    console = Console()
+    console.print(table)
+    console.print(
+        f"{len(seeks)} seeks, {manifest.num_gs} Gaussians, {manifest.num_layers} layers, "
+        f"{num_bytes / reader.num_frames / 1e3:.1f} kB a frame"
+    )
+
+
+def main() -> None:
+    run_command(SeekConfig, run, "seek", "Measures seeks over an emulated link.")
+
+
+if __name__ == "__main__":
+    main()
