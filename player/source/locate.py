@@ -25,6 +25,16 @@ SERVED = ("/v1/streams/", "/watch/")
 """What stands before a stream's name in the addresses of a swings server."""
 
 
+def is_url(source: str) -> bool:
+    """Whether `source` is fetched over the network; else it is a folder. Raises InvalidError for a
+    URL of another kind."""
+    if source.lower().startswith(("http://", "https://")):
+        return True
+    if "://" in source:
+        raise InvalidError(f"{source}: only http:// and https:// URLs and folders can be played")
+    return False
+
+
 def open_source(
     source: str,
     frames: FrameRange,
@@ -39,11 +49,7 @@ def open_source(
     received: is told how many bytes each read from the network gave. last_play: the `play` of the
     source before this one: a server that hears of the link does not start blind.
     """
-    if not source.lower().startswith(("http://", "https://")):
-        if "://" in source:
-            raise InvalidError(
-                f"{source}: only http:// and https:// URLs and folders can be played"
-            )
+    if not is_url(source):
         return DirectorySource(Path(source), frames, layers)
     fetcher = Fetcher(via, received=received)
     try:
@@ -71,6 +77,19 @@ def _open_url(
             lacks = f"it has neither a list of streams nor a {MANIFEST_NAME}"
         raise FetchError(f"{source} is not a stream: {lacks}")
     return HostedSource(source, base, manifest, fetcher, frames, layers)
+
+
+def stream_url(source: str, fetcher: Fetcher) -> str:
+    """Where the files lie of the stream that the URL `source` names: ends with a slash. Whether
+    they are there shows when one is fetched, unless `source` names no more than a server."""
+    parts = urlsplit(source)
+    if not parts.hostname:
+        raise InvalidError(f"{source} is not a URL: it names no host")
+    path = parts.path.rstrip("/")
+    served = _named_stream(source, path) if path else _only_stream(source, fetcher)
+    if served is not None:
+        return served + "/"
+    return _with_path(source, path.removesuffix(f"/{MANIFEST_NAME}")) + "/"
 
 
 def _named_stream(source: str, path: str) -> str | None:
