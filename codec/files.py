@@ -48,15 +48,18 @@ def put_in_place(temporary: Path, path: Path) -> None:
 def replacing(path: Path) -> Iterator[Path]:
     """Gives the temporary file to write; leaving normally puts it at `path`.
 
-    A reader sees all of it or what was there before. Leaving by an exception removes it.
+    A reader sees all of it or what was there before. Leaving by an exception removes it; an
+    OSError that names no other file, such as that of a full disk, names `path` then.
     """
     temporary = temporary_beside(path)
     try:
         yield temporary
         put_in_place(temporary, path)
-    except BaseException:
+    except BaseException as error:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.filename in (None, str(temporary), temporary):
+            error.filename = str(path)
         raise
 
 

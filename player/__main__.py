@@ -6,9 +6,13 @@ from codec.console import run_command
 
 from .config import PlayConfig
 from .playback import play
+from .stills import draw_still
 
 
 def run(config: PlayConfig) -> None:
+    if config.still is not None:
+        print(draw_still(config))
+        return
     for line in play(config).lines():
         print(line)
 

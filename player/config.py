@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -14,7 +15,7 @@ from codec.framerange import FRAMES, FrameRange
 from codec.stream.manifest import Manifest
 from player.link.linktext import read_link
 from player.render.renderer import RendererKind
-from player.show.sink import check_output
+from player.show.sink import check_output, check_still
 from player.view.path import CameraPath, Size, camera_path, check_path
 from server.abr.link.link import Link
 
@@ -34,6 +35,11 @@ class CameraPathName:
     def __str__(self) -> str:
         return self.text
 
+    @property
+    def moves(self) -> bool:
+        """Whether the camera may change from frame to frame."""
+        return not (self.text == "default" or self.text.startswith("camera:"))
+
     def of(self, manifest: Manifest, size: Size | None, frames: FrameRange) -> CameraPath:
         """The path in the stream of `manifest`; see `camera_path`."""
         return camera_path(self.text, manifest, size, frames)
@@ -52,6 +58,10 @@ LAYERS = option("auto|N", parse_layers, lambda layers: "auto" if layers is None 
 CAMERA = option("PATH", CameraPathName)
 SIZE = option("WxH", Size.parse)
 LINK = option("RATE|TRACE", read_link)
+
+
+MAX_TURN_S = 3600.0
+"""Longest turn of the camera around a still, seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,12 +92,20 @@ class PlayConfig:
     """Draw link, goodput, layers and buffer over time into this picture."""
     loop: Annotated[int, tyro.conf.arg(metavar="N")] = 1
     """Play the frames so often; each time the stream is asked for anew."""
+    still: Annotated[int | None, tyro.conf.arg(metavar="FRAME")] = None
+    """Draw this frame alone, with all layers unless told otherwise, to the .png that --capture
+    names."""
+    turntable: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
+    """Go once around the still in this time, or along --camera if that moves, to an .mp4 or a
+    folder of PNGs."""
 
     def __post_init__(self) -> None:
         """Raises InvalidError for options that do not go together, whatever the stream is."""
         if self.link is not None and not self.source.lower().startswith("http://"):
             raise InvalidError(f"--link slows down http:// URLs; {self.source} is not one")
-        if self.capture is not None:
+        if self.still is not None or self.turntable is not None:
+            self._check_still()
+        elif self.capture is not None:
             check_output(self.capture)
         elif self.renderer is RendererKind.CPU:
             raise InvalidError("a window is drawn by OpenGL; --renderer cpu goes with --capture")
@@ -96,3 +114,29 @@ class PlayConfig:
         for name, path in (("report", self.report), ("plot", self.plot)):
             if path is not None and not path.parent.is_dir():
                 raise InvalidError(f"{name} {path}: there is no folder {path.parent}")
+
+    def _check_still(self) -> None:
+        if self.still is None:
+            raise InvalidError("--turntable goes around a still; name its frame with --still")
+        if self.still < 0:
+            raise InvalidError(f"still {self.still}: frames count from 0")
+        if self.capture is None:
+            raise InvalidError("--still draws into a file; name it with --capture OUT.png")
+        for name, given in (
+            ("--frames", self.frames != FrameRange()),
+            ("--loop", self.loop != 1),
+            ("--link", self.link is not None),
+            ("--report", self.report is not None),
+            ("--plot", self.plot is not None),
+        ):
+            if given:
+                raise InvalidError(f"--still plays nothing; {name} does not go with it")
+        if self.turntable is None:
+            check_still(self.capture)
+            return
+        if not (math.isfinite(self.turntable) and 0 < self.turntable <= MAX_TURN_S):
+            raise InvalidError(
+                f"turntable {self.turntable:g}: a turn takes more than 0 and at most "
+                f"{MAX_TURN_S:g} seconds"
+            )
+        check_output(self.capture)

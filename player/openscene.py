@@ -1,7 +1,7 @@
 """A stream for scripts and notebooks: any frame as Gaussians, and as a picture from any camera.
 
-    with Scene.open("my-stream") as scene:
-        picture = scene.render(30)
+with Scene.open("my-stream") as scene:
+    picture = scene.render(30)
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from codec.camera import Camera
 from codec.errors import InvalidError
+from codec.framerange import FrameRange
 from codec.slice import Slice, window_births
 from codec.splats import Splats
 from codec.stream import StreamReader
@@ -112,15 +113,9 @@ class Scene:
 
     def frames(self, first: int = 0, end: int | None = None) -> range:
         """The numbers of the frames first..end-1, by default to the last one there is. Raises
-        InvalidError unless all are there, and there is one at least."""
+        InvalidError unless all are there, and at least one."""
         self._check_open()
-        end = self.num_frames if end is None else end
-        if end <= first:
-            self._check_frame(first)
-            raise InvalidError(f"frames {first}:{end} hold no frame; the end lies behind the first")
-        self._check_frame(first)
-        self._check_frame(end - 1)
-        return range(first, end)
+        return FrameRange(first, end).of(self.num_frames, self.name)
 
     def splats(self, frame: int) -> Splats:
         """The Gaussians that show in `frame`, oldest slice first. Raises InvalidError if there is

@@ -51,6 +51,22 @@ def to_bytes(picture: Floats) -> Bytes:
     return np.rint(np.clip(picture, 0, 1) * 255).astype(np.uint8)
 
 
+def write_png(path: Path, picture: Bytes) -> None:
+    """Puts the picture, (H, W, 3) RGB, at `path`: all of it or nothing."""
+    with replacing(path) as temporary:
+        Image.fromarray(picture).save(temporary, "PNG", compress_level=4)
+
+
+def check_still(path: Path) -> None:
+    """Raises InvalidError when no single picture can be written to `path`."""
+    if path.suffix.lower() != ".png":
+        raise InvalidError(f"capture {path}: a still is one picture; name a .png file")
+    if path.is_dir():
+        raise InvalidError(f"capture {path} is a folder")
+    if not path.parent.is_dir():
+        raise InvalidError(f"capture {path}: there is no folder {path.parent}")
+
+
 def check_output(path: Path) -> None:
     """Raises InvalidError when no capture can be written to `path`."""
     if path.suffix.lower() in OTHER_SUFFIXES:
@@ -95,8 +111,7 @@ class PngSink:
         self._folder = folder
 
     def write(self, frame: int, picture: Bytes) -> None:
-        with replacing(self._folder / f"frame_{frame:05d}.png") as temporary:
-            Image.fromarray(picture).save(temporary, "PNG", compress_level=4)
+        write_png(self._folder / f"frame_{frame:05d}.png", picture)
 
 
 class VideoSink:

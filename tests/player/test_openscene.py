@@ -26,7 +26,7 @@ from player.config import PlayConfig
 from player.openscene import Floats
 from player.playback import play
 from player.render.cpu import render_splats
-from player.render.renderer import GlError, RendererKind
+from player.render.renderer import RendererKind
 from player.show.sink import to_bytes
 from player.source.fetch import FetchError
 from tests.support.commands import ROOT
@@ -109,7 +109,7 @@ def test_opengl_draws_a_frame_the_same_wherever_the_scene_was_before(
     with Scene.open(library / name, renderer="gl") as scene:
         try:
             first = scene.render(0)
-        except GlError as error:
+        except SwingsError as error:
             pytest.skip(f"OpenGL: {error}")
         for frame in (9, 10, 11, 10, 13, 30, 2, 3, 0):
             with Scene.open(library / name, renderer="gl") as fresh:
@@ -257,11 +257,9 @@ def test_what_is_not_there_gets_one_line(library: Path) -> None:
             for ask in (scene.splats, scene.render):
                 with pytest.raises(InvalidError, match=f"has 33 frames; there is no frame {frame}"):
                     ask(frame)
-        for first, end in ((30, 34), (33, None), (-1, 3)):
-            with pytest.raises(InvalidError, match="there is no frame"):
+        for first, end in ((30, 34), (33, None), (-1, 3), (5, 5)):
+            with pytest.raises(InvalidError, match="whole has frames 0:33"):
                 scene.frames(first, end)
-        with pytest.raises(InvalidError, match="hold no frame"):
-            scene.frames(5, 5)
         assert scene.frames() == range(NUM_FRAMES)
         assert scene.frames(7) == range(7, NUM_FRAMES)
     for ask in (scene.splats, scene.render):
@@ -298,9 +296,10 @@ def test_a_picture_that_cannot_be_drawn_spoils_none_after_it(
 
     with Scene.open(library / "busy", layers=2, renderer="cpu") as scene:
         scene.render(3)
-        with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        with monkeypatch.context() as patch:
             patch.setattr("player.render.cpu.render_splats", interrupted)
-            scene.render(30)
+            with pytest.raises(KeyboardInterrupt):
+                scene.render(30)
         for frame in (4, 30):
             picture = scene.render(frame, "c1")
             np.testing.assert_array_equal(picture, expected["busy", 2, frame])
@@ -354,7 +353,7 @@ def test_a_broken_object_is_named(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-1] + b"!")
     with static_host(tmp_path) as host, Scene.open(f"{host}/s") as scene:
         scene.splats(SEGMENT_FRAMES - 1)
-        with pytest.raises(CorruptError, match="/s/segments/1/2: .*hash differs"):
+        with pytest.raises(CorruptError, match=r"/s/segments/1/2: .*hash differs"):
             scene.splats(SEGMENT_FRAMES)
         path.unlink()
         with pytest.raises(CorruptError, match="/s/segments/1/2 is missing"):
@@ -363,16 +362,15 @@ def test_a_broken_object_is_named(tmp_path: Path) -> None:
 
 
 def test_a_server_that_comes_back_is_asked_again(library: Path) -> None:
-    with served(library) as first:
-        with Scene.open(f"{first.url}/watch/whole") as scene:
-            first.kill()
-            second: list[ServerProcess] = []
-            timer = threading.Timer(0.3, lambda: second.append(ServerProcess(library, first.port)))
-            timer.start()
-            try:
-                assert len(scene.splats(20))
-            finally:
-                timer.join()
-                second[0].kill()
-            with pytest.raises(FetchError, match="cannot connect"):
-                scene.splats(3)
+    with served(library) as first, Scene.open(f"{first.url}/watch/whole") as scene:
+        first.kill()
+        second: list[ServerProcess] = []
+        timer = threading.Timer(0.3, lambda: second.append(ServerProcess(library, first.port)))
+        timer.start()
+        try:
+            assert len(scene.splats(20))
+        finally:
+            timer.join()
+            second[0].kill()
+        with pytest.raises(FetchError, match="cannot connect"):
+            scene.splats(3)
