@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
+from tyro.constructors import PrimitiveConstructorSpec
 
 from codec.console import option
 from codec.errors import InvalidError
@@ -54,6 +55,28 @@ def parse_layers(text: str) -> int | None:
     return int(text)
 
 
+VISER_PORT = 8080
+"""viser's own."""
+
+
+def parse_port(words: list[str]) -> int:
+    """The port in the words behind --viser, which may be none. Raises InvalidError."""
+    if not words:
+        return VISER_PORT
+    if len(words) > 1 or not (words[0].isdecimal() and int(words[0]) < 1 << 16):
+        raise InvalidError(
+            f"viser: {' '.join(words)!r} is not a port; what is to be played goes before --viser"
+        )
+    return int(words[0])
+
+
+PORT: PrimitiveConstructorSpec[int] = PrimitiveConstructorSpec(
+    nargs="*",
+    metavar="[PORT]",
+    instance_from_str=parse_port,
+    is_instance=lambda value: isinstance(value, int),
+    str_from_instance=lambda port: [str(port)],
+)
 LAYERS = option("auto|N", parse_layers, lambda layers: "auto" if layers is None else str(layers))
 CAMERA = option("PATH", CameraPathName)
 SIZE = option("WxH", Size.parse)
@@ -98,12 +121,17 @@ class PlayConfig:
     turntable: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
     """Go once around the still in this time, or along --camera if that moves, to an .mp4 or a
     folder of PNGs."""
+    viser: Annotated[int | None, PORT] = None
+    """Show it in a browser by viser (pip install 'swings[viser]'), at this port or the next one
+    that is free; by default 8080."""
 
     def __post_init__(self) -> None:
         """Raises InvalidError for options that do not go together, whatever the stream is."""
         if self.link is not None and not self.source.lower().startswith("http://"):
             raise InvalidError(f"--link slows down http:// URLs; {self.source} is not one")
-        if self.still is not None or self.turntable is not None:
+        if self.viser is not None:
+            self._refuse("--viser", *self._of_plays, *self._of_pictures)
+        elif self.still is not None or self.turntable is not None:
             self._check_still()
         elif self.capture is not None:
             check_output(self.capture)
@@ -115,6 +143,32 @@ class PlayConfig:
             if path is not None and not path.parent.is_dir():
                 raise InvalidError(f"{name} {path}: there is no folder {path.parent}")
 
+    @property
+    def _of_plays(self) -> tuple[tuple[str, bool], ...]:
+        """Which options are given that only a play on a time line has."""
+        return (
+            ("--loop", self.loop != 1),
+            ("--link", self.link is not None),
+            ("--report", self.report is not None),
+            ("--plot", self.plot is not None),
+        )
+
+    @property
+    def _of_pictures(self) -> tuple[tuple[str, bool], ...]:
+        """Which options are given that say how swings draws, and where to."""
+        return (
+            ("--capture", self.capture is not None),
+            ("--still", self.still is not None),
+            ("--turntable", self.turntable is not None),
+            ("--size", self.size is not None),
+            ("--renderer", self.renderer is not RendererKind.AUTO),
+        )
+
+    def _refuse(self, option: str, *others: tuple[str, bool]) -> None:
+        for name, given in others:
+            if given:
+                raise InvalidError(f"{name} does not go with {option}")
+
     def _check_still(self) -> None:
         if self.still is None:
             raise InvalidError("--turntable goes around a still; name its frame with --still")
@@ -122,15 +176,7 @@ class PlayConfig:
             raise InvalidError(f"still {self.still}: frames count from 0")
         if self.capture is None:
             raise InvalidError("--still draws into a file; name it with --capture OUT.png")
-        for name, given in (
-            ("--frames", self.frames != FrameRange()),
-            ("--loop", self.loop != 1),
-            ("--link", self.link is not None),
-            ("--report", self.report is not None),
-            ("--plot", self.plot is not None),
-        ):
-            if given:
-                raise InvalidError(f"--still plays nothing; {name} does not go with it")
+        self._refuse("--still", ("--frames", self.frames != FrameRange()), *self._of_plays)
         if self.turntable is None:
             check_still(self.capture)
             return

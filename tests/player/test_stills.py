@@ -121,10 +121,19 @@ def test_a_turntable_may_swing_and_be_a_video(library: Path, tmp_path: Path) -> 
         (("--still", 3, "--turntable", 0, "--capture", "o.mp4"), "more than 0"),
         (("--still", 3, "--turntable", "nan", "--capture", "o.mp4"), "more than 0"),
         (("--still", 3, "--turntable", "1e9", "--capture", "o.mp4"), "at most 3600 seconds"),
-        (("--still", 3, "--capture", "o.png", "--frames", "3:4"), "--frames does not go with it"),
-        (("--still", 3, "--capture", "o.png", "--loop", "2"), "--loop does not go with it"),
-        (("--still", 3, "--capture", "o.png", "--report", "r.json"), "--report does not go"),
-        (("--still", 3, "--capture", "o.png", "--plot", "p.png"), "--plot does not go with it"),
+        (
+            ("--still", 3, "--capture", "o.png", "--frames", "3:4"),
+            "--frames does not go with --still",
+        ),
+        (("--still", 3, "--capture", "o.png", "--loop", "2"), "--loop does not go with --still"),
+        (
+            ("--still", 3, "--capture", "o.png", "--report", "r.json"),
+            "--report does not go with --still",
+        ),
+        (
+            ("--still", 3, "--capture", "o.png", "--plot", "p.png"),
+            "--plot does not go with --still",
+        ),
     ],
 )
 def test_options_that_do_not_go_together(
