@@ -95,7 +95,9 @@ class ViserView:
         self._frames = scene.frames() if frames is None else frames
         self._shown: int | None = None
         self._gaussians: Any = None
-        self._server = viser.ViserServer(HOST, port, label=scene.name, verbose=False)
+        self._playing: Any = None
+        self._slider: Any = None
+        self._server: Any = viser.ViserServer(HOST, port, label=scene.name, verbose=False)
         try:
             self._add_cameras(scene.camera(camera))
             self._add_controls()
@@ -149,6 +151,10 @@ class ViserView:
                 scale=FRUSTUM_SIZE * float(np.linalg.norm(camera.position - centre)),
                 wxyz=quat_of(camera.w2c[:3, :3].T),
                 position=camera.position,
+                thickness=1.5,
+                thickness_units="screen",
+                # From where one looks out of it, it only frames the picture.
+                visible=not np.allclose(camera.w2c, first.w2c),
             )
 
     def _add_controls(self) -> None:

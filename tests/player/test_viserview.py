@@ -130,6 +130,7 @@ def test_what_is_seen_first_is_what_the_camera_sees(stream: Path) -> None:
                 np.abs(frustum.wxyz @ quat_of(one.w2c[:3, :3].T)), 1, atol=1e-6
             )
             assert frustum.aspect == pytest.approx(64 / 48)
+            assert frustum.visible == (one.name != "c1")
 
 
 @needs_viser
