@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import resource
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -191,6 +192,27 @@ def test_a_signal_leaves_no_half_video(
     assert process.returncode == 128 + number
     assert [path.name for path in tmp_path.iterdir()] == ["out.mp4"]
     assert out.read_bytes() == b"what was there before"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_the_wait_for_a_host_that_is_silent(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        url = f"http://127.0.0.1:{listener.getsockname()[1]}/s"
+        words = (url, "--still", 3, "--capture", tmp_path / "out.png")
+        process = subprocess.Popen(
+            command("swings-play", *words), env=environment(), stderr=subprocess.PIPE, text=True
+        )
+        connection, _ = listener.accept()
+        with connection:
+            assert connection.recv(4) == b"GET "
+            process.send_signal(number)
+            began_s = time.monotonic()
+            assert process.communicate(timeout=60)[1] == ""
+            assert time.monotonic() - began_s < 10
+    assert process.returncode == 128 + number
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(
