@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import argparse
 import logging
+import signal
 import sys
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, NoReturn, TypeVar
 
 import tyro
@@ -33,6 +36,41 @@ def option(
     )
 
 
+ENDING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+"""Signals that end a command as Ctrl-C does."""
+
+
+class Ended(KeyboardInterrupt):
+    """The signal `number` has come; `with` blocks clean up on its way out."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(signal.Signals(number).name)
+        self.number = number
+
+
+@contextmanager
+def ending_by_signals() -> Iterator[None]:
+    """Has a signal of ENDING raise Ended in the main thread, unless it is ignored or taken care of
+    already. Who cleans up is not disturbed by another one."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    taken = [number for number in ENDING if signal.getsignal(number) is signal.SIG_DFL]
+
+    def end(number: int, frame: object) -> None:
+        for other in taken:
+            signal.signal(other, signal.SIG_IGN)
+        raise Ended(number)
+
+    for number in taken:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number in taken:
+            signal.signal(number, signal.SIG_DFL)
+
+
 def run_command(
     config_type: type[Config],
     run: Callable[[Config], None],
@@ -43,7 +81,8 @@ def run_command(
     """Parses the command line into `config_type` and runs it. parse: called like tyro.cli.
 
     Exits with 0 when done, 1 with one line on stderr for a SwingsError or an OSError, 2 for bad
-    usage. A `--verbose` anywhere among the arguments shows the traceback and debug logs.
+    usage, 128 + N when signal N has ended it: Ctrl-C, SIGTERM or SIGHUP. A `--verbose` anywhere
+    among the arguments shows the traceback and debug logs.
     """
     # Not a field of the configs, because it may stand before a subcommand and after it.
     verbose, arguments = split_option(None, "--verbose", action="store_true")
@@ -73,9 +112,10 @@ def run_command(
     except SwingsError as error:  # a config refused its values
         fail(error, 2)
     try:
-        run(config)
-    except KeyboardInterrupt:
-        sys.exit(130)
+        with ending_by_signals():
+            run(config)
+    except KeyboardInterrupt as error:
+        sys.exit(128 + (error.number if isinstance(error, Ended) else signal.SIGINT))
     except (SwingsError, OSError) as error:
         fail(error, 1)
 

@@ -6,6 +6,7 @@ its name by a rename once all of it is on the disk.
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 from collections.abc import Callable, Iterator
@@ -14,6 +15,9 @@ from pathlib import Path
 from typing import BinaryIO
 
 from .errors import CorruptError, InvalidError, UnreadableError
+
+DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
+"""What a disk that is full or broken says when something is written."""
 
 Opener = Callable[[str, int], int]
 """Gives the descriptor of the file at a path, opened with flags of `os`."""
@@ -48,15 +52,20 @@ def put_in_place(temporary: Path, path: Path) -> None:
 def replacing(path: Path) -> Iterator[Path]:
     """Gives the temporary file to write; leaving normally puts it at `path`.
 
-    A reader sees all of it or what was there before. Leaving by an exception removes it.
+    A reader sees all of it or what was there before. Leaving by an exception removes it; that of a
+    full or broken disk, which names no file by itself, names `path` then.
     """
     temporary = temporary_beside(path)
     try:
         yield temporary
         put_in_place(temporary, path)
-    except BaseException:
+    except BaseException as error:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            of_disk = error.filename is None and error.errno in DISK_ERRORS
+            if of_disk or error.filename in (str(temporary), temporary):
+                error.filename = str(path)
         raise
 
 

@@ -6,9 +6,17 @@ from codec.console import run_command
 
 from .config import PlayConfig
 from .playback import play
+from .stills import draw_still
+from .viserview import show_in_viser
 
 
 def run(config: PlayConfig) -> None:
+    if config.viser is not None:
+        show_in_viser(config)
+        return
+    if config.still is not None:
+        print(draw_still(config))
+        return
     for line in play(config).lines():
         print(line)
 

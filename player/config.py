@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
 import tyro
+from tyro.constructors import PrimitiveConstructorSpec
 
 from codec.console import option
 from codec.errors import InvalidError
@@ -15,7 +17,7 @@ from codec.stream.manifest import Manifest
 from player.link.linktext import read_link
 from player.playout.clock import MAX_RATE, MIN_RATE
 from player.render.renderer import RendererKind
-from player.show.sink import check_output
+from player.show.sink import check_output, check_still
 from player.view.path import CameraPath, Size, camera_path, check_path
 from server.abr.link.link import Link
 
@@ -34,6 +36,11 @@ class CameraPathName:
 
     def __str__(self) -> str:
         return self.text
+
+    @property
+    def moves(self) -> bool:
+        """Whether the camera may change from frame to frame."""
+        return not (self.text == "default" or self.text.startswith("camera:"))
 
     def of(self, manifest: Manifest, size: Size | None, frames: FrameRange) -> CameraPath:
         """The path in the stream of `manifest`; see `camera_path`."""
@@ -59,10 +66,38 @@ def parse_loop(text: str) -> int | None:
 
 
 LOOP = option("N|forever", parse_loop, lambda loop: "forever" if loop is None else str(loop))
+
+
+VISER_PORT = 8080
+"""viser's own."""
+
+
+def parse_port(words: list[str]) -> int:
+    """The port in the words behind --viser, which may be none. Raises InvalidError."""
+    if not words:
+        return VISER_PORT
+    if len(words) > 1 or not (words[0].isdecimal() and int(words[0]) < 1 << 16):
+        raise InvalidError(
+            f"viser: {' '.join(words)!r} is not a port; what is to be played goes before --viser"
+        )
+    return int(words[0])
+
+
+PORT: PrimitiveConstructorSpec[int] = PrimitiveConstructorSpec(
+    nargs="*",
+    metavar="[PORT]",
+    instance_from_str=parse_port,
+    is_instance=lambda value: isinstance(value, int),
+    str_from_instance=lambda port: [str(port)],
+)
 LAYERS = option("auto|N", parse_layers, lambda layers: "auto" if layers is None else str(layers))
 CAMERA = option("PATH", CameraPathName)
 SIZE = option("WxH", Size.parse)
 LINK = option("RATE|TRACE", read_link)
+
+
+MAX_TURN_S = 3600.0
+"""Longest turn of the camera around a still, seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,19 +130,84 @@ class PlayConfig:
     """Play the frames so often, or forever; each time the stream is asked for anew."""
     rate: float = 1.0
     """Seconds of the stream in a second of a window, 0.25 to 4."""
+    record: Annotated[Path | None, tyro.conf.arg(metavar="JSON")] = None
+    """Write where you moved the camera in the window to this file, for --camera."""
+    still: Annotated[int | None, tyro.conf.arg(metavar="FRAME")] = None
+    """Draw this frame alone, with all layers unless told otherwise, to the .png that --capture
+    names."""
+    turntable: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
+    """Go once around the still in this time, or along --camera if that moves, to an .mp4 or a
+    folder of PNGs."""
+    viser: Annotated[int | None, PORT] = None
+    """Show it in a browser by viser (pip install 'swings[viser]'), at this port or the next one
+    that is free; by default 8080."""
 
     def __post_init__(self) -> None:
         """Raises InvalidError for options that do not go together, whatever the stream is."""
         if self.link is not None and not self.source.lower().startswith("http://"):
             raise InvalidError(f"--link slows down http:// URLs; {self.source} is not one")
-        if self.capture is not None:
+        if self.viser is not None:
+            self._refuse("--viser", *self._of_plays, *self._of_pictures)
+        elif self.still is not None or self.turntable is not None:
+            self._check_still()
+        elif self.capture is not None:
             check_output(self.capture)
         elif self.renderer is RendererKind.CPU:
             raise InvalidError("a window is drawn by OpenGL; --renderer cpu goes with --capture")
         elif not MIN_RATE <= self.rate <= MAX_RATE:
             raise InvalidError(f"rate {self.rate} is not within {MIN_RATE:g}..{MAX_RATE:g}")
-        if self.capture is not None and (self.loop is None or self.rate != 1):
-            raise InvalidError("--loop forever and --rate go with a window, not with --capture")
-        for name, path in (("report", self.report), ("plot", self.plot)):
+        if self.capture is not None:
+            self._refuse("--capture", ("--loop forever", self.loop is None), *self._of_windows)
+        for name, path in (("report", self.report), ("plot", self.plot), ("record", self.record)):
             if path is not None and not path.parent.is_dir():
                 raise InvalidError(f"{name} {path}: there is no folder {path.parent}")
+
+    @property
+    def _of_plays(self) -> tuple[tuple[str, bool], ...]:
+        """Which options are given that only a play on a time line has."""
+        return (
+            ("--loop", self.loop != 1),
+            ("--link", self.link is not None),
+            ("--report", self.report is not None),
+            ("--plot", self.plot is not None),
+            *self._of_windows,
+        )
+
+    @property
+    def _of_windows(self) -> tuple[tuple[str, bool], ...]:
+        """Which options are given that only a window has."""
+        return (("--rate", self.rate != 1), ("--record", self.record is not None))
+
+    @property
+    def _of_pictures(self) -> tuple[tuple[str, bool], ...]:
+        """Which options are given that say how swings draws, and where to."""
+        return (
+            ("--capture", self.capture is not None),
+            ("--still", self.still is not None),
+            ("--turntable", self.turntable is not None),
+            ("--size", self.size is not None),
+            ("--renderer", self.renderer is not RendererKind.AUTO),
+        )
+
+    def _refuse(self, option: str, *others: tuple[str, bool]) -> None:
+        for name, given in others:
+            if given:
+                raise InvalidError(f"{name} does not go with {option}")
+
+    def _check_still(self) -> None:
+        if self.still is None:
+            raise InvalidError("--turntable goes around a still; name its frame with --still")
+        if self.still < 0:
+            raise InvalidError(f"still {self.still}: frames count from 0")
+        if self.capture is None:
+            raise InvalidError("--still draws into a file; name it with --capture OUT.png")
+        self._refuse("--still", ("--frames", self.frames != FrameRange()), *self._of_plays)
+        if self.turntable is None:
+            check_still(self.capture)
+            return
+        if not (math.isfinite(self.turntable) and 0 < self.turntable <= MAX_TURN_S):
+            raise InvalidError(
+                f"turntable {self.turntable:g}: a turn takes more than 0 and at most "
+                f"{MAX_TURN_S:g} seconds"
+            )
+        check_output(self.capture)

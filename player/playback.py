@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from codec.errors import InvalidError
+from codec.files import write_atomic
 from codec.framerange import FrameRange
 from player.link.linkprocess import LinkProcess
 from player.playout.clock import Clock
@@ -28,7 +29,8 @@ from player.render.renderer import Renderer, RendererKind, create_renderer
 from player.show.sink import FrameSink, open_sink, to_bytes
 from player.source.opener import Opener
 from player.source.source import Source
-from player.view.path import Size
+from player.view.path import Size, scene_centre
+from player.view.pathrecorder import PathRecorder
 from server.abr.link.link import Link
 from server.abr.playout import PlayoutConfig
 
@@ -178,13 +180,17 @@ class _Playback:
             plays,
             self._opener.interrupt,
         )
+        recorder: PathRecorder | None = None
         try:
             with conductor:
                 source = conductor.source
                 path = config.camera.of(source.manifest, config.size, source.frames)
-                show_window(conductor, path, self._renderers, self._note)
+                recorder = PathRecorder(scene_centre(source.manifest))
+                show_window(conductor, path, self._renderers, self._note, recorder.add)
         finally:
             self._summary.received_bytes += conductor.received_bytes
+            if config.record is not None and recorder:
+                write_atomic(config.record, recorder.to_json())
 
     def _received(self, num_bytes: int) -> None:
         self._journal.received(num_bytes, self._clock.now_s(), time.monotonic())

@@ -17,7 +17,8 @@ HOUSE = ("codec", "trainer", "server", "player")
 # Which of our packages each folder may import, besides itself; longest match of a prefix.
 MAY_USE: dict[str, tuple[str, ...]] = {
     "codec": (),
-    "trainer": ("codec", "player.render"),
+    # What is compared with a capture goes into the same files as what is played.
+    "trainer": ("codec", "player.render", "player.show.sink", "player.view.path"),
     "server": ("codec",),
     "player": ("codec", "server.abr"),
     "server/abr": ("codec.errors", "codec.stream.manifest", "codec.stream.index"),

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from rich.console import Console
 from rich.progress import Progress
@@ -23,6 +25,7 @@ from trainer.run.warm import start_over_if_compiled
 from trainer.score.ablation import ablate_quantisation
 from trainer.score.evaluate import EvaluateConfig, evaluate_stream
 from trainer.score.sheet import write_sheet
+from trainer.score.sidebyside import write_side_by_side
 from trainer.synth.film import SynthConfig, synthesise
 
 
@@ -36,11 +39,23 @@ def _train(config: TrainConfig) -> None:
     print(config.target)
 
 
-def _evaluate(config: EvaluateConfig) -> None:
-    score = ablate_quantisation if config.ablate_quantisation else evaluate_stream
+@contextmanager
+def _progress(what: str) -> Iterator[Callable[[int, int], None]]:
+    """A bar; gives what is to be told (pictures done, in all)."""
     with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("scoring", total=None)
-        result = score(config, lambda done, total: bar.update(task, completed=done, total=total))
+        task = bar.add_task(what, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def _evaluate(config: EvaluateConfig) -> None:
+    if config.compare is not None:
+        with _progress("drawing") as note:
+            found = write_side_by_side(config, *config.compare, note)
+        print(found.line)
+        return
+    score = ablate_quantisation if config.ablate_quantisation else evaluate_stream
+    with _progress("scoring") as note:
+        result = score(config, note)
     if config.sheet is not None:
         write_sheet(config.stream, config.capture, config.sheet)
     if config.json:

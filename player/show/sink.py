@@ -51,21 +51,35 @@ def to_bytes(picture: Floats) -> Bytes:
     return np.rint(np.clip(picture, 0, 1) * 255).astype(np.uint8)
 
 
+def write_png(path: Path, picture: Bytes) -> None:
+    """Puts the picture, (H, W, 3) RGB, at `path`: all of it or nothing."""
+    with replacing(path) as temporary:
+        Image.fromarray(picture).save(temporary, "PNG", compress_level=4)
+
+
+def check_still(path: Path) -> None:
+    """Raises InvalidError when no single picture can be written to `path`."""
+    if path.suffix.lower() != ".png":
+        raise InvalidError(f"{path}: a still is one picture; name a .png file")
+    if path.is_dir():
+        raise InvalidError(f"{path} is a folder")
+    if not path.parent.is_dir():
+        raise InvalidError(f"{path}: there is no folder {path.parent}")
+
+
 def check_output(path: Path) -> None:
     """Raises InvalidError when no capture can be written to `path`."""
     if path.suffix.lower() in OTHER_SUFFIXES:
-        raise InvalidError(f"capture {path}: name an .mp4 file, or a folder for PNGs")
+        raise InvalidError(f"{path}: name an .mp4 file, or a folder for PNGs")
     if path.suffix.lower() == ".mp4":
         if path.is_dir():
-            raise InvalidError(f"capture {path} is a folder")
+            raise InvalidError(f"{path} is a folder")
         if not path.parent.is_dir():
-            raise InvalidError(f"capture {path}: there is no folder {path.parent}")
+            raise InvalidError(f"{path}: there is no folder {path.parent}")
     elif path.exists() and not path.is_dir():
-        raise InvalidError(f"capture {path} is a file; name an .mp4 file, or a folder for PNGs")
+        raise InvalidError(f"{path} is a file; name an .mp4 file, or a folder for PNGs")
     elif path.is_dir() and any(path.glob("frame_*.png")):
-        raise InvalidError(
-            f"capture {path} holds frames already; remove them or name another folder"
-        )
+        raise InvalidError(f"{path} holds frames already; remove them or name another folder")
 
 
 @contextmanager
@@ -95,8 +109,7 @@ class PngSink:
         self._folder = folder
 
     def write(self, frame: int, picture: Bytes) -> None:
-        with replacing(self._folder / f"frame_{frame:05d}.png") as temporary:
-            Image.fromarray(picture).save(temporary, "PNG", compress_level=4)
+        write_png(self._folder / f"frame_{frame:05d}.png", picture)
 
 
 class VideoSink:
@@ -128,7 +141,7 @@ class VideoSink:
             stream.codec_context.color_range = _LIMITED_RANGE
         except Exception as error:  # PyAV knows no libx264: ValueError, or an FFmpeg error
             self.close()
-            raise SinkError(f"capture {path}: this PyAV cannot encode H.264: {error}") from error
+            raise SinkError(f"{path}: this PyAV cannot encode H.264: {error}") from error
         self._stream = stream
         self._written = 0
 
@@ -141,14 +154,14 @@ class VideoSink:
         try:
             self._container.mux(self._stream.encode(image))
         except av.error.FFmpegError as error:
-            raise SinkError(f"capture {self._path}: frame {frame}: {error}") from error
+            raise SinkError(f"{self._path}: frame {frame}: {error}") from error
 
     def finish(self) -> None:
         try:
             self._container.mux(self._stream.encode(None))
             self._container.close()
         except av.error.FFmpegError as error:
-            raise SinkError(f"capture {self._path}: {error}") from error
+            raise SinkError(f"{self._path}: {error}") from error
 
     def close(self) -> None:
         with suppress(av.error.FFmpegError):  # a full disk takes no trailer, and has been reported

@@ -10,6 +10,7 @@ from typing import Any
 import glfw
 import moderngl
 
+from codec.camera import Camera
 from codec.errors import SwingsError
 from player.playout.conductor import Conductor
 from player.playout.timeline import FrameRecord
@@ -53,11 +54,16 @@ Note = Callable[[FrameRecord, bool], None]
 
 
 def show_window(
-    conductor: Conductor, path: CameraPath, renderers: list[Renderer], note: Note
+    conductor: Conductor,
+    path: CameraPath,
+    renderers: list[Renderer],
+    note: Note,
+    record_camera: Callable[[int, Camera], object],
 ) -> None:
     """Shows what plays until the window is closed. The last picture stays until then.
 
-    renderers: gets the one that draws, for its name and counters.
+    renderers: gets the one that draws, for its name and counters. record_camera: is told which one
+    showed which frame.
     """
     manifest = conductor.source.manifest
     check_drawable(manifest)
@@ -66,7 +72,7 @@ def show_window(
     renderers.append(renderer)
     with closing(renderer):
         conductor.attach(renderer)
-        window.show(renderer, note)
+        window.show(renderer, note, record_camera)
 
 
 class _Window:
@@ -88,7 +94,9 @@ class _Window:
         self._meter = PlayMeter()
         self._overlays = Overlays(self._meter, source.manifest.fps)
 
-    def show(self, renderer: GlRenderer, note: Note) -> None:
+    def show(
+        self, renderer: GlRenderer, note: Note, record_camera: Callable[[int, Camera], object]
+    ) -> None:
         """Returns when the window is closed."""
         frame, drawn, camera = None, None, None
         waiting: list[FrameRecord] = []
@@ -119,6 +127,7 @@ class _Window:
                 self._painter.paint(placed, self.context.screen, size)
             self._meter.took("draw", time.perf_counter() - began_s)
             glfw.swap_buffers(self._window)
+            record_camera(frame, camera)
             drawn = state
             self._noted(waiting, frame, note)
 

@@ -42,17 +42,18 @@ Place = Path | ServedPlace | HostedPlace
 
 
 def is_url(source: str) -> bool:
-    """Whether `source` is on the network."""
-    return source.lower().startswith(("http://", "https://"))
+    """Whether `source` is fetched over the network; else it is a folder. Raises InvalidError for a
+    URL of another kind."""
+    if source.lower().startswith(("http://", "https://")):
+        return True
+    if "://" in source:
+        raise InvalidError(f"{source}: only http:// and https:// URLs and folders can be played")
+    return False
 
 
 def locate(source: str, fetcher: Fetcher) -> Place:
     """Where the stream is that `source` names."""
     if not is_url(source):
-        if "://" in source:
-            raise InvalidError(
-                f"{source}: only http:// and https:// URLs and folders can be played"
-            )
         return Path(source)
     parts = urlsplit(source)
     if not parts.hostname:
@@ -69,6 +70,19 @@ def locate(source: str, fetcher: Fetcher) -> Place:
             lacks = f"it has neither a list of streams nor a {MANIFEST_NAME}"
         raise FetchError(f"{source} is not a stream: {lacks}")
     return HostedPlace(base, manifest)
+
+
+def stream_url(source: str, fetcher: Fetcher) -> str:
+    """Where the files lie of the stream that the URL `source` names: ends with a slash. Whether
+    they are there shows when one is fetched, unless `source` names no more than a server."""
+    parts = urlsplit(source)
+    if not parts.hostname:
+        raise InvalidError(f"{source} is not a URL: it names no host")
+    path = parts.path.rstrip("/")
+    served = _named_stream(source, path) if path else _only_stream(source, fetcher)
+    if served is not None:
+        return served + "/"
+    return _with_path(source, path.removesuffix(f"/{MANIFEST_NAME}")) + "/"
 
 
 def _named_stream(source: str, path: str) -> str | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,6 +14,7 @@ import tyro
 
 from codec.console import run_command
 from codec.errors import InvalidError, SwingsError
+from tests.support.commands import ROOT
 
 
 @dataclass(frozen=True)
@@ -92,3 +95,57 @@ def test_a_command_may_parse_in_its_own_way(
         command("12", parse=parse)
     assert ended.value.code == 2
     assert capsys.readouterr().err == "think: value 13: choose another\n"
+
+
+SLEEPER = """
+import sys, time
+from codec.console import run_command
+from tests.codec.test_console import Number
+
+def sleep(number):
+    try:
+        print("asleep", flush=True)
+        time.sleep(60)
+    finally:
+        print("cleaning", flush=True)
+        time.sleep(0.5)
+        print("clean", flush=True)
+
+sys.argv = ["sleep", "7"]
+run_command(Number, sleep, "sleep", "Sleeps.")
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_a_command_when_it_has_cleaned_up(number: signal.Signals) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-c", SLEEPER],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "asleep\n"
+    process.send_signal(number)
+    assert process.stdout.readline() == "cleaning\n"
+    for later in (signal.SIGTERM, signal.SIGHUP):
+        if number is not signal.SIGINT:  # a terminal that is closed may send both
+            process.send_signal(later)
+    assert process.communicate(timeout=20) == ("clean\n", "")
+    assert process.returncode == 128 + number
+
+
+def test_a_signal_that_is_ignored_stays_ignored() -> None:
+    ignoring = "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n" + SLEEPER
+    process = subprocess.Popen(
+        [sys.executable, "-c", ignoring], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "asleep\n"
+    process.send_signal(signal.SIGHUP)
+    with pytest.raises(subprocess.TimeoutExpired):
+        process.wait(timeout=0.5)
+    process.send_signal(signal.SIGTERM)
+    assert process.communicate(timeout=20)[0] == "cleaning\nclean\n"
+    assert process.returncode == 128 + signal.SIGTERM

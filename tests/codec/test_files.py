@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 from collections.abc import Callable
 from pathlib import Path
 
@@ -96,3 +97,17 @@ def test_what_cannot_be_read_is_named(tmp_path: Path, what: str) -> None:
 def test_what_it_means_that_a_file_is_missing_is_said(tmp_path: Path) -> None:
     with pytest.raises(CorruptError, match=r"x is missing; take another$"):
         read_bounded(tmp_path / "x", 9, if_missing="take another")
+
+
+def test_a_full_disk_names_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
+    try:
+        with pytest.raises(OSError, match=r"File too large: '.*/file'"):
+            write_atomic(path, bytes(2000))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    with pytest.raises(OSError, match=r"No such file or directory: '.*/absent/file'"):
+        write_atomic(tmp_path / "absent" / "file", b"")
+    assert os.listdir(tmp_path) == []

@@ -201,8 +201,10 @@ def test_a_server_that_dies_leaves_no_half_video(library: Path, tmp_path: Path) 
         (("--capture", "x.mp4", "--report", "/absent/r.json"), "there is no folder"),
         (("--capture", "x.mp4", "--plot", "/absent/p.png"), "there is no folder"),
         (("--capture", "x.mp4", "--loop", "0"), "neither forever nor a number from 1 on"),
-        (("--capture", "x.mp4", "--loop", "forever"), "go with a window"),
-        (("--capture", "x.mp4", "--rate", "2"), "go with a window"),
+        (("--capture", "x.mp4", "--loop", "forever"), "--loop forever does not go with"),
+        (("--capture", "x.mp4", "--rate", "2"), "--rate does not go with --capture"),
+        (("--capture", "x.mp4", "--record", "x.json"), "--record does not go with --capture"),
+        (("--still", "3", "--capture", "x.png", "--rate", "2"), "--rate does not go with --still"),
         (("--rate", "5"), "not within 0.25..4"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Ctrl-C in the middle of a play: what was asked for is whole, or not there."""
+"""A signal in the middle of a play: what was asked for is whole, or not there."""
 
 from __future__ import annotations
 
@@ -15,8 +15,18 @@ from tests.support.commands import ROOT
 from tests.support.hosted_streams import served, write_stream
 
 
-@pytest.mark.parametrize("capture", ["out.mp4", "pictures"])
-def test_ctrl_c_writes_the_report_and_no_half_video(tmp_path: Path, capture: str) -> None:
+@pytest.mark.parametrize(
+    ("capture", "number"),
+    [
+        ("out.mp4", signal.SIGINT),
+        ("pictures", signal.SIGINT),
+        ("out.mp4", signal.SIGTERM),
+        ("out.mp4", signal.SIGHUP),
+    ],
+)
+def test_a_signal_writes_the_report_and_no_half_video(
+    tmp_path: Path, capture: str, number: signal.Signals
+) -> None:
     (tmp_path / "library").mkdir()
     write_stream(tmp_path / "library" / "long", 300)
     folder = tmp_path / "out"
@@ -41,9 +51,9 @@ def test_ctrl_c_writes_the_report_and_no_half_video(tmp_path: Path, capture: str
             assert player.poll() is None
             assert time.monotonic() < until_s
             time.sleep(0.05)
-        player.send_signal(signal.SIGINT)
+        player.send_signal(number)
         told = player.communicate(timeout=100)
-    assert (player.returncode, *told) == (130, "", "")
+    assert (player.returncode, *told) == (128 + number, "", "")
     names = sorted(path.name for path in folder.iterdir())
     assert names == (["pictures", "report.json"] if capture == "pictures" else ["report.json"])
     summary = json.loads(report.read_text())

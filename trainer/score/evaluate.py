@@ -15,6 +15,8 @@ from rich.console import Group
 from rich.markup import escape
 from rich.table import Table
 
+from codec.errors import InvalidError
+from player.show.sink import check_output
 from trainer.capture.capture import Mask
 from trainer.step.loss import psnr_db
 
@@ -50,6 +52,20 @@ class EvaluateConfig:
     ablate_quantisation: bool = False
     """Score instead a raw stream with one attribute at a time quantised as in the paper's
     Table 6."""
+    compare: Annotated[tuple[str, Path] | None, tyro.conf.arg(metavar="CAMERA OUT")] = None
+    """Draw instead, for each frame, what this camera saw, what the stream shows there and the
+    error, to an .mp4 or a folder of PNGs."""
+
+    def __post_init__(self) -> None:
+        """Raises InvalidError for options that do not go together."""
+        if self.compare is None:
+            return
+        if self.json or self.sheet is not None or self.ablate_quantisation:
+            raise InvalidError(
+                "--compare draws and does not score; leave out --json, --sheet and "
+                "--ablate-quantisation"
+            )
+        check_output(self.compare[1])
 
 
 @dataclass(frozen=True, slots=True)

@@ -140,6 +140,24 @@ def test_the_mouse_and_keys_move_the_camera_and_r_brings_it_back(
         moved_by("fly")
 
 
+def test_where_the_camera_went_plays_again(stream: Path, tmp_path: Path) -> None:
+    recorded = tmp_path / "path.json"
+    with playing(stream, tmp_path / "r.json", "--record", str(recorded)) as person:
+        person.presses("space")
+        person.drags(1, (100, 100), (140, 100), (160, 90))
+        person.points(5, 5)
+        turned = person.sees_rest()
+    last = json.loads(recorded.read_text())[-1]["frame"]
+    options = ("--camera", str(recorded), "--frames", f"{last}:{FRAMES}")
+    with playing(stream, tmp_path / "r2.json", *options) as person:
+        person.presses("space")
+        person.presses("Home")
+        person.points(5, 5)
+        again = person.sees_rest()
+    apart = np.abs(scene(turned).astype(int) - scene(again).astype(int))
+    assert np.quantile(apart, 0.99) <= 2  # within half a pixel
+
+
 def test_the_overlays_say_how_it_stands_and_what_keys_do(stream: Path, tmp_path: Path) -> None:
     with playing(stream, tmp_path / "r.json") as person:
         person.presses("space")

@@ -1,0 +1,124 @@
+"""swings-eval --compare: what a camera saw, what the stream shows there, and the error."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from PIL import Image
+
+from codec.errors import InvalidError
+from codec.stream import StreamReader
+from tests.support.commands import run, run_ok
+from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, picture_of, write_dynamic3dgs
+from tests.support.tiny_stream import tiny_manifest, write_tiny
+from trainer.capture.layout import open_capture
+from trainer.score.evaluate import EvaluateConfig
+from trainer.score.picture import Floats, captured, displayed
+from trainer.score.sidebyside import (
+    MOST_ERROR,
+    error_colours,
+    side_by_side,
+    write_side_by_side,
+)
+from trainer.step.loss import psnr_db
+
+FRAMES = 6
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """With a capture, and a stream that knows its cameras."""
+    root = tmp_path_factory.mktemp("compared")
+    write_dynamic3dgs(root / "capture", num_cameras=3, num_frames=FRAMES)
+    cameras = tuple(c.camera for c in open_capture(root / "capture").cameras)
+    manifest = replace(tiny_manifest(), cameras=cameras, default_camera=cameras[0].name)
+    write_tiny(root / "stream", FRAMES, manifest)
+    return root
+
+
+def config_of(folder: Path, every: int = 1) -> EvaluateConfig:
+    return EvaluateConfig(folder / "stream", folder / "capture", every=every)
+
+
+@pytest.mark.parametrize("index", [0, 2])
+def test_each_picture_has_truth_rendered_and_error(
+    folder: Path, tmp_path: Path, index: int
+) -> None:
+    """Of any camera, held out or not."""
+    reader = StreamReader(folder / "stream")
+    camera = reader.manifest.cameras[index]
+    found = write_side_by_side(config_of(folder), camera.name, tmp_path / "out")
+    scores_db = []
+    for frame in range(FRAMES):
+        picture = np.asarray(Image.open(tmp_path / "out" / f"frame_{frame:05d}.png"))
+        header_px = picture.shape[0] - HEIGHT_PX
+        assert picture.shape == (HEIGHT_PX + header_px, 3 * WIDTH_PX, 3)
+        assert picture[:header_px].max() > 200
+        truth, shown, error = np.split(picture[header_px:], 3, axis=1)
+        assert np.abs(truth.astype(int) - picture_of(index, frame)).mean() < 3  # was a JPEG
+        splats = reader.active_splats(frame, 2)
+        expected = displayed(splats, camera, reader.manifest.near_m)
+        np.testing.assert_array_equal(shown, np.rint(expected * 255).astype(np.uint8))
+        wrong = np.abs(expected - captured(truth)).mean(axis=2)
+        np.testing.assert_array_equal(error, error_colours(wrong))
+        scores_db.append(psnr_db(expected, captured(truth), None))
+    assert (found.camera, found.frames) == (camera.name, FRAMES)
+    assert found.psnr_db == pytest.approx(np.mean(scores_db), abs=1e-4)
+
+
+def test_colours_of_errors_grow_brighter_to_the_end_of_the_bar() -> None:
+    errors = np.linspace(0, MOST_ERROR, 256, dtype=np.float32)
+    light = error_colours(errors).astype(int).sum(axis=1)
+    assert light[0] < 10
+    assert light[-1] > 600
+    assert (np.diff(light) >= -1).all()
+    beyond = error_colours(np.array([MOST_ERROR, 0.9], np.float32))
+    np.testing.assert_array_equal(beyond[0], beyond[1])
+
+
+@pytest.mark.parametrize(("height_px", "width_px"), [(1, 1), (36, 64), (7, 300), (360, 640)])
+def test_any_size_of_picture_gets_its_labels(height_px: int, width_px: int) -> None:
+    truth: Floats = np.full((height_px, width_px, 3), 0.5, np.float32)
+    mask = np.zeros((height_px, width_px), np.uint8)
+    shown = truth + np.float32(0.2)
+    for counting in (None, mask):
+        picture = side_by_side(truth, shown, counting, ("camera " * 50, "x"))
+        header_px = len(picture) - height_px
+        error = picture[header_px:, 2 * width_px :]
+        wrong = 0 if counting is not None else np.float32(0.2)
+        expected = error_colours(np.full((height_px, width_px), wrong, np.float32))
+        np.testing.assert_array_equal(error, expected)
+
+
+def test_the_command_writes_a_video_and_one_line(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.mp4"
+    name = StreamReader(folder / "stream").manifest.cameras[1].name
+    arguments = (folder / "stream", folder / "capture")
+    told = run_ok("swings-eval", *arguments, "--compare", name, out, "--every", 2)
+    assert told.startswith(f"3 frames from {name}, ")
+    assert told.endswith(f" dB: {out}\n")
+    with av.open(str(out)) as container:
+        assert container.streams.video[0].average_rate == 12.5
+        assert len(list(container.decode(video=0))) == 3
+    assert [path.name for path in tmp_path.iterdir()] == ["out.mp4"]
+
+
+def test_what_cannot_be_compared_gets_one_line_and_leaves_nothing(
+    folder: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(InvalidError, match="has no camera 'nobody'; there are "):
+        write_side_by_side(config_of(folder), "nobody", tmp_path / "out")
+    arguments = (folder / "stream", folder / "capture", "--compare", "x")
+    for words, message in (
+        ((tmp_path / "out.gif",), "name an .mp4 file, or a folder"),
+        ((tmp_path / "out", "--json"), "--compare draws and does not score"),
+        ((tmp_path / "out", "--sheet", "s.png"), "--compare draws and does not score"),
+    ):
+        done = run("swings-eval", *arguments, *words)
+        assert (done.returncode, done.stdout) == (2, "")
+        assert message in done.stderr
+    assert list(tmp_path.iterdir()) == []
