@@ -10,7 +10,7 @@ Item = TypeVar("Item")
 
 
 class Arrivals(Generic[Item]):
-    """Holds each slice until a frame at or after its birth is drawn.
+    """Holds each slice until a frame at or after its birth is uploaded.
 
     Until then its lane belongs to a slice that still shows. None is left out, as a later one may
     change only some of its rows. One that was put before may come again, with more layers. Whoever
@@ -34,3 +34,10 @@ class Arrivals(Generic[Item]):
             while self._waiting and self._waiting[0][0] <= frame:
                 taken.append(self._waiting.popleft()[1])
         return taken
+
+    def drop(self) -> list[Item]:
+        """Forgets what waits, and gives it: another place in the stream is wanted."""
+        with self._lock:
+            dropped = [item for _, item in self._waiting]
+            self._waiting.clear()
+        return dropped

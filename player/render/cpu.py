@@ -33,10 +33,19 @@ class CpuRenderer:
     def put(self, slice: Slice) -> None:
         self._arrivals.put(slice.birth, slice)
 
-    def render(self, frame: int, camera: Camera) -> Floats:
+    def forget_waiting(self) -> None:
+        self._arrivals.drop()
+
+    def upload(self, frame: int) -> None:
         for slice in self._arrivals.take(frame):
             self._ring.put(slice)
             self.uploaded_bytes += slice.num_bytes
+
+    def render(self, frame: int, camera: Camera) -> Floats:
+        self.upload(frame)
+        return self.render_again(frame, camera)
+
+    def render_again(self, frame: int, camera: Camera) -> Floats:
         return render_splats(self._ring.active(frame), camera, self._near_m)
 
     def close(self) -> None:

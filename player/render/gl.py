@@ -1,7 +1,7 @@
 """OpenGL 3.3: the window stays in one texture, and a frame uploads what its slice changes.
 
-Rule: one thread makes a GlRenderer, draws with it and closes it; only `put` may come from another,
-and it makes no GL call.
+Rule: one thread makes a GlRenderer, draws with it and closes it; only `put` and `forget_waiting`
+may come from others, and they make no GL call.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import ctypes
 import logging
 import sys
+import threading
 from contextlib import AbstractContextManager, nullcontext
 from enum import Enum
 from importlib.resources import files
@@ -123,6 +124,7 @@ class GlRenderer:
         self._lane_slots = self._lanes.lane_rows * self._lanes.columns
         self._order = Order(manifest.swin_size, self._lane_slots)
         self._arrivals: Arrivals[PackedSlice] = Arrivals()
+        self._packing = threading.Lock()
         self._closed = False
         self.uploaded_bytes = 0
         self._unlocked = _Unlocked(self._context)
@@ -177,12 +179,23 @@ class GlRenderer:
         )
 
     def put(self, slice: Slice) -> None:
-        """Packs the slice for the GPU; the next `render` of a frame >= its birth uploads it."""
+        """Packs the slice for the GPU; the next `upload` of a frame >= its birth takes it there."""
         check_slice(slice, self._manifest.slice_size, self._manifest.sh_degree)
-        self._arrivals.put(slice.birth, self._lanes.pack(slice))
+        with self._packing:
+            self._arrivals.put(slice.birth, self._lanes.pack(slice))
+
+    def forget_waiting(self) -> None:
+        """See Renderer."""
+        with self._packing:
+            for packed in self._arrivals.drop():
+                self._lanes.forget(packed.lane)
 
     def upload(self, frame: int) -> None:
         """Brings the slices born up to `frame` into their lanes; nothing else is touched."""
+        with self._current:
+            self._upload(frame)
+
+    def _upload(self, frame: int) -> None:
         for packed in self._arrivals.take(frame):
             self._order.put(packed.lane, packed.expire, packed.means, packed.starts, packed.rows)
             for patch in packed.patches:
@@ -192,11 +205,11 @@ class GlRenderer:
                 self.uploaded_bytes += patch.texels.nbytes
 
     def draw(self, frame: int, camera: Camera, framebuffer: moderngl.Framebuffer) -> None:
-        """Draws `frame` over a black `framebuffer`, without waiting for the GPU.
+        """Draws `frame` from what is uploaded over a black `framebuffer`, without waiting for the
+        GPU; the context is current.
 
         Row 0 of the picture goes into row 0 of the target, which `read` gives first.
         """
-        self.upload(frame)
         self._context.gc()
         slots = self._order.far_first(frame, camera.w2c, self._manifest.near_m)
         framebuffer.use()
@@ -214,7 +227,8 @@ class GlRenderer:
         self._unlocked.draw_quads(self._quads, len(slots))
 
     def present(self, frame: int, camera: Camera, screen: moderngl.Framebuffer) -> None:
-        """Draws `frame` onto the lower left of a window, as large as `camera` says."""
+        """Draws `frame` from what is uploaded onto the lower left of a window, as large as `camera`
+        says."""
         with self._current:
             self.draw(frame, camera, self._offscreen(camera.width_px, camera.height_px))
             # A window's framebuffer keeps the size that the window was opened with.
@@ -241,11 +255,17 @@ class GlRenderer:
                 uniform.write(np.ascontiguousarray(value, np.float32))
 
     def render(self, frame: int, camera: Camera) -> Floats:
-        """(H, W, 3) float32 picture of `frame`, row 0 on top; see Renderer."""
+        """See Renderer."""
         with self._current:
-            return self._render(frame, camera)
+            self._upload(frame)
+            return self._read(frame, camera)
 
-    def _render(self, frame: int, camera: Camera) -> Floats:
+    def render_again(self, frame: int, camera: Camera) -> Floats:
+        """See Renderer."""
+        with self._current:
+            return self._read(frame, camera)
+
+    def _read(self, frame: int, camera: Camera) -> Floats:
         framebuffer = self._offscreen(camera.width_px, camera.height_px)
         self.draw(frame, camera, framebuffer)
         self._unlocked.finish()

@@ -19,7 +19,8 @@ def _collect(means, starts, expires, counts, frame, view, near_m, slots, keys): 
     lanes, lane_slots = starts.shape
     found = 0
     for lane in range(lanes):
-        if expires[lane] <= frame:
+        # After a seek backwards a lane may hold what is yet to come.
+        if expires[lane] <= frame or frame < expires[lane] - lanes:
             continue
         for i in range(counts[lane]):
             z = (

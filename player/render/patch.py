@@ -90,7 +90,8 @@ def rectangles_of(rows: Ints, columns: int) -> Ints:
 class PackedLanes:
     """Packs slices for the texture; belongs to the thread that puts.
 
-    Invariant: holds each lane's texels as they are when all that was packed so far is uploaded.
+    Invariant: holds each lane's texels as they are when all that was packed so far is uploaded,
+    unless the lane is forgotten.
     What is handed out does not change any more, as another thread may be uploading it.
     """
 
@@ -119,6 +120,10 @@ class PackedLanes:
         expire = slice.birth + self._swin_size
         means = slice.splats.means
         return PackedSlice(lane, expire, rows, means, starts, patches)
+
+    def forget(self, lane: int) -> None:
+        """What was packed for `lane` may never be uploaded: only a whole slice can follow."""
+        self._births[lane] = None
 
     def _replace(self, lane: int, slice: Slice, starts: Ints) -> tuple[Patch, ...]:
         height = -(-len(slice.splats) // self.columns)

@@ -1,7 +1,7 @@
 """What every renderer does, and the choice of one.
 
-`put` may be called from another thread than `render`; everything else belongs to the thread that
-made the renderer.
+`put` and `forget_waiting` may be called from other threads; everything else belongs to the thread
+that made the renderer.
 """
 
 from __future__ import annotations
@@ -48,15 +48,32 @@ class Renderer(Protocol):
         ...
 
     def put(self, slice: Slice) -> None:
-        """Takes the slice over; it shows from the first `render` of a frame >= its birth on.
+        """Takes the slice over; it shows from the first `upload` of a frame >= its birth on.
 
-        Raises InvalidError here or in that `render` if it does not fit its lane, or has rows and
+        Raises InvalidError here or in that `upload` if it does not fit its lane, or has rows and
         does not follow the slice that its lane got last.
         """
         ...
 
+    def forget_waiting(self) -> None:
+        """Drops the slices that were put but not uploaded, as for a seek; the next slice of each of
+        their lanes has to be a whole one."""
+        ...
+
+    def upload(self, frame: int) -> None:
+        """Brings the slices born up to `frame` to where they are drawn from.
+
+        What they replace is gone: only frames from their births on can be drawn after it.
+        """
+        ...
+
     def render(self, frame: int, camera: Camera) -> Floats:
-        """(H, W, 3) float32 picture of `frame`, row 0 on top, black background, not clamped."""
+        """Uploads up to `frame`, then draws it; see render_again."""
+        ...
+
+    def render_again(self, frame: int, camera: Camera) -> Floats:
+        """(H, W, 3) float32 picture of `frame` from what is uploaded, whatever waits: row 0 on top,
+        black background, not clamped."""
         ...
 
     def close(self) -> None: ...

@@ -117,6 +117,8 @@ class _Window:
                 time.sleep(IDLE_S)
                 continue
             camera = self._view.applied(joined.path(frame)).fitted(*size)
+            if waiting:
+                renderer.upload(frame)
             renderer.present(frame, camera, self.context.screen)
             glfw.swap_buffers(self._window)
             drawn = state

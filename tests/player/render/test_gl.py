@@ -27,22 +27,10 @@ from tests.support.hosted_streams import (
     random_splats,
     small_manifest,
 )
+from tests.support.opengl import NO_GL, needs_gl
 from tests.support.slots.leases import LeasedStream, leased_slice, leased_streams, replayed
 
 Floats = npt.NDArray[np.float32]
-
-
-def gl_reason() -> str | None:
-    """Why OpenGL cannot start here; None where it can."""
-    try:
-        open_context().release()
-    except GlError as error:
-        return str(error)
-    return None
-
-
-NO_GL = gl_reason()
-needs_gl = pytest.mark.skipif(NO_GL is not None, reason=f"OpenGL: {NO_GL}")
 
 
 def psnr_db(a: Floats, b: Floats) -> float:

@@ -23,6 +23,7 @@ def test_the_order_is_that_of_a_stable_sort_by_depth() -> None:
     for frame in range(7):
         depths = (order.means[..., 2] + np.float32(1.5)).ravel()
         shown = (order.starts <= frame) & (order.expires[:, None] > frame)
+        shown &= order.expires[:, None] - 3 <= frame
         shown &= np.arange(4000) < order.counts[:, None]
         slots = np.flatnonzero(shown.ravel() & (depths > 0.5))
         expected = slots[np.argsort(-depths[slots], kind="stable")]
@@ -47,6 +48,13 @@ def test_what_is_kept_goes_on() -> None:
     nothing = np.zeros(0, np.int32)
     order.put(0, 8, np.zeros((0, 3), np.float32), nothing, nothing)
     assert [shown(frame) for frame in (6, 7, 8)] == [[4, 0, 1], [4, 0, 1], []]
+
+
+def test_a_lane_does_not_show_before_its_birth() -> None:
+    # One that was kept began long before: after a seek backwards it is not of that time.
+    order = Order(2, 1)
+    order.put(0, 9, np.array([[0, 0, 4]], np.float32), np.zeros(1, np.int32))
+    assert [len(order.far_first(frame, np.eye(4), 0.5)) for frame in (6, 7, 8, 9)] == [0, 1, 1, 0]
 
 
 @given(st.lists(st.floats(2.0**-10, 2.0**120, width=32), max_size=50))
