@@ -13,7 +13,7 @@ from codec.errors import InvalidError
 from codec.framerange import FRAMES, FrameRange
 from codec.stream.manifest import Manifest
 from player.link.linktext import read_link
-from player.render.renderer import RendererKind
+from player.render.renderer import GlVersion, RendererKind
 from player.show.sink import check_output
 from player.view.path import CameraPath, Size, camera_path, check_path
 from server.abr.link.link import Link
@@ -73,6 +73,8 @@ class PlayConfig:
     """Frames to show, as 30:60 (without 60), 30: or :60."""
     renderer: RendererKind = RendererKind.AUTO
     """auto takes OpenGL where it works, and says so where it does not."""
+    gl: GlVersion = GlVersion.AUTO
+    """The OpenGL to draw with; auto takes 4.3, which orders the Gaussians itself, on a GPU."""
     link: Annotated[Link | None, LINK] = None
     """Play over a slower link: a rate (8M), a rate and a latency (8M,20ms), or a trace's file."""
     report: Annotated[Path | None, tyro.conf.arg(metavar="JSON")] = None
@@ -91,6 +93,8 @@ class PlayConfig:
             check_output(self.capture)
         elif self.renderer is RendererKind.CPU:
             raise InvalidError("a window is drawn by OpenGL; --renderer cpu goes with --capture")
+        if self.renderer is RendererKind.CPU and self.gl is not GlVersion.AUTO:
+            raise InvalidError(f"--gl {self.gl} does not go with --renderer cpu")
         if self.loop < 1:
             raise InvalidError(f"loop {self.loop}: play the frames once at least")
         for name, path in (("report", self.report), ("plot", self.plot)):

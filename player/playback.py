@@ -20,8 +20,8 @@ from player.playout.clock import Clock
 from player.playout.queues import Events
 from player.playout.threads import Joined, Threads, render_thread
 from player.playout.timeline import FrameRecord, Playout, QueueConfig
-from player.render.gl import GlError
-from player.render.renderer import Renderer, RendererKind, create_renderer
+from player.render.gl import GlError, create_renderer
+from player.render.renderer import Renderer, RendererKind
 from player.show.sink import FrameSink, open_sink, to_bytes
 from player.source.lastplay import NO_PLAY
 from player.source.locate import open_source
@@ -83,9 +83,9 @@ def _rehearsed(config: PlayConfig) -> RendererKind:
     if not config.source.lower().startswith(("http://", "https://")):
         return config.renderer
     if config.capture is not None:
-        return rehearse(config.renderer)
+        return rehearse(config.renderer, config.gl)
     try:
-        return rehearse(RendererKind.GL)
+        return rehearse(RendererKind.GL, config.gl)
     except GlError:  # a window brings its own OpenGL
         rehearse(RendererKind.CPU)
         return RendererKind.GL
@@ -119,7 +119,7 @@ class _Playback:
         from player.show.window import show_window
 
         joins = [self._join] * self._config.loop
-        show_window(joins, self._renderers, self._note)
+        show_window(joins, self._renderers, self._note, self._config.gl)
 
     def write(self, interrupted: bool) -> PlaySummary:
         """The summary, which is written to where it is asked for."""
@@ -178,7 +178,7 @@ class _Playback:
                 with (
                     self._join() as joined,
                     Threads(joined.source, joined.events) as threads,
-                    closing(create_renderer(self._kind, joined.source.manifest)) as renderer,
+                    closing(self._create_renderer(joined)) as renderer,
                 ):
                     self._renderers.append(renderer)
                     if files is None:
@@ -191,6 +191,9 @@ class _Playback:
                         progress.add_task("drawing", total=None if count is None else count * loop)
                     show = partial(self._show, files)
                     render_thread(threads.update(renderer), renderer, joined.path, show)
+
+    def _create_renderer(self, joined: Joined) -> Renderer:
+        return create_renderer(self._kind, joined.source.manifest, self._config.gl)
 
     def _show(self, files: _Files, record: FrameRecord, picture: Floats) -> None:
         files.write(picture)

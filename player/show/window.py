@@ -18,8 +18,8 @@ from codec.errors import SwingsError
 from player.playout.queues import Events, Handoff
 from player.playout.threads import Joined, Threads
 from player.playout.timeline import FrameRecord
-from player.render.gl import MIN_VERSION, GlError, GlRenderer, Target
-from player.render.renderer import Renderer, check_drawable
+from player.render.gl import GlRenderer, Target, first_context
+from player.render.renderer import GlVersion, Renderer, check_drawable
 from player.view.mouse import View, view_of
 from player.view.path import Size
 
@@ -53,7 +53,12 @@ Note = Callable[[FrameRecord, bool], None]
 """Told of each frame, and whether it was drawn: not where a newer one was due by then."""
 
 
-def show_window(joins: Sequence[Join], renderers: list[Renderer], note: Note) -> None:
+def show_window(
+    joins: Sequence[Join],
+    renderers: list[Renderer],
+    note: Note,
+    version: GlVersion = GlVersion.AUTO,
+) -> None:
     """Plays what each of `joins` asks for, one after another, until the window is closed.
 
     renderers: gets the one of each play, for its name and counters.
@@ -63,8 +68,8 @@ def show_window(joins: Sequence[Join], renderers: list[Renderer], note: Note) ->
         with join() as joined, Threads(joined.source, joined.events) as threads:
             manifest = joined.source.manifest
             check_drawable(manifest)
-            window = window or _Window(joined)
-            renderer = GlRenderer(manifest, Target.FLOAT16, window.context)
+            window = window or _Window(joined, version)
+            renderer = GlRenderer(manifest, Target.FLOAT16, window.context, version)
             renderers.append(renderer)
             with closing(renderer):
                 # The last picture stays until the window is closed.
@@ -77,14 +82,15 @@ def show_window(joins: Sequence[Join], renderers: list[Renderer], note: Note) ->
 class _Window:
     """The window of all plays, and the camera that the mouse moved."""
 
-    def __init__(self, joined: Joined) -> None:
+    def __init__(self, joined: Joined, version: GlVersion) -> None:
         first = joined.path(joined.source.frames.first)
         size = Size(first.width_px, first.height_px)
-        self._window = _open(size, joined.source.name)
-        try:
-            self.context = moderngl.create_context(require=MIN_VERSION)
-        except Exception as error:  # moderngl and glcontext raise bare Exception
-            raise GlError(f"OpenGL 3.3 cannot start in a window: {error}") from error
+
+        def opening(asked: GlVersion) -> tuple[Any, moderngl.Context]:
+            window = _open(size, joined.source.name, asked)
+            return window, moderngl.create_context(require=asked.code)
+
+        self._window, self.context = first_context(version, opening)
         self._view = view_of(joined.source.manifest)
         self._controls = _Controls(self._window, self._view, first.fy_px)
 
@@ -127,9 +133,9 @@ class _Window:
             waiting.clear()
 
 
-def _open(size: Size, title: str) -> Any:
-    glfw.window_hint(glfw.CONTEXT_VERSION_MAJOR, 3)
-    glfw.window_hint(glfw.CONTEXT_VERSION_MINOR, 3)
+def _open(size: Size, title: str, version: GlVersion) -> Any:
+    glfw.window_hint(glfw.CONTEXT_VERSION_MAJOR, version.code // 100)
+    glfw.window_hint(glfw.CONTEXT_VERSION_MINOR, version.code // 10 % 10)
     glfw.window_hint(glfw.OPENGL_PROFILE, glfw.OPENGL_CORE_PROFILE)
     glfw.window_hint(glfw.OPENGL_FORWARD_COMPAT, True)
     window = glfw.create_window(size.width_px, size.height_px, f"swings: {title}", None, None)
