@@ -106,6 +106,15 @@ def camera_rotation(camera):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
+@kernel()
+def depth_of(view_x, view_y, view_z, shift, x, y, z):  # type: ignore[no-untyped-def]
+    """Depth of a point in exactly these float32 steps, which the shaders take, too.
+
+    Rounded otherwise, two Gaussians that are almost equally far could change places.
+    """
+    return ((view_x * x + view_y * y) + view_z * z) + shift
+
+
 @kernel(fastmath=True, parallel=True, nogil=True)
 def project_kernel(  # type: ignore[no-untyped-def]
     means, log_scales, quats, logit_opacities, sh, rows, camera, tiles_x, tiles_y,
@@ -128,7 +137,7 @@ def project_kernel(  # type: ignore[no-untyped-def]
         tile_boxes[i, FIRST_Y] = 0
         tile_boxes[i, END_Y] = 0
         mx, my, mz = means[row, 0], means[row, 1], means[row, 2]
-        z = r20 * mx + r21 * my + r22 * mz + camera[CAM_TRANSLATION + 2]
+        z = depth_of(r20, r21, r22, camera[CAM_TRANSLATION + 2], mx, my, mz)
         opacity = one / (one + np.exp(-logit_opacities[row]))
         if z <= camera[CAM_NEAR] or opacity < alpha_min:
             continue

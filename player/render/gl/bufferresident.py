@@ -44,6 +44,7 @@ class BufferResident:
         self._lanes_buffer = context.buffer(self._lanes)
         constants = {
             "TEXELS": texels,
+            "LANES": self._swin_size,
             "LANE_SLOTS": slice_size,
             "SLOTS": num_slots,
             "GROUP": GROUP,

@@ -32,24 +32,24 @@ _COMMAND, _TALLIES, _KEYS, _SLOTS, _SORTED_KEYS, _SORTED_SLOTS = range(2, 8)
 
 
 class DepthSort:
-    """Sorts the keys of all slots; the context is current in every call."""
+    """Sorts keys, and slots with them; the context is current in every call."""
 
     def __init__(self, context: moderngl.Context, num_slots: int) -> None:
         self._groups = -(-num_slots // BLOCK)
         self.keys = context.buffer(reserve=4 * num_slots)
-        """One for each slot: below 2 ** KEY_BITS, or ABSENT. A sort overwrites them."""
+        """Below 2 ** KEY_BITS, or ABSENT. A sort overwrites them."""
         self.command = context.buffer(np.array([4, 0, 0, 0], np.uint32))
-        """Four vertices, how many slots were not absent, 0, 0: an indirect draw."""
+        """Four vertices, how many keys were not absent, 0, 0: an indirect draw."""
         self._tallies = context.buffer(reserve=4 * self._groups << DIGIT_BITS)
         other = context.buffer(reserve=4 * num_slots)
-        slots = [context.buffer(reserve=4 * num_slots) for _ in range(2)]
-        # Pass 0 reads no slots: there a key's place is its slot.
+        self.slots, other_slots = (context.buffer(reserve=4 * num_slots) for _ in range(2))
+        """What the keys belong to. A sort overwrites them."""
         self._ways = (
-            (self.keys, slots[1], other, slots[0]),
-            (other, slots[0], self.keys, slots[1]),
+            (self.keys, self.slots, other, other_slots),
+            (other, other_slots, self.keys, self.slots),
         )
-        self.order = slots[(PASSES - 1) % 2]
-        """int32 slots in the order of their keys."""
+        self.order = self._ways[(PASSES - 1) % 2][3]
+        """Slots in the order of their keys."""
         self.constants: Constants = {"KEY_BITS": KEY_BITS, "ABSENT": f"{ABSENT:#x}u"}
         """What a shader that writes keys needs to know."""
         constants = {
@@ -65,8 +65,9 @@ class DepthSort:
         self._scatter = compile_compute(context, "scatter.glsl", constants)
 
     def bind(self) -> None:
-        """Makes `keys` what the next shader writes to."""
+        """Makes `keys` and `slots` what the next shader writes to."""
         self.keys.bind_to_storage_buffer(_KEYS)
+        self.slots.bind_to_storage_buffer(_SLOTS)
 
     def run(self, unlocked: Unlocked) -> None:
         """Sorts; `order` and `command` say how."""

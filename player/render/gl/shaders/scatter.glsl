@@ -51,7 +51,7 @@ void main() {
         if (run[i] == ABSENT) continue;
         uint d = bitfieldExtract(run[i], DIGIT_BITS * digit, DIGIT_BITS);
         sorted_keys[place[d]] = run[i];
-        sorted_slots[place[d]] = digit == 0 ? uint(first + i) : slots[first + i];
+        sorted_slots[place[d]] = slots[first + i];
         place[d] += 1u;
     }
 }
