@@ -19,6 +19,7 @@ from codec.slice import Slice
 from codec.stream.manifest import Manifest
 
 from .recipe import MAX_SH_DEGREE
+from .steptimes import StepTimes
 
 log = logging.getLogger(__name__)
 
@@ -58,6 +59,9 @@ class Renderer(Protocol):
     def uploaded_bytes(self) -> int:
         """Bytes of slices copied to where they are drawn from, so far."""
         ...
+
+    times: StepTimes | None
+    """Set it to have the steps timed, each until it is finished, which costs some overlap."""
 
     def put(self, slice: Slice) -> None:
         """Takes the slice over; it shows from the first `upload` of a frame >= its birth on.

@@ -22,6 +22,7 @@ from ..arrivals import Arrivals
 from ..lane import check_slice
 from ..patch import PackedSlice
 from ..renderer import GlVersion
+from ..steptimes import StepTimes, step
 from .bufferresident import BufferResident
 from .glcontext import GlError, Unlocked, open_context, version_for
 from .offscreen import Offscreen, Target
@@ -56,6 +57,7 @@ class GlRenderer:
         self._packing = threading.Lock()
         self._closed = False
         self.uploaded_bytes = 0
+        self.times: StepTimes | None = None
         try:
             with self._current:
                 # What Python drops is freed at the next frame, by the thread that owns the context.
@@ -96,18 +98,21 @@ class GlRenderer:
             self._upload(frame)
 
     def _upload(self, frame: int) -> None:
-        for packed in self._arrivals.take(frame):
-            self.uploaded_bytes += self._resident.put(packed)
+        with step(self.times, "upload_ms", self._unlocked.finish):
+            for packed in self._arrivals.take(frame):
+                self.uploaded_bytes += self._resident.put(packed)
 
     def _draw(self, frame: int, camera: Camera) -> None:
         """Draws `frame` from what is uploaded, without waiting for the GPU."""
         self._context.gc()
-        self._resident.sort(frame, camera)
-        self._offscreen.clear(camera)
-        # Premultiplied colours, farthest first.
-        self._context.enable_only(moderngl.BLEND)
-        self._context.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA
-        self._resident.draw(camera)
+        with step(self.times, "sort_ms", self._unlocked.finish):
+            self._resident.sort(frame, camera)
+        with step(self.times, "draw_ms", self._unlocked.finish):
+            self._offscreen.clear(camera)
+            # Premultiplied colours, farthest first.
+            self._context.enable_only(moderngl.BLEND)
+            self._context.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA
+            self._resident.draw(camera)
 
     def present(self, frame: int, camera: Camera, screen: moderngl.Framebuffer) -> None:
         """Draws `frame` from what is uploaded onto the lower left of a window, as large as `camera`
