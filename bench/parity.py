@@ -1,21 +1,25 @@
-"""OpenGL beside the CPU renderer on the frames of a trained stream: the smallest PSNR between them.
+"""OpenGL 3.3 and 4.3 beside the CPU renderer on the frames of a stream: PSNR, and the pixel that
+differs most.
 
 Usage: scripts/bench parity STREAM
 """
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import tyro
+from rich.console import Console
 
 from codec.console import run_command
 from codec.stream import StreamReader
 from player.render.cpu import render_splats
-from player.render.gl import GlRenderer
+from player.render.gl import GlError, GlRenderer
+from player.render.renderer import GlVersion
 
 FRAMES = 5
 
@@ -28,22 +32,38 @@ class ParityConfig:
     """Folder of a stream."""
 
 
+def compare(reader: StreamReader, version: GlVersion) -> str:
+    """The figures of one way of drawing, as a line of text. Raises GlError."""
+    manifest = reader.manifest
+    psnrs_db, worst = [], (0.0, "nowhere")
+    frames = np.unique(np.linspace(0, reader.num_frames - 1, FRAMES).astype(int)).tolist()
+    for frame in frames:
+        with closing(GlRenderer(manifest, version=version)) as renderer:
+            for part in reader.window(frame, manifest.num_layers):
+                renderer.put(part)
+            splats = reader.active_splats(frame, manifest.num_layers)
+            for camera in manifest.cameras:
+                drawn = renderer.render(frame, camera).astype(np.float64)
+                difference = np.abs(drawn - render_splats(splats, camera, manifest.near_m))
+                psnrs_db.append(-10 * np.log10(np.mean(difference**2)))
+                y, x, _ = np.unravel_index(int(difference.argmax()), difference.shape)
+                where = f"frame {frame}, {camera.name}, pixel ({x}, {y})"
+                worst = max(worst, (float(difference.max()) * 255, where))
+            name = renderer.name
+    return (
+        f"{name}: {len(frames)} frames x {len(manifest.cameras)} cameras, "
+        f"PSNR {min(psnrs_db):.1f} dB at least, {np.median(psnrs_db):.1f} in the middle; "
+        f"at most {worst[0]:.1f} levels off ({worst[1]})"
+    )
+
+
 def run(config: ParityConfig) -> None:
     reader = StreamReader(config.stream)
-    manifest = reader.manifest
-    worst_db = np.inf
-    for frame in np.linspace(0, reader.num_frames - 1, FRAMES).astype(int):
-        renderer = GlRenderer(manifest)
-        for part in reader.window(int(frame), manifest.num_layers):
-            renderer.put(part)
-        splats = reader.active_splats(int(frame), manifest.num_layers)
-        for camera in manifest.cameras:
-            drawn = renderer.render(int(frame), camera).astype(np.float64)
-            error = np.mean((drawn - render_splats(splats, camera, manifest.near_m)) ** 2)
-            worst_db = min(worst_db, -10 * np.log10(error))
-        name = renderer.name
-        renderer.close()
-    print(f"{name}: {FRAMES} frames x {len(manifest.cameras)} cameras, least {worst_db:.1f} dB")
+    for version in (GlVersion.V33, GlVersion.V43):
+        try:
+            print(compare(reader, version))
+        except GlError as error:
+            Console(stderr=True).print(f"no GL {version}: {error}")
 
 
 def main() -> None:

@@ -16,7 +16,7 @@ from codec.framerange import FRAMES, FrameRange
 from codec.stream.manifest import Manifest
 from player.link.linktext import read_link
 from player.playout.clock import MAX_RATE, MIN_RATE
-from player.render.renderer import RendererKind
+from player.render.renderer import GlVersion, RendererKind
 from player.show.sink import check_output, check_still
 from player.view.path import CameraPath, Size, camera_path, check_path
 from server.abr.link.link import Link
@@ -119,6 +119,8 @@ class PlayConfig:
     """Frames to show, as 30:60 (without 60), 30: or :60."""
     renderer: RendererKind = RendererKind.AUTO
     """auto takes OpenGL where it works, and says so where it does not."""
+    gl: GlVersion = GlVersion.AUTO
+    """The OpenGL to draw with; auto takes 4.3, which orders the Gaussians itself, on a GPU."""
     link: Annotated[Link | None, LINK] = None
     """Play over a slower link: a rate (8M), a rate and a latency (8M,20ms), or a trace's file."""
     report: Annotated[Path | None, tyro.conf.arg(metavar="JSON")] = None
@@ -156,6 +158,8 @@ class PlayConfig:
             raise InvalidError("a window is drawn by OpenGL; --renderer cpu goes with --capture")
         elif not MIN_RATE <= self.rate <= MAX_RATE:
             raise InvalidError(f"rate {self.rate} is not within {MIN_RATE:g}..{MAX_RATE:g}")
+        if self.renderer is RendererKind.CPU and self.gl is not GlVersion.AUTO:
+            raise InvalidError(f"--gl {self.gl} does not go with --renderer cpu")
         if self.capture is not None:
             self._refuse("--capture", ("--loop forever", self.loop is None), *self._of_windows)
         for name, path in (("report", self.report), ("plot", self.plot), ("record", self.record)):

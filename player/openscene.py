@@ -22,7 +22,8 @@ from codec.slice import Slice, window_births
 from codec.splats import Splats
 from codec.stream import StreamReader
 from codec.stream.manifest import Manifest
-from player.render.renderer import Renderer, RendererKind, create_renderer
+from player.render.gl import create_renderer
+from player.render.renderer import Renderer, RendererKind
 from player.source.locate import is_url
 from player.source.source import check_layers
 from player.source.webstorage import WebStorage

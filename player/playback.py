@@ -24,8 +24,8 @@ from player.playout.conductor import Conductor
 from player.playout.queues import Events
 from player.playout.threads import Joined, Threads, render_thread
 from player.playout.timeline import FrameRecord, Playout, QueueConfig
-from player.render.gl import GlError
-from player.render.renderer import Renderer, RendererKind, create_renderer
+from player.render.gl import GlError, create_renderer
+from player.render.renderer import Renderer, RendererKind
 from player.show.sink import FrameSink, open_sink, to_bytes
 from player.source.opener import Opener
 from player.source.source import Source
@@ -92,9 +92,9 @@ def _rehearsed(config: PlayConfig) -> RendererKind:
     if not config.source.lower().startswith(("http://", "https://")):
         return config.renderer
     if config.capture is not None:
-        return rehearse(config.renderer)
+        return rehearse(config.renderer, config.gl)
     try:
-        return rehearse(RendererKind.GL)
+        return rehearse(RendererKind.GL, config.gl)
     except GlError:  # a window brings its own OpenGL
         rehearse(RendererKind.CPU)
         return RendererKind.GL
@@ -186,7 +186,7 @@ class _Playback:
                 source = conductor.source
                 path = config.camera.of(source.manifest, config.size, source.frames)
                 recorder = PathRecorder(scene_centre(source.manifest))
-                show_window(conductor, path, self._renderers, self._note, recorder.add)
+                show_window(conductor, path, self._renderers, self._note, recorder.add, config.gl)
         finally:
             self._summary.received_bytes += conductor.received_bytes
             if config.record is not None and recorder:
@@ -220,7 +220,7 @@ class _Playback:
                 with (
                     self._join() as joined,
                     Threads(joined.source, joined.events) as threads,
-                    closing(create_renderer(self._kind, joined.source.manifest)) as renderer,
+                    closing(self._create_renderer(joined)) as renderer,
                 ):
                     self._renderers.append(renderer)
                     if files is None:
@@ -233,6 +233,9 @@ class _Playback:
                         progress.add_task("drawing", total=None if count is None else count * loop)
                     show = partial(self._show, files)
                     render_thread(threads.update(renderer), renderer, joined.path, show)
+
+    def _create_renderer(self, joined: Joined) -> Renderer:
+        return create_renderer(self._kind, joined.source.manifest, self._config.gl)
 
     def _show(self, files: _Files, record: FrameRecord, picture: Floats) -> None:
         files.write(picture)

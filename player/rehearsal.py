@@ -24,8 +24,8 @@ from codec.stream.chunk import encode_chunk
 from codec.stream.manifest import SLOTS_VERSION, Manifest, Part
 from codec.stream.object import encode_packet
 from player.playout.assembler import open_assembler
-from player.render.gl import GlError
-from player.render.renderer import RendererKind, create_renderer
+from player.render.gl import GlError, create_renderer
+from player.render.renderer import GlVersion, RendererKind
 from player.source.source import Packets, SlicePackets, SnapshotPackets
 
 log = logging.getLogger(__name__)
@@ -34,7 +34,7 @@ _SWIN_SIZE, _SLICE_SIZE, _SIZE_PX = 2, 4, 32
 _CAMERA = Camera("front", _SIZE_PX, _SIZE_PX, 30.0, 30.0, 16.0, 16.0, np.eye(4))
 
 
-def rehearse(kind: RendererKind) -> RendererKind:
+def rehearse(kind: RendererKind, version: GlVersion = GlVersion.AUTO) -> RendererKind:
     """Makes everything ready that decodes and draws with `kind`; gives the renderer that works.
 
     AUTO becomes GL, or CPU where OpenGL cannot start, which is logged. Raises GlError where OpenGL
@@ -43,20 +43,20 @@ def rehearse(kind: RendererKind) -> RendererKind:
     # After an install all of it is compiled.
     with Console(stderr=True).status("preparing the renderer ..."):
         if kind is RendererKind.CPU:
-            return _play(RendererKind.CPU)
+            return _play(RendererKind.CPU, version)
         try:
-            return _play(RendererKind.GL)
+            return _play(RendererKind.GL, version)
         except GlError as error:
-            if kind is RendererKind.GL:
+            if kind is RendererKind.GL or version is not GlVersion.AUTO:
                 raise
             log.warning("drawing on the CPU: %s", error)
-            return _play(RendererKind.CPU)
+            return _play(RendererKind.CPU, version)
 
 
-def _play(kind: RendererKind) -> RendererKind:
+def _play(kind: RendererKind, version: GlVersion) -> RendererKind:
     splats = _some_splats()
     for manifest, packets in (_whole_slices(splats), _slots(splats)):
-        with closing(create_renderer(kind, manifest)) as renderer:
+        with closing(create_renderer(kind, manifest, version)) as renderer:
             assembler = open_assembler(manifest, 1, 0)
             for frame in range(2):
                 due = [one for one in packets if max(0, one.first_frame) == frame]

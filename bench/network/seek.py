@@ -29,7 +29,8 @@ from player.playout.clock import Clock
 from player.playout.conductor import Conductor
 from player.playout.queues import Events
 from player.playout.timeline import FrameRecord, Playout
-from player.render.renderer import Renderer, RendererKind, create_renderer
+from player.render.gl import create_renderer
+from player.render.renderer import Renderer, RendererKind
 from player.source.opener import Opener
 from player.source.source import Source
 from player.view.path import Size, camera_path

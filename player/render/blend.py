@@ -49,6 +49,27 @@ def row_misses(a, b, c, q_max, dy, left):  # type: ignore[no-untyped-def]
 
 
 @kernel(fastmath=True, inline="always")
+def rows_hit(a, b, c, q_max, left, top):  # type: ignore[no-untyped-def]
+    """First and end row of a tile that `row_misses` lets through: they lie side by side.
+
+    left, top: centre of the tile's first pixel minus Gaussian centre, px. All rows at once: that is
+    vector code, where a test and a branch for each row cost as much as blending.
+    """
+    first, count = np.int32(TILE_PX), np.int32(0)
+    low, high = left * a, (left + np.float32(TILE_PX - 1)) * a
+    for row in range(TILE_PX):
+        dy = top + np.float32(row)
+        root = b * b * dy * dy - a * (c * dy * dy - np.float32(2) * q_max)
+        # From the row's widest place to the nearest pixel centre, times a.
+        middle = -b * dy
+        away = min(max(middle, low), high) - middle
+        hit = root > away * away
+        count += np.int32(hit)
+        first = min(first, np.int32(row) if hit else np.int32(TILE_PX))
+    return first, first + count
+
+
+@kernel(fastmath=True, inline="always")
 def exp_minus(q):  # type: ignore[no-untyped-def]
     """exp(-q) for 0 <= q <= 6, relative error below 2e-6; constant beyond, where nothing shows.
 
@@ -113,11 +134,12 @@ def blend_tiles(  # type: ignore[no-untyped-def]
             a, b, c = projected[g, CONIC_A], projected[g, CONIC_B], projected[g, CONIC_C]
             opacity, q_max = projected[g, OPACITY], projected[g, Q_MAX]
             red, green, blue = projected[g, RED], projected[g, GREEN], projected[g, BLUE]
-            left, cy = from_centre(x_px, projected[g, X]), projected[g, Y]
-            for row in range(TILE_PX):
-                dy = from_centre(y_px + row, cy)
-                if not row_open[row] or row_misses(a, b, c, q_max, dy, left):
+            left, top = from_centre(x_px, projected[g, X]), from_centre(y_px, projected[g, Y])
+            first, end = rows_hit(a, b, c, q_max, left, top)
+            for row in range(first, end):
+                if not row_open[row]:
                     continue
+                dy = top + np.float32(row)
                 light = zero
                 for x in range(TILE_PX):
                     unclamped = unclamped_alpha(a, b, c, opacity, left + np.float32(x), dy)

@@ -15,9 +15,11 @@ from .blend import blend_tiles
 from .project import Projection, camera_vector, project_kernel
 from .recipe import TILE_PX
 from .ring import Ring
+from .steptimes import StepTimes, step
 from .tiles import list_tiles, tile_grid
 
 Floats = npt.NDArray[np.float32]
+Ints = npt.NDArray[np.int32]
 
 
 class CpuRenderer:
@@ -29,6 +31,7 @@ class CpuRenderer:
         self._arrivals: Arrivals[Slice] = Arrivals()
         self.name = "CPU"
         self.uploaded_bytes = 0
+        self.times: StepTimes | None = None
 
     def put(self, slice: Slice) -> None:
         self._arrivals.put(slice.birth, slice)
@@ -37,19 +40,26 @@ class CpuRenderer:
         self._arrivals.drop()
 
     def upload(self, frame: int) -> None:
-        for slice in self._arrivals.take(frame):
-            self._ring.put(slice)
-            self.uploaded_bytes += slice.num_bytes
+        with step(self.times, "upload_ms", _nothing):
+            for slice in self._arrivals.take(frame):
+                self._ring.put(slice)
+                self.uploaded_bytes += slice.num_bytes
 
     def render(self, frame: int, camera: Camera) -> Floats:
         self.upload(frame)
         return self.render_again(frame, camera)
 
     def render_again(self, frame: int, camera: Camera) -> Floats:
-        return render_splats(self._ring.active(frame), camera, self._near_m)
+        # Drawn from where they are: a copy of all that shows would take a sixth of the time.
+        rows = self._ring.active_rows(frame)
+        return _draw(self._ring.splats, rows, camera, self._near_m, self.times)
 
     def close(self) -> None:
         pass
+
+
+def _nothing() -> None:
+    """The CPU has done a thing when it comes back from it."""
 
 
 def render_splats(splats: Splats, camera: Camera, near_m: float) -> Floats:
@@ -57,24 +67,35 @@ def render_splats(splats: Splats, camera: Camera, near_m: float) -> Floats:
 
     near_m: Gaussians whose centre lies nearer along the viewing axis are not drawn, metres.
     """
+    return _draw(splats, np.arange(len(splats), dtype=np.int32), camera, near_m, None)
+
+
+def _draw(
+    splats: Splats, rows: Ints, camera: Camera, near_m: float, times: StepTimes | None
+) -> Floats:
+    """The picture of some rows of `splats`; of equally far ones the first is in front."""
     tiles_x, tiles_y = tile_grid(camera.width_px, camera.height_px)
-    projection = Projection.allocate(len(splats))
-    project_kernel(
-        splats.means,
-        splats.log_scales,
-        splats.quats,
-        splats.logit_opacities,
-        splats.sh,
-        np.arange(len(splats), dtype=np.int32),
-        camera_vector(camera, near_m),
-        tiles_x,
-        tiles_y,
-        projection.projected,
-        projection.depths,
-        projection.tile_boxes,
-    )
-    lists = list_tiles(projection, tiles_x, tiles_y)
-    picture = np.empty((3, tiles_y * TILE_PX, tiles_x * TILE_PX), np.float32)
-    blend_tiles(projection.projected, lists.starts, lists.gaussians, lists.order, tiles_x, picture)
-    cropped = picture[:, : camera.height_px, : camera.width_px]
-    return np.ascontiguousarray(cropped.transpose(1, 2, 0))
+    with step(times, "sort_ms", _nothing):
+        projection = Projection.allocate(len(rows))
+        project_kernel(
+            splats.means,
+            splats.log_scales,
+            splats.quats,
+            splats.logit_opacities,
+            splats.sh,
+            rows,
+            camera_vector(camera, near_m),
+            tiles_x,
+            tiles_y,
+            projection.projected,
+            projection.depths,
+            projection.tile_boxes,
+        )
+        lists = list_tiles(projection, tiles_x, tiles_y)
+    with step(times, "draw_ms", _nothing):
+        picture = np.empty((3, tiles_y * TILE_PX, tiles_x * TILE_PX), np.float32)
+        blend_tiles(
+            projection.projected, lists.starts, lists.gaussians, lists.order, tiles_x, picture
+        )
+        cropped = picture[:, : camera.height_px, : camera.width_px]
+        return np.ascontiguousarray(cropped.transpose(1, 2, 0))

@@ -1,4 +1,8 @@
-"""Which Gaussians show in a frame, farthest first."""
+"""Which Gaussians show in a frame, farthest first.
+
+Rule: this is the CPU renderer's order from back to front, equally far ones included. Of a Gaussian
+that was split in two both parts may stand at the same place after quantisation.
+"""
 
 from __future__ import annotations
 
@@ -8,27 +12,27 @@ import numpy.typing as npt
 from codec.kernel import kernel
 
 from .pack import NEVER
+from .project import depth_of
 from .sort import radix_sort
 
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]
 
 
-@kernel(nogil=True, fastmath=True)
+@kernel(nogil=True)
 def _collect(means, starts, expires, counts, frame, view, near_m, slots, keys):  # type: ignore[no-untyped-def]
     lanes, lane_slots = starts.shape
     found = 0
-    for lane in range(lanes):
+    # Newest slice and last row first: of equally far ones the CPU renderer, which goes from front
+    # to back, has the oldest and first in front.
+    for age in range(lanes):
+        lane = (frame - age) % lanes
         # After a seek backwards a lane may hold what is yet to come.
         if expires[lane] <= frame or frame < expires[lane] - lanes:
             continue
-        for i in range(counts[lane]):
-            z = (
-                view[0] * means[lane, i, 0]
-                + view[1] * means[lane, i, 1]
-                + view[2] * means[lane, i, 2]
-                + view[3]
-            )
+        for i in range(counts[lane] - 1, -1, -1):
+            x, y, z = means[lane, i, 0], means[lane, i, 1], means[lane, i, 2]
+            z = depth_of(view[0], view[1], view[2], view[3], x, y, z)
             if starts[lane, i] <= frame and z > near_m:
                 slots[found] = lane * lane_slots + i
                 keys[found] = z

@@ -1,4 +1,4 @@
-"""Gaussians as the texels that the shader reads: 32-bit floats, four to a texel.
+"""Gaussians as the texels that the shaders read: four words of 32 bits to a texel.
 
 Rule: whatever does not depend on the camera is computed here once for a slice, not for each frame.
 """
@@ -26,7 +26,10 @@ NEVER = np.iinfo(np.int32).max
 
 
 def texels_per_gaussian(sh_degree: int) -> int:
-    """Texels of four floats: mean 3, opacity, covariance 6, colour 3, linear harmonics 9."""
+    """Texels of four words: mean 3, opacity, covariance 6, colour 3, linear harmonics 9: float32.
+
+    The last two, as int32, are the first frame and the number of the slice.
+    """
     return 6 if sh_degree >= 1 else 4
 
 
@@ -66,8 +69,11 @@ def _pack_rows(  # type: ignore[no-untyped-def]
                     words[i, 13 + 3 * k + c] = sh[i, 1 + k, c]
 
 
-def pack_slice(slice: Slice, words: Floats, starts: Ints) -> None:
-    """Fills `words` (N, 4 * texels) and `starts` (N,), first frames, with the slice's Gaussians."""
+def pack_slice(slice: Slice, serial: int, words: Floats, starts: Ints) -> None:
+    """Fills `words` (N or more, 4 * texels) and `starts` (N,), first frames, with the Gaussians.
+
+    serial: number of the slice among those that are packed.
+    """
     splats = slice.splats
     _pack_rows(
         splats.means,
@@ -80,3 +86,5 @@ def pack_slice(slice: Slice, words: Floats, starts: Ints) -> None:
         words,
         starts,
     )
+    times = words.view(np.int32)[: len(starts), -2:]
+    times[:, 0], times[:, 1] = starts, serial

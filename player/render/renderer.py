@@ -1,4 +1,4 @@
-"""What every renderer does, and the choice of one.
+"""What every renderer does.
 
 `put` and `forget_waiting` may be called from other threads; everything else belongs to the thread
 that made the renderer.
@@ -18,9 +18,8 @@ from codec.errors import UnsupportedError
 from codec.slice import Slice
 from codec.stream.manifest import Manifest
 
-from .cpu import CpuRenderer
-from .gl import GlError, GlRenderer
 from .recipe import MAX_SH_DEGREE
+from .steptimes import StepTimes
 
 log = logging.getLogger(__name__)
 
@@ -32,6 +31,20 @@ class RendererKind(StrEnum):
     """OpenGL where it works, else the CPU."""
     GL = "gl"
     CPU = "cpu"
+
+
+class GlVersion(StrEnum):
+    AUTO = "auto"
+    """4.3 where there is one on a GPU, else 3.3."""
+    V33 = "3.3"
+    """What macOS, Mesa's software renderer and old integrated GPUs all have."""
+    V43 = "4.3"
+    """With compute shaders, which order the Gaussians on the GPU."""
+
+    @property
+    def code(self) -> int:
+        """As OpenGL's tools write it; of AUTO the least."""
+        return 430 if self is GlVersion.V43 else 330
 
 
 class Renderer(Protocol):
@@ -46,6 +59,9 @@ class Renderer(Protocol):
     def uploaded_bytes(self) -> int:
         """Bytes of slices copied to where they are drawn from, so far."""
         ...
+
+    times: StepTimes | None
+    """Set it to have the steps timed, each until it is finished, which costs some overlap."""
 
     def put(self, slice: Slice) -> None:
         """Takes the slice over; it shows from the first `upload` of a frame >= its birth on.
@@ -91,22 +107,3 @@ def check_drawable(manifest: Manifest) -> None:
             manifest.sh_degree,
             MAX_SH_DEGREE,
         )
-
-
-def create_renderer(kind: RendererKind, manifest: Manifest) -> Renderer:
-    """A renderer for the stream of `manifest`, to be used by the calling thread.
-
-    AUTO takes the CPU, and logs why, where OpenGL cannot start.
-    Raises UnsupportedError when the recipe cannot draw the stream, GlError when OpenGL is asked for
-    and cannot start.
-    """
-    check_drawable(manifest)
-    if kind is RendererKind.CPU:
-        return CpuRenderer(manifest)
-    try:
-        return GlRenderer(manifest)
-    except GlError as error:
-        if kind is RendererKind.GL:
-            raise
-        log.warning("drawing on the CPU: %s", error)
-        return CpuRenderer(manifest)

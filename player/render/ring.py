@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.errors import InvalidError
-from codec.slice import HIDDEN, Slice, kept_offsets, window_births
-from codec.splats import Splats, sh_count
+from codec.slice import HIDDEN, Slice, blank_splats, kept_offsets, window_births
+from codec.splats import Splats
 
 from .lane import check_slice
 
@@ -31,13 +31,9 @@ class Ring:
         self.swin_size = swin_size
         self.slice_size = slice_size
         self.sh_degree = sh_degree
-        lanes = (swin_size, slice_size)
-        self._means = np.zeros((*lanes, 3), np.float32)
-        self._log_scales = np.zeros((*lanes, 3), np.float32)
-        self._quats = np.zeros((*lanes, 4), np.float32)
-        self._logit_opacities = np.zeros(lanes, np.float32)
-        self._sh = np.zeros((*lanes, sh_count(sh_degree), 3), np.float32)
-        self._start_offsets = np.zeros(lanes, np.uint8)
+        self.splats = blank_splats(swin_size * slice_size, sh_degree)
+        """All lanes, one after another, whether they show or not."""
+        self._start_offsets = np.zeros((swin_size, slice_size), np.uint8)
         self._births: list[int | None] = [None] * swin_size
 
     def put(self, slice: Slice) -> None:
@@ -55,29 +51,22 @@ class Ring:
         self._births[lane] = slice.birth
 
     def _write(self, lane: int, rows: Rows, slice: Slice) -> None:
-        self._means[lane][rows] = slice.splats.means
-        self._log_scales[lane][rows] = slice.splats.log_scales
-        self._quats[lane][rows] = slice.splats.quats
-        self._logit_opacities[lane][rows] = slice.splats.logit_opacities
-        self._sh[lane][rows] = slice.splats.sh
+        first = lane * self.slice_size
+        for array, changed in zip(self.splats.arrays, slice.splats.arrays, strict=True):
+            array[first : first + self.slice_size][rows] = changed
         self._start_offsets[lane][rows] = slice.start_offsets
 
-    def active(self, frame: int) -> Splats:
-        """The Gaussians that show at `frame`, oldest slice first."""
-        parts = []
+    def active_rows(self, frame: int) -> npt.NDArray[np.int32]:
+        """(M,) int32: the rows of `splats` that show at `frame`, oldest slice first."""
+        parts = [np.empty(0, np.int32)]
         for birth in window_births(frame, self.swin_size):
             lane = birth % self.swin_size
             if self._births[lane] != birth:
                 continue
             shown = np.flatnonzero(self._start_offsets[lane] <= frame - birth)
-            parts.append(self._take(lane, shown))
-        return Splats.concatenate(parts) if parts else Splats.empty(self.sh_degree)
+            parts.append((shown + lane * self.slice_size).astype(np.int32))
+        return np.concatenate(parts)
 
-    def _take(self, lane: int, rows: npt.NDArray[np.intp]) -> Splats:
-        return Splats(
-            self._means[lane, rows],
-            self._log_scales[lane, rows],
-            self._quats[lane, rows],
-            self._logit_opacities[lane, rows],
-            self._sh[lane, rows],
-        )
+    def active(self, frame: int) -> Splats:
+        """The Gaussians that show at `frame`, oldest slice first."""
+        return self.splats.take(self.active_rows(frame))

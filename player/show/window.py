@@ -14,8 +14,8 @@ from codec.camera import Camera
 from codec.errors import SwingsError
 from player.playout.conductor import Conductor
 from player.playout.timeline import FrameRecord
-from player.render.gl import MIN_VERSION, GlError, GlRenderer, Target
-from player.render.renderer import Renderer, check_drawable
+from player.render.gl import GlRenderer, Target, first_context
+from player.render.renderer import GlVersion, Renderer, check_drawable
 from player.view.mouse import view_of
 from player.view.path import CameraPath, Size
 
@@ -59,6 +59,7 @@ def show_window(
     renderers: list[Renderer],
     note: Note,
     record_camera: Callable[[int, Camera], object],
+    version: GlVersion = GlVersion.AUTO,
 ) -> None:
     """Shows what plays until the window is closed. The last picture stays until then.
 
@@ -67,8 +68,8 @@ def show_window(
     """
     manifest = conductor.source.manifest
     check_drawable(manifest)
-    window = _Window(conductor, path)
-    renderer = GlRenderer(manifest, Target.FLOAT16, window.context)
+    window = _Window(conductor, path, version)
+    renderer = GlRenderer(manifest, Target.FLOAT16, window.context, version)
     renderers.append(renderer)
     with closing(renderer):
         conductor.attach(renderer)
@@ -78,16 +79,17 @@ def show_window(
 class _Window:
     """The window, and the camera that a person moves."""
 
-    def __init__(self, conductor: Conductor, path: CameraPath) -> None:
+    def __init__(self, conductor: Conductor, path: CameraPath, version: GlVersion) -> None:
         source = conductor.source
         first = path(source.frames.first)
+        size = Size(first.width_px, first.height_px)
         self._conductor, self._path = conductor, path
-        self._manifest = source.manifest
-        self._window = _open(Size(first.width_px, first.height_px), source.name)
-        try:
-            self.context = moderngl.create_context(require=MIN_VERSION)
-        except Exception as error:  # moderngl and glcontext raise bare Exception
-            raise GlError(f"OpenGL 3.3 cannot start in a window: {error}") from error
+
+        def opening(asked: GlVersion) -> tuple[Any, moderngl.Context]:
+            window = _open(size, source.name, asked)
+            return window, moderngl.create_context(require=asked.code)
+
+        self._window, self.context = first_context(version, opening)
         self._view = view_of(source.manifest)
         self._controls = Controls(self._window, conductor, self._view, first.fy_px)
         self._painter = OverlayPainter(self.context)
@@ -139,9 +141,9 @@ class _Window:
         waiting.clear()
 
 
-def _open(size: Size, title: str) -> Any:
-    glfw.window_hint(glfw.CONTEXT_VERSION_MAJOR, 3)
-    glfw.window_hint(glfw.CONTEXT_VERSION_MINOR, 3)
+def _open(size: Size, title: str, version: GlVersion) -> Any:
+    glfw.window_hint(glfw.CONTEXT_VERSION_MAJOR, version.code // 100)
+    glfw.window_hint(glfw.CONTEXT_VERSION_MINOR, version.code // 10 % 10)
     glfw.window_hint(glfw.OPENGL_PROFILE, glfw.OPENGL_CORE_PROFILE)
     glfw.window_hint(glfw.OPENGL_FORWARD_COMPAT, True)
     window = glfw.create_window(size.width_px, size.height_px, f"swings: {title}", None, None)

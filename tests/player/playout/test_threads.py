@@ -22,6 +22,7 @@ from player.playout.clock import Clock
 from player.playout.queues import EmptyStreamError, Events, Handoff
 from player.playout.threads import Threads, render_thread
 from player.playout.timeline import FrameRecord, Playout, QueueConfig
+from player.render.steptimes import StepTimes
 from player.source.fetch import StoppedError
 from player.source.lastplay import NO_PLAY
 from player.source.source import Packets, SlicePackets
@@ -99,6 +100,7 @@ class NotingRenderer:
 
     name = "notes"
     uploaded_bytes = 0
+    times: StepTimes | None = None
 
     def __init__(self, failure: Exception | None = None, draw_s: float = 0.0) -> None:
         self.births: list[int] = []

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from player.render.blend import blend_pixel, exp_minus, from_centre, row_misses, unclamped_alpha
+from player.render.blend import (
+    blend_pixel,
+    exp_minus,
+    from_centre,
+    row_misses,
+    rows_hit,
+    unclamped_alpha,
+)
 from player.render.recipe import ALPHA_MAX, ALPHA_MIN, TILE_PX, TRANSMITTANCE_MIN
 
 F = np.float32
@@ -38,6 +45,26 @@ def test_rows_are_missed_where_no_pixel_centre_lies_in_the_ellipse() -> None:
         assert got or on_line < 1.001
         missed += got
     assert 500 < missed < 1900
+
+
+def test_the_rows_that_are_hit_lie_side_by_side() -> None:
+    rng = np.random.default_rng(1)
+    empty = 0
+    for _ in range(2000):
+        angle, (long_px, short_px) = rng.uniform(0, np.pi), rng.uniform(0.6, 9, 2)
+        axes = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        conic = axes.T @ np.diag([long_px**-2, short_px**-2]) @ axes
+        a, b, c = (F(x) for x in (conic[0, 0], conic[0, 1], conic[1, 1]))
+        q_max = F(rng.uniform(0.1, 5.5))
+        left, top = (F(x) for x in rng.uniform(-30, 15, 2))
+        first, end = rows_hit(a, b, c, q_max, left, top)
+        hit = [not row_misses(a, b, c, q_max, top + F(row), left) for row in range(TILE_PX)]
+        # The two may differ where the ellipse just touches a row.
+        if first < end:
+            assert hit[first:end].count(False) <= 2
+        assert sum(hit) - sum(hit[first:end]) <= 1
+        empty += first >= end
+    assert 500 < empty < 1900
 
 
 def test_a_pixel_is_blended_as_the_recipe_says() -> None:

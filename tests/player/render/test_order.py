@@ -16,16 +16,19 @@ def test_the_order_is_that_of_a_stable_sort_by_depth() -> None:
     for lane in range(3):
         means = rng.normal(size=(3000 + lane, 3)).astype(np.float32) * 10
         means[::7] = means[0]  # ties
-        starts = rng.integers(0, 5, 3000 + lane).astype(np.int32)
-        order.put(lane, 4 + lane, means, starts)
+        starts = rng.integers(2, 7, 3000 + lane).astype(np.int32)
+        order.put(lane, 6 + lane, means, starts)
     w2c = np.eye(4)
     w2c[2, 3] = 1.5
-    for frame in range(7):
+    for frame in range(2, 9):
         depths = (order.means[..., 2] + np.float32(1.5)).ravel()
         shown = (order.starts <= frame) & (order.expires[:, None] > frame)
         shown &= order.expires[:, None] - 3 <= frame
         shown &= np.arange(4000) < order.counts[:, None]
-        slots = np.flatnonzero(shown.ravel() & (depths > 0.5))
+        # Of equally far ones the last row of the newest slice is the farthest.
+        newest_first = [4000 * ((frame - age) % 3) + np.arange(4000)[::-1] for age in range(3)]
+        slots = np.concatenate(newest_first)
+        slots = slots[shown.ravel()[slots] & (depths[slots] > 0.5)]
         expected = slots[np.argsort(-depths[slots], kind="stable")]
         np.testing.assert_array_equal(order.far_first(frame, w2c, 0.5), expected)
 

@@ -62,7 +62,7 @@ def test_neighbours_are_written_together_and_no_others() -> None:
 
 
 def test_what_is_handed_out_does_not_change() -> None:
-    lanes = PackedLanes(2, 1000, 0)
+    lanes = PackedLanes(2, 1000, 0, columns=512)
     whole = lanes.pack(random_slice(0, 1000, 0))
     handed = [patch.texels.copy() for patch in whole.patches]
     rows = np.arange(0, 1000, 2, dtype=np.int32)
@@ -79,7 +79,7 @@ def test_what_is_handed_out_does_not_change() -> None:
 
 
 def test_a_lane_without_the_slice_before_cannot_be_changed() -> None:
-    lanes = PackedLanes(2, 10, 0)
+    lanes = PackedLanes(2, 10, 0, columns=512)
     part = Slice(2, random_splats(1, 0, 0), np.zeros(1, np.uint8), np.zeros(1, np.int32))
     with pytest.raises(InvalidError, match="its lane holds nothing"):
         lanes.pack(part)

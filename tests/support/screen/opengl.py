@@ -5,16 +5,27 @@ from __future__ import annotations
 import pytest
 
 from player.render.gl import GlError, open_context
+from player.render.renderer import GlVersion
 
 
-def gl_reason() -> str | None:
-    """Why OpenGL cannot start here; None where it can."""
+def gl_reason(version: GlVersion) -> str | None:
+    """Why that OpenGL cannot start here; None where it can."""
     try:
-        open_context().release()
+        open_context(version).release()
     except GlError as error:
         return str(error)
     return None
 
 
-NO_GL = gl_reason()
+NO_GL = gl_reason(GlVersion.V33)
 needs_gl = pytest.mark.skipif(NO_GL is not None, reason=f"OpenGL: {NO_GL}")
+
+NO_GL43 = gl_reason(GlVersion.V43)
+GL_VERSIONS = [
+    pytest.param(GlVersion.V33, marks=needs_gl),
+    pytest.param(
+        GlVersion.V43,
+        marks=pytest.mark.skipif(NO_GL43 is not None, reason=f"OpenGL: {NO_GL43}"),
+    ),
+]
+"""Both ways of drawing, as parameters."""

@@ -1,10 +1,14 @@
-// Rendering recipe v1: one Gaussian as one oriented quad. Both stages stand here; gl.py puts the
-// version, the recipe's constants and VERTEX_STAGE or FRAGMENT_STAGE in front.
+// Rendering recipe v1: one Gaussian as one oriented quad. Both stages stand here; programs.py puts
+// the version, the recipe's constants and VERTEX_STAGE or FRAGMENT_STAGE in front.
 
 #ifdef VERTEX_STAGE
 
-// TEXELS texels for each Gaussian, COLUMNS Gaussians in a row (pack.py says what is where).
-uniform usampler2D gaussians;
+// TEXELS texels for each Gaussian (pack.py says what is where).
+#ifdef RESIDENT_BUFFER
+layout(std430, binding = 0) readonly buffer Gaussians { uvec4 gaussians[]; };
+#else
+uniform usampler2D gaussians;   // COLUMNS Gaussians in a row
+#endif
 
 uniform mat3 rotation;      // world to camera
 uniform vec3 translation;   // world to camera, metres
@@ -21,8 +25,12 @@ flat out vec4 conic_opacity;
 flat out vec3 colour;
 
 vec4 texel(int n) {
+#ifdef RESIDENT_BUFFER
+    return uintBitsToFloat(gaussians[slot * TEXELS + n]);
+#else
     int column = (slot % COLUMNS) * TEXELS + n;
     return uintBitsToFloat(texelFetch(gaussians, ivec2(column, slot / COLUMNS), 0));
+#endif
 }
 
 void main() {

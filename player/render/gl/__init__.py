@@ -1,0 +1,15 @@
+"""Drawing with OpenGL: 3.3 with a texture, 4.3 with buffers and compute shaders."""
+
+from .glcontext import GlError, first_context, open_context
+from .glrenderer import GlRenderer
+from .offscreen import Target
+from .rendererchoice import create_renderer
+
+__all__ = [
+    "GlError",
+    "GlRenderer",
+    "Target",
+    "create_renderer",
+    "first_context",
+    "open_context",
+]

@@ -1,0 +1,103 @@
+"""OpenGL 4.3: the window stays in one buffer, and compute shaders order it."""
+
+from __future__ import annotations
+
+import moderngl
+import numpy as np
+
+from codec.camera import Camera
+from codec.stream.manifest import Manifest
+
+from .. import recipe
+from ..pack import texels_per_gaussian
+from ..patch import PackedLanes, PackedSlice
+from .depthsort import DepthSort
+from .glcontext import GlError, Unlocked
+from .programs import compile_compute, compile_program, set_camera
+
+GROUP = 256
+"""Gaussians that one group of the culling shader looks at."""
+
+MIN_NEAR_M = 1e-4
+"""Depths are told apart from here on."""
+
+_GAUSSIANS, _LANES = 0, 1  # bindings of the shaders
+
+
+class BufferResident:
+    """Gaussians in a storage buffer, lane after lane; see Resident."""
+
+    def __init__(self, context: moderngl.Context, manifest: Manifest) -> None:
+        self._swin_size, slice_size = manifest.swin_size, manifest.slice_size
+        texels = texels_per_gaussian(manifest.sh_degree)
+        # One Gaussian to a row: a patch is a run of them.
+        self.lanes = PackedLanes(self._swin_size, slice_size, manifest.sh_degree, columns=1)
+        self._gaussian_bytes = 16 * texels
+        num_slots = self._swin_size * slice_size
+        _check_limits(context, num_slots, self._gaussian_bytes)
+        self._unlocked = Unlocked(context)
+        self._near_m = manifest.near_m
+        self._gaussians = context.buffer(reserve=self._gaussian_bytes * num_slots)
+        self._gaussians.clear()
+        # First frame, the frame after the last, number of the last whole slice and of the last one.
+        self._lanes = np.zeros((self._swin_size, 4), np.int32)
+        self._lanes_buffer = context.buffer(self._lanes)
+        constants = {
+            "TEXELS": texels,
+            "LANES": self._swin_size,
+            "LANE_SLOTS": slice_size,
+            "SLOTS": num_slots,
+            "GROUP": GROUP,
+            "SH_DEGREE": min(manifest.sh_degree, recipe.MAX_SH_DEGREE),
+            "RESIDENT_BUFFER": 1,
+        }
+        self._sort = DepthSort(context, num_slots)
+        self._cull = compile_compute(context, "cull.glsl", {**constants, **self._sort.constants})
+        self._groups = -(-num_slots // GROUP)
+        self._program = compile_program(context, "splat.glsl", constants, version=430)
+        self._quads = context.vertex_array(self._program, [(self._sort.order, "1i/i", "slot")])
+
+    def put(self, packed: PackedSlice) -> int:
+        for patch in packed.patches:
+            offset_bytes = patch.y_px * self._gaussian_bytes
+            self._gaussians.write(patch.texels, offset=offset_bytes)
+        lane = self._lanes[packed.lane]
+        whole = packed.serial if packed.rows is None else lane[2]
+        lane[:] = packed.expire - self._swin_size, packed.expire, whole, packed.serial
+        self._lanes_buffer.write(lane, offset=lane.nbytes * packed.lane)
+        return packed.num_bytes
+
+    def sort(self, frame: int, camera: Camera) -> None:
+        near_m = np.float32(max(self._near_m, MIN_NEAR_M))
+        self._cull["frame"] = frame
+        self._cull["near_m"] = self._near_m
+        self._cull["near_bits"] = int(near_m.view(np.uint32))
+        set_camera(self._cull, camera)
+        self._gaussians.bind_to_storage_buffer(_GAUSSIANS)
+        self._lanes_buffer.bind_to_storage_buffer(_LANES)
+        self._sort.bind()
+        self._unlocked.compute(self._cull, self._groups)
+        self._sort.run(self._unlocked)
+
+    def draw(self, camera: Camera) -> None:
+        set_camera(self._program, camera)
+        self._gaussians.bind_to_storage_buffer(_GAUSSIANS)
+        self._unlocked.draw_command(self._quads, self._sort.command)
+
+
+def _check_limits(context: moderngl.Context, num_slots: int, gaussian_bytes: int) -> None:
+    info = context.info
+    if info["GL_MAX_VERTEX_SHADER_STORAGE_BLOCKS"] < 1:
+        raise GlError("this OpenGL 4.3 has no storage buffers in vertex shaders; use --gl 3.3")
+    limit_bytes = info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"]
+    if num_slots * gaussian_bytes > limit_bytes:
+        raise GlError(
+            f"{num_slots} Gaussians need a buffer of {num_slots * gaussian_bytes} bytes; "
+            f"this OpenGL takes {limit_bytes}; use --gl 3.3"
+        )
+    limit_groups = info["GL_MAX_COMPUTE_WORK_GROUP_COUNT"][0]
+    if -(-num_slots // GROUP) > limit_groups:
+        raise GlError(
+            f"{num_slots} Gaussians are more than the {limit_groups * GROUP} that this OpenGL "
+            "sorts; use --gl 3.3"
+        )

@@ -1,0 +1,152 @@
+"""Drawing with OpenGL: the window stays on the GPU, and a frame uploads what its slice changes.
+
+Rule: one thread makes a GlRenderer, draws with it and closes it; only `put` and `forget_waiting`
+may come from others, and they make no GL call.
+"""
+
+from __future__ import annotations
+
+import threading
+from contextlib import AbstractContextManager, nullcontext
+
+import moderngl
+import numpy as np
+import numpy.typing as npt
+
+from codec.camera import Camera
+from codec.errors import SwingsError
+from codec.slice import Slice
+from codec.stream.manifest import Manifest
+
+from ..arrivals import Arrivals
+from ..lane import check_slice
+from ..patch import PackedSlice
+from ..renderer import GlVersion
+from ..steptimes import StepTimes, step
+from .bufferresident import BufferResident
+from .glcontext import GlError, Unlocked, open_context, version_for
+from .offscreen import Offscreen, Target
+from .resident import Resident
+from .textureresident import TextureResident
+
+Floats = npt.NDArray[np.float32]
+
+
+class GlRenderer:
+    """Draws a stream in recipe v1; see renderer.Renderer."""
+
+    def __init__(
+        self,
+        manifest: Manifest,
+        target: Target = Target.FLOAT32,
+        context: moderngl.Context | None = None,
+        version: GlVersion = GlVersion.AUTO,
+    ) -> None:
+        """context: one that is current in this thread, such as a window's; None opens one.
+
+        Raises GlError.
+        """
+        self._manifest = manifest
+        # A context of its own is made current for each call, as two renderers may share a thread.
+        self._context = open_context(version) if context is None else context
+        self._own = context is None
+        self._current: AbstractContextManager[object] = (
+            self._context if self._own else nullcontext()
+        )
+        self._arrivals: Arrivals[PackedSlice] = Arrivals()
+        self._packing = threading.Lock()
+        self._closed = False
+        self.uploaded_bytes = 0
+        self.times: StepTimes | None = None
+        try:
+            with self._current:
+                # What Python drops is freed at the next frame, by the thread that owns the context.
+                self._context.gc_mode = "context_gc"
+                self.version = version_for(self._context, version)
+                self.name = f"OpenGL {self.version}, {self._context.info['GL_RENDERER']}"
+                self._unlocked = Unlocked(self._context)
+                self._offscreen = Offscreen(self._context, target)
+                self._resident = self._make_resident()
+                self._lanes = self._resident.lanes
+        except Exception as error:  # a driver's refusal is a bare moderngl.Error
+            self._release()
+            if isinstance(error, SwingsError):
+                raise
+            reason = " ".join(str(error).split())
+            raise GlError(f"OpenGL refuses what the renderer needs: {reason}") from error
+
+    def _make_resident(self) -> Resident:
+        if self.version is GlVersion.V43:
+            return BufferResident(self._context, self._manifest)
+        return TextureResident(self._context, self._manifest)
+
+    def put(self, slice: Slice) -> None:
+        """Packs the slice for the GPU; the next `upload` of a frame >= its birth takes it there."""
+        check_slice(slice, self._manifest.slice_size, self._manifest.sh_degree)
+        with self._packing:
+            self._arrivals.put(slice.birth, self._lanes.pack(slice))
+
+    def forget_waiting(self) -> None:
+        """See Renderer."""
+        with self._packing:
+            for packed in self._arrivals.drop():
+                self._lanes.forget(packed.lane)
+
+    def upload(self, frame: int) -> None:
+        """Brings the slices born up to `frame` into their lanes; nothing else is touched."""
+        with self._current:
+            self._upload(frame)
+
+    def _upload(self, frame: int) -> None:
+        with step(self.times, "upload_ms", self._unlocked.finish):
+            for packed in self._arrivals.take(frame):
+                self.uploaded_bytes += self._resident.put(packed)
+
+    def _draw(self, frame: int, camera: Camera) -> None:
+        """Draws `frame` from what is uploaded, without waiting for the GPU."""
+        self._context.gc()
+        with step(self.times, "sort_ms", self._unlocked.finish):
+            self._resident.sort(frame, camera)
+        with step(self.times, "draw_ms", self._unlocked.finish):
+            self._offscreen.clear(camera)
+            # Premultiplied colours, farthest first.
+            self._context.enable_only(moderngl.BLEND)
+            self._context.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA
+            self._resident.draw(camera)
+
+    def present(self, frame: int, camera: Camera, screen: moderngl.Framebuffer) -> None:
+        """Draws `frame` from what is uploaded onto the lower left of a window, as large as `camera`
+        says."""
+        with self._current:
+            self._draw(frame, camera)
+            self._offscreen.show(screen)
+
+    def render(self, frame: int, camera: Camera) -> Floats:
+        """See Renderer."""
+        with self._current:
+            self._upload(frame)
+            return self._read(frame, camera)
+
+    def render_again(self, frame: int, camera: Camera) -> Floats:
+        """See Renderer."""
+        with self._current:
+            return self._read(frame, camera)
+
+    def _read(self, frame: int, camera: Camera) -> Floats:
+        self._draw(frame, camera)
+        self._unlocked.finish()
+        return self._offscreen.read()
+
+    def close(self) -> None:
+        """Frees everything; closing twice is the same as once."""
+        if self._closed:
+            return
+        self._closed = True
+        del self._offscreen, self._resident
+        self._release()
+
+    def _release(self) -> None:
+        with self._current:
+            self._context.gc()
+        if self._own:
+            self._context.release()

@@ -1,0 +1,78 @@
+"""The picture that is drawn into, and how it gets out."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+import moderngl
+import numpy as np
+import numpy.typing as npt
+
+from codec.camera import Camera
+
+from .glcontext import GlError
+from .programs import compile_program
+
+Floats = npt.NDArray[np.float32]
+
+
+class Target(Enum):
+    """What a pixel of the picture is blended in; the value is moderngl's name."""
+
+    FLOAT32 = "f4"
+    """As the CPU renderer does: for measurements and captures."""
+    FLOAT16 = "f2"
+    """Finer than any screen at half the memory traffic: for windows."""
+    BYTE = "f1"
+    """8 bits a channel: the fastest, but every layer that is blended is rounded and clipped."""
+
+
+class Offscreen:
+    """One picture of the size that was asked for last; row 0 of the target is its top."""
+
+    def __init__(self, context: moderngl.Context, target: Target) -> None:
+        self._context, self._target = context, target
+        self._framebuffer: moderngl.Framebuffer | None = None
+        info = context.info
+        self.limit_px = min(info["GL_MAX_TEXTURE_SIZE"], *info["GL_MAX_VIEWPORT_DIMS"])
+        """Widest and highest picture."""
+        self._copy = context.vertex_array(compile_program(context, "screen.glsl"), [])
+
+    def clear(self, camera: Camera) -> None:
+        """Makes the target black, of the camera's size, and what is drawn into from now on.
+
+        One of another size is dropped, and freed by the next draw. Raises GlError.
+        """
+        size = (camera.width_px, camera.height_px)
+        if self._framebuffer is None or self._framebuffer.size != size:
+            if max(size) > self.limit_px:
+                raise GlError(
+                    f"this OpenGL draws pictures up to {self.limit_px} pixels wide and high, "
+                    f"not {size[0]}x{size[1]}"
+                )
+            self._picture = self._context.texture(size, 4, dtype=self._target.value)
+            self._framebuffer = self._context.framebuffer([self._picture])
+        self._framebuffer.use()
+        self._framebuffer.clear()
+
+    def read(self) -> Floats:
+        """(H, W, 3) float32 picture, row 0 on top."""
+        assert self._framebuffer is not None
+        width_px, height_px = self._framebuffer.size
+        shape = (height_px, width_px, 3)
+        if self._target is not Target.BYTE:
+            picture = np.empty(shape, np.float32)
+            self._framebuffer.read_into(picture, components=3, dtype="f4")
+            return picture
+        bytes_read = np.empty(shape, np.uint8)
+        self._framebuffer.read_into(bytes_read, components=3, dtype="f1", alignment=1)
+        return bytes_read.astype(np.float32) / np.float32(255)
+
+    def show(self, screen: moderngl.Framebuffer) -> None:
+        """Copies the picture onto the lower left of a window."""
+        # A window's framebuffer keeps the size that the window was opened with.
+        screen.viewport = (0, 0, *self._picture.size)
+        screen.use()
+        self._context.enable_only(moderngl.NOTHING)
+        self._picture.use(0)
+        self._copy.render(moderngl.TRIANGLES, vertices=3)
