@@ -23,8 +23,7 @@ from player.playout.timeline import FrameRecord, Playout, QueueConfig
 from player.render.gl import GlError
 from player.render.renderer import Renderer, RendererKind, create_renderer
 from player.show.sink import FrameSink, open_sink, to_bytes
-from player.source.lastplay import NO_PLAY
-from player.source.locate import open_source
+from player.source.opener import Opener
 from player.source.source import Source
 from player.view.path import Size
 from server.abr.link.link import Link
@@ -58,6 +57,7 @@ def play(config: PlayConfig) -> PlaySummary:
         began_s = time.monotonic()
         kind = _rehearsed(config)
         playback = _Playback(config, kind, relay, time.monotonic() - began_s)
+        stack.callback(playback.close)
         try:
             playback.run()
         except KeyboardInterrupt:
@@ -106,11 +106,15 @@ class _Playback:
         self._relay = relay
         self._clock = Clock(real=True)
         self._renderers: list[Renderer] = []
-        self._last_play = NO_PLAY
         self._journal = Journal(MAX_ROWS if config.report or config.plot else 0)
         self._summary = PlaySummary(
             config.source, preparing_s=preparing_s, link=config.link, journal=self._journal
         )
+        via = relay.address if relay is not None else None
+        self._opener = Opener(config.source, via, self._received)
+
+    def close(self) -> None:
+        self._opener.close()
 
     def run(self) -> None:
         if self._config.capture is not None:
@@ -150,11 +154,7 @@ class _Playback:
         """Asks for the stream."""
         config, summary, clock = self._config, self._summary, self._clock
         asked_s = clock.now_s()
-        via = self._relay.address if self._relay is not None else None
-        source = open_source(
-            config.source, config.frames, config.layers, via, self._received, self._last_play
-        )
-        with closing(source):
+        with closing(self._opener.open(config.frames, config.layers)) as source:
             path = config.camera.of(source.manifest, config.size, source.frames)
             # What a server chooses for a frame is known when the frame is due, and not before.
             clock.real = config.capture is None or source.adaptive
@@ -166,7 +166,6 @@ class _Playback:
                 yield Joined(source, events, path)
             finally:
                 summary.received_bytes += source.received_bytes
-                self._last_play = source.play
 
     def _capture(self) -> None:
         """Draws every frame into files."""

@@ -55,6 +55,39 @@ class Response:
     body: bytes
 
 
+class _Connections:
+    """Connections that are kept, for whoever runs the loop."""
+
+    def __init__(self, config: FetchConfig) -> None:
+        self._config = config
+        self.loop = asyncio.new_event_loop()
+        self._session: aiohttp.ClientSession | None = None
+
+    def session(self) -> aiohttp.ClientSession:
+        """Call it while the loop runs."""
+        config = self._config
+        if self._session is None:
+            self._session = aiohttp.ClientSession(
+                timeout=aiohttp.ClientTimeout(
+                    total=None,
+                    sock_connect=config.connect_timeout_s,
+                    sock_read=config.read_timeout_s,
+                ),
+                # Objects are compressed already, and are hashed as they lie on disk.
+                auto_decompress=False,
+                headers={"Accept-Encoding": "identity"},
+            )
+        return self._session
+
+    def close(self) -> None:
+        if self.loop.is_closed():
+            return
+        if self._session is not None:
+            self.loop.run_until_complete(self._session.close())
+        self.loop.run_until_complete(self.loop.shutdown_asyncgens())
+        self.loop.close()
+
+
 class Fetcher:
     """Requests one after another over connections that are kept; at most one is open at a time.
 
@@ -66,13 +99,16 @@ class Fetcher:
         via: tuple[str, int] | None = None,
         config: FetchConfig | None = None,
         received: Callable[[int], None] | None = None,
+        connections: _Connections | None = None,
     ) -> None:
         """via: address of a relay that every request goes through instead of to its host.
-        received: is told how many bytes of a body each read gave."""
+        received: is told how many bytes of a body each read gave. connections: of another
+        Fetcher, which closes them; without it they are this one's own."""
         self._via = via
         self._config = config or FetchConfig()
-        self._loop = asyncio.new_event_loop()
-        self._session: aiohttp.ClientSession | None = None
+        self._owns = connections is None
+        self._connections = connections or _Connections(self._config)
+        self._loop = self._connections.loop
         self._lock = threading.Lock()
         self._waiting: asyncio.Task[Any] | None = None
         self._stopped = False
@@ -97,6 +133,11 @@ class Fetcher:
         """The answer to a POST, without its body, which is not read."""
         return self._run(self._post(url, body), url)
 
+    def shared(self) -> Fetcher:
+        """One more over the same connections, interrupted and counted by itself. One of them is
+        used at a time. Close it before this one."""
+        return Fetcher(self._via, self._config, self._received, self._connections)
+
     def another(self, config: FetchConfig) -> Fetcher:
         """One more, for another thread, that goes the same way. Close it."""
         return Fetcher(self._via, config)
@@ -119,13 +160,9 @@ class Fetcher:
         self._run(asyncio.sleep(seconds), "")
 
     def close(self) -> None:
-        """Closes all connections; closing twice is the same as once."""
-        if self._loop.is_closed():
-            return
-        if self._session is not None:
-            self._loop.run_until_complete(self._session.close())
-        self._loop.run_until_complete(self._loop.shutdown_asyncgens())
-        self._loop.close()
+        """Closes all connections that are its own; closing twice is the same as once."""
+        if self._owns:
+            self._connections.close()
 
     def _run(self, work: Coroutine[Any, Any, Result], url: str) -> Result:
         with self._lock:
@@ -166,28 +203,17 @@ class Fetcher:
         body: bytes | None = None,
         headers: Mapping[str, str] | None = None,
     ) -> aiohttp.ClientResponse:
-        config = self._config
-        if self._session is None:
-            self._session = aiohttp.ClientSession(
-                timeout=aiohttp.ClientTimeout(
-                    total=None,
-                    sock_connect=config.connect_timeout_s,
-                    sock_read=config.read_timeout_s,
-                ),
-                # Objects are compressed already, and are hashed as they lie on disk.
-                auto_decompress=False,
-                headers={"Accept-Encoding": "identity"},
-            )
+        session = self._connections.session()
         if self._via is None:
             # What is told is meant for the server that sends, and for nobody else.
-            return await self._session.request(
+            return await session.request(
                 method, url, data=body, headers=headers, allow_redirects=method == "GET"
             )
         parts = urlsplit(url)
         user, at, host = parts.netloc.rpartition("@")
         relayed = urlunsplit(parts._replace(netloc=f"{user}{at}{self._via[0]}:{self._via[1]}"))
         # A redirect could lead around the relay, so none is followed.
-        return await self._session.request(
+        return await session.request(
             method,
             relayed,
             data=body,

@@ -1,22 +1,17 @@
-"""From what the user typed to a Source: a folder, a served stream, or a hosted one."""
+"""From what the user typed to where it is: a folder, a served stream, or a hosted one."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote, unquote, urlsplit, urlunsplit
 
 from codec.errors import InvalidError
-from codec.framerange import FrameRange
-from codec.stream.manifest import MANIFEST_NAME
+from codec.stream.manifest import MANIFEST_NAME, Manifest
 
-from .directory import DirectorySource
 from .fetch import Fetcher, FetchError
-from .hosted import HostedSource, fetch_manifest
-from .lastplay import NO_PLAY, LastPlay
-from .served import ServedSource
-from .source import Source
+from .hosted import fetch_manifest
 
 MAX_LIST_BYTES = 16 << 20
 """Longest list of streams read, bytes."""
@@ -25,44 +20,47 @@ SERVED = ("/v1/streams/", "/watch/")
 """What stands before a stream's name in the addresses of a swings server."""
 
 
-def open_source(
-    source: str,
-    frames: FrameRange,
-    layers: int | None,
-    via: tuple[str, int] | None = None,
-    received: Callable[[int], None] | None = None,
-    last_play: LastPlay = NO_PLAY,
-) -> Source:
-    """The stream that `source` names, from `frames.first` on.
+@dataclass(frozen=True, slots=True)
+class ServedPlace:
+    """A stream that a swings server plays."""
 
-    layers: None lets a server choose, and takes all elsewhere. via: the relay of `--link`.
-    received: is told how many bytes each read from the network gave. last_play: the `play` of the
-    source before this one: a server that hears of the link does not start blind.
-    """
-    if not source.lower().startswith(("http://", "https://")):
+    url: str
+    """To which /play is added."""
+
+
+@dataclass(frozen=True, slots=True)
+class HostedPlace:
+    """A stream on a static host."""
+
+    base: str
+    """Ends with a slash."""
+    manifest: Manifest
+
+
+Place = Path | ServedPlace | HostedPlace
+"""Where a stream is."""
+
+
+def is_url(source: str) -> bool:
+    """Whether `source` is on the network."""
+    return source.lower().startswith(("http://", "https://"))
+
+
+def locate(source: str, fetcher: Fetcher) -> Place:
+    """Where the stream is that `source` names."""
+    if not is_url(source):
         if "://" in source:
             raise InvalidError(
                 f"{source}: only http:// and https:// URLs and folders can be played"
             )
-        return DirectorySource(Path(source), frames, layers)
-    fetcher = Fetcher(via, received=received)
-    try:
-        return _open_url(source, fetcher, frames, layers, last_play)
-    except BaseException:
-        fetcher.close()
-        raise
-
-
-def _open_url(
-    source: str, fetcher: Fetcher, frames: FrameRange, layers: int | None, last_play: LastPlay
-) -> Source:
+        return Path(source)
     parts = urlsplit(source)
     if not parts.hostname:
         raise InvalidError(f"{source} is not a URL: it names no host")
     path = parts.path.rstrip("/")
     served = _named_stream(source, path) if path else _only_stream(source, fetcher)
     if served is not None:
-        return ServedSource(source, served, fetcher, frames, layers, last_play=last_play)
+        return ServedPlace(served)
     base = _with_path(source, path.removesuffix(f"/{MANIFEST_NAME}")) + "/"
     manifest = fetch_manifest(fetcher, base + MANIFEST_NAME)
     if manifest is None:
@@ -70,7 +68,7 @@ def _open_url(
         if not path:
             lacks = f"it has neither a list of streams nor a {MANIFEST_NAME}"
         raise FetchError(f"{source} is not a stream: {lacks}")
-    return HostedSource(source, base, manifest, fetcher, frames, layers)
+    return HostedPlace(base, manifest)
 
 
 def _named_stream(source: str, path: str) -> str | None:

@@ -15,7 +15,6 @@ from pathlib import Path
 import pytest
 
 from codec.errors import CodecError, SwingsError
-from codec.framerange import FrameRange
 from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat
 from codec.storage.folder import FolderStorage
@@ -23,7 +22,7 @@ from codec.stream import StreamWriter
 from codec.stream.reader import StreamReader
 from codec.tools.audit import verify_stream
 from player.source.fetch import Fetcher, FetchError
-from player.source.locate import open_source
+from player.source.opener import opened
 from server.library import Library, ServedStream
 from server.library.streamview import view_of
 from tests.support.delivery.assembled import assembled
@@ -48,11 +47,8 @@ def astray(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 
 
 def play(path: Path) -> None:
-    source = open_source(str(path), FrameRange(0, None), None)
-    try:
+    with opened(str(path)) as source:
         list(assembled(source))
-    finally:
-        source.close()
 
 
 def read_served(path: Path) -> None:
@@ -110,5 +106,5 @@ def test_a_player_fetches_no_files(tmp_path: Path, via: tuple[str, int] | None) 
             fetcher.get(f"file://{tmp_path}/secret", 100)
     finally:
         fetcher.close()
-    with pytest.raises(SwingsError, match="only http"):
-        open_source(f"file://{tmp_path}/secret", FrameRange(0, None), None)
+    with pytest.raises(SwingsError, match="only http"), opened(f"file://{tmp_path}/secret"):
+        pass

@@ -17,7 +17,7 @@ from player.playback import play
 from player.render.cpu import render_splats
 from player.render.renderer import RendererKind
 from player.show.sink import to_bytes
-from player.source.locate import open_source
+from player.source.opener import opened
 from server.abr.link.link import Link, LinkStep
 from tests.support.delivery.assembled import assembled
 from tests.support.hosted_streams import ServerProcess, served, static_host
@@ -85,14 +85,13 @@ def test_layers_come_and_go_over_a_link_and_only_what_is_known_shows(
     reader = StreamReader(library / "long")
     with LinkProcess(DIP, "127.0.0.1", served_library.port) as relay:
         url = f"{served_library.url}/watch/long"
-        source = open_source(url, FrameRange(), None, relay.address)
-        assert source.adaptive
         screen, layers = Screen(reader, 0), list[float]()
-        for one in assembled(source):
-            # As if each frame were shown as soon as it can be: what comes later mends it.
-            layers.append(one.layers)
-            screen.put(one.slices, round(one.layers))
-        source.close()
+        with opened(url, via=relay.address) as source:
+            assert source.adaptive
+            for one in assembled(source):
+                # As if each frame were shown as soon as it can be: what comes later mends it.
+                layers.append(one.layers)
+                screen.put(one.slices, round(one.layers))
     assert screen.next_frame == NUM_FRAMES
     assert len(layers) == NUM_FRAMES
 

@@ -28,7 +28,7 @@ from codec.tools.static import export_static
 from player.config import CameraPathName, PlayConfig
 from player.playback import play
 from player.render.renderer import RendererKind
-from player.source.locate import open_source
+from player.source.opener import opened
 from tests.goldens.format_decoder import decode_object as decode_plain_object
 from tests.support.commands import run, run_ok
 from tests.support.delivery.assembled import assembled, slices_of
@@ -132,12 +132,8 @@ def test_a_plain_web_server_plays_the_same_pictures(folder: Path, tmp_path: Path
 
 def test_a_swings_server_plays_it_too(folder: Path) -> None:
     before = StreamReader(folder / "original")
-    with served(folder) as server:
-        source = open_source(f"{server.url}/watch/exported", FrameRange(), 3)
-        try:
-            slices = slices_of(list(assembled(source)))
-        finally:
-            source.close()
+    with served(folder) as server, opened(f"{server.url}/watch/exported", layers=3) as source:
+        slices = slices_of(list(assembled(source)))
     assert [slice.birth for slice in slices] == list(before.births)
     for slice in slices:
         assert same(slice.splats, before.slice(slice.birth, 3).splats)

@@ -8,11 +8,10 @@ from pathlib import Path
 import pytest
 
 from codec.errors import CorruptError
-from codec.framerange import FrameRange
 from codec.stream import StreamReader
 from codec.stream.chunk import encode_chunk
 from codec.stream.object import encode_object
-from player.source.locate import open_source
+from player.source.opener import opened
 from tests.support.delivery.assembled import assembled
 from tests.support.hosted_streams import random_slice, write_stream
 from tests.support.hostile import put_object
@@ -30,8 +29,7 @@ def test_a_wrong_object_is_named_by_its_file_not_by_its_url(
     # Chunks of layer 1 where layer 0 belongs.
     chunks = [encode_chunk(random_slice(birth, 10), 1, manifest.profile) for birth in births]
     put_object(stream, 1, 0, encode_object(chunks))
-    source = open_source(str(stream), FrameRange(), None)
-    with pytest.raises(CorruptError) as caught:
+    with opened(str(stream)) as source, pytest.raises(CorruptError) as caught:
         list(assembled(source))
     assert str(caught.value).startswith(f"{stream / 'segments' / '1' / '0'}: byte ")
     assert "cdn.example" not in str(caught.value)

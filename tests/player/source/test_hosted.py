@@ -8,12 +8,11 @@ from pathlib import Path
 import pytest
 
 from codec.errors import CorruptError
-from codec.framerange import FrameRange
 from codec.stream import StreamReader
 from codec.stream.chunk import encode_chunk
 from codec.stream.object import encode_object
 from player.source.fetch import FetchError
-from player.source.locate import open_source
+from player.source.opener import opened
 from tests.support.delivery.assembled import assembled
 from tests.support.hosted_streams import random_slice, static_host, write_stream
 from tests.support.hostile import put_object
@@ -25,11 +24,8 @@ def stream(tmp_path: Path) -> Path:
 
 
 def play(url: str) -> None:
-    source = open_source(url, FrameRange(), None)
-    try:
+    with opened(url) as source:
         list(assembled(source))
-    finally:
-        source.close()
 
 
 def told(stream: Path) -> tuple[str, int | None]:
@@ -66,5 +62,6 @@ def test_a_wrong_manifest_is_not_a_stream(stream: Path) -> None:
     with (
         static_host(stream.parent) as host,
         pytest.raises(FetchError, match=r"s/manifest\.json: byte 0: .*; this is not a stream$"),
+        opened(f"{host}/s"),
     ):
-        open_source(f"{host}/s", FrameRange(), None)
+        pass

@@ -22,7 +22,7 @@ from codec.tools.audit import verify_stream
 from codec.tools.slotcensus import count_slots, summarise_slots
 from codec.tools.static import export_static
 from player.source.fetch import Fetcher
-from player.source.locate import open_source
+from player.source.opener import opened
 from player.source.retry import RetryConfig
 from player.source.served import ServedSource
 from tests.support.delivery.assembled import Assembled, assembled, read_all, slices_of
@@ -202,15 +202,15 @@ def test_a_folder_still_written_is_played_as_far_as_it_has_come(tmp_path: Path) 
             writer.append(update)
             if update.birth == 3:
                 break
-        source = open_source(str(tmp_path / "s"), FrameRange(2), None)
-        assert source.frames.end is None
         got = []
-        for one in assembled(source):
-            got.append(one)
-            if one.frame == 3:
-                for update in updates:
-                    writer.append(update)
-                writer.close()
+        with opened(str(tmp_path / "s"), FrameRange(2)) as source:
+            assert source.frames.end is None
+            for one in assembled(source):
+                got.append(one)
+                if one.frame == 3:
+                    for update in updates:
+                        writer.append(update)
+                    writer.close()
     # The last segment is short.
     check_play(StreamReader(tmp_path / "s"), got, FrameRange(2), 2)
 

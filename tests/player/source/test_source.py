@@ -20,7 +20,7 @@ from codec.stream import StreamReader, StreamWriter
 from player.link.linkprocess import LinkProcess
 from player.link.linktext import read_link
 from player.source.fetch import BrokenError, Fetcher, FetchError
-from player.source.locate import open_source
+from player.source.opener import opened
 from player.source.retry import Retry, RetryConfig
 from player.source.served import ServedSource
 from tests.support.delivery.assembled import assembled, read_all, slices_of
@@ -113,11 +113,10 @@ def test_the_addresses_on_the_server_s_pages_can_be_played(server: ServerProcess
 def test_what_a_source_says_before_its_slices(library: Path, server: ServerProcess) -> None:
     manifest = StreamReader(library / "one").manifest
     for name in (str(library / "one"), server.url):
-        source = open_source(name, FrameRange(2), None)
-        assert source.name == name
-        assert source.frames == FrameRange(2, 13)
-        assert source.manifest.to_json() == manifest.to_json()
-        source.close()
+        with opened(name, FrameRange(2)) as source:
+            assert source.name == name
+            assert source.frames == FrameRange(2, 13)
+            assert source.manifest.to_json() == manifest.to_json()
 
 
 @pytest.mark.parametrize(
@@ -188,23 +187,22 @@ def test_a_folder_still_written_is_played_as_far_as_it_has_come(tmp_path: Path) 
             writer.append(random_slice(birth))
             if birth == 7:
                 break
-        source = open_source(str(tmp_path / "s"), FrameRange(), None)
         got = []
-        for one in assembled(source):
-            got += [slice.birth for slice in one.slices]
-            if one.frame == 2:
-                for birth in births:
-                    writer.append(random_slice(birth))
-                    if birth == 9:
-                        break
+        with opened(str(tmp_path / "s")) as source:
+            for one in assembled(source):
+                got += [slice.birth for slice in one.slices]
+                if one.frame == 2:
+                    for birth in births:
+                        writer.append(random_slice(birth))
+                        if birth == 9:
+                            break
         assert got == list(range(1 - SWIN_SIZE, 10))  # two whole segments
 
 
 def test_through_a_link_the_slices_are_the_same(library: Path, server: ServerProcess) -> None:
     with LinkProcess(read_link("2M,5ms"), "127.0.0.1", server.port) as relay:
-        source = open_source(server.url, FrameRange(), 3, relay.address)
-        got = list(assembled(source))
-        source.close()
+        with opened(server.url, FrameRange(), 3, relay.address) as source:
+            got = list(assembled(source))
         assert relay.down_bytes > sum(one.wire_bytes for one in got)
     reader = StreamReader(library / "one")
     assert all(same(slice, reader.slice(slice.birth, 3)) for slice in slices_of(got))
@@ -212,9 +210,12 @@ def test_through_a_link_the_slices_are_the_same(library: Path, server: ServerPro
 
 def test_a_live_stream_is_followed_to_its_end(tmp_path: Path) -> None:
     root = tmp_path / "library"
-    with StreamWriter.create(root / "live", small_manifest()) as writer, served(root) as server:
+    with (
+        StreamWriter.create(root / "live", small_manifest()) as writer,
+        served(root) as server,
         # Nothing stands yet: the source waits for the first segment.
-        source = open_source(server.url, FrameRange(), 2)
+        opened(server.url, layers=2) as source,
+    ):
         assert source.frames.end is None
 
         def write() -> None:
@@ -227,7 +228,6 @@ def test_a_live_stream_is_followed_to_its_end(tmp_path: Path) -> None:
         thread.start()
         got = slices_of(list(assembled(source)))
         thread.join()
-        source.close()
     reader = StreamReader(root / "live")
     assert [slice.birth for slice in got] == list(range(1 - SWIN_SIZE, 23))
     assert all(same(slice, reader.slice(slice.birth, 2)) for slice in got)

@@ -9,7 +9,7 @@ from codec.framerange import FrameRange
 from codec.slice import Slice
 from player.playout.assembler import open_assembler
 from player.playout.timeline import PlayedMedia
-from player.source.locate import open_source
+from player.source.opener import opened
 from player.source.source import Packets, Source
 from server.abr.slotholding import open_holding
 
@@ -46,11 +46,8 @@ def read_all(
     source: str, frames: FrameRange | None = None, layers: int | None = None
 ) -> list[Assembled]:
     """Every frame of what `source` names."""
-    opened = open_source(source, frames or FrameRange(), layers)
-    try:
-        return list(assembled(opened))
-    finally:
-        opened.close()
+    with opened(source, frames, layers) as found:
+        return list(assembled(found))
 
 
 def slices_of(frames: list[Assembled]) -> list[Slice]:

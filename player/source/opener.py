@@ -1,0 +1,121 @@
+"""One stream, opened again and again: at other frames, in other layers.
+
+Rule: what was learnt once is not asked for again: where the stream is, its manifest, the
+connections to its host, and what the server knows of the link.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+from codec.errors import CorruptError
+from codec.framerange import FrameRange
+from codec.stream.manifest import Manifest
+
+from .directory import DirectorySource
+from .fetch import Fetcher
+from .hosted import HostedSource
+from .lastplay import NO_PLAY
+from .locate import Place, ServedPlace, locate
+from .served import ServedSource
+from .source import Source
+
+
+class Opener:
+    """Opens the stream that `source` names, one Source after another.
+
+    `interrupt` may come from any thread, everything else from one thread at a time.
+    """
+
+    def __init__(
+        self,
+        source: str,
+        via: tuple[str, int] | None = None,
+        received: Callable[[int], None] | None = None,
+    ) -> None:
+        """Asks for nothing yet. via: the relay of `--link`. received: is told how many bytes each
+        read from the network gave."""
+        self.name = source
+        self.manifest: Manifest | None = None
+        """As it was when the stream was opened last; None before that."""
+        self._fetcher = Fetcher(via, received=received)
+        self._place: Place | None = None
+        self._last: Source | None = None
+        self._lock = threading.Lock()
+        self._using: Fetcher | None = None
+        self._stopped = False
+
+    def open(self, frames: FrameRange, layers: int | None) -> Source:
+        """The stream from `frames.first` on. Close the one before it first.
+
+        layers: None lets a server choose, and takes all elsewhere. Raises CorruptError when the
+        stream is not the one that was opened before.
+        """
+        fetcher = self._use()
+        try:
+            source = self._open(fetcher, frames, layers)
+        except BaseException:
+            fetcher.close()
+            raise
+        try:
+            self._check(source.manifest)
+        except BaseException:
+            source.close()
+            raise
+        self._last = source
+        return source
+
+    def _use(self) -> Fetcher:
+        with self._lock:
+            self._using = fetcher = self._fetcher.shared()
+            if self._stopped:
+                fetcher.interrupt()
+        return fetcher
+
+    def _open(self, fetcher: Fetcher, frames: FrameRange, layers: int | None) -> Source:
+        if self._place is None:
+            self._place = locate(self.name, fetcher)
+        place = self._place
+        if isinstance(place, Path):
+            return DirectorySource(place, frames, layers)
+        if isinstance(place, ServedPlace):
+            # A server that hears of the link does not start blind.
+            last_play = self._last.play if self._last else NO_PLAY
+            return ServedSource(self.name, place.url, fetcher, frames, layers, last_play=last_play)
+        return HostedSource(self.name, place.base, place.manifest, fetcher, frames, layers)
+
+    def _check(self, manifest: Manifest) -> None:
+        before = self.manifest
+        # A live stream may have ended meanwhile.
+        if before and before.with_live(False).to_json() != manifest.with_live(False).to_json():
+            raise CorruptError(f"{self.name}: the stream was replaced by another one; play it anew")
+        self.manifest = manifest
+
+    def interrupt(self) -> None:
+        """Makes whoever opens or waits for packets, now or later, raise StoppedError soon."""
+        with self._lock:
+            self._stopped = True
+            if self._using is not None:
+                self._using.interrupt()
+
+    def close(self) -> None:
+        """Closes the connections. Close the sources first."""
+        self._fetcher.close()
+
+
+@contextmanager
+def opened(
+    source: str,
+    frames: FrameRange | None = None,
+    layers: int | None = None,
+    via: tuple[str, int] | None = None,
+) -> Iterator[Source]:
+    """The stream that `source` names, opened once."""
+    with (
+        closing(Opener(source, via)) as opener,
+        closing(opener.open(frames or FrameRange(), layers)) as found,
+    ):
+        yield found
