@@ -12,6 +12,7 @@ from codec.stream.integrity import MAX_INDEX_BYTES, CheckedObject, read_index
 from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest, Part
 from server.abr.standing import Standing
 
+from .bounds import Bounds
 from .fetch import BrokenError, Fetcher, FetchError
 from .lastplay import NO_PLAY
 from .retry import Retry, RetryConfig
@@ -70,7 +71,11 @@ class HostedSource:
     def _read_index(self) -> list[SegmentRecord]:
         url = urljoin(self._base, INDEX_NAME)
         try:
-            return read_index(self._get(url, MAX_INDEX_BYTES), self.manifest)
+            records = read_index(self._get(url, MAX_INDEX_BYTES), self.manifest)
+            bounds = Bounds(self.manifest)
+            for record in records:
+                bounds.check_segment(record)
+            return records
         except CodecError as error:
             raise error.within(url) from error
 

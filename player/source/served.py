@@ -170,10 +170,10 @@ class ServedSource:
                 return
             if not isinstance(record, SliceRecord | SnapshotRecord):
                 raise CorruptError(f"{self.name}: a second start record")
-            before = receiver.next_birth
-            yield receiver.take(record)
-            if receiver.next_birth > before:
+            packets = receiver.take(record)
+            if packets is not None:
                 retry.progress()
+                yield packets
 
     def _reconnect(self) -> None:
         self._num_frames = max(self._num_frames, self._receiver.next_birth)
