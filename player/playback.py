@@ -7,14 +7,12 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from functools import partial
-from urllib.parse import urlsplit
 
 import numpy as np
 import numpy.typing as npt
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from codec.errors import InvalidError
 from player.link.linkprocess import LinkProcess
 from player.playout.clock import Clock
 from player.playout.queues import Events
@@ -23,6 +21,7 @@ from player.playout.timeline import FrameRecord, Playout, QueueConfig
 from player.render.gl import GlError
 from player.render.renderer import Renderer, RendererKind, create_renderer
 from player.show.sink import FrameSink, open_sink, to_bytes
+from player.source.locate import check_url
 from player.source.opener import Opener
 from player.source.source import Source
 from player.view.path import Size
@@ -68,14 +67,8 @@ def play(config: PlayConfig) -> PlaySummary:
 
 def _relay(link: Link, url: str) -> LinkProcess:
     """A relay to the host of `url`."""
-    parts = urlsplit(url)
-    if not parts.hostname:
-        raise InvalidError(f"{url} is not a URL: it names no host")
-    try:
-        port = parts.port or 80
-    except ValueError as error:  # urlsplit leaves the port unchecked until it is asked for
-        raise InvalidError(f"{url} is not a URL: {error}") from error
-    return LinkProcess(link, parts.hostname, port)
+    parts = check_url(url)
+    return LinkProcess(link, parts.hostname or "", parts.port or 80)
 
 
 def _rehearsed(config: PlayConfig) -> RendererKind:
@@ -111,7 +104,7 @@ class _Playback:
             config.source, preparing_s=preparing_s, link=config.link, journal=self._journal
         )
         via = relay.address if relay is not None else None
-        self._opener = Opener(config.source, via, self._received)
+        self._opener = Opener(config.source, via, self._received, config.delivery)
 
     def close(self) -> None:
         self._opener.close()
