@@ -14,7 +14,7 @@ from codec.stream.poster import Draw
 from codec.tools.audit import describe, summarise, verify_stream
 from codec.tools.commands import Export, Import, export_files, import_files
 
-from .console import run_command
+from .console import run_command, say
 
 Stream = Annotated[str, tyro.conf.arg(metavar="STREAM")]
 
@@ -55,18 +55,16 @@ def run(command: Command, draw: Draw | None) -> None:
                 from codec.tools.plot import draw_stream  # matplotlib loads slowly
 
                 draw_stream(path, picture)
-            print(json.dumps(asdict(summary)) if as_json else describe(summary))
+            say(json.dumps(asdict(summary)) if as_json else describe(summary))
             if picture is not None and not as_json:
-                print(f"picture      {picture}")
+                say(f"picture      {picture}")
         case Verify(stream=path):
             summary = verify_stream(path)
-            print(
-                f"{path}: {summary.num_frames} frames in {summary.num_segments} segments are good"
-            )
+            say(f"{path}: {summary.num_frames} frames in {summary.num_segments} segments are good")
         case Import() as config:
-            print(import_files(config, draw))
+            say(import_files(config, draw))
         case Export() as config:
-            print(export_files(config))
+            say(export_files(config))
 
 
 def main(draw: Draw | None = None) -> None:

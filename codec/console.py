@@ -71,6 +71,29 @@ def ending_by_signals() -> Iterator[None]:
             signal.signal(number, signal.SIG_DFL)
 
 
+def printable(text: str) -> str:
+    """`text` for a terminal: what would steer it, or is not to be seen, stands there as an escape.
+
+    Names and messages come from strangers. Lines stay lines.
+    """
+    if text.isprintable():
+        return text
+    return "".join(
+        one if one.isprintable() or one == "\n" else one.encode("unicode_escape").decode()
+        for one in text
+    )
+
+
+class _PrintableFormatter(logging.Formatter):
+    def format(self, record: logging.LogRecord) -> str:
+        return printable(super().format(record))
+
+
+def say(text: str) -> None:
+    """Prints `text`, whoever wrote it."""
+    sys.stdout.write(printable(text) + "\n")
+
+
 def run_command(
     config_type: type[Config],
     run: Callable[[Config], None],
@@ -86,10 +109,10 @@ def run_command(
     """
     # Not a field of the configs, because it may stand before a subcommand and after it.
     verbose, arguments = split_option(None, "--verbose", action="store_true")
-    logging.basicConfig(
-        level=logging.DEBUG if verbose else logging.WARNING,
-        format=f"{prog}: %(levelname)s %(name)s: %(message)s",
-    )
+    logging.basicConfig(level=logging.DEBUG if verbose else logging.WARNING)
+    formatter = _PrintableFormatter(f"{prog}: %(levelname)s %(name)s: %(message)s")
+    for handler in logging.getLogger().handlers:
+        handler.setFormatter(formatter)
     for noisy in ("numba", "matplotlib", "PIL", "asyncio"):
         logging.getLogger(noisy).setLevel(logging.WARNING)
     epilogue = "--verbose shows debug logs and, on failure, the traceback."
@@ -98,7 +121,7 @@ def run_command(
         if verbose:
             raise error
         message = " ".join(str(error).split()) or type(error).__name__
-        sys.stderr.write(f"{prog}: {message}\n")
+        sys.stderr.write(f"{prog}: {printable(message)}\n")
         sys.exit(status)
 
     try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from codec.console import run_command
+from codec.console import run_command, say
 
 from .config import PlayConfig
 from .playback import play
@@ -18,7 +18,7 @@ def run(config: PlayConfig) -> None:
         print(draw_still(config))
         return
     for line in play(config).lines():
-        print(line)
+        say(line)
 
 
 def main() -> None:

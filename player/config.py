@@ -18,6 +18,8 @@ from player.link.linktext import read_link
 from player.playout.clock import MAX_RATE, MIN_RATE
 from player.render.renderer import GlVersion, RendererKind
 from player.show.sink import check_output, check_still
+from player.source.opener import SourceConfig
+from player.source.retry import RetryConfig
 from player.view.path import CameraPath, Size, camera_path, check_path
 from server.abr.link.link import Link
 
@@ -90,8 +92,19 @@ PORT: PrimitiveConstructorSpec[int] = PrimitiveConstructorSpec(
     is_instance=lambda value: isinstance(value, int),
     str_from_instance=lambda port: [str(port)],
 )
+
+
+def parse_patience(text: str) -> RetryConfig:
+    """Seconds to go on trying. Raises InvalidError."""
+    try:
+        return RetryConfig(float(text))
+    except ValueError as error:
+        raise InvalidError(f"patience {text!r} is not a number of seconds, 0 to 86400") from error
+
+
 LAYERS = option("auto|N", parse_layers, lambda layers: "auto" if layers is None else str(layers))
 CAMERA = option("PATH", CameraPathName)
+PATIENCE = option("S", parse_patience, lambda retry: f"{retry.patience_s:g}")
 SIZE = option("WxH", Size.parse)
 LINK = option("RATE|TRACE", read_link)
 
@@ -128,6 +141,10 @@ class PlayConfig:
     file; also when Ctrl-C ends the play."""
     plot: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
     """Draw link, goodput, layers and buffer over time into this picture."""
+    patience: Annotated[RetryConfig, PATIENCE] = field(default_factory=RetryConfig)
+    """Seconds for which a server that fails is tried again; 0: give up at once."""
+    other_hosts: bool = False
+    """Let a stream lead to other hosts than the one that SOURCE names."""
     loop: Annotated[int | None, LOOP] = 1
     """Play the frames so often, or forever; each time the stream is asked for anew."""
     rate: float = 1.0
@@ -143,6 +160,10 @@ class PlayConfig:
     viser: Annotated[int | None, PORT] = None
     """Show it in a browser by viser (pip install 'swings[viser]'), at this port or the next one
     that is free; by default 8080."""
+
+    @property
+    def delivery(self) -> SourceConfig:
+        return SourceConfig(self.patience, self.other_hosts)
 
     def __post_init__(self) -> None:
         """Raises InvalidError for options that do not go together, whatever the stream is."""

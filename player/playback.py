@@ -8,14 +8,12 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from functools import partial
-from urllib.parse import urlsplit
 
 import numpy as np
 import numpy.typing as npt
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from codec.errors import InvalidError
 from codec.files import write_atomic
 from codec.framerange import FrameRange
 from player.link.linkprocess import LinkProcess
@@ -27,6 +25,7 @@ from player.playout.timeline import FrameRecord, Playout, QueueConfig
 from player.render.gl import GlError, create_renderer
 from player.render.renderer import Renderer, RendererKind
 from player.show.sink import FrameSink, open_sink, to_bytes
+from player.source.locate import check_url
 from player.source.opener import Opener
 from player.source.source import Source
 from player.view.path import Size, scene_centre
@@ -77,14 +76,8 @@ def play(config: PlayConfig) -> PlaySummary:
 
 def _relay(link: Link, url: str) -> LinkProcess:
     """A relay to the host of `url`."""
-    parts = urlsplit(url)
-    if not parts.hostname:
-        raise InvalidError(f"{url} is not a URL: it names no host")
-    try:
-        port = parts.port or 80
-    except ValueError as error:  # urlsplit leaves the port unchecked until it is asked for
-        raise InvalidError(f"{url} is not a URL: {error}") from error
-    return LinkProcess(link, parts.hostname, port)
+    parts = check_url(url)
+    return LinkProcess(link, parts.hostname or "", parts.port or 80)
 
 
 def _rehearsed(config: PlayConfig) -> RendererKind:
@@ -120,7 +113,7 @@ class _Playback:
             config.source, preparing_s=preparing_s, link=config.link, journal=self._journal
         )
         via = relay.address if relay is not None else None
-        self._opener = Opener(config.source, via, self._received)
+        self._opener = Opener(config.source, via, self._received, config.delivery)
 
     def close(self) -> None:
         self._opener.close()

@@ -15,7 +15,14 @@ from dataclasses import dataclass
 from codec.errors import CodecError, CorruptError
 from codec.slice import Slice
 
-from .chunk import BIRTH_OFFSET, LAYER_OFFSET, PROFILE_OFFSET, SH_DEGREE_OFFSET, Chunk
+from .chunk import (
+    BIRTH_OFFSET,
+    LAYER_OFFSET,
+    PROFILE_OFFSET,
+    SH_DEGREE_OFFSET,
+    Chunk,
+    ChunkBounds,
+)
 from .index import SegmentRecord, parse_index, record_bytes, side_offset, size_offset
 from .layers import merge_layers
 from .manifest import Manifest, Part, is_snapshot
@@ -146,10 +153,22 @@ def check_chunk(chunk: Chunk, manifest: Manifest, birth: int, layer: int) -> Non
 
 
 def decode_fitting_packet(
-    packet: bytes | memoryview, manifest: Manifest, birth: int, layer: int
+    packet: bytes | memoryview, manifest: Manifest, birth: int, layer: int, taken: int = 0
 ) -> Chunk:
-    """The chunk in a packet that travelled alone; places are those in the decompressed chunk."""
-    chunk = decode_packet(packet, manifest.chunk_bounds)
+    """The chunk in a packet that travelled alone; places are those in the decompressed chunk.
+
+    taken: Gaussians of its slice that are there already: no more is decoded than has room beside
+    them.
+    """
+    bounds = manifest.chunk_bounds
+    bounds = ChunkBounds(bounds.max_splats - taken, bounds.max_sh_degree)
+    try:
+        chunk = decode_packet(packet, bounds)
+    except CodecError as error:
+        if not taken:
+            raise
+        room = f"{taken} of the slice's {manifest.slice_size} Gaussians are there already"
+        raise error.reworded(f"{error} ({room})", error.at) from error
     check_chunk(chunk, manifest, birth, layer)
     return chunk
 

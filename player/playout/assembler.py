@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Protocol
 
-from codec.errors import CodecError
+from codec.errors import CodecError, CorruptError
 from codec.slice import Slice
 from codec.stream.chunk import Chunk
-from codec.stream.integrity import check_slice_size, decode_fitting_packet
+from codec.stream.integrity import decode_fitting_packet
 from codec.stream.layers import merge_layers
 from codec.stream.manifest import Manifest
 from player.source.source import Packets, SnapshotPackets
@@ -36,14 +36,15 @@ def open_assembler(manifest: Manifest, num_layers: int, first_frame: int) -> Ass
     """What assembles a stream from `first_frame` on, of which `num_layers` layers come at most."""
     if manifest.has_slots:
         return SlotAssembler(manifest, num_layers, first_frame)
-    return SliceAssembler(manifest)
+    return SliceAssembler(manifest, num_layers)
 
 
 class SliceAssembler:
     """Version 1: a slice is whole with the layers that have come, and again when more come."""
 
-    def __init__(self, manifest: Manifest) -> None:
+    def __init__(self, manifest: Manifest, num_layers: int) -> None:
         self._manifest = manifest
+        self._num_layers = num_layers
         self._chunks: dict[int, dict[int, Chunk]] = {}  # by birth, by layer
 
     def take(self, frame: int, packets: Iterable[Packets]) -> list[Slice]:
@@ -57,6 +58,11 @@ class SliceAssembler:
             for layer, packet in enumerate(one.packets, one.first_layer):
                 if layer in held:
                     continue
+                if layer >= self._num_layers:
+                    raise CorruptError(
+                        f"a packet of layer {layer} of the slice born at {one.birth}; it has "
+                        f"{self._num_layers} layers"
+                    )
                 try:
                     held[layer] = self._chunk(packet, one.birth, layer, held)
                 except CodecError as error:
@@ -73,7 +79,6 @@ class SliceAssembler:
         return slices
 
     def _chunk(self, packet: bytes, birth: int, layer: int, held: dict[int, Chunk]) -> Chunk:
-        chunk = decode_fitting_packet(packet, self._manifest, birth, layer)
-        count = sum(len(other.slice.splats) for other in held.values())
-        check_slice_size(birth, count + len(chunk.slice.splats), self._manifest)
-        return chunk
+        # The packets of a slice share what the manifest declares: all are bounded by it together.
+        taken = sum(len(other.slice.splats) for other in held.values())
+        return decode_fitting_packet(packet, self._manifest, birth, layer, taken)

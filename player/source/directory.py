@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+from codec.errors import CodecError
 from codec.framerange import FrameRange
 from codec.stream import StreamReader
 from codec.stream.manifest import Manifest
 from server.abr.standing import Standing
 
+from .bounds import Bounds
 from .lastplay import NO_PLAY
 from .segments import SegmentPlay
 from .source import Packets, check_frames, check_layers
@@ -36,11 +38,16 @@ class DirectorySource:
     def packets(self) -> Iterator[Packets]:
         reader = self._reader
         play = SegmentPlay(self.manifest, self.num_layers, self.frames)
+        bounds = Bounds(self.manifest)
         while (segment := play.segment) is not None:
             if segment >= len(reader.records):
                 if self.manifest.live and reader.refresh():
                     continue
                 return
+            try:
+                bounds.check_segment(reader.records[segment])
+            except CodecError as error:
+                raise error.within(self.name) from error
             objects = {part: reader.read_object(segment, part) for part in play.parts}
             self.received_bytes += sum(len(found.data) for found in objects.values())
             yield from play.packets(objects)

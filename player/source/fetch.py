@@ -9,41 +9,43 @@ from __future__ import annotations
 import asyncio
 import os
 import threading
-from collections.abc import Callable, Coroutine, Mapping
+import time
+from collections.abc import Callable, Coroutine, Iterator, Mapping
+from contextlib import closing
 from dataclasses import dataclass
+from email.utils import parsedate_to_datetime
 from typing import Any, TypeVar
 from urllib.parse import urlsplit, urlunsplit
 
 import aiohttp
 
-from codec.errors import SwingsError
+from .faults import BrokenError as BrokenError
+from .faults import FetchError as FetchError
+from .faults import StoppedError as StoppedError
+from .hosts import joined
+from .idle import IdleLimit
 
 Result = TypeVar("Result")
+
+REDIRECTS = (301, 302, 303, 307, 308)
+
+MAX_REDIRECTS = 5
 
 PIECE_BYTES = 256 << 10
 """Most that one read of an open response gives, bytes."""
 
 
-class FetchError(SwingsError):
-    """The server's answer cannot be used; asking again would not help."""
-
-
-class BrokenError(FetchError):
-    """The connection or the server failed; asking again may help."""
-
-
-class StoppedError(SwingsError):
-    """Whoever waited was told to stop."""
-
-
 @dataclass(frozen=True, slots=True)
 class FetchConfig:
-    """Patience with a server."""
+    """Patience with a server, and where it may lead."""
 
     connect_timeout_s: float = 10.0
     """Seconds to wait for a connection."""
-    read_timeout_s: float = 75.0
-    """Seconds to wait for a byte: longer than a server of a live stream waits for a segment."""
+    idle_s: float = 75.0
+    """Seconds to wait for an answer, and for anything of use in it: longer than a server of a live
+    stream waits for a segment."""
+    other_hosts: bool = False
+    """Whether redirects to other hosts are followed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +55,11 @@ class Response:
     status: int
     headers: Mapping[str, str]
     body: bytes
+
+    @property
+    def retry_after_s(self) -> float | None:
+        """How long the server asks to be left alone, seconds; None if it does not."""
+        return parse_retry_after(self.headers.get("Retry-After", ""), time.time())
 
 
 class _Connections:
@@ -71,7 +78,6 @@ class _Connections:
                 timeout=aiohttp.ClientTimeout(
                     total=None,
                     sock_connect=config.connect_timeout_s,
-                    sock_read=config.read_timeout_s,
                 ),
                 # Objects are compressed already, and are hashed as they lie on disk.
                 auto_decompress=False,
@@ -105,9 +111,9 @@ class Fetcher:
         received: is told how many bytes of a body each read gave. connections: of another
         Fetcher, which closes them; without it they are this one's own."""
         self._via = via
-        self._config = config or FetchConfig()
+        self.config = config or FetchConfig()
         self._owns = connections is None
-        self._connections = connections or _Connections(self._config)
+        self._connections = connections or _Connections(self.config)
         self._loop = self._connections.loop
         self._lock = threading.Lock()
         self._waiting: asyncio.Task[Any] | None = None
@@ -122,12 +128,22 @@ class Fetcher:
         Raises FetchError when the body is longer than `limit_bytes`, BrokenError when it does not
         come whole.
         """
-        return self._run(self._get(url, limit_bytes), url)
+        with closing(self.open(url)) as response:
+            return Response(response.status, response.headers, response.rest(limit_bytes))
 
     def open(self, url: str, headers: Mapping[str, str] | None = None) -> OpenResponse:
         """The answer to a GET, its body yet to be read. Close it."""
-        request = self._request(url, headers=headers)
-        return OpenResponse(self, url, self._run(request, url))
+        for _ in range(MAX_REDIRECTS):
+            request = self._request(url, headers=headers)
+            response = self._run(request, url)
+            place = response.headers.get("Location")
+            if response.status not in REDIRECTS or place is None:
+                return OpenResponse(self, url, response, self.config.idle_s)
+            response.close()
+            url = joined(url, place, self.config.other_hosts)
+            if self._via is not None and urlsplit(url).scheme != "http":
+                raise FetchError(f"{url}: --link cannot slow it down")
+        raise FetchError(f"{url}: more than {MAX_REDIRECTS} redirects")
 
     def post(self, url: str, body: bytes) -> Response:
         """The answer to a POST, without its body, which is not read."""
@@ -136,7 +152,7 @@ class Fetcher:
     def shared(self) -> Fetcher:
         """One more over the same connections, interrupted and counted by itself. One of them is
         used at a time. Close it before this one."""
-        return Fetcher(self._via, self._config, self._received, self._connections)
+        return Fetcher(self._via, self.config, self._received, self._connections)
 
     def another(self, config: FetchConfig) -> Fetcher:
         """One more, for another thread, that goes the same way. Close it."""
@@ -204,57 +220,91 @@ class Fetcher:
         headers: Mapping[str, str] | None = None,
     ) -> aiohttp.ClientResponse:
         session = self._connections.session()
-        if self._via is None:
-            # What is told is meant for the server that sends, and for nobody else.
+        host = {}
+        if self._via is not None:
+            parts = urlsplit(url)
+            user, at, name = parts.netloc.rpartition("@")
+            place = f"{self._via[0]}:{self._via[1]}"
+            url, host = urlunsplit(parts._replace(netloc=f"{user}{at}{place}")), {"Host": name}
+        # Where a redirect leads is looked at first; what is told is told to nobody else.
+        fields = {**(headers or {}), **host}
+        # Also bounds an answer that begins again and again, or byte by byte.
+        async with asyncio.timeout(self.config.idle_s):
             return await session.request(
-                method, url, data=body, headers=headers, allow_redirects=method == "GET"
+                method, url, data=body, headers=fields, allow_redirects=False
             )
-        parts = urlsplit(url)
-        user, at, host = parts.netloc.rpartition("@")
-        relayed = urlunsplit(parts._replace(netloc=f"{user}{at}{self._via[0]}:{self._via[1]}"))
-        # A redirect could lead around the relay, so none is followed.
-        return await session.request(
-            method,
-            relayed,
-            data=body,
-            headers={**(headers or {}), "Host": host},
-            allow_redirects=False,
-        )
 
     async def _post(self, url: str, body: bytes) -> Response:
         async with await self._request(url, "POST", body) as response:
             return Response(response.status, response.headers, b"")
 
-    async def _get(self, url: str, limit_bytes: int) -> Response:
-        response = await self._request(url)
-        async with response:
-            body = bytearray()
-            async for piece in response.content.iter_any():
-                body += piece
-                self.count(len(piece))
-                if len(body) > limit_bytes:
-                    raise FetchError(f"{url} is longer than {limit_bytes} bytes")
-            return Response(response.status, response.headers, bytes(body))
-
 
 class OpenResponse:
     """An answer whose body is read piece by piece."""
 
-    def __init__(self, fetcher: Fetcher, url: str, response: aiohttp.ClientResponse) -> None:
+    def __init__(
+        self, fetcher: Fetcher, url: str, response: aiohttp.ClientResponse, idle_s: float
+    ) -> None:
         self._fetcher = fetcher
         self._url = url
+        self._idle_s = idle_s
         self._response = response
         self.status = response.status
         self.headers: Mapping[str, str] = response.headers
         self.content_type = self.headers.get("Content-Type", "")
 
-    def read(self) -> bytes:
-        """The next piece of the body, empty at its end. Raises BrokenError when it is cut off."""
-        work = self._response.content.read(PIECE_BYTES)
-        piece: bytes = self._fetcher._run(work, self._url)
-        self._fetcher.count(len(piece))
+    def read(self, timeout_s: float) -> bytes | None:
+        """The next piece of the body, empty at its end; None if nothing came in time. Raises
+        BrokenError when it is cut off."""
+        work = self._read(timeout_s)
+        piece = self._fetcher._run(work, self._url)
+        self._fetcher.count(len(piece or b""))
         return piece
+
+    async def _read(self, timeout_s: float) -> bytes | None:
+        try:
+            async with asyncio.timeout(timeout_s):
+                return await self._response.content.read(PIECE_BYTES)
+        except TimeoutError:
+            return None
+
+    def pieces(self) -> Iterator[bytes]:
+        """What is left of the body. Raises BrokenError when it comes too slowly."""
+        idle = IdleLimit(self._idle_s, time.monotonic())
+        while (left_s := idle.left_s(time.monotonic())) > 0:
+            piece = self.read(left_s)
+            if piece == b"":
+                return
+            idle.received(len(piece or b""))
+            if piece:
+                yield piece
+        raise BrokenError(f"{self._url}: {idle.reason(time.monotonic())}")
+
+    def rest(self, limit_bytes: int) -> bytes:
+        """The rest of the body. Raises FetchError when it is longer than `limit_bytes`."""
+        body = bytearray()
+        for piece in self.pieces():
+            body += piece
+            if len(body) > limit_bytes:
+                raise FetchError(f"{self._url} is longer than {limit_bytes} bytes")
+        return bytes(body)
+
+    @property
+    def retry_after_s(self) -> float | None:
+        """How long the server asks to be left alone, seconds; None if it does not."""
+        return parse_retry_after(self.headers.get("Retry-After", ""), time.time())
 
     def close(self) -> None:
         """Drops what was not read, and the connection with it."""
         self._response.close()
+
+
+def parse_retry_after(text: str, unix_s: float) -> float | None:
+    """The seconds that a Retry-After header says, which is a number or a date; None if neither."""
+    if text.isascii() and text.isdecimal():
+        return float(text[:9])
+    try:
+        date = parsedate_to_datetime(text)
+    except ValueError:
+        return None
+    return max(0.0, date.timestamp() - unix_s)

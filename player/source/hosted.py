@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import random
+import time
 from collections.abc import Iterator
-from urllib.parse import urljoin
 
 from codec.errors import CodecError
 from codec.framerange import FrameRange
 from codec.stream.index import INDEX_NAME, SegmentRecord
 from codec.stream.integrity import MAX_INDEX_BYTES, CheckedObject, read_index
-from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest, Part
+from codec.stream.manifest import MANIFEST_NAME, MAX_MANIFEST_BYTES, Manifest, Part
 from server.abr.standing import Standing
 
+from .bounds import Bounds
 from .fetch import BrokenError, Fetcher, FetchError
+from .hosts import joined
 from .lastplay import NO_PLAY
 from .retry import Retry, RetryConfig
 from .segments import SegmentPlay
@@ -68,9 +71,13 @@ class HostedSource:
         return self._fetcher.received_bytes
 
     def _read_index(self) -> list[SegmentRecord]:
-        url = urljoin(self._base, INDEX_NAME)
+        url = self._base + INDEX_NAME
         try:
-            return read_index(self._get(url, MAX_INDEX_BYTES), self.manifest)
+            records = read_index(self._get(url, MAX_INDEX_BYTES), self.manifest)
+            bounds = Bounds(self.manifest)
+            for record in records:
+                bounds.check_segment(record)
+            return records
         except CodecError as error:
             raise error.within(url) from error
 
@@ -82,15 +89,20 @@ class HostedSource:
                 response = self._fetcher.get(url, limit_bytes)
                 if response.status == 200:
                     return response.body
-                if response.status < 500:
+                if response.status < 500 and response.status != 429:
                     raise FetchError(f"{url}: HTTP {response.status}")
-                raise BrokenError(f"{url}: HTTP {response.status}")
+                raise BrokenError(f"{url}: HTTP {response.status}", response.retry_after_s)
             except BrokenError as error:
-                self._fetcher.pause(retry.delay_s(error))
+                now_s = time.monotonic()
+                self._fetcher.pause(retry.delay_s(error, now_s, random.random()))
 
     def _object(self, record: SegmentRecord, part: Part) -> CheckedObject:
         manifest = self.manifest
-        url = urljoin(self._base, manifest.object_path(record.segment, part))
+        url = joined(
+            self._base + MANIFEST_NAME,
+            manifest.object_path(record.segment, part),
+            self._fetcher.config.other_hosts,
+        )
         data = self._get(url, record.part_bytes[manifest.part_number(part)])
         return CheckedObject.check(url, data, manifest, record, part)
 

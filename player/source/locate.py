@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from urllib.parse import quote, unquote, urlsplit, urlunsplit
+from urllib.parse import SplitResult, quote, unquote, urlsplit, urlunsplit
 
 from codec.errors import InvalidError
 from codec.stream.manifest import MANIFEST_NAME, Manifest
@@ -42,8 +42,8 @@ Place = Path | ServedPlace | HostedPlace
 
 
 def is_url(source: str) -> bool:
-    """Whether `source` is fetched over the network; else it is a folder. Raises InvalidError for a
-    URL of another kind."""
+    """Whether `source` is on the network; else it is a folder. Raises InvalidError for a URL of
+    another kind."""
     if source.lower().startswith(("http://", "https://")):
         return True
     if "://" in source:
@@ -51,14 +51,23 @@ def is_url(source: str) -> bool:
     return False
 
 
+def check_url(source: str) -> SplitResult:
+    """The parts of `source`. Raises InvalidError unless it is a URL with a host."""
+    try:
+        parts = urlsplit(source)
+        host, _ = parts.hostname, parts.port
+    except ValueError as error:  # urlsplit leaves the port unchecked until it is asked for
+        raise InvalidError(f"{source} is not a URL: {error}") from error
+    if not host:
+        raise InvalidError(f"{source} is not a URL: it names no host")
+    return parts
+
+
 def locate(source: str, fetcher: Fetcher) -> Place:
     """Where the stream is that `source` names."""
     if not is_url(source):
         return Path(source)
-    parts = urlsplit(source)
-    if not parts.hostname:
-        raise InvalidError(f"{source} is not a URL: it names no host")
-    path = parts.path.rstrip("/")
+    path = check_url(source).path.rstrip("/")
     served = _named_stream(source, path) if path else _only_stream(source, fetcher)
     if served is not None:
         return ServedPlace(served)
@@ -75,10 +84,7 @@ def locate(source: str, fetcher: Fetcher) -> Place:
 def stream_url(source: str, fetcher: Fetcher) -> str:
     """Where the files lie of the stream that the URL `source` names: ends with a slash. Whether
     they are there shows when one is fetched, unless `source` names no more than a server."""
-    parts = urlsplit(source)
-    if not parts.hostname:
-        raise InvalidError(f"{source} is not a URL: it names no host")
-    path = parts.path.rstrip("/")
+    path = check_url(source).path.rstrip("/")
     served = _named_stream(source, path) if path else _only_stream(source, fetcher)
     if served is not None:
         return served + "/"

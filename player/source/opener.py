@@ -6,9 +6,12 @@ connections to its host, and what the server knows of the link.
 
 from __future__ import annotations
 
+import random
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from codec.errors import CorruptError
@@ -16,12 +19,24 @@ from codec.framerange import FrameRange
 from codec.stream.manifest import Manifest
 
 from .directory import DirectorySource
-from .fetch import Fetcher
+from .faults import BrokenError
+from .fetch import FetchConfig, Fetcher
 from .hosted import HostedSource
 from .lastplay import NO_PLAY
 from .locate import Place, ServedPlace, locate
+from .retry import Retry, RetryConfig
 from .served import ServedSource
 from .source import Source
+
+
+@dataclass(frozen=True, slots=True)
+class SourceConfig:
+    """How streams are got from the network."""
+
+    retry: RetryConfig = field(default_factory=RetryConfig)
+    """Patience with servers that fail."""
+    other_hosts: bool = False
+    """Whether a stream may lead to other hosts than its own."""
 
 
 class Opener:
@@ -35,13 +50,16 @@ class Opener:
         source: str,
         via: tuple[str, int] | None = None,
         received: Callable[[int], None] | None = None,
+        config: SourceConfig | None = None,
     ) -> None:
         """Asks for nothing yet. via: the relay of `--link`. received: is told how many bytes each
         read from the network gave."""
+        self._config = config or SourceConfig()
         self.name = source
         self.manifest: Manifest | None = None
         """As it was when the stream was opened last; None before that."""
-        self._fetcher = Fetcher(via, received=received)
+        fetch = FetchConfig(other_hosts=self._config.other_hosts)
+        self._fetcher = Fetcher(via, fetch, received)
         self._place: Place | None = None
         self._last: Source | None = None
         self._lock = threading.Lock()
@@ -57,7 +75,7 @@ class Opener:
         """
         fetcher = self._use()
         try:
-            source = self._open(fetcher, frames, layers)
+            source = self._open_patiently(fetcher, frames, layers)
         except BaseException:
             fetcher.close()
             raise
@@ -76,6 +94,16 @@ class Opener:
                 fetcher.interrupt()
         return fetcher
 
+    def _open_patiently(self, fetcher: Fetcher, frames: FrameRange, layers: int | None) -> Source:
+        retry = Retry(self._config.retry)
+        while True:
+            try:
+                return self._open(fetcher, frames, layers)
+            except BrokenError as error:
+                if self._last is None:
+                    raise  # a wrong address should be told at once
+                fetcher.pause(retry.delay_s(error, time.monotonic(), random.random()))
+
     def _open(self, fetcher: Fetcher, frames: FrameRange, layers: int | None) -> Source:
         if self._place is None:
             self._place = locate(self.name, fetcher)
@@ -85,8 +113,12 @@ class Opener:
         if isinstance(place, ServedPlace):
             # A server that hears of the link does not start blind.
             last_play = self._last.play if self._last else NO_PLAY
-            return ServedSource(self.name, place.url, fetcher, frames, layers, last_play=last_play)
-        return HostedSource(self.name, place.base, place.manifest, fetcher, frames, layers)
+            return ServedSource(
+                self.name, place.url, fetcher, frames, layers, self._config.retry, last_play
+            )
+        return HostedSource(
+            self.name, place.base, place.manifest, fetcher, frames, layers, self._config.retry
+        )
 
     def _check(self, manifest: Manifest) -> None:
         before = self.manifest
@@ -113,10 +145,11 @@ def opened(
     frames: FrameRange | None = None,
     layers: int | None = None,
     via: tuple[str, int] | None = None,
+    config: SourceConfig | None = None,
 ) -> Iterator[Source]:
     """The stream that `source` names, opened once."""
     with (
-        closing(Opener(source, via)) as opener,
+        closing(Opener(source, via, config=config)) as opener,
         closing(opener.open(frames or FrameRange(), layers)) as found,
     ):
         yield found

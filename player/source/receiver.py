@@ -5,13 +5,43 @@ Rule: no I/O. Layer 0 of the slices comes without a gap; a new connection may re
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from codec.errors import CodecError, CorruptError
 from codec.framerange import FrameRange
 from codec.slice import window_births
-from codec.stream.manifest import MASKS, Manifest, Part
+from codec.stream.manifest import MASKS, Manifest, Part, snapshot_part
 from codec.stream.playrecord import SliceRecord, SnapshotRecord
 
-from .source import Packets, SlicePackets, SnapshotPackets
+from .bounds import Bounds
+from .source import Blame, Packets, SlicePackets, SnapshotPackets
+
+KEPT_BIRTHS = 1 << 14
+"""Slices behind the newest one of which is known what came; what comes of older ones is of no
+use."""
+
+
+@dataclass(slots=True)
+class _Taken:
+    """What has come of one slice, or of the snapshots of one frame."""
+
+    layers: int = 0
+    """One bit for each layer."""
+    num_bytes: int = 0
+
+    def fresh(self, first_layer: int, packets: tuple[bytes, ...]) -> tuple[int, tuple[bytes, ...]]:
+        """The first layer and the packets of `packets` from the first one that has not come to the
+        last one; there may be some between them that have."""
+        layers = range(first_layer, first_layer + len(packets))
+        wanted = [layer for layer in layers if not self.layers >> layer & 1]
+        if not wanted:
+            return first_layer, ()
+        first, end = wanted[0], wanted[-1] + 1
+        return first, packets[first - first_layer : end - first_layer]
+
+    def add(self, first_layer: int, packets: tuple[bytes, ...], mask: bytes | None = None) -> None:
+        self.layers |= ((1 << len(packets)) - 1) << first_layer
+        self.num_bytes += sum(map(len, packets)) + len(mask or b"")
 
 
 class Receiver:
@@ -25,7 +55,14 @@ class Receiver:
         self._first_frame = self._asked_frame = frames.first
         self.next_birth = window_births(frames.first, manifest.swin_size).start
         """The first birth of which layer 0 has not come."""
+        if manifest.has_slots:
+            self.next_birth = manifest.slot_layout.segment_start(frames.first)
         self._joined = not manifest.has_slots
+        self._bounds = Bounds(manifest)
+        self._oldest = self.next_birth
+        self._end = frames.end
+        self._taken_slices: dict[int, _Taken] = {}
+        self._taken_snapshots: dict[int, _Taken] = {}
 
     def rejoin(self, num_frames: int) -> int:
         """The frame to ask for after a break, of a stream of `num_frames` frames."""
@@ -39,8 +76,9 @@ class Receiver:
         frame = min(self.next_birth + self._manifest.swin_size, num_frames) - 1
         return max(frame, self._first_frame)
 
-    def take(self, record: SliceRecord | SnapshotRecord) -> Packets:
-        """The packets of `record`. Raises a CodecError that names what is wrong."""
+    def take(self, record: SliceRecord | SnapshotRecord) -> Packets | None:
+        """What `record` brings; None if it is of no use: it came already, or nobody asked for it.
+        Raises a CodecError that names what is wrong."""
         end_layer = record.first_layer + len(record.packets)
         if end_layer > self._num_layers:
             what = "a snapshot" if isinstance(record, SnapshotRecord) else "a slice"
@@ -51,7 +89,7 @@ class Receiver:
             return self._snapshots(record)
         return self._slice(record)
 
-    def _snapshots(self, record: SnapshotRecord) -> Packets:
+    def _snapshots(self, record: SnapshotRecord) -> Packets | None:
         manifest, frame = self._manifest, record.frame
         if not manifest.has_slots:
             raise CorruptError(f"{self._name}: a snapshot in a stream of whole slices")
@@ -59,6 +97,13 @@ class Receiver:
             raise CorruptError(
                 f"{self._name}: a snapshot of frame {frame}, which begins no segment"
             )
+
+        def blame(error: CodecError, part: Part) -> CodecError:
+            layer = str(part).rpartition("-")[2]
+            return error.within(f"{self._name}: layer {layer} of the snapshot of frame {frame}")
+
+        numbered = enumerate(record.packets, record.first_layer)
+        self._check_packets([(snapshot_part(layer), packet) for layer, packet in numbered], blame)
         if not self._joined:
             first = manifest.slot_layout.segment_start(self._asked_frame)
             if record.first_layer or frame != first:
@@ -68,18 +113,40 @@ class Receiver:
                 )
             self._joined = True
             self.next_birth = max(self.next_birth, frame + 1)
+        if not self._is_asked(frame):
+            return None
+        taken = self._taken_snapshots.setdefault(frame, _Taken())
+        first_layer, packets = taken.fresh(record.first_layer, record.packets)
+        taken.add(first_layer, packets)
+        return SnapshotPackets(frame, first_layer, packets, blame) if packets else None
 
-        def blame(error: CodecError, part: Part) -> CodecError:
-            layer = str(part).rpartition("-")[2]
-            return error.within(f"{self._name}: layer {layer} of the snapshot of frame {frame}")
-
-        return SnapshotPackets(frame, record.first_layer, record.packets, blame)
-
-    def _slice(self, record: SliceRecord) -> Packets:
+    def _slice(self, record: SliceRecord) -> Packets | None:
         birth = record.birth
         what = f"the slice born at {birth}"
         if not self._joined:
             raise CorruptError(f"{self._name}: {what} came before a snapshot")
+        if self._end is not None and birth >= self._end:
+            raise CorruptError(f"{self._name}: {what} came, of {self._end} frames")
+
+        def blame(error: CodecError, part: Part) -> CodecError:
+            place = "the mask" if part == MASKS else f"layer {part}"
+            return error.within(f"{self._name}: {place} of {what}")
+
+        mask = record.mask if self._manifest.has_slots else None
+        parts: list[tuple[Part, bytes]] = [*enumerate(record.packets, record.first_layer)]
+        if mask is not None:
+            parts.append((MASKS, mask))
+        self._check_packets(parts, blame)
+        taken = self._taken_slices.get(birth) or _Taken()
+        first_layer, packets = taken.fresh(record.first_layer, record.packets)
+        if first_layer:
+            mask = None
+        num_bytes = taken.num_bytes + sum(map(len, packets)) + len(mask or b"")
+        if num_bytes > self._bounds.slice_bytes:
+            raise CorruptError(
+                f"{self._name}: {what} has {num_bytes} bytes, by the manifest "
+                f"{self._bounds.slice_bytes} at most"
+            )
         if record.first_layer == 0:
             if birth > self.next_birth:
                 raise CorruptError(f"{self._name}: {what} came before {self.next_birth}")
@@ -88,10 +155,29 @@ class Receiver:
             if not record.packets:
                 raise CorruptError(f"{self._name}: {what} has no layers")
             self.next_birth = max(self.next_birth, birth + 1)
+            self._forget()
+        if not packets or not self._is_asked(birth):
+            return None
+        taken.add(first_layer, packets, mask)
+        self._taken_slices[birth] = taken
+        return SlicePackets(birth, first_layer, packets, mask, blame)
 
-        def blame(error: CodecError, part: Part) -> CodecError:
-            place = "the mask" if part == MASKS else f"layer {part}"
-            return error.within(f"{self._name}: {place} of {what}")
+    def _check_packets(self, parts: list[tuple[Part, bytes]], blame: Blame) -> None:
+        for part, packet in parts:
+            try:
+                self._bounds.check_packet(packet, part)
+            except CodecError as error:
+                raise blame(error, part) from error
 
-        mask = record.mask if self._manifest.has_slots else None
-        return SlicePackets(birth, record.first_layer, record.packets, mask, blame)
+    def _is_asked(self, birth: int) -> bool:
+        """Whether a slice, or a snapshot, of `birth` is neither too old nor far too early."""
+        manifest = self._manifest
+        ahead = max(manifest.swin_size, 2 * manifest.segment_frames)
+        return self._oldest <= birth < self.next_birth + ahead
+
+    def _forget(self) -> None:
+        """Drops what is known of slices that are too old to be of use."""
+        while self._oldest < self.next_birth - KEPT_BIRTHS:
+            self._taken_slices.pop(self._oldest, None)
+            self._taken_snapshots.pop(self._oldest, None)
+            self._oldest += 1

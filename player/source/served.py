@@ -6,7 +6,9 @@ Rule: layer 0 of the slices comes without a gap, whatever happens to the connect
 from __future__ import annotations
 
 import json
+import random
 import re
+import time
 from collections.abc import Iterator
 
 from codec.errors import CodecError, CorruptError
@@ -32,12 +34,19 @@ from server.abr.standing import (
 )
 
 from .fetch import BrokenError, FetchConfig, Fetcher, FetchError, OpenResponse, StoppedError
+from .idle import IdleLimit
 from .lastplay import NO_PLAY, LastPlay
 from .receiver import Receiver
 from .retry import Retry, RetryConfig
 from .source import Packets, check_frames, check_layers
 
-TELL_CONFIG = FetchConfig(connect_timeout_s=5.0, read_timeout_s=5.0)
+LOOK_S = 5.0
+"""How often it is looked whether the playback is paused while nothing comes, seconds."""
+
+MAX_REFUSAL_BYTES = 1 << 16
+"""Longest body of an answer that is not a play, bytes."""
+
+TELL_CONFIG = FetchConfig(connect_timeout_s=5.0, idle_s=5.0)
 """News that is older is not worth waiting for."""
 
 
@@ -70,6 +79,8 @@ class ServedSource:
         self._rate_bps = last_play.rate_bps  # only `tell` changes it
         self._ended_play = ""
         self._told_frame: int | None = None  # the next one to show, when it was told last
+        self._idle = IdleLimit(fetcher.config.idle_s, time.monotonic())
+        self._paused = False  # only `tell` changes it
         self._parser = RecordParser()
         self._waiting: list[Record] = []
         try:
@@ -106,6 +117,7 @@ class ServedSource:
             headers[FRAME_HEADER] = str(self._told_frame)
         self._response = response = self._fetcher.open(url, headers)
         self._parser, self._waiting = RecordParser(), []
+        self._idle.useful(time.monotonic())
         if response.status != 200:
             raise self._refusal(response)
         if response.content_type.partition(";")[0].strip() != CONTENT_TYPE:
@@ -115,19 +127,20 @@ class ServedSource:
         record = self._next_record()
         if not isinstance(record, StartRecord):
             raise CorruptError(f"{self.name}: the response does not begin with a start record")
+        self._idle.useful(time.monotonic())
         return record
 
     def _refusal(self, response: OpenResponse) -> FetchError:
         """The error for an answer that is not 200, with the server's own words if it has some."""
         reason = f"HTTP {response.status}"
         try:
-            said = json.loads(response.read())["error"]
-        except (ValueError, RecursionError, KeyError, TypeError):
+            said = json.loads(response.rest(MAX_REFUSAL_BYTES))["error"]
+        except (ValueError, RecursionError, KeyError, TypeError, FetchError):
             said = None  # another server's error page: its status says enough
         if isinstance(said, str):
             reason += f", {said[:200]}"
         if response.status >= 500 or response.status == 429:
-            return BrokenError(f"{self.name}: {reason}")
+            return BrokenError(f"{self.name}: {reason}", response.retry_after_s)
         if response.status == 404:
             return FetchError(f"{self.name} is not a stream: {reason}")
         return FetchError(f"{self.name}: {reason}")
@@ -143,7 +156,7 @@ class ServedSource:
         server's word that the play broke off."""
         assert self._response is not None
         while not self._waiting:
-            piece = self._response.read()
+            piece = self._piece()
             if not piece:
                 raise BrokenError(f"{self.name}: the response ended early")
             try:
@@ -154,6 +167,21 @@ class ServedSource:
         if isinstance(record, ErrorRecord):
             raise BrokenError(f"{self.name}: the server says: {record.message}")
         return record
+
+    def _piece(self) -> bytes:
+        """The next bytes of the response. Raises BrokenError when none come, FetchError when those
+        that come are of no use."""
+        assert self._response is not None
+        idle = self._idle
+        while (left_s := idle.left_s(time.monotonic())) > 0:
+            piece = self._response.read(min(left_s, LOOK_S))
+            if piece is not None:
+                idle.received(len(piece))
+                return piece
+            if self._paused and not idle.num_bytes:
+                idle.useful(time.monotonic())  # who shows nothing more is owed nothing
+        reason = f"{self.name}: {idle.reason(time.monotonic())}"
+        raise FetchError(reason) if idle.num_bytes else BrokenError(reason)
 
     def packets(self) -> Iterator[Packets]:
         try:
@@ -177,7 +205,8 @@ class ServedSource:
                 end = self.frames.end
                 if end is not None and receiver.next_birth >= end:
                     return  # layer 0 is whole; the rest is not worth another connection
-                self._fetcher.pause(retry.delay_s(error))
+                now_s = time.monotonic()
+                self._fetcher.pause(retry.delay_s(error, now_s, random.random()))
                 continue
             if isinstance(record, EndRecord):
                 end = record.num_frames
@@ -189,10 +218,12 @@ class ServedSource:
                 return
             if not isinstance(record, SliceRecord | SnapshotRecord):
                 raise CorruptError(f"{self.name}: a second start record")
-            before = receiver.next_birth
-            yield receiver.take(record)
-            if receiver.next_birth > before:
+            packets = receiver.take(record)
+            if packets is not None:
                 retry.progress()
+                yield packets
+                # Whoever takes them may have taken his time.
+                self._idle.useful(time.monotonic())
 
     def _reconnect(self) -> None:
         self._num_frames = max(self._num_frames, self._receiver.next_birth)
@@ -213,6 +244,7 @@ class ServedSource:
         token = self._token
         if standing.frame is not None:
             self._told_frame = standing.frame
+        self._paused = standing.paused
         if token and token != self._ended_play:
             try:
                 answer = self._teller.post(f"{self._url}/play/{token}", standing.to_json())

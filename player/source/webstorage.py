@@ -6,10 +6,12 @@ its own thread, and no second one can run there.
 
 from __future__ import annotations
 
+import random
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
-from urllib.parse import urljoin, urlsplit
+from urllib.parse import urlsplit
 
 from codec.errors import CorruptError, UnreadableError
 from codec.storage.storage import Stamp
@@ -17,6 +19,7 @@ from codec.stream.manifest import MANIFEST_NAME, OBJECT_URL, SEGMENTS_NAME
 
 from .fetch import BrokenError, Fetcher, FetchError
 from .hosted import fetch_manifest
+from .hosts import joined
 from .locate import stream_url
 from .retry import Retry, RetryConfig
 
@@ -62,7 +65,7 @@ class WebStorage:
         if folder == SEGMENTS_NAME and self._object_url != OBJECT_URL:
             segment, _, part = rest.partition("/")
             path = self._object_url.replace("{segment}", segment).replace("{layer}", part)
-        return urljoin(self._base, path)
+        return joined(self._base, path, other_hosts=False)
 
     def check(self) -> None:
         """The manifest was there when this was made."""
@@ -91,11 +94,12 @@ class WebStorage:
                     return response.body
                 if response.status in (404, 410):
                     return None
-                if response.status < 500:
+                if response.status < 500 and response.status != 429:
                     raise FetchError(f"{url}: HTTP {response.status}")
-                raise BrokenError(f"{url}: HTTP {response.status}")
+                raise BrokenError(f"{url}: HTTP {response.status}", response.retry_after_s)
             except BrokenError as error:
-                self._fetcher.pause(retry.delay_s(error))
+                delay_s = retry.delay_s(error, time.monotonic(), random.random())
+                self._fetcher.pause(delay_s)
 
     # What nobody asks of a single stream.
 

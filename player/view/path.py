@@ -6,6 +6,7 @@ of key frames (keyframes.py).
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -22,11 +23,16 @@ from codec.stream.manifest import Manifest
 
 from .keyframes import read_keyframes
 
+log = logging.getLogger(__name__)
+
 CameraPath = Callable[[int], Camera]
 """Gives the camera of a frame."""
 
 ENDLESS_TURN_S = 10.0
 """Duration of a turn around a stream whose end is not known, in seconds."""
+
+MAX_UNASKED_PX = 4096
+"""Longest side of a picture whose size nobody asked for, in pixels."""
 
 LEAST_SPREAD = 1e-3
 """See `closest_point`. Cameras whose axes spread less (1.8 degrees) look the same way: where these
@@ -86,6 +92,23 @@ def orbit(manifest: Manifest, start: Camera, frames: FrameRange, arc_rad: float)
     return path
 
 
+def sane_size(camera: Camera) -> Size | None:
+    """The size at which `camera` is drawn unasked, if its own is larger than anybody wants."""
+    longest_px = max(camera.width_px, camera.height_px)
+    if longest_px <= MAX_UNASKED_PX:
+        return None
+    scale = MAX_UNASKED_PX / longest_px
+    size = Size(max(1, round(camera.width_px * scale)), max(1, round(camera.height_px * scale)))
+    log.warning(
+        "the camera has %dx%d pixels; drawing %dx%d (--size gives others)",
+        camera.width_px,
+        camera.height_px,
+        size.width_px,
+        size.height_px,
+    )
+    return size
+
+
 def check_path(text: str) -> None:
     """Raises InvalidError for a text that is not a camera path, whatever the stream."""
     kind, colon, rest = text.partition(":")
@@ -114,12 +137,14 @@ def _degrees(text: str) -> float:
 def camera_path(text: str, manifest: Manifest, size: Size | None, frames: FrameRange) -> CameraPath:
     """The path that `text` describes in the stream of `manifest`.
 
-    size: the pictures' size; None keeps that of the camera.
+    size: the pictures' size; None keeps that of the camera, unless it is enormous.
     frames: those that will be shown.
     """
     check_path(text)
     kind, _, rest = text.partition(":")
     start = manifest.camera(rest if kind == "camera" else None)
+    if size is None:
+        size = sane_size(start)
     if size is not None:
         start = start.fitted(size.width_px, size.height_px)
     if kind == "orbit":

@@ -226,7 +226,7 @@ def test_a_killed_server_that_comes_back_is_not_noticed(tmp_path: Path) -> None:
         Fetcher(),
         FrameRange(),
         2,
-        RetryConfig(attempts=100, first_delay_s=0.05, max_delay_s=0.05),
+        RetryConfig(20, first_delay_s=0.05, max_delay_s=0.05),
     )
     got: list[Assembled] = []
     try:

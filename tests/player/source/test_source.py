@@ -21,7 +21,7 @@ from player.link.linkprocess import LinkProcess
 from player.link.linktext import read_link
 from player.source.fetch import BrokenError, Fetcher, FetchError
 from player.source.opener import opened
-from player.source.retry import Retry, RetryConfig
+from player.source.retry import RetryConfig
 from player.source.served import ServedSource
 from tests.support.delivery.assembled import assembled, read_all, slices_of
 from tests.support.hosted_streams import (
@@ -35,7 +35,7 @@ from tests.support.hosted_streams import (
 )
 
 ALL_FRAMES = FrameRange()
-QUICK = RetryConfig(attempts=2, first_delay_s=0.01, max_delay_s=0.01)
+QUICK = RetryConfig(patience_s=0.1, first_delay_s=0.01, max_delay_s=0.01)
 
 
 def same(a: Slice, b: Slice) -> bool:
@@ -241,7 +241,7 @@ def test_a_killed_server_that_comes_back_is_not_noticed(endless: Path) -> None:
         Fetcher(),
         FrameRange(),
         3,
-        RetryConfig(attempts=100, first_delay_s=0.05, max_delay_s=0.05),
+        RetryConfig(20, first_delay_s=0.05, max_delay_s=0.05),
     )
     got = []
     try:
@@ -270,19 +270,10 @@ def test_a_server_that_stays_away_ends_in_one_line(endless: Path) -> None:
     packets = source.packets()
     next(packets)
     server.kill()
-    with pytest.raises(BrokenError, match=r"given up after 2 new tries"):
+    said = r"^\S+: cannot connect: Connection refused \(tried for 0\.\d+ s, \d+ times\)$"
+    with pytest.raises(BrokenError, match=said):
         list(packets)
     source.close()
-
-
-def test_retries_wait_longer_and_are_bounded() -> None:
-    retry = Retry(RetryConfig(attempts=4, first_delay_s=0.1, max_delay_s=0.3))
-    error = BrokenError("x")
-    assert [retry.delay_s(error) for _ in range(4)] == [0.1, 0.2, 0.3, 0.3]
-    with pytest.raises(BrokenError, match=r"x .given up after 4 new tries"):
-        retry.delay_s(error)
-    retry.progress()
-    assert retry.delay_s(error) == 0.1
 
 
 def test_layers_and_frames_are_checked_before_anything_is_sent(library: Path) -> None:
