@@ -1,4 +1,4 @@
-"""The player's renderers: how fast they draw, how soon a slice that is due is where it is drawn from.
+"""The player's renderers: how fast they draw, and how soon what is due is there to be drawn.
 
 Usage: scripts/bench play [--gaussians N ...] [--sizes WxH ...] [--rounds N]
        scripts/bench play --gaussians 10000 200000 --sizes 640x360    (a minute without a GPU)

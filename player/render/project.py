@@ -128,6 +128,7 @@ def project_kernel(  # type: ignore[no-untyped-def]
     max_extent = np.float32(MAX_EXTENT_SIGMA)
     c0, c1 = np.float32(SH_C0), np.float32(SH_C1)
     tile = np.float32(TILE_PX)
+    end_x, end_y = np.float32(tiles_x), np.float32(tiles_y)
     r00, r01, r02, r10, r11, r12, r20, r21, r22 = camera_rotation(camera)
     for i in prange(rows.shape[0]):
         row = rows[i]
@@ -138,8 +139,7 @@ def project_kernel(  # type: ignore[no-untyped-def]
         tile_boxes[i, END_Y] = 0
         mx, my, mz = means[row, 0], means[row, 1], means[row, 2]
         z = depth_of(r20, r21, r22, camera[CAM_TRANSLATION + 2], mx, my, mz)
-        opacity = one / (one + np.exp(-logit_opacities[row]))
-        if z <= camera[CAM_NEAR] or opacity < alpha_min:
+        if z <= camera[CAM_NEAR]:
             continue
         x = r00 * mx + r01 * my + r02 * mz + camera[CAM_TRANSLATION]
         y = r10 * mx + r11 * my + r12 * mz + camera[CAM_TRANSLATION + 1]
@@ -150,6 +150,22 @@ def project_kernel(  # type: ignore[no-untyped-def]
         ty = min(max(v, -camera[CAM_LIMIT_Y]), camera[CAM_LIMIT_Y])
         # (2, 3) Jacobian times the camera's rotation.
         jx, jy = fx * inv_z, fy * inv_z
+        centre_x = fx * u + camera[CAM_CX]
+        centre_y = fy * v + camera[CAM_CY]
+        # Most of a room is beside the picture: what lies there however it is turned needs no more.
+        longest = np.exp(max(log_scales[row, 0], log_scales[row, 1], log_scales[row, 2]))
+        most_x = max_extent * np.sqrt((jx * longest) ** 2 * (one + tx * tx) + low_pass)
+        most_y = max_extent * np.sqrt((jy * longest) ** 2 * (one + ty * ty) + low_pass)
+        if (
+            centre_x + most_x < zero
+            or centre_y + most_y < zero
+            or centre_x - most_x > end_x * tile
+            or centre_y - most_y > end_y * tile
+        ):
+            continue
+        opacity = one / (one + np.exp(-logit_opacities[row]))
+        if opacity < alpha_min:
+            continue
         a0, a1, a2 = jx * (r00 - tx * r20), jx * (r01 - tx * r21), jx * (r02 - tx * r22)
         b0, b1, b2 = jy * (r10 - ty * r20), jy * (r11 - ty * r21), jy * (r12 - ty * r22)
         qw, qx, qy, qz = quats[row, 0], quats[row, 1], quats[row, 2], quats[row, 3]
@@ -175,13 +191,10 @@ def project_kernel(  # type: ignore[no-untyped-def]
         if not det > zero:
             continue
         inv_det = one / det
-        centre_x = fx * u + camera[CAM_CX]
-        centre_y = fy * v + camera[CAM_CY]
         q_max = np.log(opacity / alpha_min)
         extent = min(max_extent, np.sqrt(np.float32(2) * q_max))
         half_x, half_y = extent * np.sqrt(cov_a), extent * np.sqrt(cov_c)
         # Clamped as float32 first: a box far outside must not overflow an integer.
-        end_x, end_y = np.float32(tiles_x), np.float32(tiles_y)
         x0 = min(max(np.floor((centre_x - half_x) / tile), zero), end_x)
         x1 = min(max(np.floor((centre_x + half_x) / tile) + one, zero), end_x)
         y0 = min(max(np.floor((centre_y - half_y) / tile), zero), end_y)

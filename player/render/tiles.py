@@ -213,13 +213,10 @@ def list_tiles(
     starts = np.zeros(tiles_x * tiles_y + 1, np.int32)
     _count_pairs(boxes, row_starts, spans, tiles_x, starts)
     gaussians, pairs = np.empty(pair_starts[-1], np.int32), np.empty(pair_starts[-1], np.int32)
-    if wanted is None:
-        tiles = np.arange(tiles_x * tiles_y, dtype=np.int32)
-        by_depth = near_first(projection.depths)
-    else:
-        tiles = np.flatnonzero(wanted).astype(np.int32)
-        listed = np.flatnonzero(np.diff(pair_starts)).astype(np.int32)
-        by_depth = listed[near_first(projection.depths[listed])]
+    drawn = np.ones(tiles_x * tiles_y, np.bool_) if wanted is None else wanted
+    tiles = np.flatnonzero(drawn).astype(np.int32)
+    listed = np.flatnonzero(np.diff(pair_starts)).astype(np.int32)
+    by_depth = listed[near_first(projection.depths[listed])]
     _fill_pairs(boxes, row_starts, spans, by_depth, tiles_x, starts, pair_starts, gaussians, pairs)
     order = dealt(tiles, np.diff(starts)[tiles])
     return TileLists(starts, gaussians, pairs, pair_starts, order)
