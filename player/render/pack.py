@@ -26,10 +26,8 @@ NEVER = np.iinfo(np.int32).max
 
 
 def texels_per_gaussian(sh_degree: int) -> int:
-    """Texels of four words: mean 3, opacity, covariance 6, colour 3, linear harmonics 9: float32.
-
-    The last two, as int32, are the first frame and the number of the slice.
-    """
+    """Texels of four words: mean 3, opacity, covariance 6, colour 3, linear harmonics 9; the last
+    two words are free."""
     return 6 if sh_degree >= 1 else 4
 
 
@@ -69,11 +67,8 @@ def _pack_rows(  # type: ignore[no-untyped-def]
                     words[i, 13 + 3 * k + c] = sh[i, 1 + k, c]
 
 
-def pack_slice(slice: Slice, serial: int, words: Floats, starts: Ints) -> None:
-    """Fills `words` (N or more, 4 * texels) and `starts` (N,), first frames, with the Gaussians.
-
-    serial: number of the slice among those that are packed.
-    """
+def pack_slice(slice: Slice, words: Floats, starts: Ints) -> None:
+    """Fills `words` (N, 4 * texels) and `starts` (N,), first frames, with the slice's Gaussians."""
     splats = slice.splats
     _pack_rows(
         splats.means,
@@ -86,5 +81,3 @@ def pack_slice(slice: Slice, serial: int, words: Floats, starts: Ints) -> None:
         words,
         starts,
     )
-    times = words.view(np.int32)[: len(starts), -2:]
-    times[:, 0], times[:, 1] = starts, serial

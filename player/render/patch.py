@@ -1,4 +1,4 @@
-"""What of the Gaussians that stay on the GPU a slice changes, as few rectangles of texels.
+"""What of the resident texture a slice changes, as few rectangles of texels.
 
 Rule: a write costs about as much as some tens of Gaussians, so neighbours are written together with
 the unchanged ones between them; that is why the texels of all lanes are kept here, too.
@@ -29,7 +29,7 @@ would be too many rectangles."""
 
 @dataclass(frozen=True, slots=True)
 class Patch:
-    """A rectangle of the resident texels, and what belongs there."""
+    """A rectangle of the resident texture, and what belongs there."""
 
     x_px: int
     y_px: int
@@ -41,7 +41,6 @@ class PackedSlice:
     """A slice as its lane takes it."""
 
     lane: int
-    serial: int  # rises from slice to slice, from 1 on
     expire: int
     rows: Ints | None  # (N,) rising, those of the lane that change; None: the lane is replaced
     means: Floats  # (N, 3) metres, world
@@ -93,7 +92,7 @@ def rectangles_of(rows: Ints, columns: int) -> Ints:
 
 
 class PackedLanes:
-    """Packs slices for the GPU; belongs to the thread that puts.
+    """Packs slices for the texture; belongs to the thread that puts.
 
     Invariant: holds each lane's texels as they are when all that was packed so far is uploaded,
     unless the lane is forgotten.
@@ -101,24 +100,22 @@ class PackedLanes:
     """
 
     def __init__(self, swin_size: int, slice_size: int, sh_degree: int, columns: int) -> None:
-        """columns: Gaussians in a row of what the window stays in."""
+        """columns: Gaussians in a row of the texture."""
         self._swin_size = swin_size
         self.texels = texels_per_gaussian(sh_degree)
         """Of one Gaussian."""
         self.columns = columns
         self.lane_rows = -(-slice_size // self.columns)
-        """Rows that a lane takes."""
+        """Rows of the texture that a lane takes."""
         self._words: list[Floats | None] = [None] * swin_size  # each (Gaussians, 4 * texels)
         self._handed_out = [False] * swin_size
         self._births: list[int | None] = [None] * swin_size
-        self._serial = 0
 
     def pack(self, slice: Slice) -> PackedSlice:
         """The slice, which fits a lane. Raises InvalidError if it changes what its lane lacks."""
         lane, rows = slice.lane(self._swin_size), slice.rows
         slice.check_follows(self._births[lane], self._swin_size)
         starts = np.empty(len(slice.splats), np.int32)
-        self._serial += 1
         if rows is None:
             patches = self._replace(lane, slice, starts)
         else:
@@ -126,7 +123,7 @@ class PackedLanes:
         self._births[lane] = slice.birth
         expire = slice.birth + self._swin_size
         means = slice.splats.means
-        return PackedSlice(lane, self._serial, expire, rows, means, starts, patches)
+        return PackedSlice(lane, expire, rows, means, starts, patches)
 
     def forget(self, lane: int) -> None:
         """What was packed for `lane` may never be uploaded: only a whole slice can follow."""
@@ -135,7 +132,7 @@ class PackedLanes:
     def _replace(self, lane: int, slice: Slice, starts: Ints) -> tuple[Patch, ...]:
         height = -(-len(slice.splats) // self.columns)
         words = np.zeros((height * self.columns, 4 * self.texels), np.float32)
-        pack_slice(slice, self._serial, words, starts)
+        pack_slice(slice, words, starts)
         self._words[lane], self._handed_out[lane] = words, True
         texels = words.view(np.uint32).reshape(height, self.columns * self.texels, 4)
         return (Patch(0, lane * self.lane_rows, texels),) if height else ()
@@ -143,7 +140,7 @@ class PackedLanes:
     def _change(self, lane: int, rows: Ints, slice: Slice, starts: Ints) -> tuple[Patch, ...]:
         words = self._own_words(lane)
         changed = np.zeros((len(rows), 4 * self.texels), np.float32)
-        pack_slice(slice, self._serial, changed, starts)
+        pack_slice(slice, changed, starts)
         words[rows] = changed
         grid = words.view(np.uint32).reshape(self.lane_rows, self.columns, self.texels, 4)
         patches = []

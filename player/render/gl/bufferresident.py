@@ -10,18 +10,18 @@ from codec.stream.manifest import Manifest
 
 from .. import recipe
 from ..pack import texels_per_gaussian
-from ..patch import PackedLanes, PackedSlice
 from .depthsort import DepthSort
 from .glcontext import GlError, Unlocked
 from .programs import compile_compute, compile_program, set_camera
+from .rowpacker import PackedRows, RowPacker
 
 GROUP = 256
-"""Gaussians that one group of the culling shader looks at."""
+"""Gaussians that one group of a shader looks at."""
 
 MIN_NEAR_M = 1e-4
 """Depths are told apart from here on."""
 
-_GAUSSIANS, _LANES = 0, 1  # bindings of the shaders
+_GAUSSIANS, _LANES, _ROWS, _CHANGED = range(4)  # bindings of the shaders
 
 
 class BufferResident:
@@ -30,8 +30,8 @@ class BufferResident:
     def __init__(self, context: moderngl.Context, manifest: Manifest) -> None:
         self._swin_size, slice_size = manifest.swin_size, manifest.slice_size
         texels = texels_per_gaussian(manifest.sh_degree)
-        # One Gaussian to a row: a patch is a run of them.
-        self.lanes = PackedLanes(self._swin_size, slice_size, manifest.sh_degree, columns=1)
+        self.packer = RowPacker(self._swin_size, manifest.sh_degree)
+        self._slice_size = slice_size
         self._gaussian_bytes = 16 * texels
         num_slots = self._swin_size * slice_size
         _check_limits(context, num_slots, self._gaussian_bytes)
@@ -51,21 +51,34 @@ class BufferResident:
             "SH_DEGREE": min(manifest.sh_degree, recipe.MAX_SH_DEGREE),
             "RESIDENT_BUFFER": 1,
         }
+        self._rows, self._changed = context.buffer(reserve=4), context.buffer(reserve=16)
+        self._place = compile_compute(context, "place.glsl", constants)
         self._sort = DepthSort(context, num_slots)
         self._cull = compile_compute(context, "cull.glsl", {**constants, **self._sort.constants})
         self._groups = -(-num_slots // GROUP)
         self._program = compile_program(context, "splat.glsl", constants, version=430)
         self._quads = context.vertex_array(self._program, [(self._sort.order, "1i/i", "slot")])
 
-    def put(self, packed: PackedSlice) -> int:
-        for patch in packed.patches:
-            offset_bytes = patch.y_px * self._gaussian_bytes
-            self._gaussians.write(patch.texels, offset=offset_bytes)
-        lane = self._lanes[packed.lane]
+    def put(self, packed: PackedRows) -> int:
+        lane, first_slot = self._lanes[packed.lane], packed.lane * self._slice_size
         whole = packed.serial if packed.rows is None else lane[2]
-        lane[:] = packed.expire - self._swin_size, packed.expire, whole, packed.serial
+        lane[:] = packed.birth, packed.birth + self._swin_size, whole, packed.serial
         self._lanes_buffer.write(lane, offset=lane.nbytes * packed.lane)
-        return packed.num_bytes
+        if not len(packed.words):
+            return 0
+        if packed.rows is None:
+            self._gaussians.write(packed.words, offset=first_slot * self._gaussian_bytes)
+            return packed.words.nbytes
+        # Orphaned first: the slice before may still be read from them.
+        for buffer, values in ((self._rows, packed.rows), (self._changed, packed.words)):
+            buffer.orphan(values.nbytes)
+            buffer.write(values)
+        self._place["first_slot"], self._place["count"] = first_slot, len(packed.rows)
+        self._gaussians.bind_to_storage_buffer(_GAUSSIANS)
+        self._rows.bind_to_storage_buffer(_ROWS)
+        self._changed.bind_to_storage_buffer(_CHANGED)
+        self._unlocked.compute(self._place, -(-len(packed.rows) // GROUP))
+        return packed.rows.nbytes + packed.words.nbytes
 
     def sort(self, frame: int, camera: Camera) -> None:
         near_m = np.float32(max(self._near_m, MIN_NEAR_M))

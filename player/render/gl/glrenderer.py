@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 from contextlib import AbstractContextManager, nullcontext
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -20,7 +21,6 @@ from codec.stream.manifest import Manifest
 
 from ..arrivals import Arrivals
 from ..lane import check_slice
-from ..patch import PackedSlice
 from ..renderer import GlVersion
 from ..steptimes import StepTimes, step
 from .bufferresident import BufferResident
@@ -53,7 +53,7 @@ class GlRenderer:
         self._current: AbstractContextManager[object] = (
             self._context if self._own else nullcontext()
         )
-        self._arrivals: Arrivals[PackedSlice] = Arrivals()
+        self._arrivals: Arrivals[Any] = Arrivals()  # as its packer packs them
         self._packing = threading.Lock()
         self._closed = False
         self.uploaded_bytes = 0
@@ -67,7 +67,7 @@ class GlRenderer:
                 self._unlocked = Unlocked(self._context)
                 self._offscreen = Offscreen(self._context, target)
                 self._resident = self._make_resident()
-                self._lanes = self._resident.lanes
+                self._packer = self._resident.packer
         except Exception as error:  # a driver's refusal is a bare moderngl.Error
             self._release()
             if isinstance(error, SwingsError):
@@ -75,7 +75,7 @@ class GlRenderer:
             reason = " ".join(str(error).split())
             raise GlError(f"OpenGL refuses what the renderer needs: {reason}") from error
 
-    def _make_resident(self) -> Resident:
+    def _make_resident(self) -> Resident[Any]:
         if self.version is GlVersion.V43:
             return BufferResident(self._context, self._manifest)
         return TextureResident(self._context, self._manifest)
@@ -84,13 +84,13 @@ class GlRenderer:
         """Packs the slice for the GPU; the next `upload` of a frame >= its birth takes it there."""
         check_slice(slice, self._manifest.slice_size, self._manifest.sh_degree)
         with self._packing:
-            self._arrivals.put(slice.birth, self._lanes.pack(slice))
+            self._arrivals.put(slice.birth, self._packer.pack(slice))
 
     def forget_waiting(self) -> None:
         """See Renderer."""
         with self._packing:
             for packed in self._arrivals.drop():
-                self._lanes.forget(packed.lane)
+                self._packer.forget(packed.lane)
 
     def upload(self, frame: int) -> None:
         """Brings the slices born up to `frame` into their lanes; nothing else is touched."""

@@ -2,20 +2,43 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from codec.camera import Camera
+from codec.slice import Slice
 
-from ..patch import PackedLanes, PackedSlice
+Packed = TypeVar("Packed", bound="OfLane")
 
 
-class Resident(Protocol):
+class OfLane(Protocol):
+    """A slice as a Resident takes it."""
+
+    @property
+    def lane(self) -> int: ...
+
+
+PackedOut = TypeVar("PackedOut", bound=OfLane, covariant=True)
+
+
+class Packer(Protocol[PackedOut]):
+    """Packs slices; belongs to the thread that puts, and makes no GL call."""
+
+    def pack(self, slice: Slice) -> PackedOut:
+        """The slice, which fits a lane. Raises InvalidError if it changes what its lane lacks."""
+        ...
+
+    def forget(self, lane: int) -> None:
+        """What was packed for `lane` may never be uploaded: only a whole slice can follow."""
+        ...
+
+
+class Resident(Protocol[Packed]):
     """The Gaussians of the window on the GPU. The context is current in every call."""
 
-    lanes: PackedLanes
-    """Packs slices as `put` takes them; belongs to the thread that packs."""
+    @property
+    def packer(self) -> Packer[Packed]: ...
 
-    def put(self, packed: PackedSlice) -> int:
+    def put(self, packed: Packed) -> int:
         """Writes what the slice changes; gives how many bytes."""
         ...
 

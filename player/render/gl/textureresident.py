@@ -23,11 +23,11 @@ class TextureResident:
     def __init__(self, context: moderngl.Context, manifest: Manifest) -> None:
         texels = texels_per_gaussian(manifest.sh_degree)
         columns = TEXTURE_WIDTH_PX // texels
-        self.lanes = PackedLanes(
+        self.packer = PackedLanes(
             manifest.swin_size, manifest.slice_size, manifest.sh_degree, columns
         )
-        lane_slots = self.lanes.lane_rows * columns
-        height_px = self.lanes.lane_rows * manifest.swin_size
+        lane_slots = self.packer.lane_rows * columns
+        height_px = self.packer.lane_rows * manifest.swin_size
         limit_px = context.info["GL_MAX_TEXTURE_SIZE"]
         if max(height_px, TEXTURE_WIDTH_PX) > limit_px:
             raise GlError(

@@ -26,6 +26,7 @@ import numpy as np
 
 from player.config import PlayConfig
 from player.playback import play
+from player.render.renderer import GlVersion
 
 shown = []
 swap = glfw.swap_buffers
@@ -43,7 +44,10 @@ def swap_buffers(window):
         glfw.set_window_should_close(window, True)
 
 glfw.swap_buffers = swap_buffers
-summary = play(PlayConfig(sys.argv[1], report=Path(sys.argv[2]), loop=int(sys.argv[3])))
+version = GlVersion(sys.argv[4])
+summary = play(
+    PlayConfig(sys.argv[1], report=Path(sys.argv[2]), loop=int(sys.argv[3]), gl=version)
+)
 print(json.dumps({
     "sizes": [s[:2] for s in shown],
     "brightest": [s[2] for s in shown],
@@ -59,13 +63,15 @@ def display() -> Iterator[str]:
         yield name
 
 
-@pytest.mark.parametrize(("num_frames", "loop"), [(40, 1), (5, 9)])
+@pytest.mark.parametrize(
+    ("num_frames", "loop", "version"), [(40, 1, "auto"), (5, 9, "auto"), (5, 9, "4.3")]
+)
 def test_a_window_plays_resizes_and_closes(
-    display: str, tmp_path: Path, num_frames: int, loop: int
+    display: str, tmp_path: Path, num_frames: int, loop: int, version: str
 ) -> None:
     stream = write_stream(tmp_path / "s", num_frames)
     done = subprocess.run(
-        [sys.executable, "-c", PLAY, str(stream), str(tmp_path / "r.json"), str(loop)],
+        [sys.executable, "-c", PLAY, str(stream), str(tmp_path / "r.json"), str(loop), version],
         cwd=ROOT,
         env={**os.environ, "DISPLAY": display},
         capture_output=True,
@@ -78,7 +84,7 @@ def test_a_window_plays_resizes_and_closes(
     assert told["sizes"][-1] == [100, 90]
     assert min(told["brightest"]) > 100
     assert told["different"] > 5
-    assert told["renderer"].startswith("OpenGL")
+    assert told["renderer"].startswith(f"OpenGL {version}" if version != "auto" else "OpenGL")
     summary = json.loads((tmp_path / "r.json").read_text())
     frames = [(f["play"], f["frame"]) for f in summary["frames"]]
     assert frames == [divmod(n, num_frames) for n in range(len(frames))]

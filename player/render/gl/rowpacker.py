@@ -1,0 +1,56 @@
+"""Slices as the buffer of OpenGL 4.3 takes them: the Gaussians that change, and no other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from codec.slice import Slice
+
+from ..pack import pack_slice, texels_per_gaussian
+
+Ints = npt.NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True)
+class PackedRows:
+    """A slice as its lane takes it.
+
+    The last two words of a Gaussian, as int32, are its first frame and the slice's `serial`. What
+    is kept has an older one, and what a shorter slice left behind it one that is older still.
+    """
+
+    lane: int
+    serial: int  # rises from slice to slice, from 1 on
+    birth: int
+    rows: Ints | None  # (N,) rising, those of the lane that change; None: the lane is replaced
+    words: npt.NDArray[np.float32]  # (N, 4 * texels); see texels_per_gaussian
+
+
+class RowPacker:
+    """Packs slices; belongs to the thread that puts."""
+
+    def __init__(self, swin_size: int, sh_degree: int) -> None:
+        self._swin_size = swin_size
+        self._num_words = 4 * texels_per_gaussian(sh_degree)
+        self._births: list[int | None] = [None] * swin_size
+        self._serial = 0
+
+    def pack(self, slice: Slice) -> PackedRows:
+        """The slice, which fits a lane. Raises InvalidError if it changes what its lane lacks."""
+        lane = slice.lane(self._swin_size)
+        slice.check_follows(self._births[lane], self._swin_size)
+        self._births[lane] = slice.birth
+        self._serial += 1
+        words = np.zeros((len(slice.splats), self._num_words), np.float32)
+        starts = np.empty(len(words), np.int32)
+        pack_slice(slice, words, starts)
+        times = words.view(np.int32)[:, -2:]
+        times[:, 0], times[:, 1] = starts, self._serial
+        return PackedRows(lane, self._serial, slice.birth, slice.rows, words)
+
+    def forget(self, lane: int) -> None:
+        """What was packed for `lane` may never be uploaded: only a whole slice can follow."""
+        self._births[lane] = None

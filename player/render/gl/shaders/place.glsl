@@ -1,0 +1,17 @@
+// Brings Gaussians that change to their rows of a lane.
+
+layout(local_size_x = GROUP) in;
+
+layout(std430, binding = 0) writeonly buffer Gaussians { uvec4 gaussians[]; };
+layout(std430, binding = 2) readonly buffer Rows { int rows[]; };
+layout(std430, binding = 3) readonly buffer Changed { uvec4 changed[]; };
+
+uniform int first_slot;     // of the lane
+uniform int count;
+
+void main() {
+    int i = int(gl_GlobalInvocationID.x);
+    if (i >= count) return;
+    int at = (first_slot + rows[i]) * TEXELS;
+    for (int n = 0; n < TEXELS; n++) gaussians[at + n] = changed[i * TEXELS + n];
+}
