@@ -297,7 +297,7 @@ def test_a_picture_that_cannot_be_drawn_spoils_none_after_it(
     with Scene.open(library / "busy", layers=2, renderer="cpu") as scene:
         scene.render(3)
         with monkeypatch.context() as patch:
-            patch.setattr("player.render.cpu.render_splats", interrupted)
+            patch.setattr("player.render.cpu.blend_tiles", interrupted)
             with pytest.raises(KeyboardInterrupt):
                 scene.render(30)
         for frame in (4, 30):
