@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -16,6 +17,7 @@ from codec.framerange import FRAMES, FrameRange
 from codec.stream.manifest import Manifest
 from player.link.linktext import read_link
 from player.playout.clock import MAX_RATE, MIN_RATE
+from player.render.gl.offscreen import BLACK, Colour
 from player.render.renderer import GlVersion, RendererKind
 from player.show.sink import check_output, check_still
 from player.source.opener import SourceConfig
@@ -67,6 +69,19 @@ def parse_loop(text: str) -> int | None:
     return int(text)
 
 
+def parse_colour(text: str) -> Colour:
+    """A colour as `#RRGGBB`. Raises InvalidError."""
+    if not re.fullmatch("#?[0-9a-fA-F]{6}", text):
+        raise InvalidError(f"colour {text!r} is not RRGGBB, such as 336699")
+    red, green, blue = (n / 255 for n in bytes.fromhex(text.removeprefix("#")))
+    return red, green, blue
+
+
+def _colour_text(colour: Colour) -> str:
+    return bytes(round(255 * part) for part in colour).hex()
+
+
+COLOUR = option("RRGGBB", parse_colour, _colour_text)
 LOOP = option("N|forever", parse_loop, lambda loop: "forever" if loop is None else str(loop))
 
 
@@ -151,6 +166,8 @@ class PlayConfig:
     """Seconds of the stream in a second of a window, 0.25 to 4."""
     record: Annotated[Path | None, tyro.conf.arg(metavar="JSON")] = None
     """Write where you moved the camera in the window to this file, for --camera."""
+    background: Annotated[Colour, COLOUR] = BLACK
+    """Of a window: what shows where the Gaussians let light through."""
     still: Annotated[int | None, tyro.conf.arg(metavar="FRAME")] = None
     """Draw this frame alone, with all layers unless told otherwise, to the .png that --capture
     names."""
@@ -201,7 +218,11 @@ class PlayConfig:
     @property
     def _of_windows(self) -> tuple[tuple[str, bool], ...]:
         """Which options are given that only a window has."""
-        return (("--rate", self.rate != 1), ("--record", self.record is not None))
+        return (
+            ("--rate", self.rate != 1),
+            ("--record", self.record is not None),
+            ("--background", self.background != BLACK),
+        )
 
     @property
     def _of_pictures(self) -> tuple[tuple[str, bool], ...]:

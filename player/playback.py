@@ -179,7 +179,15 @@ class _Playback:
                 source = conductor.source
                 path = config.camera.of(source.manifest, config.size, source.frames)
                 recorder = PathRecorder(scene_centre(source.manifest))
-                show_window(conductor, path, self._renderers, self._note, recorder.add, config.gl)
+                show_window(
+                    conductor,
+                    path,
+                    self._renderers,
+                    self._note,
+                    recorder.add,
+                    config.gl,
+                    config.background,
+                )
         finally:
             self._summary.received_bytes += conductor.received_bytes
             if config.record is not None and recorder:

@@ -6,6 +6,7 @@ from collections import deque
 
 from player.playout.conductor import PlayState
 from player.playout.timeline import FrameRecord
+from player.render.steptimes import StepTimes
 
 WINDOW_S = 1.0
 """Seconds that the figures are of."""
@@ -16,7 +17,7 @@ class PlayMeter:
 
     def __init__(self) -> None:
         self._frames: deque[tuple[float, bool]] = deque()  # when, and whether drawn
-        self._took: dict[str, float] = {}  # seconds, smoothed
+        self._took_ms: dict[str, float] = {}  # smoothed
         self._last: FrameRecord | None = None
         self.stalls = 0
         self.concealed = 0
@@ -27,12 +28,18 @@ class PlayMeter:
         self._last = record
         self.stalls += record.late
         self.concealed += record.concealed
-        self.took("decode", record.decode_s)
+        self._smooth("decode", 1e3 * record.decode_s)
 
-    def took(self, what: str, seconds: float) -> None:
-        """One more time that `what` took so long."""
-        before_s = self._took.get(what, seconds)
-        self._took[what] = before_s + 0.1 * (seconds - before_s)
+    def took(self, times: StepTimes) -> None:
+        """What the steps of a picture took."""
+        if times.upload_ms:
+            self._smooth("upload", times.upload_ms)
+        self._smooth("sort", times.sort_ms)
+        self._smooth("draw", times.draw_ms)
+
+    def _smooth(self, what: str, ms: float) -> None:
+        before_ms = self._took_ms.get(what, ms)
+        self._took_ms[what] = before_ms + 0.1 * (ms - before_ms)
 
     def lines(
         self, state: PlayState, num_layers: int, fps: float, rate_bps: float | None, now_s: float
@@ -48,7 +55,7 @@ class PlayMeter:
         if state.seeking:
             moves = "seeks"
         loop = ", loops" if state.loops else ""
-        took = ", ".join(f"{what} {1e3 * took_s:.1f}" for what, took_s in self._took.items())
+        took = ", ".join(f"{what} {ms:.1f}" for what, ms in self._took_ms.items())
         return [
             f"frame {state.frame} of {state.end_frame}, {state.frame / fps:.2f} s, {moves}"
             f" x{state.rate:g}{loop}",

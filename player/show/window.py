@@ -15,7 +15,9 @@ from codec.errors import SwingsError
 from player.playout.conductor import Conductor
 from player.playout.timeline import FrameRecord
 from player.render.gl import GlRenderer, Target, first_context
+from player.render.gl.offscreen import BLACK, Colour
 from player.render.renderer import GlVersion, Renderer, check_drawable
+from player.render.steptimes import StepTimes
 from player.view.mouse import view_of
 from player.view.path import CameraPath, Size
 
@@ -60,6 +62,7 @@ def show_window(
     note: Note,
     record_camera: Callable[[int, Camera], object],
     version: GlVersion = GlVersion.AUTO,
+    background: Colour = BLACK,
 ) -> None:
     """Shows what plays until the window is closed. The last picture stays until then.
 
@@ -68,7 +71,7 @@ def show_window(
     """
     manifest = conductor.source.manifest
     check_drawable(manifest)
-    window = _Window(conductor, path, version)
+    window = _Window(conductor, path, version, background)
     renderer = GlRenderer(manifest, Target.FLOAT16, window.context, version)
     renderers.append(renderer)
     with closing(renderer):
@@ -79,11 +82,13 @@ def show_window(
 class _Window:
     """The window, and the camera that a person moves."""
 
-    def __init__(self, conductor: Conductor, path: CameraPath, version: GlVersion) -> None:
+    def __init__(
+        self, conductor: Conductor, path: CameraPath, version: GlVersion, background: Colour
+    ) -> None:
         source = conductor.source
         first = path(source.frames.first)
         size = Size(first.width_px, first.height_px)
-        self._conductor, self._path = conductor, path
+        self._conductor, self._path, self._background = conductor, path, background
 
         def opening(asked: GlVersion) -> tuple[Any, moderngl.Context]:
             window = _open(size, source.name, asked)
@@ -106,12 +111,11 @@ class _Window:
         while not glfw.window_should_close(self._window):
             glfw.poll_events()
             now_s = time.monotonic()
-            began_s = time.perf_counter()
+            # Only who looks at the figures waits for the GPU after each step.
+            renderer.times = renderer.times or StepTimes() if self._controls.shows_info else None
             for record in self._conductor.poll():
                 waiting.append(record)
                 frame = record.frame
-            if waiting:
-                self._meter.took("upload", time.perf_counter() - began_s)
             if camera is not None:
                 self._controls.fly(camera, now_s - last_s)
             last_s = now_s
@@ -122,12 +126,12 @@ class _Window:
                 self._noted(waiting, None, note)  # nobody sees a window without a size
                 time.sleep(IDLE_S)
                 continue
-            began_s = time.perf_counter()
             camera = self._view.applied(self._path(frame)).fitted(*size)
-            renderer.present(frame, camera, self.context.screen)
+            renderer.present(frame, camera, self.context.screen, self._background)
             for placed in overlays:
                 self._painter.paint(placed, self.context.screen, size)
-            self._meter.took("draw", time.perf_counter() - began_s)
+            if renderer.times is not None:
+                self._meter.took(renderer.times)
             glfw.swap_buffers(self._window)
             record_camera(frame, camera)
             drawn = state

@@ -206,6 +206,7 @@ def test_a_server_that_dies_leaves_no_half_video(library: Path, tmp_path: Path) 
         (("--capture", "x.mp4", "--record", "x.json"), "--record does not go with --capture"),
         (("--still", "3", "--capture", "x.png", "--rate", "2"), "--rate does not go with --still"),
         (("--rate", "5"), "not within 0.25..4"),
+        (("--background", "blue"), "is not RRGGBB"),
     ],
 )
 def test_options_that_are_wrong_for_any_stream(

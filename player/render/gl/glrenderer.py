@@ -25,7 +25,7 @@ from ..renderer import GlVersion
 from ..steptimes import StepTimes, step
 from .bufferresident import BufferResident
 from .glcontext import GlError, Unlocked, open_context, version_for
-from .offscreen import Offscreen, Target
+from .offscreen import BLACK, Colour, Offscreen, Target
 from .resident import Resident
 from .textureresident import TextureResident
 
@@ -114,12 +114,18 @@ class GlRenderer:
             self._context.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA
             self._resident.draw(camera)
 
-    def present(self, frame: int, camera: Camera, screen: moderngl.Framebuffer) -> None:
+    def present(
+        self,
+        frame: int,
+        camera: Camera,
+        screen: moderngl.Framebuffer,
+        background: Colour = BLACK,
+    ) -> None:
         """Draws `frame` from what is uploaded onto the lower left of a window, as large as `camera`
-        says."""
+        says. background: what shows where the Gaussians let light through."""
         with self._current:
             self._draw(frame, camera)
-            self._offscreen.show(screen)
+            self._offscreen.show(screen, background)
 
     def render(self, frame: int, camera: Camera) -> Floats:
         """See Renderer."""

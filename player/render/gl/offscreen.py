@@ -16,6 +16,12 @@ from .programs import compile_program
 Floats = npt.NDArray[np.float32]
 
 
+Colour = tuple[float, float, float]
+"""Red, green and blue, 0..1."""
+
+BLACK: Colour = (0.0, 0.0, 0.0)
+
+
 class Target(Enum):
     """What a pixel of the picture is blended in; the value is moderngl's name."""
 
@@ -36,7 +42,8 @@ class Offscreen:
         info = context.info
         self.limit_px = min(info["GL_MAX_TEXTURE_SIZE"], *info["GL_MAX_VIEWPORT_DIMS"])
         """Widest and highest picture."""
-        self._copy = context.vertex_array(compile_program(context, "screen.glsl"), [])
+        self._program = compile_program(context, "screen.glsl")
+        self._copy = context.vertex_array(self._program, [])
 
     def clear(self, camera: Camera) -> None:
         """Makes the target black, of the camera's size, and what is drawn into from now on.
@@ -68,11 +75,15 @@ class Offscreen:
         self._framebuffer.read_into(bytes_read, components=3, dtype="f1", alignment=1)
         return bytes_read.astype(np.float32) / np.float32(255)
 
-    def show(self, screen: moderngl.Framebuffer) -> None:
-        """Copies the picture onto the lower left of a window."""
+    def show(self, screen: moderngl.Framebuffer, background: Colour) -> None:
+        """Copies the picture onto the lower left of a window; where nothing covers it the
+        background shows."""
         # A window's framebuffer keeps the size that the window was opened with.
         screen.viewport = (0, 0, *self._picture.size)
         screen.use()
         self._context.enable_only(moderngl.NOTHING)
         self._picture.use(0)
+        uniform = self._program["background"]
+        assert isinstance(uniform, moderngl.Uniform)
+        uniform.write(np.array(background, np.float32))
         self._copy.render(moderngl.TRIANGLES, vertices=3)

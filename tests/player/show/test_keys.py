@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -37,13 +37,12 @@ def playing(stream: Path, report: Path, *options: str) -> Iterator[Person]:
             text=True,
         )
         try:
-            person = Person(display, "swings:")
-            person.wait_for(lambda: person.sees().max() > 50)
-            yield person
-            person.presses("Escape")
-            out, err = process.communicate(timeout=30)
-            assert (process.returncode, err) == (0, ""), out + err
-            person.leaves()
+            with closing(Person(display, "swings:")) as person:
+                person.wait_for(lambda: person.sees().max() > 50)
+                yield person
+                person.presses("Escape")
+                out, err = process.communicate(timeout=30)
+                assert (process.returncode, err) == (0, ""), out + err
         finally:
             process.kill()
             process.wait()
@@ -170,6 +169,16 @@ def test_the_overlays_say_how_it_stands_and_what_keys_do(stream: Path, tmp_path:
         person.presses("h")
         person.presses("i")
         person.wait_for(lambda: differ(before, person.sees()) == 0)
+
+
+def test_the_background_shows_where_nothing_is_in_front_of_it(stream: Path, tmp_path: Path) -> None:
+    with playing(stream, tmp_path / "r.json", "--background", "3366ff") as person:
+        person.presses("space")
+        person.points(5, 5)
+        seen = person.sees_rest()
+        assert seen[0, 0].tolist() == [0x33, 0x66, 0xFF]
+        # A Gaussian that hides it.
+        assert (scene(seen)[:, :, 2] < 100).any()
 
 
 def test_rate_and_loop_by_keys(stream: Path, tmp_path: Path) -> None:

@@ -140,5 +140,5 @@ class Person:
         self._display.sync()
         time.sleep(0.05)
 
-    def leaves(self) -> None:
+    def close(self) -> None:
         self._display.close()

@@ -11,13 +11,15 @@ void main() {
 #else
 
 uniform sampler2D picture;
+uniform vec3 background;
 
 out vec4 shown;
 
 void main() {
     ivec2 at = ivec2(gl_FragCoord.xy);
     at.y = textureSize(picture, 0).y - 1 - at.y;
-    shown = vec4(texelFetch(picture, at, 0).rgb, 1.0);
+    vec4 drawn = texelFetch(picture, at, 0);
+    shown = vec4(drawn.rgb + (1.0 - drawn.a) * background, 1.0);
 }
 
 #endif
