@@ -149,6 +149,12 @@ def test_objects_may_lie_where_the_manifest_says(tmp_path: Path) -> None:
         assert same_splats(scene.splats(9), splats)
 
 
+def test_a_server_has_the_objects_itself_wherever_the_manifest_says(tmp_path: Path) -> None:
+    stream = write_stream(tmp_path / "s", 13, object_url="https://cdn.example/{layer}/{segment}")
+    with served(tmp_path) as server, Scene.open(f"{server.url}/watch/s") as scene:
+        assert same_splats(scene.splats(9), StreamReader(stream).active_splats(9, 3))
+
+
 def test_pictures_are_those_that_swings_play_captures(library: Path, tmp_path: Path) -> None:
     for name in STREAMS:
         config = PlayConfig(
