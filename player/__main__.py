@@ -15,7 +15,7 @@ def run(config: PlayConfig) -> None:
         show_in_viser(config)
         return
     if config.still is not None:
-        print(draw_still(config))
+        say(draw_still(config))
         return
     for line in play(config).lines():
         say(line)

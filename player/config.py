@@ -233,6 +233,7 @@ class PlayConfig:
             ("--turntable", self.turntable is not None),
             ("--size", self.size is not None),
             ("--renderer", self.renderer is not RendererKind.AUTO),
+            ("--gl", self.gl is not GlVersion.AUTO),
         )
 
     def _refuse(self, option: str, *others: tuple[str, bool]) -> None:

@@ -8,27 +8,33 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from enum import StrEnum
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from codec.camera import Camera
-from codec.errors import InvalidError
+from codec.errors import CodecError, InvalidError
 from codec.framerange import FrameRange
 from codec.slice import Slice, window_births
 from codec.splats import Splats
 from codec.stream import StreamReader
+from codec.stream.index import INDEX_NAME
 from codec.stream.manifest import Manifest
 from player.render.gl import create_renderer
-from player.render.renderer import Renderer, RendererKind
+from player.render.renderer import GlVersion, Renderer, RendererKind
+from player.source.bounds import Bounds
 from player.source.locate import is_url
+from player.source.opener import SourceConfig
 from player.source.source import check_layers
 from player.source.webstorage import WebStorage
 
 Floats = npt.NDArray[np.float32]
+
+Choice = TypeVar("Choice", bound=StrEnum)
 
 
 class Scene:
@@ -39,12 +45,17 @@ class Scene:
     """
 
     def __init__(
-        self, reader: StreamReader, num_layers: int, kind: RendererKind, web: WebStorage | None
+        self,
+        reader: StreamReader,
+        num_layers: int,
+        kind: RendererKind,
+        version: GlVersion,
+        web: WebStorage | None,
     ) -> None:
         """Use `Scene.open`. web: is closed together with the scene."""
         self._reader = reader
         self._web = web
-        self._kind = kind
+        self._kind, self._version = kind, version
         self._renderer: Renderer | None = None
         self._thread: int | None = None
         self._held = _Held(reader.manifest)
@@ -54,24 +65,29 @@ class Scene:
 
     @staticmethod
     def open(
-        source: str | Path, *, layers: int | None = None, renderer: str | RendererKind = "auto"
+        source: str | Path,
+        *,
+        layers: int | None = None,
+        renderer: str | RendererKind = "auto",
+        gl: str | GlVersion = "auto",
+        delivery: SourceConfig | None = None,
     ) -> Scene:
         """The stream that `source` names, as for swings-play: a folder, or the URL of a served
         stream or of one on any static host.
 
         layers: how many of each slice are fetched and shown; None takes all. renderer: auto, gl or
-        cpu; it starts when the first picture is drawn. Raises a SwingsError.
+        cpu; it starts when the first picture is drawn. gl: the version of OpenGL: auto, 3.3 or 4.3.
+        delivery: patience with the network, and where it may lead. Raises a SwingsError.
         """
-        try:
-            kind = RendererKind(renderer)
-        except ValueError as error:
-            kinds = ", ".join(RendererKind)
-            raise InvalidError(f"renderer {renderer!r} is none of {kinds}") from error
-        web = WebStorage(str(source)) if is_url(str(source)) else None
+        kind = _chosen(RendererKind, renderer, "renderer")
+        version = _chosen(GlVersion, gl, "version of OpenGL")
+        web = WebStorage(str(source), delivery) if is_url(str(source)) else None
         try:
             reader = StreamReader(web or Path(source))
             num_layers = check_layers(layers, reader.manifest, reader.name)
-            return Scene(reader, num_layers, kind, web)
+            scene = Scene(reader, num_layers, kind, version, web)
+            scene._check_bounds(0)
+            return scene
         except BaseException:
             if web is not None:
                 web.close()
@@ -108,9 +124,21 @@ class Scene:
     def refresh(self) -> int:
         """Looks whether a live stream has grown; gives how many frames are new."""
         self._check_open()
-        before = self.num_frames
+        before, segments = self.num_frames, len(self._reader.records)
         self._reader.refresh()
+        self._check_bounds(segments)
         return self.num_frames - before
+
+    def _check_bounds(self, first_segment: int) -> None:
+        """Raises CorruptError where a stranger's index names objects that are too long."""
+        if self._web is None:
+            return
+        bounds = Bounds(self.manifest)
+        for record in self._reader.records[first_segment:]:
+            try:
+                bounds.check_segment(record)
+            except CodecError as error:
+                raise error.within(self._web.place(INDEX_NAME)) from error
 
     def frames(self, first: int = 0, end: int | None = None) -> range:
         """The numbers of the frames first..end-1, by default to the last one there is. Raises
@@ -161,7 +189,7 @@ class Scene:
     def _drawing(self) -> Renderer:
         """The renderer, which belongs to the thread that draws first."""
         if self._renderer is None:
-            self._renderer = create_renderer(self._kind, self.manifest)
+            self._renderer = create_renderer(self._kind, self.manifest, self._version)
             self._thread = threading.get_ident()
         elif self._thread != threading.get_ident():
             raise InvalidError(
@@ -213,6 +241,14 @@ class Scene:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+def _chosen(kinds: type[Choice], name: str, what: str) -> Choice:
+    """The one of `kinds` that is called `name`. Raises InvalidError."""
+    try:
+        return kinds(name)
+    except ValueError as error:
+        raise InvalidError(f"{what} {name!r} is none of {', '.join(kinds)}") from error
 
 
 class _Held:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
@@ -11,8 +10,7 @@ from functools import partial
 
 import numpy as np
 import numpy.typing as npt
-from rich.console import Console
-from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import Progress
 
 from codec.files import write_atomic
 from codec.framerange import FrameRange
@@ -24,6 +22,7 @@ from player.playout.threads import Joined, Threads, render_thread
 from player.playout.timeline import FrameRecord, Playout, QueueConfig
 from player.render.gl import GlError, create_renderer
 from player.render.renderer import Renderer, RendererKind
+from player.show.progress import frames_progress
 from player.show.sink import FrameSink, open_sink, to_bytes
 from player.source.locate import check_url
 from player.source.opener import Opener
@@ -228,7 +227,7 @@ class _Playback:
                         source, first = joined.source, joined.path(joined.source.frames.first)
                         size = Size(first.width_px, first.height_px)
                         sink = stack.enter_context(open_sink(output, source.manifest.fps, size))
-                        progress = stack.enter_context(_progress())
+                        progress = stack.enter_context(frames_progress())
                         files = _Files(sink, progress, source.frames.first)
                         count = source.frames.count
                         progress.add_task("drawing", total=None if count is None else count * loop)
@@ -269,16 +268,4 @@ def _playout(config: PlayConfig, source: Source, play: int, not_before_s: float)
         needed,
         not_before_s=not_before_s,
         play=play,
-    )
-
-
-def _progress() -> Progress:
-    """A bar on stderr, where somebody looks at it."""
-    return Progress(
-        *Progress.get_default_columns()[:2],
-        MofNCompleteColumn(),
-        TextColumn("frames"),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-        disable=not sys.stderr.isatty(),
     )

@@ -22,7 +22,13 @@ def draw_still(config: PlayConfig) -> str:
     frame, out = config.still, config.capture
     assert frame is not None
     assert out is not None
-    with Scene.open(config.source, layers=config.layers, renderer=config.renderer) as scene:
+    with Scene.open(
+        config.source,
+        layers=config.layers,
+        renderer=config.renderer,
+        gl=config.gl,
+        delivery=config.delivery,
+    ) as scene:
         scene.frames(frame, frame + 1)  # raises where there is no such frame
         if config.turntable is None:
             # As a capture of the whole stream shows it.

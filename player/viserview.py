@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.camera import Camera
+from codec.console import say
 from codec.errors import InvalidError
 from codec.framerange import FrameRange
 from codec.pose import quat_of
@@ -59,12 +60,12 @@ def viser_arrays(splats: Splats) -> tuple[Floats, Floats, Floats, Floats]:
 def show_in_viser(config: PlayConfig) -> None:
     """Shows the stream until it is interrupted."""
     assert config.viser is not None
-    with Scene.open(config.source, layers=config.layers) as scene:
+    with Scene.open(config.source, layers=config.layers, delivery=config.delivery) as scene:
         frames = config.frames.of(scene.num_frames, scene.name)
         shown = FrameRange(frames[0], frames[-1] + 1)
         camera = config.camera.of(scene.manifest, None, shown)(frames[0])
         with ViserView(scene, config.viser, frames, camera) as view:
-            sys.stdout.write(f"showing {scene.name} at {view.url}\n")
+            say(f"showing {scene.name} at {view.url}")
             sys.stdout.flush()
             view.play()
 

@@ -81,16 +81,6 @@ def locate(source: str, fetcher: Fetcher) -> Place:
     return HostedPlace(base, manifest)
 
 
-def stream_url(source: str, fetcher: Fetcher) -> str:
-    """Where the files lie of the stream that the URL `source` names: ends with a slash. Whether
-    they are there shows when one is fetched, unless `source` names no more than a server."""
-    path = check_url(source).path.rstrip("/")
-    served = _named_stream(source, path) if path else _only_stream(source, fetcher)
-    if served is not None:
-        return served + "/"
-    return _with_path(source, path.removesuffix(f"/{MANIFEST_NAME}")) + "/"
-
-
 def _named_stream(source: str, path: str) -> str | None:
     """The URL of the served stream that `path` names; None where it is not such an address."""
     for prefix in SERVED:

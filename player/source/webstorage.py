@@ -13,15 +13,16 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 from urllib.parse import urlsplit
 
-from codec.errors import CorruptError, UnreadableError
+from codec.errors import CorruptError, InvalidError, UnreadableError
 from codec.storage.storage import Stamp
 from codec.stream.manifest import MANIFEST_NAME, OBJECT_URL, SEGMENTS_NAME
 
-from .fetch import BrokenError, Fetcher, FetchError
-from .hosted import fetch_manifest
+from .faults import BrokenError, FetchError
+from .fetch import FetchConfig, Fetcher
 from .hosts import joined
-from .locate import stream_url
-from .retry import Retry, RetryConfig
+from .locate import HostedPlace, ServedPlace, locate
+from .opener import SourceConfig
+from .retry import Retry
 
 Result = TypeVar("Result")
 
@@ -34,21 +35,24 @@ class WebStorage:
     One thread at a time may use it.
     """
 
-    def __init__(self, source: str, retry: RetryConfig | None = None) -> None:
-        """Raises FetchError when no stream is there."""
+    def __init__(self, source: str, config: SourceConfig | None = None) -> None:
+        """Raises FetchError when no stream is there; of one on a swings server that shows when it
+        is read."""
         self.name = source
-        self._retry = retry or RetryConfig()
+        self._config = config or SourceConfig()
         self._thread = ThreadPoolExecutor(1, "fetch")
-        self._fetcher = self._in_thread(Fetcher)
+        fetching = FetchConfig(other_hosts=self._config.other_hosts)
+        self._fetcher = self._in_thread(lambda: Fetcher(config=fetching))
         self._object_url = OBJECT_URL
         self._closed = False
         try:
-            self._base = self._in_thread(lambda: stream_url(source, self._fetcher))
-            manifest_url = self.place(MANIFEST_NAME)
-            manifest = self._in_thread(lambda: fetch_manifest(self._fetcher, manifest_url))
-            if manifest is None:
-                raise FetchError(f"{source} is not a stream: there is no {manifest_url}")
-            self._object_url = manifest.object_url
+            place = self._in_thread(lambda: locate(source, self._fetcher))
+            if isinstance(place, HostedPlace):
+                self._base, self._object_url = place.base, place.manifest.object_url
+            elif isinstance(place, ServedPlace):
+                self._base = place.url + "/"
+            else:
+                raise InvalidError(f"{source} is not a URL")
         except BaseException:
             self.close()
             raise
@@ -65,13 +69,13 @@ class WebStorage:
         if folder == SEGMENTS_NAME and self._object_url != OBJECT_URL:
             segment, _, part = rest.partition("/")
             path = self._object_url.replace("{segment}", segment).replace("{layer}", part)
-        return joined(self._base, path, other_hosts=False)
+        return joined(self._base + MANIFEST_NAME, path, self._config.other_hosts)
 
     def check(self) -> None:
-        """The manifest was there when this was made."""
+        """Whether anything is there shows when the manifest is read."""
 
     def below(self, folder: str) -> WebStorage:
-        return WebStorage(self.place(folder), self._retry)
+        return WebStorage(self.place(folder), self._config)
 
     def read(
         self, path: str, limit_bytes: int, offset: int = 0, *, if_missing: str | None = None
@@ -86,7 +90,7 @@ class WebStorage:
     def _get(self, url: str, limit_bytes: int) -> bytes | None:
         """The body at `url`, asked for again while the connection breaks; None if there is
         nothing."""
-        retry = Retry(self._retry)
+        retry = Retry(self._config.retry)
         while True:
             try:
                 response = self._fetcher.get(url, limit_bytes)
@@ -98,8 +102,8 @@ class WebStorage:
                     raise FetchError(f"{url}: HTTP {response.status}")
                 raise BrokenError(f"{url}: HTTP {response.status}", response.retry_after_s)
             except BrokenError as error:
-                delay_s = retry.delay_s(error, time.monotonic(), random.random())
-                self._fetcher.pause(delay_s)
+                now_s = time.monotonic()
+                self._fetcher.pause(retry.delay_s(error, now_s, random.random()))
 
     # What nobody asks of a single stream.
 

@@ -20,15 +20,18 @@ from codec.camera import Camera
 from codec.errors import CorruptError, InvalidError, SwingsError
 from codec.framerange import FrameRange
 from codec.stream import StreamReader, StreamWriter
+from codec.stream.index import pack_record
 from codec.tools.static import export_static
 from player import Scene
 from player.config import PlayConfig
 from player.openscene import Floats
 from player.playback import play
-from player.render.cpu import render_splats
+from player.render.cpu import CpuRenderer, render_splats
 from player.render.renderer import RendererKind
 from player.show.sink import to_bytes
 from player.source.fetch import FetchError
+from player.source.opener import SourceConfig
+from player.source.retry import RetryConfig
 from tests.support.commands import ROOT
 from tests.support.hosted_streams import (
     SEGMENT_FRAMES,
@@ -43,6 +46,8 @@ from tests.support.hosted_streams import (
 )
 from tests.support.slots.slot_streams import same_splats, write_busy_stream, write_slot_stream
 from tests.support.slots.updates import small_layout
+
+HASTY = SourceConfig(RetryConfig(0.0))
 
 NUM_FRAMES = 33
 STREAMS = ("whole", "busy", "patternless")
@@ -103,16 +108,17 @@ def test_any_walk_through_the_frames_is_exact(
 
 
 @pytest.mark.parametrize("name", STREAMS)
+@pytest.mark.parametrize("version", ["3.3", "4.3"])
 def test_opengl_draws_a_frame_the_same_wherever_the_scene_was_before(
-    library: Path, name: str
+    library: Path, name: str, version: str
 ) -> None:
-    with Scene.open(library / name, renderer="gl") as scene:
+    with Scene.open(library / name, renderer="gl", gl=version) as scene:
         try:
             first = scene.render(0)
         except SwingsError as error:
             pytest.skip(f"OpenGL: {error}")
         for frame in (9, 10, 11, 10, 13, 30, 2, 3, 0):
-            with Scene.open(library / name, renderer="gl") as fresh:
+            with Scene.open(library / name, renderer="gl", gl=version) as fresh:
                 picture = scene.render(frame)
                 np.testing.assert_array_equal(picture, fresh.render(frame))
         np.testing.assert_array_equal(picture, first)
@@ -147,6 +153,12 @@ def test_objects_may_lie_where_the_manifest_says(tmp_path: Path) -> None:
     (stream / "manifest.json").write_bytes(elsewhere.to_json())
     with static_host(tmp_path) as host, Scene.open(f"{host}/s") as scene:
         assert same_splats(scene.splats(9), splats)
+
+
+def test_a_server_has_the_objects_itself_wherever_the_manifest_says(tmp_path: Path) -> None:
+    stream = write_stream(tmp_path / "s", 13, object_url="https://cdn.example/{layer}/{segment}")
+    with served(tmp_path) as server, Scene.open(f"{server.url}/watch/s") as scene:
+        assert same_splats(scene.splats(9), StreamReader(stream).active_splats(9, 3))
 
 
 def test_pictures_are_those_that_swings_play_captures(library: Path, tmp_path: Path) -> None:
@@ -220,7 +232,7 @@ def test_no_thread_is_left_behind(library: Path, server: ServerProcess) -> None:
         assert set(threading.enumerate()) == before
     for source in (f"{server.url}/watch/absent", "http://127.0.0.1:9", str(library / "absent")):
         with pytest.raises(SwingsError):
-            Scene.open(source)
+            Scene.open(source, delivery=HASTY)
         assert set(threading.enumerate()) == before
 
 
@@ -280,10 +292,12 @@ def test_what_cannot_be_opened_gets_one_line(library: Path, server: ServerProces
         ("http://", "names no host"),
     ):
         with pytest.raises(SwingsError, match=message) as caught:
-            Scene.open(source)
+            Scene.open(source, delivery=HASTY)
         assert "\n" not in str(caught.value)
     with pytest.raises(InvalidError, match="renderer 'magic' is none of auto, gl, cpu"):
         Scene.open(library / "whole", renderer="magic")
+    with pytest.raises(InvalidError, match="version of OpenGL '2' is none of auto"):
+        Scene.open(library / "whole", gl="2")
     with pytest.raises(InvalidError, match="has 3 layers"):
         Scene.open(library / "whole", layers=4)
 
@@ -297,7 +311,7 @@ def test_a_picture_that_cannot_be_drawn_spoils_none_after_it(
     with Scene.open(library / "busy", layers=2, renderer="cpu") as scene:
         scene.render(3)
         with monkeypatch.context() as patch:
-            patch.setattr("player.render.cpu.blend_tiles", interrupted)
+            patch.setattr(CpuRenderer, "render", interrupted)
             with pytest.raises(KeyboardInterrupt):
                 scene.render(30)
         for frame in (4, 30):
@@ -347,6 +361,24 @@ def test_a_live_stream_grows_when_it_is_asked_to(tmp_path: Path) -> None:
         assert same_splats(found, expected)
 
 
+def test_a_stranger_leads_neither_elsewhere_nor_into_much_memory(tmp_path: Path) -> None:
+    write_stream(tmp_path / "away", 13, object_url="http://127.0.0.2:9/{layer}/{segment}")
+    much = write_stream(tmp_path / "much", 13)
+    records = [
+        replace(record, object_bytes=(1 << 29, *record.object_bytes[1:]))
+        for record in StreamReader(much).records
+    ]
+    (much / "index.bin").write_bytes(b"".join(map(pack_record, records)))
+    with static_host(tmp_path) as host:
+        with (
+            Scene.open(f"{host}/away") as scene,
+            pytest.raises(FetchError, match=r"leads to another host, 127\.0\.0\.2:9"),
+        ):
+            scene.splats(3)
+        with pytest.raises(CorruptError, match=r"/much/index.bin: .* names an object of 536870912"):
+            Scene.open(f"{host}/much")
+
+
 def test_a_broken_object_is_named(tmp_path: Path) -> None:
     stream = write_stream(tmp_path / "s", 13)
     path = stream / "segments" / "1" / "2"
@@ -362,7 +394,10 @@ def test_a_broken_object_is_named(tmp_path: Path) -> None:
 
 
 def test_a_server_that_comes_back_is_asked_again(library: Path) -> None:
-    with served(library) as first, Scene.open(f"{first.url}/watch/whole") as scene:
+    with (
+        served(library) as first,
+        Scene.open(f"{first.url}/watch/whole", delivery=SourceConfig(RetryConfig(3.0))) as scene,
+    ):
         first.kill()
         second: list[ServerProcess] = []
         timer = threading.Timer(0.3, lambda: second.append(ServerProcess(library, first.port)))
