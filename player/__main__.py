@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+from rich.console import Console
+
 from codec.console import run_command
 
 from .config import PlayConfig
@@ -9,8 +13,21 @@ from .playback import play
 
 
 def run(config: PlayConfig) -> None:
+    if config.profile is not None:
+        run_profile(config, config.profile)
+        return
     for line in play(config).lines():
         print(line)
+
+
+def run_profile(config: PlayConfig, path: Path) -> None:
+    # They load slowly, and few plays are profiled.
+    from .stageplot import write_stage_plot
+    from .stages import profile
+
+    found = profile(config)
+    Console(width=100).print(found.table())
+    write_stage_plot(path, found)
 
 
 def main() -> None:

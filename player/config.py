@@ -82,6 +82,9 @@ class PlayConfig:
     file; also when Ctrl-C ends the play."""
     plot: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
     """Draw link, goodput, layers and buffer over time into this picture."""
+    profile: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
+    """Draw every frame of a folder as fast as it goes, without showing it; print what each stage
+    takes, and draw it into this picture."""
     loop: Annotated[int, tyro.conf.arg(metavar="N")] = 1
     """Play the frames so often; each time the stream is asked for anew."""
 
@@ -91,12 +94,25 @@ class PlayConfig:
             raise InvalidError(f"--link slows down http:// URLs; {self.source} is not one")
         if self.capture is not None:
             check_output(self.capture)
-        elif self.renderer is RendererKind.CPU:
+        elif self.renderer is RendererKind.CPU and self.profile is None:
             raise InvalidError("a window is drawn by OpenGL; --renderer cpu goes with --capture")
         if self.renderer is RendererKind.CPU and self.gl is not GlVersion.AUTO:
             raise InvalidError(f"--gl {self.gl} does not go with --renderer cpu")
         if self.loop < 1:
             raise InvalidError(f"loop {self.loop}: play the frames once at least")
-        for name, path in (("report", self.report), ("plot", self.plot)):
+        if self.profile is not None:
+            self._check_profile()
+        written = (("report", self.report), ("plot", self.plot), ("profile", self.profile))
+        for name, path in written:
             if path is not None and not path.parent.is_dir():
                 raise InvalidError(f"{name} {path}: there is no folder {path.parent}")
+
+    def _check_profile(self) -> None:
+        if "://" in self.source:
+            raise InvalidError(f"--profile measures a stream in a folder; {self.source} is not one")
+        others = (self.capture, self.report, self.plot, self.link)
+        if self.loop != 1 or any(other is not None for other in others):
+            raise InvalidError(
+                "--profile draws once and shows nothing; --capture, --report, --plot, --link and "
+                "--loop do not go with it"
+            )
