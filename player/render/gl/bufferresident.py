@@ -83,6 +83,7 @@ class BufferResident:
     def sort(self, frame: int, camera: Camera) -> None:
         near_m = np.float32(max(self._near_m, MIN_NEAR_M))
         self._cull["frame"] = frame
+        self._cull["newest_lane"] = frame % self._swin_size  # of a negative number GLSL has none
         self._cull["near_m"] = self._near_m
         self._cull["near_bits"] = int(near_m.view(np.uint32))
         set_camera(self._cull, camera)

@@ -126,12 +126,13 @@ def test_of_equally_far_gaussians_the_oldest_is_in_front(open_gl: OpenGl) -> Non
             assert psnr_db(gl.render(birth, manifest.camera()), expected) >= 60
 
 
-def test_the_renderer_draws_the_ring(open_gl: OpenGl) -> None:
-    manifest = small_manifest(slice_size=100)
-    gl, ring = open_gl(manifest), Ring(SWIN_SIZE, 100, 1)
+@pytest.mark.parametrize("swin_size", [1, 3, SWIN_SIZE, 5])
+def test_the_renderer_draws_the_ring(open_gl: OpenGl, swin_size: int) -> None:
+    manifest = small_manifest(slice_size=100, swin_size=swin_size, num_gs=100 * swin_size)
+    gl, ring = open_gl(manifest), Ring(swin_size, 100, 1)
     camera = manifest.camera()
     # Slices shrink and grow as a server drops and adds layers; one lane is empty for a while.
-    for birth, count in enumerate([100, 3, 0, 60, 1, 100, 2], 1 - SWIN_SIZE):
+    for birth, count in enumerate([100, 3, 0, 60, 1, 100, 2], 1 - swin_size):
         slice = random_slice(birth, count)
         gl.put(slice)
         ring.put(slice)
