@@ -1,6 +1,10 @@
-"""swings-play: a stream in a window or into files."""
+"""swings-play: a stream in a window, in a browser, or into files."""
 
 from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Console
 
 from codec.console import run_command, say
 
@@ -13,12 +17,23 @@ from .viserview import show_in_viser
 def run(config: PlayConfig) -> None:
     if config.viser is not None:
         show_in_viser(config)
-        return
-    if config.still is not None:
+    elif config.still is not None:
         say(draw_still(config))
-        return
-    for line in play(config).lines():
-        say(line)
+    elif config.profile is not None:
+        run_profile(config, config.profile)
+    else:
+        for line in play(config).lines():
+            say(line)
+
+
+def run_profile(config: PlayConfig, path: Path) -> None:
+    # They load slowly, and few plays are profiled.
+    from .stageplot import write_stage_plot
+    from .stages import profile
+
+    found = profile(config)
+    Console(width=100).print(found.table())
+    write_stage_plot(path, found)
 
 
 def main() -> None:

@@ -156,6 +156,9 @@ class PlayConfig:
     file; also when Ctrl-C ends the play."""
     plot: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
     """Draw link, goodput, layers and buffer over time into this picture."""
+    profile: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
+    """Draw every frame of a folder as fast as it goes, without showing it; print what each stage
+    takes, and draw it into this picture."""
     patience: Annotated[RetryConfig, PATIENCE] = field(default_factory=RetryConfig)
     """Seconds for which a server that fails is tried again; 0: give up at once."""
     other_hosts: bool = False
@@ -192,7 +195,7 @@ class PlayConfig:
             self._check_still()
         elif self.capture is not None:
             check_output(self.capture)
-        elif self.renderer is RendererKind.CPU:
+        elif self.renderer is RendererKind.CPU and self.profile is None:
             raise InvalidError("a window is drawn by OpenGL; --renderer cpu goes with --capture")
         elif not MIN_RATE <= self.rate <= MAX_RATE:
             raise InvalidError(f"rate {self.rate} is not within {MIN_RATE:g}..{MAX_RATE:g}")
@@ -200,7 +203,15 @@ class PlayConfig:
             raise InvalidError(f"--gl {self.gl} does not go with --renderer cpu")
         if self.capture is not None:
             self._refuse("--capture", ("--loop forever", self.loop is None), *self._of_windows)
-        for name, path in (("report", self.report), ("plot", self.plot), ("record", self.record)):
+        if self.profile is not None:
+            self._check_profile()
+        written = (
+            ("report", self.report),
+            ("plot", self.plot),
+            ("record", self.record),
+            ("profile", self.profile),
+        )
+        for name, path in written:
             if path is not None and not path.parent.is_dir():
                 raise InvalidError(f"{name} {path}: there is no folder {path.parent}")
 
@@ -258,3 +269,8 @@ class PlayConfig:
                 f"{MAX_TURN_S:g} seconds"
             )
         check_output(self.capture)
+
+    def _check_profile(self) -> None:
+        if "://" in self.source:
+            raise InvalidError(f"--profile measures a stream in a folder; {self.source} is not one")
+        self._refuse("--profile", ("--capture", self.capture is not None), *self._of_plays)

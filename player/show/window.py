@@ -92,7 +92,11 @@ class _Window:
 
         def opening(asked: GlVersion) -> tuple[Any, moderngl.Context]:
             window = _open(size, source.name, asked)
-            return window, moderngl.create_context(require=asked.code)
+            try:
+                return window, moderngl.create_context(require=asked.code)
+            except Exception:
+                glfw.destroy_window(window)
+                raise
 
         self._window, self.context = first_context(version, opening)
         self._view = view_of(source.manifest)

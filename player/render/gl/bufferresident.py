@@ -83,6 +83,7 @@ class BufferResident:
     def sort(self, frame: int, camera: Camera) -> None:
         near_m = np.float32(max(self._near_m, MIN_NEAR_M))
         self._cull["frame"] = frame
+        self._cull["newest_lane"] = frame % self._swin_size  # of a negative number GLSL has none
         self._cull["near_m"] = self._near_m
         self._cull["near_bits"] = int(near_m.view(np.uint32))
         set_camera(self._cull, camera)
@@ -101,16 +102,15 @@ class BufferResident:
 def _check_limits(context: moderngl.Context, num_slots: int, gaussian_bytes: int) -> None:
     info = context.info
     if info["GL_MAX_VERTEX_SHADER_STORAGE_BLOCKS"] < 1:
-        raise GlError("this OpenGL 4.3 has no storage buffers in vertex shaders; use --gl 3.3")
+        raise GlError("this OpenGL 4.3 has no storage buffers in vertex shaders")
     limit_bytes = info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"]
     if num_slots * gaussian_bytes > limit_bytes:
         raise GlError(
             f"{num_slots} Gaussians need a buffer of {num_slots * gaussian_bytes} bytes; "
-            f"this OpenGL takes {limit_bytes}; use --gl 3.3"
+            f"this OpenGL takes {limit_bytes}"
         )
     limit_groups = info["GL_MAX_COMPUTE_WORK_GROUP_COUNT"][0]
     if -(-num_slots // GROUP) > limit_groups:
         raise GlError(
-            f"{num_slots} Gaussians are more than the {limit_groups * GROUP} that this OpenGL "
-            "sorts; use --gl 3.3"
+            f"{num_slots} Gaussians are more than the {limit_groups * GROUP} that this OpenGL sorts"
         )

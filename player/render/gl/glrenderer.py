@@ -6,6 +6,7 @@ may come from others, and they make no GL call.
 
 from __future__ import annotations
 
+import logging
 import threading
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
@@ -28,6 +29,8 @@ from .glcontext import GlError, Unlocked, open_context, version_for
 from .offscreen import BLACK, Colour, Offscreen, Target
 from .resident import Resident
 from .textureresident import TextureResident
+
+log = logging.getLogger(__name__)
 
 Floats = npt.NDArray[np.float32]
 
@@ -63,10 +66,10 @@ class GlRenderer:
                 # What Python drops is freed at the next frame, by the thread that owns the context.
                 self._context.gc_mode = "context_gc"
                 self.version = version_for(self._context, version)
-                self.name = f"OpenGL {self.version}, {self._context.info['GL_RENDERER']}"
                 self._unlocked = Unlocked(self._context)
                 self._offscreen = Offscreen(self._context, target)
-                self._resident = self._make_resident()
+                self._resident = self._make_resident(version)
+                self.name = f"OpenGL {self.version}, {self._context.info['GL_RENDERER']}"
                 self._packer = self._resident.packer
         except Exception as error:  # a driver's refusal is a bare moderngl.Error
             self._release()
@@ -75,9 +78,15 @@ class GlRenderer:
             reason = " ".join(str(error).split())
             raise GlError(f"OpenGL refuses what the renderer needs: {reason}") from error
 
-    def _make_resident(self) -> Resident[Any]:
+    def _make_resident(self, asked: GlVersion) -> Resident[Any]:
         if self.version is GlVersion.V43:
-            return BufferResident(self._context, self._manifest)
+            try:
+                return BufferResident(self._context, self._manifest)
+            except (GlError, moderngl.Error) as error:
+                if asked is not GlVersion.AUTO:
+                    raise
+                log.warning("drawing with OpenGL 3.3: %s", " ".join(str(error).split()))
+                self.version = GlVersion.V33
         return TextureResident(self._context, self._manifest)
 
     def put(self, slice: Slice) -> None:

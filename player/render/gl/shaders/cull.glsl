@@ -10,6 +10,7 @@ layout(std430, binding = 4) writeonly buffer Keys { uint keys[]; };
 layout(std430, binding = 5) writeonly buffer Slots { uint slots[]; };
 
 uniform int frame;
+uniform int newest_lane;    // of the slice born at `frame`
 uniform float near_m;
 uniform uint near_bits;     // of the float from which on depths are told apart
 
@@ -64,7 +65,8 @@ void main() {
     int place = int(gl_GlobalInvocationID.x);
     if (place >= SLOTS) return;
     int age = place / LANE_SLOTS, row = LANE_SLOTS - 1 - place % LANE_SLOTS;
-    int lane = ((frame - age) % LANES + LANES) % LANES;  // % of a negative number is undefined
+    int lane = newest_lane - age;
+    if (lane < 0) lane += LANES;
     int slot = lane * LANE_SLOTS + row;
     keys[place] = key_of(slot);
     slots[place] = uint(slot);

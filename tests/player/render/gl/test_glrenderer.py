@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import replace
 
 import moderngl
@@ -18,7 +19,15 @@ from codec.errors import InvalidError
 from codec.slice import Slice
 from codec.stream.manifest import Manifest
 from player.render.cpu import CpuRenderer, render_splats
-from player.render.gl import GlError, GlRenderer, Target, create_renderer, open_context
+from player.render.gl import (
+    GlError,
+    GlRenderer,
+    Target,
+    bufferresident,
+    create_renderer,
+    glrenderer,
+    open_context,
+)
 from player.render.renderer import GlVersion, RendererKind
 from player.render.ring import Ring
 from tests.support.hosted_streams import (
@@ -27,7 +36,7 @@ from tests.support.hosted_streams import (
     random_splats,
     small_manifest,
 )
-from tests.support.screen.opengl import GL_VERSIONS, NO_GL
+from tests.support.screen.opengl import GL_VERSIONS, NO_GL, NO_GL43
 from tests.support.slots.leases import LeasedStream, leased_slice, leased_streams, replayed
 
 Floats = npt.NDArray[np.float32]
@@ -126,12 +135,13 @@ def test_of_equally_far_gaussians_the_oldest_is_in_front(open_gl: OpenGl) -> Non
             assert psnr_db(gl.render(birth, manifest.camera()), expected) >= 60
 
 
-def test_the_renderer_draws_the_ring(open_gl: OpenGl) -> None:
-    manifest = small_manifest(slice_size=100)
-    gl, ring = open_gl(manifest), Ring(SWIN_SIZE, 100, 1)
+@pytest.mark.parametrize("swin_size", [1, 3, SWIN_SIZE, 5])
+def test_the_renderer_draws_the_ring(open_gl: OpenGl, swin_size: int) -> None:
+    manifest = small_manifest(slice_size=100, swin_size=swin_size, num_gs=100 * swin_size)
+    gl, ring = open_gl(manifest), Ring(swin_size, 100, 1)
     camera = manifest.camera()
     # Slices shrink and grow as a server drops and adds layers; one lane is empty for a while.
-    for birth, count in enumerate([100, 3, 0, 60, 1, 100, 2], 1 - SWIN_SIZE):
+    for birth, count in enumerate([100, 3, 0, 60, 1, 100, 2], 1 - swin_size):
         slice = random_slice(birth, count)
         gl.put(slice)
         ring.put(slice)
@@ -320,6 +330,25 @@ def test_a_slice_that_does_not_fit_is_refused(open_gl: OpenGl) -> None:
     rows = np.array([10], np.int32)
     with pytest.raises(InvalidError, match="changes row 10; a lane has 10"):
         gl.put(Slice(0, random_splats(1, 1, 0), np.zeros(1, np.uint8), rows))
+
+
+@pytest.mark.skipif(NO_GL43 is not None, reason=f"OpenGL: {NO_GL43}")
+def test_what_4_3_cannot_hold_is_drawn_with_3_3(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def refuse(*_: object) -> None:
+        raise GlError("too many for this GPU")
+
+    monkeypatch.setattr(bufferresident, "_check_limits", refuse)
+    monkeypatch.setattr(glrenderer, "version_for", lambda *_: GlVersion.V43)
+    manifest = small_manifest(slice_size=10)
+    with closing(GlRenderer(manifest)) as gl:
+        assert gl.name.startswith("OpenGL 3.3, ")
+        gl.put(random_slice(0, 10))
+        assert gl.render(0, manifest.camera()).max() > 0
+    assert caplog.messages == ["drawing with OpenGL 3.3: too many for this GPU"]
+    with pytest.raises(GlError, match="too many for this GPU"):
+        GlRenderer(manifest, version=GlVersion.V43)
 
 
 @pytest.mark.parametrize("version", GL_VERSIONS)
