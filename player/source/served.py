@@ -151,6 +151,8 @@ class ServedSource:
                 self._waiting = self._parser.feed(piece)
             except CodecError as error:
                 raise error.within(self.name) from error
+            if self._waiting:
+                self._idle.judged()
         record = self._waiting.pop(0)
         if isinstance(record, ErrorRecord):
             raise BrokenError(f"{self.name}: the server says: {record.message}")
