@@ -52,6 +52,8 @@ class FetchConfig:
 class Response:
     """A whole answer."""
 
+    url: str
+    """Where redirects led."""
     status: int
     headers: Mapping[str, str]
     body: bytes
@@ -129,7 +131,8 @@ class Fetcher:
         come whole.
         """
         with closing(self.open(url)) as response:
-            return Response(response.status, response.headers, response.rest(limit_bytes))
+            body = response.rest(limit_bytes)
+            return Response(response.url, response.status, response.headers, body)
 
     def open(self, url: str, headers: Mapping[str, str] | None = None) -> OpenResponse:
         """The answer to a GET, its body yet to be read. Close it."""
@@ -236,7 +239,7 @@ class Fetcher:
 
     async def _post(self, url: str, body: bytes) -> Response:
         async with await self._request(url, "POST", body) as response:
-            return Response(response.status, response.headers, b"")
+            return Response(url, response.status, response.headers, b"")
 
 
 class OpenResponse:
@@ -246,7 +249,7 @@ class OpenResponse:
         self, fetcher: Fetcher, url: str, response: aiohttp.ClientResponse, idle_s: float
     ) -> None:
         self._fetcher = fetcher
-        self._url = url
+        self.url = url
         self._idle_s = idle_s
         self._response = response
         self.status = response.status
@@ -257,7 +260,7 @@ class OpenResponse:
         """The next piece of the body, empty at its end; None if nothing came in time. Raises
         BrokenError when it is cut off."""
         work = self._read(timeout_s)
-        piece = self._fetcher._run(work, self._url)
+        piece = self._fetcher._run(work, self.url)
         self._fetcher.count(len(piece or b""))
         return piece
 
@@ -278,7 +281,7 @@ class OpenResponse:
             idle.received(len(piece or b""))
             if piece:
                 yield piece
-        raise BrokenError(f"{self._url}: {idle.reason(time.monotonic())}")
+        raise BrokenError(f"{self.url}: {idle.reason(time.monotonic())}")
 
     def rest(self, limit_bytes: int) -> bytes:
         """The rest of the body. Raises FetchError when it is longer than `limit_bytes`."""
@@ -286,7 +289,7 @@ class OpenResponse:
         for piece in self.pieces():
             body += piece
             if len(body) > limit_bytes:
-                raise FetchError(f"{self._url} is longer than {limit_bytes} bytes")
+                raise FetchError(f"{self.url} is longer than {limit_bytes} bytes")
         return bytes(body)
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import time
 from collections.abc import Iterator
+from urllib.parse import urljoin
 
 from codec.errors import CodecError
 from codec.framerange import FrameRange
@@ -22,15 +23,16 @@ from .segments import SegmentPlay
 from .source import Packets, check_frames, check_layers
 
 
-def fetch_manifest(fetcher: Fetcher, url: str) -> Manifest | None:
-    """The manifest at `url`; None if there is nothing. Raises FetchError for anything else."""
+def fetch_manifest(fetcher: Fetcher, url: str) -> tuple[Manifest, str] | None:
+    """The manifest at `url`, and the URL of the folder that it was found in, with a slash; None if
+    there is nothing. Raises FetchError for anything else."""
     response = fetcher.get(url, MAX_MANIFEST_BYTES)
     if response.status in (404, 410):
         return None
     if response.status != 200:
         raise FetchError(f"{url} is not a stream: HTTP {response.status}")
     try:
-        return Manifest.from_json(response.body)
+        return Manifest.from_json(response.body), urljoin(response.url, ".")
     except CodecError as error:
         raise FetchError(f"{error.within(url)}; this is not a stream") from error
 

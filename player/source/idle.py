@@ -16,20 +16,27 @@ class IdleLimit:
     def __init__(self, idle_s: float, now_s: float) -> None:
         self._idle_s = idle_s
         self._since_s = now_s
-        self.num_bytes = 0
+        self.num_bytes = self._open_bytes = 0
         """Bytes that came since something of use did."""
+        self._open_bytes = 0
+        """Those of them whose use is not known yet."""
 
     def useful(self, now_s: float) -> None:
         """Something of use came, or nothing was wanted until now."""
         self._since_s = now_s
-        self.num_bytes = 0
+        self.num_bytes = self._open_bytes = 0
 
     def received(self, num_bytes: int) -> None:
         self.num_bytes += num_bytes
+        self._open_bytes += num_bytes
+
+    def judged(self) -> None:
+        """The use of what came is known; where it had some, `useful` is called as well."""
+        self._open_bytes = 0
 
     def left_s(self, now_s: float) -> float:
         """Seconds until it is over, above 0; 0 when it is."""
-        end_s = self._since_s + self._idle_s + self.num_bytes / LEAST_BYTES_PER_S
+        end_s = self._since_s + self._idle_s + self._open_bytes / LEAST_BYTES_PER_S
         return max(0.0, end_s - now_s)
 
     def reason(self, now_s: float) -> str:

@@ -72,12 +72,13 @@ def locate(source: str, fetcher: Fetcher) -> Place:
     if served is not None:
         return ServedPlace(served)
     base = _with_path(source, path.removesuffix(f"/{MANIFEST_NAME}")) + "/"
-    manifest = fetch_manifest(fetcher, base + MANIFEST_NAME)
-    if manifest is None:
+    found = fetch_manifest(fetcher, base + MANIFEST_NAME)
+    if found is None:
         lacks = f"there is no {base}{MANIFEST_NAME}"
         if not path:
             lacks = f"it has neither a list of streams nor a {MANIFEST_NAME}"
         raise FetchError(f"{source} is not a stream: {lacks}")
+    manifest, base = found
     return HostedPlace(base, manifest)
 
 

@@ -10,9 +10,11 @@ import random
 import re
 import time
 from collections.abc import Iterator
+from contextlib import closing
 
 from codec.errors import CodecError, CorruptError
 from codec.framerange import FrameRange
+from codec.stream.index import INDEX_NAME, record_bytes
 from codec.stream.manifest import Manifest
 from codec.stream.playrecord import (
     CONTENT_TYPE,
@@ -39,6 +41,8 @@ from .lastplay import NO_PLAY, LastPlay
 from .receiver import Receiver
 from .retry import Retry, RetryConfig
 from .source import Packets, check_frames, check_layers
+
+REPLACED = "the stream was replaced by another one; play it anew"
 
 LOOK_S = 5.0
 """How often it is looked whether the playback is paused while nothing comes, seconds."""
@@ -79,6 +83,7 @@ class ServedSource:
         self._rate_bps = last_play.rate_bps  # only `tell` changes it
         self._ended_play = ""
         self._told_frame: int | None = None  # the next one to show, when it was told last
+        self._identity = b""  # only `tell` changes it
         self._idle = IdleLimit(fetcher.config.idle_s, time.monotonic())
         self._paused = False  # only `tell` changes it
         self._parser = RecordParser()
@@ -145,6 +150,20 @@ class ServedSource:
             return FetchError(f"{self.name} is not a stream: {reason}")
         return FetchError(f"{self.name}: {reason}")
 
+    def _first_record(self, fetcher: Fetcher) -> bytes:
+        """The index's record of segment 0, which no other stream has; none if it is not known."""
+        num_bytes = record_bytes(self.manifest.num_layers, self.manifest.has_slots)
+        asked = {"Range": f"bytes=0-{num_bytes - 1}"}
+        found = b""
+        with closing(fetcher.open(f"{self._url}/{INDEX_NAME}", asked)) as response:
+            if response.status not in (200, 206):
+                return b""
+            for piece in response.pieces():
+                found += piece
+                if len(found) >= num_bytes:
+                    return found[:num_bytes]
+        return b""
+
     def _manifest_of(self, start: StartRecord) -> Manifest:
         try:
             return Manifest.from_json(start.manifest)
@@ -163,6 +182,8 @@ class ServedSource:
                 self._waiting = self._parser.feed(piece)
             except CodecError as error:
                 raise error.within(self.name) from error
+            if self._waiting:
+                self._idle.judged()
         record = self._waiting.pop(0)
         if isinstance(record, ErrorRecord):
             raise BrokenError(f"{self.name}: the server says: {record.message}")
@@ -227,12 +248,16 @@ class ServedSource:
 
     def _reconnect(self) -> None:
         self._num_frames = max(self._num_frames, self._receiver.next_birth)
+        # Two streams that were made alike have the same manifest.
+        known = self._identity
+        if known and self._first_record(self._fetcher) not in (known, b""):
+            raise CorruptError(f"{self.name}: {REPLACED}")
         end = self._asked.end
         last = self._num_frames if end is None else min(self._num_frames, end)
         start = self._connect(self._receiver.rejoin(last))
         manifest = self._manifest_of(start)
         if manifest.with_live(False).to_json() != self.manifest.with_live(False).to_json():
-            raise CorruptError(f"{self.name}: the stream was replaced by another one")
+            raise CorruptError(f"{self.name}: {REPLACED}")
         self._num_frames = max(self._num_frames, start.num_frames)
 
     def _disconnect(self) -> None:
@@ -245,6 +270,13 @@ class ServedSource:
         if standing.frame is not None:
             self._told_frame = standing.frame
         self._paused = standing.paused
+        if not self._identity:
+            try:
+                self._identity = self._first_record(self._teller)
+            except StoppedError:
+                return False
+            except FetchError:
+                pass  # then it is known by its manifest only
         if token and token != self._ended_play:
             try:
                 answer = self._teller.post(f"{self._url}/play/{token}", standing.to_json())

@@ -1,0 +1,290 @@
+"""What a stranger's server may do with time, with names and with a terminal."""
+
+from __future__ import annotations
+
+import json
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import pytest
+
+from codec.errors import SwingsError
+from codec.framerange import FrameRange
+from codec.stream.playrecord import Record, SliceRecord, encode_record
+from player.source.fetch import BrokenError, FetchConfig, Fetcher, FetchError
+from player.source.hosts import joined
+from player.source.opener import SourceConfig, opened
+from player.source.served import ServedSource
+from server.abr.standing import Standing
+from tests.player.source.test_served import ALL, HEAD, HOLD, QUICK, answer, record_of, script, start
+from tests.support.commands import ROOT
+from tests.support.delivery.assembled import assembled
+from tests.support.hosted_streams import small_manifest, static_host, write_stream
+
+IDLE_S = 0.4
+
+
+@contextmanager
+def endless(first: bytes, again: Callable[[int], bytes], every_s: float = 0.0) -> Iterator[str]:
+    """The URL of a host that answers each request with `first`, and then with `again` for ever."""
+    listener = socket.create_server(("127.0.0.1", 0))
+    threads: list[threading.Thread] = []
+    over = threading.Event()
+
+    def answer_one(connection: socket.socket) -> None:
+        with connection:
+            try:
+                connection.recv(65536)
+                connection.sendall(first)
+                number = 0
+                while not over.wait(every_s):
+                    connection.sendall(again(number))
+                    number += 1
+            except OSError:
+                pass
+
+    def run() -> None:
+        while True:
+            try:
+                connection, _ = listener.accept()
+            except OSError:
+                return
+            threads.append(threading.Thread(target=answer_one, args=(connection,)))
+            threads[-1].start()
+
+    accepting = threading.Thread(target=run)
+    accepting.start()
+    try:
+        yield f"http://127.0.0.1:{listener.getsockname()[1]}"
+    finally:
+        over.set()
+        listener.shutdown(socket.SHUT_RDWR)
+        listener.close()
+        accepting.join()
+        for thread in threads:
+            thread.join()
+
+
+def play(url: str) -> None:
+    fetcher = Fetcher(config=FetchConfig(idle_s=IDLE_S))
+    with closing(fetcher):
+        source = ServedSource("S", f"{url}/v1/streams/s", fetcher, FrameRange(), None, QUICK)
+        with closing(source):
+            list(source.packets())
+
+
+def records(*some: Record) -> bytes:
+    return b"".join(map(encode_record, some))
+
+
+OLD = records(*ALL[:2])
+EARLY = records(SliceRecord(900, ALL[0].packets))
+BEGUN = answer(start(), *ALL[:2])
+
+
+@pytest.mark.parametrize(
+    ("first", "again", "every_s", "message"),
+    [
+        (BEGUN, lambda n: OLD, 0.01, "bytes came in . s, and nothing of use"),
+        (
+            BEGUN,
+            lambda n: records(ALL[2])[n : n + 1],
+            0.05,
+            "bytes came in . s, and nothing of use",
+        ),
+        (b"", lambda n: b"HTTP/1.1 100 Continue\r\n\r\n", 0.01, "no answer in time"),
+        (b"HTTP/1.1 200 OK\r\n", lambda n: b"X-%d: 1\r\n" % n, 0.05, "no answer in time"),
+        (BEGUN, lambda n: b"", 0.05, "nothing came for 0 s|no answer in time"),
+        (BEGUN, lambda n: records(record_of(n - 1)), 0.0, "the slice born at 3 came, of 3 frames"),
+        (BEGUN, lambda n: b"\x02\0\0\0\x80\xc0", 0.0, "play: "),
+        (b"", lambda n: b"junk", 0.0, "the connection broke"),
+    ],
+    ids=["old", "drip", "continue", "head", "frozen", "more", "kinds", "junk"],
+)
+def test_junk_does_not_keep_a_play_waiting(
+    first: bytes, again: Callable[[int], bytes], every_s: float, message: str
+) -> None:
+    began_s = time.monotonic()
+    with endless(first, again, every_s) as url, pytest.raises(SwingsError, match=message) as caught:
+        play(url)
+    assert time.monotonic() - began_s < 10 * IDLE_S
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_a_file_that_drips_is_given_up() -> None:
+    head = b"HTTP/1.1 200 OK\r\nContent-Length: 900\r\n\r\n"
+    with endless(head, lambda n: b"{", 0.05) as url, closing(Fetcher(config=QUICKLY)) as fetcher:
+        began_s = time.monotonic()
+        with pytest.raises(BrokenError, match=r"\d+ bytes came in . s, and nothing of use$"):
+            fetcher.get(url, 1000)
+        assert time.monotonic() - began_s < 5 * IDLE_S
+
+
+QUICKLY = FetchConfig(idle_s=IDLE_S)
+
+
+def test_who_pauses_is_owed_nothing() -> None:
+    named = HEAD.replace(b"Connection", b"Swings-Play: abc\r\nConnection")
+    first = answer(start(), *ALL[:4]).replace(HEAD, named)
+    heard = b"HTTP/1.1 204 Heard\r\nConnection: close\r\n\r\n"
+    with script(first + HOLD, heard) as host, closing(Fetcher(config=QUICKLY)) as fetcher:
+        source = ServedSource("S", host.url, fetcher, FrameRange(), None, QUICK)
+        packets = source.packets()
+        for _ in range(4):
+            next(packets)
+        assert source.tell(Standing(1, paused=True))
+        threading.Timer(4 * IDLE_S, source.interrupt).start()
+        with pytest.raises(SwingsError, match=r"stopped$"):
+            next(packets)
+        assert len(host.asked) == 2
+        source.close()
+
+
+# --- where a stream may lead
+
+
+@pytest.mark.parametrize(
+    ("reference", "url"),
+    [
+        ("segments/1/2", "http://a/s/segments/1/2"),
+        ("/x", "http://a/x"),
+        ("http://a:80/x", "http://a:80/x"),
+        ("http://A/x", "http://A/x"),
+        ("//a/x", "http://a/x"),
+        ("https://a/x", "https://a/x"),
+    ],
+)
+def test_the_same_host_is_followed(reference: str, url: str) -> None:
+    assert joined("http://a/s/manifest.json", reference, other_hosts=False) == url
+
+
+@pytest.mark.parametrize(
+    "reference", ["http://b/x", "//b/x", "http://a:81/x", "http://a@b/x", "https://b/x"]
+)
+def test_another_host_is_followed_when_told(reference: str) -> None:
+    with pytest.raises(FetchError, match=r"leads to another host, .*; --other-hosts follows"):
+        joined("http://a/s/manifest.json", reference, other_hosts=False)
+    assert joined("http://a/s/manifest.json", reference, other_hosts=True).endswith("/x")
+
+
+@pytest.mark.parametrize(
+    "reference", ["http://[", "http://[/x", "http://a:99999/", "file:///x", "javascript:1", "http:"]
+)
+def test_what_is_not_a_url_is_not_followed(reference: str) -> None:
+    for other_hosts in (False, True):
+        with pytest.raises(FetchError, match=r"^http://a/s/m: it leads to .*, which is not"):
+            joined("http://a/s/m", reference if reference != "http:" else "ftp:/x", other_hosts)
+
+
+def test_nothing_leads_from_https_to_http() -> None:
+    with pytest.raises(FetchError, match="not encrypted"):
+        joined("https://a/", "http://a/", other_hosts=True)
+
+
+@pytest.mark.parametrize("template", ["http://[{segment}{layer}", "//elsewhere/{segment}/{layer}"])
+def test_a_manifest_that_leads_away_is_one_line(tmp_path: Path, template: str) -> None:
+    write_stream(tmp_path / "s", 13)
+    path = tmp_path / "s" / "manifest.json"
+    path.write_text(json.dumps(json.loads(path.read_bytes()) | {"object_url": template}))
+    with (
+        static_host(tmp_path) as host,
+        pytest.raises(FetchError, match=r"s/manifest\.json: it leads to "),
+        opened(f"{host}/s") as source,
+    ):
+        list(source.packets())
+
+
+def test_redirects_stay_on_their_host(tmp_path: Path) -> None:
+    write_stream(tmp_path / "s", 13)
+    with static_host(tmp_path) as host:
+        to = b"HTTP/1.1 302 Found\r\nLocation: %s\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+        there = to % f"{host}/s/manifest.json".encode()
+        with (
+            script(there) as first,
+            pytest.raises(FetchError, match="leads to another host"),
+            opened(f"{first.url}/s"),
+        ):
+            pass
+        with script(there) as first:
+            config = SourceConfig(QUICK, other_hosts=True)
+            with opened(f"{first.url}/elsewhere", config=config) as source:
+                assert len(list(source.packets())) == 16
+            assert first.asked == ["/elsewhere/manifest.json"]
+    around = to % b"/s/manifest.json"
+    with script(*[around] * 9) as host_in_circles:
+        with (
+            pytest.raises(FetchError, match="more than 5 redirects"),
+            opened(f"{host_in_circles.url}/s"),
+        ):
+            pass
+        assert len(host_in_circles.asked) == 5
+
+
+@pytest.mark.parametrize("name", ["http://[", "http://", "http://a:99999/s", "http://[::1/s"])
+def test_what_the_user_typed_is_no_url(name: str) -> None:
+    with pytest.raises(SwingsError, match="is not a URL"), opened(name):
+        pass
+
+
+# --- what reaches a terminal
+
+EVIL = "\x1b]0;owned\x07\x1b[2J\x9b31m\u202eevil"
+
+
+def swings_play(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "player", *arguments]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
+
+
+def steers(text: str) -> bool:
+    return any(not one.isprintable() and one != "\n" for one in text)
+
+
+def test_no_escape_sequence_of_a_server_reaches_the_terminal(tmp_path: Path) -> None:
+    refusal = json.dumps({"error": EVIL}).encode()
+    head = b"HTTP/1.1 400 No\r\nConnection: close\r\nContent-Length: %d\r\n\r\n"
+    with script(head % len(refusal) + refusal) as host:
+        done = swings_play(f"{host.url}/v1/streams/s", "--capture", str(tmp_path / "a"))
+    assert done.returncode == 1
+    assert "evil" in done.stderr
+    assert not steers(done.stderr + done.stdout)
+    # A camera's name, in a warning and in an error.
+    camera = small_manifest().cameras[0]
+    names = [type(camera)(EVIL, 16384, 4, 60.0, 60.0, 8.0, 2.0, camera.w2c)]
+    write_stream(tmp_path / "s", 3, cameras=tuple(names), default_camera=EVIL)
+    done = swings_play(
+        str(tmp_path / "s"), "--capture", str(tmp_path / "b"), "--camera", "camera:x"
+    )
+    assert done.returncode == 1
+    assert "evil" in done.stderr
+    assert not steers(done.stderr + done.stdout)
+
+
+def test_an_enormous_camera_is_drawn_at_a_sane_size(tmp_path: Path) -> None:
+    camera = small_manifest().cameras[0]
+    wide = type(camera)("c", 16384, 64, 60.0, 60.0, 8192.0, 32.0, camera.w2c)
+    write_stream(tmp_path / "s", 1, cameras=(wide,), default_camera="c")
+    out = tmp_path / "out"
+    done = swings_play(str(tmp_path / "s"), "--capture", str(out), "--renderer", "cpu")
+    assert done.returncode == 0, done.stderr
+    assert "the camera has 16384x64 pixels; drawing 4096x16 (--size gives others)" in done.stderr
+    from PIL import Image
+
+    with Image.open(next(out.iterdir())) as picture:
+        assert picture.size == (4096, 16)
+
+
+def test_frames_come_as_before() -> None:
+    """The limits above do not touch an honest play."""
+    with endless(answer(start(), *ALL), lambda n: b"", 0.1) as url:
+        fetcher = Fetcher(config=QUICKLY)
+        source = ServedSource("S", f"{url}/v1/streams/s", fetcher, FrameRange(), None, QUICK)
+        with closing(fetcher), closing(source):
+            frames = assembled(source)
+            assert [next(frames).frame for _ in range(3)] == [0, 1, 2]
