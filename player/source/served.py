@@ -29,13 +29,12 @@ from codec.stream.playrecord import (
 from server.abr.standing import PLAY_HEADER, RATE_HEADER, TOKEN, Standing, parse_rate
 
 from .fetch import BrokenError, FetchConfig, Fetcher, FetchError, OpenResponse, StoppedError
+from .hostedindex import REPLACED
 from .idle import IdleLimit
 from .lastplay import NO_PLAY, LastPlay
 from .receiver import Receiver
 from .retry import Retry, RetryConfig
 from .source import Packets, check_frames, check_layers
-
-REPLACED = "the stream was replaced by another one; play it anew"
 
 LOOK_S = 5.0
 """How often it is looked whether the playback is paused while nothing comes, seconds."""
