@@ -248,16 +248,11 @@ class ServedSource:
     def tell(self, standing: Standing) -> bool:
         token = self._token
         self._paused = standing.paused
-        if not self._identity:
-            try:
-                self._identity = self._first_record(self._teller)
-            except StoppedError:
-                return False
-            except FetchError:
-                pass  # then it is known by its manifest only
         if token and token != self._ended_play:
             try:
                 answer = self._teller.post(f"{self._url}/play/{token}", standing.to_json())
+                if answer.status == 204 and not self._identity:
+                    self._identity = self._first_record(self._teller)
             except StoppedError:
                 return False
             except FetchError:
