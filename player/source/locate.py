@@ -8,10 +8,11 @@ from pathlib import Path
 from urllib.parse import SplitResult, quote, unquote, urlsplit, urlunsplit
 
 from codec.errors import InvalidError
-from codec.stream.manifest import MANIFEST_NAME, Manifest
+from codec.stream.manifest import MANIFEST_NAME
 
 from .fetch import Fetcher, FetchError
-from .hosted import fetch_manifest
+from .hosted import HostedPlace, fetch_manifest
+from .hostedindex import HostedIndex
 
 MAX_LIST_BYTES = 16 << 20
 """Longest list of streams read, bytes."""
@@ -26,15 +27,6 @@ class ServedPlace:
 
     url: str
     """To which /play is added."""
-
-
-@dataclass(frozen=True, slots=True)
-class HostedPlace:
-    """A stream on a static host."""
-
-    base: str
-    """Ends with a slash."""
-    manifest: Manifest
 
 
 Place = Path | ServedPlace | HostedPlace
@@ -79,7 +71,7 @@ def locate(source: str, fetcher: Fetcher) -> Place:
             lacks = f"it has neither a list of streams nor a {MANIFEST_NAME}"
         raise FetchError(f"{source} is not a stream: {lacks}")
     manifest, base = found
-    return HostedPlace(base, manifest)
+    return HostedPlace((base,), manifest, HostedIndex(manifest))
 
 
 def _named_stream(source: str, path: str) -> str | None:

@@ -19,7 +19,8 @@ from codec.framerange import FrameRange
 from codec.stream.manifest import Manifest
 
 from .directory import DirectorySource
-from .faults import BrokenError
+from .diskcache import DiskCache
+from .faults import BrokenError, StoppedError
 from .fetch import FetchConfig, Fetcher
 from .hosted import HostedSource
 from .lastplay import NO_PLAY
@@ -37,6 +38,10 @@ class SourceConfig:
     """Patience with servers that fail."""
     other_hosts: bool = False
     """Whether a stream may lead to other hosts than its own."""
+    cache: Path | None = None
+    """Folder in which objects of static hosts are kept; None keeps none."""
+    cache_bytes: int = 1 << 30
+    """Bytes of them that are kept."""
 
 
 class Opener:
@@ -60,6 +65,9 @@ class Opener:
         """As it was when the stream was opened last; None before that."""
         fetch = FetchConfig(other_hosts=self._config.other_hosts)
         self._fetcher = Fetcher(via, fetch, received)
+        folder, cache_bytes = self._config.cache, self._config.cache_bytes
+        self.cache = DiskCache(folder, cache_bytes) if folder is not None else None
+        """Counts what it has saved."""
         self._place: Place | None = None
         self._last: Source | None = None
         self._lock = threading.Lock()
@@ -91,7 +99,7 @@ class Opener:
         with self._lock:
             self._using = fetcher = self._fetcher.shared()
             if self._stopped:
-                fetcher.interrupt()
+                raise StoppedError(f"{self.name}: stopped")
         return fetcher
 
     def _open_patiently(self, fetcher: Fetcher, frames: FrameRange, layers: int | None) -> Source:
@@ -116,9 +124,8 @@ class Opener:
             return ServedSource(
                 self.name, place.url, fetcher, frames, layers, self._config.retry, last_play
             )
-        return HostedSource(
-            self.name, place.base, place.manifest, fetcher, frames, layers, self._config.retry
-        )
+        retry, cache = self._config.retry, self.cache
+        return HostedSource(self.name, place, fetcher, frames, layers, retry, cache)
 
     def _check(self, manifest: Manifest) -> None:
         before = self.manifest

@@ -36,13 +36,12 @@ from server.abr.standing import (
 )
 
 from .fetch import BrokenError, FetchConfig, Fetcher, FetchError, OpenResponse, StoppedError
+from .hostedindex import REPLACED
 from .idle import IdleLimit
 from .lastplay import NO_PLAY, LastPlay
 from .receiver import Receiver
 from .retry import Retry, RetryConfig
 from .source import Packets, check_frames, check_layers
-
-REPLACED = "the stream was replaced by another one; play it anew"
 
 LOOK_S = 5.0
 """How often it is looked whether the playback is paused while nothing comes, seconds."""
@@ -270,16 +269,11 @@ class ServedSource:
         if standing.frame is not None:
             self._told_frame = standing.frame
         self._paused = standing.paused
-        if not self._identity:
-            try:
-                self._identity = self._first_record(self._teller)
-            except StoppedError:
-                return False
-            except FetchError:
-                pass  # then it is known by its manifest only
         if token and token != self._ended_play:
             try:
                 answer = self._teller.post(f"{self._url}/play/{token}", standing.to_json())
+                if answer.status == 204 and not self._identity:
+                    self._identity = self._first_record(self._teller)
             except StoppedError:
                 return False
             except FetchError:

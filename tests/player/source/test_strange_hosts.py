@@ -133,7 +133,10 @@ def test_who_pauses_is_owed_nothing() -> None:
     named = HEAD.replace(b"Connection", b"Swings-Play: abc\r\nConnection")
     first = answer(start(), *ALL[:4]).replace(HEAD, named)
     heard = b"HTTP/1.1 204 Heard\r\nConnection: close\r\n\r\n"
-    with script(first + HOLD, heard) as host, closing(Fetcher(config=QUICKLY)) as fetcher:
+    with (
+        script(first + HOLD, heard, heard) as host,
+        closing(Fetcher(config=QUICKLY)) as fetcher,
+    ):
         source = ServedSource("S", host.url, fetcher, FrameRange(), None, QUICK)
         packets = source.packets()
         for _ in range(4):
@@ -142,7 +145,7 @@ def test_who_pauses_is_owed_nothing() -> None:
         threading.Timer(4 * IDLE_S, source.interrupt).start()
         with pytest.raises(SwingsError, match=r"stopped$"):
             next(packets)
-        assert len(host.asked) == 2
+        assert len(host.asked) == 3
         source.close()
 
 
