@@ -34,23 +34,9 @@ def from_centre(at_px, centre_px):  # type: ignore[no-untyped-def]
 
 
 @kernel(fastmath=True, inline="always")
-def row_misses(a, b, c, q_max, dy, left):  # type: ignore[no-untyped-def]
-    """Whether the ellipse q <= q_max misses the pixel centres of a row of a tile.
-
-    dy: row centre minus Gaussian centre; left: first pixel centre minus Gaussian centre, px.
-    """
-    # a dx^2 + 2 b dx dy + c dy^2 <= 2 q_max, solved for dx
-    root = b * b * dy * dy - a * (c * dy * dy - np.float32(2) * q_max)
-    if root <= 0:
-        return True
-    root = np.sqrt(root)
-    middle = -b * dy
-    return (middle + root) < left * a or (middle - root) > (left + np.float32(TILE_PX - 1)) * a
-
-
-@kernel(fastmath=True, inline="always")
 def rows_hit(a, b, c, q_max, left, top):  # type: ignore[no-untyped-def]
-    """First and end row of a tile that `row_misses` lets through: they lie side by side.
+    """First and end row of a tile whose pixel centres the ellipse q <= q_max reaches, but for some
+    that it passes between; an ellipse reaches rows that lie side by side.
 
     left, top: centre of the tile's first pixel minus Gaussian centre, px. All rows at once: that is
     vector code, where a test and a branch for each row cost as much as blending.
@@ -60,7 +46,8 @@ def rows_hit(a, b, c, q_max, left, top):  # type: ignore[no-untyped-def]
     for row in range(TILE_PX):
         dy = top + np.float32(row)
         root = b * b * dy * dy - a * (c * dy * dy - np.float32(2) * q_max)
-        # From the row's widest place to the nearest pixel centre, times a.
+        # a dx^2 + 2 b dx dy + c dy^2 <= 2 q_max, solved for dx: from the middle of what the
+        # ellipse has of the row's line to the nearest place in the tile, times a.
         middle = -b * dy
         away = min(max(middle, low), high) - middle
         hit = root > away * away

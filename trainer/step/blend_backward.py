@@ -15,7 +15,7 @@ from codec.kernel import kernel
 from player.render.blend import (
     blend_pixel,
     from_centre,
-    row_misses,
+    rows_hit,
     tile_corner,
     unclamped_alpha,
 )
@@ -54,11 +54,12 @@ def _pass_frozen(projected, g, x_px, y_px, pixels, row_open, open_rows):  # type
     a, b, c = projected[g, CONIC_A], projected[g, CONIC_B], projected[g, CONIC_C]
     opacity, q_max = projected[g, OPACITY], projected[g, Q_MAX]
     red, green, blue = projected[g, RED], projected[g, GREEN], projected[g, BLUE]
-    left, cy = from_centre(x_px, projected[g, X]), projected[g, Y]
-    for row in range(TILE_PX):
-        dy = from_centre(y_px + row, cy)
-        if not row_open[row] or row_misses(a, b, c, q_max, dy, left):
+    left, top = from_centre(x_px, projected[g, X]), from_centre(y_px, projected[g, Y])
+    first, end = rows_hit(a, b, c, q_max, left, top)
+    for row in range(first, end):
+        if not row_open[row]:
             continue
+        dy = top + np.float32(row)
         light = zero
         for x in range(TILE_PX):
             unclamped = unclamped_alpha(a, b, c, opacity, left + np.float32(x), dy)
@@ -134,14 +135,15 @@ def blend_tiles_backward(  # type: ignore[no-untyped-def]
             a, b, c = projected[g, CONIC_A], projected[g, CONIC_B], projected[g, CONIC_C]
             opacity, q_max = projected[g, OPACITY], projected[g, Q_MAX]
             red, green, blue = projected[g, RED], projected[g, GREEN], projected[g, BLUE]
-            left, cy = from_centre(x_px, projected[g, X]), projected[g, Y]
+            left, top = from_centre(x_px, projected[g, X]), from_centre(y_px, projected[g, Y])
             for plane in range(SUMS):
                 for x in range(TILE_PX):
                     sums[plane, x] = zero
-            for row in range(TILE_PX):
-                dy = from_centre(y_px + row, cy)
-                if not row_open[row] or row_misses(a, b, c, q_max, dy, left):
+            first, end = rows_hit(a, b, c, q_max, left, top)
+            for row in range(first, end):
+                if not row_open[row]:
                     continue
+                dy = top + np.float32(row)
                 light = zero
                 for x in range(TILE_PX):
                     dx = left + np.float32(x)

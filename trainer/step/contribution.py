@@ -12,7 +12,7 @@ from codec.kernel import kernel
 from player.render.blend import (
     blend_pixel,
     from_centre,
-    row_misses,
+    rows_hit,
     tile_corner,
     unclamped_alpha,
 )
@@ -59,13 +59,14 @@ def sum_weights(  # type: ignore[no-untyped-def]
             g = gaussians[entry]
             a, b, c = projected[g, CONIC_A], projected[g, CONIC_B], projected[g, CONIC_C]
             opacity, q_max = projected[g, OPACITY], projected[g, Q_MAX]
-            left, cy = from_centre(x_px, projected[g, X]), projected[g, Y]
+            left, top = from_centre(x_px, projected[g, X]), from_centre(y_px, projected[g, Y])
             for x in range(TILE_PX):
                 sums[x] = zero
-            for row in range(TILE_PX):
-                dy = from_centre(y_px + row, cy)
-                if not row_open[row] or row_misses(a, b, c, q_max, dy, left):
+            first, end = rows_hit(a, b, c, q_max, left, top)
+            for row in range(first, end):
+                if not row_open[row]:
                     continue
+                dy = top + np.float32(row)
                 light = zero
                 for x in range(TILE_PX):
                     unclamped = unclamped_alpha(a, b, c, opacity, left + np.float32(x), dy)

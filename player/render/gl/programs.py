@@ -48,8 +48,9 @@ def compile_program(
 def compile_compute(
     context: moderngl.Context, shader: str, constants: Constants
 ) -> moderngl.ComputeShader:
-    """The compute shader of a file."""
-    return context.compute_shader(f"{_head(430, constants)}\n{_text(shader)}")
+    """The compute shader of a file; its `sync()` waits until all of a group see what each wrote."""
+    sync = "void sync() { memoryBarrierShared(); barrier(); }"
+    return context.compute_shader(f"{_head(430, constants)}\n{sync}\n{_text(shader)}")
 
 
 def set_camera(program: moderngl.Program | moderngl.ComputeShader, camera: Camera) -> None:

@@ -19,7 +19,7 @@ void main() {
     int group = int(gl_WorkGroupID.x), thread = int(gl_LocalInvocationID.x);
     if (group >= groups) return;
     if (thread < DIGITS) counts[thread] = 0u;
-    barrier();
+    sync();
     for (int i = 0; i < RUN; i++) {
         int at = group * BLOCK + i * THREADS + thread;
         if (at >= total) break;
@@ -27,6 +27,6 @@ void main() {
         // A sum is the same in whichever order it is made.
         if (key != ABSENT) atomicAdd(counts[bitfieldExtract(key, DIGIT_BITS * digit, DIGIT_BITS)], 1u);
     }
-    barrier();
+    sync();
     if (thread < DIGITS) tallies[thread * groups + group] = counts[thread];
 }

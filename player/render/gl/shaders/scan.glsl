@@ -21,12 +21,12 @@ void main() {
     uint sum = 0u;
     for (int i = first; i < end; i++) sum += tallies[i];
     sums[thread] = sum;
-    barrier();
+    sync();
     for (int step = 1; step < SCAN_THREADS; step *= 2) {
         uint before = thread >= step ? sums[thread - step] : 0u;
-        barrier();
+        sync();
         sums[thread] += before;
-        barrier();
+        sync();
     }
     uint place = sums[thread] - sum;
     for (int i = first; i < end; i++) {

@@ -31,16 +31,16 @@ void main() {
         if (run[i] == ABSENT) continue;
         before[bitfieldExtract(run[i], DIGIT_BITS * digit, DIGIT_BITS) * THREADS + thread] += 1u;
     }
-    barrier();
+    sync();
     // Prefix sums over the threads, of all digits at once.
     for (int step = 1; step < THREADS; step *= 2) {
         uint others[DIGITS];
         for (int d = 0; d < DIGITS; d++) {
             others[d] = thread >= step ? before[d * THREADS + thread - step] : 0u;
         }
-        barrier();
+        sync();
         for (int d = 0; d < DIGITS; d++) before[d * THREADS + thread] += others[d];
-        barrier();
+        sync();
     }
     uint place[DIGITS];
     for (int d = 0; d < DIGITS; d++) {

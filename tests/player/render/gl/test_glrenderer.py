@@ -332,6 +332,24 @@ def test_a_slice_that_does_not_fit_is_refused(open_gl: OpenGl) -> None:
         gl.put(Slice(0, random_splats(1, 1, 0), np.zeros(1, np.uint8), rows))
 
 
+def test_without_the_system_s_library_moderngl_draws_the_same(
+    open_gl: OpenGl, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def missing(name: str) -> None:
+        raise OSError(name)
+
+    manifest = small_manifest(slice_size=50)
+    usual = open_gl(manifest)
+    monkeypatch.setattr("player.render.gl.glcontext.ctypes.CDLL", missing)
+    other = open_gl(manifest)
+    for birth in range(1 - SWIN_SIZE, 1):
+        usual.put(random_slice(birth, 50))
+        other.put(random_slice(birth, 50))
+    drawn = usual.render(0, manifest.camera())
+    assert drawn.max() > 0.5
+    np.testing.assert_array_equal(other.render(0, manifest.camera()), drawn)
+
+
 @pytest.mark.skipif(NO_GL43 is not None, reason=f"OpenGL: {NO_GL43}")
 def test_what_4_3_cannot_hold_is_drawn_with_3_3(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
