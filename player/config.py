@@ -20,8 +20,8 @@ from player.playout.clock import MAX_RATE, MIN_RATE
 from player.render.gl.offscreen import BLACK, Colour
 from player.render.renderer import GlVersion, RendererKind
 from player.show.sink import check_output, check_still
-from player.source.net.retry import RetryConfig
 from player.source.opener import SourceConfig
+from player.source.retry import RetryConfig
 from player.view.path import CameraPath, Size, camera_path, check_path
 from server.abr.link.link import Link
 

@@ -49,7 +49,6 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
         {"server"},
     ),
     "player": (
-        {"player/source/net"},
         {"player/render", "player/source", "player/view", "player/link"},
         {"player/render/gl", "player/playout"},
         {"player/show"},

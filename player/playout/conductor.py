@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from player.render.renderer import Renderer
-from player.source.net.fetch import StoppedError
+from player.source.fetch import StoppedError
 from player.source.source import Source
 
 from .clock import Clock

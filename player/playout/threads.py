@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from player.render.renderer import Renderer
-from player.source.net.fetch import StoppedError
+from player.source.fetch import StoppedError
 from player.source.source import Source
 from player.view.path import CameraPath
 

@@ -16,13 +16,13 @@ from codec.stream.integrity import CheckedObject
 from codec.stream.manifest import MANIFEST_NAME, MAX_MANIFEST_BYTES, Manifest, Part
 from server.abr.standing import Standing
 
+from .diskcache import DiskCache
+from .fetch import Fetcher, FetchError
 from .hostedindex import REPLACED, HostedIndex
+from .idle import IdleLimit
 from .lastplay import NO_PLAY
 from .mirrors import Mirrors
-from .net.diskcache import DiskCache
-from .net.fetch import Fetcher, FetchError
-from .net.idle import IdleLimit
-from .net.retry import RetryConfig
+from .retry import RetryConfig
 from .segments import SegmentPlay
 from .source import Packets, check_frames, check_layers
 

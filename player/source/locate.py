@@ -10,9 +10,9 @@ from urllib.parse import SplitResult, quote, unquote, urlsplit, urlunsplit
 from codec.errors import InvalidError
 from codec.stream.manifest import MANIFEST_NAME
 
+from .fetch import Fetcher, FetchError
 from .hosted import HostedPlace, fetch_manifest
 from .hostedindex import HostedIndex
-from .net.fetch import Fetcher, FetchError
 
 MAX_LIST_BYTES = 16 << 20
 """Longest list of streams read, bytes."""

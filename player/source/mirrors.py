@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 
 from codec.stream.manifest import MANIFEST_NAME
 
-from .net.faults import BrokenError, FetchError
-from .net.fetch import Fetcher, OpenResponse
-from .net.hosts import joined
-from .net.retry import Retry, RetryConfig
+from .faults import BrokenError, FetchError
+from .fetch import Fetcher, OpenResponse
+from .hosts import joined
+from .retry import Retry, RetryConfig
 
 PROGRESS_BYTES = 4096
 """A try that brought less has brought nothing: or who sends byte after byte is waited for."""

@@ -19,13 +19,13 @@ from codec.framerange import FrameRange
 from codec.stream.manifest import Manifest
 
 from .directory import DirectorySource
+from .diskcache import DiskCache
+from .faults import BrokenError, StoppedError
+from .fetch import FetchConfig, Fetcher
 from .hosted import HostedSource
 from .lastplay import NO_PLAY
 from .locate import Place, ServedPlace, locate
-from .net.diskcache import DiskCache
-from .net.faults import BrokenError, StoppedError
-from .net.fetch import FetchConfig, Fetcher
-from .net.retry import Retry, RetryConfig
+from .retry import Retry, RetryConfig
 from .served import ServedSource
 from .source import Source
 

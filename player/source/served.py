@@ -35,12 +35,12 @@ from server.abr.standing import (
     parse_rate,
 )
 
+from .fetch import BrokenError, FetchConfig, Fetcher, FetchError, OpenResponse, StoppedError
 from .hostedindex import REPLACED
+from .idle import IdleLimit
 from .lastplay import NO_PLAY, LastPlay
-from .net.fetch import BrokenError, FetchConfig, Fetcher, FetchError, OpenResponse, StoppedError
-from .net.idle import IdleLimit
-from .net.retry import Retry, RetryConfig
 from .receiver import Receiver
+from .retry import Retry, RetryConfig
 from .source import Packets, check_frames, check_layers
 
 LOOK_S = 5.0

@@ -17,13 +17,12 @@ from codec.errors import CorruptError, InvalidError, UnreadableError
 from codec.storage.storage import Stamp
 from codec.stream.manifest import MANIFEST_NAME, OBJECT_URL, SEGMENTS_NAME
 
-from .hosted import HostedPlace
-from .locate import ServedPlace, locate
-from .net.faults import BrokenError, FetchError
-from .net.fetch import FetchConfig, Fetcher
-from .net.hosts import joined
-from .net.retry import Retry
+from .faults import BrokenError, FetchError
+from .fetch import FetchConfig, Fetcher
+from .hosts import joined
+from .locate import HostedPlace, ServedPlace, locate
 from .opener import SourceConfig
+from .retry import Retry
 
 Result = TypeVar("Result")
 
@@ -49,7 +48,7 @@ class WebStorage:
         try:
             place = self._in_thread(lambda: locate(source, self._fetcher))
             if isinstance(place, HostedPlace):
-                self._base, self._object_url = place.bases[0], place.manifest.object_url
+                self._base, self._object_url = place.base, place.manifest.object_url
             elif isinstance(place, ServedPlace):
                 self._base = place.url + "/"
             else:

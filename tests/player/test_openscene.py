@@ -29,9 +29,9 @@ from player.playback import play
 from player.render.cpu import CpuRenderer, render_splats
 from player.render.renderer import RendererKind
 from player.show.sink import to_bytes
-from player.source.net.fetch import FetchError
-from player.source.net.retry import RetryConfig
+from player.source.fetch import FetchError
 from player.source.opener import SourceConfig
+from player.source.retry import RetryConfig
 from tests.support.commands import ROOT
 from tests.support.hosted_streams import (
     SEGMENT_FRAMES,

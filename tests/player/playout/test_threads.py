@@ -23,8 +23,8 @@ from player.playout.queues import EmptyStreamError, Events, Handoff
 from player.playout.threads import Threads, render_thread
 from player.playout.timeline import FrameRecord, Playout, QueueConfig
 from player.render.steptimes import StepTimes
+from player.source.fetch import StoppedError
 from player.source.lastplay import NO_PLAY
-from player.source.net.fetch import StoppedError
 from player.source.source import Packets, SlicePackets
 from server.abr.playout import PlayoutConfig
 from server.abr.standing import Standing

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.errors import InvalidError
-from player.source.net.fetch import BrokenError, parse_retry_after
-from player.source.net.retry import Retry, RetryConfig
+from player.source.fetch import BrokenError, parse_retry_after
+from player.source.retry import Retry, RetryConfig
 
 ERROR = BrokenError("x")
 

@@ -21,9 +21,9 @@ from codec.stream.manifest import MASKS, snapshot_part
 from codec.tools.audit import verify_stream
 from codec.tools.slotcensus import count_slots, summarise_slots
 from codec.tools.static import export_static
-from player.source.net.fetch import Fetcher
-from player.source.net.retry import RetryConfig
+from player.source.fetch import Fetcher
 from player.source.opener import opened
+from player.source.retry import RetryConfig
 from player.source.served import ServedSource
 from tests.support.delivery.assembled import Assembled, assembled, read_all, slices_of
 from tests.support.hosted_streams import ServerProcess, served, static_host, wait_for_stream

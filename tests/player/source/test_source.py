@@ -19,9 +19,9 @@ from codec.slice import Slice
 from codec.stream import StreamReader, StreamWriter
 from player.link.linkprocess import LinkProcess
 from player.link.linktext import read_link
-from player.source.net.fetch import BrokenError, Fetcher, FetchError
-from player.source.net.retry import RetryConfig
+from player.source.fetch import BrokenError, Fetcher, FetchError
 from player.source.opener import opened
+from player.source.retry import RetryConfig
 from player.source.served import ServedSource
 from tests.support.delivery.assembled import assembled, read_all, slices_of
 from tests.support.hosted_streams import (
