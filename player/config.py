@@ -16,12 +16,13 @@ from codec.errors import InvalidError
 from codec.framerange import FRAMES, FrameRange
 from codec.stream.manifest import Manifest
 from player.link.linktext import read_link
+from player.network.retry import RetryConfig
 from player.playout.clock import MAX_RATE, MIN_RATE
 from player.render.gl.offscreen import BLACK, Colour
 from player.render.renderer import GlVersion, RendererKind
 from player.show.sink import check_output, check_still
+from player.source.locate import split_source
 from player.source.opener import SourceConfig
-from player.source.retry import RetryConfig
 from player.view.path import CameraPath, Size, camera_path, check_path
 from server.abr.link.link import Link
 
@@ -134,7 +135,8 @@ class PlayConfig:
 
     source: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="SOURCE")]]
     """Folder of a stream, URL of a served stream (http://HOST:PORT, .../watch/NAME), or any URL
-    under which a stream's files lie."""
+    under which a stream's files lie; or several such URLs of one stream, with commas between them:
+    when a host is gone the next one is asked."""
     capture: Annotated[Path | None, tyro.conf.arg(metavar="OUT")] = None
     """Write every frame, exactly once, to this .mp4 or folder of PNGs. Without it: a window."""
     layers: Annotated[int | None, LAYERS] = None
@@ -163,6 +165,10 @@ class PlayConfig:
     """Seconds for which a server that fails is tried again; 0: give up at once."""
     other_hosts: bool = False
     """Let a stream lead to other hosts than the one that SOURCE names."""
+    cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Keep what comes from static hosts in this folder, and take it from there the next time."""
+    cache_bytes: Annotated[int, tyro.conf.arg(metavar="BYTES")] = 1 << 30
+    """Most that is kept; what was used longest ago goes first."""
     loop: Annotated[int | None, LOOP] = 1
     """Play the frames so often, or forever; each time the stream is asked for anew."""
     rate: float = 1.0
@@ -183,7 +189,7 @@ class PlayConfig:
 
     @property
     def delivery(self) -> SourceConfig:
-        return SourceConfig(self.patience, self.other_hosts)
+        return SourceConfig(self.patience, self.other_hosts, self.cache, self.cache_bytes)
 
     def __post_init__(self) -> None:
         """Raises InvalidError for options that do not go together, whatever the stream is."""
@@ -201,6 +207,12 @@ class PlayConfig:
             raise InvalidError(f"rate {self.rate} is not within {MIN_RATE:g}..{MAX_RATE:g}")
         if self.renderer is RendererKind.CPU and self.gl is not GlVersion.AUTO:
             raise InvalidError(f"--gl {self.gl} does not go with --renderer cpu")
+        if self.link is not None and len(split_source(self.source)) > 1:
+            raise InvalidError("--link slows down one host; give one URL")
+        if self.cache is not None and self.cache.exists() and not self.cache.is_dir():
+            raise InvalidError(f"cache {self.cache}: is not a folder")
+        if self.cache_bytes < 1:
+            raise InvalidError(f"cache-bytes {self.cache_bytes}: is not positive")
         if self.capture is not None:
             self._refuse("--capture", ("--loop forever", self.loop is None), *self._of_windows)
         if self.profile is not None:

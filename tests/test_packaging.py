@@ -49,7 +49,8 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
         {"server"},
     ),
     "player": (
-        {"player/render", "player/source", "player/view", "player/link"},
+        {"player/network", "player/render", "player/view", "player/link"},
+        {"player/source"},
         {"player/render/gl", "player/playout"},
         {"player/show"},
         {"player"},

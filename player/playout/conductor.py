@@ -13,8 +13,8 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from player.network.fetch import StoppedError
 from player.render.renderer import Renderer
-from player.source.fetch import StoppedError
 from player.source.source import Source
 
 from .clock import Clock

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable
 
 from codec.errors import SwingsError
-from player.source.fetch import StoppedError
+from player.network.fetch import StoppedError
 from player.source.source import Packets
 from server.abr.standing import MAX_BUFFER_S, Standing
 

@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from player.network.fetch import StoppedError
 from player.render.renderer import Renderer
-from player.source.fetch import StoppedError
 from player.source.source import Source
 from player.view.path import CameraPath
 

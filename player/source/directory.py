@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import logging
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,6 +12,9 @@ from codec.errors import CodecError
 from codec.framerange import FrameRange
 from codec.stream import StreamReader
 from codec.stream.manifest import Manifest
+from player.network.faults import StoppedError
+from player.network.fetch import FetchConfig
+from player.network.idle import IdleLimit
 from server.abr.standing import Standing
 
 from .bounds import Bounds
@@ -16,12 +22,25 @@ from .lastplay import NO_PLAY
 from .segments import SegmentPlay
 from .source import Packets, check_frames, check_layers
 
+log = logging.getLogger(__name__)
+
+POLL_S = 0.2
+"""Time between two looks at a stream that is still written, seconds."""
+
 
 class DirectorySource:
-    """A stream's folder. One that is still written is played as far as it has come."""
+    """A stream's folder. One that is still written is followed."""
 
-    def __init__(self, path: Path, frames: FrameRange, layers: int | None) -> None:
-        """layers: None takes all."""
+    def __init__(
+        self,
+        path: Path,
+        frames: FrameRange,
+        layers: int | None,
+        idle_s: float = FetchConfig().idle_s,
+    ) -> None:
+        """layers: None takes all. idle_s: for how long new frames are waited for, seconds."""
+        self._idle_s = idle_s
+        self._stopped = threading.Event()
         self._reader = reader = StreamReader(path)
         self.name = str(path)
         self.play = NO_PLAY
@@ -41,9 +60,9 @@ class DirectorySource:
         bounds = Bounds(self.manifest)
         while (segment := play.segment) is not None:
             if segment >= len(reader.records):
-                if self.manifest.live and reader.refresh():
-                    continue
-                return
+                if not self._follow():
+                    return
+                continue
             try:
                 bounds.check_segment(reader.records[segment])
             except CodecError as error:
@@ -52,11 +71,24 @@ class DirectorySource:
             self.received_bytes += sum(len(found.data) for found in objects.values())
             yield from play.packets(objects)
 
+    def _follow(self) -> bool:
+        """Waits for the stream to grow; gives whether it has."""
+        idle = IdleLimit(self._idle_s, time.monotonic())
+        while self.manifest.live:
+            if self._reader.refresh():
+                return True
+            if not idle.left_s(time.monotonic()):
+                log.warning("%s: no new frames for %.0f s; it ends here", self.name, self._idle_s)
+                return False
+            if self._stopped.wait(POLL_S):
+                raise StoppedError(f"{self.name}: stopped")
+        return False
+
     def tell(self, standing: Standing) -> bool:
         return False
 
     def interrupt(self) -> None:
-        """Nothing here waits for longer than a read of the disk."""
+        self._stopped.set()
 
     def close(self) -> None:
         pass

@@ -14,15 +14,16 @@ from codec.framerange import FrameRange
 from codec.stream.index import SegmentRecord
 from codec.stream.integrity import CheckedObject
 from codec.stream.manifest import MANIFEST_NAME, MAX_MANIFEST_BYTES, Manifest, Part
+from player.network.diskcache import DiskCache
+from player.network.faults import BrokenError, FetchError
+from player.network.fetch import Fetcher
+from player.network.idle import IdleLimit
+from player.network.mirrors import Mirrors, refusal
+from player.network.retry import RetryConfig
 from server.abr.standing import Standing
 
-from .diskcache import DiskCache
-from .fetch import Fetcher, FetchError
 from .hostedindex import REPLACED, HostedIndex
-from .idle import IdleLimit
 from .lastplay import NO_PLAY
-from .mirrors import Mirrors
-from .retry import RetryConfig
 from .segments import SegmentPlay
 from .source import Packets, check_frames, check_layers
 
@@ -53,6 +54,9 @@ def fetch_manifest(fetcher: Fetcher, url: str) -> tuple[Manifest, str] | None:
     if response.status in (404, 410):
         return None
     if response.status != 200:
+        error = refusal(url, response)
+        if isinstance(error, BrokenError):
+            raise error
         raise FetchError(f"{url} is not a stream: HTTP {response.status}")
     try:
         return Manifest.from_json(response.body), urljoin(response.url, ".")

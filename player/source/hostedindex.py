@@ -6,9 +6,9 @@ from codec.errors import CodecError, CorruptError
 from codec.stream.index import INDEX_NAME, SegmentRecord, record_bytes
 from codec.stream.integrity import read_index
 from codec.stream.manifest import Manifest
+from player.network.mirrors import Mirrors
 
 from .bounds import Bounds
-from .mirrors import Mirrors
 
 MAX_HOSTED_INDEX_BYTES = 1 << 26
 """Longest index read: its records take about six times as much in memory."""

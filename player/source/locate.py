@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 from pathlib import Path
 from urllib.parse import SplitResult, quote, unquote, urlsplit, urlunsplit
 
 from codec.errors import InvalidError
 from codec.stream.manifest import MANIFEST_NAME
+from player.network.faults import BrokenError, FetchError
+from player.network.fetch import Fetcher
 
-from .fetch import Fetcher, FetchError
 from .hosted import HostedPlace, fetch_manifest
 from .hostedindex import HostedIndex
 
@@ -23,10 +25,10 @@ SERVED = ("/v1/streams/", "/watch/")
 
 @dataclass(frozen=True, slots=True)
 class ServedPlace:
-    """A stream that a swings server plays."""
+    """A stream that swings servers play."""
 
-    url: str
-    """To which /play is added."""
+    urls: tuple[str, ...]
+    """Of the stream on each of them; to one of them /play is added."""
 
 
 Place = Path | ServedPlace | HostedPlace
@@ -55,15 +57,54 @@ def check_url(source: str) -> SplitResult:
     return parts
 
 
+def split_source(source: str) -> list[str]:
+    """The URLs, between commas, that `source` gives for one stream."""
+    return re.split(r",(?=https?://)", source, flags=re.IGNORECASE)
+
+
 def locate(source: str, fetcher: Fetcher) -> Place:
-    """Where the stream is that `source` names."""
+    """Where the stream is that `source` names. Of several URLs the first that answers says what
+    kind of host they all are."""
+    names = split_source(source)
+    for number, name in enumerate(names):
+        try:
+            found = _locate(name, fetcher)
+        except BrokenError:
+            if name is names[-1]:
+                raise
+            continue
+        others = names[:number] + names[number + 1 :]
+        match found:
+            case ServedPlace(urls=urls):
+                stream = urls[0].rpartition("/")[2]
+                urls += tuple(_named_url(other, stream) for other in others)
+                return ServedPlace(urls)
+            case HostedPlace():
+                return replace(found, bases=found.bases + tuple(map(_base, others)))
+        return found
+    raise AssertionError("a text has one part at least")
+
+
+def _named_url(source: str, stream: str) -> str:
+    """The URL of a served stream on another server than the one where it is called `stream`."""
+    path = check_url(source).path.rstrip("/")
+    return _named_stream(source, path) or f"{_with_path(source, path)}{SERVED[0]}{stream}"
+
+
+def _base(source: str) -> str:
+    """The URL of the folder of a stream on a static host, with a slash."""
+    path = check_url(source).path.rstrip("/")
+    return _with_path(source, path.removesuffix(f"/{MANIFEST_NAME}")) + "/"
+
+
+def _locate(source: str, fetcher: Fetcher) -> Place:
     if not is_url(source):
         return Path(source)
     path = check_url(source).path.rstrip("/")
     served = _named_stream(source, path) if path else _only_stream(source, fetcher)
     if served is not None:
-        return ServedPlace(served)
-    base = _with_path(source, path.removesuffix(f"/{MANIFEST_NAME}")) + "/"
+        return ServedPlace((served,))
+    base = _base(source)
     found = fetch_manifest(fetcher, base + MANIFEST_NAME)
     if found is None:
         lacks = f"there is no {base}{MANIFEST_NAME}"

@@ -17,15 +17,15 @@ from pathlib import Path
 from codec.errors import CorruptError
 from codec.framerange import FrameRange
 from codec.stream.manifest import Manifest
+from player.network.diskcache import DiskCache
+from player.network.faults import BrokenError, StoppedError
+from player.network.fetch import FetchConfig, Fetcher
+from player.network.retry import Retry, RetryConfig
 
 from .directory import DirectorySource
-from .diskcache import DiskCache
-from .faults import BrokenError, StoppedError
-from .fetch import FetchConfig, Fetcher
 from .hosted import HostedSource
 from .lastplay import NO_PLAY
 from .locate import Place, ServedPlace, locate
-from .retry import Retry, RetryConfig
 from .served import ServedSource
 from .source import Source
 
@@ -122,7 +122,7 @@ class Opener:
             # A server that hears of the link does not start blind.
             last_play = self._last.play if self._last else NO_PLAY
             return ServedSource(
-                self.name, place.url, fetcher, frames, layers, self._config.retry, last_play
+                self.name, place.urls, fetcher, frames, layers, self._config.retry, last_play
             )
         retry, cache = self._config.retry, self.cache
         return HostedSource(self.name, place, fetcher, frames, layers, retry, cache)

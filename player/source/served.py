@@ -9,7 +9,7 @@ import json
 import random
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 
 from codec.errors import CodecError, CorruptError
@@ -26,6 +26,16 @@ from codec.stream.playrecord import (
     SnapshotRecord,
     StartRecord,
 )
+from player.network.fetch import (
+    BrokenError,
+    FetchConfig,
+    Fetcher,
+    FetchError,
+    OpenResponse,
+    StoppedError,
+)
+from player.network.idle import IdleLimit
+from player.network.retry import Retry, RetryConfig
 from server.abr.standing import (
     FRAME_HEADER,
     PLAY_HEADER,
@@ -35,12 +45,9 @@ from server.abr.standing import (
     parse_rate,
 )
 
-from .fetch import BrokenError, FetchConfig, Fetcher, FetchError, OpenResponse, StoppedError
 from .hostedindex import REPLACED
-from .idle import IdleLimit
 from .lastplay import NO_PLAY, LastPlay
 from .receiver import Receiver
-from .retry import Retry, RetryConfig
 from .source import Packets, check_frames, check_layers
 
 LOOK_S = 5.0
@@ -59,7 +66,7 @@ class ServedSource:
     def __init__(
         self,
         name: str,
-        url: str,
+        urls: str | Sequence[str],
         fetcher: Fetcher,
         frames: FrameRange,
         layers: int | None,
@@ -68,11 +75,12 @@ class ServedSource:
     ) -> None:
         """Connects, and reads the manifest.
 
-        url: the stream's, to which /play is added. fetcher: is closed together with the source.
-        layers: None leaves the choice to the server. last_play: the one before this.
+        urls: of the stream on one or more servers, to which /play is added. fetcher: is closed
+        together with the source. layers: None leaves the choice to the server. last_play: the one
+        before this.
         """
         self.name = name
-        self._url = url
+        self._urls = [urls] if isinstance(urls, str) else [*urls]
         self._fetcher = fetcher
         self._retry_config = retry or RetryConfig()
         self._layers = layers
@@ -88,7 +96,7 @@ class ServedSource:
         self._parser = RecordParser()
         self._waiting: list[Record] = []
         try:
-            start = self._connect(frames.first)
+            start = self._connect_any(frames.first)
             self.manifest = self._manifest_of(start)
             self.adaptive = layers is None
             self.num_layers = check_layers(layers, self.manifest, name)
@@ -107,6 +115,11 @@ class ServedSource:
     @property
     def received_bytes(self) -> int:
         return self._fetcher.received_bytes
+
+    @property
+    def _url(self) -> str:
+        """Of the server that is asked now."""
+        return self._urls[0]
 
     def _connect(self, frame: int) -> StartRecord:
         """Asks for the slices that show from `frame` on; gives the first record."""
@@ -133,6 +146,15 @@ class ServedSource:
             raise CorruptError(f"{self.name}: the response does not begin with a start record")
         self._idle.useful(time.monotonic())
         return record
+
+    def _connect_any(self, frame: int) -> StartRecord:
+        """The same on the first server that answers."""
+        for _ in self._urls[1:]:
+            try:
+                return self._connect(frame)
+            except BrokenError:
+                self._urls.append(self._urls.pop(0))
+        return self._connect(frame)
 
     def _refusal(self, response: OpenResponse) -> FetchError:
         """The error for an answer that is not 200, with the server's own words if it has some."""
@@ -225,6 +247,7 @@ class ServedSource:
                 end = self.frames.end
                 if end is not None and receiver.next_birth >= end:
                     return  # layer 0 is whole; the rest is not worth another connection
+                self._urls.append(self._urls.pop(0))
                 now_s = time.monotonic()
                 self._fetcher.pause(retry.delay_s(error, now_s, random.random()))
                 continue

@@ -16,13 +16,14 @@ from urllib.parse import urlsplit
 from codec.errors import CorruptError, InvalidError, UnreadableError
 from codec.storage.storage import Stamp
 from codec.stream.manifest import MANIFEST_NAME, OBJECT_URL, SEGMENTS_NAME
+from player.network.faults import BrokenError, FetchError
+from player.network.fetch import FetchConfig, Fetcher
+from player.network.hosts import joined
+from player.network.retry import Retry
 
-from .faults import BrokenError, FetchError
-from .fetch import FetchConfig, Fetcher
-from .hosts import joined
-from .locate import HostedPlace, ServedPlace, locate
+from .hosted import HostedPlace
+from .locate import ServedPlace, locate
 from .opener import SourceConfig
-from .retry import Retry
 
 Result = TypeVar("Result")
 
@@ -48,9 +49,9 @@ class WebStorage:
         try:
             place = self._in_thread(lambda: locate(source, self._fetcher))
             if isinstance(place, HostedPlace):
-                self._base, self._object_url = place.base, place.manifest.object_url
+                self._base, self._object_url = place.bases[0], place.manifest.object_url
             elif isinstance(place, ServedPlace):
-                self._base = place.url + "/"
+                self._base = place.urls[0] + "/"
             else:
                 raise InvalidError(f"{source} is not a URL")
         except BaseException:

@@ -21,7 +21,7 @@ from codec.storage.folder import FolderStorage
 from codec.stream import StreamWriter
 from codec.stream.reader import StreamReader
 from codec.tools.audit import verify_stream
-from player.source.fetch import Fetcher, FetchError
+from player.network.fetch import Fetcher, FetchError
 from player.source.opener import opened
 from server.library import Library, ServedStream
 from server.library.streamview import view_of

@@ -24,14 +24,14 @@ from codec.stream.index import pack_record
 from codec.tools.static import export_static
 from player import Scene
 from player.config import PlayConfig
+from player.network.fetch import FetchError
+from player.network.retry import RetryConfig
 from player.openscene import Floats
 from player.playback import play
 from player.render.cpu import CpuRenderer, render_splats
 from player.render.renderer import RendererKind
 from player.show.sink import to_bytes
-from player.source.fetch import FetchError
 from player.source.opener import SourceConfig
-from player.source.retry import RetryConfig
 from tests.support.commands import ROOT
 from tests.support.hosted_streams import (
     SEGMENT_FRAMES,

@@ -23,7 +23,7 @@ from numba.core.dispatcher import Dispatcher
 from player.config import PlayConfig
 from player.playback import play
 from player.render.renderer import RendererKind
-from player.source.fetch import Fetcher
+from player.network.fetch import Fetcher
 from tests.support.hosted_streams import static_host
 
 def loaded():

@@ -18,12 +18,12 @@ from codec.stream.chunk import encode_chunk
 from codec.stream.layers import opacity_rank, split_layers
 from codec.stream.manifest import Manifest, Part
 from codec.stream.object import encode_packet
+from player.network.fetch import StoppedError
 from player.playout.clock import Clock
 from player.playout.queues import EmptyStreamError, Events, Handoff
 from player.playout.threads import Threads, render_thread
 from player.playout.timeline import FrameRecord, Playout, QueueConfig
 from player.render.steptimes import StepTimes
-from player.source.fetch import StoppedError
 from player.source.lastplay import NO_PLAY
 from player.source.source import Packets, SlicePackets
 from server.abr.playout import PlayoutConfig

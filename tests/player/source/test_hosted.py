@@ -11,7 +11,7 @@ from codec.errors import CorruptError
 from codec.stream import StreamReader
 from codec.stream.chunk import encode_chunk
 from codec.stream.object import encode_object
-from player.source.fetch import FetchError
+from player.network.fetch import FetchError
 from player.source.opener import opened
 from tests.support.delivery.assembled import assembled
 from tests.support.hosted_streams import random_slice, static_host, write_stream

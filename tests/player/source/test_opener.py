@@ -12,7 +12,7 @@ import pytest
 
 from codec.errors import CorruptError
 from codec.framerange import FrameRange
-from player.source.fetch import StoppedError
+from player.network.fetch import StoppedError
 from player.source.opener import Opener
 from tests.player.source.test_served import HOLD, answer, script, start
 from tests.support.delivery.assembled import assembled

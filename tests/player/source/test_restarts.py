@@ -17,9 +17,9 @@ from codec.errors import CorruptError
 from codec.framerange import FrameRange
 from codec.stream import StreamReader, StreamWriter
 from player.link.linkprocess import LinkProcess
-from player.source.fetch import BrokenError
+from player.network.fetch import BrokenError
+from player.network.retry import RetryConfig
 from player.source.opener import Opener, SourceConfig, opened
-from player.source.retry import RetryConfig
 from server.abr.link.link import Link, LinkStep
 from server.abr.standing import Standing
 from tests.player.source.test_source import same

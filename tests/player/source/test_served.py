@@ -25,8 +25,8 @@ from codec.stream.playrecord import (
     StartRecord,
     encode_record,
 )
-from player.source.fetch import BrokenError, FetchConfig, Fetcher, FetchError, StoppedError
-from player.source.retry import RetryConfig
+from player.network.fetch import BrokenError, FetchConfig, Fetcher, FetchError, StoppedError
+from player.network.retry import RetryConfig
 from player.source.served import ServedSource
 from player.source.source import Source
 from tests.support.delivery.assembled import assembled

@@ -21,9 +21,9 @@ from codec.stream.manifest import MASKS, snapshot_part
 from codec.tools.audit import verify_stream
 from codec.tools.slotcensus import count_slots, summarise_slots
 from codec.tools.static import export_static
-from player.source.fetch import Fetcher
+from player.network.fetch import Fetcher
+from player.network.retry import RetryConfig
 from player.source.opener import opened
-from player.source.retry import RetryConfig
 from player.source.served import ServedSource
 from tests.support.delivery.assembled import Assembled, assembled, read_all, slices_of
 from tests.support.hosted_streams import ServerProcess, served, static_host, wait_for_stream
@@ -194,7 +194,7 @@ def test_a_damaged_object_is_named(tmp_path: Path, part: str, message: str) -> N
                 read_all(source, FrameRange(5))
 
 
-def test_a_folder_still_written_is_played_as_far_as_it_has_come(tmp_path: Path) -> None:
+def test_a_folder_still_written_is_followed(tmp_path: Path) -> None:
     layout = small_layout(2, (5, 3), 0, 4)
     updates = iter(patternless_updates(layout, 11))
     with StreamWriter.create(tmp_path / "s", slot_manifest(layout, live=True)) as writer:

@@ -17,8 +17,8 @@ import pytest
 from codec.errors import SwingsError
 from codec.framerange import FrameRange
 from codec.stream.playrecord import Record, SliceRecord, encode_record
-from player.source.fetch import BrokenError, FetchConfig, Fetcher, FetchError
-from player.source.hosts import joined
+from player.network.fetch import BrokenError, FetchConfig, Fetcher, FetchError
+from player.network.hosts import joined
 from player.source.opener import SourceConfig, opened
 from player.source.served import ServedSource
 from server.abr.standing import Standing

@@ -13,13 +13,13 @@ import pytest
 
 from codec.framerange import FrameRange
 from player.config import PlayConfig
+from player.network.fetch import Fetcher
 from player.playback import play
 from player.playout.clock import Clock
 from player.playout.queues import Events
 from player.playout.threads import TELL_MOST_S, Threads
 from player.playout.timeline import Playout
 from player.render.renderer import RendererKind
-from player.source.fetch import Fetcher
 from player.source.lastplay import LastPlay
 from player.source.served import ServedSource
 from player.view.path import Size

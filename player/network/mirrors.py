@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from codec.stream.manifest import MANIFEST_NAME
 
 from .faults import BrokenError, FetchError
-from .fetch import Fetcher, OpenResponse
+from .fetch import Fetcher, OpenResponse, Response
 from .hosts import joined
 from .retry import Retry, RetryConfig
 
@@ -123,7 +123,7 @@ class Mirrors:
                 self._wait(retry, error)
 
 
-def refusal(url: str, response: OpenResponse) -> FetchError:
+def refusal(url: str, response: Response | OpenResponse) -> FetchError:
     """The error for an answer that is not the file."""
     message = f"{url}: HTTP {response.status}"
     if response.status >= 500 or response.status in (408, 416, 429):

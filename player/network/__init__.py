@@ -1,0 +1,1 @@
+"""Files and answers from hosts that may fail, stall, lie or vanish."""

@@ -1,0 +1,229 @@
+"""Static hosts that break, vanish or grow: nothing is fetched twice, and the play goes on."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from codec.errors import CorruptError, SwingsError
+from codec.framerange import FrameRange
+from codec.stream import StreamReader, StreamWriter
+from player.network.fetch import BrokenError, FetchError
+from player.network.retry import RetryConfig
+from player.source.opener import Opener, SourceConfig, opened
+from tests.player.source.test_source import same
+from tests.support.delivery.assembled import assembled
+from tests.support.delivery.rangehost import RangeHost, range_host
+from tests.support.hosted_streams import (
+    SWIN_SIZE,
+    random_slice,
+    served,
+    small_manifest,
+    static_host,
+    write_stream,
+)
+
+PATIENT = SourceConfig(RetryConfig(10, first_delay_s=0.01, max_delay_s=0.05))
+QUICK = SourceConfig(RetryConfig(0.3, first_delay_s=0.01, max_delay_s=0.05))
+NUM_FRAMES = 40
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("root")
+    write_stream(path / "s", NUM_FRAMES, 400)
+    return path
+
+
+@pytest.fixture
+def host(root: Path) -> Iterator[RangeHost]:
+    with range_host(root) as host:
+        yield host
+
+
+def check_all(root: Path, name: str, config: SourceConfig = PATIENT) -> int:
+    """Plays all of the stream; gives the bytes that came."""
+    reader, births = StreamReader(root / "s"), []
+    with opened(name, config=config) as source:
+        for one in assembled(source):
+            births += [slice.birth for slice in one.slices]
+            assert all(same(slice, reader.slice(slice.birth, 3)) for slice in one.slices)
+        received_bytes = source.received_bytes
+    assert births == list(range(1 - SWIN_SIZE, NUM_FRAMES))
+    return received_bytes
+
+
+def size_of(root: Path) -> int:
+    files = [path for path in (root / "s").rglob("*") if path.is_file()]
+    return sum(path.stat().st_size for path in files)
+
+
+def test_what_broke_off_is_resumed_from_the_byte_that_is_missing(
+    root: Path, host: RangeHost
+) -> None:
+    host.cut_bytes = 20_000
+    received_bytes = check_all(root, f"{host.url}/s")
+    # What had come when an answer broke off is not asked for again.
+    assert received_bytes == size_of(root)
+    assert sum(asked != "" for _, asked in host.asked) > 10
+
+
+def test_a_host_without_ranges_starts_again(root: Path, host: RangeHost) -> None:
+    host.knows_ranges = False
+    host.refusals = [(503, {}), (429, {"Retry-After": "0"})]
+    with pytest.raises(BrokenError, match="HTTP 503"):
+        check_all(root, f"{host.url}/s")  # whoever opens is told at once
+    host.refusals = []
+    assert check_all(root, f"{host.url}/s") == size_of(root)
+    # A body that always breaks off never comes whole from such a host.
+    host.cut_bytes = 2_000
+    with pytest.raises(BrokenError, match=r"segments/0/.: .* \(tried for"):
+        check_all(root, f"{host.url}/s", QUICK)
+
+
+def test_pieces_of_two_contents_are_not_put_together(root: Path, tmp_path: Path) -> None:
+    """Another host has the same files, but the one broke off in the middle of other bytes."""
+    shutil.copytree(root / "s", tmp_path / "s")
+    for path in (tmp_path / "s" / "segments").glob("*/0"):
+        path.write_bytes(bytes(path.stat().st_size))
+    with range_host(tmp_path) as wrong, range_host(root) as right:
+        wrong.cut_bytes = 20_000
+        check_all(root, f"{wrong.url}/s,{right.url}/s")
+        assert wrong.objects()
+        assert right.objects()
+
+
+def test_a_server_that_asks_for_time_is_left_alone(root: Path, host: RangeHost) -> None:
+    with opened(f"{host.url}/s", config=PATIENT) as source:
+        packets = source.packets()
+        host.refusals = [(503, {"Retry-After": "1"})]
+        began_s = time.monotonic()
+        next(packets)
+        assert 1.0 <= time.monotonic() - began_s < 3
+
+
+def test_when_a_host_is_gone_the_next_one_is_asked(root: Path) -> None:
+    with range_host(root) as first, range_host(root) as second:
+        name = f"{first.url}/s,{second.url}/s"
+        with opened(name, config=PATIENT) as source:
+            frames = assembled(source)
+            assert next(frames).frame == 0
+            assert not second.asked
+            first.gone = True
+            assert [one.frame for one in frames] == list(range(1, NUM_FRAMES))
+        assert second.objects()
+        # And back, if that one has nothing either.
+        first.gone, second.gone = False, True
+        check_all(root, name)
+        first.gone = True
+        with pytest.raises(BrokenError):
+            check_all(root, name)
+
+
+def test_a_host_that_lacks_a_file_is_passed_over(root: Path, tmp_path: Path) -> None:
+    shutil.copytree(root / "s", tmp_path / "s")
+    shutil.rmtree(tmp_path / "s" / "segments" / "3")
+    with range_host(tmp_path) as poor, range_host(root) as rich:
+        check_all(root, f"{poor.url}/s,{rich.url}/s")
+        assert rich.objects()[0].startswith("/s/segments/3/")
+        with pytest.raises(FetchError, match="segments/3/0: HTTP 404"):
+            check_all(root, f"{poor.url}/s")
+
+
+def test_several_servers_of_one_stream(root: Path) -> None:
+    with served(root) as first, served(root) as second:
+        name = f"{first.url}/watch/s,{second.url}"
+        reader = StreamReader(root / "s")
+        with opened(name, layers=3, config=PATIENT) as source:
+            births = []
+            for one in assembled(source):
+                births += [slice.birth for slice in one.slices]
+                assert all(same(slice, reader.slice(slice.birth, 3)) for slice in one.slices)
+                if one.frame == 0:
+                    first.process.kill()
+        with opened(name, layers=3, config=PATIENT) as source:
+            assert len(list(assembled(source))) == NUM_FRAMES
+    assert births == list(range(1 - SWIN_SIZE, NUM_FRAMES))
+
+
+# --- the disk cache
+
+
+def test_the_second_time_objects_come_from_the_disk(
+    root: Path, host: RangeHost, tmp_path: Path
+) -> None:
+    config = SourceConfig(PATIENT.retry, cache=tmp_path / "cache")
+    check_all(root, f"{host.url}/s", config)
+    fetched = len(host.objects())
+    few_bytes = check_all(root, f"{host.url}/s", config)
+    assert len(host.objects()) == fetched
+    assert few_bytes < 10_000
+    # What was damaged on the disk is fetched again.
+    kept = next(path for path in (tmp_path / "cache").rglob("*") if path.is_file())
+    kept.write_bytes(b"x" + kept.read_bytes()[1:])
+    with closing(Opener(f"{host.url}/s", config=config)) as opener:
+        with closing(opener.open(FrameRange(), None)) as source:
+            assert len(list(assembled(source))) == NUM_FRAMES
+        assert opener.cache is not None
+        assert opener.cache.counts.damaged == 1
+        assert opener.cache.counts.misses == 1
+        assert opener.cache.counts.hits == fetched - 1
+    assert len(host.objects()) == fetched + 1
+
+
+# --- live
+
+
+@pytest.mark.parametrize("kind", ["static", "ranges", "swings"])
+def test_a_live_stream_is_followed_to_its_end(tmp_path: Path, kind: str) -> None:
+    root = tmp_path / "library"
+    writer = StreamWriter.create(root / "s", small_manifest())
+    births = iter(range(1 - SWIN_SIZE, 23))
+
+    def write() -> None:
+        with writer:
+            for birth in births:
+                writer.append(random_slice(birth))
+                time.sleep(0.03)
+
+    thread = threading.Thread(target=write)
+    hosts = {"static": static_host, "ranges": range_host, "swings": served}
+    with hosts[kind](root) as host:  # type: ignore[operator]
+        url = host if isinstance(host, str) else host.url
+        below = "v1/streams/s/manifest.json" if kind == "swings" else "s"
+        with opened(f"{url}/{below}", config=PATIENT) as source:
+            assert source.frames.end is None
+            thread.start()
+            got = [slice for one in assembled(source) for slice in one.slices]
+            assert not source.manifest.live
+        thread.join()
+    reader = StreamReader(root / "s")
+    assert [slice.birth for slice in got] == list(range(1 - SWIN_SIZE, 23))
+    assert all(same(slice, reader.slice(slice.birth, 3)) for slice in got)
+
+
+def test_a_stream_that_was_replaced_is_not_mixed_with_the_old_one(tmp_path: Path) -> None:
+    write_stream(tmp_path / "s", NUM_FRAMES)
+    with StreamWriter.create(tmp_path / "new", small_manifest()) as writer:
+        for birth in range(1 - SWIN_SIZE, NUM_FRAMES):
+            made = random_slice(birth + 10_000)
+            writer.append(type(made)(birth, made.splats, made.start_offsets))
+    reader = StreamReader(tmp_path / "s")
+    with static_host(tmp_path) as host, opened(f"{host}/s", config=QUICK) as source:
+        frames = assembled(source)
+        shown = [next(frames)]
+        shutil.copytree(tmp_path / "s", tmp_path / "old")
+        shutil.rmtree(tmp_path / "s")
+        (tmp_path / "new").rename(tmp_path / "s")
+        reader = StreamReader(tmp_path / "old")
+        with pytest.raises(SwingsError) as caught:
+            shown.extend(frames)
+    assert isinstance(caught.value, CorruptError)
+    assert "/s: the stream was replaced by another one; play it anew" in str(caught.value)
+    assert all(same(s, reader.slice(s.birth, 3)) for one in shown for s in one.slices)

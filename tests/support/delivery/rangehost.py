@@ -1,0 +1,101 @@
+"""A static host that knows ranges, keeps connections, counts, and can be made to fail."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+
+class RangeHost:
+    """Serves the files of `root`."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.asked: list[tuple[str, str]] = []
+        """(path, range) of each request."""
+        self.sent_bytes = 0
+        self.cut_bytes: int | None = None
+        """Each body breaks off after so many."""
+        self.knows_ranges = True
+        self.gone = False
+        """Whether every request is answered by hanging up."""
+        self.refusals: list[tuple[int, dict[str, str]]] = []
+        """What the next requests are answered."""
+        self.url = ""
+
+    def answer(self, handler: BaseHTTPRequestHandler) -> None:
+        path = handler.path.partition("?")[0]
+        self.asked.append((path, handler.headers.get("Range", "")))
+        if self.gone:
+            handler.close_connection = True
+            return
+        if self.refusals:
+            status, fields = self.refusals.pop(0)
+            self._send(handler, status, fields, b"")
+            return
+        try:
+            data = (self.root / path.lstrip("/")).read_bytes()
+        except OSError:
+            self._send(handler, 404, {}, b"")
+            return
+        tag = f'"{hashlib.sha256(data).hexdigest()}"'
+        fields = {"ETag": tag}
+        found = re.fullmatch(r"bytes=(\d+)-(\d*)", handler.headers.get("Range", ""))
+        if found and self.knows_ranges and handler.headers.get("If-Range", tag) == tag:
+            first, last = int(found[1]), int(found[2] or len(data) - 1)
+            if first >= len(data):
+                self._send(handler, 416, fields, b"")
+                return
+            fields["Content-Range"] = f"bytes {first}-{last}/{len(data)}"
+            self._send(handler, 206, fields, data[first : last + 1])
+        else:
+            self._send(handler, 200, fields, data)
+
+    def _send(
+        self, handler: BaseHTTPRequestHandler, status: int, fields: dict[str, str], body: bytes
+    ) -> None:
+        handler.send_response(status)
+        for name, value in fields.items():
+            handler.send_header(name, value)
+        handler.send_header("Content-Length", str(len(body)))
+        handler.end_headers()
+        if self.cut_bytes is not None and len(body) > self.cut_bytes:
+            body = body[: self.cut_bytes]
+            handler.close_connection = True
+        handler.wfile.write(body)
+        self.sent_bytes += len(body)
+
+    def objects(self) -> list[str]:
+        """The objects that were asked for, in order."""
+        return [path for path, _ in self.asked if "/segments/" in path]
+
+
+@contextmanager
+def range_host(root: Path) -> Iterator[RangeHost]:
+    host = RangeHost(root)
+
+    class Handler(BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
+        def do_GET(self) -> None:
+            host.answer(self)
+
+        def log_message(self, format: str, *args: object) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    server.daemon_threads = True
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
+    thread.start()
+    host.url = f"http://127.0.0.1:{server.server_port}"
+    try:
+        yield host
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
