@@ -150,16 +150,19 @@ class Conductor:
     def seek(self, frame: int) -> None:
         """Goes on from `frame`, or from the nearest one that there is."""
         with self._changed:
+            self._look_at_the_end()
             self._seek(self.transport.seek(frame))
 
     def seek_newest(self) -> None:
         """Goes to the last frame; where more of them come, to where they can be followed from."""
         with self._changed:
+            self._look_at_the_end()
             self._seek(self.transport.newest)
 
     def skip(self, seconds: float) -> None:
         """Goes on from so many seconds of media later, or earlier."""
         with self._changed:
+            self._look_at_the_end()
             self._seek(self.transport.skip(seconds, self._wanted))
 
     def step(self, frames: int) -> None:
@@ -221,7 +224,6 @@ class Conductor:
                 assert self._renderer is not None
                 self._renderer.upload(records[-1].frame)
                 self.transport.shown = records[-1].frame
-                self.transport.known_end = max(self.transport.known_end, records[-1].frame + 1)
                 self._shows = True
             if play.handoff.ended:
                 self._changed.notify_all()
@@ -233,7 +235,7 @@ class Conductor:
             frame = transport.shown if self._wanted is None else self._wanted
             frame = transport.first_frame if frame is None else frame
             buffered = play.events.end_frame if play is not None else frame
-            transport.known_end = max(transport.known_end, buffered)
+            self._look_at_the_end()
             return PlayState(
                 frame,
                 transport.first_frame,
@@ -245,6 +247,12 @@ class Conductor:
                 transport.loops,
                 play is not None and play.source.manifest.live,
             )
+
+    def _look_at_the_end(self) -> None:
+        """A live stream has grown."""
+        if self._current is not None:
+            num_frames = self._current.source.num_frames
+            self.transport.known_end = max(self.transport.known_end, num_frames)
 
     # conduct_thread
 

@@ -31,8 +31,7 @@ class Transport:
     shown: int | None = None
     """The last frame that showed; None before the first one."""
     known_end: int = 0
-    """Frames before this one have come at some time, so they are there; with a known end it does
-    not matter."""
+    """Frames before this one are there, of a stream whose end is not known."""
 
     def __post_init__(self) -> None:
         if self.end_frame is not None and self.end_frame <= self.first_frame:

@@ -54,6 +54,10 @@ class DirectorySource:
         """As it is on disk now: a live stream may end while it is played."""
         return self._reader.manifest
 
+    @property
+    def num_frames(self) -> int:
+        return self._reader.num_frames
+
     def packets(self) -> Iterator[Packets]:
         reader = self._reader
         play = SegmentPlay(self.manifest, self.num_layers, self.frames)

@@ -92,6 +92,10 @@ class HostedSource:
         self.frames = check_frames(frames, self.manifest, self._index.num_frames, name)
 
     @property
+    def num_frames(self) -> int:
+        return self._index.num_frames
+
+    @property
     def received_bytes(self) -> int:
         return self._fetcher.received_bytes
 

@@ -113,6 +113,10 @@ class ServedSource:
         return LastPlay(self._token, self._rate_bps)
 
     @property
+    def num_frames(self) -> int:
+        return max(self._num_frames, self._receiver.next_birth)
+
+    @property
     def received_bytes(self) -> int:
         return self._fetcher.received_bytes
 

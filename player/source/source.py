@@ -106,6 +106,11 @@ class Source(Protocol):
         ...
 
     @property
+    def num_frames(self) -> int:
+        """How many frames the stream is known to have by now."""
+        ...
+
+    @property
     def adaptive(self) -> bool:
         """Whether what comes depends on how fast it comes: layers are chosen on the way."""
         ...

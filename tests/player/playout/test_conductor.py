@@ -16,6 +16,7 @@ import pytest
 
 from codec.errors import SwingsError
 from codec.framerange import FrameRange
+from codec.stream import StreamWriter
 from player.playout.clock import Clock
 from player.playout.conductor import Conductor
 from player.playout.queues import Events
@@ -24,7 +25,7 @@ from player.render.cpu import CpuRenderer
 from player.source.directory import DirectorySource
 from player.source.source import Source
 from server.abr.playout import PlayoutConfig
-from tests.support.hosted_streams import write_stream
+from tests.support.hosted_streams import SWIN_SIZE, random_slice, small_manifest, write_stream
 from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.updates import small_layout
 
@@ -217,6 +218,29 @@ def test_a_loop_that_is_left_ends_at_the_end(stream: Path) -> None:
         time.sleep(0.2)
         assert played.conductor.poll() == []
         assert played.conductor.transport.at_end
+
+
+def test_a_live_stream_is_followed_from_its_newest_frames(tmp_path: Path) -> None:
+    path = tmp_path / "live"
+    with StreamWriter.create(path, small_manifest(live=True)) as writer:
+        births = iter(range(1 - SWIN_SIZE, 200))
+        for birth in births:
+            writer.append(random_slice(birth))
+            if birth == 99:
+                break
+        with conducted(path, real=True) as (played, _):
+            conductor = played.conductor
+            played.shows(0)
+            conductor.seek_newest()
+            played.poll_until(lambda: played.records[-1].frame >= 70)
+            assert 90 <= conductor.state().end_frame <= 100
+            assert not conductor.transport.at_end
+            for birth in births:
+                writer.append(random_slice(birth))
+            played.poll_until(lambda: played.records[-1].frame >= 110)
+            assert conductor.state().end_frame > 190
+            conductor.seek(180)
+            played.poll_until(lambda: played.records[-1].frame >= 180)
 
 
 def test_what_fails_on_a_seek_is_raised_by_the_next_look(stream: Path) -> None:

@@ -72,6 +72,7 @@ class ListSource:
     adaptive = False
     num_layers = 3
     received_bytes = 0
+    num_frames = 0
 
     def packets(self) -> Iterator[Packets]:
         for birth in range(1 - SWIN_SIZE, 1 - SWIN_SIZE + self._num_slices):
