@@ -236,6 +236,8 @@ class RecordParser:
 
     def __init__(self) -> None:
         self._pending = bytearray()
+        self.limit_bytes = MAX_RECORD_BYTES
+        """Longest record that is taken; who knows the stream may lower it."""
 
     @property
     def pending_bytes(self) -> int:
@@ -249,8 +251,8 @@ class RecordParser:
         start = 0
         while len(self._pending) - start >= LENGTH.size:
             (length,) = LENGTH.unpack_from(self._pending, start)
-            if length > MAX_RECORD_BYTES:
-                raise CorruptError(f"play: a record of {length} bytes, at most {MAX_RECORD_BYTES}")
+            if length > self.limit_bytes:
+                raise CorruptError(f"play: a record of {length} bytes, at most {self.limit_bytes}")
             end = start + LENGTH.size + length
             if len(self._pending) < end:
                 break

@@ -7,8 +7,11 @@ from __future__ import annotations
 
 from codec.errors import CorruptError
 from codec.stream.index import SegmentRecord
-from codec.stream.manifest import Manifest, Part, is_snapshot
+from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest, Part, is_snapshot
 from codec.stream.object import ENTRY, HEAD
+
+RECORD_BYTES = 4096
+"""More than a record has beside its packets, or its manifest."""
 
 
 class Bounds:
@@ -26,6 +29,10 @@ class Bounds:
             # The layers share the Gaussians of one slice.
             self.slice_bytes = _packed(manifest.chunk_bounds.max_bytes)
             self.slice_bytes += manifest.num_layers * _packed(0)
+
+        snapshots = sum(size for part, size in self._packet_bytes.items() if is_snapshot(part))
+        self.record_bytes = max(self.slice_bytes, snapshots, MAX_MANIFEST_BYTES) + RECORD_BYTES
+        """Of the longest record of a play."""
 
     def check_packet(self, packet: bytes, part: Part) -> None:
         """Raises CorruptError when `packet` is longer than one of `part` can be."""

@@ -45,6 +45,7 @@ from server.abr.standing import (
     parse_rate,
 )
 
+from .bounds import Bounds
 from .hostedindex import REPLACED
 from .lastplay import NO_PLAY, LastPlay
 from .receiver import Receiver
@@ -102,6 +103,8 @@ class ServedSource:
             self.num_layers = check_layers(layers, self.manifest, name)
             self._num_frames = start.num_frames
             self.frames = check_frames(frames, self.manifest, self._num_frames, name)
+            self._bounds = Bounds(self.manifest)
+            self._parser.limit_bytes = self._bounds.record_bytes
             self._receiver = Receiver(name, self.manifest, self.num_layers, self.frames)
             self._teller = fetcher.another(TELL_CONFIG)
         except BaseException:
@@ -284,6 +287,7 @@ class ServedSource:
         manifest = self._manifest_of(start)
         if manifest.with_live(False).to_json() != self.manifest.with_live(False).to_json():
             raise CorruptError(f"{self.name}: {REPLACED}")
+        self._parser.limit_bytes = self._bounds.record_bytes
         self._num_frames = max(self._num_frames, start.num_frames)
 
     def _disconnect(self) -> None:

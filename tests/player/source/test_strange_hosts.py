@@ -269,6 +269,15 @@ def test_no_escape_sequence_of_a_server_reaches_the_terminal(tmp_path: Path) -> 
     assert not steers(done.stderr + done.stdout)
 
 
+def test_what_a_stream_calls_itself_does_not_steer_the_terminal(tmp_path: Path) -> None:
+    write_stream(tmp_path / "s", 3, title=EVIL)
+    command = [sys.executable, "-m", "codec", "info", str(tmp_path / "s")]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0
+    assert "evil" in done.stdout
+    assert not steers(done.stdout)
+
+
 def test_an_enormous_camera_is_drawn_at_a_sane_size(tmp_path: Path) -> None:
     camera = small_manifest().cameras[0]
     wide = type(camera)("c", 16384, 64, 60.0, 60.0, 8192.0, 32.0, camera.w2c)

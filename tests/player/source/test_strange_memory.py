@@ -20,10 +20,10 @@ from codec.stream.chunk import encode_chunk
 from codec.stream.index import pack_record
 from codec.stream.manifest import Manifest
 from codec.stream.object import encode_packet
-from codec.stream.playrecord import Record, SliceRecord
+from codec.stream.playrecord import LENGTH, Record, SliceRecord
 from player.source.opener import opened
 from player.source.receiver import KEPT_BIRTHS, Receiver
-from tests.player.source.test_served import answer, open_play, script, start
+from tests.player.source.test_served import HOLD, answer, open_play, script, start
 from tests.support.delivery.assembled import assembled
 from tests.support.hosted_streams import SWIN_SIZE, small_manifest, static_host, write_stream
 
@@ -123,6 +123,15 @@ def test_more_bytes_than_a_slice_can_have_are_not_held() -> None:
         receiver.take(SliceRecord(-3, (bytes(1_000_000),)))
     with pytest.raises(CorruptError, match=r"^S: the slice born at -3 has 21000 bytes, by the"):
         receiver.take(SliceRecord(-3, (bytes(7_000),) * 3))
+
+
+def test_a_record_that_no_slice_fills_is_not_waited_for() -> None:
+    endless = answer(start()) + LENGTH.pack(60 << 20) + bytes(1000) + HOLD
+    with script(endless) as host, at_most(6 << 20):
+        source = open_play(host.url)
+        with pytest.raises(CorruptError, match=r"a record of 62914560 bytes, at most 1\d{6}$"):
+            list(source.packets())
+        source.close()
 
 
 def test_slices_that_nobody_asked_for_are_not_held() -> None:
