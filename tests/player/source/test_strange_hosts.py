@@ -11,8 +11,11 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from codec.errors import SwingsError
 from codec.framerange import FrameRange
@@ -183,6 +186,17 @@ def test_what_is_not_a_url_is_not_followed(reference: str) -> None:
     for other_hosts in (False, True):
         with pytest.raises(FetchError, match=r"^http://a/s/m: it leads to .*, which is not"):
             joined("http://a/s/m", reference if reference != "http:" else "ftp:/x", other_hosts)
+
+
+@given(st.text() | st.from_regex(r"\A(https?:)?//[\[\]:@0-9a-z./%-]{0,12}\Z"), st.booleans())
+def test_any_reference_is_a_url_or_an_error(reference: str, other_hosts: bool) -> None:
+    try:
+        url = joined("http://a/s/manifest.json", reference, other_hosts)
+    except FetchError:
+        return
+    host = urlsplit(url).hostname
+    assert host
+    assert other_hosts or host == "a"
 
 
 def test_nothing_leads_from_https_to_http() -> None:

@@ -23,7 +23,8 @@ from codec.stream.object import encode_packet
 from codec.stream.playrecord import LENGTH, Record, SliceRecord
 from player.source.opener import opened
 from player.source.receiver import KEPT_BIRTHS, Receiver
-from tests.player.source.test_served import HOLD, answer, open_play, script, start
+from tests.player.source.test_served import answer, open_play, script, start
+from tests.player.source.test_strange_hosts import endless
 from tests.support.delivery.assembled import assembled
 from tests.support.hosted_streams import SWIN_SIZE, small_manifest, static_host, write_stream
 
@@ -126,9 +127,9 @@ def test_more_bytes_than_a_slice_can_have_are_not_held() -> None:
 
 
 def test_a_record_that_no_slice_fills_is_not_waited_for() -> None:
-    endless = answer(start()) + LENGTH.pack(60 << 20) + bytes(1000) + HOLD
-    with script(endless) as host, at_most(6 << 20):
-        source = open_play(host.url)
+    begun = answer(start()) + LENGTH.pack(60 << 20)
+    with endless(begun, lambda n: bytes(1 << 16)) as url, at_most(6 << 20):
+        source = open_play(url)
         with pytest.raises(CorruptError, match=r"a record of 62914560 bytes, at most 1\d{6}$"):
             list(source.packets())
         source.close()
