@@ -56,7 +56,13 @@ class Script:
                 return
             request = b""
             while b"\r\n\r\n" not in request:
-                request += connection.recv(65536)
+                piece = connection.recv(65536)
+                if not piece:  # whoever asked was interrupted
+                    break
+                request += piece
+            if not request:
+                connection.close()
+                continue
             self.requests.append(request)
             self.asked.append(request.split()[1].decode())
             connection.sendall(answer)
