@@ -45,7 +45,7 @@ def playing(stream: Path, report: Path, *options: str) -> Iterator[Person]:
                 assert (process.returncode, err) == (0, ""), out + err
         finally:
             process.kill()
-            process.wait()
+            process.communicate()
 
 
 @pytest.fixture(scope="module")
@@ -90,9 +90,10 @@ def test_time_stands_steps_and_is_sought(stream: Path, tmp_path: Path) -> None:
         last = person.sees_rest()
         assert differ(first, last) > 0.01
         person.presses("space")  # at the end: begins anew
-        person.wait_for(lambda: differ(first, person.sees()) == 0)
+        person.wait_for(lambda: differ(last, person.sees()) > 0.01)
     frames = frames_of(report)
-    assert {0, FRAMES - 1} <= set(frames)
+    assert FRAMES - 1 in frames
+    assert frames.count(0) >= 3  # from the start, by Home, and from the end
     # As shown: a step on, one back, a second on and back.
     back = next(n for n in range(len(frames)) if frames[n + 1] < frames[n]) + 1
     stood = frames[back]
@@ -176,7 +177,8 @@ def test_the_background_shows_where_nothing_is_in_front_of_it(stream: Path, tmp_
         person.presses("space")
         person.points(5, 5)
         seen = person.sees_rest()
-        assert seen[0, 0].tolist() == [0x33, 0x66, 0xFF]
+        # Perhaps behind the rim of a Gaussian.
+        assert np.abs(seen[0, 0].astype(int) - [0x33, 0x66, 0xFF]).max() <= 8
         # A Gaussian that hides it.
         assert (scene(seen)[:, :, 2] < 100).any()
 

@@ -205,14 +205,14 @@ def test_a_new_connection_says_what_the_server_said_of_the_link(said: bytes, sen
 def test_a_new_connection_says_which_frame_shows_next() -> None:
     cut = answer(start(), *ALL[:3]).replace(HEAD, NAMED)
     heard = b"HTTP/1.1 204 Heard\r\nConnection: close\r\n\r\n"
-    with script(cut, heard, answer(start(), *ALL)) as host:
+    with script(cut, heard, NO_INDEX, answer(start(), *ALL)) as host:
         source = served(host.url)
         source.tell(Standing(2))
         packets = source.packets()
         for _ in range(4):
             next(packets)
         assert FRAME_HEADER.encode() not in host.requests[0]
-        assert b"\r\n%s: 2\r\n" % FRAME_HEADER.encode() in host.requests[2]
+        assert b"\r\n%s: 2\r\n" % FRAME_HEADER.encode() in host.requests[3]
         source.close()
 
 

@@ -36,7 +36,7 @@ def test_the_camera(browser: BrowserCode, manifest: Manifest, again: bool) -> No
     actions: dict[str, Callable[..., None]] = {
         "turn": view.drag_turn,
         "pan": view.drag_pan,
-        "zoom": view.scroll,
+        "zoom": lambda steps: view.scroll(0, steps),
     }
     for count, (name, arguments) in enumerate(MOVES, 1):
         actions[name](*arguments)
