@@ -96,7 +96,8 @@ class Conductor:
         self._current: _Play | None = None
         self._following: _Play | None = None
         self._wanted: int | None = None
-        self._shows = True  # whether the last frame that was asked for shows
+        self._target: int | None = None  # what was sought and does not show yet
+        self._source: Source | None = None  # of the play that was begun last
         self._number = 0
         self._stopped = False
         self._failure: BaseException | None = None
@@ -109,20 +110,15 @@ class Conductor:
         play = self._begin(self._first_frame, 0.0)
         frames = play.source.frames
         self.transport = Transport(frames.first, frames.end, play.source.manifest.fps, self._plays)
-        self._current = play
-        self._shows = False
+        self._current, self._target = play, frames.first
         return self
 
     @property
     def source(self) -> Source:
-        """That of the newest play, for its manifest and what is known of its frames."""
-        with self._changed:
-            assert self._newest is not None
-            return self._newest.source
-
-    @property
-    def _newest(self) -> _Play | None:
-        return self._following or self._current
+        """That of the newest play, for its manifest and what is known of its frames; during a seek
+        that of the play before."""
+        assert self._source is not None
+        return self._source
 
     def attach(self, renderer: Renderer) -> None:
         """Begins to fill `renderer`. Call it once."""
@@ -163,18 +159,18 @@ class Conductor:
         """Goes on from so many seconds of media later, or earlier."""
         with self._changed:
             self._look_at_the_end()
-            self._seek(self.transport.skip(seconds, self._wanted))
+            self._seek(self.transport.skip(seconds, self._target))
 
     def step(self, frames: int) -> None:
         """Stops, and shows the frame before or behind."""
         with self._changed:
             self._clock.stop()
-            if frames > 0 and self.transport.at_end:
+            if frames > 0 and self.transport.at_end and self._target is None:
                 return
             current = self._current
-            goes_on = frames == 1 and self._wanted is None and self._shows
+            goes_on = frames == 1 and self._target is None
             if not (goes_on and current is not None and current.events.step()):
-                self._seek(self.transport.skip(frames / self.transport.fps, self._wanted))
+                self._seek(self.transport.skip(frames / self.transport.fps, self._target))
             self._time_changed()
 
     def toggle_pause(self) -> None:
@@ -184,7 +180,7 @@ class Conductor:
                 self._clock.stop()
             else:
                 self._clock.start()
-                if self.transport.at_end and self._wanted is None:
+                if self.transport.at_end and self._target is None:
                     self._seek(self.transport.first_frame)
             self._time_changed()
 
@@ -200,7 +196,7 @@ class Conductor:
             self._changed.notify_all()
 
     def _seek(self, frame: int) -> None:
-        self._wanted, self._shows = frame, False
+        self._wanted = self._target = frame
         self._changed.notify_all()
 
     def _time_changed(self) -> None:
@@ -224,7 +220,7 @@ class Conductor:
                 assert self._renderer is not None
                 self._renderer.upload(records[-1].frame)
                 self.transport.shown = records[-1].frame
-                self._shows = True
+                self._target = None
             if play.handoff.ended:
                 self._changed.notify_all()
             return records
@@ -232,7 +228,7 @@ class Conductor:
     def state(self) -> PlayState:
         with self._changed:
             transport, play = self.transport, self._current
-            frame = transport.shown if self._wanted is None else self._wanted
+            frame = transport.shown if self._target is None else self._target
             frame = transport.first_frame if frame is None else frame
             buffered = play.events.end_frame if play is not None else frame
             self._look_at_the_end()
@@ -242,7 +238,7 @@ class Conductor:
                 transport.last_frame + 1,
                 buffered,
                 self._clock.running,
-                not self._shows,
+                self._target is not None,
                 self._clock.rate,
                 transport.loops,
                 play is not None and play.source.manifest.live,
@@ -297,6 +293,7 @@ class Conductor:
             source.close()
             raise
         self._number += 1
+        self._source = source
         return play
 
     def _end(self, play: _Play) -> None:

@@ -42,6 +42,7 @@ class Played:
         self.opened: list[int] = []
         self.records: list[FrameRecord] = []
         self.fails: SwingsError | None = None
+        self.open_s = 0.0  # what it takes
         self.conductor = Conductor(self.open_at, self.make_events, clock, first, plays)
         self.clock = clock
 
@@ -49,6 +50,7 @@ class Played:
         if self.fails is not None:
             raise self.fails
         self.opened.append(frame)
+        time.sleep(self.open_s)
         return DirectorySource(self.path, FrameRange(frame), None)
 
     def make_events(self, source: Source, play: int, not_before_s: float) -> Events:
@@ -168,6 +170,25 @@ def test_seeks_that_follow_fast_end_at_the_last_of_them(stream: Path) -> None:
         played.shows(35)
         time.sleep(3 / FPS)
         assert conductor.poll() == []
+
+
+def test_skips_add_up_while_the_first_of_them_is_on_its_way(stream: Path) -> None:
+    with conducted(stream, real=True) as (played, _):
+        conductor = played.conductor
+        conductor.toggle_pause()
+        played.shows(0)
+        played.open_s = 0.1
+        for n in range(1, 4):
+            conductor.skip(10 / FPS)
+            for _ in range(5):
+                time.sleep(0.01)
+                assert conductor.state().frame == 10 * n
+                assert conductor.state().seeking
+                # What shows meanwhile may be asked of the stream at any moment.
+                assert conductor.source.manifest.fps == FPS
+        conductor.step(-1)
+        played.shows(29)
+        assert not conductor.state().seeking
 
 
 def test_a_rate_of_4_shows_all_frames_in_a_quarter_of_the_time(stream: Path) -> None:
