@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import sys
 from collections.abc import Callable
 from types import CodeType
 from typing import Any, TypeVar
@@ -56,3 +57,25 @@ def _fingerprint(function: Callable[..., Any]) -> str:
         elif isinstance(used, int | float | str | tuple | np.generic):
             parts.append(repr(used))
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def load_without_blas() -> None:
+    """Makes numba ready to run kernels without loading scipy.linalg, which takes 0.1 s.
+
+    Kernels call nothing that needs it. In a process where this was called, numba's `inner` and
+    `kron` are loops instead; `dot` still finds scipy when it is compiled.
+    """
+    from numba.np import linalg
+
+    if "numba.np.arraymath" in sys.modules:
+        return
+    ensure_blas = linalg.ensure_blas
+    linalg.ensure_blas = _no_blas
+    try:
+        import numba.np.arraymath  # noqa: F401
+    finally:
+        linalg.ensure_blas = ensure_blas
+
+
+def _no_blas() -> None:
+    raise ImportError

@@ -23,7 +23,7 @@ from player.playout.timeline import FrameRecord, Playout, QueueConfig
 from player.render.gl import GlError, create_renderer
 from player.render.renderer import Renderer, RendererKind
 from player.show.progress import frames_progress
-from player.show.sink import FrameSink, open_sink, to_bytes
+from player.show.sink import FrameSink, to_bytes
 from player.source.locate import check_url
 from player.source.opener import Opener
 from player.source.source import Source
@@ -211,6 +211,8 @@ class _Playback:
 
     def _capture(self) -> None:
         """Draws every frame into files."""
+        from player.show.filesinks import open_sink  # the library for videos loads slowly
+
         output, loop = self._config.capture, self._config.loop
         assert output is not None
         assert loop is not None
