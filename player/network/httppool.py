@@ -7,7 +7,6 @@ from collections.abc import Mapping
 
 from .httpconnection import GrammarError, Head, Headers, HttpConnection, Target
 
-
 MAX_IDLE = 4
 """Idle connections kept for a host: so many requests there are at a time."""
 
