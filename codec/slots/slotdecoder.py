@@ -205,10 +205,12 @@ class SlotDecoder:
         return changed if moving is None else _with_motion(changed, *moving)
 
     def _moving(self, lane: int, parts: list[Bytes]) -> tuple[Ints, Splats]:
-        """The slots of a lane that are predicted and hold something, and what that is."""
+        """The slots of a lane that are predicted and hold what was handed out, and that."""
         rows = []
-        for part, slots in zip(parts, self.lanes[lane], strict=True):
-            rows.append(np.flatnonzero((part == PREDICTED) & holds(slots.conditions)))
+        for layer, (part, slots) in enumerate(zip(parts, self.lanes[lane], strict=True)):
+            moves = (part == PREDICTED) & holds(slots.conditions)
+            pending = self._pending.get((lane, layer))
+            rows.append(np.flatnonzero(moves if pending is None else moves & ~pending))
         numbers, splats, _ = self._drawn(lane, rows)
         return numbers, splats
 
