@@ -33,8 +33,8 @@ import zstandard
 
 from codec.coders.coder import decompress
 from codec.errors import CodecError
+from codec.foreign.spz import ENTRY, HEADER_V4, decode_spz
 from codec.interop.formats import decode_any
-from codec.interop.spz import ENTRY, HEADER_V4, decode_spz
 from codec.profiles.profile import Profile
 from codec.slots.slotlayout import MAX_LAYERS
 from codec.splats import Splats

@@ -13,9 +13,9 @@ import zstandard
 
 from codec.camera import Camera
 from codec.coders.coder import Coder
-from codec.interop.ply import encode_ply
-from codec.interop.splat import encode_splat
-from codec.interop.spz import ENTRY, HEADER_V4, MAGIC, encode_spz
+from codec.foreign.ply import encode_ply
+from codec.foreign.splat import encode_splat
+from codec.foreign.spz import ENTRY, HEADER_V4, MAGIC, encode_spz
 from codec.profiles.profile import CHUNK_PROFILES, Profile
 from codec.slice import Slice
 from codec.splats import Floats, Splats, sh_count

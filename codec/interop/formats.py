@@ -9,14 +9,13 @@ from pathlib import Path
 
 from codec.errors import CodecError, UnsupportedError
 from codec.files import read_bounded, read_head, write_atomic
+from codec.foreign.compressed_ply import compressed_layout, decode_compressed_ply, is_compressed
+from codec.foreign.limits import MAX_GAUSSIANS
+from codec.foreign.ply import decode_ply, encode_ply, ply_layout
+from codec.foreign.plyheader import MAX_HEADER_BYTES, read_ply_elements
+from codec.foreign.splat import decode_splat, encode_splat, splat_count
+from codec.foreign.spz import decode_spz, encode_spz, spz_header
 from codec.splats import Splats
-
-from .compressed_ply import compressed_layout, decode_compressed_ply, is_compressed
-from .limits import MAX_GAUSSIANS
-from .ply import decode_ply, encode_ply, ply_layout
-from .plyheader import MAX_HEADER_BYTES, read_ply_elements
-from .splat import decode_splat, encode_splat, splat_count
-from .spz import decode_spz, encode_spz, spz_header
 
 HEAD_BYTES = MAX_HEADER_BYTES
 """What is read of a file before the rest; the other formats have shorter headers than PLY."""

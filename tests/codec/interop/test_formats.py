@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from codec.errors import CodecError, CorruptError, UnsupportedError
+from codec.foreign.limits import MAX_GAUSSIANS
 from codec.interop.formats import MAX_FILE_BYTES, SplatFormat, read_splats, write_splats
-from codec.interop.limits import MAX_GAUSSIANS
 from codec.splats import SH_C0
 from tests.support.commands import ROOT
 from tests.support.drawn import angles_rad, same

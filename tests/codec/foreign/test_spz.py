@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
+from codec.foreign.spz import decode_spz, encode_spz
 from codec.interop.formats import decode_any
-from codec.interop.spz import decode_spz, encode_spz
 from codec.pose import Doubles
 from codec.splats import Splats
 from tests.support.drawn import angles_rad, drawn_splats
