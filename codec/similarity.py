@@ -100,7 +100,7 @@ class Similarity:
             scale = float(np.sqrt((linear**2).sum() / 3))
             turn = linear / scale
             square = np.abs(turn @ turn.T - np.eye(3)).max()
-        if not (np.isfinite(matrix).all() and 0 < scale and square < SKEW):
+        if not (np.isfinite(matrix).all() and scale > 0 and square < SKEW):
             raise InvalidError("the matrix stretches or shears, or is not finite")
         if np.abs(matrix[3] - [0, 0, 0, 1]).max() > SKEW:
             raise InvalidError("the matrix is not affine")

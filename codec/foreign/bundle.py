@@ -42,7 +42,7 @@ class Bundle:
 
     def read(self, name: str) -> bytes:
         """The file called `name`. Raises CorruptError, or UnsupportedError."""
-        shown = f"{self._what}: {name[:40]}"
+        shown = f"{self._what}: {name[:40]!r}"
         try:
             info = self._archive.getinfo(name)
         except KeyError as error:

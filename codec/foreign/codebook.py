@@ -33,9 +33,9 @@ def codebook(values: Floats) -> Floats:
         return np.append(different, np.repeat(last, CODES - len(different))).astype(np.float32)
     half = (np.arange(CODES // 2) + 0.5) / (CODES // 2)
     even = ordered[0] + half * (ordered[-1] - ordered[0])
-    book = np.sort(np.append(ordered[(half * len(ordered)).astype(np.int64)], even))
+    book: Doubles = np.sort(np.append(ordered[(half * len(ordered)).astype(np.int64)], even))
     sums = np.append(0.0, np.cumsum(ordered))
-    before = np.empty(0)
+    before = np.empty(0, np.intp)
     for _ in range(MAX_ROUNDS):
         ends = np.searchsorted(ordered, _middles(book))
         if np.array_equal(ends, before):

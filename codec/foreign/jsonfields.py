@@ -71,7 +71,9 @@ class Fields:
             raise CorruptError(f"{self._place(key)}: is not in 0..{most}")
         return value
 
-    def numbers(self, key: str, count: int, default: tuple[float, ...] | None = None) -> list[float]:
+    def numbers(
+        self, key: str, count: int, default: tuple[float, ...] | None = None
+    ) -> list[float]:
         """As many finite numbers as `count`."""
         values = self._get(key, list, "a list", None if default is None else list(default))
         if len(values) != count:
@@ -84,11 +86,12 @@ class Fields:
         except OverflowError as error:
             raise CorruptError(f"{self._place(key)}: holds a number out of range") from error
 
-    def texts(self, key: str, count: int) -> list[str]:
-        """As many texts as `count`."""
-        values = self._get(key, list, "a list")
-        if len(values) != count or any(type(value) is not str for value in values):
-            raise CorruptError(f"{self._place(key)}: is not a list of {count} names")
+    def texts(self, key: str, count: int | None = None) -> list[str]:
+        """As many texts as `count`; or any number, none if the list is missing."""
+        values = self._get(key, list, "a list", [] if count is None else None)
+        if any(type(value) is not str for value in values) or count not in (None, len(values)):
+            wanted = "texts" if count is None else f"{count} texts"
+            raise CorruptError(f"{self._place(key)}: is not a list of {wanted}")
         return list(values)
 
     def size(self, key: str) -> int:

@@ -67,13 +67,13 @@ class _Pictures:
     def pixels(self, name: str, needed: int) -> Bytes:
         """(height, width, 4) of a picture that is not much larger than `needed` pixels."""
         most = 2 * needed + SPARE_PIXELS
-        return decode_webp(self._bundle.read(name), f"SOG: {name[:40]}", most)
+        return decode_webp(self._bundle.read(name), f"SOG: {name[:40]!r}", most)
 
     def rows(self, name: str) -> Bytes:
         """(N, 4): a pixel for each Gaussian."""
         pixels = self.pixels(name, self._count).reshape(-1, 4)
         if len(pixels) < self._count:
-            raise CorruptError(f"SOG: {name[:40]}: {len(pixels)} pixels of {self._count}")
+            raise CorruptError(f"SOG: {name[:40]!r}: {len(pixels)} pixels of {self._count}")
         return pixels[: self._count]
 
 
@@ -93,7 +93,7 @@ def _harmonics(shn: Fields, pictures: _Pictures) -> tuple[int, Floats, npt.NDArr
     width, height = PALETTE_COLUMNS * coefficients, -(-size // PALETTE_COLUMNS)
     pixels = pictures.pixels(names[0], width * height)
     if pixels.shape[1] != width or pixels.shape[0] < height:
-        raise CorruptError(f"SOG: {names[0][:40]}: not {width} x {height} pixels")
+        raise CorruptError(f"SOG: {names[0][:40]!r}: not {width} x {height} pixels")
     entries = pixels[..., :3].reshape(-1, coefficients, 3)[:size]
     rows = pictures.rows(names[1])
     labels = rows[:, 0] | rows[:, 1].astype(np.uint16) << np.uint16(8)
