@@ -84,9 +84,11 @@ def join_glb(text: bytes, chunk: bytes) -> bytes:
     """The .glb of some JSON and the bytes of the first buffer."""
     text += b" " * (-len(text) % 4)
     chunk += bytes(-len(chunk) % 4)
-    size = HEADER.size + 2 * CHUNK.size + len(text) + len(chunk)
-    parts = [HEADER.pack(MAGIC, GLB_VERSION, size), CHUNK.pack(len(text), JSON_CHUNK), text]
-    return b"".join([*parts, CHUNK.pack(len(chunk), BIN_CHUNK), chunk])
+    parts = [CHUNK.pack(len(text), JSON_CHUNK), text]
+    if chunk:
+        parts += [CHUNK.pack(len(chunk), BIN_CHUNK), chunk]
+    size = HEADER.size + sum(map(len, parts))
+    return b"".join([HEADER.pack(MAGIC, GLB_VERSION, size), *parts])
 
 
 def is_gltf(head: bytes) -> bool:
