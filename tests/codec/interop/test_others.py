@@ -315,9 +315,9 @@ def test_the_playcanvas_engine_reads_the_glb(sh_degree: int, tmp_path: Path) -> 
     rest = [[f"f_rest_{c * count + k}" for c in range(3)] for k in range(count)]
     # It has y up, x to the left, linear sizes and opacities.
     found = Splats(
-        named("x", "y", "z") * np.float32([-1, -1, 1]),
+        named("x", "y", "z") * np.array([-1, -1, 1], np.float32),
         np.log(named("scale_0", "scale_1", "scale_2")),
-        named("rot_0", "rot_1", "rot_2", "rot_3") * np.float32([1, -1, -1, 1]),
+        named("rot_0", "rot_1", "rot_2", "rot_3") * np.array([1, -1, -1, 1], np.float32),
         np.log(table["opacity"] / (1 - table["opacity"])),
         np.stack([named(*keys) for keys in [["f_dc_0", "f_dc_1", "f_dc_2"], *rest]], axis=1)
         * np.array([(-1) ** sum(n.count(a) for a in "xy") for n in HARMONICS], np.float32)[
