@@ -69,6 +69,12 @@ def spz_glb(splats: Splats) -> bytes:
     return join_glb(json.dumps(root, separators=(",", ":")).encode(), packed)
 
 
+def signalling_glb(splats: Splats) -> bytes:
+    """A .glb of which an opacity is a NaN that numpy warns of."""
+    opacities = splats.opacities.tobytes()
+    return encode_glb(splats).replace(opacities, b"\1\0\xa0\x7f" + opacities[4:])
+
+
 def foreign_seeds(plain: Splats, degree_1: Splats) -> Iterator[tuple[str, str, bytes]]:
     """(target, what it is, food) of every file; each gives a value. degree_1: of SH degree 1."""
     for number, splats in enumerate((plain, degree_1)):

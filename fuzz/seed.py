@@ -34,7 +34,7 @@ from codec.stream.playrecord import (
 )
 
 from .codec import TARGETS
-from .foreignseed import foreign_seeds
+from .foreignseed import foreign_seeds, signalling_glb
 from .slots import LAYOUTS
 from .slotseed import slot_seeds
 
@@ -203,6 +203,7 @@ def found() -> Iterator[tuple[str, str, bytes]]:
     yield "manifest", "half-a-surrogate-pair", halved
     yield "manifest", "text-for-a-number", manifest.replace(b'"width_px": 64', b'"width_px": "64"')
     yield "manifest", "list-for-a-name", manifest.replace(b'"name": "front"', b'"name": ["front"]')
+    yield "import", "signalling-nan", signalling_glb(made_splats(2, 0))
     yield "sealed_record", "bytes-for-a-kind", b"\x81\xa4kind\xc4\x02no"
 
 

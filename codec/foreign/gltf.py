@@ -147,7 +147,6 @@ class _Primitive:
     def _plain(self) -> Splats:
         means = self._values("POSITION", "VEC3")
         quats = self._values(f"{EXTENSION}:ROTATION", "VEC4")
-        opacities = self._values(f"{EXTENSION}:OPACITY", "SCALAR")[:, 0].astype(np.float64)
         names = self._fields.fields("attributes").values
         degree = max(
             [d for d in range(MAX_SH_DEGREE + 2) if f"{EXTENSION}:SH_DEGREE_{d}_COEF_0" in names],
@@ -158,21 +157,21 @@ class _Primitive:
         sh = np.empty((self.count, sh_count(degree), 3), np.float32)
         for index, name in enumerate(_harmonic_names(degree)):
             sh[:, index] = self._values(name, "VEC3")
-        if not ((opacities >= 0) & (opacities <= 1)).all():
-            raise CorruptError(f"{self._where}: an opacity outside of 0..1")
-        with np.errstate(divide="ignore"):
-            logits = np.log(opacities) - np.log1p(-opacities)
+        with np.errstate(all="ignore"):  # NaN is refused here or below
+            logits, log_scales = self._logits(), self._log_scales()
         try:
-            splats = Splats(
-                means,
-                self._log_scales(),
-                quats[:, [3, 0, 1, 2]],
-                np.clip(logits, -SURE_LOGIT, SURE_LOGIT).astype(np.float32),
-                sh,
-            )
+            splats = Splats(means, log_scales, quats[:, [3, 0, 1, 2]], logits, sh)
         except InvalidError as error:
             raise CorruptError(f"{self._where}: {error}") from error
         return half_turned(splats, "z")
+
+    def _logits(self) -> Floats:
+        opacities = self._values(f"{EXTENSION}:OPACITY", "SCALAR")[:, 0].astype(np.float64)
+        if not ((opacities >= 0) & (opacities <= 1)).all():
+            raise CorruptError(f"{self._where}: an opacity outside of 0..1")
+        logits = np.log(opacities) - np.log1p(-opacities)
+        clipped: Floats = np.clip(logits, -SURE_LOGIT, SURE_LOGIT).astype(np.float32)
+        return clipped
 
     def _log_scales(self) -> Floats:
         scales = self._values(f"{EXTENSION}:SCALE", "VEC3")
