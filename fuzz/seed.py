@@ -204,6 +204,8 @@ def found() -> Iterator[tuple[str, str, bytes]]:
     yield "manifest", "text-for-a-number", manifest.replace(b'"width_px": 64', b'"width_px": "64"')
     yield "manifest", "list-for-a-name", manifest.replace(b'"name": "front"', b'"name": ["front"]')
     yield "import", "signalling-nan", signalling_glb(made_splats(2, 0))
+    half = inflated_spz(1, 3, 0)
+    yield "inflated_spz", "signalling-half", half[:16] + b"\xff\xfd" + half[18:]
     yield "sealed_record", "bytes-for-a-kind", b"\x81\xa4kind\xc4\x02no"
 
 

@@ -209,7 +209,8 @@ def _rows(array: memoryview, width: int) -> Bytes:
 
 def _positions(rows: Bytes, header: SpzHeader) -> Floats:
     if header.version == 1:
-        return rows.view("<f2").astype(np.float32) * FLIP_POSITION
+        with np.errstate(invalid="ignore"):  # NaN is refused with the Gaussians that have it
+            return rows.view("<f2").astype(np.float32) * FLIP_POSITION
     low = rows.reshape(-1, 3, 3).astype(np.int32)
     fixed = low[:, :, 0] | low[:, :, 1] << 8 | low[:, :, 2] << 16
     signed = (fixed ^ 0x800000) - 0x800000
