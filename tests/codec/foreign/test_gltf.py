@@ -45,7 +45,7 @@ TABLES: dict[str, tuple[str, list[list[float]]]] = {
 
 def by_hand() -> tuple[Json, bytes]:
     """The JSON and the buffer of TABLES."""
-    chunk, views, accessors = b"", [], []
+    chunk, views, accessors = b"", list[Json](), list[Json]()
     for kind, rows in TABLES.values():
         data = np.array(rows, "<f4").tobytes()
         views.append({"buffer": 0, "byteOffset": len(chunk), "byteLength": len(data)})
