@@ -11,9 +11,9 @@ WebP pictures without loss, one pixel a Gaussian, row after row.
               centroids: 64 rows of the palette in a row of pixels, K - 1 pixels each, RGB: which of
               the 256 values of a codebook it is
 
-The specification (developer.playcanvas.com) says that y points up and that the first mode leaves out
-x; the programs that write and read these files keep the frame of the PLY, RDF, and w first. So do
-these functions.
+The specification (developer.playcanvas.com) says that y points up, and that the first mode leaves
+out x; the programs that write and read these files keep the frame of the PLY, RDF, and w first. So
+do these functions.
 """
 
 from __future__ import annotations

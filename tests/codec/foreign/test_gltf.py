@@ -360,6 +360,17 @@ def within(name: str, value: Any) -> Callable[[Json], None]:
             UnsupportedError,
             "more than 4096 sets",
         ),
+        (lambda r: r.update(nodes=[{}] * 70_000), UnsupportedError, "70000 nodes"),
+        (
+            lambda r: r.update(
+                meshes=[{"primitives": [{}] * 9000}],
+                nodes=[{"mesh": 0}] * 8,
+                scenes=[{"nodes": list(range(8))}],
+            ),
+            UnsupportedError,
+            "more than 65536 primitives",
+        ),
+        (setting("scenes", 0, "nodes", value=[0] * 1_000_000), CorruptError, "hangs in two places"),
     ],
 )
 def test_a_bad_gltf_is_refused_with_the_reason(
