@@ -1,15 +1,13 @@
-"""glTF: a file made by hand, axes, nodes, where buffers may lie, and hostile bytes."""
+"""glTF: a file made by hand, axes, nodes, and hostile bytes."""
 
 from __future__ import annotations
 
-import base64
 import copy
 import json
 import logging
 import struct
 import tracemalloc
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,66 +18,12 @@ from codec.errors import CodecError, CorruptError, UnsupportedError
 from codec.foreign.gltf import decode_gltf, encode_glb, encode_gltf
 from codec.foreign.gltfbuffers import join_glb, split_glb
 from codec.foreign.spz import SpzVersion, decode_spz, encode_spz
-from codec.interop.formats import decode_any, read_splats
+from codec.interop.formats import decode_any
 from codec.splats import Splats
 from tests.support.drawn import angles_rad, drawn_splats, same
+from tests.support.handmade_gltf import CHUNK, HALF, KHR, ROOT, TABLES, Json, made, primitive
 from tests.support.hostile import flips, survives, truncations
 from tests.support.trained_like import covariances, trained_like_splats
-
-Json = Any
-KHR = "KHR_gaussian_splatting"
-HALF = np.sqrt(0.5)
-
-# Two Gaussians of SH degree 1, table by table.
-TABLES: dict[str, tuple[str, list[list[float]]]] = {
-    "POSITION": ("VEC3", [[1, 2, 3], [-4, 5, 6]]),
-    f"{KHR}:ROTATION": ("VEC4", [[HALF, 0, 0, HALF], [0, 0, 0, 1]]),
-    f"{KHR}:SCALE": ("VEC3", [[1, np.e, np.e**2], [0, 1, 1]]),
-    f"{KHR}:OPACITY": ("SCALAR", [[0.5], [1]]),
-    f"{KHR}:SH_DEGREE_0_COEF_0": ("VEC3", [[0.1, 0.2, 0.3], [0, 0, 0]]),
-    f"{KHR}:SH_DEGREE_1_COEF_0": ("VEC3", [[1, 2, 3], [0, 0, 0]]),
-    f"{KHR}:SH_DEGREE_1_COEF_1": ("VEC3", [[4, 5, 6], [0, 0, 0]]),
-    f"{KHR}:SH_DEGREE_1_COEF_2": ("VEC3", [[7, 8, 9], [0, 0, 0]]),
-}
-
-
-def by_hand() -> tuple[Json, bytes]:
-    """The JSON and the buffer of TABLES."""
-    chunk, views, accessors = b"", list[Json](), list[Json]()
-    for kind, rows in TABLES.values():
-        data = np.array(rows, "<f4").tobytes()
-        views.append({"buffer": 0, "byteOffset": len(chunk), "byteLength": len(data)})
-        accessors.append({"bufferView": len(views) - 1, "componentType": 5126, "count": 2})
-        accessors[-1]["type"] = kind
-        chunk += data
-    about = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}
-    primitive = {"mode": 0, "attributes": {name: i for i, name in enumerate(TABLES)}}
-    root = {
-        "asset": {"version": "2.0"},
-        "extensionsUsed": [KHR],
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [primitive | {"extensions": {KHR: about}}]}],
-        "accessors": accessors,
-        "bufferViews": views,
-        "buffers": [{"byteLength": len(chunk)}],
-    }
-    return root, chunk
-
-
-ROOT, CHUNK = by_hand()
-
-
-def made(change: Callable[[Json], object] = lambda root: None, chunk: bytes = CHUNK) -> bytes:
-    """The .glb by hand, its JSON changed."""
-    root = copy.deepcopy(ROOT)
-    change(root)
-    return join_glb(json.dumps(root).encode(), chunk)
-
-
-def primitive(root: Json) -> Json:
-    return root["meshes"][0]["primitives"][0]
 
 
 def test_gltf_by_hand() -> None:
@@ -194,89 +138,6 @@ def test_logarithms_of_a_draft_are_known_by_their_sign(caplog: pytest.LogCapture
     assert "logarithms" in caplog.text
 
 
-def test_small_numbers_are_brought_to_their_range() -> None:
-    """Rotations as signed bytes, opacities as shorts, rows with a gap between them."""
-    extra = struct.pack("<4b4x4b4x", 127, 0, 0, -128, 0, 127, 0, 0) + struct.pack("<2H", 65535, 0)
-
-    def shrink(root: Json) -> None:
-        start = len(CHUNK)
-        root["buffers"][0]["byteLength"] = start + len(extra)
-        root["bufferViews"] += [
-            {"buffer": 0, "byteOffset": start, "byteLength": 16, "byteStride": 8},
-            {"buffer": 0, "byteOffset": start + 16, "byteLength": 4},
-        ]
-        signed = {"bufferView": 8, "componentType": 5120, "type": "VEC4"}
-        unsigned = {"bufferView": 9, "componentType": 5123, "type": "SCALAR"}
-        root["accessors"] += [
-            kind | {"count": 2, "normalized": True} for kind in (signed, unsigned)
-        ]
-        attributes = primitive(root)["attributes"]
-        attributes |= {f"{KHR}:ROTATION": 8, f"{KHR}:OPACITY": 9}
-        root["extensionsRequired"] = ["KHR_mesh_quantization"]
-
-    splats = decode_any(made(shrink, CHUNK + extra))
-    assert splats.quats.tolist() == [[-1, -1, 0, 0], [0, 0, -1, 0]]
-    assert splats.logit_opacities.tolist() == [16, -16]
-
-
-def outside(uri: str) -> Json:
-    root = copy.deepcopy(ROOT)
-    root["buffers"][0]["uri"] = uri
-    return root
-
-
-def test_a_buffer_may_be_a_file_beside(tmp_path: Path) -> None:
-    (tmp_path / "my numbers.bin").write_bytes(CHUNK + b"more")
-    (tmp_path / "a.gltf").write_text(json.dumps(outside("my%20numbers.bin")))
-    assert same(read_splats(tmp_path / "a.gltf"), decode_any(made()))
-    encoded = base64.b64encode(CHUNK).decode()
-    for kind in ("application/octet-stream", "application/gltf-buffer", ""):
-        data = json.dumps(outside(f"data:{kind};base64,{encoded}")).encode()
-        assert same(decode_any(data), decode_any(made()))
-        # JSON may write a slash in two ways.
-        assert same(decode_any(data.replace(b"/", b"\\/")), decode_any(made()))
-
-
-@pytest.mark.parametrize(
-    ("uri", "kind", "says"),
-    [
-        ("../secret.bin", UnsupportedError, "is not the name of a file beside"),
-        ("..%2Fsecret.bin", UnsupportedError, "is not the name of a file beside"),
-        ("sub/secret.bin", UnsupportedError, "is not the name of a file beside"),
-        ("..\\secret.bin", UnsupportedError, "is not the name of a file beside"),
-        ("/etc/passwd", UnsupportedError, "is not the name of a file beside"),
-        ("file:///etc/passwd", UnsupportedError, "is not the name of a file beside"),
-        ("http://127.0.0.1/a.bin", UnsupportedError, "is not the name of a file beside"),
-        ("C:secret.bin", UnsupportedError, "is not the name of a file beside"),
-        ("a%00.bin", UnsupportedError, "is not the name of a file beside"),
-        ("a\ud800", UnsupportedError, "is not the name of a file beside"),
-        ("", UnsupportedError, "is not the name of a file beside"),
-        ("..", UnsupportedError, "is not the name of a file beside"),
-        ("none.bin", CorruptError, r"none\.bin is missing"),
-        ("short.bin", CorruptError, "4 bytes of"),
-        ("data:;base64,A", CorruptError, "not base64"),
-        ("data:;base64,\u00e9", CorruptError, "not base64"),
-        ("data:#0", CorruptError, "0 bytes of"),
-    ],
-)
-def test_no_other_place_is_looked_at(
-    uri: str, kind: type[CodecError], says: str, tmp_path: Path
-) -> None:
-    (tmp_path / "secret.bin").write_bytes(CHUNK)
-    folder = tmp_path / "folder"
-    (folder / "sub").mkdir(parents=True)
-    (folder / "sub" / "secret.bin").write_bytes(CHUNK)
-    (folder / "short.bin").write_bytes(b"four")
-    (folder / "a.gltf").write_text(json.dumps(outside(uri)))
-    with pytest.raises(kind, match=rf"a\.gltf: .*{says}"):
-        read_splats(folder / "a.gltf")
-
-
-def test_bytes_without_a_place_have_no_file_beside() -> None:
-    with pytest.raises(CorruptError, match=r"another file, 'a\.bin', which is not here"):
-        decode_any(json.dumps(outside("a.bin")).encode())
-
-
 def setting(*path: Any, value: Any) -> Callable[[Json], None]:
     """A change that sets what `path` leads to."""
 
@@ -389,29 +250,6 @@ def with_opacity(value: float) -> bytes:
 def test_an_opacity_outside_of_its_range_is_refused(opacity: float) -> None:
     with pytest.raises(CorruptError, match="an opacity outside"):
         decode_any(with_opacity(opacity))
-
-
-@pytest.mark.parametrize(
-    ("data", "kind", "says"),
-    [
-        (b"glTF", CorruptError, "inside its header"),
-        (struct.pack("<4sII", b"glTF", 1, 12), UnsupportedError, "version 1"),
-        (made()[:-1], CorruptError, "ends after"),
-        (struct.pack("<4sII", b"glTF", 2, 12), CorruptError, "has no JSON"),
-        (made().replace(b"JSON", b"NOSJ"), CorruptError, "chunk 'JSON' is missing"),
-        (made().replace(b"BIN\0", b"BON\0"), CorruptError, "chunk 'BIN.* is missing"),
-        (join_glb(b"[]", b""), CorruptError, "not a JSON object"),
-        (b"{" * 100_000, CorruptError, "is not JSON"),
-        (b'{"a": ' + b"[" * 100_000, CorruptError, "is not JSON"),
-        (b'{"a": "' + b"a" * (5 << 20) + b'"}', CorruptError, "bytes of JSON"),
-        (b'{"a": ' + b"9" * 5000 + b"}", CorruptError, "is not JSON"),
-    ],
-)
-def test_a_bad_container_is_refused_with_the_reason(
-    data: bytes, kind: type[CodecError], says: str
-) -> None:
-    with pytest.raises(kind, match=says):
-        decode_any(data)
 
 
 def test_more_than_the_caller_takes_is_refused() -> None:
