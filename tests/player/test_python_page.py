@@ -39,7 +39,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_page_is_understood() -> None:
     assert len(SCRIPTS) == 5
-    assert len(COMMANDS) == 5
+    assert len(COMMANDS) == 6
     assert sum("viser" in block for block in [*SCRIPTS, *COMMANDS]) == 2
 
 
