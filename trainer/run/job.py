@@ -6,6 +6,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 
 from rich.console import Console
 
@@ -18,11 +19,13 @@ from trainer.pictures.framecache import FrameCache
 
 from .checkpoint import CHECKPOINT_NAME, load_checkpoint, save_checkpoint
 from .config import TrainConfig
-from .monitor import Monitor, progress_bar
-from .outputs import check_targets, open_outputs, write_snapshot
+from .monitor import Monitor
+from .outputs import bare_targets, check_targets, clear_bare, open_outputs, write_snapshot
 from .prepare import first_gaussians, make_manifest, prepare, shared_settings
+from .progressline import ProgressLine
 from .rank import CONTRIBUTION, matured_by_contribution
 from .runlog import LOG_NAME, RunLog
+from .storedconfig import config_to_json
 
 
 @contextmanager
@@ -60,12 +63,17 @@ def train_stream(
     stops it later leaves a valid, shorter stream and a checkpoint to resume from.
     """
     config.check_profile()
-    targets = check_targets(config)
+    bare = bare_targets(config) if config.resume else []
+    if bare:
+        config = replace(config, resume=False)
+    targets = check_targets(config, bare)
     prepared = prepare(config)
     settings = shared_settings(config, prepared)
     checkpoint = config.target / CHECKPOINT_NAME
+    options = config_to_json(replace(config, resume=False))
     found = load_checkpoint(checkpoint, settings) if config.resume else None
     on_checked()
+    clear_bare(bare)
     with ExitStack() as stack:
         cache = stack.enter_context(
             FrameCache(prepared.capture, prepared.frames, config.scale, config.cache_bytes)
@@ -79,8 +87,8 @@ def train_stream(
             manifest = make_manifest(config, prepared, cache, initial)
         else:
             initial, manifest = None, StreamReader(config.target).manifest
-        bar = progress_bar(console)
-        monitor = Monitor(bar, log, config.fit, len(prepared.frames))
+        line = ProgressLine(console)
+        monitor = Monitor(line, log, config.fit, len(prepared.frames))
         trainer = Trainer(
             config.fit, pictures, initial, prepared.near_m, prepared.far_m, prepared.backend,
             (monitor, *observers), manifest.slot_layout if manifest.has_slots else None,
@@ -91,11 +99,11 @@ def train_stream(
         if found is not None:
             outputs.deliver(found.pending)
         else:
-            save_checkpoint(checkpoint, trainer.state(), outputs.pending, settings)
+            save_checkpoint(checkpoint, trainer.state(), outputs.pending, settings, options)
         first, swin_size = trainer.next_window, config.fit.swin_size
         for frame in range(first, first + swin_size + 1):
             pictures.prefetch(frame, first)
-        stack.enter_context(bar)
+        stack.enter_context(line)
         asked = stack.enter_context(interruptible())
         for window in trainer.windows():
             frame = window.first_frame
@@ -109,7 +117,7 @@ def train_stream(
                 outputs.deliver(matured_by_contribution(trainer, window))
             else:
                 outputs.deliver(window.slices)
-            save_checkpoint(checkpoint, trainer.state(), outputs.pending, settings)
+            save_checkpoint(checkpoint, trainer.state(), outputs.pending, settings, options)
             shown = trainer.num_shown(frame)
             monitor.frame_finished(frame, shown, outputs.played_bytes, outputs.quality)
             if config.snapshot_every and frame % config.snapshot_every == 0:
