@@ -77,10 +77,12 @@ def open_dynerf(root: Path) -> Capture:
 
 def read_poses_bounds(path: Path) -> Doubles:
     """(V, 17) the rows of a poses_bounds.npy. Raises CaptureError."""
+    if not path.is_file():
+        wrong = "is not a file" if path.exists() else "is missing"
+        raise CaptureError(f"{path}: {wrong}; it holds the cameras' poses")
     try:
-        rows = np.load(path, allow_pickle=False)
-    except FileNotFoundError as error:
-        raise CaptureError(f"{path}: is missing; it holds the cameras' poses") from error
+        # Mapped: what its header claims to hold must be there.
+        rows = np.load(path, mmap_mode="r", allow_pickle=False)
     except (OSError, ValueError, EOFError, TypeError, SyntaxError) as error:
         raise CaptureError(f"{path}: not a .npy file of numbers: {error}") from error
     if not isinstance(rows, np.ndarray) or rows.ndim != 2 or rows.shape[1] != 17:

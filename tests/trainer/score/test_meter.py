@@ -109,7 +109,8 @@ def test_the_mean_is_over_all_held_out_cameras_from_the_first_frame_on(tmp_path:
     with FrameCache(capture, range(4), 1.0, 1 << 24) as cache:
         meter = QualityMeter(cache, manifest)
         assert meter.mean_db is None
-        means, by_turns = [], []
+        means: list[float] = []
+        by_turns: list[float] = []
         for birth in range(manifest.first_birth, 4):
             slice = tiny_slice(birth)
             scores_db = meter(birth, [slice] * manifest.num_layers)
