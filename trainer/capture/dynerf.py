@@ -25,6 +25,7 @@ from trainer.errors import CaptureError
 from .capture import Capture, CaptureCamera, PictureSource
 from .depths import rig_depths
 from .held_out import read_held_out
+from .lens import Lens, check_optics
 from .points import read_points
 from .video import VideoSource, check_synchronised, check_video_size, probe_video
 
@@ -111,9 +112,11 @@ def decode_pose(row: Doubles, name: str, path: Path) -> Camera:
     rotation = matrix[:, :3] @ _LLFF_FROM_OPENCV
     w2c = world_to_camera(rotation.T, matrix[:, 3])
     try:
-        return Camera(name, int(width), int(height), focal, focal, width / 2, height / 2, w2c)
+        camera = Camera(name, int(width), int(height), focal, focal, width / 2, height / 2, w2c)
     except InvalidError as error:
         raise CaptureError(f"{path}: {error}") from error
+    check_optics(camera, Lens(), path)
+    return camera
 
 
 def encode_pose(camera: Camera, near_m: float, far_m: float) -> Doubles:
