@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -17,6 +18,7 @@ from trainer.fit.trainer import Observer, Trainer
 from trainer.pictures.feed import CapturePictures
 from trainer.pictures.framecache import FrameCache
 
+from .apart import apart_warning
 from .checkpoint import CHECKPOINT_NAME, load_checkpoint, save_checkpoint
 from .config import TrainConfig
 from .monitor import Monitor
@@ -26,6 +28,8 @@ from .progressline import ProgressLine
 from .rank import CONTRIBUTION, matured_by_contribution
 from .runlog import LOG_NAME, RunLog
 from .storedconfig import config_to_json
+
+log_to = logging.getLogger(__name__)
 
 
 @contextmanager
@@ -73,6 +77,14 @@ def train_stream(
     options = config_to_json(replace(config, resume=False))
     found = load_checkpoint(checkpoint, settings) if config.resume else None
     on_checked()
+    if bare:
+        log_to.warning(
+            f"{config.target} was stopped before its first checkpoint; it begins anew, with the "
+            "settings given now"
+        )
+    warning = apart_warning(prepared.capture) if found is None else None
+    if warning is not None:
+        log_to.warning(warning)
     clear_bare(bare)
     with ExitStack() as stack:
         cache = stack.enter_context(
