@@ -92,6 +92,7 @@ class _Playback:
         self._kind = config.renderer
         self._relay = relay
         self._clock = Clock(real=True)
+        self._layers = config.layers
         self._renderers: list[Renderer] = []
         self._journal = Journal(MAX_ROWS if config.report or config.plot else 0)
         self._summary = PlaySummary(config.source, link=config.link, journal=self._journal)
@@ -131,7 +132,14 @@ class _Playback:
     def _open(self, first_frame: int) -> Source:
         """Asks for the stream from a frame on."""
         config = self._config
-        return self._opener.open(FrameRange(first_frame, config.frames.end), config.layers)
+        frames = FrameRange(first_frame, config.frames.end)
+        source = self._opener.open(frames, self._layers)
+        if config.capture is not None and config.link is None and source.adaptive:
+            # Files have time to wait for all that there is. How much that is, the stream tells.
+            self._layers = source.num_layers
+            source.close()
+            source = self._opener.open(frames, self._layers)
+        return source
 
     def _events(self, source: Source, play: int, not_before_s: float) -> Events:
         """The queue of a play."""

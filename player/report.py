@@ -78,8 +78,8 @@ class PlaySummary:
             f"{totals.frames} frames of {self.source}, drawn by {self.renderer}",
             f"startup {totals.startup_s:.3f} s, {totals.stalls} stalls, "
             f"{totals.stalled_s:.3f} s stalled, {totals.concealed} frames concealed",
-            f"{totals.mean_layers:.2f} layers on average, {totals.wire_bytes} bytes in packets; "
-            f"{totals.late_packets} packets came late",
+            f"{totals.mean_layers:.2f} layers on average, at least {totals.fewest_layers or 0}; "
+            f"{totals.wire_bytes} bytes in packets; {totals.late_packets} packets came late",
         ]
 
     def to_json(self) -> dict[str, Any]:
@@ -99,6 +99,7 @@ class PlaySummary:
                 "stalled_s": totals.stalled_s,
                 "concealed": totals.concealed,
                 "mean_layers": totals.mean_layers,
+                "fewest_layers": totals.fewest_layers,
                 "bytes": totals.wire_bytes,
                 "received_bytes": self.received_bytes,
                 "uploaded_bytes": self.uploaded_bytes,
@@ -115,6 +116,7 @@ class PlaySummary:
                     "play": shown.record.play,
                     "frame": shown.record.frame,
                     "layers": shown.record.layers,
+                    "fewest_layers": shown.record.fewest_layers,
                     "due_s": shown.record.due_s,
                     "shown_s": shown.record.shown_s,
                     "drawn_s": shown.drawn_s,

@@ -58,8 +58,10 @@ def export_static(stream: Place, out: Path) -> StaticExport:
     try:
         size_bytes = _write(reader, temporary)
         temporary.rename(out)
-    except BaseException:
+    except BaseException as error:
         shutil.rmtree(temporary, ignore_errors=True)
+        if isinstance(error, OSError) and error.filename is not None:
+            error.filename = str(error.filename).replace(str(temporary), str(out), 1)
         raise
     objects_bytes = sum(sum(record.part_bytes) for record in reader.records)
     return StaticExport(
