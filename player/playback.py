@@ -147,7 +147,10 @@ class _Playback:
     def _open(self, first_frame: int) -> Source:
         """Asks for the stream from a frame on."""
         config = self._config
-        return self._opener.open(FrameRange(first_frame, config.frames.end), config.layers)
+        # Files get all layers, unless the link is asked to decide.
+        adaptive = config.capture is None or config.link is not None
+        frames = FrameRange(first_frame, config.frames.end)
+        return self._opener.open(frames, config.layers, adaptive)
 
     def _events(self, source: Source, play: int, not_before_s: float) -> Events:
         """The queue of a play."""

@@ -97,7 +97,7 @@ class _Connections:
 
 
 class Fetcher:
-    """Requests one after another over connections that are kept; at most one is open at a time.
+    """Requests over connections that are kept, for one reader, who waits for one at a time.
 
     `interrupt` may come from any thread, everything else from one thread at a time.
     """
@@ -136,9 +136,16 @@ class Fetcher:
 
     def open(self, url: str, headers: Mapping[str, str] | None = None) -> OpenResponse:
         """The answer to a GET, its body yet to be read. Close it."""
+        return self._run(self._open(url, headers), url)
+
+    def ask(self, url: str, headers: Mapping[str, str] | None = None) -> Asked:
+        """A GET of which the answer is wanted later; it goes out as soon as somebody waits for
+        something. Close it."""
+        return Asked(self, url, self._loop.create_task(self._open(url, headers)))
+
+    async def _open(self, url: str, headers: Mapping[str, str] | None) -> OpenResponse:
         for _ in range(MAX_REDIRECTS):
-            request = self._request(url, headers=headers)
-            response = self._run(request, url)
+            response = await self._request(url, headers=headers)
             place = response.headers.get("Location")
             if response.status not in REDIRECTS or place is None:
                 return OpenResponse(self, url, response, self.config.idle_s)
@@ -240,6 +247,32 @@ class Fetcher:
     async def _post(self, url: str, body: bytes) -> Response:
         async with await self._request(url, "POST", body) as response:
             return Response(url, response.status, response.headers, b"")
+
+
+class Asked:
+    """A request that is on its way while its asker reads something else."""
+
+    def __init__(self, fetcher: Fetcher, url: str, task: asyncio.Task[OpenResponse]) -> None:
+        self._fetcher = fetcher
+        self._url = url
+        self._task = task
+
+    def answer(self, timeout_s: float) -> OpenResponse | None:
+        """The answer, its body yet to be read; None if it did not come in time."""
+        return self._fetcher._run(self._answer(timeout_s), self._url)
+
+    async def _answer(self, timeout_s: float) -> OpenResponse | None:
+        done, _ = await asyncio.wait([self._task], timeout=timeout_s)
+        return self._task.result() if done else None
+
+    def close(self) -> None:
+        """Drops the answer, and the connection with it, wherever it is."""
+        task = self._task
+        if not task.done():
+            task.cancel()
+            task.get_loop().run_until_complete(asyncio.wait([task]))
+        if not task.cancelled() and task.exception() is None:
+            task.result().close()
 
 
 class OpenResponse:

@@ -1,0 +1,297 @@
+"""What of a stream of files is asked for next, and what came of it: a server's part, played here.
+
+Rule: pure. Times and bytes come in; runs of bytes to ask for, and packets, go out. Everything is
+read in the order in which it was asked for, so that each layer comes in order, and a request is
+made before the one before it has been read: the link has no time to rest.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+from codec.errors import CodecError
+from codec.framerange import FrameRange
+from codec.stream.index import SegmentRecord
+from codec.stream.manifest import MASKS, Manifest, Part, is_snapshot, snapshot_part
+from server.abr.media import RecordedMedia
+from server.abr.outlook import Send, SendSlices, SendSnapshots
+from server.abr.policies.choice import own_policy
+from server.abr.session import (
+    Finished,
+    PlaySession,
+    SessionConfig,
+    WaitForFrames,
+    WaitForNews,
+    WaitUntil,
+)
+
+from .pieces import ObjectPieces
+from .source import Blame, Packets, SlicePackets, SnapshotPackets
+
+SESSION = SessionConfig(run_s=0.1)
+"""As a server's, but each request costs something: it fills more of the link."""
+
+MOST_ASKS = 4
+"""Requests that are open at a time, each on a connection of its own. Two keep a link busy; where
+packets are small more may be needed."""
+
+
+class ObjectStore(Protocol):
+    """Objects from an earlier play, by their SHA-256."""
+
+    def has(self, sha256: bytes) -> bool: ...
+
+    def get(self, sha256: bytes) -> bytes | None: ...
+
+    def put(self, sha256: bytes, data: bytes) -> None: ...
+
+
+@dataclass(slots=True, eq=False)
+class Ask:
+    """A request for a run of bytes of an object."""
+
+    segment: int
+    part: Part
+    first_byte: int
+    end_byte: int
+
+    @property
+    def num_bytes(self) -> int:
+        return self.end_byte - self.first_byte
+
+
+Wait = WaitForNews | WaitUntil | WaitForFrames | Finished
+
+
+@dataclass(slots=True)
+class _Wanted:
+    """What was chosen of one layer of one segment, on its way."""
+
+    send: Send
+    segment: int
+    parts: tuple[Part, ...]
+    """All that one of its slices, or snapshots, needs."""
+    layer: int
+    births: range
+    """That have not been handed over; of snapshots their frame."""
+    asks: deque[Ask] = field(default_factory=deque)
+    """Those that have not been read to their end."""
+
+
+class HostedPlay:
+    """One play of a hosted stream whose layers are chosen by how fast they come."""
+
+    def __init__(
+        self,
+        manifest: Manifest,
+        records: Sequence[SegmentRecord],
+        frames: FrameRange,
+        now_s: float,
+        rate_bps: float | None = None,
+        store: ObjectStore | None = None,
+        config: SessionConfig = SESSION,
+    ) -> None:
+        """records: of the index, which may grow. rate_bps: what the link is known to carry."""
+        self._records, self._store, self._frames = records, store, frames
+        self.media = RecordedMedia(manifest, records, self._is_stored)
+        self.session = PlaySession(
+            self.media,
+            own_policy(self.media),
+            config,
+            now_s,
+            frames.first,
+            frames.end,
+            rate_bps,
+        )
+        self.knows_ranges = True
+        """Whether the host sends less than the whole of an object; False once it did not."""
+        self._pieces: dict[tuple[int, Part], ObjectPieces] = {}
+        self._given: dict[tuple[int, Part], set[int]] = {}
+        """Births that were chosen, by segment and part: none is handed over twice."""
+        self._wanted: deque[_Wanted] = deque()
+        self._unsent: deque[Ask] = deque()
+        self._come_bytes = 0
+        self._ask_bytes = 0
+        """Of the request that is read: how many of its bytes have come."""
+
+    def _is_stored(self, record: SegmentRecord, number: int) -> bool:
+        return self._store is not None and self._store.has(record.part_sha256[number])
+
+    @property
+    def head(self) -> Ask | None:
+        """The request that is to be read now; None if none is open."""
+        return next((wanted.asks[0] for wanted in self._wanted if wanted.asks), None)
+
+    @property
+    def _open_asks(self) -> int:
+        return sum(len(wanted.asks) for wanted in self._wanted)
+
+    def next(self, now_s: float) -> Ask | Wait:
+        """What to ask for now, or what to wait for: WaitForNews is for what was asked for. Raises a
+        CodecError."""
+        session = self.session
+        session.acknowledge(now_s, self._come_bytes + self._ask_bytes)
+        while True:
+            for wanted in self._wanted:
+                if not wanted.asks and (num_bytes := self._ask(wanted)):
+                    session.sent(wanted.send, num_bytes, now_s)  # it is known now where it lies
+            if self._unsent:
+                return self._unsent.popleft()
+            if self._open_asks >= MOST_ASKS:
+                return WaitForNews()
+            decision = session.decide(now_s)
+            if not isinstance(decision, SendSlices | SendSnapshots):
+                return decision
+            self._forget()
+            self._want(decision, now_s)
+
+    def _want(self, send: Send, now_s: float) -> None:
+        """Asks for what was chosen."""
+        if isinstance(send, SendSlices) and not self.knows_ranges:
+            send = self._to_the_end(send)
+        births = send.births if isinstance(send, SendSlices) else range(send.frame, send.frame + 1)
+        manifest, num_bytes = self.media.manifest, 0
+        segments = range(manifest.segment_of(births[0]), manifest.segment_of(births[-1]) + 1)
+        for segment in segments:
+            for layer in range(send.first_layer, send.end_layer):
+                parts: tuple[Part, ...] = (layer,)
+                if isinstance(send, SendSnapshots):
+                    parts = (snapshot_part(layer),)
+                elif layer == 0 and manifest.has_slots:
+                    parts = (MASKS, layer)
+                for run in self._fresh(segment, parts[-1], births):
+                    wanted = _Wanted(send, segment, parts, layer, run)
+                    self._wanted.append(wanted)
+                    num_bytes += self._ask(wanted)
+        # It hears of what is here or underway already, too: that was chosen.
+        self.session.sent(send, num_bytes, now_s)
+
+    def _to_the_end(self, send: SendSlices) -> SendSlices:
+        """The same up to the end of the segment, as whole objects hold it."""
+        record = self._records[self.media.manifest.segment_of(send.births[-1])]
+        end = record.first_frame + record.num_frames
+        if self._frames.end is not None:
+            end = min(end, self._frames.end)
+        return replace(send, births=range(send.births.start, max(end, send.births.stop)))
+
+    def _fresh(self, segment: int, part: Part, births: range) -> list[range]:
+        """Those of `births` in the segment that were not chosen before, in runs."""
+        record = self._records[segment]
+        own = self.media.manifest.part_births(segment, record.num_frames, part)
+        given = self._given.setdefault((segment, part), set())
+        runs: list[range] = []
+        for birth in range(max(births.start, own.start), min(births.stop, own.stop)):
+            if birth in given:
+                continue
+            given.add(birth)
+            if runs and runs[-1].stop == birth:
+                runs[-1] = range(runs[-1].start, birth + 1)
+            else:
+                runs.append(range(birth, birth + 1))
+        return runs
+
+    def _ask(self, wanted: _Wanted) -> int:
+        """Makes the requests for what `wanted` lacks, as far as is known where that lies; gives
+        their bytes."""
+        num_bytes = 0
+        for part in wanted.parts:
+            pieces = self._object(wanted.segment, part)
+            if not wanted.births or pieces.has(wanted.births[-1]):
+                continue
+            run = pieces.ask(wanted.births, whole=not self.knows_ranges)
+            if run is not None:
+                ask = Ask(wanted.segment, part, run.start, run.stop)
+                wanted.asks.append(ask)
+                self._unsent.append(ask)
+                num_bytes += ask.num_bytes
+        return num_bytes
+
+    def _object(self, segment: int, part: Part) -> ObjectPieces:
+        key = segment, part
+        found = self._pieces.get(key)
+        if found is None:
+            manifest = self.media.manifest
+            found = self._pieces[key] = ObjectPieces(manifest, self._records[segment], part)
+            kept = self._store.get(found.sha256) if self._store is not None else None
+            if kept is not None:
+                found.name = f"segment {segment}, {part}, on the disk"
+                found.all_comes()
+                found.add(0, kept)
+        return found
+
+    def comes_whole(self, now_s: float) -> None:
+        """Whoever was asked for `head` sends the whole object."""
+        wanted = next(one for one in self._wanted if one.asks)
+        ask, pieces = wanted.asks[0], self._object(wanted.segment, wanted.asks[0].part)
+        more_bytes = pieces.num_bytes - ask.num_bytes
+        if not more_bytes:
+            return
+        self.knows_ranges = False
+        ask.first_byte, ask.end_byte = 0, pieces.num_bytes
+        pieces.all_comes()
+        self.session.sent(wanted.send, more_bytes, now_s)
+        if isinstance(wanted.send, SendSlices):
+            self._want(replace(wanted.send, births=wanted.births), now_s)
+
+    def come(self, url: str, first_byte: int, data: bytes) -> None:
+        """Bytes of the object of `head` came from `url`; none at its end. Raises a CodecError."""
+        ask = self.head
+        assert ask is not None
+        pieces = self._object(ask.segment, ask.part)
+        pieces.name = url
+        if data:
+            pieces.add(first_byte, data)
+            come_bytes = first_byte + len(data) - ask.first_byte
+            self._ask_bytes = min(ask.num_bytes, max(self._ask_bytes, come_bytes))
+            return
+        wanted = next(one for one in self._wanted if one.asks)
+        wanted.asks.popleft()
+        self._come_bytes += ask.num_bytes
+        self._ask_bytes = 0
+        whole = pieces.whole()
+        if whole is not None and self._store is not None:
+            self._store.put(pieces.sha256, whole)
+
+    def packets(self) -> Iterator[Packets]:
+        """What is here and was not handed over, in the order in which it was asked for."""
+        while self._wanted:
+            wanted = self._wanted[0]
+            objects = {part: self._object(wanted.segment, part) for part in wanted.parts}
+            while wanted.births:
+                birth = wanted.births[0]
+                found = [pieces.packet(birth) for pieces in objects.values()]
+                if None in found:
+                    return
+                wanted.births = wanted.births[1:]
+                *masks, packet = (one or b"" for one in found)
+                blame = _blame(objects, birth)
+                if is_snapshot(wanted.parts[-1]):
+                    yield SnapshotPackets(birth, wanted.layer, (packet,), blame)
+                else:
+                    mask = masks[0] if masks else None
+                    yield SlicePackets(birth, wanted.layer, (packet,), mask, blame)
+            if wanted.asks:
+                return  # the rest of what was asked for is still to be read
+            self._wanted.popleft()
+
+    def _forget(self) -> None:
+        """Drops what is here of segments of which nothing shows any more."""
+        oldest = self.session.next_frame - self.media.swin_size + 1
+        segment = self.media.manifest.segment_of(oldest)
+        segment = min([segment, *(wanted.segment for wanted in self._wanted)])
+        for key in [key for key in self._pieces if key[0] < segment]:
+            del self._pieces[key]
+        for key in [key for key in self._given if key[0] < segment]:
+            del self._given[key]
+
+
+def _blame(objects: dict[Part, ObjectPieces], birth: int) -> Blame:
+    """Makes an error name the object of a segment that is at fault."""
+
+    def blame(error: CodecError, part: Part) -> CodecError:
+        return objects[part].blamed(error, birth)
+
+    return blame
