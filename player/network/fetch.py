@@ -10,8 +10,9 @@ import asyncio
 import os
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Coroutine, Iterator, Mapping
-from contextlib import closing
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from email.utils import parsedate_to_datetime
 from typing import Any, TypeVar
@@ -120,6 +121,7 @@ class Fetcher:
         self._lock = threading.Lock()
         self._waiting: asyncio.Task[Any] | None = None
         self._stopped = False
+        self._news = asyncio.Event()
         self._received = received
         self.received_bytes = 0
         """Bytes of bodies read so far."""
@@ -138,10 +140,20 @@ class Fetcher:
         """The answer to a GET, its body yet to be read. Close it."""
         return self._run(self._open(url, headers), url)
 
-    def ask(self, url: str, headers: Mapping[str, str] | None = None) -> Asked:
-        """A GET of which the answer is wanted later; it goes out as soon as somebody waits for
-        something. Close it."""
-        return Asked(self, url, self._loop.create_task(self._open(url, headers)))
+    def ask(self, url: str, headers: Mapping[str, str], limit_bytes: int) -> Asked:
+        """A GET whose answer is read whenever somebody waits, see `wait`: it may be that of several
+        at a time. Close it."""
+        return Asked(self, url, headers, limit_bytes, self._news)
+
+    def wait(self, timeout_s: float) -> None:
+        """Returns when something of what was asked for has come, or after `timeout_s`."""
+        self._run(self._wait(timeout_s), "")
+
+    async def _wait(self, timeout_s: float) -> None:
+        with suppress(TimeoutError):
+            async with asyncio.timeout(timeout_s):
+                await self._news.wait()
+        self._news.clear()
 
     async def _open(self, url: str, headers: Mapping[str, str] | None) -> OpenResponse:
         for _ in range(MAX_REDIRECTS):
@@ -198,20 +210,10 @@ class Fetcher:
             task: asyncio.Task[Result] = self._loop.create_task(work)
             self._waiting = task
         try:
-            return self._loop.run_until_complete(task)
+            with translated(url):
+                return self._loop.run_until_complete(task)
         except asyncio.CancelledError as error:
             raise StoppedError(f"{url}: stopped") from error
-        except aiohttp.InvalidURL as error:
-            raise FetchError(f"{url} is not a URL") from error
-        except aiohttp.ClientConnectorError as error:
-            number = error.os_error.errno
-            reason = os.strerror(number) if number and number > 0 else str(error.os_error)
-            raise BrokenError(f"{url}: cannot connect: {reason}") from error
-        except TimeoutError as error:
-            raise BrokenError(f"{url}: no answer in time") from error
-        except (aiohttp.ClientError, OSError) as error:
-            reason = " ".join(str(error).split()) or type(error).__name__
-            raise BrokenError(f"{url}: the connection broke: {reason}") from error
         except BaseException:
             # An interrupt from the keyboard leaves the task waiting: end it before the loop closes.
             if not task.done():
@@ -249,30 +251,94 @@ class Fetcher:
             return Response(url, response.status, response.headers, b"")
 
 
+@contextmanager
+def translated(url: str) -> Iterator[None]:
+    """Makes what goes wrong on the way to `url` one of our errors."""
+    try:
+        yield
+    except aiohttp.InvalidURL as error:
+        raise FetchError(f"{url} is not a URL") from error
+    except aiohttp.ClientConnectorError as error:
+        number = error.os_error.errno
+        reason = os.strerror(number) if number and number > 0 else str(error.os_error)
+        raise BrokenError(f"{url}: cannot connect: {reason}") from error
+    except TimeoutError as error:
+        raise BrokenError(f"{url}: no answer in time") from error
+    except (aiohttp.ClientError, OSError) as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise BrokenError(f"{url}: the connection broke: {reason}") from error
+
+
 class Asked:
-    """A request that is on its way while its asker reads something else."""
+    """A GET whose answer is read while its asker does other things, as far as he waits for
+    something at all."""
 
-    def __init__(self, fetcher: Fetcher, url: str, task: asyncio.Task[OpenResponse]) -> None:
-        self._fetcher = fetcher
-        self._url = url
-        self._task = task
+    def __init__(
+        self,
+        fetcher: Fetcher,
+        url: str,
+        headers: Mapping[str, str],
+        limit_bytes: int,
+        news: asyncio.Event,
+    ) -> None:
+        self._fetcher, self.url = fetcher, url
+        self._limit_bytes, self._news = limit_bytes, news
+        self.response: OpenResponse | None = None
+        """None until it has begun."""
+        self.pieces: deque[bytes] = deque()
+        """Of the body, as they came; whoever takes them removes them."""
+        self._task = fetcher._loop.create_task(self._fetch(headers))
 
-    def answer(self, timeout_s: float) -> OpenResponse | None:
-        """The answer, its body yet to be read; None if it did not come in time."""
-        return self._fetcher._run(self._answer(timeout_s), self._url)
+    async def _fetch(self, headers: Mapping[str, str]) -> None:
+        fetcher = self._fetcher
+        try:
+            with translated(self.url):
+                self.response = response = await fetcher._open(self.url, headers)
+                if response.status in (200, 206):
+                    await self._read(response)
+        finally:
+            self._news.set()
 
-    async def _answer(self, timeout_s: float) -> OpenResponse | None:
-        done, _ = await asyncio.wait([self._task], timeout=timeout_s)
-        return self._task.result() if done else None
+    async def _read(self, response: OpenResponse) -> None:
+        loop, num_bytes = self._fetcher._loop, 0
+        idle = IdleLimit(self._fetcher.config.idle_s, loop.time())
+        while (left_s := idle.left_s(loop.time())) > 0:
+            piece = await response._read(left_s)
+            if piece == b"":
+                return
+            if piece:
+                num_bytes += len(piece)
+                if num_bytes > self._limit_bytes:
+                    raise FetchError(f"{self.url} is longer than {self._limit_bytes} bytes")
+                idle.received(len(piece))
+                self._fetcher.count(len(piece))
+                self.pieces.append(piece)
+                self._news.set()
+        raise BrokenError(f"{self.url}: {idle.reason(loop.time())}")
+
+    @property
+    def ended(self) -> bool:
+        """Whether no more pieces will come."""
+        return self._task.done()
+
+    @property
+    def error(self) -> FetchError | None:
+        """Why no more will come, where that is not the end."""
+        failure = self._task.exception() if self._task.done() else None
+        if failure is None or isinstance(failure, FetchError):
+            return failure
+        raise failure
 
     def close(self) -> None:
-        """Drops the answer, and the connection with it, wherever it is."""
+        """Drops what was not read, and the connection with it."""
         task = self._task
         if not task.done():
             task.cancel()
             task.get_loop().run_until_complete(asyncio.wait([task]))
-        if not task.cancelled() and task.exception() is None:
-            task.result().close()
+        elif not task.cancelled():
+            task.exception()  # seen, if nobody has looked
+        if self.response is not None:
+            self.response.close()
 
 
 class OpenResponse:

@@ -14,9 +14,8 @@ from dataclasses import dataclass, field
 from codec.stream.manifest import MANIFEST_NAME
 
 from .faults import BrokenError, FetchError, MissingError
-from .fetch import Asked, Fetcher, OpenResponse, Response
+from .fetch import Fetcher, OpenResponse, Response
 from .hosts import joined
-from .idle import IdleLimit
 from .retry import Retry, RetryConfig
 
 PROGRESS_BYTES = 4096
@@ -62,8 +61,8 @@ class Mirrors:
                 tries.failed(error, at, len(found.data) - before)
 
     def span(self, reference: str, first_byte: int, end_byte: int, file_bytes: int) -> Span:
-        """Bytes first_byte..end_byte-1 of a file of `file_bytes`, which are asked for at once, and
-        read later. Close it."""
+        """Bytes first_byte..end_byte-1 of a file of `file_bytes`, which are asked for at
+        once. Close it."""
         return Span(self, _Tries(self, self._retry), reference, (first_byte, end_byte), file_bytes)
 
     def _wait(self, retry: Retry, error: BrokenError) -> None:
@@ -152,8 +151,8 @@ class SpanPiece:
 
 
 class Span:
-    """A run of bytes of a file: asked for when it is made, read piece by piece. What breaks off is
-    asked for again from the byte that is missing."""
+    """A run of bytes of a file, asked for when it is made. What breaks off is asked for again from
+    the byte that is missing."""
 
     def __init__(
         self,
@@ -169,62 +168,48 @@ class Span:
         self._file_bytes = file_bytes
         self.is_whole = span == (0, file_bytes)
         """Whether the whole file comes: it was asked for, or the host knows no ranges."""
-        self.url = ""
-        """Of the host that is asked."""
-        self._asked: Asked | None = None
-        self._response: OpenResponse | None = None
         self._ask()
 
     def _ask(self) -> None:
         mirrors, fields = self._mirrors, {}
         self._host = mirrors._at
         self.url = mirrors.url(self._reference)
+        """Where it is asked for now."""
         if (self._at_byte, self._end_byte) != (0, self._file_bytes):
             fields["Range"] = f"bytes={self._at_byte}-{self._end_byte - 1}"
-        self._asked = mirrors._fetcher.ask(self.url, fields)
+        self._asked = mirrors._fetcher.ask(self.url, fields, self._file_bytes)
+        self._is_checked = False
         self._reached_byte = max(self._reached_byte, self._at_byte)
-        self._read_s = 0.0
-        # Only the time counts in which somebody waits for it.
-        self._idle = IdleLimit(mirrors._fetcher.config.idle_s, 0.0)
 
-    def read(self, timeout_s: float) -> SpanPiece | None:
-        """The next bytes, none at the end; None if nothing came in time. Raises FetchError."""
-        began_s = time.monotonic()
+    @property
+    def ended(self) -> bool:
+        """Whether all of it was taken."""
+        return self._at_byte == self._end_byte
+
+    def take(self) -> list[SpanPiece]:
+        """What has come, see `Fetcher.wait`. Waits only where all hosts fail. Raises FetchError."""
         try:
-            return self._read(timeout_s)
+            return self._take()
         except FetchError as error:
             self.close()
             self._tries.failed(error, self._host, self._at_byte - self._reached_byte)
             self._ask()
-            return None
-        finally:
-            self._read_s += time.monotonic() - began_s
+            return []
 
-    def _read(self, timeout_s: float) -> SpanPiece | None:
-        at = self._at_byte
-        if at == self._end_byte:
-            return SpanPiece(at, b"")
-        left_s = self._idle.left_s(self._read_s)
-        if not left_s:
-            raise BrokenError(f"{self.url}: {self._idle.reason(self._read_s)}")
-        timeout_s = min(timeout_s, left_s)
-        if self._response is None:
-            assert self._asked is not None
-            self._response = self._asked.answer(timeout_s)
-            if self._response is None:
-                return None
-            self._check(self._response)
-            at = self._at_byte
-        data = self._response.read(timeout_s)
-        if data is None:
-            return None
-        if not data:
-            raise BrokenError(f"{self.url}: it ended early")
-        if at + len(data) > self._end_byte:
+    def _take(self) -> list[SpanPiece]:
+        asked = self._asked
+        if asked.response is not None and not self._is_checked:
+            self._check(asked.response)
+            self._is_checked = True
+        found = []
+        while asked.pieces:
+            found.append(SpanPiece(self._at_byte, asked.pieces.popleft()))
+            self._at_byte += len(found[-1].data)
+        if self._at_byte > self._end_byte:
             raise FetchError(f"{self.url}: more bytes came than were asked for")
-        self._idle.received(len(data))
-        self._at_byte = at + len(data)
-        return SpanPiece(at, data)
+        if not found and asked.ended:
+            raise asked.error or BrokenError(f"{self.url}: it ended early")
+        return found
 
     def _check(self, response: OpenResponse) -> None:
         """Looks whether it is an answer to what was asked for."""
@@ -243,10 +228,8 @@ class Span:
             raise FetchError(f"{self.url}: {total} bytes, the index says {self._file_bytes}")
 
     def close(self) -> None:
-        """Drops what was not read, and the connection with it."""
-        if self._asked is not None:
-            self._asked.close()
-        self._asked = self._response = None
+        """Drops what did not come, and the connection with it."""
+        self._asked.close()
 
 
 def refusal(url: str, response: Response | OpenResponse) -> FetchError:

@@ -166,13 +166,11 @@ class HostedSource:
                 self._hear(play)
                 wait = self._ask(play, open_spans)
                 yield from play.packets()
-                if (head := play.head) is not None:
-                    self._read(play, head, open_spans)
-                elif isinstance(wait, Finished):
+                if isinstance(wait, Finished) and not open_spans:
                     return
-                else:
-                    until_s = wait.time_s if isinstance(wait, WaitUntil) else math.inf
-                    self._fetcher.pause(min(max(until_s - time.monotonic(), 0.0), LOOK_S))
+                until_s = wait.time_s if isinstance(wait, WaitUntil) else math.inf
+                self._fetcher.wait(min(max(until_s - time.monotonic(), 0.0), LOOK_S))
+                self._take(play, open_spans)
                 now_s = time.monotonic()
                 if not isinstance(wait, WaitForFrames):
                     idle.useful(now_s)
@@ -207,17 +205,17 @@ class HostedSource:
             open_spans[ask] = span
         return ask
 
-    def _read(self, play: HostedPlay, ask: Ask, open_spans: dict[Ask, Span]) -> None:
-        """Takes in what has come of the request at the head."""
-        span = open_spans[ask]
-        piece = span.read(LOOK_S)
-        if piece is None:
-            return
-        if span.is_whole:
-            play.comes_whole(time.monotonic())
-        play.come(span.url, piece.first_byte, piece.data)
-        if not piece.data:
-            open_spans.pop(ask).close()
+    def _take(self, play: HostedPlay, open_spans: dict[Ask, Span]) -> None:
+        """Takes in what has come."""
+        for ask, span in list(open_spans.items()):
+            pieces = span.take()
+            if pieces and span.is_whole:
+                play.comes_whole(ask, time.monotonic())
+            for piece in pieces:
+                play.come(ask, span.url, piece.first_byte, piece.data)
+            if span.ended:
+                play.ended(ask)
+                open_spans.pop(ask).close()
 
     def _explained(self, error: SwingsError) -> SwingsError:
         """Another error where the host has another stream by now."""

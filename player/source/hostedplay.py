@@ -57,6 +57,7 @@ class Ask:
     part: Part
     first_byte: int
     end_byte: int
+    come_bytes: int = 0
 
     @property
     def num_bytes(self) -> int:
@@ -77,8 +78,8 @@ class _Wanted:
     layer: int
     births: range
     """That have not been handed over; of snapshots their frame."""
-    asks: deque[Ask] = field(default_factory=deque)
-    """Those that have not been read to their end."""
+    asks: list[Ask] = field(default_factory=list)
+    """Those of which not all has come."""
 
 
 class HostedPlay:
@@ -113,34 +114,30 @@ class HostedPlay:
         """Births that were chosen, by segment and part: none is handed over twice."""
         self._wanted: deque[_Wanted] = deque()
         self._unsent: deque[Ask] = deque()
-        self._come_bytes = 0
-        self._ask_bytes = 0
-        """Of the request that is read: how many of its bytes have come."""
+        self._ended_bytes = 0
+        """Of requests that were answered whole."""
 
     def _is_stored(self, record: SegmentRecord, number: int) -> bool:
         return self._store is not None and self._store.has(record.part_sha256[number])
 
     @property
-    def head(self) -> Ask | None:
-        """The request that is to be read now; None if none is open."""
-        return next((wanted.asks[0] for wanted in self._wanted if wanted.asks), None)
-
-    @property
-    def _open_asks(self) -> int:
-        return sum(len(wanted.asks) for wanted in self._wanted)
+    def _open_asks(self) -> list[Ask]:
+        return [ask for wanted in self._wanted for ask in wanted.asks]
 
     def next(self, now_s: float) -> Ask | Wait:
         """What to ask for now, or what to wait for: WaitForNews is for what was asked for. Raises a
         CodecError."""
         session = self.session
-        session.acknowledge(now_s, self._come_bytes + self._ask_bytes)
+        come_bytes = sum(ask.come_bytes for ask in self._open_asks)
+        session.acknowledge(now_s, self._ended_bytes + come_bytes)
         while True:
             for wanted in self._wanted:
-                if not wanted.asks and (num_bytes := self._ask(wanted)):
+                if num_bytes := self._ask(wanted):
                     session.sent(wanted.send, num_bytes, now_s)  # it is known now where it lies
             if self._unsent:
                 return self._unsent.popleft()
-            if self._open_asks >= MOST_ASKS:
+            # Nor is more chosen before it is known where all lies that was.
+            if len(self._open_asks) >= MOST_ASKS or any(map(self._lacks, self._wanted)):
                 return WaitForNews()
             decision = session.decide(now_s)
             if not isinstance(decision, SendSlices | SendSnapshots):
@@ -193,6 +190,14 @@ class HostedPlay:
                 runs.append(range(birth, birth + 1))
         return runs
 
+    def _lacks(self, wanted: _Wanted) -> bool:
+        """Whether something of it could not be asked for yet."""
+        asked = {ask.part for ask in wanted.asks}
+        return any(
+            part not in asked and not self._object(wanted.segment, part).is_settled
+            for part in wanted.parts
+        )
+
     def _ask(self, wanted: _Wanted) -> int:
         """Makes the requests for what `wanted` lacks, as far as is known where that lies; gives
         their bytes."""
@@ -222,35 +227,34 @@ class HostedPlay:
                 found.add(0, kept)
         return found
 
-    def comes_whole(self, now_s: float) -> None:
-        """Whoever was asked for `head` sends the whole object."""
-        wanted = next(one for one in self._wanted if one.asks)
-        ask, pieces = wanted.asks[0], self._object(wanted.segment, wanted.asks[0].part)
+    def comes_whole(self, ask: Ask, now_s: float) -> None:
+        """Whoever was asked sends the whole object."""
+        pieces = self._object(ask.segment, ask.part)
         more_bytes = pieces.num_bytes - ask.num_bytes
         if not more_bytes:
             return
         self.knows_ranges = False
+        wanted = next(one for one in self._wanted if ask in one.asks)
         ask.first_byte, ask.end_byte = 0, pieces.num_bytes
         pieces.all_comes()
         self.session.sent(wanted.send, more_bytes, now_s)
         if isinstance(wanted.send, SendSlices):
-            self._want(replace(wanted.send, births=wanted.births), now_s)
+            self._want(wanted.send, now_s)
 
-    def come(self, url: str, first_byte: int, data: bytes) -> None:
-        """Bytes of the object of `head` came from `url`; none at its end. Raises a CodecError."""
-        ask = self.head
-        assert ask is not None
+    def come(self, ask: Ask, url: str, first_byte: int, data: bytes) -> None:
+        """Bytes of the object came from `url`. Raises a CodecError that names it."""
         pieces = self._object(ask.segment, ask.part)
         pieces.name = url
-        if data:
-            pieces.add(first_byte, data)
-            come_bytes = first_byte + len(data) - ask.first_byte
-            self._ask_bytes = min(ask.num_bytes, max(self._ask_bytes, come_bytes))
-            return
-        wanted = next(one for one in self._wanted if one.asks)
-        wanted.asks.popleft()
-        self._come_bytes += ask.num_bytes
-        self._ask_bytes = 0
+        pieces.add(first_byte, data)
+        ask.come_bytes = max(ask.come_bytes, first_byte + len(data) - ask.first_byte)
+
+    def ended(self, ask: Ask) -> None:
+        """All of it has come. Raises a CodecError that names an object that is not the one of the
+        index."""
+        wanted = next(one for one in self._wanted if ask in one.asks)
+        wanted.asks.remove(ask)
+        self._ended_bytes += ask.num_bytes
+        pieces = self._object(ask.segment, ask.part)
         whole = pieces.whole()
         if whole is not None and self._store is not None:
             self._store.put(pieces.sha256, whole)
@@ -274,7 +278,7 @@ class HostedPlay:
                     mask = masks[0] if masks else None
                     yield SlicePackets(birth, wanted.layer, (packet,), mask, blame)
             if wanted.asks:
-                return  # the rest of what was asked for is still to be read
+                return  # more comes than was needed
             self._wanted.popleft()
 
     def _forget(self) -> None:

@@ -22,6 +22,9 @@ SKIP_BYTES = 32 << 10
 """Rather than to wait for the table, to find what begins behind so many bytes, these are taken
 too: about what a link of 10 Mbit/s carries in the time."""
 
+REST_BYTES = 8 << 10
+"""Of an object of which less than this would be left, the rest is taken too: masks come whole."""
+
 
 class ObjectPieces:
     """The object of one part of a segment."""
@@ -52,7 +55,7 @@ class ObjectPieces:
             found = [self._entries[birth] for birth in births if birth in self._entries]
             if not found:
                 return None
-            return self._add_asked(found[0].offset, found[-1].offset + found[-1].size)
+            return self._add_asked(found[0].offset, self._end(found[-1].offset + found[-1].size))
         if self._asked:
             return None
         mean_bytes = (self.num_bytes - self._table_bytes) / len(self.births)
@@ -60,22 +63,11 @@ class ObjectPieces:
             return self._add_asked(0, self._table_bytes)
         count = births.stop - self.births.start
         end = self._table_bytes + math.ceil(MARGIN * mean_bytes * count)
-        # Of what is left then, it would be the end of one packet.
-        return self._add_asked(0, end if end + mean_bytes / 2 < self.num_bytes else self.num_bytes)
+        return self._add_asked(0, self._end(end))
 
-    def _add_asked(self, first: int, end: int) -> range | None:
-        """Notes what is new of first..end-1 as asked for; gives it, with what is between."""
-        for run in self._asked:
-            if run.start <= first < run.stop:
-                first = run.stop
-        for run in reversed(self._asked):
-            if run.start < end <= run.stop:
-                end = run.start
-        if first >= end:
-            return None
-        self._asked.append(range(first, end))
-        self._asked.sort(key=lambda run: run.start)
-        return range(first, end)
+    def _end(self, end: int) -> int:
+        """Where bytes end that are asked for up to `end` at least."""
+        return end if end + REST_BYTES < self.num_bytes else self.num_bytes
 
     def all_comes(self) -> None:
         """Whoever was asked sends the whole object."""
