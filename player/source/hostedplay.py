@@ -1,8 +1,7 @@
 """What of a stream of files is asked for next, and what came of it: a server's part, played here.
 
-Rule: pure. Times and bytes come in; runs of bytes to ask for, and packets, go out. Everything is
-read in the order in which it was asked for, so that each layer comes in order, and a request is
-made before the one before it has been read: the link has no time to rest.
+Rule: pure. Times and bytes come in; runs of bytes to ask for, and packets, go out. A request is
+made before the one before it has been answered: the link has no time to rest.
 """
 
 from __future__ import annotations
@@ -31,8 +30,9 @@ from server.abr.session import (
 from .pieces import ObjectPieces
 from .source import Blame, Packets, SlicePackets, SnapshotPackets
 
-SESSION = SessionConfig(run_s=0.1)
-"""As a server's, but each request costs something: it fills more of the link."""
+SESSION = SessionConfig(run_s=0.1, first_bytes=16 << 10)
+"""As a server's, but each request costs something: it fills more of the link. As that is on its way
+then, too, less may be before it on a slow one."""
 
 MOST_ASKS = 4
 """Requests that are open at a time, each on a connection of its own. Two keep a link busy; where
@@ -112,7 +112,8 @@ class HostedPlay:
         self._pieces: dict[tuple[int, Part], ObjectPieces] = {}
         self._given: dict[tuple[int, Part], set[int]] = {}
         """Births that were chosen, by segment and part: none is handed over twice."""
-        self._wanted: deque[_Wanted] = deque()
+        self._wanted: list[_Wanted] = []
+        """In the order in which it was chosen."""
         self._unsent: deque[Ask] = deque()
         self._ended_bytes = 0
         """Of requests that were answered whole."""
@@ -260,26 +261,33 @@ class HostedPlay:
             self._store.put(pieces.sha256, whole)
 
     def packets(self) -> Iterator[Packets]:
-        """What is here and was not handed over, in the order in which it was asked for."""
-        while self._wanted:
-            wanted = self._wanted[0]
-            objects = {part: self._object(wanted.segment, part) for part in wanted.parts}
-            while wanted.births:
-                birth = wanted.births[0]
-                found = [pieces.packet(birth) for pieces in objects.values()]
-                if None in found:
-                    return
-                wanted.births = wanted.births[1:]
-                *masks, packet = (one or b"" for one in found)
-                blame = _blame(objects, birth)
-                if is_snapshot(wanted.parts[-1]):
-                    yield SnapshotPackets(birth, wanted.layer, (packet,), blame)
-                else:
-                    mask = masks[0] if masks else None
-                    yield SlicePackets(birth, wanted.layer, (packet,), mask, blame)
-            if wanted.asks:
-                return  # more comes than was needed
-            self._wanted.popleft()
+        """What is here and was not handed over: of each layer in the order in which it was chosen,
+        as a snapshot comes before what it is followed by."""
+        behind: set[int] = set()  # layers of which something is to come first
+        for wanted in list(self._wanted):
+            if wanted.layer not in behind:
+                yield from self._complete(wanted)
+            if wanted.births:
+                behind.add(wanted.layer)
+            elif not wanted.asks:
+                self._wanted.remove(wanted)
+
+    def _complete(self, wanted: _Wanted) -> Iterator[Packets]:
+        """What of it is here."""
+        objects = {part: self._object(wanted.segment, part) for part in wanted.parts}
+        while wanted.births:
+            birth = wanted.births[0]
+            found = [pieces.packet(birth) for pieces in objects.values()]
+            if None in found:
+                return
+            wanted.births = wanted.births[1:]
+            *masks, packet = (one or b"" for one in found)
+            blame = _blame(objects, birth)
+            if is_snapshot(wanted.parts[-1]):
+                yield SnapshotPackets(birth, wanted.layer, (packet,), blame)
+            else:
+                mask = masks[0] if masks else None
+                yield SlicePackets(birth, wanted.layer, (packet,), mask, blame)
 
     def _forget(self) -> None:
         """Drops what is here of segments of which nothing shows any more."""

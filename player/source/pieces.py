@@ -69,6 +69,25 @@ class ObjectPieces:
         """Where bytes end that are asked for up to `end` at least."""
         return end if end + REST_BYTES < self.num_bytes else self.num_bytes
 
+    @property
+    def is_settled(self) -> bool:
+        """Whether nothing that is wanted of it has to wait for its table."""
+        return self._entries is not None or self._asked == [range(self.num_bytes)]
+
+    def _add_asked(self, first: int, end: int) -> range | None:
+        """Notes what is new of first..end-1 as asked for; gives it, with what is between."""
+        for run in self._asked:
+            if run.start <= first < run.stop:
+                first = run.stop
+        for run in reversed(self._asked):
+            if run.start < end <= run.stop:
+                end = run.start
+        if first >= end:
+            return None
+        self._asked.append(range(first, end))
+        self._asked.sort(key=lambda run: run.start)
+        return range(first, end)
+
     def all_comes(self) -> None:
         """Whoever was asked sends the whole object."""
         self._asked = [range(self.num_bytes)]
