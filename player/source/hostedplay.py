@@ -30,13 +30,13 @@ from server.abr.session import (
 from .pieces import ObjectPieces
 from .source import Blame, Packets, SlicePackets, SnapshotPackets
 
-SESSION = SessionConfig(run_s=0.1, first_bytes=16 << 10)
+SESSION = SessionConfig(run_s=0.1, queue_s=0.04, first_bytes=16 << 10)
 """As a server's, but each request costs something: it fills more of the link. As that is on its way
 then, too, less may be before it on a slow one."""
 
-MOST_ASKS = 4
-"""Requests that are open at a time, each on a connection of its own. Two keep a link busy; where
-packets are small more may be needed."""
+MOST_ASKS = 3
+"""So many requests may be open, each on a connection of its own, before another one is made: they
+share the link, and what is needed first comes later."""
 
 
 class ObjectStore(Protocol):
@@ -148,32 +148,38 @@ class HostedPlay:
 
     def _want(self, send: Send, now_s: float) -> None:
         """Asks for what was chosen."""
-        if isinstance(send, SendSlices) and not self.knows_ranges:
-            send = self._to_the_end(send)
-        births = send.births if isinstance(send, SendSlices) else range(send.frame, send.frame + 1)
         manifest, num_bytes = self.media.manifest, 0
-        segments = range(manifest.segment_of(births[0]), manifest.segment_of(births[-1]) + 1)
-        for segment in segments:
-            for layer in range(send.first_layer, send.end_layer):
-                parts: tuple[Part, ...] = (layer,)
-                if isinstance(send, SendSnapshots):
-                    parts = (snapshot_part(layer),)
-                elif layer == 0 and manifest.has_slots:
-                    parts = (MASKS, layer)
-                for run in self._fresh(segment, parts[-1], births):
-                    wanted = _Wanted(send, segment, parts, layer, run)
-                    self._wanted.append(wanted)
-                    num_bytes += self._ask(wanted)
+        if isinstance(send, SendSlices):
+            send = self._in_one_segment(send)
+            births = send.births
+        else:
+            births = range(send.frame, send.frame + 1)
+        segment = manifest.segment_of(births[0])
+        for layer in range(send.first_layer, send.end_layer):
+            parts: tuple[Part, ...] = (layer,)
+            if isinstance(send, SendSnapshots):
+                parts = (snapshot_part(layer),)
+            elif layer == 0 and manifest.has_slots:
+                parts = (MASKS, layer)
+            for run in self._fresh(segment, parts[-1], births):
+                wanted = _Wanted(send, segment, parts, layer, run)
+                self._wanted.append(wanted)
+                num_bytes += self._ask(wanted)
         # It hears of what is here or underway already, too: that was chosen.
         self.session.sent(send, num_bytes, now_s)
 
-    def _to_the_end(self, send: SendSlices) -> SendSlices:
-        """The same up to the end of the segment, as whole objects hold it."""
-        record = self._records[self.media.manifest.segment_of(send.births[-1])]
+    def _in_one_segment(self, send: SendSlices) -> SendSlices:
+        """As much of it as lies in the segment of the first slice: requests that are made together
+        share the link, and what is due later can wait. All up to the end of that where the host
+        sends whole objects."""
+        births = send.births
+        record = self._records[self.media.manifest.segment_of(births[0])]
         end = record.first_frame + record.num_frames
         if self._frames.end is not None:
             end = min(end, self._frames.end)
-        return replace(send, births=range(send.births.start, max(end, send.births.stop)))
+        if self.knows_ranges:
+            end = min(end, births.stop)
+        return replace(send, births=range(births.start, end))
 
     def _fresh(self, segment: int, part: Part, births: range) -> list[range]:
         """Those of `births` in the segment that were not chosen before, in runs."""
