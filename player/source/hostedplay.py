@@ -114,6 +114,8 @@ class HostedPlay:
         """Births that were chosen, by segment and part: none is handed over twice."""
         self._wanted: list[_Wanted] = []
         """In the order in which it was chosen."""
+        self._chosen: list[Send] = []
+        """What the session has chosen, of one segment each, and was not asked for yet."""
         self._unsent: deque[Ask] = deque()
         self._ended_bytes = 0
         """Of requests that were answered whole."""
@@ -140,20 +142,18 @@ class HostedPlay:
             # Nor is more chosen before it is known where all lies that was.
             if len(self._open_asks) >= MOST_ASKS or any(map(self._lacks, self._wanted)):
                 return WaitForNews()
-            decision = session.decide(now_s)
-            if not isinstance(decision, SendSlices | SendSnapshots):
-                return decision
-            self._forget()
-            self._want(decision, now_s)
+            if not self._chosen:
+                decision = session.decide(now_s)
+                if not isinstance(decision, SendSlices | SendSnapshots):
+                    return decision
+                self._forget()
+                self._chosen = self._by_segment(decision)
+            self._want(self._chosen.pop(0), now_s)
 
     def _want(self, send: Send, now_s: float) -> None:
-        """Asks for what was chosen."""
+        """Asks for what was chosen of one segment."""
         manifest, num_bytes = self.media.manifest, 0
-        if isinstance(send, SendSlices):
-            send = self._in_one_segment(send)
-            births = send.births
-        else:
-            births = range(send.frame, send.frame + 1)
+        births = send.births if isinstance(send, SendSlices) else range(send.frame, send.frame + 1)
         segment = manifest.segment_of(births[0])
         for layer in range(send.first_layer, send.end_layer):
             parts: tuple[Part, ...] = (layer,)
@@ -168,18 +168,23 @@ class HostedPlay:
         # It hears of what is here or underway already, too: that was chosen.
         self.session.sent(send, num_bytes, now_s)
 
-    def _in_one_segment(self, send: SendSlices) -> SendSlices:
-        """As much of it as lies in the segment of the first slice: requests that are made together
-        share the link, and what is due later can wait. All up to the end of that where the host
-        sends whole objects."""
-        births = send.births
-        record = self._records[self.media.manifest.segment_of(births[0])]
-        end = record.first_frame + record.num_frames
-        if self._frames.end is not None:
-            end = min(end, self._frames.end)
-        if self.knows_ranges:
-            end = min(end, births.stop)
-        return replace(send, births=range(births.start, end))
+    def _by_segment(self, send: Send) -> list[Send]:
+        """What was chosen, segment by segment: requests that are made together share the link, and
+        what is due later can wait."""
+        if not isinstance(send, SendSlices):
+            return [send]
+        found: list[Send] = []
+        first = send.births.start
+        while first < send.births.stop:
+            record = self._records[self.media.manifest.segment_of(first)]
+            record_end = end = record.first_frame + record.num_frames
+            if self.knows_ranges:
+                end = min(end, send.births.stop)
+            elif self._frames.end is not None:
+                end = min(end, self._frames.end)  # whole objects
+            found.append(replace(send, births=range(first, end)))
+            first = record_end
+        return found
 
     def _fresh(self, segment: int, part: Part, births: range) -> list[range]:
         """Those of `births` in the segment that were not chosen before, in runs."""
@@ -245,8 +250,7 @@ class HostedPlay:
         ask.first_byte, ask.end_byte = 0, pieces.num_bytes
         pieces.all_comes()
         self.session.sent(wanted.send, more_bytes, now_s)
-        if isinstance(wanted.send, SendSlices):
-            self._want(wanted.send, now_s)
+        self._chosen = self._by_segment(wanted.send) + self._chosen
 
     def come(self, ask: Ask, url: str, first_byte: int, data: bytes) -> None:
         """Bytes of the object came from `url`. Raises a CodecError that names it."""
