@@ -67,7 +67,7 @@ class Ask:
 Wait = WaitForNews | WaitUntil | WaitForFrames | Finished
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class _Wanted:
     """What was chosen of one layer of one segment, on its way."""
 

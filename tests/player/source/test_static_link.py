@@ -20,6 +20,7 @@ from player.network.retry import RetryConfig
 from player.source.opener import Opener, SourceConfig, opened
 from player.source.source import SlicePackets
 from server.abr.link.link import Link, LinkStep
+from tests.player.link.starved import Watch
 from tests.support.delivery.assembled import assembled
 from tests.support.delivery.rangehost import RangeHost, range_host
 from tests.support.delivery.watched import Watched, watched
@@ -79,43 +80,63 @@ def play(root: Path, name: str, host: Host, *steps: tuple[float, float]) -> Watc
     return got
 
 
-def plays(root: Path, hosts: Sequence[Host], *steps: tuple[float, float]) -> dict[str, Watched]:
-    """Plays of both streams from each of `hosts`, at the same time, over a link each."""
+def check_plays(
+    root: Path,
+    hosts: Sequence[Host],
+    steps: Sequence[tuple[float, float]],
+    check: Callable[[str, Watched], None],
+) -> None:
+    """Plays both streams from each of `hosts`, at the same time, over a link each. What fails is
+    tried again where the machine had no time for it."""
     cases = [(name, host) for name in NAMES for host in hosts]
-    with ThreadPoolExecutor(len(cases)) as pool:
-        running = [pool.submit(play, root, name, host, *steps) for name, host in cases]
-    names = (f"{name} from {host.__name__}" for name, host in cases)
-    return {name: one.result() for name, one in zip(names, running, strict=True)}
+    for _ in range(3):
+        with Watch() as watch, ThreadPoolExecutor(len(cases)) as pool:
+            running = [pool.submit(play, root, name, host, *steps) for name, host in cases]
+            played = [one.result() for one in running]
+        try:
+            for (name, host), got in zip(cases, played, strict=True):
+                check(f"{name} from {host.__name__}", got)
+            return
+        except AssertionError:
+            if not watch.starved:
+                raise
+    pytest.skip("this machine is too busy to play in time")
 
 
 @pytest.mark.parametrize("hosts", [STATIC, (swings_server,)])
 def test_a_link_of_one_and_a_half_streams_shows_all_layers_without_a_stall(
     root: Path, hosts: Sequence[Host]
 ) -> None:
-    for name, got in plays(root, hosts, (60.0, 1.5)).items():
+    def check(name: str, got: Watched) -> None:
         assert got.startup_s < 0.5, name
         assert got.totals.stalls == 0, name
         assert got.layers(2.0) > LAYERS - 0.1, name
         assert got.totals.mean_layers > LAYERS - 0.6, name
 
+    check_plays(root, hosts, [(60.0, 1.5)], check)
+
 
 def check_stalls(name: str, got: Watched) -> None:
     """A host without ranges sends the whole of what was begun, however slow that has become."""
-    assert got.totals.stalled_s < (0.4 if static_host.__name__ in name else 1e-6), name
+    assert got.totals.stalled_s <= (0.4 if static_host.__name__ in name else 0.0), name
 
 
 def test_a_link_that_falls_to_half_of_it_goes_on_with_fewer_layers(root: Path) -> None:
-    for name, got in plays(root, STATIC, (1.5, 1.5), (60.0, 0.5)).items():
+    def check(name: str, got: Watched) -> None:
         check_stalls(name, got)
         assert got.layers(0.8, 1.4) > LAYERS - 0.8, name
         assert 1 <= got.layers(2.0) < LAYERS - 0.3, name
 
+    check_plays(root, STATIC, [(1.5, 1.5), (60.0, 0.5)], check)
+
 
 def test_a_link_that_comes_back_brings_the_layers_back(root: Path) -> None:
-    for name, got in plays(root, STATIC, (1.0, 1.5), (1.2, 0.5), (60.0, 2.0)).items():
+    def check(name: str, got: Watched) -> None:
         check_stalls(name, got)
         assert got.layers(1.6, 2.2) < LAYERS - 0.3, name
         assert got.layers(3.5) > LAYERS - 0.3, name
+
+    check_plays(root, STATIC, [(1.0, 1.5), (1.2, 0.5), (60.0, 2.0)], check)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -12,6 +12,10 @@ from player.source.source import Packets, Source
 from server.abr.playout import PlayoutConfig
 
 
+WINDOW = PlayoutConfig(conceal_s=0.15)
+"""What a window waits for."""
+
+
 @dataclass(frozen=True)
 class Watched:
     """One play."""
@@ -38,7 +42,7 @@ def watched(source: Source, until_frame: int | None = None) -> Watched:
         source.manifest,
         source.frames.first,
         source.frames.end,
-        config=PlayoutConfig(),
+        config=WINDOW,
         needed=needed,
     )
     events = Events(playout, clock, lambda one, came_s: packets.append(one))
