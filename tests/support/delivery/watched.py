@@ -11,7 +11,6 @@ from player.playout.timeline import FrameRecord, Playout, PlayoutTotals
 from player.source.source import Packets, Source
 from server.abr.playout import PlayoutConfig
 
-
 WINDOW = PlayoutConfig(conceal_s=0.15)
 """What a window waits for."""
 
