@@ -27,7 +27,7 @@ from codec.stream.manifest import Manifest, Point
 from codec.stream.poster import POSTER_NAME, Draw, write_poster
 from codec.stream.writer import StreamWriter
 
-from .formats import has_known_suffix, read_splats
+from .formats import READ, has_known_suffix, read_splats
 from .importslots import SlotFiller
 
 WIDTH_PX, HEIGHT_PX = 1280, 720
@@ -104,7 +104,7 @@ def find_files(source: Path) -> list[Path]:
         if first is not path:
             raise InvalidError(f"{source}: {first.name} and {path.name} have the same number")
     if not numbered:
-        raise InvalidError(f"{source}: no .ply, .spz or .splat file in this folder")
+        raise InvalidError(f"{source}: no file of Gaussians in this folder ({READ})")
     return [numbered[number] for number in sorted(numbered)]
 
 

@@ -107,7 +107,7 @@ def test_a_bad_folder_or_file_is_named_before_anything_is_written(tmp_path: Path
     folder = tmp_path / "take"
     folder.mkdir()
     stream = tmp_path / "stream"
-    with pytest.raises(InvalidError, match=r"no \.ply, \.spz or \.splat file"):
+    with pytest.raises(InvalidError, match=r"no file of Gaussians .*\.splat, bundled \.sog"):
         import_stream(folder, stream, RAW)
     save(folder / "frame_1.ply", trained_like_splats(3))
     save(folder / "frame_01.ply", trained_like_splats(3))
@@ -205,7 +205,7 @@ def test_layers_and_formats_of_a_frame(stream: Path, tmp_path: Path) -> None:
         (None, "4:4", "a.ply", None, "hold no frame"),
         (None, "6:", "a.ply", None, "has frames 0:6"),
         (None, "4", "a.ply", None, "not FIRST:END"),
-        (0, None, "a.glb", None, "say --format, one of ply, splat, spz"),
+        (0, None, "a.obj", None, "say --format, one of ply, splat, spz, sog, glb, gltf"),
         (0, None, "a.ply", 3, "3 layers of 2"),
         (0, None, "a.ply", 0, "0 layers of 2"),
     ],
