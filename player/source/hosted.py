@@ -26,9 +26,8 @@ from server.abr.standing import Standing
 
 from .hostedindex import REPLACED, HostedIndex
 from .hostedplay import Ask, HostedPlay, Wait
-from .lastplay import LastPlay
 from .segments import SegmentPlay
-from .source import Packets, check_frames, check_layers
+from .source import LastPlay, Packets, check_frames, check_layers
 
 log = logging.getLogger(__name__)
 

@@ -25,10 +25,9 @@ from player.network.retry import Retry, RetryConfig
 from .directory import DirectorySource
 from .glance import Glance, glance
 from .hosted import HostedSource
-from .lastplay import NO_PLAY
 from .locate import Place, ServedPlace, locate
 from .served import ServedSource
-from .source import Source
+from .source import NO_PLAY, Source
 
 
 @dataclass(frozen=True, slots=True)
