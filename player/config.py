@@ -141,8 +141,8 @@ class PlayConfig:
     capture: Annotated[Path | None, tyro.conf.arg(metavar="OUT")] = None
     """Write every frame, exactly once, to this .mp4 or folder of PNGs. Without it: a window."""
     layers: Annotated[int | None, LAYERS] = None
-    """Layers of each slice, 1 to all; auto lets a server choose in a window and over --link, and
-    takes all elsewhere."""
+    """Layers of each slice, 1 to all; auto goes by what the link carries in a window and over
+    --link, and takes all elsewhere."""
     camera: Annotated[CameraPathName, CAMERA] = CameraPathName("default")
     """default, camera:NAME, orbit, orbit:DEGREES, or a .json file of key frames."""
     size: Annotated[Size | None, SIZE] = None

@@ -115,6 +115,8 @@ class _Playback:
         if self._renderers:
             summary.renderer = self._renderers[-1].name
         summary.uploaded_bytes = sum(one.uploaded_bytes for one in self._renderers)
+        if self._opener.cache is not None:
+            summary.cache = self._opener.cache.counts
         if self._relay is not None:
             summary.link_bytes = self._relay.down_bytes
             summary.link_began_s = self._relay.began_s
@@ -132,10 +134,12 @@ class _Playback:
     def _open(self, first_frame: int) -> Source:
         """Asks for the stream from a frame on."""
         config = self._config
+        # Files have time to wait for all that there is, unless the link is asked to decide.
+        adaptive = config.capture is None or config.link is not None
         frames = FrameRange(first_frame, config.frames.end)
-        source = self._opener.open(frames, self._layers)
-        if config.capture is not None and config.link is None and source.adaptive:
-            # Files have time to wait for all that there is. How much that is, the stream tells.
+        source = self._opener.open(frames, self._layers, adaptive)
+        if source.adaptive and not adaptive:
+            # How many layers a server has, the stream tells.
             self._layers = source.num_layers
             source.close()
             source = self._opener.open(frames, self._layers)

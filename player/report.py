@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from codec.files import write_atomic
+from player.network.diskcache import CacheCounts
 from player.playout.timeline import PlayoutTotals
 from server.abr.link.link import Link
 
@@ -51,6 +52,8 @@ class PlaySummary:
     """By time.monotonic."""
     link_bytes: int | None = None
     """Bytes that came over `--link`; None without it."""
+    cache: CacheCounts | None = None
+    """What `--cache` saved; None without it."""
     interrupted: bool = False
     journal: Journal = field(default_factory=Journal)
     _before: PlayoutTotals = field(default_factory=PlayoutTotals)
@@ -108,6 +111,7 @@ class PlaySummary:
                 "most_frames_waiting": totals.most_frames_waiting,
                 "most_bytes_waiting": totals.most_bytes_waiting,
             },
+            "cache": None if self.cache is None else asdict(self.cache),
             "plays": [
                 {"asked_s": play.asked_s, "startup_s": play.startup_s} for play in self.plays
             ],

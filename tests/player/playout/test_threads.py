@@ -24,8 +24,7 @@ from player.playout.queues import EmptyStreamError, Events, Handoff
 from player.playout.threads import Threads, render_thread
 from player.playout.timeline import FrameRecord, Playout, QueueConfig
 from player.render.steptimes import StepTimes
-from player.source.lastplay import NO_PLAY
-from player.source.source import Packets, SlicePackets
+from player.source.source import NO_PLAY, Packets, SlicePackets
 from server.abr.playout import PlayoutConfig
 from server.abr.standing import Standing
 from tests.support.hosted_streams import SWIN_SIZE, random_slice, small_manifest
