@@ -33,6 +33,7 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
         {"codec/slots"},
         {"codec/stream"},
         {"codec/interop"},
+        {"codec/sequence"},
         {"codec/tools"},
     ),
     "server": (

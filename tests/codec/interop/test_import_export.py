@@ -13,7 +13,7 @@ from PIL import Image
 from codec.errors import CodecError, InvalidError, UnsupportedError
 from codec.interop.exporting import export_stream, numbered
 from codec.interop.formats import SplatFormat, read_splats, write_splats
-from codec.interop.importing import (
+from codec.sequence.importing import (
     ImportOptions,
     Survey,
     find_files,
@@ -135,7 +135,7 @@ def test_a_bad_folder_or_file_is_named_before_anything_is_written(tmp_path: Path
 def test_more_than_a_frame_holds_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("codec.interop.importing.MAX_SPLATS_PER_CHUNK", 9)
+    monkeypatch.setattr("codec.sequence.importing.MAX_SPLATS_PER_CHUNK", 9)
     model = save(tmp_path / "model.ply", trained_like_splats(10))
     with pytest.raises(
         UnsupportedError, match=r"model\.ply: PLY: 10 Gaussians in a frame, at most 9"
@@ -159,7 +159,7 @@ def test_too_many_are_refused_by_the_header_alone(
     tmp_path: Path, name: str, head: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nothing follows the header: whoever went on would say so."""
-    monkeypatch.setattr("codec.interop.importing.MAX_SPLATS_PER_CHUNK", 9)
+    monkeypatch.setattr("codec.sequence.importing.MAX_SPLATS_PER_CHUNK", 9)
     (tmp_path / name).write_bytes(head)
     with pytest.raises(UnsupportedError, match=r"10 Gaussians in a frame, at most 9"):
         import_stream(tmp_path / name, tmp_path / "stream", RAW)

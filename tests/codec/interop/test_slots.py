@@ -11,7 +11,7 @@ import pytest
 from codec.errors import InvalidError
 from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat, read_splats, write_splats
-from codec.interop.importing import ImportOptions, import_stream
+from codec.sequence.importing import ImportOptions, import_stream
 from codec.profiles.profile import Profile
 from codec.slots.lattice import dequantise, quantise
 from codec.splats import Splats

@@ -1,0 +1,136 @@
+"""The lattice that Gaussians lie on already, as those do that a stream of version 2 gave.
+
+Taking it again loses nothing, where another one of the same fineness would round every number once
+more.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from codec.errors import InvalidError
+from codec.pose import Doubles
+from codec.profiles.quantise import MAX_OPACITY_LEVELS, opacity_logits, to_luma
+from codec.slots.lattice import (
+    COLOURS,
+    POSITION_LIMIT,
+    SCALES,
+    TURNS,
+    Flags,
+    Lattice,
+    States,
+    dequantise,
+    num_attributes,
+)
+from codec.splats import Splats
+
+ENOUGH = 0.9
+"""Share of the Gaussians that lie on a lattice that is taken; the others escaped from it."""
+
+MAX_SAMPLES = 1 << 14
+"""Gaussians looked at: they tell as much as all."""
+
+CANDIDATES = 8
+"""Differences tried as a step: the most frequent ones, then the smallest."""
+
+NEAR = 0.02
+"""Steps that a number on the lattice may be off, after the rounding of f32."""
+
+
+def as_given(splats: Splats, lattice: Lattice) -> tuple[States, Flags]:
+    """`splats` as integers in the form that they have, and (N,) which of them are these bit by
+    bit when decoded; the others mean nothing."""
+    count, degree = len(splats), splats.sh_degree
+    values = np.empty((count, 3 + num_attributes(degree)))
+    values[:, :3] = splats.means.astype(np.float64) / lattice.position_m
+    attributes = values[:, 3:]
+    scales = splats.log_scales.astype(np.float64)
+    attributes[:, SCALES:TURNS] = (scales - lattice.log_scale_base) / lattice.log_scale
+    attributes[:, TURNS:COLOURS] = splats.quats[:, 1:].astype(np.float64) / lattice.rotation
+    colours = to_luma(splats.sh.astype(np.float64)).transpose(0, 2, 1) / lattice.colour
+    attributes[:, COLOURS:-1] = colours.reshape(count, -1)
+    attributes[:, -1] = splats.opacities.astype(np.float64) * (lattice.opacity_levels - 1)
+    low, high = np.full(values.shape[1], -128.0), np.full(values.shape[1], 127.0)
+    low[:3], high[:3] = 1 - POSITION_LIMIT, POSITION_LIMIT - 1
+    low[-1], high[-1] = 0, lattice.opacity_levels - 1
+    inside = np.clip(np.rint(values), low, high)
+    states = States(inside[:, :3].astype(np.int32), inside[:, 3:].astype(np.int16).astype(np.uint8))
+    same = np.ones(count, np.bool_)
+    for a, b in zip(dequantise(states, lattice).arrays, splats.arrays, strict=True):
+        same &= (a == b).reshape(count, -1).all(axis=1)
+    return states, same
+
+
+def find_lattice(splats: Splats) -> Lattice | None:
+    """The lattice of `splats`; None if there is none, or too few Gaussians tell of it."""
+    if not len(splats):
+        return None
+    splats = splats.take(slice(None, None, 1 + len(splats) // MAX_SAMPLES))
+    levels = _opacity_levels(splats)
+    colours = to_luma(splats.sh.astype(np.float64))
+    steps = [
+        _step(values.astype(np.float64).ravel())
+        for values in (splats.means, splats.log_scales, splats.quats[:, 1:], colours)
+    ]
+    if levels is None or None in steps:
+        return None
+    try:
+        lattice = Lattice(*(step or 0 for step in steps), opacity_levels=levels)
+    except InvalidError:
+        return None
+    return lattice if as_given(splats, lattice)[1].mean() >= ENOUGH else None
+
+
+def _opacity_levels(splats: Splats) -> int | None:
+    """The fewest levels whose logits are those of `splats`."""
+    logits, counts = np.unique(splats.logit_opacities, return_counts=True)
+    wanted = ENOUGH * len(splats)
+    for levels in range(2, MAX_OPACITY_LEVELS + 1):
+        if counts[np.isin(logits, opacity_logits(levels))].sum() >= wanted:
+            return levels
+    return None
+
+
+def _step(values: Doubles) -> float | None:
+    """The largest step, f32, that almost all of `values` are multiples of, as f32."""
+    numbers = np.unique(abs(values))
+    numbers = numbers[numbers > 0]
+    if not len(numbers):
+        return None
+    gaps = np.diff(numbers, prepend=0)
+    gaps = np.sort(gaps[gaps > numbers[-1] * 2.0**-22])
+    if not len(gaps):
+        return None
+    # Gaps that differ by the rounding of f32 are one.
+    classes = np.rint(np.log(gaps) * 200).astype(np.int64)
+    found, first, counts = np.unique(classes, return_index=True, return_counts=True)
+    frequent = first[np.argsort(-counts, kind="stable")[:CANDIDATES]]
+    candidates = np.unique(np.concatenate([gaps[frequent], gaps[first[: len(found)][:CANDIDATES]]]))
+    for candidate in candidates[::-1]:
+        step = _refined(numbers, float(candidate))
+        if _share_on(numbers, step) >= ENOUGH:
+            return float(np.float32(step))
+    return None
+
+
+def _refined(numbers: Doubles, step: float) -> float:
+    """`step` as the multiples of it tell, farther and farther away: the farther, the better."""
+    reach = 30.0
+    while True:
+        near = numbers[numbers < reach * step]
+        counts = np.rint(near / step)
+        fits = abs(near - counts * step) < 0.1 * step
+        total = (counts[fits] ** 2).sum()
+        if total > 0:
+            step = float((near[fits] * counts[fits]).sum() / total)
+        if len(near) == len(numbers):
+            return step
+        reach *= 8
+
+
+def _share_on(numbers: Doubles, step: float) -> float:
+    counts = numbers / step
+    slack = NEAR + counts * 2.0**-23
+    on: npt.NDArray[np.bool_] = (abs(counts - np.rint(counts)) < slack) & (slack < 0.25)
+    return float(on.mean())
