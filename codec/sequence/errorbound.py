@@ -31,8 +31,8 @@ class ErrorBound:
     """Of each coordinate, as a share of the usual size of a Gaussian: of the geometric mean of its
     two larger standard deviations, in the file where that is least."""
     size: float = 0.09
-    """Of each axis, of the natural logarithm of its standard deviation: 0.09 is 9 %. An axis thinner
-    than the lattice holds counts as the thinnest that it holds."""
+    """Of each axis, of the natural logarithm of its standard deviation: 0.09 is 9 %. An axis
+    thinner than the lattice holds counts as the thinnest that it holds."""
     turn: float = 0.0125
     """Of the components x, y, z of the unit quaternion: 0.0125 is 1.4 degrees."""
     colour: float = 0.042
@@ -67,7 +67,7 @@ class ErrorBound:
         if levels > MAX_OPACITY_LEVELS:
             least = HOLD / (MAX_OPACITY_LEVELS - 1)
             raise InvalidError(
-                f"error opacity {self.of('opacity'):g}: the finest that a stream holds is {least:.4f}"
+                f"error opacity {self.of('opacity'):g}: no stream holds finer than {least:.4f}"
             )
         return Lattice(
             max(self.of("position") * size_m / HOLD, 1e-6),

@@ -7,7 +7,6 @@ more.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from codec.errors import InvalidError
 from codec.pose import Doubles
@@ -31,8 +30,11 @@ ENOUGH = 0.9
 MAX_SAMPLES = 1 << 14
 """Gaussians looked at: they tell as much as all."""
 
+OFTEN = 0.8
+"""Share of the numbers that must occur more than once for the others not to count."""
+
 CANDIDATES = 8
-"""Differences tried as a step: the most frequent ones, then the smallest."""
+"""Differences tried as a step: the most frequent ones, and the smallest."""
 
 NEAR = 0.02
 """Steps that a number on the lattice may be off, after the rounding of f32."""
@@ -73,10 +75,11 @@ def find_lattice(splats: Splats) -> Lattice | None:
         _step(values.astype(np.float64).ravel())
         for values in (splats.means, splats.log_scales, splats.quats[:, 1:], colours)
     ]
-    if levels is None or None in steps:
+    position_m, log_scale, rotation, colour = (step or 0.0 for step in steps)
+    if levels is None:
         return None
     try:
-        lattice = Lattice(*(step or 0 for step in steps), opacity_levels=levels)
+        lattice = Lattice(position_m, log_scale, rotation, colour, levels)
     except InvalidError:
         return None
     return lattice if as_given(splats, lattice)[1].mean() >= ENOUGH else None
@@ -94,43 +97,43 @@ def _opacity_levels(splats: Splats) -> int | None:
 
 def _step(values: Doubles) -> float | None:
     """The largest step, f32, that almost all of `values` are multiples of, as f32."""
-    numbers = np.unique(abs(values))
-    numbers = numbers[numbers > 0]
+    numbers, counts = np.unique(abs(values), return_counts=True)
+    numbers, counts = numbers[numbers > 0], counts[numbers > 0]
     if not len(numbers):
         return None
-    gaps = np.diff(numbers, prepend=0)
+    # What is there more than once is on the lattice, if that is most.
+    often = counts > 1
+    telling = numbers[often] if counts[often].sum() >= OFTEN * counts.sum() else numbers
+    gaps = np.diff(telling, prepend=0)
     gaps = np.sort(gaps[gaps > numbers[-1] * 2.0**-22])
-    if not len(gaps):
-        return None
     # Gaps that differ by the rounding of f32 are one.
-    classes = np.rint(np.log(gaps) * 200).astype(np.int64)
-    found, first, counts = np.unique(classes, return_index=True, return_counts=True)
-    frequent = first[np.argsort(-counts, kind="stable")[:CANDIDATES]]
-    candidates = np.unique(np.concatenate([gaps[frequent], gaps[first[: len(found)][:CANDIDATES]]]))
-    for candidate in candidates[::-1]:
-        step = _refined(numbers, float(candidate))
-        if _share_on(numbers, step) >= ENOUGH:
+    classes = np.rint(np.log(gaps) * 200)
+    _, first, frequency = np.unique(classes, return_index=True, return_counts=True)
+    tried = np.union1d(
+        first[np.argsort(-frequency, kind="stable")[:CANDIDATES]], first[:CANDIDATES]
+    )
+    for candidate in gaps[tried][::-1]:
+        step = _refined(telling, float(candidate))
+        if counts[_is_on(numbers, step)].sum() >= ENOUGH * counts.sum():
             return float(np.float32(step))
     return None
 
 
 def _refined(numbers: Doubles, step: float) -> float:
     """`step` as the multiples of it tell, farther and farther away: the farther, the better."""
-    reach = 30.0
-    while True:
-        near = numbers[numbers < reach * step]
-        counts = np.rint(near / step)
-        fits = abs(near - counts * step) < 0.1 * step
-        total = (counts[fits] ** 2).sum()
+    reaches = 30.0 * 8.0 ** np.arange(1 + max(0, int(np.log2(numbers[-1] / step) / 3)))
+    for reach, near in *((reach, 0.1) for reach in reaches), (np.inf, NEAR), (np.inf, NEAR / 20):
+        told = numbers[(numbers < reach * step) & _is_on(numbers, step, near)]
+        multiples = np.rint(told / step)
+        total = (multiples**2).sum()
         if total > 0:
-            step = float((near[fits] * counts[fits]).sum() / total)
-        if len(near) == len(numbers):
-            return step
-        reach *= 8
+            step = float((told * multiples).sum() / total)
+    return step
 
 
-def _share_on(numbers: Doubles, step: float) -> float:
-    counts = numbers / step
-    slack = NEAR + counts * 2.0**-23
-    on: npt.NDArray[np.bool_] = (abs(counts - np.rint(counts)) < slack) & (slack < 0.25)
-    return float(on.mean())
+def _is_on(numbers: Doubles, step: float, near: float = NEAR) -> Flags:
+    """(N,) which of `numbers` are multiples of `step` to `near` steps, as far as f32 tells."""
+    multiples = numbers / step
+    slack = near + multiples * 2.0**-23
+    on: Flags = (abs(multiples - np.rint(multiples)) < slack) & (slack < 0.25)
+    return on

@@ -59,7 +59,7 @@ class ImportOptions:
     """How files become a stream."""
 
     fps: float | None = None
-    """Frames shown in a second. A sequence needs it, here or as a number in the folder's fps.txt."""
+    """Frames shown in a second. A sequence needs it, here or as a number in its fps.txt."""
     frames: Annotated[FrameRange, FRAMES] = field(default_factory=FrameRange)
     """The files to take, from 0 on: A to B - 1."""
     profile: Profile = Profile.LATTICE
@@ -195,7 +195,7 @@ def _fps_of(source: Path, num_files: int, options: ImportOptions) -> float:
         return STILL_FPS
     if not path.is_file():
         raise InvalidError(
-            f"{source}: no file says how many frames a second these are; say --fps, such as --fps 30"
+            f"{source}: no file says how many frames there are in a second; add --fps, as --fps 30"
         )
     try:
         return float(path.read_text(encoding="utf-8"))

@@ -6,6 +6,8 @@ sends of a Gaussian is held against the file, whatever was there before.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
@@ -33,6 +35,9 @@ REACH = 4.0
 
 NEIGHBOURS = 4
 """Nearest Gaussians that are looked at."""
+
+FLOW_ROUNDS, FLOW_NEIGHBOURS = 2, 8
+"""How often it is looked where a Gaussian's neighbours go, and how many of them tell."""
 
 ROUNDS = 3
 """How often those that lost their nearest to another one look again."""
@@ -113,9 +118,7 @@ def _looks(splats: Splats) -> Doubles:
     return np.column_stack([sizes, splats.opacities, colours]) / ALIKE
 
 
-def _pair_by_order(
-    before: Splats, after: Splats, left: Rows, right: Rows, continued: Rows
-) -> None:
+def _pair_by_order(before: Splats, after: Splats, left: Rows, right: Rows, continued: Rows) -> None:
     """Fills `continued` where what stands at the same place of both files is alike, if it mostly
     is: of all rows, or, if as many are left, of these alone."""
     pairs = []
@@ -130,51 +133,76 @@ def _pair_by_order(
             continue
         looks = abs(_looks(before.take(a)) - _looks(after.take(b))).max(axis=1) <= 1
         moves_m = np.linalg.norm(before.means[a].astype(np.float64) - after.means[b], axis=1)
-        sizes_m = np.exp(before.log_scales[a].astype(np.float64).max(axis=1))
+        sizes_m = np.exp(np.clip(before.log_scales[a].astype(np.float64).max(axis=1), -30, 30))
         alike = looks & (moves_m <= ORDER_REACH * extent + sizes_m)
         if alike.mean() >= ORDER_SHARE and alike.sum() > best[0]:
             best = (int(alike.sum()), a[alike], b[alike])
     continued[best[2]] = best[1]
 
 
-def _pair_by_place(
-    before: Splats, after: Splats, left: Rows, right: Rows, continued: Rows
-) -> None:
-    """Fills `continued` with pairs each of which is the other's nearest, in place and looks."""
+def _pair_by_place(before: Splats, after: Splats, left: Rows, right: Rows, continued: Rows) -> None:
+    """Fills `continued` with pairs each of which is the other's nearest, in place and looks, once
+    what goes one way with its neighbours is carried along."""
+    old, new = _Cloud.of(before.take(left)), _Cloud.of(after.take(right))
+    for _ in range(FLOW_ROUNDS):
+        a, b = _mutual(old, new)
+        if len(a) < FLOW_NEIGHBOURS:
+            break
+        moves_m = new.means_m[b] - old.means_m[a]
+        _, near = cKDTree(old.means_m[a]).query(old.means_m, k=FLOW_NEIGHBOURS)
+        old = replace(old, guesses_m=old.means_m + np.median(moves_m[near], axis=1))
     for _ in range(ROUNDS):
-        old, new = before.take(left), after.take(right)
-        looks = _looks(old), _looks(new)
-        reach_m = REACH * np.exp(np.sort(old.log_scales.astype(np.float64), axis=1)[:, 1:].mean(1))
-        to_old = _nearest(new, looks[1], old, looks[0], reach_m, False)
-        to_new = _nearest(old, looks[0], new, looks[1], reach_m, True)
-        mutual = np.flatnonzero(to_old >= 0)
-        mutual = mutual[to_new[to_old[mutual]] == mutual]
-        if not len(mutual):
+        a, b = _mutual(old, new)
+        if not len(a):
             return
-        continued[right[mutual]] = left[to_old[mutual]]
-        left, right = np.delete(left, to_old[mutual]), np.delete(right, mutual)
-        if not len(left) or not len(right):
+        continued[right[b]] = left[a]
+        rest, missing = _rest(len(left), a), _rest(len(right), b)
+        if not len(rest) or not len(missing):
             return
+        left, right, old, new = left[rest], right[missing], old.take(rest), new.take(missing)
 
 
-def _nearest(
-    asking: Splats,
-    asking_looks: Doubles,
-    others: Splats,
-    looks: Doubles,
-    reach_m: Doubles,
-    reach_of_asking: bool,
-) -> Rows:
-    """(N,) for each of `asking` the best of its nearest among `others`, or -1."""
-    count = min(NEIGHBOURS, len(others))
-    distances, found = cKDTree(others.means.astype(np.float64)).query(
-        asking.means.astype(np.float64), k=count
-    )
+@dataclass(frozen=True, slots=True)
+class _Cloud:
+    """What is compared of N Gaussians."""
+
+    means_m: Doubles  # (N, 3)
+    guesses_m: Doubles  # (N, 3) where they are thought to be in the other file
+    reach_m: Doubles  # (N,)
+    looks: Doubles  # (N, 6)
+
+    @staticmethod
+    def of(splats: Splats) -> _Cloud:
+        means_m = splats.means.astype(np.float64)
+        larger = np.sort(splats.log_scales.astype(np.float64), axis=1)[:, 1:]
+        reach_m = REACH * np.exp(np.clip(larger.mean(axis=1), -30, 30))
+        return _Cloud(means_m, means_m, reach_m, _looks(splats))
+
+    def take(self, rows: Rows) -> _Cloud:
+        return _Cloud(
+            self.means_m[rows], self.guesses_m[rows], self.reach_m[rows], self.looks[rows]
+        )
+
+
+def _mutual(old: _Cloud, new: _Cloud) -> tuple[Rows, Rows]:
+    """Rows of `old` and of `new` that are each other's best."""
+    to_new = _best(old, new, old.guesses_m, new.means_m, old.reach_m[:, None])
+    to_old = _best(new, old, new.means_m, old.guesses_m, old.reach_m)
+    rows = np.flatnonzero(to_new >= 0)
+    rows = rows[to_old[to_new[rows]] == rows]
+    return rows, to_new[rows]
+
+
+def _best(asking: _Cloud, others: _Cloud, from_m: Doubles, to_m: Doubles, reach_m: Doubles) -> Rows:
+    """(N,) for each of `asking` the best of its nearest among `others`, or -1. reach_m: (N, 1) of
+    those that ask, or (M,) of the others."""
+    count = min(NEIGHBOURS, len(others.looks))
+    distances, found = cKDTree(to_m).query(from_m, k=count)
     distances, found = distances.reshape(-1, count), found.reshape(-1, count)
-    reaches = reach_m[:, None] if reach_of_asking else reach_m[found]
-    apart = abs(asking_looks[:, None] - looks[found])
+    reaches = reach_m if reach_m.ndim == 2 else reach_m[found]
+    apart = abs(asking.looks[:, None] - others.looks[found])
     costs = (distances / reaches) ** 2 + (apart**2).sum(axis=2)
     costs[(distances > reaches) | (apart.max(axis=2) > 1)] = np.inf
     best = np.argmin(costs, axis=1)
-    rows = np.arange(len(asking))
+    rows = np.arange(len(found))
     return np.where(np.isfinite(costs[rows, best]), found[rows, best], -1)

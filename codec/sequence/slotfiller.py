@@ -119,7 +119,7 @@ class SlotFiller:
     def _fill(
         self, splats: Splats, rows: Rows, slots: Rows, before: States | None, statuses: Bytes
     ) -> None:
-        """Puts the Gaussians `rows` into `slots`, which held `before`, and says so in `statuses`."""
+        """Puts the Gaussians `rows` into `slots`, which held `before`; fills `statuses`."""
         if not len(rows):
             return
         states, fits = self._on_lattice(splats.take(rows), before)

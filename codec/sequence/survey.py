@@ -22,7 +22,8 @@ CORE_SHARE = 0.98
 """Share of the centres, along each axis, that the bounds enclose: floaters lie far outside."""
 
 USUAL_SHARE = 0.999
-"""Share of the log-scales that lie below the largest one that counts."""
+FAR = 2.0
+"""A log-scale counts that is not larger, by more than FAR, than USUAL_SHARE of all."""
 
 
 def read_frame(path: Path) -> Splats:
@@ -77,7 +78,8 @@ class Survey:
             [np.quantile(axis.astype(np.float64), (cut, 1 - cut)) for axis in splats.means.T]
         )
         lowest = float(splats.log_scales.min())
-        highest = float(np.quantile(splats.log_scales, USUAL_SHARE))
+        usual = float(np.quantile(splats.log_scales, USUAL_SHARE))
+        highest = min(float(splats.log_scales.max()), usual + FAR)
         if not self.num_gs:
             self.lattice = find_lattice(splats)
             self.lowest, self.highest = lowest, highest

@@ -238,7 +238,7 @@ def round_values(
     high = np.full(values.shape[1], 127.0)
     low[:3], high[:3] = 1 - POSITION_LIMIT, POSITION_LIMIT - 1
     low[-1], high[-1] = 0, lattice.opacity_levels - 1
-    fits = ((rounded >= low) & (rounded <= high)).all(axis=1)
+    fits: Flags = np.all((rounded >= low) & (rounded <= high), axis=1)
     inside = np.clip(rounded, low, high)
     positions = inside[:, :3].astype(np.int32)
     return States(positions, inside[:, 3:].astype(np.int16).astype(np.uint8)), fits

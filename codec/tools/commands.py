@@ -25,7 +25,8 @@ class Import:
     frame."""
 
     input: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="INPUT")]]
-    """A .ply, compressed .ply, .spz or .splat file, or a folder of them: a frame each, by number."""
+    """A .ply, compressed .ply, .spz or .splat file, or a folder of them, a frame each, sorted by
+    number."""
     stream: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="STREAM")]]
     """Folder of the new stream."""
     options: Annotated[ImportOptions, tyro.conf.arg(name="")] = field(default_factory=ImportOptions)
@@ -63,8 +64,9 @@ def import_files(config: Import, draw: Draw | None = None) -> str:
         f"SH degree {manifest.sh_degree}, {manifest.profile}"
     ]
     lines.append(
-        f"frames       {made.num_frames} at {manifest.fps:g} a second, {made.num_bytes} bytes; "
-        f"to play them all takes {made.played_bytes}, {made.played_bytes / made.num_frames:.0f} a frame"
+        f"frames       {made.num_frames} at {manifest.fps:g} a second, {made.num_bytes} bytes, "
+        f"of which to play takes {made.played_bytes}: {made.played_bytes / made.num_frames:.0f} a "
+        "frame"
     )
     lines += _slot_lines(made)
     if made.scores_db:
@@ -93,7 +95,9 @@ def _slot_lines(made: Imported) -> list[str]:
     if total:
         shares = [f"{100 * count / total:.1f} %" for count in made.statuses]
         names = "kept", "ended", "moved", "new"
-        told_shares = ", ".join(f"{share} {name}" for share, name in zip(shares, names, strict=True))
+        told_shares = ", ".join(
+            f"{share} {name}" for share, name in zip(shares, names, strict=True)
+        )
         lines.append(f"slots        {told_shares}, after the first frame")
     return lines
 

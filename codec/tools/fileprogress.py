@@ -21,15 +21,15 @@ def told(what: str) -> Iterator[Callable[[int, int], None]]:
         yield _lines(what)
         return
     columns = TextColumn("{task.description}"), BarColumn(30), TextColumn("{task.percentage:.0f} %")
-    bar = Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=Console(stderr=True))
+    bar = Progress(
+        *columns, TextColumn("left"), TimeRemainingColumn(), console=Console(stderr=True)
+    )
     with bar:
         task = bar.add_task(what)
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
-def _lines(
-    what: str, now_s: Callable[[], float] = time.monotonic
-) -> Callable[[int, int], None]:
+def _lines(what: str, now_s: Callable[[], float] = time.monotonic) -> Callable[[int, int], None]:
     """A function that writes a line if the last one, or the beginning, is LINE_EVERY_S ago."""
     last_s = now_s()
 

@@ -18,9 +18,9 @@ import pytest
 
 from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat, read_splats
-from codec.sequence.importing import ImportOptions, import_stream
 from codec.interop.ply import encode_ply
 from codec.profiles.profile import Profile
+from codec.sequence.importing import ImportOptions, import_stream
 from codec.splats import SH_C0, Splats
 from codec.stream import StreamReader
 from tests.support.drawn import angles_rad, same
