@@ -29,6 +29,7 @@ from codec.splats import Splats
 from codec.stream.layers import RANKS, Rank, split_counts
 from codec.stream.manifest import SLOTS_VERSION, Manifest, Point
 from codec.stream.poster import POSTER_NAME, Draw, write_poster
+from codec.stream.reader import StreamReader
 from codec.stream.writer import StreamWriter
 
 from .errorbound import KINDS, ErrorBound
@@ -94,7 +95,9 @@ class Imported:
     num_bytes: int
     """Of all objects."""
     played_bytes: int
-    """Of those that one fetches who plays from frame 0."""
+    """Of what one fetches who plays from frame 0."""
+    first_bytes: int
+    """Of that, what comes before anything shows: the snapshots of frame 0, or its slice."""
     errors: dict[str, float] | None
     """The most that each of KINDS was off; of positions in metres. None if frames are whole."""
     num_escaped: int
@@ -248,7 +251,11 @@ def import_stream(
                 if score is not None:
                     score.source = splats
                 writer.append(_slice_of(birth, splats, filler))
+                if not birth:
+                    first_bytes = writer.slice_bytes
                 progress(len(files) + birth + 1, 2 * len(files))
+        if manifest.has_slots:
+            first_bytes = sum(StreamReader(folder).records[0].side_bytes[1:])
         if draw is not None:
             write_poster(folder, draw)
     errors = None if filler is None else dict(zip(KINDS, filler.errors.tolist(), strict=True))
@@ -257,6 +264,7 @@ def import_stream(
         len(files),
         writer.bytes_written,
         writer.played_bytes,
+        first_bytes,
         errors,
         0 if filler is None else filler.num_escaped,
         () if filler is None else tuple(filler.statuses.tolist()),

@@ -50,5 +50,6 @@ def test_other_gaussians_have_none(count: int) -> None:
 def test_gaussians_that_are_all_the_same_do_no_harm() -> None:
     splats = trained_like_splats(1).take(np.zeros(100, np.int64))
     assert find_lattice(splats) is None
-    flat = Splats(*(np.zeros_like(array) for array in splats.arrays[:2]), *splats.arrays[2:])
+    arrays = splats.arrays
+    flat = Splats(np.zeros_like(arrays[0]), np.zeros_like(arrays[1]), *arrays[2:])
     assert find_lattice(flat) is None
