@@ -15,10 +15,12 @@ LINE_EVERY_S = 10.0
 
 
 @contextmanager
-def told(what: str) -> Iterator[Callable[[int, int], None]]:
+def told(
+    what: str, now_s: Callable[[], float] = time.monotonic
+) -> Iterator[Callable[[int, int], None]]:
     """Gives a function that is told how many steps of how many are done; writes to stderr."""
     if not sys.stderr.isatty():
-        yield _lines(what)
+        yield _lines(what, now_s)
         return
     columns = TextColumn("{task.description}"), BarColumn(30), TextColumn("{task.percentage:.0f} %")
     bar = Progress(
@@ -29,7 +31,7 @@ def told(what: str) -> Iterator[Callable[[int, int], None]]:
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
-def _lines(what: str, now_s: Callable[[], float] = time.monotonic) -> Callable[[int, int], None]:
+def _lines(what: str, now_s: Callable[[], float]) -> Callable[[int, int], None]:
     """A function that writes a line if the last one, or the beginning, is LINE_EVERY_S ago."""
     last_s = now_s()
 
