@@ -20,7 +20,7 @@ from rich.table import Table
 
 from codec.console import run_command
 from codec.errors import InvalidError
-from codec.interop.formats import ENCODERS, SplatFormat, write_splats
+from codec.interop.formats import SplatFormat, encode_splats, write_splats
 from codec.sequence.importing import Imported, ImportOptions, import_stream
 from codec.splats import Splats
 from player.streamcommand import draw_poster
@@ -32,6 +32,9 @@ TURN_RAD = math.radians(1)
 """Of the rotating figure, in a frame."""
 SAMPLES = 3
 """Frames whose size in the other formats is taken; they hardly differ."""
+
+BESIDE = SplatFormat.PLY, SplatFormat.SPZ, SplatFormat.SOG
+"""The formats to compare with, a file for each frame."""
 
 Sequence = Callable[[int], Splats]
 """Gives the Gaussians of a frame."""
@@ -118,8 +121,8 @@ def measure(sequence: Sequence, num_frames: int, root: Path) -> Outcome:
         before, path = splats, place
     chosen = sorted({round(f) for f in np.linspace(0, num_frames - 1, SAMPLES)})
     files_bytes = {
-        format: float(np.mean([len(encode(sequence(frame))) for frame in chosen]))
-        for format, encode in ENCODERS.items()
+        format: float(np.mean([len(encode_splats(sequence(frame), format)) for frame in chosen]))
+        for format in BESIDE
     }
     start = time.perf_counter()
     import_stream(folder, root / "timed", ImportOptions(fps=FPS))
@@ -133,7 +136,7 @@ def table_of(outcomes: dict[str, Outcome]) -> Table:
     table.add_column("sequence", no_wrap=True)
     table.add_column("bytes a frame", justify="right")
     table.add_column("first frame", justify="right")
-    for format in ENCODERS:
+    for format in BESIDE:
         table.add_column(f".{format}", justify="right")
     for name in ("on disk", "kept %", "moved %", "dB least", "position error", "ms a frame"):
         table.add_column(name, justify="right")
@@ -145,7 +148,7 @@ def table_of(outcomes: dict[str, Outcome]) -> Table:
         later = max(made.num_frames - 1, 1)
         table.add_row(
             name,
-            f"{(made.played_bytes - made.first_bytes) / later:,.0f}",
+            f"{(made.played_bytes - made.first_bytes) / later:,.1f}",
             f"{made.first_bytes:,}",
             *(f"{size:,.0f}" for size in outcome.files_bytes.values()),
             f"{made.num_bytes:,}",

@@ -7,7 +7,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from codec.errors import InvalidError
-from codec.interop.formats import has_known_suffix
+from codec.interop.formats import READ, has_known_suffix
 
 
 def find_files(source: Path) -> list[Path]:
@@ -30,7 +30,7 @@ def find_files(source: Path) -> list[Path]:
         if first is not path:
             raise InvalidError(f"{source}: {first.name} and {path.name} have the same number")
     if not numbered:
-        raise InvalidError(f"{source}: no file of Gaussians in this folder")
+        raise InvalidError(f"{source}: no file of Gaussians in this folder ({READ})")
     numbers = sorted(numbered)
     step = min((b - a for a, b in pairwise(numbers)), default=1)
     for a, b in pairwise(numbers):

@@ -10,6 +10,7 @@ import numpy as np
 import tyro
 
 from codec.errors import InvalidError
+from codec.foreign.spz import SpzVersion
 from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat
 from codec.sequence.importing import Imported, ImportOptions, import_stream
@@ -25,8 +26,8 @@ class Import:
     frame."""
 
     input: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="INPUT")]]
-    """A .ply, compressed .ply, .spz or .splat file, or a folder of them, a frame each, sorted by
-    number."""
+    """A .ply, compressed .ply, .spz, .splat, bundled .sog, .glb or .gltf file, or a folder of them,
+    a frame each, sorted by number."""
     stream: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="STREAM")]]
     """Folder of the new stream."""
     options: Annotated[ImportOptions, tyro.conf.arg(name="")] = field(default_factory=ImportOptions)
@@ -47,7 +48,10 @@ class Export:
     frames: str | None = None
     """Frames A to B - 1, as A:B; A: and :B go to the ends."""
     format: SplatFormat | None = None
-    """ply is exact, spz small, splat for simple viewers; by default what OUT ends with."""
+    """ply is exact, sog and spz small; glb and gltf are glTF with KHR_gaussian_splatting; splat is
+    for simple viewers. By default what OUT ends with. docs/FORMATS.md says what each keeps."""
+    spz_version: SpzVersion | None = None
+    """Of spz: 2 or 3 are for older programs; by default 4."""
     layers: int | None = None
     """Most important layers to write; all by default."""
     static: bool = False
@@ -107,7 +111,13 @@ def export_files(config: Export) -> str:
     if config.static:
         return _export_static(config)
     written = export_stream(
-        config.stream, config.out, config.frame, config.frames, config.format, config.layers
+        config.stream,
+        config.out,
+        config.frame,
+        config.frames,
+        config.format,
+        config.layers,
+        config.spz_version,
     )
     files = str(written[0]) if len(written) == 1 else f"{written[0]} .. {written[-1].name}"
     total_bytes = sum(path.stat().st_size for path in written)
@@ -116,10 +126,9 @@ def export_files(config: Export) -> str:
 
 
 def _export_static(config: Export) -> str:
-    if (config.frame, config.frames, config.format, config.layers) != (None,) * 4:
-        raise InvalidError(
-            "--static writes the whole stream; leave out --frame, --frames, --format and --layers"
-        )
+    chosen = (config.frame, config.frames, config.format, config.layers, config.spz_version)
+    if chosen != (None,) * 5:
+        raise InvalidError("--static writes the whole stream; leave out what is for frames")
     made = export_static(config.stream, config.out)
     share = 100 * made.size_bytes / made.source_bytes
     return (

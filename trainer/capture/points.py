@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from codec.camera import Camera
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
-from codec.interop.plyheader import (
+from codec.foreign.plyheader import (
     BINARY,
     MAX_HEADER_BYTES,
     TEXT,
