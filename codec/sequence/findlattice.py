@@ -22,7 +22,7 @@ from codec.slots.lattice import (
     dequantise,
     num_attributes,
 )
-from codec.splats import Splats
+from codec.splats import Floats, Splats
 
 ENOUGH = 0.9
 """Share of the Gaussians that lie on a lattice that is taken; the others escaped from it."""
@@ -31,7 +31,10 @@ MAX_SAMPLES = 1 << 14
 """Gaussians looked at: they tell as much as all."""
 
 OFTEN = 0.8
-"""Share of the numbers that must occur more than once for the others not to count."""
+"""Share of the numbers that must occur again and again for the others not to count."""
+
+MANY = 2000
+"""Of so many numbers, two may be equal by chance."""
 
 CANDIDATES = 8
 """Differences tried as a step: the most frequent ones, and the smallest."""
@@ -97,31 +100,38 @@ def _opacity_levels(splats: Splats) -> int | None:
 
 def _step(values: Doubles) -> float | None:
     """The largest step, f32, that almost all of `values` are multiples of, as f32."""
-    numbers, counts = np.unique(abs(values), return_counts=True)
-    numbers, counts = numbers[numbers > 0], counts[numbers > 0]
+    numbers = np.sort(abs(values[values != 0]))
     if not len(numbers):
         return None
-    # What is there more than once is on the lattice, if that is most.
-    often = counts > 1
+    # Numbers that differ by the rounding of f32 are one.
+    apart = np.flatnonzero(np.diff(numbers, prepend=-np.inf) > numbers[-1] * 2.0**-22)
+    counts = np.diff(apart, append=len(numbers))
+    numbers = np.add.reduceat(numbers, apart) / counts
+    # What is there again and again is on the lattice, if that is most.
+    often = counts > 1 + counts.sum() // MANY
     telling = numbers[often] if counts[often].sum() >= OFTEN * counts.sum() else numbers
-    gaps = np.diff(telling, prepend=0)
-    gaps = np.sort(gaps[gaps > numbers[-1] * 2.0**-22])
-    # Gaps that differ by the rounding of f32 are one.
+    gaps = np.sort(np.diff(telling, prepend=0))
     classes = np.rint(np.log(gaps) * 200)
     _, first, frequency = np.unique(classes, return_index=True, return_counts=True)
-    tried = np.union1d(
-        first[np.argsort(-frequency, kind="stable")[:CANDIDATES]], first[:CANDIDATES]
-    )
-    for candidate in gaps[tried][::-1]:
+    means = np.add.reduceat(gaps, first) / frequency
+    frequent = np.argsort(-frequency, kind="stable")[:CANDIDATES]
+    for candidate in means[np.union1d(frequent, np.arange(min(CANDIDATES, len(means))))][::-1]:
         step = _refined(telling, float(candidate))
-        if counts[_is_on(numbers, step)].sum() >= ENOUGH * counts.sum():
-            return float(np.float32(step))
+        off = counts[~_is_on(numbers, step)].sum()
+        if off <= (1 - ENOUGH) * len(values):  # zeros are multiples, too
+            return _exact(values.astype(np.float32), np.float32(step))
     return None
+
+
+def _exact(values: Floats, step: np.float32) -> float:
+    """`step` or one of its neighbours, whose multiples, in f32, are the most of `values`."""
+    around = [np.nextafter(step, np.float32(0)), step, np.nextafter(step, np.float32(np.inf))]
+    return float(max(around, key=lambda one: int((np.rint(values / one) * one == values).sum())))
 
 
 def _refined(numbers: Doubles, step: float) -> float:
     """`step` as the multiples of it tell, farther and farther away: the farther, the better."""
-    reaches = 30.0 * 8.0 ** np.arange(1 + max(0, int(np.log2(numbers[-1] / step) / 3)))
+    reaches = 16.0 * 4.0 ** np.arange(1 + max(0, int(np.log2(numbers[-1] / step) / 2)))
     for reach, near in *((reach, 0.1) for reach in reaches), (np.inf, NEAR), (np.inf, NEAR / 20):
         told = numbers[(numbers < reach * step) & _is_on(numbers, step, near)]
         multiples = np.rint(told / step)

@@ -63,9 +63,10 @@ class ImportOptions:
     """Frames shown in a second. A sequence needs it, here or as a number in its fps.txt."""
     frames: Annotated[FrameRange, FRAMES] = field(default_factory=FrameRange)
     """The files to take, from 0 on: A to B - 1."""
-    profile: Profile = Profile.LATTICE
-    """lattice sends only what changes from file to file, within the errors below. The others send
-    every file whole: compact is small, raw keeps every float as it is in the file."""
+    profile: Profile | None = None
+    """lattice sends only what changes from file to file, within the errors below; it is the default
+    of a sequence. The others send every file whole: compact, the default of a single file, is
+    small, raw keeps every float as it is in the file."""
     layers: int = 4
     """Layers to cut each frame into, for players on slow links."""
     rank: Rank = Rank.COVERAGE
@@ -124,7 +125,8 @@ def facing_camera(lower: Doubles, upper: Doubles) -> Camera:
 
 
 def make_manifest(survey: Survey, options: ImportOptions, title: str) -> Manifest:
-    """The manifest of a stream of what `survey` found, each frame by itself (version 1)."""
+    """The manifest of a stream of what `survey` found, each frame by itself (version 1,
+    profile compact)."""
     lower, upper = survey.box
     camera = facing_camera(lower, upper)
     return Manifest(
@@ -134,7 +136,7 @@ def make_manifest(survey: Survey, options: ImportOptions, title: str) -> Manifes
         layers=options.shares,
         segment_frames=SEGMENT_FRAMES,
         sh_degree=survey.sh_degree,
-        profile=Profile.COMPACT if options.profile is Profile.LATTICE else options.profile,
+        profile=Profile.COMPACT,
         antialias=False,
         near_m=NEAR_SHARE * float(np.linalg.norm(upper - lower)) / 2,
         bounds=(_point(lower), _point(upper)),
@@ -235,7 +237,12 @@ def import_stream(
         title = source.resolve().name if options.title is None else options.title
         manifest = make_manifest(survey, options, title)
         filler = None
-        if options.profile is Profile.LATTICE:
+        profile = options.profile
+        if profile is None:
+            profile = Profile.LATTICE if len(files) > 1 else Profile.COMPACT
+        if profile is not Profile.LATTICE:
+            manifest = replace(manifest, profile=profile)
+        else:
             plan = make_plan(survey, options)
             manifest = with_slots(manifest, plan, survey)
             filler = SlotFiller(plan, RANKS[_known(options.rank)])

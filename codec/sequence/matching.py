@@ -39,6 +39,9 @@ NEIGHBOURS = 4
 FLOW_ROUNDS, FLOW_NEIGHBOURS = 2, 8
 """How often it is looked where a Gaussian's neighbours go, and how many of them tell."""
 
+FLOW_SAMPLES = 1 << 13
+"""Gaussians that are looked at for that."""
+
 ROUNDS = 3
 """How often those that lost their nearest to another one look again."""
 
@@ -146,15 +149,16 @@ def _pair_by_place(before: Splats, after: Splats, left: Rows, right: Rows, conti
     """Fills `continued` with pairs each of which is the other's nearest, in place and looks, once
     what goes one way with its neighbours is carried along."""
     old, new = _Cloud.of(before.take(left)), _Cloud.of(after.take(right))
+    told = np.arange(0, len(left), 1 + len(left) // FLOW_SAMPLES)
     for _ in range(FLOW_ROUNDS):
-        a, b = _mutual(old, new)
+        a, b = _mutual(old, new, told)
         if len(a) < FLOW_NEIGHBOURS:
             break
         moves_m = new.means_m[b] - old.means_m[a]
         _, near = cKDTree(old.means_m[a]).query(old.means_m, k=FLOW_NEIGHBOURS)
         old = replace(old, guesses_m=old.means_m + np.median(moves_m[near], axis=1))
     for _ in range(ROUNDS):
-        a, b = _mutual(old, new)
+        a, b = _mutual(old, new, np.arange(len(left)))
         if not len(a):
             return
         continued[right[b]] = left[a]
@@ -186,13 +190,14 @@ class _Cloud:
         )
 
 
-def _mutual(old: _Cloud, new: _Cloud) -> tuple[Rows, Rows]:
-    """Rows of `old` and of `new` that are each other's best."""
-    to_new = _best(old, new, old.guesses_m, new.means_m, old.reach_m[:, None])
-    to_old = _best(new, old, new.means_m, old.guesses_m, old.reach_m)
-    rows = np.flatnonzero(to_new >= 0)
-    rows = rows[to_old[to_new[rows]] == rows]
-    return rows, to_new[rows]
+def _mutual(old: _Cloud, new: _Cloud, asking: Rows) -> tuple[Rows, Rows]:
+    """Those of the rows `asking` of `old`, and rows of `new`, that are each other's best."""
+    asked = old.take(asking)
+    to_new = _best(asked, new, asked.guesses_m, new.means_m, asked.reach_m[:, None])
+    rows, to_new = asking[to_new >= 0], to_new[to_new >= 0]
+    found = new.take(to_new)
+    mutual = _best(found, old, found.means_m, old.guesses_m, old.reach_m) == rows
+    return rows[mutual], to_new[mutual]
 
 
 def _best(asking: _Cloud, others: _Cloud, from_m: Doubles, to_m: Doubles, reach_m: Doubles) -> Rows:

@@ -38,6 +38,9 @@ from .matching import Rows, match
 SLACK = 1e-6
 """Of a step, for the rounding of the steps themselves."""
 
+BLOCK = 1 << 16
+"""Gaussians that become integers at a time."""
+
 CELLS = (1 << 16) - 1
 """Cells along an axis of the curve on which newcomers are ordered."""
 
@@ -120,8 +123,15 @@ class SlotFiller:
         self, splats: Splats, rows: Rows, slots: Rows, before: States | None, statuses: Bytes
     ) -> None:
         """Puts the Gaussians `rows` into `slots`, which held `before`; fills `statuses`."""
-        if not len(rows):
-            return
+        # Block by block: numbers on the way to integers take eight bytes each.
+        for first in range(0, len(rows), BLOCK):
+            part = slice(first, first + BLOCK)
+            held = None if before is None else before.take(part)
+            self._fill_block(splats, rows[part], slots[part], held, statuses)
+
+    def _fill_block(
+        self, splats: Splats, rows: Rows, slots: Rows, before: States | None, statuses: Bytes
+    ) -> None:
         states, fits = self._on_lattice(splats.take(rows), before)
         statuses[slots] = NEW
         if before is not None:

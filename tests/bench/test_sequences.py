@@ -16,7 +16,9 @@ def test_a_still_model_costs_its_first_frame(tmp_path: Path) -> None:
     outcome = measure(still(300), 20, tmp_path)
     assert outcome.made.num_frames == 20
     assert outcome.made.played_bytes - outcome.made.first_bytes < 200
-    assert outcome.files_bytes[SplatFormat.PLY] == len(encode_splats(still(300)(0), SplatFormat.PLY))
+    assert outcome.files_bytes[SplatFormat.PLY] == len(
+        encode_splats(still(300)(0), SplatFormat.PLY)
+    )
     assert len(outcome.made.scores_db[0]) == 4
 
 
@@ -35,7 +37,14 @@ def test_the_sequences_are_what_they_are_called() -> None:
 def test_the_table_has_a_row_for_each(capsys: pytest.CaptureFixture[str]) -> None:
     run(SequencesConfig(still_gs=200, still_frames=3, moving_gs=150, frames=3))
     told = capsys.readouterr().out
-    for name in ("still, 200 x 3", "rotating figure, 150 x 3", "noise in all x 3", ".spz", ".sog", "mm"):
+    for name in (
+        "still, 200 x 3",
+        "rotating figure, 150 x 3",
+        "noise in all x 3",
+        ".spz",
+        ".sog",
+        "mm",
+    ):
         assert name in told
     with pytest.raises(InvalidError, match="at least one"):
         SequencesConfig(frames=0)

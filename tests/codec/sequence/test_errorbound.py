@@ -17,12 +17,15 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from codec.interop.formats import SplatFormat, write_splats
 from codec.pose import Doubles
+from codec.profiles.profile import Profile
 from codec.sequence.errorbound import ErrorBound
 from codec.sequence.importing import ImportOptions, import_stream
 from codec.splats import SH_C0, Splats, sh_count
 from codec.stream import StreamReader
 from codec.tools.audit import verify_stream
 from tests.support.drawn import same
+
+LATTICE = ImportOptions(fps=30, profile=Profile.LATTICE)
 
 SLACK = 1e-5
 """For the rounding of f32, as a share."""
@@ -92,15 +95,15 @@ def within(source: Splats, found: Splats, stated: Stated) -> npt.NDArray[np.bool
     opacities = apart(source.opacities, found.opacities)
     fits &= opacities <= error.of("opacity") + SLACK
 
-    def luma(splats: Splats) -> Doubles:
-        rgb = splats.sh.astype(np.float64)
-        if splats.sh_degree == 0:
-            rgb = np.maximum(rgb, -0.5 / SH_C0)
+    def luma(splats: Splats, darkest: float = -np.inf) -> Doubles:
+        rgb = np.maximum(splats.sh.astype(np.float64), darkest)
         red, green, blue = np.moveaxis(rgb, 2, 0)
         y, co = (red + 2 * green + blue) / 4, (red - blue) / 2
         return np.stack([y, co, (2 * green - red - blue) / 4], axis=2).reshape(len(rgb), -1)
 
-    colours = abs(luma(source)[:, None] - luma(found)[None])
+    # Without harmonics what is below black is drawn black.
+    darkest = -0.5 / SH_C0 if source.sh_degree == 0 else -np.inf
+    colours = abs(luma(source, darkest)[:, None] - luma(found)[None])
     fits &= (colours <= error.of("colour") + SLACK).all(axis=2)
     form = np.zeros_like(fits)
     have = vectors(matrices(found.quats.astype(np.float64)))
@@ -212,7 +215,7 @@ def test_a_sequence_of_the_same_file_costs_nothing_after_the_first_frame(tmp_pat
         for number in range(num_files):
             write_splats(tmp_path / "seq" / f"{number}.ply", splats, SplatFormat.PLY)
         out = tmp_path / str(num_files)
-        made[num_files] = import_stream(tmp_path / "seq", out, ImportOptions(fps=30))
+        made[num_files] = import_stream(tmp_path / "seq", out, LATTICE)
     assert made[100].num_bytes == made[1].num_bytes
     assert made[100].manifest.segment_frames == 300
     reader = StreamReader(tmp_path / "100")

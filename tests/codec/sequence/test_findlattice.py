@@ -13,7 +13,7 @@ from codec.splats import Splats
 from tests.support.trained_like import trained_like_splats
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(
     seed=st.integers(0, 1 << 20),
     grown=st.floats(0.3, 4),

@@ -28,6 +28,7 @@ from codec.stream.layers import Rank
 from codec.tools.audit import verify_stream
 from tests.support.commands import command, environment, run, run_ok
 from tests.support.drawn import same
+from tests.support.slots.rotating import turned
 from tests.support.trained_like import trained_like_splats
 
 RAW = ImportOptions(fps=30, profile=Profile.RAW)
@@ -176,6 +177,34 @@ def test_a_file_that_changes_while_it_is_imported_is_named(tmp_path: Path) -> No
     with pytest.raises(InvalidError, match=r"1\.ply: has changed while it was imported"):
         import_stream(tmp_path / "take", tmp_path / "s", LATTICE, progress=grow)
     assert [path.name for path in tmp_path.iterdir()] == ["take"]
+
+
+@pytest.mark.parametrize("format", SplatFormat)
+def test_every_format_makes_a_sequence(format: SplatFormat, tmp_path: Path) -> None:
+    """Whose Gaussians are those that each file has, also where its format is coarse."""
+    splats = trained_like_splats(200)
+    (tmp_path / "seq").mkdir()
+    files = [tmp_path / "seq" / f"{number}.{format}" for number in range(3)]
+    for number, file in enumerate(files):
+        write_splats(file, turned(splats, 0.02 * (number // 2)), format)
+    made = import_stream(tmp_path / "seq", tmp_path / "s", LATTICE)
+    assert made.statuses[0] >= 200  # the second file is the first
+    reader = StreamReader(tmp_path / "s")
+    for number, file in enumerate(files):
+        found, wanted = reader.active_splats(number, 4), read_splats(file)
+        assert len(found) == len(wanted)
+        for a, b in zip(np.sort(found.means, 0).T, np.sort(wanted.means, 0).T, strict=True):
+            assert abs(a - b).max() < 0.003
+
+
+def test_a_single_file_is_compact_unless_said_otherwise(tmp_path: Path) -> None:
+    model = save(tmp_path / "model.ply", trained_like_splats(50))
+    assert import_stream(model, tmp_path / "a", ImportOptions()).manifest.profile == "compact"
+    lattice = ImportOptions(profile=Profile.LATTICE)
+    made = import_stream(model, tmp_path / "b", lattice).manifest
+    assert (made.profile, made.version) == ("lattice", 2)
+    moving(tmp_path / "seq", 2, 50)
+    assert import_stream(tmp_path / "seq", tmp_path / "c", LATTICE).manifest.version == 2
 
 
 def test_more_than_a_frame_holds_is_refused(
