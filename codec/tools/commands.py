@@ -63,14 +63,14 @@ def import_files(config: Import, draw: Draw | None = None) -> str:
     with told(f"importing {config.input.name}") as progress:
         made = import_stream(config.input, config.stream, config.options, draw, progress)
     manifest = made.manifest
+    a_frame = made.played_bytes / made.num_frames
     lines = [
         f"{config.stream}: {manifest.title}, up to {manifest.num_gs} Gaussians a frame, "
         f"SH degree {manifest.sh_degree}, {manifest.profile}"
     ]
     lines.append(
-        f"frames       {made.num_frames} at {manifest.fps:g} a second, {made.num_bytes} bytes, "
-        f"of which to play takes {made.played_bytes}: {made.played_bytes / made.num_frames:.0f} a "
-        "frame"
+        f"frames       {made.num_frames} at {manifest.fps:g} a second; {made.num_bytes} bytes, "
+        f"{made.played_bytes} of them to play all, {a_frame:.0f} a frame"
     )
     lines += _slot_lines(made)
     if made.scores_db:
