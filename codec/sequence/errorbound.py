@@ -47,6 +47,11 @@ class ErrorBound:
             value = getattr(self, field.name)
             if not 0 < value < float("inf"):
                 raise InvalidError(f"error {field.name} {value:g}: choose more than 0")
+        finest = HOLD / (MAX_OPACITY_LEVELS - 1)
+        if self.of("opacity") < finest:
+            raise InvalidError(
+                f"error opacity {self.of('opacity'):g}: no stream holds finer than {finest:.4f}"
+            )
 
     def of(self, kind: str) -> float:
         """The bound of one of KINDS."""
@@ -56,19 +61,14 @@ class ErrorBound:
         """The lattice that keeps these bounds.
 
         size_m: the usual size of a Gaussian; lowest, highest: of all log-scales. Raises
-        InvalidError for a bound that no lattice keeps.
+        InvalidError for steps that no stream has.
         """
         log_scale = self.of("size") / HOLD
         base = 0.0
         if highest > TOP * log_scale or lowest < -(TOP + 1) * log_scale:
             # What is large must fit; what is too thin is flat.
             base = (np.ceil(highest / log_scale) - TOP) * log_scale
-        levels = 1 + int(np.ceil(HOLD / self.of("opacity")))
-        if levels > MAX_OPACITY_LEVELS:
-            least = HOLD / (MAX_OPACITY_LEVELS - 1)
-            raise InvalidError(
-                f"error opacity {self.of('opacity'):g}: no stream holds finer than {least:.4f}"
-            )
+        levels = 1 + int(np.ceil(HOLD / self.of("opacity") - 1e-9))
         return Lattice(
             max(self.of("position") * size_m / HOLD, 1e-6),
             log_scale,

@@ -48,6 +48,8 @@ SEGMENT_FRAMES = 15
 LONGEST_SEGMENT_S = 10.0
 STILL_FPS = 30.0
 """Of a single file: nothing moves."""
+MAX_FPS = 1000
+"""What a manifest may say."""
 FPS_NAME = "fps.txt"
 """A file in the folder with the frames per second, a number, as captures may have."""
 
@@ -194,18 +196,20 @@ def with_slots(plain: Manifest, plan: SlotPlan, survey: Survey) -> Manifest:
 def _fps_of(source: Path, num_files: int, options: ImportOptions) -> float:
     """Frames in a second, from the options or the folder. Raises InvalidError."""
     path = source / FPS_NAME
-    if options.fps is not None:
-        return options.fps
-    if num_files == 1:
-        return STILL_FPS
-    if not path.is_file():
-        raise InvalidError(
-            f"{source}: no file says how many frames there are in a second; add --fps, as --fps 30"
-        )
-    try:
-        return float(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise InvalidError(f"{path}: does not hold one number, the frames per second") from error
+    fps = STILL_FPS if options.fps is None else options.fps
+    if options.fps is None and num_files > 1:
+        if not path.is_file():
+            raise InvalidError(
+                f"{source}: no file says how many frames there are in a second; add --fps, as "
+                "--fps 30"
+            )
+        try:
+            fps = float(path.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise InvalidError(f"{path}: does not hold one number, frames per second") from error
+    if not 0 < fps <= MAX_FPS:
+        raise InvalidError(f"fps {fps:g}: choose more than 0, at most {MAX_FPS}")
+    return fps
 
 
 def _nothing(done: int, total: int) -> None:

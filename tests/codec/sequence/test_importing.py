@@ -154,7 +154,8 @@ def test_a_bad_folder_or_file_is_named_and_nothing_is_written(tmp_path: Path) ->
         options = replace(options, rank="beauty")  # type: ignore[arg-type]
         refused("no rank is called", options)
     for values in ({"opacity": 0.001}, {"finer": 1e9}):
-        refused("error opacity", replace(LATTICE, error=ErrorBound(**values)))
+        with pytest.raises(InvalidError, match=r"error opacity .*finer than 0\.0029"):
+            ErrorBound(**values)
     with pytest.raises(InvalidError, match="error size 0: choose more than 0"):
         ErrorBound(size=0)
     with pytest.raises(InvalidError, match="layers 17: choose 1 to 16"):
