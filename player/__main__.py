@@ -4,30 +4,33 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rich.console import Console
-
 from codec.console import run_command, say
 
 from .config import PlayConfig
-from .playback import play
-from .stills import draw_still
-from .viserview import show_in_viser
 
 
 def run(config: PlayConfig) -> None:
+    # What most plays have no use for loads slowly.
     if config.viser is not None:
+        from .viserview import show_in_viser
+
         show_in_viser(config)
     elif config.still is not None:
+        from .stills import draw_still
+
         say(draw_still(config))
     elif config.profile is not None:
         run_profile(config, config.profile)
     else:
+        from .playback import play
+
         for line in play(config).lines():
             say(line)
 
 
 def run_profile(config: PlayConfig, path: Path) -> None:
-    # They load slowly, and few plays are profiled.
+    from rich.console import Console
+
     from .stageplot import write_stage_plot
     from .stages import profile
 

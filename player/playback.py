@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -22,9 +23,11 @@ from player.playout.threads import Joined, Threads, render_thread
 from player.playout.timeline import FrameRecord, Playout, QueueConfig
 from player.render.gl import GlError, create_renderer
 from player.render.renderer import Renderer, RendererKind
+from player.show.errand import Errand
 from player.show.progress import frames_progress
-from player.show.sink import FrameSink, open_sink, to_bytes
-from player.source.locate import check_url
+from player.show.sink import FrameSink, to_bytes
+from player.source.glance import Glance
+from player.source.locate import check_url, is_url
 from player.source.opener import Opener
 from player.source.source import Source
 from player.view.path import Size, scene_centre
@@ -36,6 +39,10 @@ from .config import PlayConfig
 from .journal import MAX_ROWS, Journal
 from .rehearsal import rehearse
 from .report import PlayedOnce, PlaySummary, write_report
+
+if TYPE_CHECKING:
+    from player.show.glwindow import GlWindow
+    from player.show.posterscreen import PosterScreen
 
 WINDOW_PLAYOUT = PlayoutConfig(conceal_s=0.15)
 """A picture that stands still for a moment is hardly seen; one that is late from then on is."""
@@ -55,15 +62,13 @@ def play(config: PlayConfig) -> PlaySummary:
     with ExitStack() as stack:
         if config.capture is None:
             # Finds and loads the system's library for windows, which a capture does without.
-            from player.show.window import window_system
+            from player.show.glwindow import window_system
 
             stack.enter_context(window_system())
         relay = None
         if config.link is not None:
             relay = stack.enter_context(_relay(config.link, config.source))
-        began_s = time.monotonic()
-        kind = _rehearsed(config)
-        playback = _Playback(config, kind, relay, time.monotonic() - began_s)
+        playback = _Playback(config, relay)
         stack.callback(playback.close)
         try:
             playback.run()
@@ -79,38 +84,17 @@ def _relay(link: Link, url: str) -> LinkProcess:
     return LinkProcess(link, parts.hostname or "", parts.port or 80)
 
 
-def _rehearsed(config: PlayConfig) -> RendererKind:
-    """The renderer that will draw; one that draws what a network brings is made ready first."""
-    if not config.source.lower().startswith(("http://", "https://")):
-        return config.renderer
-    if config.capture is not None:
-        return rehearse(config.renderer, config.gl)
-    try:
-        return rehearse(RendererKind.GL, config.gl)
-    except GlError:  # a window brings its own OpenGL
-        rehearse(RendererKind.CPU)
-        return RendererKind.GL
-
-
 class _Playback:
     """The plays of one command, one after another on one clock."""
 
-    def __init__(
-        self,
-        config: PlayConfig,
-        kind: RendererKind,
-        relay: LinkProcess | None,
-        preparing_s: float,
-    ) -> None:
+    def __init__(self, config: PlayConfig, relay: LinkProcess | None) -> None:
         self._config = config
-        self._kind = kind
+        self._kind = config.renderer
         self._relay = relay
         self._clock = Clock(real=True)
         self._renderers: list[Renderer] = []
         self._journal = Journal(MAX_ROWS if config.report or config.plot else 0)
-        self._summary = PlaySummary(
-            config.source, preparing_s=preparing_s, link=config.link, journal=self._journal
-        )
+        self._summary = PlaySummary(config.source, link=config.link, journal=self._journal)
         via = relay.address if relay is not None else None
         self._opener = Opener(config.source, via, self._received, config.delivery)
 
@@ -157,8 +141,42 @@ class _Playback:
         summary.begin(PlayedOnce(max(not_before_s, clock.now_s()), playout.totals))
         return Events(playout, clock, partial(self._journal.arrived, play))
 
+    def _rehearse(self, kind: RendererKind) -> None:
+        """Makes ready what draws the plays of a network."""
+        if is_url(self._config.source):
+            began_s = time.monotonic()
+            self._kind = rehearse(kind, self._config.gl)
+            self._summary.preparing_s = time.monotonic() - began_s
+
+    def _rehearse_for_window(self) -> None:
+        try:
+            self._rehearse(RendererKind.GL)
+        except GlError:  # a window brings its own OpenGL
+            self._rehearse(RendererKind.CPU)
+
+    def _glance(self) -> Glance:
+        found = self._opener.glance()
+        if found is None:
+            # Who has no manifest says what is wrong to who plays it.
+            with closing(self._open(self._config.frames.first)) as source:
+                found = Glance(source.manifest, None)
+        return found
+
     def _show_window(self) -> None:
         """Plays in a window until that is closed."""
+        from player.show.glwindow import GlWindow
+        from player.show.posterscreen import PosterScreen, read_picture
+
+        config, found = self._config, self._glance()
+        camera = config.camera.of(found.manifest, config.size, FrameRange())(config.frames.first)
+        size = Size(camera.width_px, camera.height_px)
+        window = GlWindow(size, config.source, config.gl)
+        poster = PosterScreen(window, read_picture(found.poster), config.background)
+        preparing = Errand(self._rehearse_for_window)
+        if poster.show_until(preparing.is_done):
+            self._play_in(window, poster, size)
+
+    def _play_in(self, window: GlWindow, poster: PosterScreen, size: Size) -> None:
         from player.show.window import show_window
 
         config = self._config
@@ -176,15 +194,16 @@ class _Playback:
         try:
             with conductor:
                 source = conductor.source
-                path = config.camera.of(source.manifest, config.size, source.frames)
+                path = config.camera.of(source.manifest, size, source.frames)
                 recorder = PathRecorder(scene_centre(source.manifest))
                 show_window(
+                    window,
+                    poster,
                     conductor,
                     path,
                     self._renderers,
                     self._note,
                     recorder.add,
-                    config.gl,
                     config.background,
                 )
         finally:
@@ -211,6 +230,9 @@ class _Playback:
 
     def _capture(self) -> None:
         """Draws every frame into files."""
+        from player.show.filesinks import open_sink  # the library for videos loads slowly
+
+        self._rehearse(self._kind)
         output, loop = self._config.capture, self._config.loop
         assert output is not None
         assert loop is not None

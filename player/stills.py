@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 from codec.framerange import FrameRange
+from player.show.filesinks import open_sink
 from player.show.progress import frames_progress
-from player.show.sink import open_sink, to_bytes, write_png
+from player.show.sink import to_bytes, write_png
 from player.view.path import CameraPath, Size, orbit
 
 from .config import PlayConfig

@@ -18,7 +18,13 @@ HOUSE = ("codec", "trainer", "server", "player")
 MAY_USE: dict[str, tuple[str, ...]] = {
     "codec": (),
     # What is compared with a capture goes into the same files as what is played.
-    "trainer": ("codec", "player.render", "player.show.sink", "player.view.path"),
+    "trainer": (
+        "codec",
+        "player.render",
+        "player.show.sink",
+        "player.show.filesinks",
+        "player.view.path",
+    ),
     "server": ("codec",),
     "player": ("codec", "server.abr"),
     "server/abr": ("codec.errors", "codec.stream.manifest", "codec.stream.index"),

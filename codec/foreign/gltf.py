@@ -10,8 +10,8 @@ A primitive of points with the extension is a set of Gaussians. Its attributes:
     COLOR_0                           VEC4    for programs that show points; not read
 
 Frame: y up; a model faces +z. That is the PLY's RDF after half a turn about z, which is how other
-writers have it. Nodes may move, turn, mirror and scale evenly what they hold. In drafts before 2026
-SCALE was a logarithm: a value below 0, which is not allowed now, gives such a file away.
+writers have it. Nodes may move, turn, mirror and scale evenly what they hold. In drafts SCALE
+was a logarithm: a value below 0, which is not allowed now, gives such a file away.
 
 KHR_gaussian_splatting_compression_spz and .._spz_2 (drafts) put an SPZ file in the place of the
 attributes; they are read, not written.
@@ -45,9 +45,14 @@ SPZ_EXTENSIONS = (f"{EXTENSION}_compression_spz", f"{EXTENSION}_compression_spz_
 KNOWN = (EXTENSION, *SPZ_EXTENSIONS, "KHR_mesh_quantization")
 COLOUR_SPACE, LINEAR_COLOUR_SPACE = "srgb_rec709_display", "lin_rec709_display"
 POINTS, TRIANGLES = 0, 4
-MAX_PRIMITIVES = 4096
-"""Sets of Gaussians in a file: each costs time, however small it is."""
+MAX_NODES = 1 << 16
+MAX_SHOWN = 1 << 16
+"""Primitives that nodes show, Gaussians or not: a few of each can be named very often."""
+MAX_SETS = 4096
+"""Sets of Gaussians among them: each costs time, however small it is."""
 MAX_GLB_BYTES = (1 << 32) - 1
+PLAIN_BYTES = 56
+"""Of a Gaussian of SH degree 0 in memory."""
 SPZ_HEAD_BYTES = 1 << 12
 """Of an SPZ file, enough for its header."""
 
@@ -81,20 +86,26 @@ def _roots(root: Fields) -> list[int]:
 
 def _instances(root: Fields) -> Iterator[tuple[Fields, Doubles]]:
     """Each primitive that is shown, and the (4, 4) matrix from its frame to that of the scene."""
-    waiting = [(index, np.eye(4)) for index in _roots(root)]
-    seen = set()
+    num_nodes, num_shown = root.size("nodes"), 0
+    if num_nodes > MAX_NODES:
+        raise UnsupportedError(f"glTF: {num_nodes} nodes, at most {MAX_NODES}")
+    waiting, seen = [(_roots(root), np.eye(4))], set[int]()
     while waiting:
-        index, above = waiting.pop()
-        if index in seen:
-            raise CorruptError(f"glTF.nodes[{index}]: hangs in two places")
-        seen.add(index)
-        node = root.item("nodes", index)
-        with np.errstate(all="ignore"):
-            matrix = above @ _matrix(node)
-        waiting += [(child, matrix) for child in _children(node)]
-        if "mesh" in node:
-            mesh = root.item("meshes", node.integer("mesh", most=MOST))
-            yield from ((primitive, matrix) for primitive in mesh.items("primitives"))
+        indices, above = waiting.pop()
+        for index in indices:
+            if index in seen:
+                raise CorruptError(f"glTF.nodes[{index}]: hangs in two places")
+            seen.add(index)
+            node = root.item("nodes", index)
+            with np.errstate(all="ignore"):
+                matrix = above @ _matrix(node)
+            waiting.append((_children(node), matrix))
+            if "mesh" in node:
+                mesh = root.item("meshes", node.integer("mesh", most=MOST))
+                num_shown += mesh.size("primitives")
+                if num_shown > MAX_SHOWN:
+                    raise UnsupportedError(f"glTF: more than {MAX_SHOWN} primitives are shown")
+                yield from ((primitive, matrix) for primitive in mesh.items("primitives"))
 
 
 class _Primitive:
@@ -196,17 +207,17 @@ def decode_gltf(
     if strange:
         raise UnsupportedError(f"glTF: needs {', '.join(strange)[:80]!r}, which is not read here")
     primitives: list[_Primitive] = []
+    count = 0
     for fields, matrix in _instances(root):
         if "extensions" not in fields or EXTENSION not in fields.fields("extensions"):
             continue
-        if len(primitives) == MAX_PRIMITIVES:
-            raise UnsupportedError(f"glTF: more than {MAX_PRIMITIVES} sets of Gaussians")
+        if len(primitives) == MAX_SETS:
+            raise UnsupportedError(f"glTF: more than {MAX_SETS} sets of Gaussians")
         primitives.append(_Primitive(document, fields, matrix))
-        check_count("glTF", sum(primitive.count for primitive in primitives), max_gaussians)
+        count = check_count("glTF", count + primitives[-1].count, max_gaussians)
     if not primitives and EXTENSION not in root.texts("extensionsUsed"):
         raise CorruptError(f"glTF: no Gaussians ({EXTENSION}); this is a mesh")
-    count = sum(primitive.count for primitive in primitives)
-    check_ratio("glTF", 14 * 4 * count, len(data) + document.num_bytes)
+    check_ratio("glTF", PLAIN_BYTES * count, len(data) + document.num_bytes)
     parts = [primitive.splats() for primitive in primitives]
     degree = max((part.sh_degree for part in parts), default=0)
     return Splats.concatenate([part.with_degree(degree) for part in parts] or [Splats.empty()])
@@ -222,7 +233,7 @@ def _harmonic_names(sh_degree: int) -> list[str]:
 
 
 def _attributes(splats: Splats) -> dict[str, np.ndarray[Any, Any]]:
-    """The tables of `splats`, in our frame, by the names of their attributes."""
+    """The tables of `splats`, turned to the frame of glTF, by the names of their attributes."""
     splats = half_turned(splats, "z")
     with np.errstate(over="ignore", under="ignore"):
         scales = np.exp(splats.log_scales.astype(np.float64))

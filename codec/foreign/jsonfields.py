@@ -13,8 +13,6 @@ from codec.errors import CorruptError
 
 MAX_JSON_BYTES = 4 << 20
 """Longest text parsed. What Python makes of it may take thirty times as much."""
-MAX_NAME = 40
-"""Characters of a stranger's name that an error repeats."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +43,7 @@ class Fields:
         return key in self.values
 
     def _place(self, key: str) -> str:
-        return f"{self.where}.{key[:MAX_NAME]}"
+        return f"{self.where}.{key}"
 
     def _get(self, key: str, kind: type, name: str, default: Any = None) -> Any:
         value = self.values.get(key, default)

@@ -11,8 +11,9 @@ WebP pictures without loss, one pixel a Gaussian, row after row.
               centroids: 64 rows of the palette in a row of pixels, K - 1 pixels each, RGB: which of
               the 256 values of a codebook it is
 
-The specification says that y points up; what writes and reads these files keeps the frame of the
-PLY, RDF, and w first in quaternions. Here they are as those programs have them.
+The specification (developer.playcanvas.com) says that y points up, and that the first mode leaves
+out x; the programs that write and read these files keep the frame of the PLY, RDF, and w first. So
+do these functions.
 """
 
 from __future__ import annotations
@@ -209,10 +210,7 @@ def _encode_harmonics(
 
 
 def encode_sog(splats: Splats) -> bytes:
-    """The bundled SOG of `splats`, in the order of a Morton curve.
-
-    Lost: what `swings-stream export` documents in docs/FORMATS.md; nothing is clipped.
-    """
+    """The bundled SOG of `splats`, in the order of a Morton curve. Nothing is clipped."""
     steps, lower, upper = _quantised_means(splats.means)
     order = np.argsort(interleave(steps.astype(np.int64)), kind="stable")
     splats, steps = splats.take(order), steps[order]

@@ -26,8 +26,6 @@ HEAD_BYTES = MAX_HEADER_BYTES
 """What is read of a file before the rest; the other formats have shorter headers than PLY."""
 MAX_FILE_BYTES = MAX_GAUSSIANS * 248 + (1 << 20)
 """Longest file read: the most Gaussians as a PLY of SH degree 3, 248 bytes each."""
-
-
 READ = ".ply, compressed .ply, .spz, .splat, bundled .sog, .glb and .gltf"
 """The files that are read, in words."""
 

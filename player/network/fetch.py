@@ -1,4 +1,4 @@
-"""HTTP for one thread that may block: an aiohttp session that runs only while somebody waits.
+"""HTTP for one thread that may block: connections whose loop runs only while somebody waits.
 
 Rule: whatever goes wrong on the network leaves here as one of the errors below. Nothing is read
 ahead of its reader, so a player that is busy holds the server back.
@@ -7,22 +7,21 @@ ahead of its reader, so a player that is busy holds the server back.
 from __future__ import annotations
 
 import asyncio
-import os
 import threading
 import time
 from collections.abc import Callable, Coroutine, Iterator, Mapping
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from email.utils import parsedate_to_datetime
 from typing import Any, TypeVar
-from urllib.parse import urlsplit, urlunsplit
-
-import aiohttp
+from urllib.parse import urlsplit
 
 from .faults import BrokenError as BrokenError
 from .faults import FetchError as FetchError
 from .faults import StoppedError as StoppedError
 from .hosts import joined
+from .httpconnection import CannotConnectError, GrammarError, Target
+from .httppool import Answer, HttpPool
 from .idle import IdleLimit
 
 Result = TypeVar("Result")
@@ -30,9 +29,6 @@ Result = TypeVar("Result")
 REDIRECTS = (301, 302, 303, 307, 308)
 
 MAX_REDIRECTS = 5
-
-PIECE_BYTES = 256 << 10
-"""Most that one read of an open response gives, bytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,38 +60,6 @@ class Response:
         return parse_retry_after(self.headers.get("Retry-After", ""), time.time())
 
 
-class _Connections:
-    """Connections that are kept, for whoever runs the loop."""
-
-    def __init__(self, config: FetchConfig) -> None:
-        self._config = config
-        self.loop = asyncio.new_event_loop()
-        self._session: aiohttp.ClientSession | None = None
-
-    def session(self) -> aiohttp.ClientSession:
-        """Call it while the loop runs."""
-        config = self._config
-        if self._session is None:
-            self._session = aiohttp.ClientSession(
-                timeout=aiohttp.ClientTimeout(
-                    total=None,
-                    sock_connect=config.connect_timeout_s,
-                ),
-                # Objects are compressed already, and are hashed as they lie on disk.
-                auto_decompress=False,
-                headers={"Accept-Encoding": "identity"},
-            )
-        return self._session
-
-    def close(self) -> None:
-        if self.loop.is_closed():
-            return
-        if self._session is not None:
-            self.loop.run_until_complete(self._session.close())
-        self.loop.run_until_complete(self.loop.shutdown_asyncgens())
-        self.loop.close()
-
-
 class Fetcher:
     """Requests one after another over connections that are kept; at most one is open at a time.
 
@@ -107,16 +71,16 @@ class Fetcher:
         via: tuple[str, int] | None = None,
         config: FetchConfig | None = None,
         received: Callable[[int], None] | None = None,
-        connections: _Connections | None = None,
+        pool: HttpPool | None = None,
     ) -> None:
         """via: address of a relay that every request goes through instead of to its host.
-        received: is told how many bytes of a body each read gave. connections: of another
-        Fetcher, which closes them; without it they are this one's own."""
+        received: is told how many bytes of a body each read gave. pool: of another Fetcher,
+        which closes it; without it there is one of its own."""
         self._via = via
         self.config = config or FetchConfig()
-        self._owns = connections is None
-        self._connections = connections or _Connections(self.config)
-        self._loop = self._connections.loop
+        self._owns = pool is None
+        self._pool = pool or HttpPool(self.config.connect_timeout_s)
+        self._loop = self._pool.loop
         self._lock = threading.Lock()
         self._waiting: asyncio.Task[Any] | None = None
         self._stopped = False
@@ -155,7 +119,7 @@ class Fetcher:
     def shared(self) -> Fetcher:
         """One more over the same connections, interrupted and counted by itself. One of them is
         used at a time. Close it before this one."""
-        return Fetcher(self._via, self.config, self._received, self._connections)
+        return Fetcher(self._via, self.config, self._received, self._pool)
 
     def another(self, config: FetchConfig) -> Fetcher:
         """One more, for another thread, that goes the same way. Close it."""
@@ -181,7 +145,7 @@ class Fetcher:
     def close(self) -> None:
         """Closes all connections that are its own; closing twice is the same as once."""
         if self._owns:
-            self._connections.close()
+            self._pool.close()
 
     def _run(self, work: Coroutine[Any, Any, Result], url: str) -> Result:
         with self._lock:
@@ -194,15 +158,11 @@ class Fetcher:
             return self._loop.run_until_complete(task)
         except asyncio.CancelledError as error:
             raise StoppedError(f"{url}: stopped") from error
-        except aiohttp.InvalidURL as error:
-            raise FetchError(f"{url} is not a URL") from error
-        except aiohttp.ClientConnectorError as error:
-            number = error.os_error.errno
-            reason = os.strerror(number) if number and number > 0 else str(error.os_error)
-            raise BrokenError(f"{url}: cannot connect: {reason}") from error
+        except CannotConnectError as error:
+            raise BrokenError(f"{url}: cannot connect: {error}") from error
         except TimeoutError as error:
             raise BrokenError(f"{url}: no answer in time") from error
-        except (aiohttp.ClientError, OSError) as error:
+        except (GrammarError, OSError) as error:
             reason = " ".join(str(error).split()) or type(error).__name__
             raise BrokenError(f"{url}: the connection broke: {reason}") from error
         except BaseException:
@@ -221,33 +181,27 @@ class Fetcher:
         method: str = "GET",
         body: bytes | None = None,
         headers: Mapping[str, str] | None = None,
-    ) -> aiohttp.ClientResponse:
-        session = self._connections.session()
-        host = {}
+    ) -> Answer:
+        try:
+            target = Target.of(url)
+        except ValueError as error:
+            raise FetchError(f"{url} is not a URL") from error
         if self._via is not None:
-            parts = urlsplit(url)
-            user, at, name = parts.netloc.rpartition("@")
-            place = f"{self._via[0]}:{self._via[1]}"
-            url, host = urlunsplit(parts._replace(netloc=f"{user}{at}{place}")), {"Host": name}
-        # Where a redirect leads is looked at first; what is told is told to nobody else.
-        fields = {**(headers or {}), **host}
+            target = replace(target, host=self._via[0], port=self._via[1])
         # Also bounds an answer that begins again and again, or byte by byte.
         async with asyncio.timeout(self.config.idle_s):
-            return await session.request(
-                method, url, data=body, headers=fields, allow_redirects=False
-            )
+            return await self._pool.request(method, target, headers or {}, body)
 
     async def _post(self, url: str, body: bytes) -> Response:
-        async with await self._request(url, "POST", body) as response:
-            return Response(url, response.status, response.headers, b"")
+        answer = await self._request(url, "POST", body)
+        answer.close()
+        return Response(url, answer.status, answer.headers, b"")
 
 
 class OpenResponse:
     """An answer whose body is read piece by piece."""
 
-    def __init__(
-        self, fetcher: Fetcher, url: str, response: aiohttp.ClientResponse, idle_s: float
-    ) -> None:
+    def __init__(self, fetcher: Fetcher, url: str, response: Answer, idle_s: float) -> None:
         self._fetcher = fetcher
         self.url = url
         self._idle_s = idle_s
@@ -267,7 +221,7 @@ class OpenResponse:
     async def _read(self, timeout_s: float) -> bytes | None:
         try:
             async with asyncio.timeout(timeout_s):
-                return await self._response.content.read(PIECE_BYTES)
+                return await self._response.piece()
         except TimeoutError:
             return None
 

@@ -9,9 +9,8 @@ memory, and the contribution would take a quarter longer.
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 
-from codec.kernel import kernel
+from codec.kernel import kernel, prange
 
 from .project import BLUE, CONIC_A, CONIC_B, CONIC_C, GREEN, OPACITY, Q_MAX, RED, X, Y
 from .recipe import ALPHA_MAX, ALPHA_MIN, TILE_PX, TRANSMITTANCE_MIN

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from codec.camera import Camera
-from codec.kernel import kernel
+from codec.kernel import kernel, prange
 from codec.splats import SH_C0
 
 from .recipe import (

@@ -23,6 +23,7 @@ from player.network.fetch import FetchConfig, Fetcher
 from player.network.retry import Retry, RetryConfig
 
 from .directory import DirectorySource
+from .glance import Glance, glance
 from .hosted import HostedSource
 from .lastplay import NO_PLAY
 from .locate import Place, ServedPlace, locate
@@ -95,6 +96,16 @@ class Opener:
         self._last = source
         return source
 
+    def glance(self) -> Glance | None:
+        """What is seen of the stream at once, while what plays it is made ready; see `glance`."""
+        with closing(self._use()) as fetcher:
+            return glance(self._find(fetcher), fetcher)
+
+    def _find(self, fetcher: Fetcher) -> Place:
+        if self._place is None:
+            self._place = locate(self.name, fetcher)
+        return self._place
+
     def _use(self) -> Fetcher:
         with self._lock:
             self._using = fetcher = self._fetcher.shared()
@@ -113,9 +124,7 @@ class Opener:
                 fetcher.pause(retry.delay_s(error, time.monotonic(), random.random()))
 
     def _open(self, fetcher: Fetcher, frames: FrameRange, layers: int | None) -> Source:
-        if self._place is None:
-            self._place = locate(self.name, fetcher)
-        place = self._place
+        place = self._find(fetcher)
         if isinstance(place, Path):
             return DirectorySource(place, frames, layers)
         if isinstance(place, ServedPlace):

@@ -9,6 +9,7 @@ import json
 
 from tests.goldens import pinned_slots
 from tests.goldens.cases import CASES, CODERS, FILE, OBJECTS_FILE, object_record, record
+from tests.goldens.rehearsed_streams import FOLDER, write_rehearsed
 
 
 def main() -> None:
@@ -19,6 +20,7 @@ def main() -> None:
     }
     for file, rows in tables.items():
         file.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    write_rehearsed(FOLDER)
 
 
 if __name__ == "__main__":

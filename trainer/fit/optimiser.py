@@ -12,9 +12,8 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
-from codec.kernel import kernel
+from codec.kernel import kernel, prange
 from player.render.project import rotation_of
 from trainer.step.raster import Parameters
 

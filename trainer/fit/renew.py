@@ -13,11 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 from PIL import Image
 
 from codec.camera import Camera
-from codec.kernel import kernel
+from codec.kernel import kernel, prange
 from codec.splats import Splats
 from trainer.pictures.feed import Pictures
 from trainer.pictures.scale import scaled_mask

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 from PIL import Image
 
 from codec.camera import Camera
-from codec.kernel import kernel
+from codec.kernel import kernel, prange
 from trainer.capture.capture import Mask, Picture
 
 

@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from codec.camera import Camera
 from codec.errors import InvalidError
-from player.show.sink import open_sink
+from player.show.filesinks import open_sink
 from player.view.path import Size
 from trainer.capture.capture import Mask
 from trainer.pictures.framecache import FrameCache

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 from PIL import Image
 
 from codec.camera import Camera
-from codec.kernel import kernel
+from codec.kernel import kernel, prange
 
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
-from codec.kernel import kernel
+from codec.kernel import kernel, prange
 from player.render.project import FIRST_Y, Projection
 from player.render.tiles import Reach, TileLists, dealt
 

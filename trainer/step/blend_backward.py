@@ -9,9 +9,8 @@ way.
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 
-from codec.kernel import kernel
+from codec.kernel import kernel, prange
 from player.render.blend import (
     blend_pixel,
     from_centre,

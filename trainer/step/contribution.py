@@ -6,9 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
-from codec.kernel import kernel
+from codec.kernel import kernel, prange
 from player.render.blend import (
     blend_pixel,
     from_centre,

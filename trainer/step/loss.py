@@ -12,9 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
-from codec.kernel import kernel
+from codec.kernel import kernel, prange
 
 from .runs import Flags, Looked, Runs
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 
-from codec.kernel import kernel
+from codec.kernel import kernel, prange
 from codec.splats import SH_C0
 from player.render.project import (
     BLUE,

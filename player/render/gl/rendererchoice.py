@@ -6,7 +6,6 @@ import logging
 
 from codec.stream.manifest import Manifest
 
-from ..cpu import CpuRenderer
 from ..renderer import GlVersion, Renderer, RendererKind, check_drawable
 from .glcontext import GlError
 from .glrenderer import GlRenderer
@@ -25,11 +24,17 @@ def create_renderer(
     """
     check_drawable(manifest)
     if kind is RendererKind.CPU:
-        return CpuRenderer(manifest)
+        return _on_cpu(manifest)
     try:
         return GlRenderer(manifest, version=version)
     except GlError as error:
         if kind is RendererKind.GL or version is not GlVersion.AUTO:
             raise
         log.warning("drawing on the CPU: %s", error)
-        return CpuRenderer(manifest)
+        return _on_cpu(manifest)
+
+
+def _on_cpu(manifest: Manifest) -> Renderer:
+    from ..cpu import CpuRenderer  # its kernels load slowly, and a window has no use for them
+
+    return CpuRenderer(manifest)

@@ -11,7 +11,8 @@ import pytest
 from PIL import Image
 
 from codec.errors import InvalidError
-from player.show.sink import Bytes, PngSink, SinkError, check_output, open_sink, to_bytes
+from player.show.filesinks import PngSink, open_sink
+from player.show.sink import Bytes, SinkError, check_output, to_bytes
 from player.view.path import Size
 
 

@@ -14,7 +14,7 @@ from codec.errors import CorruptError
 from codec.framerange import FrameRange
 from player.network.fetch import StoppedError
 from player.source.opener import Opener
-from tests.player.source.test_served import HOLD, answer, script, start
+from tests.player.source.test_served import NO_ANSWER, answer, script, start
 from tests.support.delivery.assembled import assembled
 from tests.support.hosted_streams import ServerProcess, static_host, write_stream
 
@@ -67,7 +67,7 @@ def test_who_was_interrupted_can_be_followed_by_another(names: list[str]) -> Non
 
 
 def test_opening_can_be_interrupted() -> None:
-    with script(HOLD) as host, closing(Opener(f"{host.url}/watch/s")) as opener:
+    with script(NO_ANSWER) as host, closing(Opener(f"{host.url}/watch/s")) as opener:
         threading.Timer(0.1, opener.interrupt).start()
         with pytest.raises(StoppedError):
             opener.open(FrameRange(), None)

@@ -69,10 +69,18 @@ def played_through(
     assert births == list(range(1 - SWIN_SIZE, NUM_FRAMES))
 
 
-@pytest.mark.parametrize("away_s", [0.0, 3.0])
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
+@pytest.mark.parametrize(
+    ("how", "away_s"),
+    [
+        (signal.SIGKILL, 0.0),
+        (signal.SIGTERM, 0.0),
+        (signal.SIGKILL, 3.0),
+        (signal.SIGTERM, 3.0),
+        (signal.SIGKILL, 30.0),
+    ],
+)
 def test_a_server_that_is_started_again_is_played_on(
-    root: Path, server: ServerProcess, away_s: float, how: signal.Signals
+    root: Path, server: ServerProcess, how: signal.Signals, away_s: float
 ) -> None:
     threads: list[threading.Thread] = []
 

@@ -82,6 +82,9 @@ class Script:
 HOLD = b"\r\n"
 """An answer that ends so leaves the connection open."""
 
+NO_ANSWER = b"HTTP/1.1 200 OK" + HOLD
+"""The beginning of a head, and no more."""
+
 
 @contextmanager
 def script(*answers: bytes) -> Iterator[Script]:
@@ -209,7 +212,11 @@ def test_a_server_that_stops_is_asked_again() -> None:
             BrokenError,
             r"early \(tried for 0\.\d+ s, \d+ times\)",
         ),
-        ([answer(start(), *ALL[:2]), HOLD, HOLD, HOLD], BrokenError, "no answer in time"),
+        (
+            [answer(start(), *ALL[:2]), NO_ANSWER, NO_ANSWER, NO_ANSWER],
+            BrokenError,
+            "no answer in time",
+        ),
         (
             [answer(start()), *[answer(ErrorRecord("it is damaged"))] * 30],
             BrokenError,

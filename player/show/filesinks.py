@@ -1,0 +1,112 @@
+"""Pictures into files: an .mp4, or a folder of PNGs.
+
+Rule: a file under its final name is whole. What is being written has a temporary name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+
+from codec.files import replacing
+from player.view.path import Size
+
+from .sink import Bytes, FrameSink, SinkError, check_output, write_png
+
+VIDEO_CRF = 16
+"""Constant rate factor of libx264: visually lossless."""
+
+# As FFmpeg numbers them.
+_BT709 = 1
+_LIMITED_RANGE = 1
+
+
+@contextmanager
+def open_sink(path: Path, fps: float, size: Size) -> Iterator[FrameSink]:
+    """Gives what writes pictures of `size` to `path`, by its suffix.
+
+    Leaving by an exception leaves no video; PNGs that are written stay.
+    """
+    check_output(path)
+    if path.suffix.lower() != ".mp4":
+        yield PngSink(path)
+        return
+    with replacing(path) as temporary:
+        video = VideoSink(path, temporary, fps, size)
+        try:
+            yield video
+            video.finish()
+        finally:
+            video.close()
+
+
+class PngSink:
+    """frame_00000.png, frame_00001.png, ... by frame number."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self._folder = folder
+
+    def write(self, frame: int, picture: Bytes) -> None:
+        write_png(self._folder / f"frame_{frame:05d}.png", picture)
+
+
+class VideoSink:
+    """H.264 in an .mp4, 8 bits, 4:2:0, BT.709. `finish` makes it whole; `close` in any case."""
+
+    def __init__(self, path: Path, temporary: Path, fps: float, size: Size) -> None:
+        """path: what errors call it. temporary: what is written."""
+        self._path = path
+        # 4:2:0 wants even sizes: the last column or row is repeated.
+        self._padding = ((0, size.height_px % 2), (0, size.width_px % 2), (0, 0))
+        self._container = av.open(str(temporary), "w", format="mp4")
+        try:
+            stream = self._container.add_stream(
+                "libx264", rate=Fraction(fps).limit_denominator(1001)
+            )
+            stream.width = size.width_px + size.width_px % 2
+            stream.height = size.height_px + size.height_px % 2
+            stream.pix_fmt = "yuv420p"
+            # Equal pictures should give equal files. x264's macroblock tree does not: with AVX-512
+            # its bytes differ from run to run.
+            stream.options = {
+                "crf": str(VIDEO_CRF),
+                "preset": "fast",
+                "x264-params": "mbtree=0",
+            }
+            stream.codec_context.colorspace = _BT709
+            stream.codec_context.color_primaries = _BT709
+            stream.codec_context.color_trc = _BT709
+            stream.codec_context.color_range = _LIMITED_RANGE
+        except Exception as error:  # PyAV knows no libx264: ValueError, or an FFmpeg error
+            self.close()
+            raise SinkError(f"{path}: this PyAV cannot encode H.264: {error}") from error
+        self._stream = stream
+        self._written = 0
+
+    def write(self, frame: int, picture: Bytes) -> None:
+        padded = np.ascontiguousarray(np.pad(picture, self._padding, mode="edge"))
+        image = av.VideoFrame.from_ndarray(padded, format="rgb24")
+        image = image.reformat(format="yuv420p", dst_colorspace="ITU709")
+        image.pts = self._written
+        self._written += 1
+        try:
+            self._container.mux(self._stream.encode(image))
+        except av.error.FFmpegError as error:
+            raise SinkError(f"{self._path}: frame {frame}: {error}") from error
+
+    def finish(self) -> None:
+        try:
+            self._container.mux(self._stream.encode(None))
+            self._container.close()
+        except av.error.FFmpegError as error:
+            raise SinkError(f"{self._path}: {error}") from error
+
+    def close(self) -> None:
+        with suppress(av.error.FFmpegError):  # a full disk takes no trailer, and has been reported
+            self._container.close()

@@ -1,0 +1,92 @@
+"""The streams that the player rehearses with: player/rehearsed holds what stands here, written."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+
+import player
+from codec.camera import Camera
+from codec.profiles.profile import Profile
+from codec.slice import Slice
+from codec.slots.lattice import Lattice, States, quantise
+from codec.slots.update import NEW, PREDICTED, Update
+from codec.splats import Splats
+from codec.stream import StreamWriter
+from codec.stream.manifest import SLOTS_VERSION, Manifest
+
+FOLDER = Path(player.__file__).with_name("rehearsed")
+NUM_FRAMES, _SWIN_SIZE, _SLICE_SIZE, _SIZE_PX = 2, 2, 4, 32
+_CAMERA = Camera("front", _SIZE_PX, _SIZE_PX, 30.0, 30.0, 16.0, 16.0, np.eye(4))
+
+
+def write_rehearsed(folder: Path) -> None:
+    """Writes one stream of each version into `folder`, in place of what is there."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    splats = _some_splats()
+    _write_slices(folder / "slices", splats)
+    _write_slots(folder / "slots", splats)
+
+
+def _some_splats() -> Splats:
+    rng = np.random.default_rng(0)
+    arrays = (
+        rng.uniform((-0.5, -0.5, 3), (0.5, 0.5, 4), (_SLICE_SIZE, 3)),
+        np.full((_SLICE_SIZE, 3), -2.0),
+        rng.normal(size=(_SLICE_SIZE, 4)),
+        np.full(_SLICE_SIZE, 2.0),
+        rng.normal(size=(_SLICE_SIZE, 4, 3)),
+    )
+    return Splats(*(array.astype(np.float32) for array in arrays))
+
+
+def _manifest(**changes: object) -> Manifest:
+    values: dict[str, object] = {
+        "fps": 30.0,
+        "swin_size": _SWIN_SIZE,
+        "num_gs": _SWIN_SIZE * _SLICE_SIZE,
+        "layers": (1.0,),
+        "segment_frames": NUM_FRAMES,
+        "sh_degree": 1,
+        "profile": Profile.COMPACT,
+        "antialias": False,
+        "near_m": 0.1,
+        "bounds": ((-1.0, -1.0, 2.0), (1.0, 1.0, 5.0)),
+        "cameras": (_CAMERA,),
+        "default_camera": _CAMERA.name,
+        "live": False,
+    }
+    return Manifest(**(values | changes))  # type: ignore[arg-type]
+
+
+def _write_slices(path: Path, splats: Splats) -> None:
+    """A stream of version 1."""
+    with StreamWriter.create(path, _manifest()) as writer:
+        for birth in range(1 - _SWIN_SIZE, NUM_FRAMES):
+            writer.append(Slice(birth, splats, np.zeros(len(splats), np.uint8)))
+
+
+def _write_slots(path: Path, splats: Splats) -> None:
+    """A stream of version 2: new, predicted and kept."""
+    lattice = Lattice.suiting(splats)
+    manifest = _manifest(
+        version=SLOTS_VERSION, profile=Profile.LATTICE, slots=(_SLICE_SIZE,), lattice=(lattice,)
+    )
+    states, _ = quantise(splats, lattice)
+    with StreamWriter.create(path, manifest) as writer:
+        for birth in range(1 - _SWIN_SIZE, NUM_FRAMES):
+            writer.append(_update(birth, states))
+
+
+def _update(birth: int, states: States) -> Update:
+    statuses = np.full(_SLICE_SIZE, NEW, np.uint8)
+    if birth > 0:
+        statuses[:] = (NEW, PREDICTED, PREDICTED, 0)
+    coded = np.flatnonzero(statuses)
+    nothing = np.zeros(len(coded), np.uint8)
+    return Update(
+        birth, statuses, states.take(coded), nothing, nothing.astype(np.bool_), Splats.empty(1)
+    )
