@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from codec.pose import Doubles
 from codec.splats import SH_C0, Splats
@@ -155,7 +154,7 @@ def _pair_by_place(before: Splats, after: Splats, left: Rows, right: Rows, conti
         if len(a) < FLOW_NEIGHBOURS:
             break
         moves_m = new.means_m[b] - old.means_m[a]
-        _, near = cKDTree(old.means_m[a]).query(old.means_m, k=FLOW_NEIGHBOURS)
+        _, near = _nearest(old.means_m[a], old.means_m, FLOW_NEIGHBOURS)
         old = replace(old, guesses_m=old.means_m + np.median(moves_m[near], axis=1))
     for _ in range(ROUNDS):
         a, b = _mutual(old, new, np.arange(len(left)))
@@ -204,8 +203,7 @@ def _best(asking: _Cloud, others: _Cloud, from_m: Doubles, to_m: Doubles, reach_
     """(N,) for each of `asking` the best of its nearest among `others`, or -1. reach_m: (N, 1) of
     those that ask, or (M,) of the others."""
     count = min(NEIGHBOURS, len(others.looks))
-    distances, found = cKDTree(to_m).query(from_m, k=count)
-    distances, found = distances.reshape(-1, count), found.reshape(-1, count)
+    distances, found = _nearest(to_m, from_m, count)
     reaches = reach_m if reach_m.ndim == 2 else reach_m[found]
     apart = abs(asking.looks[:, None] - others.looks[found])
     costs = (distances / reaches) ** 2 + (apart**2).sum(axis=2)
@@ -213,3 +211,11 @@ def _best(asking: _Cloud, others: _Cloud, from_m: Doubles, to_m: Doubles, reach_
     best = np.argmin(costs, axis=1)
     rows = np.arange(len(found))
     return np.where(np.isfinite(costs[rows, best]), found[rows, best], -1)
+
+
+def _nearest(points_m: Doubles, from_m: Doubles, count: int) -> tuple[Doubles, Rows]:
+    """(N, count) how far from each of `from_m` the nearest of `points_m` are, and which."""
+    from scipy.spatial import cKDTree  # loads slowly, and few commands need it
+
+    distances_m, found = cKDTree(points_m).query(from_m, k=count)
+    return distances_m.reshape(-1, count), found.reshape(-1, count)
