@@ -27,7 +27,7 @@ class ErrorBound:
     """How far a Gaussian of a frame may be from the one in that frame's file. What would be farther
     off is sent as it is, at full precision."""
 
-    position: float = 1 / 15
+    position: float = 0.067
     """Of each coordinate, as a share of the usual size of a Gaussian: of the geometric mean of its
     two larger standard deviations, in the file where that is least."""
     size: float = 0.09

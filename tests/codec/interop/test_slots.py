@@ -1,4 +1,4 @@
-"""Files and streams of version 2: nothing hidden is exported, and what lasts is sent once."""
+"""Frames of streams of version 2 as files: nothing hidden is exported."""
 
 from __future__ import annotations
 
