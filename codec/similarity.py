@@ -112,12 +112,13 @@ class Similarity:
         proper = self.turn * np.sign(np.linalg.det(self.turn))
         w, x, y, z = quat_of(proper)
         left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
-        with np.errstate(over="ignore"):
-            means = (splats.means @ (self.scale * self.turn).T + self.offset).astype(np.float32)
-        return Splats(
-            means,
-            splats.log_scales + np.float32(np.log(self.scale)),
-            (splats.quats.astype(np.float64) @ left.T).astype(np.float32),
-            splats.logit_opacities,
-            turned_harmonics(splats.sh, self.turn),
-        )
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused below
+            means = splats.means @ (self.scale * self.turn).T + self.offset
+            quats = splats.quats.astype(np.float64) @ left.T
+            return Splats(
+                means.astype(np.float32),
+                splats.log_scales + np.float32(np.log(self.scale)),
+                quats.astype(np.float32),
+                splats.logit_opacities,
+                turned_harmonics(splats.sh, self.turn),
+            )

@@ -172,7 +172,8 @@ class PlayConfig:
     loop: Annotated[int | None, LOOP] = 1
     """Play the frames so often, or forever; each time the stream is asked for anew."""
     rate: float = 1.0
-    """Seconds of the stream in a second of a window, 0.25 to 4."""
+    """Seconds of the stream in a second of a window, 0.25 to 4. Below 1 there are pictures between
+    the frames, where the stream says what moves."""
     record: Annotated[Path | None, tyro.conf.arg(metavar="JSON")] = None
     """Write where you moved the camera in the window to this file, for --camera."""
     background: Annotated[Colour, COLOUR] = BLACK

@@ -150,8 +150,10 @@ class _Primitive:
         if (self._matrix == np.eye(4)).all():
             return splats
         turn = np.diag([-1.0, -1.0, 1.0, 1.0])  # half a turn about z, from frame to frame and back
+        with np.errstate(all="ignore"):  # what is not finite is refused by Similarity
+            matrix = turn @ self._matrix @ turn
         try:
-            return Similarity.of(turn @ self._matrix @ turn).moved(splats)
+            return Similarity.of(matrix).moved(splats)
         except InvalidError as error:
             raise UnsupportedError(f"{self._where}: the node above: {error}") from error
 

@@ -97,3 +97,9 @@ def test_what_leaves_the_range_of_floats_is_refused() -> None:
     far = Similarity.of(np.diag([1e38, 1e38, 1e38, 1.0]))
     with pytest.raises(InvalidError, match="not finite"):
         far.moved(trained_like_splats(2000))
+    turn = Similarity.of(matrix_of(rotation_about(np.array([0.6, 0, 0.8]), 1), np.zeros(3)))
+    huge = np.full((1, 4), np.finfo(np.float32).max)
+    small = trained_like_splats(1)
+    long = Splats(small.means, small.log_scales, huge, small.logit_opacities, small.sh)
+    with pytest.raises(InvalidError, match="quats holds a value that is not finite"):
+        turn.moved(long)

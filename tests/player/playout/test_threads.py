@@ -108,6 +108,9 @@ class NotingRenderer:
         self.drawn: list[tuple[int, int]] = []
         self._failure, self._draw_s = failure, draw_s
 
+    def glide(self, share: float) -> bool:
+        return False
+
     def put(self, slice: Slice) -> None:
         if self._failure is not None:
             raise self._failure
