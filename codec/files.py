@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import stat
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -78,6 +79,34 @@ def write_atomic(path: Path, data: bytes) -> None:
     """Puts `data` at `path`, see `replacing`."""
     with replacing(path) as temporary:
         temporary.write_bytes(data)
+
+
+@contextmanager
+def making_folder(path: Path) -> Iterator[Path]:
+    """Gives a new folder beside `path` to fill; leaving normally puts it at `path`, which must be
+    absent or an empty folder.
+
+    Leaving by an exception removes it, and what it says of files in it, it says of `path`. What a
+    killed process left is removed by the next one. Raises InvalidError.
+    """
+    temporary = temporary_beside(path)
+    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+        raise InvalidError(f"{path} is not empty; remove it or name another folder")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if temporary.exists():
+            shutil.rmtree(temporary)
+        temporary.mkdir()
+        yield temporary
+        temporary.rename(path)
+        sync_folder(path.parent)
+    except BaseException as error:
+        shutil.rmtree(temporary, ignore_errors=True)
+        if isinstance(error, OSError) and error.filename is not None:
+            inside = Path(os.fsdecode(error.filename))
+            if inside.is_relative_to(temporary):
+                error.filename = str(path / inside.relative_to(temporary))
+        raise
 
 
 def append_durably(path: Path, size_bytes: int, data: bytes) -> None:

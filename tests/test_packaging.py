@@ -40,6 +40,7 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
         {"codec/stream"},
         {"codec/foreign"},
         {"codec/interop"},
+        {"codec/sequence"},
         {"codec/tools"},
     ),
     "server": (

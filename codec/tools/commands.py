@@ -6,15 +6,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import tyro
 
 from codec.errors import InvalidError
 from codec.foreign.spz import SpzVersion
 from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat
-from codec.interop.importing import ImportOptions, import_stream
+from codec.sequence.importing import Imported, ImportOptions, import_stream
 from codec.stream.poster import Draw
 
+from .fileprogress import told
 from .static import export_static
 
 
@@ -25,7 +27,7 @@ class Import:
 
     input: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="INPUT")]]
     """A .ply, compressed .ply, .spz, .splat, bundled .sog, .glb or .gltf file, or a folder of them,
-    sorted by number."""
+    a frame each, sorted by number."""
     stream: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="STREAM")]]
     """Folder of the new stream."""
     options: Annotated[ImportOptions, tyro.conf.arg(name="")] = field(default_factory=ImportOptions)
@@ -57,12 +59,51 @@ class Export:
 
 
 def import_files(config: Import, draw: Draw | None = None) -> str:
-    """Does what `config` says; gives a line about it. draw: for the poster."""
-    made = import_stream(config.input, config.stream, config.options, draw)
-    return (
-        f"{config.stream}: {made.title}, up to {made.num_gs} Gaussians a frame, "
-        f"SH degree {made.sh_degree}, {made.profile}"
+    """Does what `config` says; gives lines about it. draw: for the poster and PSNR."""
+    with told(f"importing {config.input.name}") as progress:
+        made = import_stream(config.input, config.stream, config.options, draw, progress)
+    manifest = made.manifest
+    a_frame = made.played_bytes / made.num_frames
+    lines = [
+        f"{config.stream}: {manifest.title}, up to {manifest.num_gs} Gaussians a frame, "
+        f"SH degree {manifest.sh_degree}, {manifest.profile}"
+    ]
+    lines.append(
+        f"frames       {made.num_frames} at {manifest.fps:g} a second; {made.num_bytes} bytes, "
+        f"{made.played_bytes} of them to play all, {a_frame:.0f} a frame"
     )
+    lines += _slot_lines(made)
+    if made.scores_db:
+        means = np.mean(made.scores_db, axis=0)
+        least = min(scores[-1] for scores in made.scores_db)
+        told_db = ", ".join(f"{db:.1f}" for db in means)
+        lines.append(
+            f"PSNR         {told_db} dB with 1, 2, ... layers against the files, "
+            f"at least {least:.1f} dB with all"
+        )
+    return "\n".join(lines)
+
+
+def _slot_lines(made: Imported) -> list[str]:
+    """What was sent of slots, and how far they are from the files."""
+    if made.errors is None:
+        return []
+    position_m, size, turn, colour, opacity = made.errors.values()
+    lines = [
+        f"errors       at most: positions {position_m:.3g} m, sizes {100 * size:.1f} %, "
+        f"turns {turn:.4f}, colours {colour:.3f}, opacities {opacity:.4f}"
+    ]
+    if made.num_escaped:
+        lines.append(f"exact        {made.num_escaped} Gaussians, which the errors would not hold")
+    total = sum(made.statuses)
+    if total:
+        shares = [f"{100 * count / total:.1f} %" for count in made.statuses]
+        names = "kept", "ended", "moved", "new"
+        told_shares = ", ".join(
+            f"{share} {name}" for share, name in zip(shares, names, strict=True)
+        )
+        lines.append(f"slots        {told_shares}, after the first frame")
+    return lines
 
 
 def export_files(config: Export) -> str:

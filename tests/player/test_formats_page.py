@@ -17,7 +17,8 @@ from scipy.spatial import cKDTree
 
 from codec.foreign.spz import SpzVersion
 from codec.interop.formats import SplatFormat, decode_any, encode_splats, read_splats, write_splats
-from codec.interop.importing import Survey, facing_camera
+from codec.sequence.importing import facing_camera
+from codec.sequence.survey import Survey
 from codec.splats import SH_C0, Splats
 from player.render.cpu import render_splats
 from tests.support.commands import ROOT, command, environment
@@ -78,7 +79,8 @@ def kept(splats: Splats, name: str) -> Kept:
     format, version = WRITTEN[name]
     data = encode_splats(splats, format, version)
     back = decode_any(data, f".{format}")
-    survey = Survey.of(splats)
+    survey = Survey()
+    survey.take(Path(name), splats)
     camera = facing_camera(survey.lower, survey.upper)
     near_m = 0.005 * float(np.linalg.norm(survey.upper - survey.lower))
     pictures = [render_splats(s, camera, near_m).clip(0, 1) for s in (splats, back)]

@@ -23,8 +23,8 @@ from codec.foreign.ply import encode_ply
 from codec.foreign.spz import SpzVersion
 from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat, encode_splats, read_splats
-from codec.interop.importing import ImportOptions, import_stream
 from codec.profiles.profile import Profile
+from codec.sequence.importing import ImportOptions, import_stream
 from codec.splats import SH_C0, Splats
 from codec.stream import StreamReader
 from tests.support.drawn import angles_rad, same
