@@ -237,10 +237,11 @@ class Conductor:
             if records:
                 assert self._renderer is not None
                 self._newest, self._changed_s = records[-1], time.monotonic()
-                self._changed.notify_all()
                 self._renderer.upload(records[-1].frame)
                 self.transport.shown = records[-1].frame
                 self._target = None
+                if self._lacks_layers():
+                    self._changed.notify_all()
             if play.handoff.ended:
                 self._changed.notify_all()
             return records
