@@ -18,7 +18,7 @@ from trainer.errors import CaptureError
 
 from .capture import Mask, check_frame
 from .lens import Lens, straightened
-from .picturefiles import folder_names
+from .picturefiles import WIDE_MODES, folder_names, upper_bits
 
 MASKS_NAME = "masks"
 WHITE = 128
@@ -46,7 +46,8 @@ class MaskFiles:
         try:
             with Image.open(path) as image:
                 self._check_size(path, image.size)
-                grey = np.array(image.convert("L"))
+                is_wide = image.mode in WIDE_MODES
+                grey = upper_bits(image) if is_wide else np.array(image.convert("L"))
         except (OSError, UnidentifiedImageError, ValueError, SyntaxError) as error:
             raise CaptureError(f"{path}: not a mask that can be read: {error}") from error
         brightest = int(grey.max())

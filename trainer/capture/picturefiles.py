@@ -1,10 +1,14 @@
 """Picture files of many cameras and frames, in the two folder layouts that people use.
 
     frames/<frame>/<picture>        a folder per frame; a camera's picture has one name in all
-    images/<camera>/<frame>.jpg     a folder per camera; also .jpeg and .png
+    images/<camera>/<frame>.jpg     a folder per camera; also .jpeg, .png, .tif and .tiff
 
 <frame> ends in a number ("000012", "frame_12"). The numbers may start anywhere but must not have a
-gap, and every camera has the same ones; the first is frame 0 of the capture.
+gap, and every camera has the same ones; the first is frame 0 of the capture. Pictures do not tell
+their rate; fps.txt beside them may, in frames per second.
+
+A picture has 8 or 16 bits a channel; of 16 the upper 8 are taken. One that is transparent in places
+is laid on black, which is what a stream shows where it has no Gaussian.
 """
 
 from __future__ import annotations
@@ -16,17 +20,22 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 import numpy as np
+import numpy.typing as npt
 from PIL import Image, UnidentifiedImageError
 
 from codec.camera import Camera
 from trainer.errors import CaptureError
 
-from .capture import Picture, PictureSource, check_frame
+from .capture import Picture, PictureSource, check_fps, check_frame
 from .lens import Lens, straight_source
 
 FRAMES_NAME = "frames"
 IMAGES_NAME = "images"
-PICTURE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png"})
+PICTURE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
+FPS_NAME = "fps.txt"
+WIDE_MODES = frozenset({"I;16", "I;16L", "I;16B", "I;16N"})
+"""PIL's names of grey pictures of 16 bits; it takes the upper 8 bits of coloured ones by itself."""
+BLACK = (0, 0, 0, 255)
 
 _LAST_NUMBER = re.compile(r"(?:.*\D)?(\d{1,18})")
 
@@ -130,7 +139,7 @@ class FileSource:
         try:
             with Image.open(path) as image:
                 self._check_size(path, image.size)
-                return np.array(image.convert("RGB"))
+                return rgb_of(image)
         except (OSError, UnidentifiedImageError, ValueError, SyntaxError) as error:
             raise CaptureError(f"{path}: not a picture that can be read: {error}") from error
 
@@ -153,6 +162,37 @@ class FileSource:
                 f"{path}: is {size[0]}x{size[1]} px; {self.declared_in.name} declares "
                 f"{self.camera.width_px}x{self.camera.height_px} px"
             )
+
+
+def rgb_of(image: Image.Image) -> Picture:
+    """The picture of an opened file, (H, W, 3) uint8. Raises ValueError for values that are not of
+    8 or 16 bits: what is white in them is not told."""
+    if image.mode in WIDE_MODES:
+        return np.repeat(upper_bits(image)[:, :, None], 3, axis=2)
+    if image.mode in ("I", "F"):
+        raise ValueError(f"its values are of 32 bits; write it with 8 or 16 (mode {image.mode})")
+    if image.has_transparency_data:
+        image = image.convert("RGBA")
+        return np.array(Image.alpha_composite(Image.new("RGBA", image.size, BLACK), image))[..., :3]
+    return np.array(image.convert("RGB"))
+
+
+def upper_bits(image: Image.Image) -> npt.NDArray[np.uint8]:
+    """(H, W) uint8 of a grey image of 16 bits. PIL by itself would cut what is above 255."""
+    return (np.array(image) >> 8).astype(np.uint8)
+
+
+def read_fps(root: Path) -> float | None:
+    """The frames per second in fps.txt; None without the file. Raises CaptureError."""
+    path = root / FPS_NAME
+    if not path.is_file():
+        return None
+    try:
+        fps = float(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise CaptureError(f"{path}: not a number of frames per second") from error
+    check_fps(fps, path)
+    return fps
 
 
 def picture_source(

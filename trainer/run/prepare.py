@@ -22,6 +22,7 @@ from codec.stream.manifest import SLOTS_VERSION, VERSION, Manifest
 from codec.stream.poster import POSTER_NAME
 from trainer.capture.capture import Capture, check_trainable
 from trainer.capture.layout import open_capture
+from trainer.capture.picturefiles import FPS_NAME
 from trainer.capture.points import points_evenness, read_points_file
 from trainer.errors import CaptureError
 from trainer.fit.trainer import FALLBACK_FAR_M
@@ -31,6 +32,7 @@ from trainer.seed.gaussians import initial_splats, stereo_seeds
 from trainer.step.backend import Backend
 
 from .config import TrainConfig
+from .nearplane import look, near_plane
 
 FALLBACK_NEAR_M = 0.2
 """Near plane where a rig does not tell. 3DGS."""
@@ -64,7 +66,8 @@ def prepare(config: TrainConfig) -> Prepared:
         capture = replace(capture, points=read_points_file(config.points))
     check_trainable(capture)
     frames = FrameRange.parse(config.frames).of(capture.num_frames, capture.root)
-    near_m, far_m = _depths(capture, config)
+    fps_of(capture, config)
+    near_m, far_m = _depths(capture, config, frames)
     initial = None if config.resume else _given_gaussians(config)
     return Prepared(capture, frames, near_m, far_m, config.fit.backend(config.backend), initial)
 
@@ -82,11 +85,26 @@ def _given_gaussians(config: TrainConfig) -> Splats | None:
     return splats.with_degree(fit.sh_degree)
 
 
-def _depths(capture: Capture, config: TrainConfig) -> tuple[float, float]:
-    """Near and far depth in metres: as configured, else the capture's, else the fallbacks."""
+def fps_of(capture: Capture, config: TrainConfig) -> float:
+    """Frames per second: as configured, else what the capture tells. Raises CaptureError where
+    nobody tells."""
+    fps = capture.fps if config.fps is None else config.fps
+    if fps is None:
+        raise CaptureError(
+            f"{capture.root}: no file tells the frames per second; give --fps, or write them to "
+            f"{FPS_NAME} there"
+        )
+    return fps
+
+
+def _depths(capture: Capture, config: TrainConfig, frames: range) -> tuple[float, float]:
+    """Near and far depth in metres: as configured, else by what the cameras see, else the
+    fallbacks."""
     near_m = config.near_m
     if near_m is None:
-        near_m = FALLBACK_NEAR_M if capture.near_m is None else capture.near_m
+        near_m = near_plane(capture, look(capture, frames))
+    if near_m is None:
+        near_m = FALLBACK_NEAR_M
     far_m = config.far_m
     if far_m is None:
         far_m = max(FALLBACK_FAR_M, 10 * near_m) if capture.far_m is None else capture.far_m
@@ -181,7 +199,7 @@ def make_manifest(
         lattice = (Lattice.suiting(initial, grown),) * len(slots)
     return Manifest(
         version=SLOTS_VERSION if slots else VERSION,
-        fps=capture.fps,
+        fps=fps_of(capture, config),
         swin_size=config.fit.swin_size,
         num_gs=config.fit.num_gs,
         layers=config.layers,

@@ -1,0 +1,83 @@
+"""The near plane of a capture, from what its cameras see.
+
+Cameras of a dome sit in its wall. Gaussians of the wall would stand right before a held-out camera
+and hide the scene, so the near plane is far out: `trainer.capture.depths` puts it at a share of the
+cameras' distance. Where the cameras see something that is nearer than that, it is brought in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from codec.camera import Camera
+from trainer.capture.capture import Capture
+from trainer.capture.depths import rig_centre
+from trainer.pictures.scale import scaled_mask, scaled_picture
+from trainer.seed.nearest import nearest_seen, stereo_places
+from trainer.seed.stereo import small_camera
+
+MARGIN = 0.9
+"""Near plane over the depth of the nearest thing that is seen: a Gaussian goes by its middle."""
+
+LEAST_SHARE = 0.2
+"""Of the near plane that the rig suggests: where stereo begins to look."""
+
+Floats = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """What the training cameras of an inward rig see."""
+
+    points: Floats  # (P, 3) float32, metres, world: the capture's own
+    stereo: Floats  # (Q, 3) float32, metres, world: what cameras agree on, in a few frames
+    agreeing: float
+    """Share of the training cameras' pixels that the places of `stereo` are."""
+
+
+def look(capture: Capture, frames: range) -> Seen | None:
+    """What the training cameras see in the first, the middle and the last of `frames`.
+
+    None for a rig without a centre: it declares its depths itself, or nobody knows them. Raises
+    CaptureError when a picture cannot be read.
+    """
+    cameras = [capture.cameras[i].camera for i in capture.training]
+    if capture.near_m is None or capture.far_m is None or rig_centre(cameras) is None:
+        return None
+    small = [small_camera(camera) for camera in cameras]
+    sources = [capture.open_images(i) for i in capture.training]
+    chosen = sorted({frames[0], frames[len(frames) // 2], frames[-1]})
+    places, shares = [], []
+    try:
+        for frame in chosen:
+            pictures = []
+            for index, source, camera in zip(capture.training, sources, small, strict=True):
+                picture = scaled_picture(source.read(frame), camera)
+                masks = capture.cameras[index].masks
+                if masks is not None:  # black agrees with black only
+                    mask = scaled_mask(masks.read(frame), camera.width_px, camera.height_px)
+                    picture = picture * mask[:, :, None]
+                pictures.append(picture)
+            found, share = stereo_places(
+                small, pictures, LEAST_SHARE * capture.near_m, capture.far_m
+            )
+            places.append(found)
+            shares.append(share)
+    finally:
+        for source in sources:
+            source.close()
+    points = np.zeros((0, 3), np.float32) if capture.points is None else capture.points.xyz
+    return Seen(points, np.concatenate(places), float(np.mean(shares)))
+
+
+def near_plane(capture: Capture, seen: Seen | None) -> float | None:
+    """Depth in front of which nothing is drawn, metres: what the rig suggests, or less where a
+    training camera sees something nearer. None where the rig does not tell."""
+    if capture.near_m is None or seen is None:
+        return capture.near_m
+    cameras: list[Camera] = [capture.cameras[i].camera for i in capture.training]
+    nearest = [nearest_seen(cameras, places) for places in (seen.points, seen.stereo)]
+    return min([capture.near_m, *(MARGIN * depth for depth in nearest if depth is not None)])
