@@ -173,7 +173,7 @@ def rgb_of(image: Image.Image) -> Picture:
         raise ValueError(f"its values are of 32 bits; write it with 8 or 16 (mode {image.mode})")
     if image.has_transparency_data:
         image = image.convert("RGBA")
-        return np.array(Image.alpha_composite(Image.new("RGBA", image.size, BLACK), image))[..., :3]
+        image = Image.alpha_composite(Image.new("RGBA", image.size, BLACK), image)
     return np.array(image.convert("RGB"))
 
 

@@ -11,7 +11,7 @@ from typing import BinaryIO
 import numpy as np
 import numpy.typing as npt
 
-from codec.camera import Camera
+from codec.camera import Camera, Floating
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
 from codec.interop.plyheader import (
     BINARY,
@@ -187,13 +187,12 @@ def points_evenness(points: InitialPoints, cameras: Sequence[Camera]) -> float:
     return float(np.mean(ratios))
 
 
-def depths_in_view(camera: Camera, places: npt.NDArray[np.floating]) -> Doubles:
+def depths_in_view(camera: Camera, places: Floating) -> Floating:
     """(V,) how deep those of the `places` (P, 3) lie that project into the camera's picture,
     metres."""
     u_px, v_px, depths = camera.project(places.astype(np.float64))
     inside = (u_px >= 0) & (u_px < camera.width_px) & (v_px >= 0) & (v_px < camera.height_px)
-    seen: Doubles = depths[(depths > 0) & inside]
-    return seen
+    return depths[(depths > 0) & inside]
 
 
 def points_depths(points: InitialPoints, cameras: Sequence[Camera]) -> tuple[float, float] | None:

@@ -18,6 +18,7 @@ from trainer.pictures.framecache import FrameCache
 
 from .checkpoint import CHECKPOINT_NAME, load_checkpoint, save_checkpoint
 from .config import TrainConfig
+from .doubts import rig_doubts
 from .monitor import Monitor, progress_bar
 from .outputs import check_targets, open_outputs, write_snapshot
 from .prepare import first_gaussians, make_manifest, prepare, shared_settings
@@ -61,7 +62,10 @@ def train_stream(
     """
     config.check_profile()
     targets = check_targets(config)
-    prepared = prepare(config)
+    with console.status("what the cameras see"):
+        prepared = prepare(config)
+    for doubt in rig_doubts(prepared.capture):
+        console.print(f"warning: {doubt}", markup=False, highlight=False)
     settings = shared_settings(config, prepared)
     checkpoint = config.target / CHECKPOINT_NAME
     found = load_checkpoint(checkpoint, settings) if config.resume else None

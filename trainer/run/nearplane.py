@@ -16,8 +16,11 @@ from codec.camera import Camera
 from trainer.capture.capture import Capture
 from trainer.capture.depths import rig_centre
 from trainer.pictures.scale import scaled_mask, scaled_picture
-from trainer.seed.nearest import nearest_seen, stereo_places
+from trainer.seed.nearest import STRAY_SHARE, nearest_seen, share_nearer, stereo_places
 from trainer.seed.stereo import small_camera
+
+FALLBACK_NEAR_M = 0.2
+"""Near plane where a rig does not tell. 3DGS."""
 
 MARGIN = 0.9
 """Near plane over the depth of the nearest thing that is seen: a Gaussian goes by its middle."""
@@ -80,4 +83,16 @@ def near_plane(capture: Capture, seen: Seen | None) -> float | None:
         return capture.near_m
     cameras: list[Camera] = [capture.cameras[i].camera for i in capture.training]
     nearest = [nearest_seen(cameras, places) for places in (seen.points, seen.stereo)]
-    return min([capture.near_m, *(MARGIN * depth for depth in nearest if depth is not None)])
+    cut = [depth for depth in nearest if depth is not None and depth < capture.near_m]
+    return MARGIN * min(cut) if cut else capture.near_m
+
+
+def cut_by(capture: Capture, seen: Seen, near_m: float) -> list[tuple[str, float]]:
+    """(name, share) of the cameras from whose view `near_m` cuts more than strays, most of all
+    first; share: of the capture's points, or of what stereo found, in the view of the camera."""
+    cameras = [c.camera for c in capture.cameras]
+    shares = [
+        (c.name, max(share_nearer(c, places, near_m) for places in (seen.points, seen.stereo)))
+        for c in cameras
+    ]
+    return sorted((row for row in shares if row[1] > STRAY_SHARE), key=lambda row: -row[1])

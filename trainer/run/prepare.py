@@ -32,10 +32,7 @@ from trainer.seed.gaussians import initial_splats, stereo_seeds
 from trainer.step.backend import Backend
 
 from .config import TrainConfig
-from .nearplane import look, near_plane
-
-FALLBACK_NEAR_M = 0.2
-"""Near plane where a rig does not tell. 3DGS."""
+from .nearplane import FALLBACK_NEAR_M, look, near_plane
 
 GROWN = 1.25
 """Size of trained Gaussians over that of the first ones."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from codec.camera import Camera
+from codec.camera import Camera, Floating
 from trainer.capture.points import depths_in_view
 
 from .stereo import Floats, agreed_places, depth_maps
@@ -25,7 +25,7 @@ AGREEING = 2
 """Neighbours that have to agree on the depth of a pixel."""
 
 
-def nearest_seen(cameras: Sequence[Camera], places: npt.NDArray[np.floating]) -> float | None:
+def nearest_seen(cameras: Sequence[Camera], places: Floating) -> float | None:
     """Depth of the nearest of the `places` (P, 3), metres, world, that any camera sees, metres.
 
     What hides a place from a camera stands nearer still, so that all in a camera's view count.
@@ -40,7 +40,7 @@ def nearest_seen(cameras: Sequence[Camera], places: npt.NDArray[np.floating]) ->
     return min(nearest, default=None)
 
 
-def share_nearer(camera: Camera, places: npt.NDArray[np.floating], near_m: float) -> float:
+def share_nearer(camera: Camera, places: Floating, near_m: float) -> float:
     """Share of the `places` in the camera's view that lie nearer than `near_m`; 0 if it has too few
     to tell."""
     depths = depths_in_view(camera, places)
