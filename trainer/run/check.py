@@ -14,7 +14,7 @@ from trainer.capture.points import read_points_file
 from trainer.seed.nearest import STRAY_SHARE
 
 from .config import TrainConfig
-from .doubts import picture_doubt, picture_doubts, rig_doubts, stereo_doubts
+from .doubts import picture_doubt, picture_doubts, rig_doubts
 from .nearplane import FALLBACK_NEAR_M, Seen, cut_by, look, near_plane
 from .rigdrawing import draw_capture
 
@@ -48,8 +48,6 @@ def check_capture(config: TrainConfig) -> list[str]:
         draw_capture(capture, config.check)
         lines.append(f"picture     {config.check}")
     doubts = [*rig_doubts(capture), *picture_doubts(doubted, len(capture.cameras))]
-    if seen is not None:
-        doubts += stereo_doubts(seen.agreeing)
     if capture.fps is None:
         doubts.append(f"no file tells the frames per second: train with --fps, or write {FPS_NAME}")
     return lines + [f"warning     {doubt}" for doubt in doubts]

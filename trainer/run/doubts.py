@@ -1,4 +1,4 @@
-"""What makes it doubtful that a capture trains well: its rig, its pictures, what stereo finds."""
+"""What makes it doubtful that a capture trains well: its rig and its pictures."""
 
 from __future__ import annotations
 
@@ -15,10 +15,6 @@ FEW_CAMERAS = 6
 DISTANT_RAD = np.radians(30)
 """Angle between neighbouring cameras, seen from the middle, from which on they see different
 things. In a dome of 27 it is at most 27 degrees."""
-
-LEAST_AGREEING = 0.02
-"""Share of pixels on whose depth cameras should agree: it is 0.07 in a dome of 27 cameras, 0.2
-on an arc of 16, and 0.016 with three cameras 53 degrees apart."""
 
 WHITE, BRIGHT = 254, 64
 """Values of 255: a channel from WHITE on is clipped, and a picture is dark when all but a hundredth
@@ -75,16 +71,6 @@ def picture_doubts(found: Mapping[str, str], num_cameras: int) -> list[str]:
         f"pictures of {_named([c for c, said in found.items() if said == doubt], num_cameras)} are "
         f"{doubt}"
         for doubt in sorted(set(found.values()))
-    ]
-
-
-def stereo_doubts(agreeing: float) -> list[str]:
-    """Of depths on which the cameras do not agree; agreeing: the share of pixels that they do."""
-    if agreeing >= LEAST_AGREEING:
-        return []
-    return [
-        f"depth: neighbouring cameras agree on {agreeing:.1%} of their pixels; wrong poses, lenses "
-        "or timing, or cameras too far apart"
     ]
 
 

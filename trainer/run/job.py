@@ -65,7 +65,7 @@ def train_stream(
     with console.status("what the cameras see"):
         prepared = prepare(config)
     for doubt in rig_doubts(prepared.capture):
-        console.print(f"warning: {doubt}", markup=False, highlight=False)
+        console.print(f"warning: {doubt}", markup=False, highlight=False, soft_wrap=True)
     settings = shared_settings(config, prepared)
     checkpoint = config.target / CHECKPOINT_NAME
     found = load_checkpoint(checkpoint, settings) if config.resume else None

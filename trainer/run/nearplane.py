@@ -37,8 +37,6 @@ class Seen:
 
     points: Floats  # (P, 3) float32, metres, world: the capture's own
     stereo: Floats  # (Q, 3) float32, metres, world: what cameras agree on, in a few frames
-    agreeing: float
-    """Share of the training cameras' pixels that the places of `stereo` are."""
 
 
 def look(capture: Capture, frames: range) -> Seen | None:
@@ -53,7 +51,7 @@ def look(capture: Capture, frames: range) -> Seen | None:
     small = [small_camera(camera) for camera in cameras]
     sources = [capture.open_images(i) for i in capture.training]
     chosen = sorted({frames[0], frames[len(frames) // 2], frames[-1]})
-    places, shares = [], []
+    places = []
     try:
         for frame in chosen:
             pictures = []
@@ -64,16 +62,13 @@ def look(capture: Capture, frames: range) -> Seen | None:
                     mask = scaled_mask(masks.read(frame), camera.width_px, camera.height_px)
                     picture = picture * mask[:, :, None]
                 pictures.append(picture)
-            found, share = stereo_places(
-                small, pictures, LEAST_SHARE * capture.near_m, capture.far_m
-            )
-            places.append(found)
-            shares.append(share)
+            begin_m = LEAST_SHARE * capture.near_m
+            places.append(stereo_places(small, pictures, begin_m, capture.far_m))
     finally:
         for source in sources:
             source.close()
     points = np.zeros((0, 3), np.float32) if capture.points is None else capture.points.xyz
-    return Seen(points, np.concatenate(places), float(np.mean(shares)))
+    return Seen(points, np.concatenate(places))
 
 
 def near_plane(capture: Capture, seen: Seen | None) -> float | None:

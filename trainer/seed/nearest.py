@@ -52,15 +52,12 @@ def stereo_places(
     pictures: Sequence[npt.NDArray[np.uint8]],
     near_m: float,
     far_m: float,
-) -> tuple[Floats, float]:
-    """(P, 3) float32, metres, world: what the cameras agree on between near_m and far_m; and the
-    share of their pixels that it is.
+) -> Floats:
+    """(P, 3) float32, metres, world: what the cameras agree on between near_m and far_m.
 
     pictures: one (H, W, 3) uint8 per camera. Left out is what lies at the nearest depth tried: it
     may be nearer still, and without texture every depth fits.
     """
     maps = depth_maps(cameras, pictures, near_m, far_m)
     maps.agreeing[maps.depths <= near_m * (1 + 1e-3)] = 0
-    pixels = sum(camera.width_px * camera.height_px for camera in maps.cameras)
-    places = agreed_places(maps, AGREEING)
-    return places, len(places) / pixels
+    return agreed_places(maps, AGREEING)

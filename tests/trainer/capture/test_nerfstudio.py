@@ -162,9 +162,10 @@ def test_held_out_cameras_and_rate(tmp_path: Path) -> None:
     assert "test_filenames is not a list" in refusal(tmp_path)
     (tmp_path / "held_out.txt").write_text("cam02")
     assert open_capture(tmp_path).held_out == (2,)
-    for rate in (-1, 0):
-        edit(tmp_path, lambda v, rate=rate: v.update(fps=rate))
-        assert f"fps is {rate}" in refusal(tmp_path)
+    edit(tmp_path, lambda v: v.update(fps=-1))
+    assert "fps is -1" in refusal(tmp_path)
+    edit(tmp_path, lambda v: v.update(fps=0))
+    assert "fps is 0" in refusal(tmp_path)
     edit(tmp_path, lambda v: v.update(fps=None))
     assert open_capture(tmp_path).fps is None
     (tmp_path / "fps.txt").write_text("50")

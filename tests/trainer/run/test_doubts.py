@@ -10,8 +10,7 @@ import pytest
 from PIL import Image
 
 from tests.support.footage.checking import all_said, checked
-from tests.support.footage.rebuilt import write_portrait
-from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, tiny_rig, write_dynamic3dgs
+from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, picture_of, tiny_rig, write_dynerf
 from tests.support.tiny_models import transforms_of, write_pictures, write_transforms
 from trainer.capture.layout import open_capture
 from trainer.run.doubts import picture_doubt, rig_doubts
@@ -19,7 +18,8 @@ from trainer.run.doubts import picture_doubt, rig_doubts
 
 def rig_of(root: Path, num_cameras: int, arc_deg: float) -> list[str]:
     cameras = tiny_rig(num_cameras, arc_deg)
-    write_transforms(root, transforms_of(cameras, write_pictures(root, cameras, 1, True)))
+    paths = write_pictures(root, cameras, 1, True, lambda *_: picture_of(0, 0))
+    write_transforms(root, transforms_of(cameras, paths))
     (root / "held_out.txt").write_text("")
     return [doubt.split(":")[0] for doubt in rig_doubts(open_capture(root))]
 
@@ -30,7 +30,7 @@ def rig_of(root: Path, num_cameras: int, arc_deg: float) -> list[str]:
         (16, 200, []),
         (6, 20, []),
         (5, 20, ["few cameras"]),
-        (4, 80, ["few cameras"]),
+        (4, 70, ["few cameras"]),
         (6, 200, ["distant cameras"]),
         (4, 160, ["few cameras", "distant cameras"]),
     ],
@@ -42,11 +42,11 @@ def test_few_and_distant_cameras(
 
 
 def test_the_camera_that_is_alone_is_named(tmp_path: Path) -> None:
-    write_dynamic3dgs(tmp_path / "c", num_cameras=12)
+    write_dynerf(tmp_path / "c", num_cameras=9)
     capture = open_capture(tmp_path / "c")
-    kept = replace(capture, cameras=capture.cameras[:8] + capture.cameras[11:])
+    kept = replace(capture, cameras=capture.cameras[:7] + capture.cameras[8:])
     (line,) = rig_doubts(kept)
-    assert line.startswith("distant cameras: cam11 is ")
+    assert line.startswith("distant cameras: cam08 is ")
 
 
 def test_pictures_that_are_clipped_or_dark() -> None:
@@ -54,7 +54,7 @@ def test_pictures_that_are_clipped_or_dark() -> None:
     fine = rng.integers(0, 256, (36, 64, 3), dtype=np.uint8)
     assert picture_doubt(fine) is None
     assert picture_doubt(fine // 3) is None  # a dim room is not a fault
-    for dark in (fine // 5, fine >> 4, np.zeros_like(fine)):
+    for dark in (fine // np.uint8(5), fine >> np.uint8(4), np.zeros_like(fine)):
         assert str(picture_doubt(dark)).startswith("dark")
     clipped = fine.copy()
     clipped[:12] = 255
@@ -81,16 +81,3 @@ def test_pictures_of_another_depth_are_named(tmp_path: Path) -> None:
         "pictures of cam01, cam06 are dark: hardly a pixel is above 64 of 255, as of 10 or 12 bits "
         "stored in 16"
     ]
-
-
-def test_cameras_that_do_not_agree_are_told(tmp_path: Path) -> None:
-    root = tmp_path / "c"
-    write_portrait(root, 10)
-    assert not all_said(checked(root), "warning")
-    names = [f"cam{i:02d}" for i in range(10) if i != 5]
-    files = [root / "videos" / f"{name}.mp4" for name in names]
-    data = [file.read_bytes() for file in files]
-    for file, other in zip(files, [data[i] for i in (4, 8, 2, 6, 0, 5, 1, 7, 3)], strict=True):
-        file.write_bytes(other)
-    (line,) = all_said(checked(root), "warning")
-    assert line.startswith("depth: neighbouring cameras agree on")
