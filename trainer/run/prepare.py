@@ -63,10 +63,13 @@ def prepare(config: TrainConfig) -> Prepared:
         capture = replace(capture, points=read_points_file(config.points))
     check_trainable(capture)
     frames = FrameRange.parse(config.frames).of(capture.num_frames, capture.root)
-    fps_of(capture, config)
+    initial = None
+    if not config.resume:  # the stream tells both
+        fps_of(capture, config)
+        initial = _given_gaussians(config)
+    backend = config.fit.backend(config.backend)
     near_m, far_m = _depths(capture, config, frames)
-    initial = None if config.resume else _given_gaussians(config)
-    return Prepared(capture, frames, near_m, far_m, config.fit.backend(config.backend), initial)
+    return Prepared(capture, frames, near_m, far_m, backend, initial)
 
 
 def _given_gaussians(config: TrainConfig) -> Splats | None:
@@ -95,7 +98,7 @@ def fps_of(capture: Capture, config: TrainConfig) -> float:
 
 
 def _depths(capture: Capture, config: TrainConfig, frames: range) -> tuple[float, float]:
-    """Near and far depth in metres: as configured, else by what the cameras see, else the
+    """Near and far depth, metres: as configured, else by what the cameras see, else the
     fallbacks."""
     near_m = config.near_m
     if near_m is None:
@@ -161,7 +164,7 @@ def first_gaussians(config: TrainConfig, prepared: Prepared, pictures: Pictures)
         if len(seeds) < missing:
             raise CaptureError(
                 f"{prepared.capture.root}: no three training cameras see the same place between "
-                f"{prepared.near_m:g} m and {prepared.far_m:g} m; set --near-m and --far-m"
+                f"depths {prepared.near_m:g} and {prepared.far_m:g}; set --near-m and --far-m"
             )
         positions = np.concatenate([positions, seeds])
         colours = np.concatenate([colours, seed_colours])
