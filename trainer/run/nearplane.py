@@ -28,6 +28,9 @@ MARGIN = 0.9
 LEAST_SHARE = 0.2
 """Of the near plane that the rig suggests: where stereo begins to look."""
 
+MAX_PLACES = 1 << 20
+"""Places of either kind that are looked at; of more, every second, third and so on."""
+
 Floats = npt.NDArray[np.float32]
 
 
@@ -68,7 +71,11 @@ def look(capture: Capture, frames: range) -> Seen | None:
         for source in sources:
             source.close()
     points = np.zeros((0, 3), np.float32) if capture.points is None else capture.points.xyz
-    return Seen(points, np.concatenate(places))
+    return Seen(_thinned(points), _thinned(np.concatenate(places)))
+
+
+def _thinned(places: Floats) -> Floats:
+    return places[:: max(1, -(-len(places) // MAX_PLACES))]
 
 
 def near_plane(capture: Capture, seen: Seen | None) -> float | None:
