@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import replace
 
+import numpy as np
+
 from codec.framerange import FrameRange
 from trainer.capture.capture import Capture, check_trainable
 from trainer.capture.depths import rig_centre
@@ -78,6 +80,8 @@ def describe_capture(capture: Capture) -> list[str]:
     cameras = [c.camera for c in capture.cameras]
     sizes = Counter(f"{c.width_px}x{c.height_px}" for c in cameras)
     centre = rig_centre(cameras)
+    if centre is not None:
+        centre = np.where(np.abs(centre) < 1e-6 * np.abs(centre).max(), 0, centre)
     far = "the rig does not tell" if capture.far_m is None else f"{capture.far_m:.3g} units"
     if len(sizes) == 1:
         size = f"{next(iter(sizes))} px"

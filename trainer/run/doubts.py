@@ -8,6 +8,7 @@ import numpy as np
 
 from trainer.capture.capture import Capture, Mask, Picture
 from trainer.capture.depths import rig_centre
+from trainer.capture.held_out import HELD_OUT_NAME
 
 FEW_CAMERAS = 6
 """With fewer training cameras most places are seen by too few."""
@@ -32,9 +33,10 @@ def rig_doubts(capture: Capture) -> list[str]:
     found = []
     cameras = [capture.cameras[i].camera for i in capture.training]
     if len(cameras) < FEW_CAMERAS:
+        more = f" ({len(capture.cameras)} with an empty {HELD_OUT_NAME})"
         found.append(
-            f"few cameras: {len(cameras)} to train on; with fewer than {FEW_CAMERAS}, what lies "
-            "between them trains to smears"
+            f"few cameras: {len(cameras)} to train on{more * bool(capture.held_out)}; with fewer "
+            f"than {FEW_CAMERAS}, what lies between them trains to smears"
         )
     centre = rig_centre(cameras)
     if centre is None or len(cameras) < 2:
