@@ -88,6 +88,7 @@ def train_stream(
         trainer = Trainer(
             config.fit, pictures, initial, prepared.near_m, prepared.far_m, prepared.backend,
             (monitor, *observers), manifest.slot_layout if manifest.has_slots else None,
+            prepared.search_from_m,
         )  # fmt: skip
         if found is not None:
             trainer.restore(found.state)

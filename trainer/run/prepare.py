@@ -51,6 +51,9 @@ class Prepared:
     near_m: float
     far_m: float
     """Depths between which the scene lies."""
+    search_from_m: float
+    """Least depth at which places for Gaussians are looked for. The tried depths are few, and what
+    one camera sees nearer than the rig suggests others see from farther away."""
     backend: Backend
     initial: Splats | None = None
     """What the first frame begins with, if it is given."""
@@ -69,7 +72,10 @@ def prepare(config: TrainConfig) -> Prepared:
         initial = _given_gaussians(config)
     backend = config.fit.backend(config.backend)
     near_m, far_m = _depths(capture, config, frames)
-    return Prepared(capture, frames, near_m, far_m, backend, initial)
+    search_from_m = near_m
+    if config.near_m is None and capture.near_m is not None:
+        search_from_m = capture.near_m
+    return Prepared(capture, frames, near_m, far_m, search_from_m, backend, initial)
 
 
 def _given_gaussians(config: TrainConfig) -> Splats | None:
@@ -158,13 +164,13 @@ def first_gaussians(config: TrainConfig, prepared: Prepared, pictures: Pictures)
     if missing > 0:
         shots = [pictures.shot(c, 0) for c in range(len(cameras))]
         seeds, seed_colours = stereo_seeds(
-            cameras, [s.picture for s in shots], missing, prepared.near_m, prepared.far_m, rng,
-            [s.mask for s in shots],
+            cameras, [s.picture for s in shots], missing, prepared.search_from_m, prepared.far_m,
+            rng, [s.mask for s in shots],
         )  # fmt: skip
         if len(seeds) < missing:
             raise CaptureError(
                 f"{prepared.capture.root}: no three training cameras see the same place between "
-                f"depths {prepared.near_m:g} and {prepared.far_m:g}; set --near-m and --far-m"
+                f"depths {prepared.search_from_m:g} and {prepared.far_m:g}; set --near-m and --far-m"
             )
         positions = np.concatenate([positions, seeds])
         colours = np.concatenate([colours, seed_colours])

@@ -24,7 +24,9 @@ from tests.support.tiny_models import transforms_of, write_pictures, write_trans
 from trainer.capture.capture import Capture
 from trainer.capture.depths import rig_depths
 from trainer.capture.layout import open_capture
+from trainer.run.config import TrainConfig
 from trainer.run.nearplane import cut_by, look, near_plane
+from trainer.run.prepare import prepare
 from trainer.synth.film import Studio
 from trainer.synth.scene import camera_rig
 
@@ -131,3 +133,13 @@ def test_a_rig_that_looks_one_way_keeps_what_it_declares(tmp_path: Path) -> None
     capture = write(tmp_path / "without", cameras, 0)
     assert near_plane(capture, look(capture, range(1))) is None
     assert said(checked(tmp_path / "without"), "near").startswith("0.2 units, by default")
+
+
+def test_new_places_are_looked_for_from_where_the_rig_suggests(tmp_path: Path) -> None:
+    capture = write(tmp_path / "c", close_rig(), 6000)
+    found = prepare(TrainConfig(tmp_path / "c", tmp_path / "s"))
+    assert capture.near_m is not None
+    assert found.near_m < 0.9 * capture.near_m
+    assert found.search_from_m == capture.near_m
+    given = prepare(TrainConfig(tmp_path / "c", tmp_path / "s", near_m=0.3))
+    assert given.near_m == given.search_from_m == 0.3
