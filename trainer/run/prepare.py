@@ -169,8 +169,8 @@ def first_gaussians(config: TrainConfig, prepared: Prepared, pictures: Pictures)
         )  # fmt: skip
         if len(seeds) < missing:
             raise CaptureError(
-                f"{prepared.capture.root}: no three training cameras see the same place between "
-                f"depths {prepared.search_from_m:g} and {prepared.far_m:g}; set --near-m and --far-m"
+                f"{prepared.capture.root}: no three training cameras see the same place from "
+                f"{prepared.search_from_m:g} to {prepared.far_m:g} away; set --near-m and --far-m"
             )
         positions = np.concatenate([positions, seeds])
         colours = np.concatenate([colours, seed_colours])
