@@ -25,7 +25,11 @@ FALLBACK_NEAR_M = 0.2
 MARGIN = 0.9
 """Near plane over the depth of the nearest thing that is seen: a Gaussian goes by its middle."""
 
-LEAST_SHARE = 0.2
+LEAST_SHARE = 0.6
+"""Of the near plane that the rig suggests: nearer it does not come by itself, because then more can
+stand right before a camera that was not trained on."""
+
+SEARCH_SHARE = 0.2
 """Of the near plane that the rig suggests: where stereo begins to look."""
 
 MAX_PLACES = 1 << 20
@@ -65,7 +69,7 @@ def look(capture: Capture, frames: range) -> Seen | None:
                     mask = scaled_mask(masks.read(frame), camera.width_px, camera.height_px)
                     picture = picture * mask[:, :, None]
                 pictures.append(picture)
-            begin_m = LEAST_SHARE * capture.near_m
+            begin_m = SEARCH_SHARE * capture.near_m
             places.append(stereo_places(small, pictures, begin_m, capture.far_m))
     finally:
         for source in sources:
@@ -86,7 +90,7 @@ def near_plane(capture: Capture, seen: Seen | None) -> float | None:
     cameras: list[Camera] = [capture.cameras[i].camera for i in capture.training]
     nearest = [nearest_seen(cameras, places) for places in (seen.points, seen.stereo)]
     cut = [depth for depth in nearest if depth is not None and depth < capture.near_m]
-    return MARGIN * min(cut) if cut else capture.near_m
+    return max(MARGIN * min(cut), LEAST_SHARE * capture.near_m) if cut else capture.near_m
 
 
 def cut_by(capture: Capture, seen: Seen, near_m: float) -> list[tuple[str, float]]:

@@ -126,6 +126,7 @@ def shared_settings(config: TrainConfig, prepared: Prepared) -> dict[str, Any]:
         "frames": [prepared.frames.start, prepared.frames.stop],
         "near_m": prepared.near_m,
         "far_m": prepared.far_m,
+        "search_from_m": prepared.search_from_m,
         **{
             name: getattr(config, name)
             for name in ("scale", "point_share", "layers", "rank", "profile", "segment_frames")

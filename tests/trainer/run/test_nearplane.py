@@ -25,7 +25,7 @@ from trainer.capture.capture import Capture
 from trainer.capture.depths import rig_depths
 from trainer.capture.layout import open_capture
 from trainer.run.config import TrainConfig
-from trainer.run.nearplane import cut_by, look, near_plane
+from trainer.run.nearplane import LEAST_SHARE, MARGIN, cut_by, look, near_plane
 from trainer.run.prepare import prepare
 from trainer.synth.film import Studio
 from trainer.synth.scene import camera_rig
@@ -77,11 +77,12 @@ def test_points_that_a_camera_sees_bring_it_in(tmp_path: Path) -> None:
     assert suggested is not None
     assert nearest < 0.6 * suggested
     near = near_of(capture)
-    assert 0.8 * nearest < near < 1.1 * nearest
+    assert near == pytest.approx(LEAST_SHARE * suggested)  # and no nearer by itself
     lines = checked(tmp_path)
     told = f"{near:.3g} units, by what the cameras see; the rig alone would say {suggested:.3g}"
     assert said(lines, "near") == told
-    assert said(lines, "near cuts").startswith("at most")
+    assert "of what cam10 sees" in said(lines, "near cuts")
+    assert said(checked(tmp_path, near_m=0.8 * nearest), "near cuts").startswith("at most 0.5%")
     cut = said(checked(tmp_path, near_m=suggested), "near cuts")
     assert "of what cam00 sees" in cut
     assert "of what cam10 sees" in cut
@@ -102,16 +103,16 @@ def test_stray_points_do_not(tmp_path: Path) -> None:
     assert points is not None
     xyz = points.xyz.copy()
     for i in range(5):
-        xyz[i] = cameras[6].position + 0.2 * cameras[6].forward
+        xyz[i] = cameras[6].position + 0.8 * cameras[6].forward
     strayed = replace(capture, points=replace(points, xyz=xyz))
     assert near_of(strayed) == capture.near_m
     for i in range(5, 60):
-        xyz[i] = cameras[6].position + 0.3 * cameras[6].forward
+        xyz[i] = cameras[6].position + 0.9 * cameras[6].forward
     there = replace(capture, points=replace(points, xyz=xyz))
-    assert near_of(there) < 0.31
+    assert near_of(there) == pytest.approx(MARGIN * 0.9)
     seen = look(there, range(1))
     assert seen is not None
-    assert cut_by(there, seen, 0.31)[0][0] == "cam06"
+    assert cut_by(there, seen, 0.91)[0][0] == "cam06"
 
 
 def test_pictures_without_texture_do_not(tmp_path: Path) -> None:
