@@ -60,6 +60,8 @@ class TrialsConfig:
     """Folder that keeps what finished runs gave."""
     frames: str = "0:12"
     """Frames of the capture to train, A:B; A included, B not."""
+    fps: float | None = None
+    """Frames per second, where no file of the capture tells them."""
     scale: float = 0.5
     """Size of the training pictures over the capture's."""
     genesis_iterations: int = 1500
@@ -164,6 +166,7 @@ def training(config: TrialsConfig, setting: Setting, stream: Path) -> TrainConfi
         config.capture.resolve(),
         stream,
         frames=config.frames,
+        fps=config.fps,
         scale=config.scale,
         profile=setting.profile,
         fit=setting.fit,

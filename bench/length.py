@@ -141,6 +141,7 @@ def make_loop(config: LengthConfig, folder: Path) -> Path:
 def write_looped(loop: Path, path: Path, num_frames: int) -> None:
     """The capture `loop` over and over, `num_frames` frames long."""
     capture = open_capture(loop)
+    assert capture.fps is not None  # its videos tell
     path.mkdir()
     for name in (POSES_NAME, HELD_OUT_NAME, POINTS_NAME):
         shutil.copy(loop / name, path / name)

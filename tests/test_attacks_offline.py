@@ -28,7 +28,7 @@ HELD_BY = {
         "codec/test_main.py::test_the_help_of_export_names_the_first_file_that_it_writes",
     ),
     "training cameras far apart train to smears without a warning": (
-        "trainer/run/test_apart.py::test_a_run_begins_with_the_warning",
+        "trainer/rig/test_doubts.py::test_few_and_distant_cameras",
     ),
     "who reads the first line only gets a complaint of a broken pipe": (
         "codec/test_console.py::test_who_reads_the_first_line_only_gets_it_and_no_complaint",
@@ -56,7 +56,7 @@ HELD_BY = {
     "16-bit pictures become white, alpha is dropped, a float picture of NaN trains to 100 dB": (
         "trainer/test_pixels.py::test_16_bit_grey_is_rounded_to_8",
         "trainer/test_pixels.py::test_16_bit_colour_is_that_of_8",
-        "trainer/test_pixels.py::test_transparent_pixels_are_refused",
+        "trainer/test_pixels.py::test_what_is_transparent_is_laid_on_black",
         "trainer/test_pixels.py::test_what_is_not_8_or_16_bit_rgb_or_grey_is_refused",
     ),
     "a picture of too many pixels is a traceback amid training": (

@@ -67,7 +67,7 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
         {"trainer"},
         {"trainer/capture"},
         {"trainer/pictures", "trainer/seed", "trainer/synth"},
-        {"trainer/step"},
+        {"trainer/step", "trainer/rig"},
         {"trainer/fit", "trainer/score"},
         {"trainer/run"},
     ),

@@ -330,4 +330,4 @@ def test_a_url_that_is_not_a_stream_and_a_port_in_use(made: Made, tmp_path: Path
 
 def test_another_capture_is_told_from_the_right_one(made: Made, tmp_path: Path) -> None:
     write_dynerf(tmp_path / "other", 4, FRAMES)
-    check_one_line("swings-eval", (made.stream, tmp_path / "other"), "cam00")
+    check_one_line("swings-eval", (made.stream, tmp_path / "other"), "cam01")

@@ -30,7 +30,7 @@ from trainer.synth.film import SynthConfig, synthesise
 
 def _train(config: TrainConfig) -> None:
     if config.check is not None:
-        say("\n".join(check_capture(config.capture, config.check, config.points)))
+        say("\n".join(check_capture(config)))
         return
     console = Console(stderr=True)
     # Bytes must not depend on whether this run compiles the kernels.

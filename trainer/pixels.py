@@ -24,6 +24,8 @@ PLAIN_MODES = {"1", "L", "P", "RGB"}
 """Of Pillow: 8 bits a channel at most. A colour PNG of 16 bits is one of them, too: Pillow gives
 the upper 8."""
 
+BLACK = (0, 0, 0, 255)
+
 ALPHA_MODES = {"LA", "La", "PA", "RGBA", "RGBa"}
 
 DEEP_GREY_MODES = {"I;16", "I;16B", "I;16L", "I;16N"}
@@ -56,15 +58,16 @@ def opened_picture(path: Path, what: str, check_size: CheckSize) -> Iterator[Ima
 def read_rgb(path: Path, check_size: CheckSize) -> Bytes:
     """(H, W, 3) the picture at `path`.
 
-    16-bit grey is rounded to 8 bits; transparency is taken where it hides nothing. Raises
-    CaptureError for anything that has no one meaning as 8-bit RGB: transparent pixels, CMYK,
-    floats.
+    16-bit grey is rounded to 8 bits. What is transparent is laid on black, which is what a stream
+    shows where it has no Gaussian. Raises CaptureError for anything that has no one meaning as
+    8-bit RGB: CMYK, floats.
     """
     with opened_picture(path, "picture", check_size) as image:
         if _is_deep_grey(image):
             return np.repeat(_rounded(image)[..., None], 3, axis=2)
         if image.mode in ALPHA_MODES or "transparency" in image.info:
-            _check_opaque(path, image)
+            whole = image.convert("RGBA")
+            image = Image.alpha_composite(Image.new("RGBA", image.size, BLACK), whole)
         elif image.mode not in PLAIN_MODES:
             raise CaptureError(
                 f"{path}: its pixels are {image.mode}, which a picture of a capture cannot be; "
@@ -88,12 +91,3 @@ def _rounded(image: Image.Image) -> Bytes:
     """(H, W) of 16-bit grey, which Pillow itself would cut off at 255."""
     deep = np.asarray(image).astype(np.uint32)
     return ((deep + GREY_STEP // 2) // GREY_STEP).astype(np.uint8)
-
-
-def _check_opaque(path: Path, image: Image.Image) -> None:
-    lowest = int(np.asarray(image.convert("RGBA"))[..., 3].min())
-    if lowest < 255:
-        raise CaptureError(
-            f"{path}: has transparent pixels (alpha {lowest} of 255), and nothing says what is "
-            "behind them; flatten it onto a colour, or save the alpha as a mask"
-        )

@@ -73,6 +73,7 @@ def meta_of(cameras: list[Camera], ids: list[int], num_frames: int) -> dict[str,
 def write_dynamic3dgs(root: Path, num_cameras: int = 4, num_frames: int = 3) -> list[Camera]:
     """Camera 1 is the held-out one. Pictures are PNG, so that they can be compared exactly."""
     root.mkdir()
+    (root / "fps.txt").write_text("30\n")
     cameras = tiny_rig(num_cameras)
     training = [i for i in range(num_cameras) if i != 1]
     for name, ids in (("train_meta.json", training), ("test_meta.json", [1])):

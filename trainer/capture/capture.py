@@ -27,8 +27,8 @@ Picture = npt.NDArray[np.uint8]
 Mask = npt.NDArray[np.uint8]
 """(H, W): 1 where a picture's pixel counts, 0 where it is ignored."""
 
-DEFAULT_FPS = 30.0
-"""Frames per second of a capture that does not tell."""
+MAX_FPS = 1000.0
+"""Most frames per second."""
 
 STILL_TOLERANCE = 1e-6
 """Largest change of a number of a pose or a lens at which the camera still stands still: printed
@@ -108,8 +108,8 @@ class Capture:
     cameras: tuple[CaptureCamera, ...]
     num_frames: int
     """Frames of every camera."""
-    fps: float
-    """Frames per second."""
+    fps: float | None
+    """Frames per second; None if no file tells."""
     points: InitialPoints | None
     """Those in the capture's folder; None when it has none."""
     near_m: float | None
@@ -152,16 +152,17 @@ MIN_TRAINING_CAMERAS = 3
 def check_trainable(capture: Capture) -> None:
     """Raises CaptureError where too few cameras are left to train on."""
     if len(capture.training) < MIN_TRAINING_CAMERAS:
+        held_out = len(capture.held_out)
         raise CaptureError(
             f"{capture.root}: {len(capture.training)} training cameras, needs "
-            f"{MIN_TRAINING_CAMERAS}"
+            f"{MIN_TRAINING_CAMERAS}" + f" beside the {held_out} held out" * (held_out > 0)
         )
 
 
 def check_fps(fps: float, path: Path) -> None:
     """Raises CaptureError, naming the file that tells it, for an impossible frame rate."""
-    if not 0 < fps <= 1000:
-        raise CaptureError(f"{path}: fps is {fps:g}; must be above 0, at most 1000")
+    if not 0 < fps <= MAX_FPS:
+        raise CaptureError(f"{path}: fps is {fps:g}; must be above 0, at most {MAX_FPS:g}")
 
 
 def check_frame(frame: int, num_frames: int, name: str) -> None:

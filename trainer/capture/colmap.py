@@ -11,7 +11,7 @@
                            .png in place of the picture's suffix. Without a mask every pixel of a
                            camera counts
     held_out.txt           optional, see held_out.py
-    fps.txt                optional, the frames per second; without it 30
+    fps.txt                optional, see picturefiles.py
 
 picturefiles.py says how frames are numbered. Pictures of cameras that the model does not have are
 left out. Pinhole models are taken as they are; pictures of SIMPLE_RADIAL, RADIAL and OPENCV cameras
@@ -29,7 +29,7 @@ from codec.camera import Camera
 from codec.errors import InvalidError
 from trainer.errors import CaptureError
 
-from .capture import DEFAULT_FPS, Capture, CaptureCamera, PictureSource, check_fps
+from .capture import Capture, CaptureCamera, PictureSource
 from .colmap_model import (
     Optics,
     Posed,
@@ -50,12 +50,12 @@ from .picturefiles import (
     picture_source,
     pictures_by_camera,
     pictures_by_frame,
+    read_fps,
     safe_path,
 )
 from .points import points_depths
 
 MODEL_NAME = "sparse"
-FPS_NAME = "fps.txt"
 
 
 def open_colmap(root: Path) -> Capture:
@@ -101,7 +101,7 @@ def open_colmap(root: Path) -> Capture:
             names, cameras, mirrored_masks(root / MASKS_NAME, pictures, files), strict=True
         )
     ]
-    held_out = read_held_out(root, names)
+    held_out = read_held_out(root, cameras)
     points = read_model_points(model)
     depths = rig_depths(cameras, points_depths(points, cameras) if points else None)
 
@@ -116,7 +116,7 @@ def open_colmap(root: Path) -> Capture:
             for camera, of_camera in zip(cameras, masks, strict=True)
         ),
         num_frames=len(files[0]),
-        fps=_read_fps(root / FPS_NAME),
+        fps=read_fps(root),
         points=points,
         near_m=depths[0] if depths else None,
         far_m=depths[1] if depths else None,
@@ -169,14 +169,3 @@ def _camera_name(image: PurePosixPath, by_frame: bool) -> str:
 def _folder(image: PurePosixPath) -> PurePosixPath:
     """The folder below images/ of a model's image."""
     return image.parent if len(image.parts) > 1 else image.with_suffix("")
-
-
-def _read_fps(path: Path) -> float:
-    if not path.is_file():
-        return DEFAULT_FPS
-    try:
-        fps = float(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise CaptureError(f"{path}: not a number of frames per second") from error
-    check_fps(fps, path)
-    return fps

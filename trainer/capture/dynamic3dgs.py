@@ -4,9 +4,13 @@
                                       w2c[t][c] 4x4 OpenCV, fn[t][c] path below ims/, cam_id[t][c]
     ims/<camera>/<frame>.jpg
     init_pt_cld.npz                   optional initial points, see points.py
+    fps.txt                           optional, see picturefiles.py; the layout itself does not tell
 
-The cameras of test_meta.json are held out. The layout could describe moving cameras; this project
-cannot use them, so they are refused rather than frozen at their first pose.
+    held_out.txt                      optional, see held_out.py; where it is missing, the cameras of
+                                      test_meta.json are held out
+
+The layout could describe moving cameras; this project cannot use them, so they are refused rather
+than frozen at their first pose.
 """
 
 from __future__ import annotations
@@ -14,7 +18,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -27,16 +31,14 @@ from trainer.errors import CaptureError
 
 from .capture import STILL_TOLERANCE, Capture, CaptureCamera, PictureSource
 from .depths import rig_depths
+from .held_out import HELD_OUT_NAME, read_held_out
 from .lens import Lens, check_optics
-from .picturefiles import FileSource
+from .picturefiles import FileSource, read_fps
 from .points import read_points
 
 META_NAMES = ("train_meta.json", "test_meta.json")
 POINTS_NAMES = ("init_pt_cld.npz", "derived_init_points_frame0.npz")
 """Files of initial points, the data set's own first."""
-
-FRAMES_PER_S = 30.0
-"""The layout does not store its frame rate; PanopticSports was recorded at 30 frames per second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,13 +63,16 @@ def open_dynamic3dgs(root: Path) -> Capture:
             f"{META_NAMES[1]} {metas[1].num_frames}; they must agree"
         )
     found: dict[str, tuple[CaptureCamera, tuple[str, ...], Path]] = {}
-    for held_out, meta in zip((False, True), metas, strict=False):
+    for is_held_out, meta in zip((False, True), metas, strict=False):
         for camera, names in zip(meta.cameras, meta.names, strict=True):
             if camera.name in found:
                 raise CaptureError(f"{meta.path}: camera {camera.name} is listed twice")
-            found[camera.name] = CaptureCamera(camera, held_out), names, meta.path
+            found[camera.name] = CaptureCamera(camera, is_held_out), names, meta.path
     ordered = [found[name] for name in sorted(found, key=lambda name: (len(name), name))]
     cameras = tuple(camera for camera, _, _ in ordered)
+    if len(metas) == 1 or (root / HELD_OUT_NAME).is_file():
+        held_out = read_held_out(root, [c.camera for c in cameras])
+        cameras = tuple(replace(c, held_out=c.camera.name in held_out) for c in cameras)
     sources = _sources(root, [(c.camera, names, path) for c, names, path in ordered])
     depths = rig_depths([c.camera for c in cameras])
     points = next((root / name for name in POINTS_NAMES if (root / name).is_file()), None)
@@ -80,7 +85,7 @@ def open_dynamic3dgs(root: Path) -> Capture:
         layout="dynamic3dgs",
         cameras=cameras,
         num_frames=metas[0].num_frames,
-        fps=FRAMES_PER_S,
+        fps=read_fps(root),
         points=read_points(points) if points else None,
         near_m=depths[0] if depths else None,
         far_m=depths[1] if depths else None,

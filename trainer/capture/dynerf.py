@@ -56,7 +56,7 @@ def open_dynerf(root: Path) -> Capture:
         camera = decode_pose(row, path.stem, root / POSES_NAME)
         check_video_size(path, fact, camera, root / POSES_NAME)
         cameras.append(camera)
-    held_out = read_held_out(root, [camera.name for camera in cameras])
+    held_out = read_held_out(root, cameras)
     depths = rig_depths(cameras, (float(rows[:, 15].min()), float(rows[:, 16].max())))
     num_frames = facts[0].num_frames
 

@@ -20,8 +20,9 @@ An entry's file_path has one of these forms, the same for all entries:
 An entry's mask_path, optional, is the mask of its picture (see masks.py), or of all frames of the
 camera that the entry stands for. A camera has one in each of its entries or in none.
 
-`fps` tells the frames per second; without it the videos do, and without videos it is 30. Pictures
-of lenses that bend are straightened as they are read; fisheye models are refused.
+`fps` tells the frames per second; without it the videos do, or fps.txt beside pictures (see
+picturefiles.py). Pictures of lenses that bend are straightened as they are read; fisheye models are
+refused.
 """
 
 from __future__ import annotations
@@ -44,7 +45,6 @@ from codec.pose import world_to_camera
 from trainer.errors import CaptureError
 
 from .capture import (
-    DEFAULT_FPS,
     STILL_TOLERANCE,
     Capture,
     CaptureCamera,
@@ -66,6 +66,7 @@ from .picturefiles import (
     picture_source,
     pictures_by_camera,
     pictures_by_frame,
+    read_fps,
     require_files,
     safe_path,
 )
@@ -131,25 +132,27 @@ def open_nerfstudio(root: Path) -> Capture:
     names = sorted(found, key=natural_order)
     rig = [found[name] for name in names]
     cameras = [replace(p.entry.camera, name=name) for p, name in zip(rig, names, strict=True)]
-    fps = _number(path, value, "fps", 0.0)
+    fps = None if value.get("fps") is None else _number(path, value, "fps")
+    if fps is not None:
+        check_fps(fps, path)
     if True in are_videos:
         facts = [probe_video(p.files[0]) for p in rig]
         check_synchronised([p.files[0] for p in rig], facts)
         for p, camera, fact in zip(rig, cameras, facts, strict=True):
             check_video_size(p.files[0], fact, camera, path)
         num_frames, fps = facts[0].num_frames, fps or facts[0].fps
+        check_fps(fps, rig[0].files[0])
     else:
-        num_frames, fps = len(rig[0].files), fps or DEFAULT_FPS
+        num_frames, fps = len(rig[0].files), fps or read_fps(root)
         sources = [
             picture_source(camera, p.entry.lens, p.files, path)
             for p, camera in zip(rig, cameras, strict=True)
         ]
-    check_fps(fps, path)
     require_files([p.masks for p in rig], f"a mask_path of {TRANSFORMS_NAME} names it")
     masks = [
         mask_source(camera, p.entry.lens, p.masks) for p, camera in zip(rig, cameras, strict=True)
     ]
-    held_out = _held_out(root, value, names, rig)
+    held_out = _held_out(root, value, cameras, rig)
     points = _read_points(root, value)
     depths = rig_depths(cameras, points_depths(points, cameras) if points else None)
 
@@ -410,11 +413,11 @@ def _check_still(path: Path, first: Entry, entry: Entry) -> None:
 
 
 def _held_out(
-    root: Path, value: Mapping[str, Any], names: Sequence[str], rig: Sequence[CameraFiles]
+    root: Path, value: Mapping[str, Any], cameras: Sequence[Camera], rig: Sequence[CameraFiles]
 ) -> frozenset[str]:
     path, listed = root / TRANSFORMS_NAME, value.get("test_filenames")
     if listed is None or (root / HELD_OUT_NAME).is_file():
-        return read_held_out(root, names)
+        return read_held_out(root, cameras)
     if not isinstance(listed, list) or not all(isinstance(name, str) for name in listed):
         raise CaptureError(f"{path}: test_filenames is not a list of file_path")
     tests = {safe_path(name, path) for name in listed}
@@ -422,12 +425,12 @@ def _held_out(
     if unknown:
         raise CaptureError(f"{path}: test_filenames has {min(unknown)}, which is not in `frames`")
     held_out = set()
-    for name, p in zip(names, rig, strict=True):
+    for camera, p in zip(cameras, rig, strict=True):
         if p.paths <= tests:
-            held_out.add(name)
+            held_out.add(camera.name)
         elif p.paths & tests:
             raise CaptureError(
-                f"{path}: test_filenames has some frames of camera {name}, but not "
+                f"{path}: test_filenames has some frames of camera {camera.name}, but not "
                 f"{min(p.paths - tests)}; cameras are held out whole (see {HELD_OUT_NAME})"
             )
     return frozenset(held_out)

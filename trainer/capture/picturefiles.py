@@ -1,10 +1,14 @@
 """Picture files of many cameras and frames, in the two folder layouts that people use.
 
     frames/<frame>/<picture>        a folder per frame; a camera's picture has one name in all
-    images/<camera>/<frame>.jpg     a folder per camera; also .jpeg and .png
+    images/<camera>/<frame>.jpg     a folder per camera; also .jpeg, .png, .tif and .tiff
 
 <frame> ends in a number ("000012", "frame_12"). The numbers may start anywhere but must not have a
-gap, and every camera has the same ones; the first is frame 0 of the capture.
+gap, and every camera has the same ones; the first is frame 0 of the capture. Pictures do not tell
+their rate; fps.txt beside them may, in frames per second.
+
+A picture has 8 or 16 bits a channel; of 16 the upper 8 are taken. One that is transparent in places
+is laid on black, which is what a stream shows where it has no Gaussian.
 """
 
 from __future__ import annotations
@@ -19,12 +23,13 @@ from codec.camera import Camera
 from trainer.errors import CaptureError
 from trainer.pixels import opened_picture, read_rgb
 
-from .capture import Picture, PictureSource, check_frame
+from .capture import Picture, PictureSource, check_fps, check_frame
 from .lens import Lens, straight_source
 
 FRAMES_NAME = "frames"
 IMAGES_NAME = "images"
-PICTURE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png"})
+PICTURE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
+FPS_NAME = "fps.txt"
 
 _LAST_NUMBER = re.compile(r"(?:.*\D)?(\d{1,18})")
 
@@ -141,6 +146,19 @@ class FileSource:
                 f"{path}: is {size[0]}x{size[1]} px; {self.declared_in.name} declares "
                 f"{self.camera.width_px}x{self.camera.height_px} px"
             )
+
+
+def read_fps(root: Path) -> float | None:
+    """The frames per second in fps.txt; None without the file. Raises CaptureError."""
+    path = root / FPS_NAME
+    if not path.is_file():
+        return None
+    try:
+        fps = float(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise CaptureError(f"{path}: not a number of frames per second") from error
+    check_fps(fps, path)
+    return fps
 
 
 def picture_source(

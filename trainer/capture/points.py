@@ -11,7 +11,7 @@ from typing import BinaryIO
 import numpy as np
 import numpy.typing as npt
 
-from codec.camera import Camera
+from codec.camera import Camera, Floating
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
 from codec.files import opened_regular
 from codec.foreign.plyheader import (
@@ -221,6 +221,14 @@ def points_evenness(points: InitialPoints, cameras: Sequence[Camera]) -> float:
     return float(np.mean(ratios))
 
 
+def depths_in_view(camera: Camera, places: Floating) -> Floating:
+    """(V,) how deep those of the `places` (P, 3) lie that project into the camera's picture,
+    metres."""
+    u_px, v_px, depths = camera.project(places.astype(np.float64))
+    inside = (u_px >= 0) & (u_px < camera.width_px) & (v_px >= 0) & (v_px < camera.height_px)
+    return depths[(depths > 0) & inside]
+
+
 def points_depths(points: InitialPoints, cameras: Sequence[Camera]) -> tuple[float, float] | None:
     """(near, far) in metres around what the cameras see of the points; None if they see nothing.
 
@@ -229,9 +237,7 @@ def points_depths(points: InitialPoints, cameras: Sequence[Camera]) -> tuple[flo
     """
     bounds = []
     for camera in cameras:
-        u, v, depths = camera.project(points.xyz.astype(np.float64))
-        inside = (u >= 0) & (u < camera.width_px) & (v >= 0) & (v < camera.height_px)
-        seen = depths[(depths > 0) & inside]
+        seen = depths_in_view(camera, points.xyz)
         if len(seen):
             bounds.append(np.percentile(seen, (0.1, 99.9)))
     if not bounds:

@@ -122,9 +122,11 @@ class Trainer:
         backend: Backend | None = None,
         observers: Sequence[Observer] = (),
         layout: SlotLayout | None = None,
+        search_from_m: float | None = None,
     ) -> None:
         """initial: num_gs Gaussians to begin with; None when `restore` follows. backend: by default
-        the CPU's. layout: where slots are leased."""
+        the CPU's. layout: where slots are leased. search_from_m: least depth at which new places
+        are looked for, by default near_m."""
         if initial is not None and (len(initial), initial.sh_degree) != (
             config.num_gs,
             config.sh_degree,
@@ -139,7 +141,7 @@ class Trainer:
         smallest_px = min(min(c.width_px, c.height_px) for c in cameras)
         self._coarse_share = config.coarse_share if smallest_px >= SMALLEST_HALVED_PX else 0.0
         self._half_views = [View.prepare(c.halved(), near_m) for c in cameras if self._coarse_share]
-        self._near_m, self._far_m = near_m, far_m
+        self._search_m = near_m if search_from_m is None else search_from_m, far_m
         self._extent_m = scene_extent_m(cameras)
         self._spread = CameraSpread.of(cameras)
         self._comparer = Comparer(cameras, near_m)
@@ -370,9 +372,7 @@ class Trainer:
         )
         each = round(self._config.settle_renew_share * len(rows))
         least = generations.least(rows, contributions, each)
-        found = missing_splats(
-            seen, len(least), self._near_m, self._far_m, self._config.sh_degree, self._rng
-        )
+        found = missing_splats(seen, len(least), *self._search_m, self._config.sh_degree, self._rng)
         generations.place(least[: len(found)], found, frame)
 
     def _begin_slice(self, frame: int) -> None:
@@ -403,9 +403,7 @@ class Trainer:
             generations.trade(*traded)
             least = leases.least(slots[mine], contributions[mine], config.mcmc.renew_share)
             least = least[~np.isin(least, traded[0])]  # those matter now
-        found = missing_splats(
-            seen, len(least), self._near_m, self._far_m, config.sh_degree, self._rng
-        )
+        found = missing_splats(seen, len(least), *self._search_m, config.sh_degree, self._rng)
         if leases is not None:
             least = self._rng.permutation(least).astype(np.int32)
             lifespans.take_up(np.unique(np.concatenate([active, *traded, least[: len(found)]])))

@@ -10,6 +10,7 @@ import tyro
 
 from codec.errors import InvalidError
 from codec.profiles.profile import Profile
+from trainer.capture.capture import MAX_FPS
 from trainer.fit.config import FitConfig
 from trainer.pictures.framecache import DEFAULT_MAX_BYTES
 from trainer.step.backend import BackendName
@@ -35,11 +36,13 @@ class TrainConfig:
     """Frames of the capture to train, A:B; A included, B not."""
     scale: float = 1.0
     """Size of the training pictures over the capture's, above 0 to 1."""
+    fps: float | None = None
+    """Frames per second, where no file of the capture tells them, or in place of what it tells."""
     near_m: float | None = None
-    """Nearest depth drawn, metres; by default 0.35 of the cameras' distance to what they look
-    at."""
+    """Nearest depth drawn, in the capture's unit; by default 0.35 of the cameras' distance to what
+    they look at, or less where they see something nearer (--check says)."""
     far_m: float | None = None
-    """Depth that seeding reaches to, metres; by default from the rig."""
+    """Depth that seeding reaches to, in the capture's unit; by default from the rig."""
     points: Path | None = None
     """File of initial points, .ply or .npz, in place of the capture's own."""
     point_share: float | None = None
@@ -87,6 +90,8 @@ class TrainConfig:
     def __post_init__(self) -> None:
         if self.stream is None and self.check is None:
             raise InvalidError("name the folder to write the stream to, or --check PNG")
+        if self.fps is not None and not 0 < self.fps <= MAX_FPS:
+            raise InvalidError(f"fps {self.fps:g}: choose above 0, at most {MAX_FPS:g}")
         if self.point_share is not None and not 0 <= self.point_share <= 1:
             raise InvalidError(f"point_share {self.point_share:g}: choose 0 to 1")
         if self.snapshot_every < 0:

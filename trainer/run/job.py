@@ -17,8 +17,8 @@ from trainer.errors import InterruptedRunError
 from trainer.fit.trainer import Observer, Trainer
 from trainer.pictures.feed import CapturePictures
 from trainer.pictures.framecache import FrameCache
+from trainer.rig.doubts import rig_doubts
 
-from .apart import apart_warning
 from .checkpoint import CHECKPOINT_NAME, load_checkpoint, save_checkpoint
 from .config import TrainConfig
 from .monitor import Monitor
@@ -71,7 +71,8 @@ def train_stream(
     if bare:
         config = replace(config, resume=False)
     targets = check_targets(config, bare)
-    prepared = prepare(config)
+    with console.status("what the cameras see"):
+        prepared = prepare(config)
     settings = shared_settings(config, prepared)
     checkpoint = config.target / CHECKPOINT_NAME
     options = config_to_json(replace(config, resume=False))
@@ -82,9 +83,8 @@ def train_stream(
             f"{config.target} was stopped before its first checkpoint; it begins anew, with the "
             "settings given now"
         )
-    warning = apart_warning(prepared.capture) if found is None else None
-    if warning is not None:
-        log_to.warning(warning)
+    for doubt in rig_doubts(prepared.capture) if found is None else ():
+        log_to.warning(doubt)
     clear_bare(bare)
     with ExitStack() as stack:
         cache = stack.enter_context(
@@ -104,6 +104,7 @@ def train_stream(
         trainer = Trainer(
             config.fit, pictures, initial, prepared.near_m, prepared.far_m, prepared.backend,
             (monitor, *observers), manifest.slot_layout if manifest.has_slots else None,
+            prepared.search_from_m,
         )  # fmt: skip
         if found is not None:
             trainer.restore(found.state)

@@ -22,18 +22,17 @@ from codec.stream.manifest import SLOTS_VERSION, VERSION, Manifest
 from codec.stream.poster import POSTER_NAME
 from trainer.capture.capture import Capture, check_trainable
 from trainer.capture.layout import open_capture
+from trainer.capture.picturefiles import FPS_NAME
 from trainer.capture.points import points_evenness, read_points_file
 from trainer.errors import CaptureError
 from trainer.fit.trainer import FALLBACK_FAR_M
 from trainer.pictures.feed import Pictures
 from trainer.pictures.framecache import FrameCache
+from trainer.rig.nearplane import FALLBACK_NEAR_M, look, near_plane
 from trainer.seed.gaussians import initial_splats, stereo_seeds
 from trainer.step.backend import Backend
 
 from .config import TrainConfig
-
-FALLBACK_NEAR_M = 0.2
-"""Near plane where a rig does not tell. 3DGS."""
 
 GROWN = 1.25
 """Size of trained Gaussians over that of the first ones."""
@@ -52,6 +51,9 @@ class Prepared:
     near_m: float
     far_m: float
     """Depths between which the scene lies."""
+    search_from_m: float
+    """Least depth at which places for Gaussians are looked for. The tried depths are few, and what
+    one camera sees nearer than the rig suggests others see from farther away."""
     backend: Backend
     initial: Splats | None = None
     """What the first frame begins with, if it is given."""
@@ -64,9 +66,16 @@ def prepare(config: TrainConfig) -> Prepared:
         capture = replace(capture, points=read_points_file(config.points))
     check_trainable(capture)
     frames = FrameRange.parse(config.frames).of(capture.num_frames, capture.root)
-    near_m, far_m = _depths(capture, config)
-    initial = None if config.resume else _given_gaussians(config)
-    return Prepared(capture, frames, near_m, far_m, config.fit.backend(config.backend), initial)
+    initial = None
+    if not config.resume:  # the stream tells both
+        fps_of(capture, config)
+        initial = _given_gaussians(config)
+    backend = config.fit.backend(config.backend)
+    near_m, far_m = _depths(capture, config, frames)
+    search_from_m = near_m
+    if config.near_m is None and capture.near_m is not None:
+        search_from_m = capture.near_m
+    return Prepared(capture, frames, near_m, far_m, search_from_m, backend, initial)
 
 
 def _given_gaussians(config: TrainConfig) -> Splats | None:
@@ -82,11 +91,26 @@ def _given_gaussians(config: TrainConfig) -> Splats | None:
     return splats.with_degree(fit.sh_degree)
 
 
-def _depths(capture: Capture, config: TrainConfig) -> tuple[float, float]:
-    """Near and far depth in metres: as configured, else the capture's, else the fallbacks."""
+def fps_of(capture: Capture, config: TrainConfig) -> float:
+    """Frames per second: as configured, else what the capture tells. Raises CaptureError where
+    nobody tells."""
+    fps = capture.fps if config.fps is None else config.fps
+    if fps is None:
+        raise CaptureError(
+            f"{capture.root}: no file tells the frames per second; give --fps, or write them to "
+            f"{FPS_NAME} there"
+        )
+    return fps
+
+
+def _depths(capture: Capture, config: TrainConfig, frames: range) -> tuple[float, float]:
+    """Near and far depth, metres: as configured, else by what the cameras see, else the
+    fallbacks."""
     near_m = config.near_m
     if near_m is None:
-        near_m = FALLBACK_NEAR_M if capture.near_m is None else capture.near_m
+        near_m = near_plane(capture, look(capture, frames))
+    if near_m is None:
+        near_m = FALLBACK_NEAR_M
     far_m = config.far_m
     if far_m is None:
         far_m = max(FALLBACK_FAR_M, 10 * near_m) if capture.far_m is None else capture.far_m
@@ -102,6 +126,7 @@ def shared_settings(config: TrainConfig, prepared: Prepared) -> dict[str, Any]:
         "frames": [prepared.frames.start, prepared.frames.stop],
         "near_m": prepared.near_m,
         "far_m": prepared.far_m,
+        "search_from_m": prepared.search_from_m,
         **{
             name: getattr(config, name)
             for name in (
@@ -148,13 +173,13 @@ def first_gaussians(config: TrainConfig, prepared: Prepared, pictures: Pictures)
     if missing > 0:
         shots = [pictures.shot(c, 0) for c in range(len(cameras))]
         seeds, seed_colours = stereo_seeds(
-            cameras, [s.picture for s in shots], missing, prepared.near_m, prepared.far_m, rng,
-            [s.mask for s in shots],
+            cameras, [s.picture for s in shots], missing, prepared.search_from_m, prepared.far_m,
+            rng, [s.mask for s in shots],
         )  # fmt: skip
         if len(seeds) < missing:
             raise CaptureError(
-                f"{prepared.capture.root}: no three training cameras see the same place between "
-                f"{prepared.near_m:g} m and {prepared.far_m:g} m; set --near-m and --far-m"
+                f"{prepared.capture.root}: no three training cameras see the same place from "
+                f"{prepared.search_from_m:g} to {prepared.far_m:g} away; set --near-m and --far-m"
             )
         positions = np.concatenate([positions, seeds])
         colours = np.concatenate([colours, seed_colours])
@@ -189,7 +214,7 @@ def make_manifest(
         lattice = (Lattice.suiting(initial, grown),) * len(slots)
     return Manifest(
         version=SLOTS_VERSION if slots else VERSION,
-        fps=capture.fps,
+        fps=fps_of(capture, config),
         swin_size=config.fit.swin_size,
         num_gs=config.fit.num_gs,
         layers=config.layers,

@@ -315,18 +315,23 @@ def _filled(inverse: Floats, known: npt.NDArray[np.bool_]) -> Floats:
     return np.where(known, inverse, above).astype(np.float32)
 
 
+def agreed_places(maps: DepthMaps, least: int) -> Floats:
+    """(P, 3) float32, metres, world: what pixels see on whose depth `least` neighbours agree."""
+    places = []
+    for camera, depths, agreeing in zip(maps.cameras, maps.depths, maps.agreeing, strict=True):
+        v, u = np.nonzero(agreeing[: camera.height_px, : camera.width_px] >= least)
+        middles = u.astype(np.float32) + 0.5, v.astype(np.float32) + 0.5
+        places.append(camera.unproject(*middles, depths[v, u]).astype(np.float32))
+    return np.concatenate(places)
+
+
 def completed(maps: DepthMaps) -> list[Floats]:
     """For every camera (h, w) float32 depths without holes, metres.
 
     Kept is what two neighbours agree on, and what three agree on in any other camera, seen from
     this one; the rest is filled smoothly in inverse depth, in which planes are linear.
     """
-    kept = []
-    for camera, depths, agreeing in zip(maps.cameras, maps.depths, maps.agreeing, strict=True):
-        v, u = np.nonzero(agreeing[: camera.height_px, : camera.width_px] >= 3)
-        places = u.astype(np.float32) + 0.5, v.astype(np.float32) + 0.5
-        kept.append(camera.unproject(*places, depths[v, u]).astype(np.float32))
-    everywhere = np.concatenate(kept)
+    everywhere = agreed_places(maps, 3)
     result = []
     for camera, depths, agreeing in zip(maps.cameras, maps.depths, maps.agreeing, strict=True):
         shape = camera.height_px, camera.width_px

@@ -42,8 +42,8 @@ def refusal(path: Path) -> str:
 def test_capture_as_written(tmp_path: Path, binary: bool, by_frame: bool) -> None:
     written = write_colmap(tmp_path, binary, by_frame)
     capture = open_capture(tmp_path)
-    assert (capture.layout, capture.num_frames, capture.fps) == ("colmap", NUM_FRAMES, 30.0)
-    assert capture.held_out == (0,)
+    assert (capture.layout, capture.num_frames, capture.fps) == ("colmap", NUM_FRAMES, None)
+    assert capture.held_out == (1,)
     assert capture.points is not None
     assert np.array_equal(capture.points.xyz, np.array(POINTS, np.float32))
     assert np.array_equal(capture.points.rgb, COLOURS)

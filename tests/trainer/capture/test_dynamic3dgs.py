@@ -73,9 +73,19 @@ def test_dynamic3dgs_cameras_split_and_pictures(tmp_path: Path) -> None:
 def test_dynamic3dgs_without_held_out_cameras(tmp_path: Path) -> None:
     write_dynamic3dgs(tmp_path / "c")
     (tmp_path / "c" / "test_meta.json").unlink()
+    (tmp_path / "c" / "fps.txt").unlink()
+    capture = open_capture(tmp_path / "c")
+    assert (capture.held_out, capture.fps) == ((1,), None)
+    (tmp_path / "c" / "held_out.txt").write_text("")
     capture = open_capture(tmp_path / "c")
     assert capture.held_out == ()
     assert capture.watching == capture.training
+
+
+def test_held_out_txt_stands_above_test_meta_json(tmp_path: Path) -> None:
+    write_dynamic3dgs(tmp_path / "c")
+    (tmp_path / "c" / "held_out.txt").write_text("cam02")
+    assert open_capture(tmp_path / "c").held_out == (2,)
 
 
 def test_missing_frame_names_camera_and_file(tmp_path: Path) -> None:

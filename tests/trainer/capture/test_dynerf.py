@@ -59,7 +59,7 @@ def test_capture_as_written(tmp_path: Path) -> None:
     written = write_dynerf(tmp_path / "c")
     capture = open_capture(tmp_path / "c")
     assert (capture.layout, capture.num_frames, capture.fps) == ("dynerf", 5, 30.0)
-    assert (capture.held_out, capture.points) == ((0,), None)
+    assert (capture.held_out, capture.points) == ((1,), None)
     for index, (got, camera) in enumerate(zip(capture.cameras, written, strict=True)):
         assert got.camera.name == camera.name
         assert np.allclose(got.camera.w2c, camera.w2c, atol=1e-12)

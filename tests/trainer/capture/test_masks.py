@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 
 from codec.camera import Camera
+from tests.support.footage.checking import checked
 from tests.support.tiny_capture import (
     HEIGHT_PX,
     WIDTH_PX,
@@ -29,7 +30,7 @@ from tests.support.tiny_models import (
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError
-from trainer.run.check import check_capture, describe_capture
+from trainer.run.check import describe_capture
 
 NUM_FRAMES = 3
 
@@ -105,7 +106,7 @@ def test_colmap_masks_that_cannot_be_used(tmp_path: Path) -> None:
     capture = open_capture(tmp_path)
     assert "frame_08/cam02.png.png: is 63x36 px" in refusal(lambda: mask(capture, 2, 1))
     assert "frame_09/cam02.png.png: not a mask" in refusal(lambda: mask(capture, 2, 2))
-    assert "frame_09/cam02.png.png: not a mask" in refusal(lambda: check_capture(tmp_path))
+    assert "frame_09/cam02.png.png: not a mask" in refusal(lambda: checked(tmp_path))
     Image.fromarray(np.minimum(grey_of(2, 1), 1)).save(files[1])
     assert "its brightest pixel is 1 of 255" in refusal(lambda: mask(capture, 2, 1))
     Image.fromarray(np.zeros((HEIGHT_PX, WIDTH_PX), np.uint8)).save(files[1])
@@ -201,7 +202,7 @@ def test_other_layouts_have_none(tmp_path: Path) -> None:
     write_dynerf(tmp_path / "v")
     for name in ("d", "v"):
         assert all(c.masks is None for c in open_capture(tmp_path / name).cameras)
-    assert "masks       none: every pixel counts" in check_capture(tmp_path / "d")
+    assert "masks       none: every pixel counts" in checked(tmp_path / "d")
 
 
 def test_check_says_that_masks_were_found(tmp_path: Path) -> None:

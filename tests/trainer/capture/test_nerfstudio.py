@@ -67,8 +67,8 @@ def edit(root: Path, change: Callable[[dict[str, Any]], object]) -> None:
 def test_pictures_as_written(tmp_path: Path, form: str) -> None:
     written = write_nerfstudio(tmp_path, form)
     capture = open_capture(tmp_path)
-    assert (capture.layout, capture.num_frames, capture.fps) == ("nerfstudio", NUM_FRAMES, 30.0)
-    assert (capture.held_out, capture.points) == ((0,), None)
+    assert (capture.layout, capture.num_frames, capture.fps) == ("nerfstudio", NUM_FRAMES, None)
+    assert (capture.held_out, capture.points) == ((1,), None)
     for index, camera in enumerate(written):
         got = capture.cameras[index].camera
         assert got.name == camera.name
@@ -91,8 +91,8 @@ def test_one_rig_in_three_layouts_gives_the_same_cameras(tmp_path: Path) -> None
         for name in ("dynerf", "colmapTrue", "colmapFalse", "nerfstudio")
     ]
     assert [c.layout for c in captures] == ["dynerf", "colmap", "colmap", "nerfstudio"]
-    for capture in captures:
-        assert (capture.num_frames, capture.fps, capture.held_out) == (5, 30.0, (0,))
+    for capture, rate in zip(captures, (30.0, None, None, 30.0), strict=True):
+        assert (capture.num_frames, capture.fps, capture.held_out) == (5, rate, (1,))
         assert capture.near_m == pytest.approx(captures[0].near_m)
         assert capture.far_m == pytest.approx(captures[0].far_m)
         for index, reference in enumerate(written):
@@ -164,6 +164,12 @@ def test_held_out_cameras_and_rate(tmp_path: Path) -> None:
     assert open_capture(tmp_path).held_out == (2,)
     edit(tmp_path, lambda v: v.update(fps=-1))
     assert "fps is -1" in refusal(tmp_path)
+    edit(tmp_path, lambda v: v.update(fps=0))
+    assert "fps is 0" in refusal(tmp_path)
+    edit(tmp_path, lambda v: v.update(fps=None))
+    assert open_capture(tmp_path).fps is None
+    (tmp_path / "fps.txt").write_text("50")
+    assert open_capture(tmp_path).fps == 50
 
 
 def ply_of(binary: bool) -> bytes:

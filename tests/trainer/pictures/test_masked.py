@@ -204,7 +204,7 @@ def test_a_mask_that_ignores_all_leaves_nothing_to_score(tmp_path: Path) -> None
     black = np.zeros((HEIGHT_PX, WIDTH_PX), np.uint8)
     Image.fromarray(black).save(tmp_path / "c/masks/1.png")
     assert write_stream(tmp_path / "s", tmp_path / "c")  # of the other frames
-    with pytest.raises(CaptureError, match="camera cam00 ignores all of frame 1") as caught:
+    with pytest.raises(CaptureError, match="camera cam01 ignores all of frame 1") as caught:
         evaluate_stream(EvaluateConfig(tmp_path / "s", tmp_path / "c"))
     assert "\n" not in str(caught.value)
 

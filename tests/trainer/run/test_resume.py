@@ -190,6 +190,7 @@ def test_resuming_what_is_not_there_or_other_is_one_line(
     take = tmp_path / "take"
     shutil.copytree(capture, take)
     videos = sorted(take.glob("*.mp4"))
+    shutil.copyfile(videos[1], videos[0])
     shutil.copyfile(videos[2], videos[1])
     shutil.copyfile(videos[3], videos[2])
     another = run("swings-train", take, stream, "--resume")

@@ -1,0 +1,188 @@
+"""Captures as people bring them, filmed in the synthetic room: cameras of different sizes, lenses
+that bend, a world of any unit, cameras far apart or close to things."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from codec.camera import Camera
+from codec.pose import Doubles, look_at, world_to_camera
+from tests.support.tiny_models import parameters_of, quaternion_of, transforms_of, write_transforms
+from trainer.capture.lens import Lens
+from trainer.synth.film import Scene, Studio, VideoWriter, make_scene
+from trainer.synth.scene import UP, camera_rig
+
+Picture = npt.NDArray[np.uint8]
+
+WIDTH_PX, HEIGHT_PX = 128, 72
+NUM_FRAMES = 3
+FINER = 3
+"""Size at which bent pictures are filmed, over their own."""
+
+
+@dataclass(frozen=True)
+class Footage:
+    """What was filmed, to compare with what is read."""
+
+    cameras: list[Camera]
+    """As the capture describes them."""
+    pictures: list[list[Picture]]
+    """What pinholes would have seen, by camera and frame."""
+
+
+@cache
+def room() -> Scene:
+    return make_scene(NUM_FRAMES, 30.0, 0)
+
+
+def filmed(camera: Camera) -> list[Picture]:
+    studio = Studio(room(), camera)
+    return [studio.film(frame)[0] for frame in range(NUM_FRAMES)]
+
+
+def points_seen(cameras: Sequence[Camera], count: int) -> tuple[Doubles, Picture]:
+    """(P, 3) places on the surfaces that the cameras see in frame 0, and their colours."""
+    found = []
+    for number, camera in enumerate(cameras):
+        studio = Studio(room(), camera)
+        rng = np.random.default_rng(number)
+        found.append(studio.sample_points(*studio.film(0), count // len(cameras), rng))
+    xyz, rgb = zip(*found, strict=True)
+    return np.concatenate(xyz).astype(np.float64), np.concatenate(rgb)
+
+
+def straight_place(bent: Doubles, lens: Lens) -> Doubles:
+    """(..., 2) where on the pinhole's picture plane a lens shows what it bends to `bent`."""
+    x, y = straight = np.moveaxis(bent, -1, 0).copy()
+    for _ in range(50):
+        r2 = x * x + y * y
+        radial = 1 + r2 * (lens.k1 + r2 * (lens.k2 + r2 * lens.k3))
+        off = [
+            2 * lens.p1 * x * y + lens.p2 * (r2 + 2 * x * x),
+            2 * lens.p2 * x * y + lens.p1 * (r2 + 2 * y * y),
+        ]
+        x, y = straight = (np.moveaxis(bent, -1, 0) - off) / radial
+    return np.moveaxis(straight, 0, -1)
+
+
+def bent_pictures(camera: Camera, lens: Lens) -> list[Picture]:
+    """What the camera sees through the lens: a finer and wider pinhole's pictures, bent."""
+    wide = replace(
+        camera,
+        width_px=int(1.3 * FINER * camera.width_px),
+        height_px=int(1.3 * FINER * camera.height_px),
+        fx_px=FINER * camera.fx_px,
+        fy_px=FINER * camera.fy_px,
+        cx_px=FINER * (camera.cx_px + 0.15 * camera.width_px),
+        cy_px=FINER * (camera.cy_px + 0.15 * camera.height_px),
+    )
+    # FINER x FINER samples in each pixel, so that the bent picture is as soft as a straight one.
+    v, u = (np.mgrid[: FINER * camera.height_px, : FINER * camera.width_px] + 0.5) / FINER
+    bent = np.stack([(u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px], axis=-1)
+    places = straight_place(bent, lens)
+    columns = np.clip((places[..., 0] * wide.fx_px + wide.cx_px).astype(int), 0, wide.width_px - 1)
+    rows = np.clip((places[..., 1] * wide.fy_px + wide.cy_px).astype(int), 0, wide.height_px - 1)
+    shape = camera.height_px, FINER, camera.width_px, FINER, 3
+    return [
+        np.rint(picture[rows, columns].reshape(shape).mean(axis=(1, 3))).astype(np.uint8)
+        for picture in filmed(wide)
+    ]
+
+
+def write_portrait(root: Path, num_cameras: int = 16) -> Footage:
+    """nerfstudio: a video for each camera, each with intrinsics of its own, one of them upright."""
+    cameras = camera_rig(num_cameras, WIDTH_PX, HEIGHT_PX, float(np.radians(200)))
+    for i, camera in enumerate(cameras):
+        focal_px = camera.fx_px * (1 + 0.01 * i)
+        own = replace(
+            camera, fx_px=focal_px, fy_px=focal_px, cx_px=camera.cx_px + i % 5 - 2,
+            cy_px=camera.cy_px + i % 3 - 1,
+        )  # fmt: skip
+        if i == 5:
+            longer_px = focal_px * WIDTH_PX / HEIGHT_PX  # so that it sees what the others see
+            own = replace(
+                own, width_px=HEIGHT_PX, height_px=WIDTH_PX, fx_px=longer_px, fy_px=longer_px,
+                cx_px=own.cy_px, cy_px=own.cx_px,
+            )  # fmt: skip
+        cameras[i] = own
+    pictures = [filmed(camera) for camera in cameras]
+    (root / "videos").mkdir(parents=True)
+    for camera, of_camera in zip(cameras, pictures, strict=True):
+        with VideoWriter(root / "videos" / f"{camera.name}.mp4", camera, 25.0) as video:
+            for picture in of_camera:
+                video.write(picture)
+    write_transforms(root, transforms_of(cameras, [[f"videos/{c.name}.mp4"] for c in cameras]))
+    return Footage(cameras, pictures)
+
+
+def moved(camera: Camera, scale: float, turn: Doubles, offset: Doubles) -> Camera:
+    """The camera in a world of another unit, turned and moved."""
+    position = scale * turn @ camera.position + offset
+    return replace(camera, w2c=world_to_camera(camera.w2c[:3, :3] @ turn.T, position))
+
+
+def write_radial(root: Path, scale: float = 0.37, num_cameras: int = 18) -> Footage:
+    """COLMAP in text: SIMPLE_RADIAL lenses, one camera of another size, a turned world of any unit.
+
+    Its pictures stand as images/<camera>/<frame>.png, and nothing tells their rate.
+    """
+    lens = Lens(k1=-0.09)
+    turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    offset = np.array([2.0, -5.0, 0.5])
+    cameras = camera_rig(num_cameras, WIDTH_PX, HEIGHT_PX, float(np.radians(240)))
+    cameras[7] = cameras[7].scaled(0.75)
+    xyz, rgb = points_seen(cameras, 4000)
+    xyz = scale * xyz @ turn.T + offset
+    placed = [moved(camera, scale, turn, offset) for camera in cameras]
+    folder = root / "sparse/0"
+    folder.mkdir(parents=True)
+    optics, poses = ["# Camera list"], ["# Image list"]
+    for number, (camera, at) in enumerate(zip(cameras, placed, strict=True), 1):
+        (root / "images" / camera.name).mkdir(parents=True)
+        for frame, picture in enumerate(bent_pictures(camera, lens)):
+            Image.fromarray(picture).save(root / "images" / camera.name / f"{frame:04d}.png")
+        numbers = " ".join(map(repr, parameters_of(camera, "SIMPLE_RADIAL", (lens.k1,))))
+        optics.append(f"{number} SIMPLE_RADIAL {camera.width_px} {camera.height_px} {numbers}")
+        pose = (*quaternion_of(at.w2c[:3, :3]), *at.w2c[:3, 3].tolist())
+        poses += [f"{number} {' '.join(map(repr, pose))} {number} {camera.name}/0000.png", ""]
+    marks = ["# 3D point list"]
+    for number, (place, colour) in enumerate(zip(xyz.tolist(), rgb.tolist(), strict=True), 1):
+        marks.append(" ".join(map(str, (number, *place, *colour, 0.5, 1, 0, 2, 0))))
+    for name, lines in (("cameras", optics), ("images", poses), ("points3D", marks)):
+        (folder / f"{name}.txt").write_text("\n".join(lines) + "\n")
+    return Footage(placed, [filmed(camera) for camera in cameras])
+
+
+def write_distant(root: Path) -> Footage:
+    """nerfstudio: four cameras far apart, whose lenses bend in every way that OpenCV knows."""
+    lens = Lens(k1=-0.12, k2=0.03, p1=0.002, p2=-0.0015)
+    cameras = camera_rig(4, WIDTH_PX, HEIGHT_PX, float(np.radians(160)))
+    paths = []
+    for camera in cameras:
+        (root / "images" / camera.name).mkdir(parents=True)
+        paths.append([f"images/{camera.name}/0000.png"])
+        for frame, picture in enumerate(bent_pictures(camera, lens)):
+            Image.fromarray(picture).save(root / "images" / camera.name / f"{frame:04d}.png")
+    terms = {"k1": lens.k1, "k2": lens.k2, "p1": lens.p1, "p2": lens.p2}
+    write_transforms(root, transforms_of(cameras, paths) | terms | {"fps": 30})
+    return Footage(cameras, [filmed(camera) for camera in cameras])
+
+
+def close_rig(num_cameras: int = 12) -> list[Camera]:
+    """Cameras around the sofa, of which those at the ends almost touch its arms."""
+    cameras = camera_rig(num_cameras, WIDTH_PX, HEIGHT_PX, 0.0)
+    target = np.array([-0.75, -0.45, 2.8])
+    for i, camera in enumerate(cameras):
+        angle = np.pi * (i / (num_cameras - 1) - 0.5)
+        place = target + 1.5 * np.array([-np.sin(angle), 0.0, -np.cos(angle)])
+        place[1] = -(0.75, 1.15)[i % 2]
+        cameras[i] = replace(camera, w2c=look_at(place, target, UP))
+    return cameras

@@ -1,0 +1,146 @@
+"""The near plane is where the rig suggests, or nearer where a camera sees something nearer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from codec.camera import Camera
+from tests.support.footage.checking import checked, said
+from tests.support.footage.rebuilt import (
+    HEIGHT_PX,
+    WIDTH_PX,
+    close_rig,
+    filmed,
+    points_seen,
+    room,
+)
+from tests.support.tiny_capture import tiny_rig
+from tests.support.tiny_models import transforms_of, write_pictures, write_transforms
+from trainer.capture.capture import Capture
+from trainer.capture.depths import rig_depths
+from trainer.capture.layout import open_capture
+from trainer.rig.nearplane import LEAST_SHARE, MARGIN, cut_by, look, near_plane
+from trainer.run.config import TrainConfig
+from trainer.run.prepare import prepare
+from trainer.synth.film import Studio
+from trainer.synth.scene import camera_rig
+
+
+def write(root: Path, cameras: list[Camera], points: int) -> Capture:
+    """One frame in nerfstudio layout, all cameras to train on."""
+    paths = []
+    for camera in cameras:
+        paths.append([f"images/{camera.name}/0000.png"])
+        (root / "images" / camera.name).mkdir(parents=True)
+        Image.fromarray(filmed(camera)[0]).save(root / paths[-1][0])
+    write_transforms(root, transforms_of(cameras, paths) | {"fps": 30})
+    (root / "held_out.txt").write_text("")
+    if points:
+        xyz, rgb = points_seen(cameras, points)
+        np.savez(root / "points.npz", xyz=xyz, rgb=rgb)
+    return open_capture(root)
+
+
+def least_depth(camera: Camera) -> float:
+    """Of all that the camera sees."""
+    studio = Studio(room(), camera)
+    return studio.depth_range(studio.film(0)[1])[0]
+
+
+def near_of(capture: Capture) -> float:
+    near = near_plane(capture, look(capture, range(1)))
+    assert near is not None
+    return near
+
+
+def test_a_rig_that_sees_nothing_near_keeps_what_the_rig_suggests(tmp_path: Path) -> None:
+    cameras = camera_rig(12, WIDTH_PX, HEIGHT_PX, float(np.radians(200)))
+    depths = rig_depths(cameras)
+    assert depths is not None
+    for name, points in (("with", 2000), ("without", 0)):
+        capture = write(tmp_path / name, cameras, points)
+        assert near_of(capture) == capture.near_m == pytest.approx(depths[0])
+    assert said(checked(tmp_path / "with"), "near").endswith(", by the rig")
+    assert said(checked(tmp_path / "with"), "near cuts").startswith("at most 0.5%")
+
+
+def test_points_that_a_camera_sees_bring_it_in(tmp_path: Path) -> None:
+    cameras = close_rig()
+    capture = write(tmp_path, cameras, 6000)
+    nearest = min(map(least_depth, cameras))
+    suggested = capture.near_m
+    assert suggested is not None
+    assert nearest < 0.6 * suggested
+    near = near_of(capture)
+    assert near == pytest.approx(LEAST_SHARE * suggested)  # and no nearer by itself
+    lines = checked(tmp_path)
+    told = f"{near:.3g} units, by what the cameras see; the rig alone would say {suggested:.3g}"
+    assert said(lines, "near") == told
+    assert "of what cam10 sees" in said(lines, "near cuts")
+    assert said(checked(tmp_path, near_m=0.8 * nearest), "near cuts").startswith("at most 0.5%")
+    cut = said(checked(tmp_path, near_m=suggested), "near cuts")
+    assert "of what cam00 sees" in cut
+    assert "of what cam10 sees" in cut
+    assert said(checked(tmp_path, near_m=suggested), "near").endswith("units, as given")
+
+
+def test_so_do_cameras_that_agree_where_there_are_no_points(tmp_path: Path) -> None:
+    cameras = close_rig(16)
+    capture = write(tmp_path, cameras, 0)
+    assert capture.near_m is not None
+    assert near_of(capture) < 0.9 * capture.near_m
+
+
+def test_stray_points_do_not(tmp_path: Path) -> None:
+    cameras = camera_rig(12, WIDTH_PX, HEIGHT_PX, float(np.radians(200)))
+    capture = write(tmp_path, cameras, 3000)
+    points = capture.points
+    assert points is not None
+    xyz = points.xyz.copy()
+    for i in range(5):
+        xyz[i] = cameras[6].position + 0.8 * cameras[6].forward
+    strayed = replace(capture, points=replace(points, xyz=xyz))
+    assert near_of(strayed) == capture.near_m
+    for i in range(5, 60):
+        xyz[i] = cameras[6].position + 0.9 * cameras[6].forward
+    there = replace(capture, points=replace(points, xyz=xyz))
+    assert near_of(there) == pytest.approx(MARGIN * 0.9)
+    seen = look(there, range(1))
+    assert seen is not None
+    assert cut_by(there, seen, 0.91)[0][0] == "cam06"
+
+
+def test_pictures_without_texture_do_not(tmp_path: Path) -> None:
+    """Every depth fits them."""
+    cameras = tiny_rig(9)
+    flat = np.full((36, 64, 3), 90, np.uint8)
+    paths = write_pictures(tmp_path, cameras, 1, False, lambda *_: flat)
+    write_transforms(tmp_path, transforms_of(cameras, paths))
+    capture = open_capture(tmp_path)
+    assert near_of(capture) == capture.near_m
+
+
+def test_a_rig_that_looks_one_way_keeps_what_it_declares(tmp_path: Path) -> None:
+    cameras = camera_rig(6, WIDTH_PX, HEIGHT_PX, float(np.radians(20)))
+    capture = write(tmp_path / "with", cameras, 1000)
+    seen = look(capture, range(1))
+    assert seen is None
+    assert near_plane(capture, seen) == capture.near_m
+    capture = write(tmp_path / "without", cameras, 0)
+    assert near_plane(capture, look(capture, range(1))) is None
+    assert said(checked(tmp_path / "without"), "near").startswith("0.2 units, by default")
+
+
+def test_new_places_are_looked_for_from_where_the_rig_suggests(tmp_path: Path) -> None:
+    capture = write(tmp_path / "c", close_rig(), 6000)
+    found = prepare(TrainConfig(tmp_path / "c", tmp_path / "s"))
+    assert capture.near_m is not None
+    assert found.near_m < 0.9 * capture.near_m
+    assert found.search_from_m == capture.near_m
+    given = prepare(TrainConfig(tmp_path / "c", tmp_path / "s", near_m=0.3))
+    assert given.near_m == given.search_from_m == 0.3

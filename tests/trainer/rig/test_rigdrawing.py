@@ -1,0 +1,122 @@
+"""Drawing a capture in its own axes."""
+
+from __future__ import annotations
+
+import re
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from unittest.mock import patch
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from matplotlib.text import Text
+from PIL import Image
+
+from codec.camera import Camera
+from codec.pose import look_at, rotation_about
+from tests.support.footage.checking import checked, said
+from tests.support.tiny_capture import write_dynamic3dgs, write_dynerf
+from trainer.capture.capture import Capture
+from trainer.capture.layout import open_capture
+from trainer.rig.rigdrawing import axis_name, draw_capture, drawn_axes
+
+
+def test_picture_shows_cameras_and_points_and_appears_whole(tmp_path: Path) -> None:
+    cameras = write_dynamic3dgs(tmp_path / "c")
+    rng = np.random.default_rng(3)
+    xyz = rng.normal(0, 0.4, (500, 3)) - (0, 1, 0)
+    xyz[0] = 1e6
+    rgb = np.tile([200, 0, 200], (500, 1))
+    np.savez(tmp_path / "c/init_pt_cld.npz", data=np.hstack([xyz, rgb / 255]))
+    target = tmp_path / "new/picture.png"
+    lines = checked(tmp_path / "c", check=target)
+    assert said(lines, "picture") == str(target)
+    assert [entry.name for entry in target.parent.iterdir()] == ["picture.png"]
+    with Image.open(target) as image:
+        assert image.format == "PNG"
+        pixels = np.array(image.convert("RGB")).astype(int)
+    for colour, least in (((31, 95, 191), 300), ((217, 72, 15), 100), ((200, 0, 200), 500)):
+        assert (np.abs(pixels - colour).max(axis=-1) < 12).sum() > least
+    assert len(cameras) == 4
+    before = target.read_bytes()
+    draw_capture(open_capture(tmp_path / "c"), target)
+    assert target.read_bytes() == before
+
+
+def camera_at(pose: npt.NDArray[np.float64]) -> Camera:
+    return Camera("cam00", 64, 36, 50.0, 50.0, 32.0, 18.0, pose)
+
+
+def test_odd_rigs_are_drawn_too(tmp_path: Path) -> None:
+    write_dynerf(tmp_path / "c")
+    capture = open_capture(tmp_path / "c")
+    flipped = np.diag([-1.0, -1.0, 1.0, 1.0])
+    downward = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+    rigs = [
+        [np.eye(4)],
+        [np.eye(4), np.eye(4)],
+        [np.eye(4), flipped],
+        [downward, downward],
+    ]
+    for poses in rigs:
+        cameras = tuple(replace(capture.cameras[0], camera=camera_at(p)) for p in poses)
+        axes = drawn_axes([c.camera for c in cameras])
+        assert np.allclose(axes @ axes.T, np.eye(3))
+        assert np.linalg.det(axes) == pytest.approx(1)
+        draw_capture(replace(capture, cameras=cameras), tmp_path / "odd.png")
+
+
+@pytest.mark.parametrize(
+    ("tops", "names"),
+    [
+        ((0.0, -1.0, 0.0), ["x", "z", "-y"]),  # OpenCV
+        ((0.1, 0.2, 0.95), ["x", "y", "z"]),
+        ((0.0, 1.0, 0.3), ["x", "-z", "y"]),  # OpenGL
+        ((-1.0, 0.5, 0.0), ["y", "-z", "-x"]),
+    ],
+)
+def test_the_axes_are_the_captures_own(tops: tuple[float, ...], names: list[str]) -> None:
+    up = np.array(tops)
+    aside = np.cross(up, (0.3, 0.5, -0.7))
+    cameras = [camera_at(look_at(s * aside, np.zeros(3), up)) for s in (1.0, -1.0)]
+    axes = drawn_axes(cameras)
+    assert [axis_name(row) for row in axes] == names
+    assert np.linalg.det(axes) == pytest.approx(1)  # no mirror image
+
+
+def texts_of(capture: Capture, path: Path) -> str:
+    """All that is written in the picture."""
+    with patch("matplotlib.figure.Figure.savefig", autospec=True) as saved:
+        saved.side_effect = lambda figure, *_, **__: figure.canvas.draw()
+        with suppress(FileNotFoundError):  # nothing was written
+            draw_capture(capture, path)
+    (figure,) = saved.call_args.args[:1]
+    return "|".join(text.get_text() for text in figure.findobj(Text))
+
+
+def test_its_numbers_are_the_captures_and_its_unit_unknown(tmp_path: Path) -> None:
+    write_dynamic3dgs(tmp_path / "c")
+    texts = texts_of(open_capture(tmp_path / "c"), tmp_path / "rig.png")
+    for wanted in ("from above: along y", "from the side: along z", "x (units)", "y (units)"):
+        assert wanted in texts
+    numbers = [float(t.replace("\N{MINUS SIGN}", "-")) for t in texts.split("|") if is_number(t)]
+    assert min(numbers) < -2  # cameras stand 1 to 2 above the floor, where y is below 0
+    assert "degrees off" not in texts
+
+
+def is_number(text: str) -> bool:
+    return bool(re.fullmatch(r"[-\N{MINUS SIGN}]?\d+(\.\d+)?", text))
+
+
+def test_a_world_that_is_tilted_is_told(tmp_path: Path) -> None:
+    write_dynamic3dgs(tmp_path / "c")
+    capture = open_capture(tmp_path / "c")
+    tilt = np.eye(4)
+    tilt[:3, :3] = rotation_about(np.array([1.0, 0.0, 0.0]), np.radians(35))
+    cameras = tuple(
+        replace(c, camera=replace(c.camera, w2c=c.camera.w2c @ tilt)) for c in capture.cameras
+    )
+    texts = texts_of(replace(capture, cameras=cameras), tmp_path / "rig.png")
+    assert re.search(r"the tops of the pictures point [2-4]\d degrees off -y", texts)

@@ -1,0 +1,94 @@
+"""What docs/CAPTURES.md shows runs as it stands there, and what it writes is what was filmed."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.commands import ENTRY, ROOT, command, environment
+from trainer.capture.capture import Capture
+from trainer.capture.layout import open_capture
+
+PAGE = (ROOT / "docs" / "CAPTURES.md").read_text(encoding="utf-8")
+BLOCKS = [
+    textwrap.dedent(block)
+    for block in re.findall(r"(?:(?<=\n\n)|^)((?: {4}.*\n|\n(?= {4}))+)", PAGE)
+]
+WRITTEN = ("as-nerfstudio", "as-pictures", "as-colmap", "as-dynamic3dgs", "as-dynerf")
+
+
+def is_script(block: str) -> bool:
+    return block.startswith(("from ", "import "))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """In which all of the page was run, from top to bottom."""
+    root = tmp_path_factory.mktemp("page")
+    for block in BLOCKS:
+        if is_script(block):
+            run_in(root, [sys.executable, "-W", "error", "-c", block])
+            continue
+        for line in block.splitlines():
+            name, *words = line.split()
+            assert name in ENTRY
+            pictures = [root / word for word in words if word.endswith(".png")]
+            for picture in pictures:
+                picture.unlink(missing_ok=True)
+            told = run_in(root, command(name, *words))
+            assert "warning" not in told, f"{line}: {told}"
+            assert all(picture.stat().st_size > 10_000 for picture in pictures)
+    return root
+
+
+def run_in(folder: Path, words: list[str]) -> str:
+    done = subprocess.run(
+        words, cwd=folder, env=environment(), capture_output=True, text=True, timeout=240
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_the_page_is_understood() -> None:
+    assert sum(map(is_script, BLOCKS)) == len(WRITTEN)
+    assert sum(len(block.splitlines()) for block in BLOCKS if not is_script(block)) == 9
+    # Nothing that looks like a command stands in the text, where it would not be run.
+    assert not re.findall(r"`swings-\w+ ", PAGE)
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_what_a_script_wrote_is_what_was_filmed(folder: Path, name: str) -> None:
+    footage, capture = open_capture(folder / "footage"), open_capture(folder / name)
+    assert capture.num_frames == footage.num_frames == 3
+    assert capture.fps == (None if name == "as-colmap" else 30.0)
+    assert [capture.cameras[i].camera.name for i in capture.held_out] == ["cam04"]
+    for index, entry in enumerate(footage.cameras):
+        read = capture.cameras[index].camera
+        assert read.name == entry.camera.name
+        np.testing.assert_allclose(read.w2c, entry.camera.w2c, atol=1e-9)
+        np.testing.assert_allclose(read.intrinsics, entry.camera.intrinsics, atol=1e-9)
+        assert np.array_equal(picture_of(capture, index), picture_of(footage, index))
+        masks = capture.cameras[index].masks
+        assert (masks is not None) == (name == "as-pictures")
+        if masks is not None:
+            assert masks.read(1).sum() == 54 * 94
+    if name == "as-nerfstudio":
+        assert capture.points is None
+        return
+    assert capture.points is not None
+    assert footage.points is not None
+    np.testing.assert_allclose(capture.points.xyz, footage.points.xyz, atol=1e-6)
+    assert np.array_equal(capture.points.rgb, footage.points.rgb)
+
+
+def picture_of(capture: Capture, index: int) -> np.ndarray:
+    source = capture.open_images(index)
+    picture = source.read(2)
+    source.close()
+    return picture
