@@ -66,6 +66,7 @@ def train_stream(
     checkpoint = config.target / CHECKPOINT_NAME
     found = load_checkpoint(checkpoint, settings) if config.resume else None
     on_checked()
+    console.print(f"backend: {prepared.picked.why}", highlight=False, markup=False)
     with ExitStack() as stack:
         cache = stack.enter_context(
             FrameCache(prepared.capture, prepared.frames, config.scale, config.cache_bytes)
@@ -82,7 +83,7 @@ def train_stream(
         bar = progress_bar(console)
         monitor = Monitor(bar, log, config.fit, len(prepared.frames))
         trainer = Trainer(
-            config.fit, pictures, initial, prepared.near_m, prepared.far_m, prepared.backend,
+            config.fit, pictures, initial, prepared.near_m, prepared.far_m, prepared.picked.backend,
             (monitor, *observers), manifest.slot_layout if manifest.has_slots else None,
         )  # fmt: skip
         if found is not None:

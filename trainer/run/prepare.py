@@ -28,7 +28,7 @@ from trainer.fit.trainer import FALLBACK_FAR_M
 from trainer.pictures.feed import Pictures
 from trainer.pictures.framecache import FrameCache
 from trainer.seed.gaussians import initial_splats, stereo_seeds
-from trainer.step.backend import Backend
+from trainer.step.device.pick import Picked
 
 from .config import TrainConfig
 
@@ -52,7 +52,8 @@ class Prepared:
     near_m: float
     far_m: float
     """Depths between which the scene lies."""
-    backend: Backend
+    picked: Picked
+    """Where the steps are computed."""
     initial: Splats | None = None
     """What the first frame begins with, if it is given."""
 
@@ -66,7 +67,8 @@ def prepare(config: TrainConfig) -> Prepared:
     frames = FrameRange.parse(config.frames).of(capture.num_frames, capture.root)
     near_m, far_m = _depths(capture, config)
     initial = None if config.resume else _given_gaussians(config)
-    return Prepared(capture, frames, near_m, far_m, config.fit.backend(config.backend), initial)
+    picked = config.fit.backend(config.backend, config.torch_device)
+    return Prepared(capture, frames, near_m, far_m, picked, initial)
 
 
 def _given_gaussians(config: TrainConfig) -> Splats | None:
@@ -107,7 +109,7 @@ def shared_settings(config: TrainConfig, prepared: Prepared) -> dict[str, Any]:
             for name in ("scale", "point_share", "layers", "rank", "profile", "segment_frames")
         },
         "raw_stream": config.raw_stream is not None,
-        "backend": type(prepared.backend).__name__,
+        "backend": type(prepared.picked.backend).__name__,
         "first_picture": _fingerprint(prepared.capture, prepared.frames.start),
     }
 

@@ -77,9 +77,7 @@ def _blended(seen: Tensor, unclamped: Tensor) -> tuple[Tensor, Tensor, Tensor, T
     return alpha, before, weight, after[:, -1] * is_open[:, -1]
 
 
-def _batches(
-    seen: Tensor, lists: TensorLists, batch_tiles: int
-) -> Iterator[tuple[int, Tensor]]:
+def _batches(seen: Tensor, lists: TensorLists, batch_tiles: int) -> Iterator[tuple[int, Tensor]]:
     """First entry and tiles (B,) of every batch; a tile without light in `seen` (T, 256), which the
     caller changes on the way, is left out."""
     lengths = lists.starts.diff()
@@ -88,7 +86,7 @@ def _batches(
         left = ((lengths > first) & (seen > 0).any(1)).nonzero()[:, 0]
         if not len(left):
             return
-        for tiles in left.split(batch_tiles):
+        for tiles in torch.split(left, batch_tiles):
             yield first, tiles
 
 
@@ -135,7 +133,7 @@ class _Blend(torch.autograd.Function):
 def _by_shape(slab: _Slab, flow: Tensor) -> Tensor:
     """(B, SLAB, 6) gradients by centre, conic and opacity. flow: (B, SLAB, 256)."""
     dx, dy = slab.dx, slab.dy
-    flow = flow.unflatten(2, (TILE_PX, TILE_PX))
+    flow = flow.reshape(*dx.shape, TILE_PX)
     by_row = flow @ torch.stack([torch.ones_like(dx), dx], 3)  # (B, SLAB, 16, 2)
     rows, rows_x = by_row[..., 0], by_row[..., 1]
     total, total_x = rows.sum(2), rows_x.sum(2)
@@ -160,5 +158,7 @@ def blend(drawn: Tensor, lists: TensorLists, batch_bytes: int) -> Tensor:
     tile's slab, SLAB * PAIR_BYTES = 512 KiB, is computed at once.
     """
     assert drawn.shape[1] == DRAWN
-    pictures: Tensor = _Blend.apply(drawn, lists, max(batch_bytes // (SLAB * PAIR_BYTES), 1))
+    pictures: Tensor = _Blend.apply(  # type: ignore[no-untyped-call]
+        drawn, lists, max(batch_bytes // (SLAB * PAIR_BYTES), 1)
+    )
     return pictures
