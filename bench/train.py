@@ -42,7 +42,7 @@ TRAINED_AROUND_M = (0.8, 0.3, 1.5)
 NEAR_M = 0.2
 DSSIM_WEIGHT = 0.2
 MEANS_LR_M = 1e-4
-NO_TORCH = "no torch here, so no comparison with it: it is in the dev extra"
+NO_TORCH = "no torch here, so no comparison with it: it is in the extra torch"
 
 
 def median_ms(work: Callable[[], object], repeats: int = REPEATS) -> float:

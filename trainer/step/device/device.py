@@ -76,7 +76,8 @@ class DeviceBackend:
         self._taps = torch.from_numpy(TAPS.copy()).to(self._device)
 
     def _sent(self, array: npt.NDArray[Any]) -> Tensor:
-        return torch.from_numpy(np.ascontiguousarray(array, np.float32)).to(self._device)
+        # Copied, because torch warns of what cannot be written to.
+        return torch.from_numpy(np.array(array, np.float32, order="C")).to(self._device)
 
     def step(
         self,
@@ -132,7 +133,6 @@ class DeviceBackend:
 
     def _target(self, shot: Shot) -> Tensor:
         """(3, h, w) in 0..1: the shot's picture. Sent as bytes, a quarter of the floats."""
-        # Copied, because torch warns of what cannot be written to.
         pixels = torch.from_numpy(shot.picture.copy()).to(self._device)
         planes = pixels.permute(2, 0, 1).float() / 255
         return torch.nn.functional.avg_pool2d(planes, 2) if shot.is_half else planes

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
+from textwrap import shorten
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from trainer.step.raster import Parameters, View
 
 TOLERANCE = 1e-3
 """Of the loss of a trial: far above rounding, far below a device that errs."""
+
+MAX_REASON = 160
+"""Characters of a foreign error that are told."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,15 +101,17 @@ def tried(make: Callable[[], Backend], weights: Weights) -> Backend | str:
         found = _trial_loss(backend)
     except (AttributeError, ImportError, OSError, RuntimeError) as error:
         # Kernels that do not compile or load, operations that a device lacks, memory.
-        return _first_line(error)
+        return _in_short(error)
     expected = _trial_loss(_plain(weights, "cpu"))
     if abs(found - expected) <= TOLERANCE * expected:
         return backend
     return f"its loss in a trial is {found:g}, not {expected:g}"
 
 
-def _first_line(error: Exception) -> str:
-    return str(error).strip().partition("\n")[0] or type(error).__name__
+def _in_short(error: Exception) -> str:
+    """One line: torch adds every device that it was built for."""
+    line = str(error).strip().partition("\n")[0] or type(error).__name__
+    return shorten(line, MAX_REASON, placeholder=" ...")
 
 
 def _torch_device(name: str | None) -> str:
@@ -120,7 +126,7 @@ def _torch_device(name: str | None) -> str:
         torch.zeros(1, device=name)
     except (AssertionError, RuntimeError) as error:
         raise InvalidError(
-            f"--torch-device {name}: torch cannot use it here: {_first_line(error)}"
+            f"--torch-device {name}: torch cannot use it here: {_in_short(error)}"
         ) from error
     return name
 
