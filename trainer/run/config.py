@@ -72,7 +72,8 @@ class TrainConfig:
     """Device of backend torch, in torch's words: cuda:1, xpu, mps, cpu; by default a GPU if torch
     has one."""
     resume: bool = False
-    """Go on where a run of the same settings was stopped or killed."""
+    """Go on where the run that wrote STREAM was stopped or killed, with its settings. Options that
+    are given must be the same as then, but for those that change no byte of the stream."""
     log: Path | None = None
     """File that gets one JSON object per frame; by default training.jsonl in the stream folder."""
     tensorboard: Path | None = None
