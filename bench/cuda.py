@@ -1,19 +1,25 @@
-"""Training on a GPU at the paper's scale: seconds per frame and memory against the length.
+"""Training on a GPU at the paper's scale: seconds per frame, quality and memory against the length,
+by gsplat and by plain torch.
 
-Usage: scripts/bench cuda CAPTURE [--frames 30 75 150]
+Usage: scripts/bench cuda CAPTURE [--frames 30 75 150] [--backends cuda torch]
 
-Needs an NVIDIA GPU and the extra `cuda`. Preset paper, from the first frame on, scored from the
-decoded files.
+Needs a GPU: an NVIDIA one and the extra `cuda`, or one that torch knows and `--backends torch`.
+Preset paper, from the first frame on, scored from the decoded files; each training is in a process
+of its own.
 """
 
 from __future__ import annotations
 
 import resource
+import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from multiprocessing import get_context
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 from rich.console import Console
@@ -25,62 +31,121 @@ from trainer.run.job import train_stream
 from trainer.run.preset import PRESETS
 from trainer.score.evaluate import EvaluateConfig, evaluate_stream
 
+DeviceBackendName = Literal["cuda", "torch"]
+COLUMNS = (
+    "backend", "frames", "s/frame", "PSNR dB", "SSIM", "GPU GB", "host GB", "kB/frame",
+)  # fmt: skip
+
 
 @dataclass(frozen=True)
 class CudaConfig:
-    """Trains a capture on the GPU at several lengths."""
+    """Trains a capture on the GPU at several lengths, by each backend."""
 
     capture: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="CAPTURE")]
     """Folder of the capture."""
     frames: tuple[int, ...] = (30, 75, 150)
     """Lengths to train."""
+    backends: tuple[DeviceBackendName, ...] = ("cuda", "torch")
+    """What to train with: cuda (gsplat), torch (plain torch)."""
+    torch_device: str | None = None
+    """Device of backend torch, as in swings-train."""
     scale: float = 1.0
     """Size of the training pictures over the capture's."""
+    num_gs: int = 200_000
+    """Gaussians. Paper, section 8.1."""
     genesis_iterations: int = 30_000
     """Iterations of the first window. Paper, section 8.1."""
     window_iterations: int = 2_000
     """Iterations of every later window. Paper, section 8.1."""
 
 
-def training(config: CudaConfig, num_frames: int, stream: Path) -> TrainConfig:
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """One training."""
+
+    backend: DeviceBackendName
+    frames: int
+    s_per_frame: float
+    psnr_db: float
+    ssim: float
+    device_bytes: int | None
+    """The most that torch has held on the device; None where torch does not count it."""
+    host_bytes: int
+    bytes_per_frame: float
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """In the order of COLUMNS."""
+        on_device = "-" if self.device_bytes is None else f"{self.device_bytes / 1e9:.2f}"
+        return (
+            self.backend, str(self.frames), f"{self.s_per_frame:.1f}", f"{self.psnr_db:.2f}",
+            f"{self.ssim:.3f}", on_device, f"{self.host_bytes / 1e9:.2f}",
+            f"{self.bytes_per_frame / 1e3:.0f}",
+        )  # fmt: skip
+
+
+def training(
+    config: CudaConfig, backend: DeviceBackendName, num_frames: int, stream: Path
+) -> TrainConfig:
     """Preset paper on the first `num_frames` frames."""
     paper = PRESETS["paper"](
-        config.capture, stream, frames=f"0:{num_frames}", scale=config.scale, backend="cuda"
-    )
+        config.capture, stream, frames=f"0:{num_frames}", scale=config.scale, backend=backend,
+        torch_device=config.torch_device if backend == "torch" else None,
+    )  # fmt: skip
     fit = replace(
         paper.fit,
+        num_gs=config.num_gs,
         genesis_iterations=config.genesis_iterations,
         window_iterations=config.window_iterations,
     )
     return replace(paper, fit=fit)
 
 
-def run(config: CudaConfig) -> None:
-    fit = training(config, 1, Path("stream")).fit
-    fit.backend("cuda")  # to refuse a machine without one before anything is read
+def _device_peak_bytes() -> int | None:
     import torch
 
-    console = Console(stderr=True)
-    table = Table(title=f"{torch.cuda.get_device_name()}: {fit.num_gs:,} Gaussians")
-    for name in ("frames", "s/frame", "GPU GB", "host GB", "PSNR dB", "SSIM", "kB/frame"):
+    if torch.cuda.is_available():
+        return int(torch.cuda.max_memory_allocated())
+    if torch.xpu.is_available():
+        return int(torch.xpu.max_memory_allocated())
+    return None
+
+
+def measured(config: CudaConfig, backend: DeviceBackendName, num_frames: int) -> Measured:
+    """Trains and scores; memory is of the whole process."""
+    with tempfile.TemporaryDirectory() as folder:
+        stream = Path(folder) / "stream"
+        begin_s = time.monotonic()
+        train_stream(training(config, backend, num_frames, stream), Console(stderr=True))
+        took_s = time.monotonic() - begin_s
+        unit_bytes = 1 if sys.platform == "darwin" else 1024
+        host_bytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit_bytes
+        score = evaluate_stream(EvaluateConfig(stream, config.capture)).layers[-1]
+    return Measured(
+        backend, num_frames, took_s / num_frames, score.psnr_db, score.ssim, _device_peak_bytes(),
+        host_bytes, score.bytes_per_frame,
+    )  # fmt: skip
+
+
+def rows(config: CudaConfig) -> Iterator[Measured]:
+    """Every length by every backend, each in a process of its own."""
+    for num_frames in config.frames:
+        for backend in config.backends:
+            with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
+                yield process.submit(measured, config, backend, num_frames).result()
+
+
+def run(config: CudaConfig) -> None:
+    title = []
+    for backend in config.backends:
+        # To refuse a machine without one before anything is read.
+        job = training(config, backend, 1, Path("stream"))
+        title.append(job.fit.backend(backend, job.torch_device).why)
+    table = Table(title=f"{'; '.join(title)}: {config.num_gs:,} Gaussians")
+    for name in COLUMNS:
         table.add_column(name, justify="right")
-    for length in config.frames:
-        torch.cuda.reset_peak_memory_stats()
-        with tempfile.TemporaryDirectory() as folder:
-            stream = Path(folder) / "stream"
-            begin_s = time.monotonic()
-            train_stream(training(config, length, stream), console)
-            took_s = time.monotonic() - begin_s
-            score = evaluate_stream(EvaluateConfig(stream, config.capture)).layers[-1]
-        table.add_row(
-            str(length),
-            f"{took_s / length:.1f}",
-            f"{torch.cuda.max_memory_allocated() / 1e9:.2f}",
-            f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9:.2f}",
-            f"{score.psnr_db:.2f}",
-            f"{score.ssim:.3f}",
-            f"{score.bytes_per_frame / 1e3:.0f}",
-        )
+    for row in rows(config):
+        table.add_row(*row.texts)
     Console().print(table)
 
 

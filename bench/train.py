@@ -1,5 +1,5 @@
 """Where a training step's time goes on the CPU, stage by stage, over Gaussians and resolutions; and
-the whole step beside one in plain torch on the same inputs and cores, in turns."""
+loss and gradients beside those of plain torch on the same inputs and cores, in turns."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from player.render.tiles import list_tiles
 from trainer.fit.optimiser import GATE_STEEPNESS, Adam, OptimiserConfig, add_noise
 from trainer.pictures.shot import Shot
 from trainer.step.active import trained_ends
-from trainer.step.backend import CpuBackend
+from trainer.step.backend import Backend, CpuBackend
 from trainer.step.blend_backward import PAIR_GRADIENT, blend_tiles_backward
 from trainer.step.loss import Workspace, photometric_loss
 from trainer.step.raster import Parameters, Scratch, View, backward, render
@@ -33,8 +33,6 @@ from trainer.step.raster import Parameters, Scratch, View, backward, render
 REPEATS = 15
 CASES = [(5_000, 320, 180), (20_000, 320, 180), (20_000, 640, 360), (60_000, 640, 360)]
 """Gaussians, width and height in pixels."""
-TORCH_CASES = CASES[:3]
-"""Those at which torch takes its turns, in seconds and 4 GB; the last one would take 7 GB."""
 TORCH_REPEATS = 5
 SHARE_CASE = CASES[2]
 SHARES = (1.0, 0.5, 0.3, 0.15, 0.05)
@@ -44,7 +42,7 @@ TRAINED_AROUND_M = (0.8, 0.3, 1.5)
 NEAR_M = 0.2
 DSSIM_WEIGHT = 0.2
 MEANS_LR_M = 1e-4
-NO_TORCH = "no torch here, so no comparison with it: it is in the dev extra"
+NO_TORCH = "no torch here, so no comparison with it: it is in the extra torch"
 
 
 def median_ms(work: Callable[[], object], repeats: int = REPEATS) -> float:
@@ -80,6 +78,11 @@ def bench_camera(width_px: int, height_px: int) -> Camera:
 def bench_target(width_px: int, height_px: int) -> npt.NDArray[np.float32]:
     """(3, H, W) in 0..1."""
     return np.random.default_rng(1).random((3, height_px, width_px)).astype(np.float32)
+
+
+def bench_shot(width_px: int, height_px: int) -> Shot:
+    pixels = 255 * bench_target(width_px, height_px).transpose(1, 2, 0)
+    return Shot(np.ascontiguousarray(pixels, np.uint8))
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,29 +179,30 @@ def stages(count: int, width_px: int, height_px: int, repeats: int = REPEATS) ->
 def against_torch(
     count: int, width_px: int, height_px: int, repeats: int = TORCH_REPEATS
 ) -> tuple[float, float]:
-    """Milliseconds of a whole step, ours and plain torch's; medians of steps made in turns.
-
-    Torch makes forward pass, loss, backward pass and Adam, ours the noise as well.
-    """
+    """Milliseconds of loss and gradients, by numba and by plain torch on the CPU; medians of steps
+    made in turns."""
     import torch
 
-    from tests.support.torch_step import TorchStep
+    from trainer.step.device.torchraster import TorchBackend
 
     torch.set_num_threads(numba.get_num_threads())
-    ours = Step(count, width_px, height_px)
-    theirs = TorchStep(
-        scene(count), bench_camera(width_px, height_px), NEAR_M,
-        bench_target(width_px, height_px), DSSIM_WEIGHT, OptimiserConfig(), MEANS_LR_M,
-    )  # fmt: skip
-    ours.step()
-    theirs.step()
+    view = View.prepare(bench_camera(width_px, height_px), NEAR_M)
+    values, rows = scene(count), np.arange(count, dtype=np.int32)
+    shot, gradients = bench_shot(width_px, height_px), Parameters.zeros(count, 0)
+    gain, bias = np.ones(3, np.float32), np.zeros(3, np.float32)
+
+    def step_s(backend: Backend) -> float:
+        start = time.perf_counter()
+        backend.step(values, rows, view, shot, gain, bias, count, gradients)
+        return time.perf_counter() - start
+
+    ours, theirs = CpuBackend(DSSIM_WEIGHT, 0, 0), TorchBackend(DSSIM_WEIGHT, 0, 0, "cpu")
+    step_s(ours)
+    step_s(theirs)
     times = []
     for _ in range(repeats):
         # A step of ours is short, so a single one would measure the change-over.
-        mine = [ours.step().whole for _ in range(3)]
-        start = time.perf_counter()
-        theirs.step()
-        times.append((np.median(mine), time.perf_counter() - start))
+        times.append((np.median([step_s(ours) for _ in range(3)]), step_s(theirs)))
     median_s = np.median(np.array(times), axis=0)
     return 1e3 * float(median_s[0]), 1e3 * float(median_s[1])
 
@@ -223,8 +227,7 @@ def step_at(
     for array in values.arrays:
         array[:] = array[nearest]
     view = View.prepare(bench_camera(width_px, height_px), NEAR_M)
-    pixels = 255 * bench_target(width_px, height_px).transpose(1, 2, 0)
-    shot = Shot(np.ascontiguousarray(pixels, np.uint8))
+    shot = bench_shot(width_px, height_px)
     backend, gradients = CpuBackend(DSSIM_WEIGHT, 0, 0), Parameters.zeros(count, 0)
     gain, bias = np.ones(3, np.float32), np.zeros(3, np.float32)
     trainable, covered = round(share * count), 0.0
@@ -264,12 +267,12 @@ def stage_table() -> Table:
 
 def torch_table() -> Table:
     table = Table(
-        title=f"whole step beside plain torch, {numba.get_num_threads()} threads each, in turns, "
-        f"ms (medians of {TORCH_REPEATS})"
+        title=f"loss and gradients beside plain torch, {numba.get_num_threads()} threads each, in "
+        f"turns, ms (medians of {TORCH_REPEATS})"
     )
     for name in ("Gaussians", "size", "ours", "plain torch", "ratio"):
         table.add_column(name, justify="right")
-    for case in TORCH_CASES:
+    for case in CASES:
         mine_ms, torch_ms = against_torch(*case)
         table.add_row(
             str(case[0]), f"{case[1]}x{case[2]}",
@@ -300,7 +303,7 @@ class TrainBenchConfig:
     """Times a training step stage by stage."""
 
     torch: bool = True
-    """Also time the whole step beside one in plain torch, which takes a minute."""
+    """Also time loss and gradients beside those of plain torch."""
 
 
 def run(config: TrainBenchConfig) -> None:

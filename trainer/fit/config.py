@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 
 from codec.errors import InvalidError
 from codec.slice import MAX_SWIN_SIZE
-from trainer.step.backend import Backend, BackendName, make_backend
+from trainer.step.backend import BackendName
+from trainer.step.device.pick import Picked, Weights, pick_backend
 
 from .leases import LeaseConfig
 from .mcmc import McmcConfig
@@ -105,6 +106,8 @@ class FitConfig:
             return self.window_iterations
         return self.genesis_iterations + self.settle_rounds * self.window_iterations
 
-    def backend(self, name: BackendName) -> Backend:
-        """The backend `name` for this loss. Raises InvalidError where it cannot run."""
-        return make_backend(name, self.dssim_weight, self.mcmc.opacity_reg, self.mcmc.scale_reg)
+    def backend(self, name: BackendName, device: str | None = None) -> Picked:
+        """The backend `name` for this loss; device: of backend torch. Raises InvalidError where it
+        cannot run."""
+        weights = Weights(self.dssim_weight, self.mcmc.opacity_reg, self.mcmc.scale_reg)
+        return pick_backend(name, weights, device)

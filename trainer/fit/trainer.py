@@ -134,7 +134,7 @@ class Trainer:
             raise InvalidError(f"{len(initial)} initial Gaussians for num_gs {config.num_gs}")
         self._config = config
         self._pictures = pictures
-        self._backend = backend or config.backend("cpu")
+        self._backend = backend or config.backend("cpu").backend
         self._observers = observers
         cameras = pictures.cameras
         self._views = [View.prepare(c, near_m) for c in cameras]

@@ -68,8 +68,12 @@ class TrainConfig:
     segment_frames: int = 15
     """Frames in a segment: what a writer can lose, and the unit of caching."""
     backend: BackendName = "cpu"
-    """Where the steps of training are computed: cpu, cuda (gsplat on an NVIDIA GPU), or auto, which
-    is cuda if it can. Ranks and scores are computed on the CPU."""
+    """Where the steps of training are computed: cpu (numba), cuda (gsplat on an NVIDIA GPU), torch
+    (plain torch on any of its devices), or auto, the best that works: cuda, else torch on a GPU,
+    else cpu. Ranks and scores are computed on the CPU."""
+    torch_device: str | None = None
+    """Device of backend torch, in torch's words: cuda:1, xpu, mps, cpu; by default a GPU if torch
+    has one."""
     resume: bool = False
     """Go on where the run that wrote STREAM was stopped or killed, with its settings. Options that
     are given must be the same as then, but for those that change no byte of the stream."""

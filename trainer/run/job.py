@@ -78,6 +78,7 @@ def train_stream(
     options = config_to_json(replace(config, resume=False))
     found = load_checkpoint(checkpoint, settings) if config.resume else None
     on_checked()
+    console.print(f"backend: {prepared.picked.why}", highlight=False, markup=False, soft_wrap=True)
     if bare:
         log_to.warning(
             f"{config.target} was stopped before its first checkpoint; it begins anew, with the "
@@ -102,7 +103,7 @@ def train_stream(
         line = ProgressLine(console)
         monitor = Monitor(line, log, config.fit, len(prepared.frames))
         trainer = Trainer(
-            config.fit, pictures, initial, prepared.near_m, prepared.far_m, prepared.backend,
+            config.fit, pictures, initial, prepared.near_m, prepared.far_m, prepared.picked.backend,
             (monitor, *observers), manifest.slot_layout if manifest.has_slots else None,
             prepared.search_from_m,
         )  # fmt: skip

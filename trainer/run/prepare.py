@@ -30,7 +30,7 @@ from trainer.pictures.feed import Pictures
 from trainer.pictures.framecache import FrameCache
 from trainer.rig.nearplane import FALLBACK_NEAR_M, look, near_plane
 from trainer.seed.gaussians import initial_splats, stereo_seeds
-from trainer.step.backend import Backend
+from trainer.step.device.pick import Picked
 
 from .config import TrainConfig
 
@@ -54,7 +54,8 @@ class Prepared:
     search_from_m: float
     """Least depth at which places for Gaussians are looked for. The tried depths are few, and what
     one camera sees nearer than the rig suggests others see from farther away."""
-    backend: Backend
+    picked: Picked
+    """Where the steps are computed."""
     initial: Splats | None = None
     """What the first frame begins with, if it is given."""
 
@@ -70,12 +71,12 @@ def prepare(config: TrainConfig) -> Prepared:
     if not config.resume:  # the stream tells both
         fps_of(capture, config)
         initial = _given_gaussians(config)
-    backend = config.fit.backend(config.backend)
+    picked = config.fit.backend(config.backend, config.torch_device)
     near_m, far_m = _depths(capture, config, frames)
     search_from_m = near_m
     if config.near_m is None and capture.near_m is not None:
         search_from_m = capture.near_m
-    return Prepared(capture, frames, near_m, far_m, search_from_m, backend, initial)
+    return Prepared(capture, frames, near_m, far_m, search_from_m, picked, initial)
 
 
 def _given_gaussians(config: TrainConfig) -> Splats | None:
@@ -140,7 +141,7 @@ def shared_settings(config: TrainConfig, prepared: Prepared) -> dict[str, Any]:
             )
         },
         "raw_stream": config.raw_stream is not None,
-        "backend": type(prepared.backend).__name__,
+        "backend": type(prepared.picked.backend).__name__,
         "first_picture": _fingerprint(prepared.capture, prepared.frames.start),
     }
 

@@ -1,4 +1,5 @@
-"""Where the pictures of a training step are rendered and differentiated: on the CPU or on a GPU.
+"""Where the pictures of a training step are rendered and differentiated: on the CPU, or on a device
+of torch.
 
 A backend is given parameters in host memory and writes gradients to host memory; the optimiser,
 noise and relocation are the same for both.
@@ -6,13 +7,11 @@ noise and relocation are the same for both.
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from typing import Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from codec.errors import InvalidError
 from trainer.pictures.shot import Shot
 
 from .loss import Loss, photometric_loss
@@ -21,7 +20,7 @@ from .target import Targets
 
 Floats = npt.NDArray[np.float32]
 
-BackendName = Literal["auto", "cpu", "cuda"]
+BackendName = Literal["auto", "cpu", "cuda", "torch"]
 
 
 class Backend(Protocol):
@@ -83,31 +82,3 @@ class CpuBackend:
             self._scale_reg,
         )  # fmt: skip
         return loss
-
-
-def _cuda_is_there() -> bool:
-    if find_spec("torch") is None or find_spec("gsplat") is None:
-        return False
-    import torch
-
-    return bool(torch.cuda.is_available())
-
-
-def make_backend(
-    name: BackendName, dssim_weight: float, opacity_reg: float, scale_reg: float
-) -> Backend:
-    """The backend `name`; auto is cuda where torch sees a GPU and gsplat is installed, else cpu.
-
-    Raises InvalidError when cuda is asked for and missing.
-    """
-    if name == "cpu" or (name == "auto" and not _cuda_is_there()):
-        return CpuBackend(dssim_weight, opacity_reg, scale_reg)
-    if not _cuda_is_there():
-        raise InvalidError(
-            "--backend cuda needs an NVIDIA GPU, torch with CUDA and gsplat: pip install '.[cuda]'"
-        )
-    from gsplat import rasterization
-
-    from .cuda import CudaBackend
-
-    return CudaBackend(dssim_weight, opacity_reg, scale_reg, rasterization, "cuda")

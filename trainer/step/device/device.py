@@ -1,6 +1,6 @@
-"""A training step on a GPU: gsplat's rasteriser in place of ours, torch for the loss.
+"""A training step on a device of torch: a rasteriser that is given, and all that surrounds it.
 
-gsplat cuts alpha at 0.999 where recipe v1 cuts at 0.99; everything else of the recipe is the same.
+Colours, loss and regularisers are computed here; the optimiser stays on the host.
 """
 
 from __future__ import annotations
@@ -13,17 +13,19 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from codec.camera import Camera
 from codec.splats import SH_C0
-from player.render.recipe import LOW_PASS_PX2, SH_C1, TILE_PX
+from player.render.recipe import SH_C1
 from trainer.pictures.shot import Shot
+from trainer.step.loss import C1, C2, IGNORED, RADIUS_PX, TAPS, Loss
+from trainer.step.raster import Ints, Parameters, View
 
-from .loss import C1, C2, IGNORED, RADIUS_PX, TAPS, Loss
-from .raster import Ints, Parameters, View
+from .torchproject import Solids
 
 Floats = npt.NDArray[np.float32]
 
-Rasterise = Callable[..., tuple[Tensor, Tensor, dict[str, Any]]]
-"""gsplat.rasterization, or what takes and gives the same."""
+Rasterise = Callable[[Solids, Camera, float], Tensor]
+"""Gaussians, a camera and the near plane in metres give a picture (3, H, W), differentiable."""
 
 
 def _blurred(planes: Tensor, taps: Tensor) -> Tensor:
@@ -56,8 +58,8 @@ def _colours(means: Tensor, sh: Tensor, position: Tensor) -> Tensor:
     return colours.clamp(min=0)
 
 
-class CudaBackend:
-    """Uploads the rows of a step, downloads their gradients; the optimiser stays on the host."""
+class DeviceBackend:
+    """Uploads the rows of a step, downloads their gradients."""
 
     def __init__(
         self,
@@ -67,14 +69,15 @@ class CudaBackend:
         rasterise: Rasterise,
         device: str,
     ) -> None:
-        """rasterise: gsplat.rasterization; device: of torch."""
+        """device: of torch."""
         self._dssim_weight = dssim_weight
         self._opacity_reg, self._scale_reg = opacity_reg, scale_reg
         self._rasterise, self._device = rasterise, torch.device(device)
         self._taps = torch.from_numpy(TAPS.copy()).to(self._device)
 
     def _sent(self, array: npt.NDArray[Any]) -> Tensor:
-        return torch.from_numpy(np.ascontiguousarray(array, np.float32)).to(self._device)
+        # Copied, because torch warns of what cannot be written to.
+        return torch.from_numpy(np.array(array, np.float32, order="C")).to(self._device)
 
     def step(
         self,
@@ -102,9 +105,10 @@ class CudaBackend:
         dssim = _dissimilarity(pred, target, self._taps)
         photometric = (1 - self._dssim_weight) * l1 + self._dssim_weight * dssim
         _, log_scales, _, logits, _ = leaves
+        count = max(len(rows), 1)
         regularisers = (
-            self._opacity_reg * torch.sigmoid(logits).mean()
-            + self._scale_reg * log_scales.exp().mean()
+            self._opacity_reg / count * torch.sigmoid(logits).sum()
+            + self._scale_reg / (3 * count) * log_scales.exp().sum()
         )
         (photometric + regularisers).backward()  # type: ignore[no-untyped-call]
         mine = rows < trainable
@@ -118,27 +122,17 @@ class CudaBackend:
         """(3, H, W) of means, log_scales, quats, logit_opacities, sh as `view` sees them."""
         camera = view.camera
         means, log_scales, quats, logits, sh = leaves
-        pictures, _, _ = self._rasterise(
-            means=means,
-            quats=torch.nn.functional.normalize(quats, dim=1),
-            scales=log_scales.exp(),
-            opacities=torch.sigmoid(logits),
-            colors=_colours(means, sh, self._sent(camera.position)),
-            viewmats=self._sent(camera.w2c)[None],
-            Ks=self._sent(camera.intrinsics)[None],
-            width=camera.width_px,
-            height=camera.height_px,
-            near_plane=view.near_m,
-            eps2d=LOW_PASS_PX2,
-            tile_size=TILE_PX,
-            packed=False,
-            rasterize_mode="classic",
+        solids = Solids(
+            means,
+            torch.nn.functional.normalize(quats, dim=1),
+            log_scales.exp(),
+            torch.sigmoid(logits),
+            _colours(means, sh, self._sent(camera.position)),
         )
-        return pictures[0].permute(2, 0, 1)
+        return self._rasterise(solids, camera, view.near_m)
 
     def _target(self, shot: Shot) -> Tensor:
         """(3, h, w) in 0..1: the shot's picture. Sent as bytes, a quarter of the floats."""
-        # Copied, because torch warns of what cannot be written to.
         pixels = torch.from_numpy(shot.picture.copy()).to(self._device)
         planes = pixels.permute(2, 0, 1).float() / 255
         return torch.nn.functional.avg_pool2d(planes, 2) if shot.is_half else planes

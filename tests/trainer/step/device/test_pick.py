@@ -1,0 +1,147 @@
+"""The backend that is named is taken or refused; auto takes the best that works, and says why."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from codec.errors import InvalidError
+from trainer.step.backend import CpuBackend
+from trainer.step.device import pick
+from trainer.step.device.cuda import CudaBackend
+from trainer.step.device.pick import Weights, pick_backend
+from trainer.step.device.torchraster import TorchBackend
+from trainer.step.loss import Loss
+
+WEIGHTS = Weights(0.2, 0.01, 0.02)
+HAS_GPU = torch.cuda.is_available() or torch.xpu.is_available()
+
+
+def plain_torch(_: Weights, __: str = "") -> TorchBackend:
+    """What stands in for a device that is not here."""
+    return TorchBackend(0.2, 0.01, 0.02, "cpu")
+
+
+class Wrong(TorchBackend):
+    """A device that errs."""
+
+    def step(self, *args: Any, **kwargs: Any) -> Loss:
+        loss = super().step(*args, **kwargs)
+        return Loss(1.01 * loss.value, loss.picture_grad, loss.gain_grad, loss.bias_grad)
+
+
+class Broken(TorchBackend):
+    """A device that lacks an operation."""
+
+    def step(self, *args: Any, **kwargs: Any) -> Loss:
+        raise NotImplementedError("no cumprod here\nsecond line")
+
+
+class Mad(TorchBackend):
+    """A device whose gradients are not numbers."""
+
+    def step(self, *args: Any, **kwargs: Any) -> Loss:
+        loss = super().step(*args, **kwargs)
+        args[7].means[0] = np.nan
+        return loss
+
+
+def not_installed(_: Weights) -> CudaBackend:
+    raise ImportError("gsplat was built for another torch")
+
+
+def test_a_named_backend_is_taken() -> None:
+    assert isinstance(pick_backend("cpu", WEIGHTS).backend, CpuBackend)
+    picked = pick_backend("torch", WEIGHTS, "cpu")
+    assert isinstance(picked.backend, TorchBackend)
+    assert picked.why == "torch on cpu"
+
+
+@pytest.mark.skipif(HAS_GPU or torch.backends.mps.is_available(), reason="torch has a GPU here")
+def test_without_a_gpu_torch_runs_on_the_cpu_and_auto_takes_numba() -> None:
+    assert pick_backend("torch", WEIGHTS).why == "torch on cpu"
+    picked = pick_backend("auto", WEIGHTS)
+    assert isinstance(picked.backend, CpuBackend)
+    assert picked.why == (
+        "cpu (numba), the best without cuda (torch sees no NVIDIA GPU) and torch (no GPU)"
+    )
+    with pytest.raises(InvalidError, match=r"no NVIDIA GPU.*pip install '\.\[cuda\]'"):
+        pick_backend("cuda", WEIGHTS)
+
+
+def test_without_torch_that_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pick, "find_spec", lambda name: None)
+    picked = pick_backend("auto", WEIGHTS)
+    assert isinstance(picked.backend, CpuBackend)
+    assert picked.why == "cpu (numba), the best without cuda (torch is not installed)"
+    with pytest.raises(InvalidError, match=r"pip install '\.\[torch\]'"):
+        pick_backend("torch", WEIGHTS)
+    with pytest.raises(InvalidError, match="torch is not installed"):
+        pick_backend("cuda", WEIGHTS)
+
+
+def test_auto_prefers_gsplat_then_torch_on_a_device_then_numba(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(pick, "_cuda_lacks", lambda: None)
+    monkeypatch.setattr(pick, "_accelerator", lambda: "mps")
+    monkeypatch.setattr(pick, "_cuda", plain_torch)
+    monkeypatch.setattr(pick, "_plain", plain_torch)
+    assert pick_backend("auto", WEIGHTS).why == "cuda (gsplat), the best"
+    monkeypatch.setattr(pick, "_cuda", not_installed)
+    assert pick_backend("auto", WEIGHTS).why == (
+        "torch on mps, the best without cuda (gsplat was built for another torch)"
+    )
+    with pytest.raises(InvalidError, match=r"--backend cuda.*built for another torch"):
+        pick_backend("cuda", WEIGHTS)
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        (Broken, r"no cumprod here"),
+        (Wrong, r"its loss in a trial is 0\.\d+, not 0\.\d+"),
+        (Mad, r"its loss in a trial is nan, not 0\.\d+"),
+    ],
+)
+def test_a_device_that_errs_is_not_taken(
+    monkeypatch: pytest.MonkeyPatch, kind: type[TorchBackend], said: str
+) -> None:
+    def plain(weights: Weights, device: str) -> TorchBackend:
+        return (kind if device == "mps" else TorchBackend)(0.2, 0.01, 0.02, "cpu")
+
+    monkeypatch.setattr(pick, "_cuda_lacks", lambda: "no GPU")
+    monkeypatch.setattr(pick, "_accelerator", lambda: "mps")
+    monkeypatch.setattr(pick, "_plain", plain)
+    picked = pick_backend("auto", WEIGHTS)
+    assert isinstance(picked.backend, CpuBackend)
+    assert "\n" not in picked.why
+    with pytest.raises(InvalidError, match=f"torch on mps does not work here: {said}$"):
+        pick_backend("torch", WEIGHTS)
+
+
+@pytest.mark.parametrize("device", ["abacus", "cuda:93", "meta:x", "vulkan"])
+def test_a_device_that_is_not_there_is_one_line(device: str) -> None:
+    with pytest.raises(InvalidError, match=f"^--torch-device {device}: torch cannot use it") as e:
+        pick_backend("torch", WEIGHTS, device)
+    assert "\n" not in str(e.value)
+    assert len(str(e.value)) < 300
+
+
+@pytest.mark.parametrize("name", ["cpu", "cuda", "auto"])
+def test_a_device_is_for_torch_alone(name: Any) -> None:
+    with pytest.raises(InvalidError, match="--torch-device cpu is for --backend torch"):
+        pick_backend(name, WEIGHTS, "cpu")
+
+
+def test_numba_needs_no_torch() -> None:
+    code = (
+        "import sys; from trainer.fit.config import FitConfig; FitConfig().backend('cpu'); "
+        "sys.exit('torch' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

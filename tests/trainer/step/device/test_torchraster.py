@@ -1,0 +1,165 @@
+"""The rasteriser in plain torch draws and differentiates as the CPU's kernels do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch.profiler import ProfilerActivity, profile
+
+from codec.camera import Camera
+from tests.support.reference_render import turned_camera
+from trainer.pictures.shot import Shot
+from trainer.step.backend import CpuBackend
+from trainer.step.device.torchblend import PAIR_BYTES, SLAB, blend
+from trainer.step.device.torchproject import CONIC_A, CONIC_C, DRAWN, OPACITY, RED, X, Y
+from trainer.step.device.torchraster import TorchBackend
+from trainer.step.device.torchtiles import TensorLists
+from trainer.step.loss import Loss
+from trainer.step.raster import Ints, Parameters, View, render
+
+WEIGHTS = (0.2, 0.01, 0.02)
+NEAR_M = 0.2
+
+
+def scene(count: int, seed: int, sh_degree: int = 0) -> Parameters:
+    """Some behind the camera or beside the picture, some opaque, some too faint to show."""
+    rng = np.random.default_rng(seed)
+    values = Parameters.zeros(count, sh_degree)
+    values.means[:] = rng.uniform(-2, 2, (count, 3))
+    values.log_scales[:] = rng.normal(-2.5, 0.9, (count, 3))
+    values.quats[:] = rng.normal(size=(count, 4))
+    values.logit_opacities[:] = rng.normal(0, 3.5, count)
+    values.sh[:] = rng.normal(size=values.sh.shape)
+    return values
+
+
+def shot_of(camera: Camera, seed: int, masked: bool = False) -> Shot:
+    rng = np.random.default_rng(seed)
+    picture = rng.integers(0, 256, (camera.height_px, camera.width_px, 3), dtype=np.uint8)
+    mask = (rng.random(picture.shape[:2]) > 0.3).astype(np.uint8) if masked else None
+    return Shot(picture, mask)
+
+
+def stepped(
+    backend: CpuBackend | TorchBackend,
+    values: Parameters,
+    camera: Camera,
+    rows: Ints,
+    trainable: int,
+    shot: Shot,
+) -> tuple[Loss, Parameters]:
+    """Of gradients that hold a 7 where nothing was written."""
+    gradients = Parameters(*(np.full_like(a, 7) for a in values.arrays))
+    gain, bias = np.array([1.1, 0.9, 1], np.float32), np.array([0.02, -0.01, 0], np.float32)
+    view = View.prepare(camera, NEAR_M)
+    loss = backend.step(values, rows, view, shot, gain, bias, trainable, gradients)
+    return loss, gradients
+
+
+@given(
+    seed=st.integers(0, 2**31),
+    count=st.integers(1, 400),
+    sh_degree=st.sampled_from([0, 1]),
+    masked=st.booleans(),
+    trained=st.floats(0, 1),
+    batch_bytes=st.sampled_from([1, 3 * SLAB * PAIR_BYTES, 1 << 30]),
+)
+@settings(max_examples=40, deadline=None)
+def test_gradients_are_the_cpu_s_on_any_scene(
+    seed: int, count: int, sh_degree: int, masked: bool, trained: float, batch_bytes: int
+) -> None:
+    values, camera = scene(count, seed, sh_degree), turned_camera()
+    rng = np.random.default_rng(seed)
+    rows = np.sort(rng.permutation(count)[: rng.integers(1, count + 1)]).astype(np.int32)
+    given = (values, camera, rows, round(trained * count), shot_of(camera, seed, masked))
+    wanted, expected = stepped(CpuBackend(*WEIGHTS), *given)
+    found, got = stepped(TorchBackend(*WEIGHTS, "cpu", batch_bytes), *given)
+    assert found.value == pytest.approx(wanted.value, rel=1e-5)
+    for a, b in zip(got.arrays, expected.arrays, strict=True):
+        moved = b != 7
+        np.testing.assert_array_equal(a != 7, moved)
+        scale = np.abs(b[moved]).max(initial=0)
+        off = ~np.isclose(a, b, rtol=5e-3, atol=1e-3 * scale)
+        # Where an alpha rounds to the other side of the least that shows, a pixel differs.
+        assert off.sum() <= max(3, 0.01 * off.size)
+        np.testing.assert_allclose(a[off], b[off], atol=0.05 * scale)
+
+
+def test_a_picture_is_the_cpu_s() -> None:
+    values, camera = scene(3_000, 1, 1), turned_camera()
+    rows, view = np.arange(3_000, dtype=np.int32), View.prepare(camera, NEAR_M)
+    expected = render(values, rows, view).picture[:, : camera.height_px, : camera.width_px]
+    backend = TorchBackend(*WEIGHTS, "cpu")
+    got = backend.render([torch.tensor(array) for array in values.arrays], view).numpy()
+    assert expected.max() > 0.5
+    assert np.abs(got - expected).max() < 1e-4
+
+
+@pytest.mark.parametrize("rows", [[], [0], [0, 1]])
+def test_nothing_that_shows_gives_a_black_picture_and_no_gradient(rows: list[int]) -> None:
+    """No rows at all; one behind the camera; one in its centre and one far beside the picture."""
+    camera = turned_camera()
+    values = scene(2, 0)
+    behind = camera.position - 2 * camera.w2c[2, :3]
+    values.means[0] = behind if len(rows) == 1 else camera.position
+    values.means[1] = 1e4, 0, 0
+    given = (values, camera, np.array(rows, np.int32), 2, shot_of(camera, 0))
+    wanted, expected = stepped(CpuBackend(*WEIGHTS), *given)
+    found, got = stepped(TorchBackend(*WEIGHTS, "cpu"), *given)
+    assert found.value == pytest.approx(wanted.value, rel=1e-6)
+    for a, b in zip(got.arrays, expected.arrays, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-5)
+    assert (got.means[rows] == 0).all()
+
+
+def test_a_pixel_ends_where_the_recipe_says() -> None:
+    """A hundred walls in a row: behind the first, 0.01 of the light is left, and the second would
+    leave less than the recipe allows."""
+    values, camera = scene(100, 0), replace(turned_camera(), w2c=np.eye(4))
+    values.means[:] = np.stack([np.zeros(100), np.zeros(100), np.linspace(2, 3, 100)], 1)
+    values.log_scales[:], values.logit_opacities[:] = 3, 8
+    rows = np.arange(100, dtype=np.int32)
+    given = (values, camera, rows, 100, shot_of(camera, 0))
+    _, expected = stepped(CpuBackend(0.2, 0, 0), *given)
+    _, got = stepped(TorchBackend(0.2, 0, 0, "cpu"), *given)
+    for found in (got, expected):
+        assert (found.sh[0] != 0).any()
+        assert (found.sh[1:] == 0).all()
+    np.testing.assert_allclose(got.sh, expected.sh, rtol=1e-4)
+
+
+def peak_bytes(work: Callable[[], object]) -> int:
+    """The most that `work` has allocated at once, of torch's memory on the CPU."""
+    with profile(activities=[ProfilerActivity.CPU], profile_memory=True) as profiled:
+        work()
+    events = [e for e in profiled.profiler.kineto_results.events() if e.name() == "[memory]"]
+    events.sort(key=lambda event: event.start_ns())
+    return int(np.cumsum([event.nbytes() for event in events]).max())
+
+
+def test_memory_of_blending_is_bounded_whatever_the_lists_hold() -> None:
+    """Sixty tiles with all the Gaussians each, so faint that no pixel ends."""
+    tiles, batch_bytes, rng, peaks = 60, 8 << 20, np.random.default_rng(0), []
+    for count in (200, 2_000):
+        values = np.zeros((count, DRAWN), np.float32)
+        values[:, [X, Y]] = rng.uniform(0, 160, (count, 2))
+        values[:, [CONIC_A, CONIC_C, OPACITY, RED]] = 0.001, 0.001, 0.01, 1
+        drawn = torch.tensor(values, requires_grad=True)
+        everyone = torch.arange(count).repeat(tiles)
+        lists = TensorLists(torch.arange(tiles + 1) * count, everyone, 10)
+        peaks.append(
+            peak_bytes(lambda d=drawn, t=lists: torch.autograd.backward(  # type: ignore[misc]
+                blend(d, t, batch_bytes).sum()
+            ))
+        )  # fmt: skip
+    pictures = 4 * 4 * 3 * 256 * tiles
+    assert peaks[1] < batch_bytes + pictures
+    assert peaks[1] < 1.2 * peaks[0]
+    # It is not the bound that is far too large.
+    assert peaks[1] > batch_bytes / 2
