@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 import logging
+import os
 import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, NoReturn, TypeVar
 
 import tyro
@@ -89,9 +90,27 @@ class _PrintableFormatter(logging.Formatter):
         return printable(super().format(record))
 
 
+OUTPUT = "standard output"
+
+OUTPUT_CLOSED = 128 + 13
+"""Exit code where nobody reads what is printed, as after `head -1`: that of SIGPIPE in a shell."""
+
+
+@contextmanager
+def printing() -> Iterator[None]:
+    """An OSError of what is printed in the block names OUTPUT."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None:
+            error.filename = OUTPUT
+        raise
+
+
 def say(text: str) -> None:
     """Prints `text`, whoever wrote it."""
-    sys.stdout.write(printable(text) + "\n")
+    with printing():
+        sys.stdout.write(printable(text) + "\n")
 
 
 def run_command(
@@ -137,10 +156,24 @@ def run_command(
     try:
         with ending_by_signals():
             run(config)
+            with printing():
+                sys.stdout.flush()
     except KeyboardInterrupt as error:
         sys.exit(128 + (error.number if isinstance(error, Ended) else signal.SIGINT))
     except (SwingsError, OSError) as error:
+        if isinstance(error, OSError) and error.filename == OUTPUT:
+            _forget_output()
+            if isinstance(error, BrokenPipeError):
+                sys.exit(OUTPUT_CLOSED)
         fail(error, 1)
+
+
+def _forget_output() -> None:
+    """What waits to be printed goes nowhere, so that the end of the process does not fail, too."""
+    with suppress(OSError, ValueError):  # a test's output has no descriptor
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
 
 
 def split_option(args: Sequence[str] | None, name: str, **kind: Any) -> tuple[Any, list[str]]:

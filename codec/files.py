@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import stat
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -40,6 +41,12 @@ def temporary_beside(path: Path) -> Path:
         raise InvalidError(f"{path} names no file or folder to write; give it a name") from error
 
 
+def name_file(error: BaseException, path: Path | str) -> None:
+    """Has `error`, if it is one of a full or broken disk and names no file, name `path`."""
+    if isinstance(error, OSError) and error.filename is None and error.errno in DISK_ERRORS:
+        error.filename = str(path)
+
+
 def put_in_place(temporary: Path, path: Path) -> None:
     """Renames the finished file `temporary` to `path`, both of one folder, so that it lasts."""
     with open(temporary, "rb") as file:
@@ -62,10 +69,9 @@ def replacing(path: Path) -> Iterator[Path]:
     except BaseException as error:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            of_disk = error.filename is None and error.errno in DISK_ERRORS
-            if of_disk or error.filename in (str(temporary), temporary):
-                error.filename = str(path)
+        if isinstance(error, OSError) and error.filename in (str(temporary), temporary):
+            error.filename = str(path)
+        name_file(error, path)
         raise
 
 
@@ -73,6 +79,34 @@ def write_atomic(path: Path, data: bytes) -> None:
     """Puts `data` at `path`, see `replacing`."""
     with replacing(path) as temporary:
         temporary.write_bytes(data)
+
+
+@contextmanager
+def making_folder(path: Path) -> Iterator[Path]:
+    """Gives a new folder beside `path` to fill; leaving normally puts it at `path`, which must be
+    absent or an empty folder.
+
+    Leaving by an exception removes it, and what it says of files in it, it says of `path`. What a
+    killed process left is removed by the next one. Raises InvalidError.
+    """
+    temporary = temporary_beside(path)
+    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+        raise InvalidError(f"{path} is not empty; remove it or name another folder")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if temporary.exists():
+            shutil.rmtree(temporary)
+        temporary.mkdir()
+        yield temporary
+        temporary.rename(path)
+        sync_folder(path.parent)
+    except BaseException as error:
+        shutil.rmtree(temporary, ignore_errors=True)
+        if isinstance(error, OSError) and error.filename is not None:
+            inside = Path(os.fsdecode(error.filename))
+            if inside.is_relative_to(temporary):
+                error.filename = str(path / inside.relative_to(temporary))
+        raise
 
 
 def append_durably(path: Path, size_bytes: int, data: bytes) -> None:
@@ -88,9 +122,10 @@ def append_durably(path: Path, size_bytes: int, data: bytes) -> None:
             while rest:  # a full disk takes a part and fails only when asked again
                 rest = rest[file.write(rest) :]
             os.fsync(file.fileno())
-        except BaseException:
+        except BaseException as error:
             with suppress(OSError):
                 file.truncate(size_bytes)
+            name_file(error, path)
             raise
 
 
@@ -100,10 +135,13 @@ def open_without_waiting(path: str, flags: int) -> int:
 
 
 @contextmanager
-def _opened(path: Path, opener: Opener, if_missing: str | None = None) -> Iterator[BinaryIO]:
-    """The regular file at `path`, to be read. Raises CorruptError if it cannot be."""
+def opened_regular(
+    path: Path, opener: Opener | None = None, if_missing: str | None = None
+) -> Iterator[BinaryIO]:
+    """The regular file at `path`, to be read. Raises CorruptError if it cannot be; never waits for
+    who might write into a pipe."""
     try:
-        with open(path, "rb", opener=opener) as file:
+        with open(path, "rb", opener=opener or open_without_waiting) as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
                 raise CorruptError(f"{path} cannot be read: it is not a regular file")
             yield file
@@ -113,7 +151,7 @@ def _opened(path: Path, opener: Opener, if_missing: str | None = None) -> Iterat
     except IsADirectoryError as error:
         raise CorruptError(f"{path} cannot be read: {error.strerror}") from error
     except OSError as error:
-        raise UnreadableError(f"{path} cannot be read: {error.strerror}") from error
+        raise UnreadableError(f"{path} cannot be read: {error.strerror or error}") from error
 
 
 def read_bounded(
@@ -129,7 +167,7 @@ def read_bounded(
     Raises CorruptError if it cannot be read, or if that is more than `limit_bytes`. `if_missing`
     tells the user what it means that there is no such file.
     """
-    with _opened(path, opener, if_missing) as file:
+    with opened_regular(path, opener, if_missing) as file:
         # Python takes at once what it is told to read, however short the file is.
         size = max(os.fstat(file.fileno()).st_size - offset, 0)
         file.seek(offset)
@@ -144,5 +182,5 @@ def read_head(path: Path, head_bytes: int) -> tuple[bytes, int]:
 
     Raises CorruptError if it cannot be read.
     """
-    with _opened(path, open_without_waiting) as file:
+    with opened_regular(path) as file:
         return file.read(head_bytes), os.fstat(file.fileno()).st_size

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .errors import InvalidError
+from .halfway import Motion
 from .splats import Splats, array_shapes
 
 MAX_SWIN_SIZE = 255
@@ -31,12 +32,15 @@ class Slice:
     these rows of its lane and no other. It follows the slice born `swin_size` frames earlier, whose
     other Gaussians go on for `swin_size` frames: the hidden ones hidden, the rest shown from
     `birth` on.
+
+    `motion`: of those of its rows that go on from what stood there; None where that is not known.
     """
 
     birth: int
     splats: Splats
     start_offsets: npt.NDArray[np.uint8]  # (N,) frames after birth
     rows: npt.NDArray[np.int32] | None = None  # (N,) rising, the rows that change; None: whole
+    motion: Motion | None = None
 
     def __post_init__(self) -> None:
         if self.start_offsets.shape != (len(self.splats),):
@@ -57,7 +61,8 @@ class Slice:
     def num_bytes(self) -> int:
         """What the slice takes in memory: of one with rows, these alone."""
         rows_bytes = 0 if self.rows is None else self.rows.nbytes
-        return self.splats.num_bytes + self.start_offsets.nbytes + rows_bytes
+        motion_bytes = 0 if self.motion is None else self.motion.num_bytes
+        return self.splats.num_bytes + self.start_offsets.nbytes + rows_bytes + motion_bytes
 
     def lane(self, swin_size: int) -> int:
         """The lane that this slice takes over, or changes."""
@@ -82,6 +87,10 @@ class Slice:
             f"the slice born at {self.birth} changes the one born at {self.birth - swin_size}; "
             f"its lane holds {found}"
         )
+
+    def corrects(self, last_birth: int | None) -> bool:
+        """Whether it only tells anew what rows of its lane hold, where that has it already."""
+        return self.rows is not None and last_birth == self.birth
 
     def onto(self, before: Slice, swin_size: int) -> Slice:
         """The whole slice that the lane holds from `birth` on, where it held `before` until then.

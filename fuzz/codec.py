@@ -6,7 +6,8 @@ parser (`TARGETS`), the rest is its food.
 
 How to run it, from the root of the repository, in an environment of its own:
 
-    python3 -m venv /tmp/fuzz && /tmp/fuzz/bin/pip install atheris numba numpy zstandard msgpack
+    python3 -m venv /tmp/fuzz
+    /tmp/fuzz/bin/pip install atheris numba numpy zstandard msgpack pillow
     mkdir -p /tmp/found
     /tmp/fuzz/bin/python -m fuzz /tmp/found fuzz/corpus -max_total_time=600 -max_len=8192
 
@@ -18,7 +19,8 @@ New inputs go to the first folder, what breaks the law to ./crash-*. `python -m 
 single files again; `tests/codec/test_fuzz.py` does so with the whole corpus, without atheris. What
 was found and mended is kept in fuzz/corpus as `found-*`; `python -m fuzz.seed` writes the corpus
 anew. A new parser gets a function and a place at the end of TARGETS here, and a seed there; those
-of version 2 are in fuzz/slots.py and fuzz/slotseed.py.
+of version 2 are in fuzz/slots.py and fuzz/slotseed.py, those of other programs' containers in
+fuzz/foreign.py and fuzz/foreignseed.py.
 """
 
 from __future__ import annotations
@@ -33,8 +35,8 @@ import zstandard
 
 from codec.coders.coder import decompress
 from codec.errors import CodecError
+from codec.foreign.spz import ENTRY, HEADER_V4, decode_spz
 from codec.interop.formats import decode_any
-from codec.interop.spz import ENTRY, HEADER_V4, decode_spz
 from codec.profiles.profile import Profile
 from codec.slots.slotlayout import MAX_LAYERS
 from codec.splats import Splats
@@ -44,6 +46,7 @@ from codec.stream.manifest import SLOTS_VERSION, Manifest
 from codec.stream.object import decode_object, decode_packet, object_packets, read_object_table
 from codec.stream.playrecord import RecordParser, encode_record
 
+from .foreign import fuzz_bundle, fuzz_inflated_glb, fuzz_inflated_sog, fuzz_webp
 from .slots import fuzz_change, fuzz_mask, fuzz_slots, fuzz_snapshot
 
 
@@ -136,7 +139,7 @@ def fuzz_sealed_record(data: bytes) -> None:
 
 
 def fuzz_import(data: bytes) -> None:
-    """A file of Gaussians that its first bytes name: PLY, compressed PLY, SPZ."""
+    """A file of Gaussians that its first bytes name: PLY, compressed PLY, SPZ, SOG, glTF."""
     decode_any(data)
 
 
@@ -146,7 +149,7 @@ def fuzz_splat(data: bytes) -> None:
 
 
 def fuzz_inflated_spz(data: bytes) -> None:
-    """The content of an SPZ of version 2 or 3, compressed here."""
+    """The content of an SPZ of version 1, 2 or 3, compressed here."""
     decode_spz(gzip.compress(data, compresslevel=1, mtime=0))
 
 
@@ -197,6 +200,10 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
     "slot_object": fuzz_slot_object,
     "slot_index": fuzz_slot_index,
     "sealed_slot_index": fuzz_sealed_slot_index,
+    "bundle": fuzz_bundle,
+    "webp": fuzz_webp,
+    "inflated_sog": fuzz_inflated_sog,
+    "inflated_glb": fuzz_inflated_glb,
 }
 """The parsers by name. Only ever append: the first byte of an input counts in this order."""
 

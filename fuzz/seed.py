@@ -13,9 +13,9 @@ import zstandard
 
 from codec.camera import Camera
 from codec.coders.coder import Coder
-from codec.interop.ply import encode_ply
-from codec.interop.splat import encode_splat
-from codec.interop.spz import ENTRY, HEADER_V4, MAGIC, encode_spz
+from codec.foreign.ply import encode_ply
+from codec.foreign.splat import encode_splat
+from codec.foreign.spz import ENTRY, HEADER_V4, MAGIC, encode_spz
 from codec.profiles.profile import CHUNK_PROFILES, Profile
 from codec.slice import Slice
 from codec.splats import Floats, Splats, sh_count
@@ -34,6 +34,7 @@ from codec.stream.playrecord import (
 )
 
 from .codec import TARGETS
+from .foreignseed import foreign_seeds, signalling_glb
 from .slots import LAYOUTS
 from .slotseed import slot_seeds
 
@@ -123,8 +124,9 @@ def compressed_ply(count: int, rest: int) -> bytes:
 
 
 def inflated_spz(version: int, count: int, sh_degree: int) -> bytes:
-    """Header and arrays of an SPZ of version 2 or 3, not compressed."""
-    row = 9 + 1 + 3 + 3 + (3 if version == 2 else 4) + 3 * (sh_count(sh_degree) - 1)
+    """Header and arrays of an SPZ of version 1, 2 or 3, not compressed."""
+    row = (6 if version == 1 else 9) + 1 + 3 + 3 + (4 if version == 3 else 3)
+    row += 3 * (sh_count(sh_degree) - 1)
     body = np.random.default_rng(version).integers(0, 256, count * row).astype(np.uint8).tobytes()
     head = HEADER_V4.pack(MAGIC, version, count, sh_degree, 12, 0, 0, 0, bytes(12))
     return head[:16] + body
@@ -182,8 +184,8 @@ def seeds() -> Iterator[tuple[str, str, bytes]]:
         yield "inflated_spz_4", str(degree), inflated_spz_4(3, degree)
     yield "import", "compressed", compressed_ply(5, 0)
     yield "import", "compressed-sh", compressed_ply(3, 9)
-    for version in (2, 3):
-        content = inflated_spz(version, 3, version - 2)
+    for version in (1, 2, 3):
+        content = inflated_spz(version, 3, version // 3)
         yield "import", f"spz-v{version}", gzip.compress(content, mtime=0)
         yield "inflated_spz", str(version), content
     chunk = encode_chunk(made_slice(3, 5, 0), 0, Profile.COMPACT).data
@@ -191,6 +193,7 @@ def seeds() -> Iterator[tuple[str, str, bytes]]:
     yield "splat", "six", encode_splat(made_splats(6, 0))
     yield "manifest", "slots", made_slots_manifest().to_json()
     yield from slot_seeds()
+    yield from foreign_seeds(made_splats(5, 0), made_splats(3, 1))
 
 
 def found() -> Iterator[tuple[str, str, bytes]]:
@@ -200,6 +203,9 @@ def found() -> Iterator[tuple[str, str, bytes]]:
     yield "manifest", "half-a-surrogate-pair", halved
     yield "manifest", "text-for-a-number", manifest.replace(b'"width_px": 64', b'"width_px": "64"')
     yield "manifest", "list-for-a-name", manifest.replace(b'"name": "front"', b'"name": ["front"]')
+    yield "import", "signalling-nan", signalling_glb(made_splats(2, 0))
+    half = inflated_spz(1, 3, 0)
+    yield "inflated_spz", "signalling-half", half[:16] + b"\xff\xfd" + half[18:]
     yield "sealed_record", "bytes-for-a-kind", b"\x81\xa4kind\xc4\x02no"
 
 

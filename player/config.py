@@ -23,6 +23,7 @@ from player.render.renderer import GlVersion, RendererKind
 from player.show.sink import check_output, check_still
 from player.source.locate import split_source
 from player.source.opener import SourceConfig
+from player.view.moment import MOMENT, Moment
 from player.view.path import CameraPath, Size, camera_path, check_path
 from server.abr.link.link import Link
 
@@ -140,7 +141,8 @@ class PlayConfig:
     capture: Annotated[Path | None, tyro.conf.arg(metavar="OUT")] = None
     """Write every frame, exactly once, to this .mp4 or folder of PNGs. Without it: a window."""
     layers: Annotated[int | None, LAYERS] = None
-    """Layers of each slice, 1 to all; auto lets a server choose, and takes all elsewhere."""
+    """Layers of each slice, 1 to all; auto goes by what the link carries in a window and over
+    --link, and takes all elsewhere."""
     camera: Annotated[CameraPathName, CAMERA] = CameraPathName("default")
     """default, camera:NAME, orbit, orbit:DEGREES, or a .json file of key frames."""
     size: Annotated[Size | None, SIZE] = None
@@ -172,14 +174,15 @@ class PlayConfig:
     loop: Annotated[int | None, LOOP] = 1
     """Play the frames so often, or forever; each time the stream is asked for anew."""
     rate: float = 1.0
-    """Seconds of the stream in a second of a window, 0.25 to 4."""
+    """Seconds of the stream in a second of a window, 0.25 to 4. Below 1 there are pictures between
+    the frames, where the stream says what moves."""
     record: Annotated[Path | None, tyro.conf.arg(metavar="JSON")] = None
     """Write where you moved the camera in the window to this file, for --camera."""
     background: Annotated[Colour, COLOUR] = BLACK
     """Of a window: what shows where the Gaussians let light through."""
-    still: Annotated[int | None, tyro.conf.arg(metavar="FRAME")] = None
-    """Draw this frame alone, with all layers unless told otherwise, to the .png that --capture
-    names."""
+    still: Annotated[Moment | None, MOMENT] = None
+    """Draw this frame alone, or the one at a time (2.5s), with all layers unless told otherwise, to
+    the .png that --capture names."""
     turntable: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
     """Go once around the still in this time, or along --camera if that moves, to an .mp4 or a
     folder of PNGs."""
@@ -267,8 +270,6 @@ class PlayConfig:
     def _check_still(self) -> None:
         if self.still is None:
             raise InvalidError("--turntable goes around a still; name its frame with --still")
-        if self.still < 0:
-            raise InvalidError(f"still {self.still}: frames count from 0")
         if self.capture is None:
             raise InvalidError("--still draws into a file; name it with --capture OUT.png")
         self._refuse("--still", ("--frames", self.frames != FrameRange()), *self._of_plays)

@@ -92,6 +92,7 @@ class _Playback:
         self._kind = config.renderer
         self._relay = relay
         self._clock = Clock(real=True)
+        self._layers = config.layers
         self._renderers: list[Renderer] = []
         self._journal = Journal(MAX_ROWS if config.report or config.plot else 0)
         self._summary = PlaySummary(config.source, link=config.link, journal=self._journal)
@@ -114,6 +115,8 @@ class _Playback:
         if self._renderers:
             summary.renderer = self._renderers[-1].name
         summary.uploaded_bytes = sum(one.uploaded_bytes for one in self._renderers)
+        if self._opener.cache is not None:
+            summary.cache = self._opener.cache.counts
         if self._relay is not None:
             summary.link_bytes = self._relay.down_bytes
             summary.link_began_s = self._relay.began_s
@@ -131,7 +134,16 @@ class _Playback:
     def _open(self, first_frame: int) -> Source:
         """Asks for the stream from a frame on."""
         config = self._config
-        return self._opener.open(FrameRange(first_frame, config.frames.end), config.layers)
+        # Files have time to wait for all that there is, unless the link is asked to decide.
+        adaptive = config.capture is None or config.link is not None
+        frames = FrameRange(first_frame, config.frames.end)
+        source = self._opener.open(frames, self._layers, adaptive)
+        if source.adaptive and not adaptive:
+            # How many layers a server has, the stream tells.
+            self._layers = source.num_layers
+            source.close()
+            source = self._opener.open(frames, self._layers)
+        return source
 
     def _events(self, source: Source, play: int, not_before_s: float) -> Events:
         """The queue of a play."""

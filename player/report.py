@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from codec.files import write_atomic
+from player.network.diskcache import CacheCounts
 from player.playout.timeline import PlayoutTotals
 from server.abr.link.link import Link
 
@@ -51,6 +52,8 @@ class PlaySummary:
     """By time.monotonic."""
     link_bytes: int | None = None
     """Bytes that came over `--link`; None without it."""
+    cache: CacheCounts | None = None
+    """What `--cache` saved; None without it."""
     interrupted: bool = False
     journal: Journal = field(default_factory=Journal)
     _before: PlayoutTotals = field(default_factory=PlayoutTotals)
@@ -78,8 +81,8 @@ class PlaySummary:
             f"{totals.frames} frames of {self.source}, drawn by {self.renderer}",
             f"startup {totals.startup_s:.3f} s, {totals.stalls} stalls, "
             f"{totals.stalled_s:.3f} s stalled, {totals.concealed} frames concealed",
-            f"{totals.mean_layers:.2f} layers on average, {totals.wire_bytes} bytes in packets; "
-            f"{totals.late_packets} packets came late",
+            f"{totals.mean_layers:.2f} layers on average, at least {totals.fewest_layers or 0}; "
+            f"{totals.wire_bytes} bytes in packets; {totals.late_packets} packets came late",
         ]
 
     def to_json(self) -> dict[str, Any]:
@@ -99,6 +102,7 @@ class PlaySummary:
                 "stalled_s": totals.stalled_s,
                 "concealed": totals.concealed,
                 "mean_layers": totals.mean_layers,
+                "fewest_layers": totals.fewest_layers,
                 "bytes": totals.wire_bytes,
                 "received_bytes": self.received_bytes,
                 "uploaded_bytes": self.uploaded_bytes,
@@ -107,6 +111,7 @@ class PlaySummary:
                 "most_frames_waiting": totals.most_frames_waiting,
                 "most_bytes_waiting": totals.most_bytes_waiting,
             },
+            "cache": None if self.cache is None else asdict(self.cache),
             "plays": [
                 {"asked_s": play.asked_s, "startup_s": play.startup_s} for play in self.plays
             ],
@@ -115,6 +120,7 @@ class PlaySummary:
                     "play": shown.record.play,
                     "frame": shown.record.frame,
                     "layers": shown.record.layers,
+                    "fewest_layers": shown.record.fewest_layers,
                     "due_s": shown.record.due_s,
                     "shown_s": shown.record.shown_s,
                     "drawn_s": shown.drawn_s,

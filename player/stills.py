@@ -15,13 +15,13 @@ from .openscene import Scene
 
 
 def draw_still(config: PlayConfig) -> str:
-    """Draws frame `config.still` to `config.capture`; gives a line that tells what was drawn.
+    """Draws the frame of `config.still` to `config.capture`; gives a line that tells what it did.
 
     Nothing is fetched but what this frame needs. Raises a SwingsError or an OSError, and leaves no
     half of a file then.
     """
-    frame, out = config.still, config.capture
-    assert frame is not None
+    still, out = config.still, config.capture
+    assert still is not None
     assert out is not None
     with Scene.open(
         config.source,
@@ -30,6 +30,7 @@ def draw_still(config: PlayConfig) -> str:
         gl=config.gl,
         delivery=config.delivery,
     ) as scene:
+        frame = still.of(scene.fps)
         scene.frames(frame, frame + 1)  # raises where there is no such frame
         if config.turntable is None:
             # As a capture of the whole stream shows it.

@@ -38,7 +38,9 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
         {"codec/coders", "codec/profiles", "codec/storage"},
         {"codec/slots"},
         {"codec/stream"},
+        {"codec/foreign"},
         {"codec/interop"},
+        {"codec/sequence"},
         {"codec/tools"},
     ),
     "server": (

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
 from rich.progress import Progress
 
-from codec.console import run_command
+from codec.console import printing, run_command, say
 
 # Threads that wait must not spin: beside other work on few cores that costs more than it saves.
 # It has to be said before the first parallel kernel runs.
@@ -31,12 +30,12 @@ from trainer.synth.film import SynthConfig, synthesise
 
 def _train(config: TrainConfig) -> None:
     if config.check is not None:
-        print("\n".join(check_capture(config.capture, config.check, config.points)))
+        say("\n".join(check_capture(config.capture, config.check, config.points)))
         return
     console = Console(stderr=True)
     # Bytes must not depend on whether this run compiles the kernels.
     train_stream(config, console, lambda: start_over_if_compiled(config.fit.sh_degree, console))
-    print(config.target)
+    say(str(config.target))
 
 
 @contextmanager
@@ -51,7 +50,7 @@ def _evaluate(config: EvaluateConfig) -> None:
     if config.compare is not None:
         with _progress("drawing") as note:
             found = write_side_by_side(config, *config.compare, note)
-        print(found.line)
+        say(found.line)
         return
     score = ablate_quantisation if config.ablate_quantisation else evaluate_stream
     with _progress("scoring") as note:
@@ -59,10 +58,10 @@ def _evaluate(config: EvaluateConfig) -> None:
     if config.sheet is not None:
         write_sheet(config.stream, config.capture, config.sheet)
     if config.json:
-        json.dump(result.to_json(), sys.stdout, indent=1)
-        print()
+        say(json.dumps(result.to_json(), indent=1))
     else:
-        Console().print(result.table())
+        with printing():
+            Console().print(result.table())
 
 
 def synth() -> None:

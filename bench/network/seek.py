@@ -13,6 +13,7 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
+from urllib.parse import urlsplit
 
 import numpy as np
 from rich.console import Console
@@ -23,6 +24,7 @@ from codec.console import option, run_command
 from codec.errors import SwingsError
 from codec.framerange import FrameRange
 from codec.stream import StreamReader, StreamWriter
+from codec.stream.manifest import MANIFEST_NAME
 from player.link.linkprocess import LinkProcess
 from player.link.linktext import read_link
 from player.playout.clock import Clock
@@ -35,6 +37,7 @@ from player.source.opener import Opener
 from player.source.source import Source
 from player.view.path import Size, camera_path
 from server.abr.link.link import Link
+from tests.support.hosted_streams import static_host
 from tests.support.slots.slot_streams import slot_manifest
 from tests.support.slots.trained_updates import trained_like_layout, trained_like_updates
 
@@ -47,7 +50,8 @@ SIZE = Size(640, 360)
 
 @dataclass(frozen=True, slots=True)
 class SeekConfig:
-    """Seeks to frames by chance while a served stream plays over a slow link."""
+    """Seeks to frames by chance while a stream plays over a slow link: from a server, and from
+    static hosts."""
 
     stream: Path | None = None
     """A stream to play; without it one is made that is like a trained one."""
@@ -85,14 +89,14 @@ def make_stream(path: Path, config: SeekConfig) -> None:
             writer.append(update)
 
 
-def measure(config: SeekConfig, stream: Path, port: int) -> list[Seek]:
-    link = LinkProcess(config.link, "127.0.0.1", port)
+def measure(config: SeekConfig, url: str) -> list[Seek]:
+    link = LinkProcess(config.link, "127.0.0.1", urlsplit(url).port or 80)
     clock = Clock(real=True)
     rng = random.Random(0)
-    with link as relay, closing(Opener(f"http://127.0.0.1:{port}", relay.address)) as opener:
+    with link as relay, closing(Opener(url, relay.address)) as opener:
 
         def open_at(frame: int) -> Source:
-            return opener.open(FrameRange(frame), None)
+            return opener.open(FrameRange(frame), None, adaptive=True)
 
         def events(source: Source, play: int, not_before_s: float) -> Events:
             frames = source.frames
@@ -153,20 +157,30 @@ def run(config: SeekConfig) -> None:
             make_stream(stream, config)
         reader = StreamReader(stream)
         num_bytes = sum(sum(record.part_bytes) for record in reader.records)
-        with serving(stream, "--log", "json", log=Path(folder) / "log") as (_, port):
-            seeks = measure(config, stream, port)
+        with (
+            serving(stream, "--log", "json", log=Path(folder) / "log") as (_, port),
+            static_host(stream) as plain_url,
+        ):
+            url = f"http://127.0.0.1:{port}"
+            hosts = {
+                "a server": url,
+                "a host of files": f"{url}/v1/streams/{stream.name}/{MANIFEST_NAME}",
+                "a host without ranges": plain_url,
+            }
+            found = {name: measure(config, url) for name, url in hosts.items()}
     manifest = reader.manifest
-    table = Table("seconds", "p50", "p90", "max")
-    for name, values in (
-        ("to the frame, as it first shows", [one.base_s for one in seeks]),
-        ("to all layers", [one.full_s for one in seeks]),
-    ):
-        cells = np.percentile(values, (50, 90, 100))
-        table.add_row(name, *(f"{cell:.3f}" for cell in cells))
+    table = Table("from", "seconds", "p50", "p90", "max")
+    for host, seeks in found.items():
+        for name, values in (
+            ("to the frame, as it first shows", [one.base_s for one in seeks]),
+            ("to all layers", [one.full_s for one in seeks]),
+        ):
+            cells = np.percentile(values, (50, 90, 100))
+            table.add_row(host, name, *(f"{cell:.3f}" for cell in cells))
     console = Console()
     console.print(table)
     console.print(
-        f"{len(seeks)} seeks, {manifest.num_gs} Gaussians, {manifest.num_layers} layers, "
+        f"{config.seeks} seeks each, {manifest.num_gs} Gaussians, {manifest.num_layers} layers, "
         f"{num_bytes / reader.num_frames / 1e3:.1f} kB a frame"
     )
 

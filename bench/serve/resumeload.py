@@ -21,7 +21,7 @@ import numpy as np
 
 from codec.stream.playrecord import EndRecord, ErrorRecord, RecordParser, SliceRecord
 from player.network.retry import RetryConfig
-from player.source.lastplay import LastPlay
+from player.source.source import LastPlay
 from server.abr.standing import FRAME_HEADER, PLAY_HEADER, RATE_HEADER, Standing, parse_rate
 
 NEWS_S = 1.0

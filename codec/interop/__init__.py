@@ -1,1 +1,1 @@
-"""Streams made of other programs' files of Gaussians, and frames as files for them."""
+"""Files of Gaussians for other programs and from them, of any format."""

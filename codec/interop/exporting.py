@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from codec.errors import InvalidError
+from codec.foreign.spz import SpzVersion
 from codec.framerange import FrameRange
 from codec.storage.openstorage import Place
 from codec.stream.reader import StreamReader
@@ -44,6 +45,7 @@ def export_stream(
     frames: str | None,
     format: SplatFormat | None,
     layers: int | None,
+    spz_version: SpzVersion | None = None,
 ) -> list[Path]:
     """Writes what shows at `frame` to `out`, or each of `frames` to `out`_NNNN.
 
@@ -53,6 +55,8 @@ def export_stream(
     if (frame is None) == (frames is None):
         raise InvalidError("say either --frame F or --frames A:B")
     format = chosen_format(out, format)
+    if spz_version is not None and format is not SplatFormat.SPZ:
+        raise InvalidError(f"--spz-version is for spz; the files would be {format}")
     reader = StreamReader(stream)
     layers = reader.manifest.num_layers if layers is None else layers
     if frames is not None:
@@ -67,7 +71,7 @@ def export_stream(
         splats = reader.active_splats(number, layers)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_splats(path, splats, format)
+            write_splats(path, splats, format, spz_version)
         except OSError as error:
             raise InvalidError(f"{path} cannot be written: {error.strerror}") from error
         written.append(path)

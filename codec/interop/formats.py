@@ -5,23 +5,29 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 
-from codec.errors import CodecError, UnsupportedError
+from codec.errors import CodecError, InvalidError, UnsupportedError
 from codec.files import read_bounded, read_head, write_atomic
+from codec.foreign.bundle import MAGIC as ZIP_MAGIC
+from codec.foreign.compressed_ply import compressed_layout, decode_compressed_ply, is_compressed
+from codec.foreign.gltf import decode_gltf, encode_glb, encode_gltf
+from codec.foreign.gltfbuffers import Beside, check_glb, is_gltf, nothing_beside
+from codec.foreign.limits import MAX_GAUSSIANS
+from codec.foreign.ply import decode_ply, encode_ply, ply_layout
+from codec.foreign.plyheader import MAX_HEADER_BYTES, read_ply_elements
+from codec.foreign.sog import decode_sog, encode_sog
+from codec.foreign.splat import decode_splat, encode_splat, splat_count
+from codec.foreign.spz import SpzVersion, decode_spz, encode_spz, spz_header
 from codec.splats import Splats
-
-from .compressed_ply import compressed_layout, decode_compressed_ply, is_compressed
-from .limits import MAX_GAUSSIANS
-from .ply import decode_ply, encode_ply, ply_layout
-from .plyheader import MAX_HEADER_BYTES, read_ply_elements
-from .splat import decode_splat, encode_splat, splat_count
-from .spz import decode_spz, encode_spz, spz_header
 
 HEAD_BYTES = MAX_HEADER_BYTES
 """What is read of a file before the rest; the other formats have shorter headers than PLY."""
 MAX_FILE_BYTES = MAX_GAUSSIANS * 248 + (1 << 20)
 """Longest file read: the most Gaussians as a PLY of SH degree 3, 248 bytes each."""
+READ = ".ply, compressed .ply, .spz, .splat, bundled .sog, .glb and .gltf"
+"""The files that are read, in words."""
 
 
 class SplatFormat(StrEnum):
@@ -30,12 +36,18 @@ class SplatFormat(StrEnum):
     PLY = "ply"
     SPLAT = "splat"
     SPZ = "spz"
+    SOG = "sog"
+    GLB = "glb"
+    GLTF = "gltf"
 
 
 ENCODERS: dict[SplatFormat, Callable[[Splats], bytes]] = {
     SplatFormat.PLY: encode_ply,
     SplatFormat.SPLAT: encode_splat,
     SplatFormat.SPZ: encode_spz,
+    SplatFormat.SOG: encode_sog,
+    SplatFormat.GLB: encode_glb,
+    SplatFormat.GLTF: encode_gltf,
 }
 
 
@@ -58,9 +70,10 @@ _SPLAT = _Reading(lambda _, file_bytes, most: splat_count(file_bytes, most), dec
 _COMPRESSED_PLY = _Reading(compressed_layout, decode_compressed_ply)
 _PLY = _Reading(ply_layout, decode_ply)
 _SPZ = _Reading(spz_header, decode_spz)
+_SOG = _Reading(lambda *_: None, decode_sog)
 
 
-def _reading(head: bytes, suffix: str) -> _Reading:
+def _reading(head: bytes, suffix: str, beside: Beside = nothing_beside) -> _Reading:
     """How to read a file that begins with `head`. Raises a CodecError if that is unknown."""
     if suffix.lower() == ".splat":
         return _SPLAT
@@ -68,9 +81,14 @@ def _reading(head: bytes, suffix: str) -> _Reading:
         return _COMPRESSED_PLY if is_compressed(read_ply_elements(head)) else _PLY
     if head.startswith((b"NGSP", b"\x1f\x8b")):
         return _SPZ
-    raise UnsupportedError(
-        f"starts with {head[:4]!r}; this program reads .ply, compressed .ply, .spz and .splat"
-    )
+    if head.startswith(ZIP_MAGIC):
+        return _SOG
+    if is_gltf(head):
+        return _Reading(
+            lambda start, file_bytes, _: check_glb(start, file_bytes),
+            partial(decode_gltf, beside=beside),
+        )
+    raise UnsupportedError(f"starts with {head[:4]!r}; this program reads {READ}")
 
 
 def decode_any(data: bytes, suffix: str = "", max_gaussians: int = MAX_GAUSSIANS) -> Splats:
@@ -83,6 +101,11 @@ def decode_any(data: bytes, suffix: str = "", max_gaussians: int = MAX_GAUSSIANS
     return _reading(data, suffix).decode(data, max_gaussians)
 
 
+def _beside(path: Path, name: str) -> bytes:
+    """The file called `name` beside `path`."""
+    return read_bounded(path.with_name(name), MAX_FILE_BYTES)
+
+
 def read_splats(path: Path, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
     """The Gaussians of the file at `path`, at most `max_gaussians`.
 
@@ -91,7 +114,7 @@ def read_splats(path: Path, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
     """
     head, file_bytes = read_head(path, HEAD_BYTES)
     try:
-        reading = _reading(head, path.suffix)
+        reading = _reading(head, path.suffix, partial(_beside, path))
         reading.check(head, file_bytes, max_gaussians)
     except CodecError as error:
         raise error.within(path) from error
@@ -102,8 +125,24 @@ def read_splats(path: Path, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
         raise error.within(path) from error
 
 
-def write_splats(path: Path, splats: Splats, format: SplatFormat) -> int:
-    """Puts `splats` at `path`, whole or not at all; gives the bytes written."""
-    data = ENCODERS[format](splats)
+def encode_splats(
+    splats: Splats, format: SplatFormat, spz_version: SpzVersion | None = None
+) -> bytes:
+    """The file of `splats`. Raises InvalidError, also for an `spz_version` of another format."""
+    if spz_version is None:
+        return ENCODERS[format](splats)
+    if format is not SplatFormat.SPZ:
+        raise InvalidError(f"a version of SPZ, but the format is {format}")
+    return encode_spz(splats, spz_version)
+
+
+def write_splats(
+    path: Path, splats: Splats, format: SplatFormat, spz_version: SpzVersion | None = None
+) -> int:
+    """Puts `splats` at `path`, whole or not at all; gives the bytes written.
+
+    Raises InvalidError for what the format cannot hold, and OSError.
+    """
+    data = encode_splats(splats, format, spz_version)
     write_atomic(path, data)
     return len(data)

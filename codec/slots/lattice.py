@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from codec.errors import InvalidError
 from codec.kernel import kernel
+from codec.pose import Doubles
 from codec.profiles.orientation import canonical, nearest_form
 from codec.profiles.quantise import (
     BASE_COLOUR,
@@ -145,6 +146,14 @@ class States:
             return
         _put(rows, states.positions, states.attributes, self.positions, self.attributes)
 
+    def numbers(self) -> Doubles:
+        """(N, 3 + A) float64: the integers, signed as they are meant."""
+        numbers = np.empty((len(self), 3 + self.attributes.shape[1]))
+        numbers[:, :3] = self.positions
+        numbers[:, 3:] = self.attributes.view(np.int8)
+        numbers[:, -1] = self.attributes[:, -1]
+        return numbers
+
     def copy(self) -> States:
         return States(self.positions.copy(), self.attributes.copy())
 
@@ -165,17 +174,12 @@ def _put(rows, positions, attributes, to_positions, to_attributes):  # type: ign
             to_attributes[rows[i], a] = attributes[i, a]
 
 
-def quantise(
-    splats: Splats, lattice: Lattice, before: States | None = None, hold: float = 0.5
-) -> tuple[States, Flags]:
-    """`splats` on the lattice, and (N,) which of them fit; the others must escape.
+def lattice_values(splats: Splats, lattice: Lattice, before: States | None = None) -> Doubles:
+    """(N, 3 + A) float64: position and attributes of `splats` in steps of `lattice`, not rounded.
 
-    before: what the same Gaussians were. Of the equal forms of a Gaussian the one nearest to it is
-    taken, and a value within `hold` steps of the one before stays that one; from 0.5, which rounds
-    to the nearest, upwards differences get fewer and errors larger; at most MAX_HOLD.
+    Of the equal forms of a Gaussian it is the one nearest to `before`, what the same Gaussians
+    were; without it the canonical one.
     """
-    if not 0 <= hold <= MAX_HOLD:
-        raise InvalidError(f"lattice: hold {hold:g} is not in 0..{MAX_HOLD}")
     count, coefficients = len(splats), splats.sh.shape[1]
     with np.errstate(over="ignore", invalid="ignore"):
         means = splats.means.astype(np.float64)
@@ -201,13 +205,31 @@ def quantise(
         colours = to_luma(rgb).transpose(0, 2, 1) / lattice.colour  # (N, 3, K): all Y, then Co, Cg
         attributes[:, COLOURS:-1] = colours.reshape(count, 3 * coefficients)
         attributes[:, -1] = splats.opacities.astype(np.float64) * (lattice.opacity_levels - 1)
-    values = np.clip(values, -TAME, TAME)
+    clipped: Doubles = np.clip(values, -TAME, TAME)
+    return clipped
+
+
+def quantise(
+    splats: Splats, lattice: Lattice, before: States | None = None, hold: float = 0.5
+) -> tuple[States, Flags]:
+    """`splats` on the lattice, and (N,) which of them fit; the others must escape.
+
+    before: what the same Gaussians were. Of the equal forms of a Gaussian the one nearest to it is
+    taken, and a value within `hold` steps of the one before stays that one; from 0.5, which rounds
+    to the nearest, upwards differences get fewer and errors larger; at most MAX_HOLD.
+    """
+    if not 0 <= hold <= MAX_HOLD:
+        raise InvalidError(f"lattice: hold {hold:g} is not in 0..{MAX_HOLD}")
+    return round_values(lattice_values(splats, lattice, before), lattice, before, hold)
+
+
+def round_values(
+    values: Doubles, lattice: Lattice, before: States | None = None, hold: float = 0.5
+) -> tuple[States, Flags]:
+    """`lattice_values` as integers, and which rows fit; see `quantise`."""
     rounded = np.rint(values)
     if before is not None and hold > 0.5:
-        held = np.empty_like(rounded)
-        held[:, :3] = before.positions
-        held[:, 3:] = before.attributes.view(np.int8)
-        held[:, -1] = before.attributes[:, -1]
+        held = before.numbers()
         rounded = np.where(np.abs(values - held) <= hold, held, rounded)
     # An axis thinner than the lattice holds is flat all the same.
     sizes = rounded[:, 3 + SCALES : 3 + TURNS]
@@ -216,7 +238,7 @@ def quantise(
     high = np.full(values.shape[1], 127.0)
     low[:3], high[:3] = 1 - POSITION_LIMIT, POSITION_LIMIT - 1
     low[-1], high[-1] = 0, lattice.opacity_levels - 1
-    fits = ((rounded >= low) & (rounded <= high)).all(axis=1)
+    fits: Flags = np.all((rounded >= low) & (rounded <= high), axis=1)
     inside = np.clip(rounded, low, high)
     positions = inside[:, :3].astype(np.int32)
     return States(positions, inside[:, 3:].astype(np.int16).astype(np.uint8)), fits

@@ -7,20 +7,21 @@ layout.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from codec.errors import CodecError, CorruptError, InvalidError
+from codec.halfway import Motion
 from codec.slice import Slice, window_births
 from codec.splats import Splats
 
-from .lattice import Bytes, Flags
+from .lattice import Bytes, Flags, Ints
 from .mask import MaskHistory, decode_mask
 from .slotchange import decode_change
 from .slotchunk import BIRTH_AT, LAYER_AT
 from .slotlayout import SlotLayout
-from .slotstate import UNKNOWN, Delta, Rows, Slots, empty_arrays
+from .slotstate import UNKNOWN, Delta, Rows, Slots, empty_arrays, holds
 from .snapshot import decode_snapshot
 from .update import KEPT, NEW, PREDICTED
 
@@ -165,6 +166,7 @@ class SlotDecoder:
         mask: Data | None,
         changes: Sequence[Data | None],
         blamed: Blamed = _as_it_is,
+        with_motion: bool = False,
     ) -> Slice:
         """Goes on by the slice born at `birth`, which follows the last one.
 
@@ -175,6 +177,7 @@ class SlotDecoder:
         unless it was that of the segment's first frame.
         blamed: makes of an error the one that is raised, given the layer of the change at fault,
         or None if it is the mask.
+        with_motion: whether the slice says where its predicted slots come from.
         Gives the slots that changed since the lane's slice before, by late changes and snapshots,
         too, as a slice with rows: row r is slot r of the lane, counted over all layers.
         """
@@ -188,6 +191,7 @@ class SlotDecoder:
         lane = self.layout.lane(birth)
         statuses, deltas = self._read(birth, mask, changes, blamed)
         parts = self._by_layer(statuses)
+        moving = self._moving(lane, parts) if with_motion else None
         for layer, delta in enumerate(deltas):
             slots = self.lanes[lane][layer]
             if layer < len(changes):
@@ -197,7 +201,18 @@ class SlotDecoder:
             slots.advance(delta)
         self.history.note(birth, statuses)
         self._go_on(birth, statuses)
-        return self._changed(birth, [part != KEPT for part in parts])
+        changed = self._changed(birth, [part != KEPT for part in parts])
+        return changed if moving is None else _with_motion(changed, *moving)
+
+    def _moving(self, lane: int, parts: list[Bytes]) -> tuple[Ints, Splats]:
+        """The slots of a lane that are predicted and hold what was handed out, and that."""
+        rows = []
+        for layer, (part, slots) in enumerate(zip(parts, self.lanes[lane], strict=True)):
+            moves = (part == PREDICTED) & holds(slots.conditions)
+            pending = self._pending.get((lane, layer))
+            rows.append(np.flatnonzero(moves if pending is None else moves & ~pending))
+        numbers, splats, _ = self._drawn(lane, rows)
+        return numbers, splats
 
     def _go_on(self, birth: int, statuses: Bytes | None) -> None:
         """Notes that the slices have come to `birth`; statuses: None if its mask is missing."""
@@ -372,17 +387,31 @@ class SlotDecoder:
 
     def _slice(self, birth: int, rows: Iterable[Rows], with_rows: bool) -> Slice:
         """The slots `rows` of each layer in the lane of `birth`."""
-        rows = list(rows)
-        lane = self.lanes[self.layout.lane(birth)]
+        numbers, splats, starts = self._drawn(self.layout.lane(birth), list(rows))
+        return Slice(birth, splats, starts, numbers if with_rows else None)
+
+    def _drawn(self, lane: int, rows: list[Rows]) -> tuple[Ints, Splats, Bytes]:
+        """The slots `rows` of each layer of a lane: their numbers, counted over all layers, what
+        they hold and their start offsets."""
         edges = self.layout.row_edges
         ends = np.cumsum([0, *map(len, rows)])
         arrays = empty_arrays(ends[-1], self.layout.sh_degree)
         starts = np.empty(ends[-1], np.uint8)
         numbers = np.empty(ends[-1], np.int32)
         for layer, of_layer in enumerate(rows):
-            part = slice(ends[layer], ends[layer + 1])
+            part, slots = slice(ends[layer], ends[layer + 1]), self.lanes[lane][layer]
             lattice = self.layout.lattices[layer]
-            lane[layer].draw(of_layer, lattice, tuple(array[part] for array in arrays))
-            starts[part] = lane[layer].starts[of_layer]
+            slots.draw(of_layer, lattice, tuple(array[part] for array in arrays))
+            starts[part] = slots.starts[of_layer]
             numbers[part] = of_layer + edges[layer]
-        return Slice(birth, Splats(*arrays), starts, numbers if with_rows else None)
+        return numbers, Splats(*arrays), starts
+
+
+def _with_motion(changed: Slice, rows: Ints, before: Splats) -> Slice:
+    """`changed`, whose `rows` held `before`. One that shows only later goes no way until then."""
+    assert changed.rows is not None
+    places = np.searchsorted(changed.rows, rows)
+    shows = changed.start_offsets[places] == 0
+    after = changed.splats.take(places[shows])
+    motion = Motion(changed.rows[places[shows]], before.take(np.flatnonzero(shows)), after)
+    return replace(changed, motion=motion)

@@ -140,6 +140,14 @@ def _mean_psnr_db(records: list[SegmentRecord], num_layers: int) -> float | None
     return math.fsum(psnr_db * count for psnr_db, count in known) / frames if frames else None
 
 
+QUALITY_NOTE = (
+    "             bytes of the objects alone; dB as noted while it was written, of one held-out\n"
+    "             camera a frame, in turn. swings-eval adds manifest and index, and scores all of\n"
+    "             them in every frame"
+)
+"""Why the figures of the layers are not quite those of swings-eval."""
+
+
 def describe(summary: StreamSummary) -> str:
     """`summary` for people, one fact on each line."""
     s = summary
@@ -169,6 +177,8 @@ def describe(summary: StreamSummary) -> str:
         + ("" if layer.psnr_db is None else f"  {layer.psnr_db:>6.2f} dB")
         for layer in s.layers
     ]
+    if any(layer.psnr_db is not None for layer in s.layers):
+        lines.append(QUALITY_NOTE)
     if s.slots is not None:
         lines += describe_slots(s.slots)
     return "\n".join(lines)

@@ -6,14 +6,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import tyro
 
 from codec.errors import InvalidError
+from codec.foreign.spz import SpzVersion
 from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat
-from codec.interop.importing import ImportOptions, import_stream
+from codec.sequence.importing import Imported, ImportOptions, import_stream
 from codec.stream.poster import Draw
 
+from .fileprogress import told
 from .static import export_static
 
 
@@ -23,7 +26,8 @@ class Import:
     frame."""
 
     input: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="INPUT")]]
-    """A .ply, compressed .ply, .spz or .splat file, or a folder of them, sorted by number."""
+    """A .ply, compressed .ply, .spz, .splat, bundled .sog, .glb or .gltf file, or a folder of them,
+    a frame each, sorted by number."""
     stream: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="STREAM")]]
     """Folder of the new stream."""
     options: Annotated[ImportOptions, tyro.conf.arg(name="")] = field(default_factory=ImportOptions)
@@ -44,7 +48,10 @@ class Export:
     frames: str | None = None
     """Frames A to B - 1, as A:B; A: and :B go to the ends."""
     format: SplatFormat | None = None
-    """ply is exact, spz small, splat for simple viewers; by default what OUT ends with."""
+    """ply is exact, sog and spz small; glb and gltf are glTF with KHR_gaussian_splatting; splat is
+    for simple viewers. By default what OUT ends with. docs/FORMATS.md says what each keeps."""
+    spz_version: SpzVersion | None = None
+    """Of spz: 2 or 3 are for older programs; by default 4."""
     layers: int | None = None
     """Most important layers to write; all by default."""
     static: bool = False
@@ -52,12 +59,51 @@ class Export:
 
 
 def import_files(config: Import, draw: Draw | None = None) -> str:
-    """Does what `config` says; gives a line about it. draw: for the poster."""
-    made = import_stream(config.input, config.stream, config.options, draw)
-    return (
-        f"{config.stream}: {made.title}, up to {made.num_gs} Gaussians a frame, "
-        f"SH degree {made.sh_degree}, {made.profile}"
+    """Does what `config` says; gives lines about it. draw: for the poster and PSNR."""
+    with told(f"importing {config.input.name}") as progress:
+        made = import_stream(config.input, config.stream, config.options, draw, progress)
+    manifest = made.manifest
+    a_frame = made.played_bytes / made.num_frames
+    lines = [
+        f"{config.stream}: {manifest.title}, up to {manifest.num_gs} Gaussians a frame, "
+        f"SH degree {manifest.sh_degree}, {manifest.profile}"
+    ]
+    lines.append(
+        f"frames       {made.num_frames} at {manifest.fps:g} a second; {made.num_bytes} bytes, "
+        f"{made.played_bytes} of them to play all, {a_frame:.0f} a frame"
     )
+    lines += _slot_lines(made)
+    if made.scores_db:
+        means = np.mean(made.scores_db, axis=0)
+        least = min(scores[-1] for scores in made.scores_db)
+        told_db = ", ".join(f"{db:.1f}" for db in means)
+        lines.append(
+            f"PSNR         {told_db} dB with 1, 2, ... layers against the files, "
+            f"at least {least:.1f} dB with all"
+        )
+    return "\n".join(lines)
+
+
+def _slot_lines(made: Imported) -> list[str]:
+    """What was sent of slots, and how far they are from the files."""
+    if made.errors is None:
+        return []
+    position_m, size, turn, colour, opacity = made.errors.values()
+    lines = [
+        f"errors       at most: positions {position_m:.3g} m, sizes {100 * size:.1f} %, "
+        f"turns {turn:.4f}, colours {colour:.3f}, opacities {opacity:.4f}"
+    ]
+    if made.num_escaped:
+        lines.append(f"exact        {made.num_escaped} Gaussians, which the errors would not hold")
+    total = sum(made.statuses)
+    if total:
+        shares = [f"{100 * count / total:.1f} %" for count in made.statuses]
+        names = "kept", "ended", "moved", "new"
+        told_shares = ", ".join(
+            f"{share} {name}" for share, name in zip(shares, names, strict=True)
+        )
+        lines.append(f"slots        {told_shares}, after the first frame")
+    return lines
 
 
 def export_files(config: Export) -> str:
@@ -65,7 +111,13 @@ def export_files(config: Export) -> str:
     if config.static:
         return _export_static(config)
     written = export_stream(
-        config.stream, config.out, config.frame, config.frames, config.format, config.layers
+        config.stream,
+        config.out,
+        config.frame,
+        config.frames,
+        config.format,
+        config.layers,
+        config.spz_version,
     )
     files = str(written[0]) if len(written) == 1 else f"{written[0]} .. {written[-1].name}"
     total_bytes = sum(path.stat().st_size for path in written)
@@ -74,10 +126,9 @@ def export_files(config: Export) -> str:
 
 
 def _export_static(config: Export) -> str:
-    if (config.frame, config.frames, config.format, config.layers) != (None,) * 4:
-        raise InvalidError(
-            "--static writes the whole stream; leave out --frame, --frames, --format and --layers"
-        )
+    chosen = (config.frame, config.frames, config.format, config.layers, config.spz_version)
+    if chosen != (None,) * 5:
+        raise InvalidError("--static writes the whole stream; leave out what is for frames")
     made = export_static(config.stream, config.out)
     share = 100 * made.size_bytes / made.source_bytes
     return (

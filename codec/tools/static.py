@@ -6,13 +6,12 @@ Everything lies at a fixed relative path, and each file is fetched whole: no ran
 from __future__ import annotations
 
 import hashlib
-import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from codec.coders.coder import Coder
 from codec.errors import InvalidError
-from codec.files import temporary_beside, write_atomic
+from codec.files import making_folder, write_atomic
 from codec.slots.slotchange import encoded_elsewhere as slots_encoded_elsewhere
 from codec.slots.slotchunk import Kind
 from codec.storage.openstorage import Place
@@ -46,21 +45,11 @@ def export_static(stream: Place, out: Path) -> StaticExport:
     exported as far as it has come, and finished. `out` appears whole or not at all. Raises a
     SwingsError that names the file at fault.
     """
-    if out.exists() and not (out.is_dir() and not any(out.iterdir())):
-        raise InvalidError(f"{out} is not empty; remove it or name another folder")
-    temporary = temporary_beside(out)
     reader = StreamReader(stream)
     if not reader.records:
         raise InvalidError(f"{reader.name} has no frames yet; there is nothing to export")
-    out.parent.mkdir(parents=True, exist_ok=True)
-    if temporary.exists():
-        shutil.rmtree(temporary)  # of an export that was killed
-    try:
-        size_bytes = _write(reader, temporary)
-        temporary.rename(out)
-    except BaseException:
-        shutil.rmtree(temporary, ignore_errors=True)
-        raise
+    with making_folder(out) as folder:
+        size_bytes = _write(reader, folder)
     objects_bytes = sum(sum(record.part_bytes) for record in reader.records)
     return StaticExport(
         reader.num_frames,
@@ -72,7 +61,6 @@ def export_static(stream: Place, out: Path) -> StaticExport:
 
 def _write(reader: StreamReader, folder: Path) -> int:
     """Writes all files; gives their bytes, less those of a poster."""
-    folder.mkdir()
     if reader.manifest.has_slots:
         verify_slots(reader)
     # The objects lie here now, whatever other place the manifest of the source names.

@@ -47,6 +47,10 @@ class DiskCache:
         self._num_bytes = sum(size for _, size, _ in self._files())
         self.counts = CacheCounts()
 
+    def has(self, sha256: bytes) -> bool:
+        """Whether there seems to be the object of this hash; not counted."""
+        return self._path(sha256).exists()
+
     def get(self, sha256: bytes) -> bytes | None:
         """The object of this hash, if it is there."""
         path = self._path(sha256)

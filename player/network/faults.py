@@ -20,5 +20,9 @@ class BrokenError(FetchError):
         self.retry_after_s = retry_after_s
 
 
+class MissingError(FetchError):
+    """The host has no such file."""
+
+
 class StoppedError(SwingsError):
     """Whoever waited was told to stop."""

@@ -9,8 +9,9 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Coroutine, Iterator, Mapping
-from contextlib import closing
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from email.utils import parsedate_to_datetime
 from typing import Any, TypeVar
@@ -61,7 +62,7 @@ class Response:
 
 
 class Fetcher:
-    """Requests one after another over connections that are kept; at most one is open at a time.
+    """Requests over connections that are kept, for one reader, who waits for one at a time.
 
     `interrupt` may come from any thread, everything else from one thread at a time.
     """
@@ -84,6 +85,7 @@ class Fetcher:
         self._lock = threading.Lock()
         self._waiting: asyncio.Task[Any] | None = None
         self._stopped = False
+        self._news = asyncio.Event()
         self._received = received
         self.received_bytes = 0
         """Bytes of bodies read so far."""
@@ -100,9 +102,26 @@ class Fetcher:
 
     def open(self, url: str, headers: Mapping[str, str] | None = None) -> OpenResponse:
         """The answer to a GET, its body yet to be read. Close it."""
+        return self._run(self._open(url, headers), url)
+
+    def ask(self, url: str, headers: Mapping[str, str], limit_bytes: int) -> Asked:
+        """A GET whose answer is read whenever somebody waits, see `wait`: it may be that of several
+        at a time. Close it."""
+        return Asked(self, url, headers, limit_bytes, self._news)
+
+    def wait(self, timeout_s: float) -> None:
+        """Returns when something of what was asked for has come, or after `timeout_s`."""
+        self._run(self._wait(timeout_s), "")
+
+    async def _wait(self, timeout_s: float) -> None:
+        with suppress(TimeoutError):
+            async with asyncio.timeout(timeout_s):
+                await self._news.wait()
+        self._news.clear()
+
+    async def _open(self, url: str, headers: Mapping[str, str] | None) -> OpenResponse:
         for _ in range(MAX_REDIRECTS):
-            request = self._request(url, headers=headers)
-            response = self._run(request, url)
+            response = await self._request(url, headers=headers)
             place = response.headers.get("Location")
             if response.status not in REDIRECTS or place is None:
                 return OpenResponse(self, url, response, self.config.idle_s)
@@ -155,16 +174,10 @@ class Fetcher:
             task: asyncio.Task[Result] = self._loop.create_task(work)
             self._waiting = task
         try:
-            return self._loop.run_until_complete(task)
+            with translated(url):
+                return self._loop.run_until_complete(task)
         except asyncio.CancelledError as error:
             raise StoppedError(f"{url}: stopped") from error
-        except CannotConnectError as error:
-            raise BrokenError(f"{url}: cannot connect: {error}") from error
-        except TimeoutError as error:
-            raise BrokenError(f"{url}: no answer in time") from error
-        except (GrammarError, OSError) as error:
-            reason = " ".join(str(error).split()) or type(error).__name__
-            raise BrokenError(f"{url}: the connection broke: {reason}") from error
         except BaseException:
             # An interrupt from the keyboard leaves the task waiting: end it before the loop closes.
             if not task.done():
@@ -196,6 +209,92 @@ class Fetcher:
         answer = await self._request(url, "POST", body)
         answer.close()
         return Response(url, answer.status, answer.headers, b"")
+
+
+@contextmanager
+def translated(url: str) -> Iterator[None]:
+    """Makes what goes wrong on the way to `url` one of our errors."""
+    try:
+        yield
+    except CannotConnectError as error:
+        raise BrokenError(f"{url}: cannot connect: {error}") from error
+    except TimeoutError as error:
+        raise BrokenError(f"{url}: no answer in time") from error
+    except (GrammarError, OSError) as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise BrokenError(f"{url}: the connection broke: {reason}") from error
+
+
+class Asked:
+    """A GET whose answer is read while its asker does other things, as far as he waits for
+    something at all."""
+
+    def __init__(
+        self,
+        fetcher: Fetcher,
+        url: str,
+        headers: Mapping[str, str],
+        limit_bytes: int,
+        news: asyncio.Event,
+    ) -> None:
+        self._fetcher, self.url = fetcher, url
+        self._limit_bytes, self._news = limit_bytes, news
+        self.response: OpenResponse | None = None
+        """None until it has begun."""
+        self.pieces: deque[bytes] = deque()
+        """Of the body, as they came; whoever takes them removes them."""
+        self._task = fetcher._loop.create_task(self._fetch(headers))
+
+    async def _fetch(self, headers: Mapping[str, str]) -> None:
+        fetcher = self._fetcher
+        try:
+            with translated(self.url):
+                self.response = response = await fetcher._open(self.url, headers)
+                if response.status in (200, 206):
+                    await self._read(response)
+        finally:
+            self._news.set()
+
+    async def _read(self, response: OpenResponse) -> None:
+        loop, num_bytes = self._fetcher._loop, 0
+        idle = IdleLimit(self._fetcher.config.idle_s, loop.time())
+        while (left_s := idle.left_s(loop.time())) > 0:
+            piece = await response._read(left_s)
+            if piece == b"":
+                return
+            if piece:
+                num_bytes += len(piece)
+                if num_bytes > self._limit_bytes:
+                    raise FetchError(f"{self.url} is longer than {self._limit_bytes} bytes")
+                idle.received(len(piece))
+                self._fetcher.count(len(piece))
+                self.pieces.append(piece)
+                self._news.set()
+        raise BrokenError(f"{self.url}: {idle.reason(loop.time())}")
+
+    @property
+    def ended(self) -> bool:
+        """Whether no more pieces will come."""
+        return self._task.done()
+
+    @property
+    def error(self) -> FetchError | None:
+        """Why no more will come, where that is not the end."""
+        failure = self._task.exception() if self._task.done() else None
+        if failure is None or isinstance(failure, FetchError):
+            return failure
+        raise failure
+
+    def close(self) -> None:
+        """Drops what was not read, and the connection with it."""
+        task = self._task
+        if not task.done():
+            task.cancel()
+            task.get_loop().run_until_complete(asyncio.wait([task]))
+        elif not task.cancelled():
+            task.exception()  # seen, if nobody has looked
+        if self.response is not None:
+            self.response.close()
 
 
 class OpenResponse:

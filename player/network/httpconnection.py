@@ -87,7 +87,7 @@ class Target:
         parts = urlsplit(url)
         if parts.scheme not in ("http", "https") or not parts.hostname:
             raise ValueError(url)
-        host = parts.hostname if parts.hostname.isascii() else _ascii_host(parts.hostname)
+        host = _ascii_host(parts.hostname)
         default = 443 if parts.scheme == "https" else 80
         port = default if parts.port is None else parts.port
         bracketed = f"[{host}]" if ":" in host else host
@@ -112,6 +112,9 @@ def _one_line(error: Exception) -> str:
 
 
 def _ascii_host(host: str) -> str:
+    """As it is asked for. Raises ValueError for what nobody can be called."""
+    if not host.isprintable() or " " in host:
+        raise ValueError(host)
     return host.encode("idna").decode("ascii")  # a UnicodeError is a ValueError
 
 

@@ -7,14 +7,17 @@ from collections.abc import Mapping
 
 from .httpconnection import GrammarError, Head, Headers, HttpConnection, Target
 
+MAX_IDLE = 4
+"""Idle connections kept for a host: so many requests there are at a time."""
+
 
 class HttpPool:
-    """One idle connection a host at most: requests come one after another."""
+    """Requests may run side by side, each over a connection of its own."""
 
     def __init__(self, connect_timeout_s: float) -> None:
         self._connect_timeout_s = connect_timeout_s
         self.loop = asyncio.new_event_loop()
-        self._idle: dict[tuple[str, str, int], HttpConnection] = {}
+        self._idle: dict[tuple[str, str, int], list[HttpConnection]] = {}
 
     async def request(
         self,
@@ -25,18 +28,20 @@ class HttpPool:
     ) -> Answer:
         """An answer whose body is yet to be read. Raises CannotConnectError, GrammarError, OSError
         and TimeoutError."""
-        kept = self._idle.pop(target.place, None)
-        if kept is not None:
-            await asyncio.sleep(0)  # the host may have closed it while the loop stood
-            if kept.is_open():
-                try:
-                    return await self._ask(kept, method, target, fields, body)
-                except (GrammarError, ConnectionError):
-                    # A host may close what is idle just as it is used again.
-                    if body is not None:
-                        raise
-            else:
+        idle = self._idle.setdefault(target.place, [])
+        if idle:
+            await asyncio.sleep(0)  # a host may have closed some while the loop stood
+        while idle:
+            kept = idle.pop()
+            if not kept.is_open():
                 kept.close()
+                continue
+            try:
+                return await self._ask(kept, method, target, fields, body)
+            except (GrammarError, ConnectionError):
+                # A host may close what is idle just as it is used again.
+                if body is not None:
+                    raise
         opened = await HttpConnection.open(target, self._connect_timeout_s)
         return await self._ask(opened, method, target, fields, body)
 
@@ -57,20 +62,19 @@ class HttpPool:
 
     def keep(self, target: Target, connection: HttpConnection) -> None:
         """Takes back a connection whose answer was read to its end."""
-        if not connection.is_reusable():
+        idle = self._idle.setdefault(target.place, [])
+        if connection.is_reusable() and len(idle) < MAX_IDLE:
+            idle.append(connection)
+        else:
             connection.close()
-            return
-        other = self._idle.pop(target.place, None)
-        if other is not None:
-            other.close()
-        self._idle[target.place] = connection
 
     def close(self) -> None:
         """Closes what is idle, and the loop."""
         if self.loop.is_closed():
             return
-        for connection in self._idle.values():
-            connection.close()
+        for idle in self._idle.values():
+            for connection in idle:
+                connection.close()
         self._idle.clear()
         # In one turn the loop lets go of what was closed.
         self.loop.run_until_complete(asyncio.sleep(0))

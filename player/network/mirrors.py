@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 from codec.stream.manifest import MANIFEST_NAME
 
-from .faults import BrokenError, FetchError
+from .faults import BrokenError, FetchError, MissingError
 from .fetch import Fetcher, OpenResponse, Response
 from .hosts import joined
 from .retry import Retry, RetryConfig
@@ -51,28 +51,19 @@ class Mirrors:
 
     def get(self, reference: str, limit_bytes: int) -> Found:
         """The file that `reference` names; see `url`. Raises FetchError."""
-        retry, found = Retry(self._retry), Found()
-        silent = missing = 0  # hosts in a row
+        tries, found = _Tries(self, self._retry), Found()
         while True:
-            before = len(found.data)
+            before, at = len(found.data), self._at
             try:
                 self._read(self.url(reference), limit_bytes, found)
                 return found
-            except BrokenError as error:
-                silent += 1
-                if len(found.data) - before >= PROGRESS_BYTES:
-                    retry.progress()
-                if silent == len(self._bases):
-                    self._wait(retry, error)
-                    silent = missing = 0
-            except FetchError:
-                missing += 1
-                silent += 1
-                if missing == len(self._bases):
-                    raise
-                if silent == len(self._bases):
-                    silent = missing = 0
-            self._at = (self._at + 1) % len(self._bases)
+            except FetchError as error:
+                tries.failed(error, at, len(found.data) - before)
+
+    def span(self, reference: str, first_byte: int, end_byte: int, file_bytes: int) -> Span:
+        """Bytes first_byte..end_byte-1 of a file of `file_bytes`, which are asked for at
+        once. Close it."""
+        return Span(self, _Tries(self, self._retry), reference, (first_byte, end_byte), file_bytes)
 
     def _wait(self, retry: Retry, error: BrokenError) -> None:
         self._fetcher.pause(retry.delay_s(error, time.monotonic(), random.random()))
@@ -123,17 +114,143 @@ class Mirrors:
                 self._wait(retry, error)
 
 
+class _Tries:
+    """What fails while one file is fetched, and who is asked for it next."""
+
+    def __init__(self, mirrors: Mirrors, retry: RetryConfig) -> None:
+        self._mirrors = mirrors
+        self._retry = Retry(retry)
+        self._silent = self._missing = 0  # hosts in a row
+
+    def failed(self, error: FetchError, at: int, num_bytes: int) -> None:
+        """Host number `at` has failed after `num_bytes` new bytes. Turns to the next one, after a
+        while if all have failed. Raises FetchError when there is no hope."""
+        mirrors, num_hosts = self._mirrors, len(self._mirrors._bases)
+        self._silent += 1
+        if isinstance(error, BrokenError):
+            if num_bytes >= PROGRESS_BYTES:
+                self._retry.progress()
+            if self._silent == num_hosts:
+                mirrors._wait(self._retry, error)
+        else:
+            self._missing += 1
+            if self._missing == num_hosts:
+                raise error
+        if self._silent == num_hosts:
+            self._silent = self._missing = 0
+        if mirrors._at == at:  # else another request has turned away from it
+            mirrors._at = (at + 1) % num_hosts
+
+
+@dataclass(frozen=True, slots=True)
+class SpanPiece:
+    """Some bytes of a file."""
+
+    first_byte: int
+    data: bytes
+
+
+class Span:
+    """A run of bytes of a file, asked for when it is made. What breaks off is asked for again from
+    the byte that is missing."""
+
+    def __init__(
+        self,
+        mirrors: Mirrors,
+        tries: _Tries,
+        reference: str,
+        span: tuple[int, int],
+        file_bytes: int,
+    ) -> None:
+        self._mirrors, self._tries, self._reference = mirrors, tries, reference
+        self._at_byte, self._end_byte = span
+        self._reached_byte = self._at_byte  # by the tries before
+        self._file_bytes = file_bytes
+        self.is_whole = span == (0, file_bytes)
+        """Whether the whole file comes: it was asked for, or the host knows no ranges."""
+        self._ask()
+
+    def _ask(self) -> None:
+        mirrors, fields = self._mirrors, {}
+        self._host = mirrors._at
+        self.url = mirrors.url(self._reference)
+        """Where it is asked for now."""
+        if (self._at_byte, self._end_byte) != (0, self._file_bytes):
+            fields["Range"] = f"bytes={self._at_byte}-{self._end_byte - 1}"
+        self._asked = mirrors._fetcher.ask(self.url, fields, self._file_bytes)
+        self._is_checked = False
+        self._reached_byte = max(self._reached_byte, self._at_byte)
+
+    @property
+    def ended(self) -> bool:
+        """Whether all of it was taken."""
+        return self._at_byte == self._end_byte
+
+    def take(self) -> list[SpanPiece]:
+        """What has come, see `Fetcher.wait`. Waits only where all hosts fail. Raises FetchError."""
+        try:
+            return self._take()
+        except FetchError as error:
+            self.close()
+            self._tries.failed(error, self._host, self._at_byte - self._reached_byte)
+            self._ask()
+            return []
+
+    def _take(self) -> list[SpanPiece]:
+        asked = self._asked
+        if asked.response is not None and not self._is_checked:
+            self._check(asked.response)
+            self._is_checked = True
+        found = []
+        while asked.pieces:
+            found.append(SpanPiece(self._at_byte, asked.pieces.popleft()))
+            self._at_byte += len(found[-1].data)
+        if self._at_byte > self._end_byte:
+            raise FetchError(f"{self.url}: more bytes came than were asked for")
+        if not found and asked.ended:
+            raise asked.error or BrokenError(f"{self.url}: it ended early")
+        return found
+
+    def _check(self, response: OpenResponse) -> None:
+        """Looks whether it is an answer to what was asked for."""
+        if response.status == 206:
+            total = range_total(response)
+            if range_start(response) != self._at_byte:
+                raise BrokenError(f"{self.url}: it answers another range than was asked for")
+        elif response.status == 200:
+            length = response.headers.get("Content-Length", "")
+            known = length.isascii() and length.isdecimal() and len(length) <= 18
+            total = int(length) if known else None
+            self._at_byte, self._end_byte, self.is_whole = 0, self._file_bytes, True
+        else:
+            raise refusal(self.url, response)
+        if total not in (None, self._file_bytes):
+            raise FetchError(f"{self.url}: {total} bytes, the index says {self._file_bytes}")
+
+    def close(self) -> None:
+        """Drops what did not come, and the connection with it."""
+        self._asked.close()
+
+
 def refusal(url: str, response: Response | OpenResponse) -> FetchError:
     """The error for an answer that is not the file."""
     message = f"{url}: HTTP {response.status}"
     if response.status >= 500 or response.status in (408, 416, 429):
         return BrokenError(message, response.retry_after_s)
+    if response.status in (404, 410):
+        return MissingError(message)
     return FetchError(message)
 
 
 def range_start(response: OpenResponse) -> int | None:
     """The byte that an answer of 206 begins with; None if it does not say."""
     found = re.match(r"bytes (\d{1,18})-", response.headers.get("Content-Range", ""))
+    return int(found[1]) if found else None
+
+
+def range_total(response: OpenResponse) -> int | None:
+    """The size of the file that an answer of 206 is a range of; None if it does not say."""
+    found = re.fullmatch(r"bytes [\d-]{1,40}/(\d{1,18})", response.headers.get("Content-Range", ""))
     return int(found[1]) if found else None
 
 

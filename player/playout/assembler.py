@@ -23,9 +23,13 @@ from .slotassembler import SlotAssembler
 class Assembler(Protocol):
     """What one version makes of packets."""
 
-    def take(self, frame: int, packets: Iterable[Packets]) -> list[Slice]:
+    def take(
+        self, frame: int, packets: Iterable[Packets], with_motion: bool = False
+    ) -> list[Slice]:
         """The slices to put before `frame` is drawn, with `packets`, which came into use with it:
         of slices born at or before it. Raises a CodecError.
+
+        with_motion: whether slices say what they move, where the version knows.
 
         Call it for every frame of a playback in order.
         """
@@ -47,7 +51,9 @@ class SliceAssembler:
         self._num_layers = num_layers
         self._chunks: dict[int, dict[int, Chunk]] = {}  # by birth, by layer
 
-    def take(self, frame: int, packets: Iterable[Packets]) -> list[Slice]:
+    def take(
+        self, frame: int, packets: Iterable[Packets], with_motion: bool = False
+    ) -> list[Slice]:
         oldest = frame - self._manifest.swin_size + 1
         altered: set[int] = set()
         for one in packets:

@@ -98,6 +98,7 @@ class Conductor:
         self._wanted: int | None = None
         self._target: int | None = None  # what was sought and does not show yet
         self._source: Source | None = None  # of the play that was begun last
+        self._newest: FrameRecord | None = None  # that was polled
         self._number = 0
         self._stopped = False
         self._failure: BaseException | None = None
@@ -218,12 +219,24 @@ class Conductor:
             records = play.handoff.poll()
             if records:
                 assert self._renderer is not None
+                self._newest = records[-1]
                 self._renderer.upload(records[-1].frame)
                 self.transport.shown = records[-1].frame
                 self._target = None
             if play.handoff.ended:
                 self._changed.notify_all()
             return records
+
+    @property
+    def share(self) -> float:
+        """How much of the way from the frame before to the one that shows is over, for a Renderer's
+        `glide`: less than 1 only where time passes slowly, and then up to a frame later than the
+        frame itself is due. Who stops sees an exact frame."""
+        with self._changed:
+            if self._newest is None or self._clock.rate >= 1 or not self._clock.running:
+                return 1.0
+            passed_s = self._clock.now_s() - self._newest.shown_s
+            return min(max(passed_s * self.transport.fps, 0.0), 1.0)
 
     def state(self) -> PlayState:
         with self._changed:

@@ -142,6 +142,11 @@ class Events:
             self._has_news = True
             self._changed.notify_all()
 
+    @property
+    def is_slow(self) -> bool:
+        """Whether a frame stands for so long that there are pictures between it and the next."""
+        return self._clock.real and self._clock.rate < 1
+
     def step(self) -> bool:
         """Moves the clock on to the next frame; gives whether that is there."""
         with self._changed:

@@ -34,7 +34,9 @@ class SlotAssembler:
         self._decoder = SlotDecoder(manifest.slot_layout, num_layers)
         self._first_frame = first_frame
 
-    def take(self, frame: int, packets: Iterable[Packets]) -> list[Slice]:
+    def take(
+        self, frame: int, packets: Iterable[Packets], with_motion: bool = False
+    ) -> list[Slice]:
         """See Assembler."""
         decoder = self._decoder
         snapshots: dict[int, list[SnapshotPackets]] = {}
@@ -64,7 +66,7 @@ class SlotAssembler:
                 self._load(whole)
                 made = decoder.hand_out(birth)
                 continue
-            made.append(self._apply(birth, gathered))
+            made.append(self._apply(birth, gathered, with_motion))
             self._load(whole)
         return decoder.hand_out(frame) if frame == self._first_frame else made
 
@@ -103,7 +105,7 @@ class SlotAssembler:
             except CodecError as error:
                 raise gathered.blames[layer](error, layer) from error
 
-    def _apply(self, birth: int, gathered: _Gathered) -> Slice:
+    def _apply(self, birth: int, gathered: _Gathered, with_motion: bool) -> Slice:
         parts = gathered.parts
         if MASKS not in parts:
             raise CorruptError(f"the slice born at {birth} is due, and its mask has not come")
@@ -113,4 +115,4 @@ class SlotAssembler:
             return gathered.blames[part](error, part)
 
         changes = [parts.get(layer) for layer in range(self._decoder.num_layers)]
-        return self._decoder.apply(birth, parts[MASKS], changes, blamed)
+        return self._decoder.apply(birth, parts[MASKS], changes, blamed, with_motion)

@@ -69,7 +69,7 @@ def update_thread(
             if due is None:
                 break
             began_s = time.perf_counter()
-            for slice in assembler.take(due.record.frame, due.packets):
+            for slice in assembler.take(due.record.frame, due.packets, events.is_slow):
                 renderer.put(slice)
             handoff.put(replace(due.record, decode_s=time.perf_counter() - began_s))
         handoff.finish()

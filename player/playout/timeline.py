@@ -46,6 +46,9 @@ class FrameRecord:
     """Which play it is of: each seek and each loop begins one."""
     decode_s: float = 0.0
     """What it took to decode and to pack what came into use with it."""
+    fewest_layers: int = 0
+    """Layers that every slice of its window has: one slice that came with fewer is seen for as long
+    as it shows, whatever the mean is."""
 
     @property
     def late(self) -> bool:
@@ -74,6 +77,8 @@ class PlayoutTotals:
     """Frames that came after they were due, and put nothing off."""
     layers: float = 0.0
     """Sum over the frames of the layers that show."""
+    fewest_layers: int | None = None
+    """Of any frame, as FrameRecord says; None before the first."""
     wire_bytes: int = 0
     late_packets: int = 0
     """Packets that came after the first frame that they could show in."""
@@ -84,6 +89,11 @@ class PlayoutTotals:
     def mean_layers(self) -> float:
         return self.layers / self.frames if self.frames else 0.0
 
+    def note_fewest(self, layers: int) -> None:
+        """A frame shows `layers` whole."""
+        known = self.fewest_layers
+        self.fewest_layers = layers if known is None else min(known, layers)
+
     def add(self, other: PlayoutTotals, startup_s: float) -> None:
         """Adds what another play came to, which began to show `startup_s` after it was asked
         for."""
@@ -93,6 +103,8 @@ class PlayoutTotals:
         self.stalled_s += other.stalled_s
         self.concealed += other.concealed
         self.layers += other.layers
+        if other.fewest_layers is not None:
+            self.note_fewest(other.fewest_layers)
         self.wire_bytes += other.wire_bytes
         self.late_packets += other.late_packets
         self.most_frames_waiting = max(self.most_frames_waiting, other.most_frames_waiting)
@@ -241,6 +253,7 @@ class Playout:
             shown_s,
             concealed=concealed,
             play=self._play,
+            fewest_layers=self._shown.whole_layers(frame),
         )
         totals = self.totals
         totals.concealed = self._clock.concealed_frames
@@ -251,6 +264,7 @@ class Playout:
             totals.stalled_s += shown_s - due_s
         totals.frames += 1
         totals.layers += record.layers
+        totals.note_fewest(record.fewest_layers)
         totals.wire_bytes += wire_bytes
         self._next_frame += 1
         self._clock.forget(self._next_frame)

@@ -1,10 +1,17 @@
-"""Slices on their way from the thread that brings them to the thread that draws."""
+"""Slices on their way from the thread that brings them to the thread that draws, and what they
+move."""
 
 from __future__ import annotations
 
 import threading
 from collections import deque
+from collections.abc import Iterable
 from typing import Generic, TypeVar
+
+import numpy as np
+
+from codec.halfway import Motion
+from codec.slice import Slice
 
 Item = TypeVar("Item")
 
@@ -41,3 +48,30 @@ class Arrivals(Generic[Item]):
             dropped = [item for _, item in self._waiting]
             self._waiting.clear()
         return dropped
+
+
+class Glide:
+    """The Gaussians that the newest uploaded slice moves, and how far they have come."""
+
+    def __init__(self) -> None:
+        self._moving: list[tuple[int, Motion]] = []
+        self._share = 1.0
+
+    def begin(self, frame: int, uploaded: Iterable[tuple[int, Motion | None]]) -> None:
+        """All that was uploaded, by birth, is where it belongs; what the slice born at `frame`
+        moves may be drawn on its way."""
+        self._share = 1.0
+        self._moving = [
+            (birth, motion) for birth, motion in uploaded if birth == frame and motion is not None
+        ]
+
+    def to(self, share: float) -> list[Slice]:
+        """What puts them at `share` of their way, 0 to 1, from where they were: slices that correct
+        those of their lanes. Nothing if they are there."""
+        if share == self._share or not self._moving:
+            return []
+        self._share = share
+        return [
+            Slice(birth, motion.at(share), np.zeros(len(motion.rows), np.uint8), motion.rows)
+            for birth, motion in self._moving
+        ]

@@ -10,7 +10,7 @@ from codec.slice import Slice
 from codec.splats import Splats
 from codec.stream.manifest import Manifest
 
-from .arrivals import Arrivals
+from .arrivals import Arrivals, Glide
 from .blend import blend_tiles
 from .project import Projection, camera_vector, project_kernel
 from .recipe import TILE_PX
@@ -29,6 +29,7 @@ class CpuRenderer:
         self._ring = Ring(manifest.swin_size, manifest.slice_size, manifest.sh_degree)
         self._near_m = manifest.near_m
         self._arrivals: Arrivals[Slice] = Arrivals()
+        self._glide = Glide()
         self.name = "CPU"
         self.uploaded_bytes = 0
         self.times: StepTimes | None = None
@@ -41,9 +42,19 @@ class CpuRenderer:
 
     def upload(self, frame: int) -> None:
         with step(self.times, "upload_ms", _nothing):
-            for slice in self._arrivals.take(frame):
+            self.glide(1.0)
+            taken = self._arrivals.take(frame)
+            for slice in taken:
                 self._ring.put(slice)
                 self.uploaded_bytes += slice.num_bytes
+            self._glide.begin(frame, [(slice.birth, slice.motion) for slice in taken])
+
+    def glide(self, share: float) -> bool:
+        moved = self._glide.to(share)
+        for slice in moved:
+            self._ring.correct(slice)
+            self.uploaded_bytes += slice.num_bytes
+        return bool(moved)
 
     def render(self, frame: int, camera: Camera) -> Floats:
         self.upload(frame)

@@ -58,9 +58,14 @@ class Order:
         """Replaces the Gaussians of `lane`, which show in frames starts <= frame < expire.
 
         With `rows`, rising, only those; the others go on until `expire`, and what of them shows at
-        all does so from expire - swin_size on.
+        all does so from expire - swin_size on. Where the lane has that slice already, the others
+        stay as they are.
         """
         count = len(means)
+        if rows is not None and self.expires[lane] == expire:
+            self.means[lane][rows] = means
+            self.starts[lane][rows] = starts
+            return
         self.expires[lane] = expire
         if rows is None:
             self.means[lane, :count] = means

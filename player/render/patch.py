@@ -113,14 +113,23 @@ class PackedLanes:
 
     def pack(self, slice: Slice) -> PackedSlice:
         """The slice, which fits a lane. Raises InvalidError if it changes what its lane lacks."""
-        lane, rows = slice.lane(self._swin_size), slice.rows
+        lane = slice.lane(self._swin_size)
         slice.check_follows(self._births[lane], self._swin_size)
+        self._births[lane] = slice.birth
+        return self._packed(lane, slice)
+
+    def correct(self, slice: Slice) -> PackedSlice | None:
+        """See Packer."""
+        lane = slice.lane(self._swin_size)
+        return self._packed(lane, slice) if slice.corrects(self._births[lane]) else None
+
+    def _packed(self, lane: int, slice: Slice) -> PackedSlice:
+        rows = slice.rows
         starts = np.empty(len(slice.splats), np.int32)
         if rows is None:
             patches = self._replace(lane, slice, starts)
         else:
             patches = self._change(lane, rows, slice, starts)
-        self._births[lane] = slice.birth
         expire = slice.birth + self._swin_size
         means = slice.splats.means
         return PackedSlice(lane, expire, rows, means, starts, patches)

@@ -83,6 +83,12 @@ class Renderer(Protocol):
         """
         ...
 
+    def glide(self, share: float) -> bool:
+        """Draws what the slice of the frame that was uploaded last moves at `share` of its way,
+        0 to 1, from where it was in the frame before, until the next upload; gives whether that is
+        another picture. Only slices with a motion move anything."""
+        ...
+
     def render(self, frame: int, camera: Camera) -> Floats:
         """Uploads up to `frame`, then draws it; see render_again."""
         ...

@@ -50,6 +50,13 @@ class Ring:
             self._write(lane, rows, slice)
         self._births[lane] = slice.birth
 
+    def correct(self, slice: Slice) -> None:
+        """Copies the rows of `slice` into its lane, if that still has the slice that it corrects;
+        all other rows stay."""
+        lane = slice.lane(self.swin_size)
+        if slice.rows is not None and slice.corrects(self._births[lane]):
+            self._write(lane, slice.rows, slice)
+
     def _write(self, lane: int, rows: Rows, slice: Slice) -> None:
         first = lane * self.slice_size
         for array, changed in zip(self.splats.arrays, slice.splats.arrays, strict=True):

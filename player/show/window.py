@@ -83,7 +83,7 @@ class _Shown:
         self, renderer: GlRenderer, note: Note, record_camera: Callable[[int, Camera], object]
     ) -> None:
         """Returns when the window is closed."""
-        frame, drawn, camera = None, None, None
+        frame, drawn, camera, glides = None, None, None, 0
         waiting: list[FrameRecord] = []
         last_s = time.monotonic()
         while not self._window.is_closed:
@@ -94,12 +94,13 @@ class _Shown:
             for record in self._conductor.poll():
                 waiting.append(record)
                 frame = record.frame
+            glides += renderer.glide(self._conductor.share)
             if camera is not None:
                 self._controls.fly(camera, now_s - last_s)
             last_s = now_s
             size = self._window.size_px
             overlays = self._overlays.now(self._conductor, self._controls, size, now_s)
-            state = (frame, self._controls.changes, size, overlays)
+            state = (frame, glides, self._controls.changes, size, overlays)
             if frame is None:
                 self._poster.draw()
             if frame is None or state == drawn or not all(size):

@@ -18,9 +18,8 @@ from player.network.idle import IdleLimit
 from server.abr.standing import Standing
 
 from .bounds import Bounds
-from .lastplay import NO_PLAY
 from .segments import SegmentPlay
-from .source import Packets, check_frames, check_layers
+from .source import NO_PLAY, Packets, check_frames, check_layers
 
 log = logging.getLogger(__name__)
 

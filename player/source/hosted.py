@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from urllib.parse import urljoin
 
-from codec.errors import CodecError, CorruptError
+from codec.errors import CodecError, CorruptError, SwingsError
 from codec.framerange import FrameRange
 from codec.stream.index import SegmentRecord
 from codec.stream.integrity import CheckedObject
@@ -18,14 +19,15 @@ from player.network.diskcache import DiskCache
 from player.network.faults import BrokenError, FetchError
 from player.network.fetch import Fetcher
 from player.network.idle import IdleLimit
-from player.network.mirrors import Mirrors, refusal
+from player.network.mirrors import Mirrors, Span, refusal
 from player.network.retry import RetryConfig
+from server.abr.session import Finished, WaitForFrames, WaitUntil
 from server.abr.standing import Standing
 
 from .hostedindex import REPLACED, HostedIndex
-from .lastplay import NO_PLAY
+from .hostedplay import Ask, HostedPlay, Wait
 from .segments import SegmentPlay
-from .source import Packets, check_frames, check_layers
+from .source import LastPlay, Packets, check_frames, check_layers
 
 log = logging.getLogger(__name__)
 
@@ -34,6 +36,10 @@ WAIT_S = 20
 
 MAX_POLL_S = 5.0
 """Longest time between two looks at the index where the server cannot wait, seconds."""
+
+
+LOOK_S = 0.1
+"""How often it is looked, at least, what is worth asking for and what the player says, seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,20 +82,30 @@ class HostedSource:
         layers: int | None,
         retry: RetryConfig | None = None,
         cache: DiskCache | None = None,
+        adaptive: bool = False,
+        rate_bps: float | None = None,
     ) -> None:
-        """fetcher: is closed together with the source."""
+        """fetcher: is closed together with the source. adaptive: layers may come late or not at
+        all, as the link allows. rate_bps: what that carried at the last play."""
         self.name = name
         self.manifest = place.manifest
         self._index = place.index
         self._fetcher = fetcher
         self._mirrors = Mirrors(place.bases, fetcher, retry or RetryConfig())
         self._cache = cache
-        self.play = NO_PLAY
-        self.adaptive = False
+        self.adaptive = adaptive
+        self._rate_bps = rate_bps
+        self._play: HostedPlay | None = None
+        self._news: Standing | None = None
         self.num_layers = check_layers(layers, self.manifest, name)
         if not self._index.records:
             self._index.grow(self._mirrors)
         self.frames = check_frames(frames, self.manifest, self._index.num_frames, name)
+
+    @property
+    def play(self) -> LastPlay:
+        found = self._play.session.rate_bps if self._play else None
+        return LastPlay(rate_bps=found or self._rate_bps)
 
     @property
     def num_frames(self) -> int:
@@ -123,6 +139,10 @@ class HostedSource:
         return checked
 
     def packets(self) -> Iterator[Packets]:
+        return self._chosen() if self.adaptive else self._all()
+
+    def _all(self) -> Iterator[Packets]:
+        """All layers, segment by segment."""
         play = SegmentPlay(self.manifest, self.num_layers, self.frames)
         while (segment := play.segment) is not None:
             if segment >= len(self._index.records) and not self._follow():
@@ -131,29 +151,111 @@ class HostedSource:
                 record = self._index.records[segment]
                 yield from play.packets({part: self._object(record, part) for part in play.parts})
 
+    def _chosen(self) -> Iterator[Packets]:
+        """The layers that the link can carry, those of the next frames first."""
+        records, cache = self._index.records, self._cache
+        now_s = time.monotonic()
+        self._play = play = HostedPlay(
+            self.manifest, records, self.frames, now_s, self._rate_bps, cache
+        )
+        open_spans: dict[Ask, Span] = {}
+        look_s, idle = now_s + self._poll_s, IdleLimit(self._fetcher.config.idle_s, now_s)
+        try:
+            while True:
+                self._hear(play)
+                wait = self._ask(play, open_spans)
+                yield from play.packets()
+                if isinstance(wait, Finished) and not open_spans:
+                    return
+                until_s = wait.time_s if isinstance(wait, WaitUntil) else math.inf
+                self._fetcher.wait(min(max(until_s - time.monotonic(), 0.0), LOOK_S))
+                self._take(play, open_spans)
+                now_s = time.monotonic()
+                if not isinstance(wait, WaitForFrames):
+                    idle.useful(now_s)
+                if not self.manifest.live or now_s < look_s:
+                    continue
+                if self._look():
+                    idle.useful(time.monotonic())
+                elif self.manifest.live and not idle.left_s(now_s):
+                    self._warn()
+                    return
+                play.media.manifest = self.manifest
+                look_s = time.monotonic() + self._poll_s
+        except (FetchError, CorruptError) as error:
+            raise self._explained(error) from error
+        finally:
+            # By the thread that reads: the next source may use the connections already.
+            for span in open_spans.values():
+                span.close()
+
+    def _hear(self, play: HostedPlay) -> None:
+        news, self._news = self._news, None
+        if news is not None:
+            play.session.told(time.monotonic(), news)
+
+    def _ask(self, play: HostedPlay, open_spans: dict[Ask, Span]) -> Wait:
+        """Sends the requests that are worth it now."""
+        while isinstance(ask := play.next(time.monotonic()), Ask):
+            reference = self.manifest.object_path(ask.segment, ask.part)
+            number = self.manifest.part_number(ask.part)
+            file_bytes = self._index.records[ask.segment].part_bytes[number]
+            span = self._mirrors.span(reference, ask.first_byte, ask.end_byte, file_bytes)
+            open_spans[ask] = span
+        return ask
+
+    def _take(self, play: HostedPlay, open_spans: dict[Ask, Span]) -> None:
+        """Takes in what has come."""
+        for ask, span in list(open_spans.items()):
+            pieces = span.take()
+            if pieces and span.is_whole:
+                play.comes_whole(ask, time.monotonic())
+            for piece in pieces:
+                play.come(ask, span.url, piece.first_byte, piece.data)
+            if span.ended:
+                play.ended(ask)
+                open_spans.pop(ask).close()
+
+    def _explained(self, error: SwingsError) -> SwingsError:
+        """Another error where the host has another stream by now."""
+        if isinstance(error, BrokenError) or not self._index.is_replaced(self._mirrors):
+            return error
+        return CorruptError(f"{self.name}: {REPLACED}")
+
+    @property
+    def _poll_s(self) -> float:
+        """Between two looks at the index of a live stream, seconds."""
+        return min(max(self.manifest.segment_frames / self.manifest.fps / 4, 0.2), MAX_POLL_S)
+
     def _follow(self) -> bool:
         """Waits for the index to grow; gives whether there may be more."""
-        poll_s = min(max(self.manifest.segment_frames / self.manifest.fps / 4, 0.2), MAX_POLL_S)
         idle_s = self._fetcher.config.idle_s
         idle = IdleLimit(idle_s, time.monotonic())
         while self.manifest.live:
             began_s = time.monotonic()
-            if self._index.grow(self._mirrors, WAIT_S):
+            if self._look(WAIT_S):
                 return True
-            self._read_manifest()
             if not self.manifest.live:
-                return self._index.grow(self._mirrors)
+                return False
             if not idle.left_s(time.monotonic()):
-                log.warning(
-                    "%s: no new frames for %.0f s; it ends here",
-                    self.name,
-                    self._fetcher.config.idle_s,
-                )
+                self._warn()
                 return False
             # A host that knows no `wait` has answered at once.
-            if time.monotonic() - began_s < poll_s:
-                self._fetcher.pause(poll_s)
+            if time.monotonic() - began_s < self._poll_s:
+                self._fetcher.pause(self._poll_s)
         return False
+
+    def _look(self, wait_s: int = 0) -> bool:
+        """Looks whether a live stream has grown, or has ended; gives whether there is more of
+        it."""
+        if self._index.grow(self._mirrors, wait_s):
+            return True
+        self._read_manifest()
+        return not self.manifest.live and self._index.grow(self._mirrors)
+
+    def _warn(self) -> None:
+        idle_s = self._fetcher.config.idle_s
+        log.warning("%s: no new frames for %.0f s; it ends here", self.name, idle_s)
 
     def _read_manifest(self) -> None:
         found = self._mirrors.get(MANIFEST_NAME, MAX_MANIFEST_BYTES)
@@ -166,7 +268,8 @@ class HostedSource:
         self.manifest = manifest
 
     def tell(self, standing: Standing) -> bool:
-        return False
+        self._news = standing
+        return self.adaptive
 
     def interrupt(self) -> None:
         self._fetcher.interrupt()

@@ -25,10 +25,9 @@ from player.network.retry import Retry, RetryConfig
 from .directory import DirectorySource
 from .glance import Glance, glance
 from .hosted import HostedSource
-from .lastplay import NO_PLAY
 from .locate import Place, ServedPlace, locate
 from .served import ServedSource
-from .source import Source
+from .source import NO_PLAY, Source
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,16 +74,17 @@ class Opener:
         self._using: Fetcher | None = None
         self._stopped = False
 
-    def open(self, frames: FrameRange, layers: int | None) -> Source:
+    def open(self, frames: FrameRange, layers: int | None, adaptive: bool = False) -> Source:
         """The stream from `frames.first` on. Of the one before it all packets must have come, or it
         must be closed.
 
-        layers: None lets a server choose, and takes all elsewhere. Raises CorruptError when the
+        layers: None lets a server choose, and takes all elsewhere. adaptive: from a static host
+        those that the link allows, where layers is None. Raises CorruptError when the
         stream is not the one that was opened before.
         """
         fetcher = self._use()
         try:
-            source = self._open_patiently(fetcher, frames, layers)
+            source = self._open_patiently(fetcher, frames, layers, adaptive)
         except BaseException:
             fetcher.close()
             raise
@@ -113,28 +113,35 @@ class Opener:
                 raise StoppedError(f"{self.name}: stopped")
         return fetcher
 
-    def _open_patiently(self, fetcher: Fetcher, frames: FrameRange, layers: int | None) -> Source:
+    def _open_patiently(
+        self, fetcher: Fetcher, frames: FrameRange, layers: int | None, adaptive: bool
+    ) -> Source:
         retry = Retry(self._config.retry)
         while True:
             try:
-                return self._open(fetcher, frames, layers)
+                return self._open(fetcher, frames, layers, adaptive)
             except BrokenError as error:
                 if self._last is None:
                     raise  # a wrong address should be told at once
                 fetcher.pause(retry.delay_s(error, time.monotonic(), random.random()))
 
-    def _open(self, fetcher: Fetcher, frames: FrameRange, layers: int | None) -> Source:
+    def _open(
+        self, fetcher: Fetcher, frames: FrameRange, layers: int | None, adaptive: bool
+    ) -> Source:
         place = self._find(fetcher)
         if isinstance(place, Path):
             return DirectorySource(place, frames, layers)
+        # Whoever hears of the link does not start blind.
+        last_play = self._last.play if self._last else NO_PLAY
         if isinstance(place, ServedPlace):
-            # A server that hears of the link does not start blind.
-            last_play = self._last.play if self._last else NO_PLAY
             return ServedSource(
                 self.name, place.urls, fetcher, frames, layers, self._config.retry, last_play
             )
         retry, cache = self._config.retry, self.cache
-        return HostedSource(self.name, place, fetcher, frames, layers, retry, cache)
+        chosen, rate_bps = adaptive and layers is None, last_play.rate_bps
+        return HostedSource(
+            self.name, place, fetcher, frames, layers, retry, cache, chosen, rate_bps
+        )
 
     def _check(self, manifest: Manifest) -> None:
         before = self.manifest
@@ -162,10 +169,11 @@ def opened(
     layers: int | None = None,
     via: tuple[str, int] | None = None,
     config: SourceConfig | None = None,
+    adaptive: bool = False,
 ) -> Iterator[Source]:
-    """The stream that `source` names, opened once."""
+    """The stream that `source` names, opened once; see `Opener.open`."""
     with (
         closing(Opener(source, via, config=config)) as opener,
-        closing(opener.open(frames or FrameRange(), layers)) as found,
+        closing(opener.open(frames or FrameRange(), layers, adaptive)) as found,
     ):
         yield found

@@ -47,9 +47,8 @@ from server.abr.standing import (
 
 from .bounds import Bounds
 from .hostedindex import REPLACED
-from .lastplay import NO_PLAY, LastPlay
 from .receiver import Receiver
-from .source import Packets, check_frames, check_layers
+from .source import NO_PLAY, LastPlay, Packets, check_frames, check_layers
 
 LOOK_S = 5.0
 """How often it is looked whether the playback is paused while nothing comes, seconds."""

@@ -14,9 +14,7 @@ from codec.errors import CodecError, InvalidError
 from codec.framerange import FrameRange
 from codec.stream.manifest import Manifest, Part
 from server.abr.holding import Holding
-from server.abr.standing import Standing
-
-from .lastplay import LastPlay
+from server.abr.standing import PLAY_HEADER, RATE_HEADER, Standing
 
 Blame = Callable[[CodecError, Part], CodecError]
 """Makes an error name where the packet of a part came from."""
@@ -83,6 +81,27 @@ class SnapshotPackets:
 
 
 Packets = SlicePackets | SnapshotPackets
+
+
+@dataclass(frozen=True, slots=True)
+class LastPlay:
+    """What a server, or the link, said of a play: the next one is asked for with it."""
+
+    token: str = ""
+    """What the server called it; empty where it gave no name."""
+    rate_bps: float | None = None
+    """What it took the link to carry, bits per second, when it last said so: a server that does
+    not know the play, as it was started again since, goes by this."""
+
+    def headers(self) -> dict[str, str]:
+        """For the request of the next play."""
+        headers = {PLAY_HEADER: self.token} if self.token else {}
+        if self.rate_bps is not None:
+            headers[RATE_HEADER] = str(round(self.rate_bps))
+        return headers
+
+
+NO_PLAY = LastPlay()
 
 
 class Source(Protocol):

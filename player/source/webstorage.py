@@ -6,8 +6,6 @@ its own thread, and no second one can run there.
 
 from __future__ import annotations
 
-import random
-import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
@@ -16,10 +14,10 @@ from urllib.parse import urlsplit
 from codec.errors import CorruptError, InvalidError, UnreadableError
 from codec.storage.storage import Stamp
 from codec.stream.manifest import MANIFEST_NAME, OBJECT_URL, SEGMENTS_NAME
-from player.network.faults import BrokenError, FetchError
+from player.network.faults import MissingError
 from player.network.fetch import FetchConfig, Fetcher
 from player.network.hosts import joined
-from player.network.retry import Retry
+from player.network.mirrors import Mirrors
 
 from .hosted import HostedPlace
 from .locate import ServedPlace, locate
@@ -91,20 +89,11 @@ class WebStorage:
     def _get(self, url: str, limit_bytes: int) -> bytes | None:
         """The body at `url`, asked for again while the connection breaks; None if there is
         nothing."""
-        retry = Retry(self._config.retry)
-        while True:
-            try:
-                response = self._fetcher.get(url, limit_bytes)
-                if response.status == 200:
-                    return response.body
-                if response.status in (404, 410):
-                    return None
-                if response.status < 500 and response.status != 429:
-                    raise FetchError(f"{url}: HTTP {response.status}")
-                raise BrokenError(f"{url}: HTTP {response.status}", response.retry_after_s)
-            except BrokenError as error:
-                now_s = time.monotonic()
-                self._fetcher.pause(retry.delay_s(error, now_s, random.random()))
+        mirrors = Mirrors((self._base,), self._fetcher, self._config.retry)
+        try:
+            return bytes(mirrors.get(url, limit_bytes).data)
+        except MissingError:
+            return None
 
     # What nobody asks of a single stream.
 

@@ -49,6 +49,10 @@ class Holding(ABC):
         """Layers that show in `frame`; a part of one counts as that part."""
         return sum(self.shares(frame))
 
+    def whole_layers(self, frame: int) -> int:
+        """Layers of which nothing is missing in `frame`, whichever slice it comes from."""
+        return sum(share >= 1 for share in self.shares(frame))
+
     def psnr_db(self, frame: int) -> float:
         """What the index promises for `frame` as it shows, dB."""
         gains = self.media.sizes(frame).gains_db

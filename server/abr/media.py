@@ -6,8 +6,8 @@ Rule: sizes and qualities only; the bytes themselves are somebody else's.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate, pairwise
 from typing import Protocol
@@ -80,6 +80,77 @@ class Media(Protocol):
     def sizes(self, birth: int) -> SegmentSizes:
         """Of the segment of the slice born at `birth`, which may lie before 0."""
         ...
+
+
+class RecordedMedia:
+    """A stream as its manifest and its index tell it."""
+
+    def __init__(
+        self,
+        manifest: Manifest,
+        records: Sequence[SegmentRecord],
+        is_here: Callable[[SegmentRecord, int], bool] = lambda record, number: False,
+    ) -> None:
+        """records: may grow. is_here: whether a part of a segment, by its number, is there already
+        and takes nothing."""
+        self.manifest = manifest
+        """Of a live stream another one says when it has ended."""
+        self._records = records
+        self._is_here = is_here
+        self._sizes: dict[int, SegmentSizes] = {}
+
+    @property
+    def fps(self) -> float:
+        return self.manifest.fps
+
+    @property
+    def swin_size(self) -> int:
+        return self.manifest.swin_size
+
+    @property
+    def segment_frames(self) -> int:
+        return self.manifest.segment_frames
+
+    @property
+    def num_frames(self) -> int:
+        last = self._records[-1] if self._records else None
+        return last.first_frame + last.num_frames if last else 0
+
+    @property
+    def live(self) -> bool:
+        return self.manifest.live
+
+    @property
+    def has_slots(self) -> bool:
+        return self.manifest.has_slots
+
+    @property
+    def num_layers(self) -> int:
+        return self.manifest.num_layers
+
+    def sizes(self, birth: int) -> SegmentSizes:
+        """What the index says of the segment of `birth`, when it was asked first."""
+        segment = self.manifest.segment_of(birth)
+        found = self._sizes.get(segment)
+        if found is None:
+            found = self._sizes[segment] = self._look(self._records[segment])
+        return found
+
+    def _look(self, record: SegmentRecord) -> SegmentSizes:
+        sizes = segment_sizes(record, self.manifest)
+        here = [self._is_here(record, number) for number in range(len(record.part_bytes))]
+        if not any(here):
+            return sizes
+        num_layers = self.num_layers
+        return replace(
+            sizes,
+            layer_bytes=tuple(map(_lacking, sizes.layer_bytes, here)),
+            snapshot_bytes=tuple(map(_lacking, sizes.snapshot_bytes, here[num_layers + 1 :])),
+        )
+
+
+def _lacking(num_bytes: float, is_here: bool) -> float:
+    return 0.0 if is_here else num_bytes
 
 
 def segment_start(media: Media, birth: int) -> int:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -149,3 +150,48 @@ def test_a_signal_that_is_ignored_stays_ignored() -> None:
     process.send_signal(signal.SIGTERM)
     assert process.communicate(timeout=20)[0] == "cleaning\nclean\n"
     assert process.returncode == 128 + signal.SIGTERM
+
+
+PRINTER = """
+import sys
+from dataclasses import dataclass
+from codec.console import run_command, say
+
+@dataclass(frozen=True)
+class Lines:
+    count: int = 3
+
+def tell(lines):
+    for number in range(lines.count):
+        say(f"line {number}")
+
+run_command(Lines, tell, "tell", "Tells lines.")
+"""
+
+
+@pytest.mark.parametrize("count", [3, 100_000])
+def test_who_reads_the_first_line_only_gets_it_and_no_complaint(count: int) -> None:
+    teller = subprocess.Popen(
+        [sys.executable, "-c", PRINTER, "--count", str(count)],
+        cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert teller.stdout is not None
+    assert teller.stderr is not None
+    if count > 3:
+        assert teller.stdout.readline() == "line 0\n"
+    teller.stdout.close()  # with few lines before the command has printed any
+    assert teller.stderr.read() == ""
+    teller.stderr.close()
+    assert teller.wait(timeout=30) == 141
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs Linux: /dev/full")
+@pytest.mark.parametrize("count", [3, 100_000])
+def test_a_full_disk_under_the_output_is_one_line(count: int) -> None:
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-c", PRINTER, "--count", str(count)],
+            cwd=ROOT, stdout=full, stderr=subprocess.PIPE, text=True, timeout=30,
+        )  # fmt: skip
+    assert done.returncode == 1
+    assert done.stderr == "tell: [Errno 28] No space left on device: 'standard output'\n"

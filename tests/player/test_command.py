@@ -76,6 +76,7 @@ def test_a_folder_into_a_video_with_a_report(library: Path, tmp_path: Path) -> N
     told = json.loads(report.read_text())
     assert [f["frame"] for f in told["frames"]] == list(range(13))
     assert {f["layers"] for f in told["frames"]} == {2}
+    assert {f["fewest_layers"] for f in told["frames"]} == {2}
     assert all(f["shown_s"] >= f["due_s"] for f in told["frames"])
     totals = told["totals"]
     assert totals["frames"] == 13
@@ -119,6 +120,38 @@ def test_every_source_draws_the_same_frames(
             file = tmp_path / str(number) / f"frame_{frame:05d}.png"
             np.testing.assert_array_equal(np.asarray(Image.open(file)), expected)
     assert len(list((tmp_path / "0").iterdir())) == 6
+
+
+def test_a_capture_of_a_served_stream_is_that_of_its_folder(
+    library: Path, server: ServerProcess, tmp_path: Path
+) -> None:
+    """A server that chooses by what comes in time would begin with fewer layers."""
+    layers = StreamReader(library / "one").manifest.num_layers
+    for name, source in (("folder", str(library / "one")), ("served", server.url)):
+        config = PlayConfig(source, capture=tmp_path / name, renderer=CPU, loop=2)
+        summary = play(config)
+        assert summary.totals.fewest_layers == summary.totals.mean_layers == layers
+        assert summary.totals.frames == 26
+    for ours, theirs in zip(
+        sorted((tmp_path / "served").iterdir()),
+        sorted((tmp_path / "folder").iterdir()),
+        strict=True,
+    ):
+        assert ours.read_bytes() == theirs.read_bytes()
+
+
+def test_a_slice_of_fewer_layers_is_told_for_as_long_as_it_shows(
+    server: ServerProcess, tmp_path: Path
+) -> None:
+    report = tmp_path / "report.json"
+    # Layer 0 alone comes in time; the mean over the window hides for how many slices.
+    link = read_link("300k,5ms")
+    play(PlayConfig(server.url, capture=tmp_path / "out", renderer=CPU, link=link, report=report))
+    told = json.loads(report.read_text())
+    frames = told["frames"]
+    assert told["totals"]["fewest_layers"] == min(f["fewest_layers"] for f in frames) == 1
+    assert all(f["fewest_layers"] <= f["layers"] for f in frames)
+    assert any(f["fewest_layers"] < f["layers"] for f in frames)
 
 
 def test_plays_follow_each_other_on_one_clock(server: ServerProcess, tmp_path: Path) -> None:

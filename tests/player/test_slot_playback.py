@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -96,20 +97,50 @@ def test_layers_come_and_go_over_a_link_and_only_what_is_known_shows(
     assert len(layers) == NUM_FRAMES
 
 
-def test_a_whole_playback_over_a_link(
-    library: Path, served_library: ServerProcess, tmp_path: Path
-) -> None:
+@contextmanager
+def some_server(library: Path, kind: str) -> Iterator[str]:
+    """The URL of the stream on a server, or on a static host."""
+    if kind == "served":
+        with served(library) as process:
+            yield f"{process.url}/watch/long"
+    else:
+        with static_host(library) as host:
+            yield f"{host}/long"
+
+
+@pytest.mark.parametrize("kind", ["served", "hosted"])
+def test_a_whole_playback_over_a_link(library: Path, tmp_path: Path, kind: str) -> None:
     out = tmp_path / "out"
-    config = PlayConfig(
-        f"{served_library.url}/watch/long",
-        capture=out,
-        renderer=RendererKind.CPU,
-        link=Link([LinkStep(1.0, 3e6, 0.005), LinkStep(1.0, 0.8e6, 0.005)]),
-        frames=FrameRange(3, 240),
-    )
-    summary = play(config)
+    with some_server(library, kind) as url:
+        config = PlayConfig(
+            url,
+            capture=out,
+            renderer=RendererKind.CPU,
+            link=Link([LinkStep(1.0, 3e6, 0.005), LinkStep(1.0, 0.8e6, 0.005)]),
+            frames=FrameRange(3, 240),
+        )
+        summary = play(config)
     assert summary.totals.frames == 237
     assert 1 <= summary.totals.mean_layers < LAYERS
     assert len(pictures(out)) == 237
     assert summary.link_bytes is not None
     assert summary.link_bytes >= summary.totals.wire_bytes > 0
+
+
+def test_files_get_all_layers_from_a_static_host_and_the_cache_is_counted(
+    library: Path, tmp_path: Path
+) -> None:
+    with static_host(library) as host:
+        for hits in (False, True):
+            config = PlayConfig(
+                f"{host}/long",
+                capture=tmp_path / str(hits),
+                renderer=RendererKind.CPU,
+                frames=FrameRange(16, 20),
+                cache=tmp_path / "cache",
+            )
+            summary = play(config)
+            assert summary.totals.mean_layers == LAYERS
+            counted = summary.to_json()["cache"]
+            assert bool(counted["hits"]) is hits
+            assert bool(counted["misses"]) is not hits

@@ -28,6 +28,7 @@ from player.render.cpu import render_splats
 from player.render.renderer import RendererKind
 from player.show.sink import Bytes, to_bytes
 from player.stills import draw_still
+from player.view.moment import Moment
 from player.view.path import Size, orbit
 from tests.support.commands import command, environment, run, run_ok
 from tests.support.hosted_streams import static_host, write_stream
@@ -63,7 +64,7 @@ def test_a_still_is_the_frame_of_a_capture(library: Path, tmp_path: Path, camera
         capture=tmp_path / "all",
     )
     play(config)
-    still = replace(config, still=31, capture=tmp_path / "still.png")
+    still = replace(config, still=Moment(31), capture=tmp_path / "still.png")
     line = draw_still(still)
     assert line.startswith("a picture of frame 31 of ")
     assert line.endswith(f"slots, 50x40, by CPU: {tmp_path}/still.png")
@@ -83,7 +84,11 @@ def test_the_command_draws_a_still_of_a_url(library: Path, tmp_path: Path) -> No
 
 def test_a_turntable_goes_once_around_and_the_frame_stands(library: Path, tmp_path: Path) -> None:
     config = PlayConfig(
-        str(library / "whole"), still=7, turntable=0.2, capture=tmp_path / "turn", renderer=CPU
+        str(library / "whole"),
+        still=Moment(7),
+        turntable=0.2,
+        capture=tmp_path / "turn",
+        renderer=CPU,
     )
     assert draw_still(config).startswith("6 pictures of frame 7 of ")
     reader = StreamReader(library / "whole")
@@ -114,7 +119,8 @@ def test_a_turntable_may_swing_and_be_a_video(library: Path, tmp_path: Path) -> 
     ("options", "message"),
     [
         (("--still", 3), "name it with --capture"),
-        (("--still", -1, "--capture", "o.png"), "frames count from 0"),
+        (("--still=-1", "--capture", "o.png"), "neither a frame, such as 30, nor a time, as 2.5s"),
+        (("--still", "3m", "--capture", "o.png"), "'3m' is neither a frame"),
         (("--still", 3, "--capture", "o.mp4"), "name a .png file"),
         (("--still", 3, "--capture", "absent/o.png"), "there is no folder absent"),
         (("--turntable", 3, "--capture", "o.mp4"), "name its frame with --still"),
@@ -155,7 +161,9 @@ def test_options_that_do_not_go_together(
 
 
 def test_a_frame_that_is_not_there_leaves_nothing(library: Path, tmp_path: Path) -> None:
-    config = PlayConfig(str(library / "whole"), still=13, capture=tmp_path / "o.png", renderer=CPU)
+    config = PlayConfig(
+        str(library / "whole"), still=Moment(13), capture=tmp_path / "o.png", renderer=CPU
+    )
     with pytest.raises(InvalidError, match=r"frames 13:14: .*whole has frames 0:13"):
         draw_still(config)
     with pytest.raises(InvalidError, match="has frames 0:13"):

@@ -22,8 +22,8 @@ WIDTH_PX, HEIGHT_PX = 64, 36
 def picture_of(camera_index: int, frame: int) -> npt.NDArray[np.uint8]:
     """(36, 64, 3) red grows with the camera, green with the frame, blue along the rows."""
     picture = np.empty((HEIGHT_PX, WIDTH_PX, 3), np.uint8)
-    picture[..., 0] = 20 + 25 * camera_index
-    picture[..., 1] = 20 + 4 * frame
+    picture[..., 0] = (20 + 25 * camera_index) % 256
+    picture[..., 1] = (20 + 4 * frame) % 256
     picture[..., 2] = np.arange(HEIGHT_PX)[:, None] * 5
     return picture
 

@@ -27,6 +27,7 @@ from trainer.errors import CaptureError
 
 from .capture import STILL_TOLERANCE, Capture, CaptureCamera, PictureSource
 from .depths import rig_depths
+from .lens import Lens, check_optics
 from .picturefiles import FileSource
 from .points import read_points
 
@@ -174,7 +175,7 @@ def _still_camera(
             f"{path}: {name} has skewed pixels (k[0][1] = {k[0, 1]:g}); undistort first"
         )
     try:
-        return Camera(
+        camera = Camera(
             name=name,
             width_px=width_px,
             height_px=height_px,
@@ -186,6 +187,8 @@ def _still_camera(
         )
     except InvalidError as error:
         raise CaptureError(f"{path}: {error}") from error
+    check_optics(camera, Lens(), path)
+    return camera
 
 
 def _sources(

@@ -25,6 +25,7 @@ from trainer.errors import CaptureError
 from .capture import Capture, CaptureCamera, PictureSource
 from .depths import rig_depths
 from .held_out import read_held_out
+from .lens import Lens, check_optics
 from .points import read_points
 from .video import VideoSource, check_synchronised, check_video_size, probe_video
 
@@ -77,10 +78,12 @@ def open_dynerf(root: Path) -> Capture:
 
 def read_poses_bounds(path: Path) -> Doubles:
     """(V, 17) the rows of a poses_bounds.npy. Raises CaptureError."""
+    if not path.is_file():
+        wrong = "is not a file" if path.exists() else "is missing"
+        raise CaptureError(f"{path}: {wrong}; it holds the cameras' poses")
     try:
-        rows = np.load(path, allow_pickle=False)
-    except FileNotFoundError as error:
-        raise CaptureError(f"{path}: is missing; it holds the cameras' poses") from error
+        # Mapped: what its header claims to hold must be there.
+        rows = np.load(path, mmap_mode="r", allow_pickle=False)
     except (OSError, ValueError, EOFError, TypeError, SyntaxError) as error:
         raise CaptureError(f"{path}: not a .npy file of numbers: {error}") from error
     if not isinstance(rows, np.ndarray) or rows.ndim != 2 or rows.shape[1] != 17:
@@ -109,9 +112,11 @@ def decode_pose(row: Doubles, name: str, path: Path) -> Camera:
     rotation = matrix[:, :3] @ _LLFF_FROM_OPENCV
     w2c = world_to_camera(rotation.T, matrix[:, 3])
     try:
-        return Camera(name, int(width), int(height), focal, focal, width / 2, height / 2, w2c)
+        camera = Camera(name, int(width), int(height), focal, focal, width / 2, height / 2, w2c)
     except InvalidError as error:
         raise CaptureError(f"{path}: {error}") from error
+    check_optics(camera, Lens(), path)
+    return camera
 
 
 def encode_pose(camera: Camera, near_m: float, far_m: float) -> Doubles:

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
 
 from codec.camera import Camera
 from trainer.errors import CaptureError
+from trainer.pixels import opened_picture, read_grey
 
 from .capture import Mask, check_frame
 from .lens import Lens, straightened
@@ -43,12 +43,7 @@ class MaskFiles:
             frame = 0
         check_frame(frame, len(self.files), self.camera.name)
         path = self.files[frame]
-        try:
-            with Image.open(path) as image:
-                self._check_size(path, image.size)
-                grey = np.array(image.convert("L"))
-        except (OSError, UnidentifiedImageError, ValueError, SyntaxError) as error:
-            raise CaptureError(f"{path}: not a mask that can be read: {error}") from error
+        grey = read_grey(path, self._check_size)
         brightest = int(grey.max())
         if 0 < brightest < WHITE:
             raise CaptureError(
@@ -63,12 +58,8 @@ class MaskFiles:
 
     def check_header(self) -> None:
         """Raises CaptureError if the first mask has another size than the pictures."""
-        path = self.files[0]
-        try:
-            with Image.open(path) as image:
-                self._check_size(path, image.size)
-        except (OSError, UnidentifiedImageError) as error:
-            raise CaptureError(f"{path}: not a mask that can be read") from error
+        with opened_picture(self.files[0], "mask", self._check_size):
+            pass
 
     def _check_size(self, path: Path, size: tuple[int, int]) -> None:
         if size != (self.camera.width_px, self.camera.height_px):

@@ -38,7 +38,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from codec.camera import Camera
-from codec.errors import InvalidError
+from codec.errors import CodecError, InvalidError
+from codec.files import opened_regular
 from codec.pose import world_to_camera
 from trainer.errors import CaptureError
 
@@ -176,8 +177,11 @@ def open_nerfstudio(root: Path) -> Capture:
 
 def _read_object(path: Path) -> dict[str, Any]:
     try:
-        value = json.loads(path.read_bytes())
-    except (OSError, ValueError, RecursionError) as error:
+        with opened_regular(path) as file:
+            value = json.load(file)
+    except CodecError as error:
+        raise CaptureError(str(error)) from error
+    except (ValueError, RecursionError) as error:
         raise CaptureError(f"{path}: not JSON: {error}") from error
     if not isinstance(value, dict):
         raise CaptureError(f"{path}: the top of the JSON is not an object")

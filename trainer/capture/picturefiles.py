@@ -15,11 +15,9 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-import numpy as np
-from PIL import Image, UnidentifiedImageError
-
 from codec.camera import Camera
 from trainer.errors import CaptureError
+from trainer.pixels import opened_picture, read_rgb
 
 from .capture import Picture, PictureSource, check_frame
 from .lens import Lens, straight_source
@@ -126,13 +124,7 @@ class FileSource:
 
     def read(self, frame: int) -> Picture:
         check_frame(frame, len(self.files), self.camera.name)
-        path = self.files[frame]
-        try:
-            with Image.open(path) as image:
-                self._check_size(path, image.size)
-                return np.array(image.convert("RGB"))
-        except (OSError, UnidentifiedImageError, ValueError, SyntaxError) as error:
-            raise CaptureError(f"{path}: not a picture that can be read: {error}") from error
+        return read_rgb(self.files[frame], self._check_size)
 
     def close(self) -> None:
         """Nothing to free."""
@@ -140,12 +132,8 @@ class FileSource:
     def check_header(self) -> None:
         """Raises CaptureError if the first picture has another size than declared; later ones are
         checked when they are read."""
-        path = self.files[0]
-        try:
-            with Image.open(path) as image:
-                self._check_size(path, image.size)
-        except (OSError, UnidentifiedImageError) as error:
-            raise CaptureError(f"{path}: not a picture that can be read") from error
+        with opened_picture(self.files[0], "picture", self._check_size):
+            pass
 
     def _check_size(self, path: Path, size: tuple[int, int]) -> None:
         if size != (self.camera.width_px, self.camera.height_px):

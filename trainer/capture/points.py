@@ -13,7 +13,8 @@ import numpy.typing as npt
 
 from codec.camera import Camera
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
-from codec.interop.plyheader import (
+from codec.files import opened_regular
+from codec.foreign.plyheader import (
     BINARY,
     MAX_HEADER_BYTES,
     TEXT,
@@ -28,6 +29,11 @@ from .capture import InitialPoints
 
 MAX_COORDINATE_M = 1e9
 """Farthest coordinate of a point or camera that is believed, metres."""
+
+SMALL_NPZ_BYTES = 1 << 26
+"""Arrays that may be of any ratio to their file."""
+MAX_NPZ_RATIO = 20
+"""Bytes of larger arrays over those of their file: numbers of places hardly compress."""
 
 EVENNESS_CELLS = 16
 """Cells along each side of a picture in which points are counted."""
@@ -45,6 +51,25 @@ def checked_points(path: Path, xyz: Doubles, rgb: npt.NDArray[np.uint8]) -> Init
         raise CaptureError(f"{path}: {error}") from error
 
 
+_NOT_POINTS = (
+    OSError, ValueError, TypeError, AttributeError, EOFError, MemoryError, zipfile.BadZipFile
+)  # fmt: skip
+"""What numpy raises for a file that is not what it seems."""
+
+
+def _check_npz(path: Path, file: BinaryIO) -> None:
+    """Raises CaptureError for a file whose arrays are so much longer than itself that no points can
+    be in them."""
+    with zipfile.ZipFile(file) as archive:
+        array_bytes = sum(entry.file_size for entry in archive.infolist())
+    file_bytes = os.fstat(file.fileno()).st_size
+    if array_bytes > max(SMALL_NPZ_BYTES, MAX_NPZ_RATIO * file_bytes):
+        raise CaptureError(
+            f"{path}: {file_bytes} bytes that claim to be {array_bytes} bytes of points"
+        )
+    file.seek(0)
+
+
 def read_points(path: Path) -> InitialPoints:
     """The points of an .npz file in either known form. Raises CaptureError for anything else.
 
@@ -52,7 +77,9 @@ def read_points(path: Path) -> InitialPoints:
     columns x, y, z, r, g, b (0..1) and more that are left out, as Dynamic 3D Gaussians stores it.
     """
     try:
-        with np.load(path, allow_pickle=False) as arrays:
+        with opened_regular(path) as file:
+            _check_npz(path, file)
+            arrays = np.load(file, allow_pickle=False)
             if "data" in arrays:
                 data = np.asarray(arrays["data"], np.float64)
                 if data.ndim != 2 or data.shape[1] < 6:
@@ -62,7 +89,9 @@ def read_points(path: Path) -> InitialPoints:
                 xyz, rgb = np.asarray(arrays["xyz"], np.float64), np.asarray(arrays["rgb"])
     except KeyError as error:
         raise CaptureError(f"{path}: has neither `data` nor `xyz` and `rgb`") from error
-    except (OSError, ValueError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+    except CodecError as error:
+        raise CaptureError(str(error)) from error
+    except _NOT_POINTS as error:
         raise CaptureError(f"{path}: not an .npz file of points: {error}") from error
     if rgb.dtype == np.uint8:
         return checked_points(path, xyz, rgb.astype(np.uint8, copy=False))
@@ -86,16 +115,21 @@ def read_ply(path: Path) -> InitialPoints:
     properties and elements are left out.
     """
     try:
-        with open(path, "rb") as file:
-            header = read_ply_header(file.read(MAX_HEADER_BYTES))
-            vertex = _vertices(header)
-            columns = (_text_columns if header.layout == TEXT else _binary_columns)(file, vertex)
-    except OSError as error:
-        raise CaptureError(f"{path} cannot be read: {error.strerror}") from error
+        with opened_regular(path) as file:
+            try:
+                columns = _ply_columns(file)
+            except CodecError as error:
+                raise CaptureError(f"{path}: {error}") from error
     except CodecError as error:
-        raise CaptureError(f"{path}: {error}") from error
+        raise CaptureError(str(error)) from error
     rgb = np.clip(np.nan_to_num(columns[:, 3:]), 0, 255).astype(np.uint8)
     return checked_points(path, columns[:, :3], rgb)
+
+
+def _ply_columns(file: BinaryIO) -> Columns:
+    header = read_ply_header(file.read(MAX_HEADER_BYTES))
+    vertex = _vertices(header)
+    return (_text_columns if header.layout == TEXT else _binary_columns)(file, vertex)
 
 
 def _vertices(header: PlyHeader) -> PlyElement:

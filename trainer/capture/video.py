@@ -211,6 +211,8 @@ class VideoSource:
 
 
 def _open_container(path: Path) -> av.container.InputContainer:
+    if path.exists() and not path.is_file():
+        raise CaptureError(f"{path}: not a video but a folder, a pipe or a device")
     # Only local files: a playlist under a video's name must not reach for the network. The prefix
     # keeps a colon in a path from being read as a protocol.
     return av.open(f"file:{path}", options={"protocol_whitelist": "file"})

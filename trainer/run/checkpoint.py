@@ -7,8 +7,11 @@ run that resumes from it makes the same bytes as one that was never stopped.
 from __future__ import annotations
 
 import json
+import os
+import stat
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.errors import InvalidError
-from codec.files import replacing
+from codec.files import open_without_waiting, replacing
 from codec.slice import Slice
 from codec.slots.lattice import States
 from codec.slots.update import Update
@@ -27,7 +30,7 @@ from trainer.errors import CheckpointError
 CHECKPOINT_NAME = ".checkpoint.npz"
 """In the stream's folder; readers of a stream ignore names that begin with a dot."""
 
-VERSION = 2
+VERSION = 3
 
 Arrays = dict[str, npt.NDArray[Any]]
 
@@ -76,11 +79,21 @@ def _part_of(birth: int, arrays: Arrays) -> Slice | Update:
 
 
 def save_checkpoint(
-    path: Path, state: Arrays, pending: Sequence[Slice | Update], settings: Mapping[str, Any]
+    path: Path,
+    state: Arrays,
+    pending: Sequence[Slice | Update],
+    settings: Mapping[str, Any],
+    options: Mapping[str, Any] | None = None,
 ) -> None:
-    """Writes a checkpoint to `path`. settings: JSON that a resuming run must agree with."""
+    """Writes a checkpoint to `path`. settings: JSON that a resuming run must agree with. options:
+    JSON of all that the run was told, for `read_options`."""
     arrays: Arrays = {f"state.{name}": array for name, array in state.items()}
-    head = {"version": VERSION, "settings": settings, "births": [p.birth for p in pending]}
+    head = {
+        "version": VERSION,
+        "settings": settings,
+        "options": options or {},
+        "births": [p.birth for p in pending],
+    }
     arrays["head"] = np.frombuffer(json.dumps(head, sort_keys=True).encode(), np.uint8)
     for i, part in enumerate(pending):
         arrays |= {f"pending.{i}.{name}": array for name, array in _arrays_of(part).items()}
@@ -94,36 +107,73 @@ def _named(arrays: Arrays, prefix: str) -> Arrays:
     return {n.removeprefix(prefix): array for n, array in arrays.items() if n.startswith(prefix)}
 
 
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[Any, dict[str, Any]]]:
+    """The arrays by name, read as they are asked for, and the head. Raises CheckpointError."""
+    try:
+        # Opened here, because numpy leaves a damaged file open.
+        with open(path, "rb", opener=open_without_waiting) as raw:
+            if not stat.S_ISREG(os.fstat(raw.fileno()).st_mode):
+                raise CheckpointError(f"{path} is not a regular file; train anew")
+            with np.load(raw, allow_pickle=False) as file:
+                head = json.loads(file["head"].tobytes())
+                if head["version"] != VERSION:
+                    raise CheckpointError(
+                        f"{path}: version {head['version']}, not {VERSION}; train anew"
+                    )
+                yield file, head
+    except FileNotFoundError as error:
+        raise CheckpointError(
+            f"{path} is missing: nothing to resume; train without --resume"
+        ) from error
+    except InvalidError:  # a ValueError, too, but of who asks
+        raise
+    except (ValueError, KeyError, TypeError, IndexError, EOFError, zipfile.BadZipFile) as error:
+        raise CheckpointError(f"{path} is damaged ({error}); train anew") from error
+
+
+def read_options(path: Path) -> dict[str, Any]:
+    """What the run of the checkpoint at `path` was told. Raises CheckpointError."""
+    with _opened(path) as (_, head):
+        options: dict[str, Any] = head["options"]
+        return options
+
+
 def load_checkpoint(path: Path, settings: Mapping[str, Any]) -> Checkpoint:
     """The checkpoint at `path`.
 
     Raises CheckpointError when it is missing or damaged, InvalidError when it was made with other
     settings.
     """
-    try:
-        # Opened here, because numpy leaves a damaged file open.
-        with open(path, "rb") as raw, np.load(raw, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        head = json.loads(arrays.pop("head").tobytes())
-        if head["version"] != VERSION:
-            raise CheckpointError(f"{path}: version {head['version']}, not {VERSION}")
-        made_with = head["settings"]
-        state = _named(arrays, "state.")
+    with _opened(path) as (file, head):
+        _check_settings(head["settings"], json.loads(json.dumps(settings)))
+        arrays = {name: file[name] for name in file.files if name != "head"}
         pending = [
             _part_of(int(birth), _named(arrays, f"pending.{i}."))
             for i, birth in enumerate(head["births"])
         ]
-    except FileNotFoundError as error:
-        raise CheckpointError(
-            f"{path} is missing: nothing to resume; train without --resume"
-        ) from error
-    except (ValueError, KeyError, TypeError, IndexError, EOFError, zipfile.BadZipFile) as error:
-        raise CheckpointError(f"{path} is damaged ({error}); train anew") from error
-    wanted = json.loads(json.dumps(settings))
-    for name in sorted(wanted.keys() | made_with.keys()):
-        if wanted.get(name) != made_with.get(name):
-            raise InvalidError(
-                f"--resume: {name} was {made_with.get(name)!r} and is {wanted.get(name)!r} now; "
-                "resume with the settings of the first run"
-            )
-    return Checkpoint(state, pending)
+    return Checkpoint(_named(arrays, "state."), pending)
+
+
+def _check_settings(made_with: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+    """Raises InvalidError, with all that differ, unless both are the same."""
+    before, now = _flat(made_with), _flat(wanted)
+    changed = [
+        f"{name} was {before.get(name)!r} and is {now.get(name)!r} now"
+        for name in sorted(before.keys() | now.keys())
+        if before.get(name) != now.get(name)
+    ]
+    if changed:
+        raise InvalidError(
+            f"--resume: {', '.join(changed)}; leave such options out, and those of the first run "
+            "hold"
+        )
+
+
+def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Those of inner mappings under names such as lease.hold."""
+    flat: dict[str, Any] = {}
+    for name, value in settings.items():
+        inner = isinstance(value, Mapping)
+        flat |= _flat(value, f"{prefix}{name}.") if inner else {f"{prefix}{name}": value}
+    return flat

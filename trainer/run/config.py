@@ -68,7 +68,8 @@ class TrainConfig:
     """Where the steps of training are computed: cpu, cuda (gsplat on an NVIDIA GPU), or auto, which
     is cuda if it can. Ranks and scores are computed on the CPU."""
     resume: bool = False
-    """Go on where a run of the same settings was stopped or killed."""
+    """Go on where the run that wrote STREAM was stopped or killed, with its settings. Options that
+    are given must be the same as then, but for those that change no byte of the stream."""
     log: Path | None = None
     """File that gets one JSON object per frame; by default training.jsonl in the stream folder."""
     tensorboard: Path | None = None

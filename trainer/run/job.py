@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 
 from rich.console import Console
 
@@ -16,13 +18,18 @@ from trainer.fit.trainer import Observer, Trainer
 from trainer.pictures.feed import CapturePictures
 from trainer.pictures.framecache import FrameCache
 
+from .apart import apart_warning
 from .checkpoint import CHECKPOINT_NAME, load_checkpoint, save_checkpoint
 from .config import TrainConfig
-from .monitor import Monitor, progress_bar
-from .outputs import check_targets, open_outputs, write_snapshot
+from .monitor import Monitor
+from .outputs import bare_targets, check_targets, clear_bare, open_outputs, write_snapshot
 from .prepare import first_gaussians, make_manifest, prepare, shared_settings
+from .progressline import ProgressLine
 from .rank import CONTRIBUTION, matured_by_contribution
 from .runlog import LOG_NAME, RunLog
+from .storedconfig import config_to_json
+
+log_to = logging.getLogger(__name__)
 
 
 @contextmanager
@@ -60,12 +67,25 @@ def train_stream(
     stops it later leaves a valid, shorter stream and a checkpoint to resume from.
     """
     config.check_profile()
-    targets = check_targets(config)
+    bare = bare_targets(config) if config.resume else []
+    if bare:
+        config = replace(config, resume=False)
+    targets = check_targets(config, bare)
     prepared = prepare(config)
     settings = shared_settings(config, prepared)
     checkpoint = config.target / CHECKPOINT_NAME
+    options = config_to_json(replace(config, resume=False))
     found = load_checkpoint(checkpoint, settings) if config.resume else None
     on_checked()
+    if bare:
+        log_to.warning(
+            f"{config.target} was stopped before its first checkpoint; it begins anew, with the "
+            "settings given now"
+        )
+    warning = apart_warning(prepared.capture) if found is None else None
+    if warning is not None:
+        log_to.warning(warning)
+    clear_bare(bare)
     with ExitStack() as stack:
         cache = stack.enter_context(
             FrameCache(prepared.capture, prepared.frames, config.scale, config.cache_bytes)
@@ -79,8 +99,8 @@ def train_stream(
             manifest = make_manifest(config, prepared, cache, initial)
         else:
             initial, manifest = None, StreamReader(config.target).manifest
-        bar = progress_bar(console)
-        monitor = Monitor(bar, log, config.fit, len(prepared.frames))
+        line = ProgressLine(console)
+        monitor = Monitor(line, log, config.fit, len(prepared.frames))
         trainer = Trainer(
             config.fit, pictures, initial, prepared.near_m, prepared.far_m, prepared.backend,
             (monitor, *observers), manifest.slot_layout if manifest.has_slots else None,
@@ -91,11 +111,11 @@ def train_stream(
         if found is not None:
             outputs.deliver(found.pending)
         else:
-            save_checkpoint(checkpoint, trainer.state(), outputs.pending, settings)
+            save_checkpoint(checkpoint, trainer.state(), outputs.pending, settings, options)
         first, swin_size = trainer.next_window, config.fit.swin_size
         for frame in range(first, first + swin_size + 1):
             pictures.prefetch(frame, first)
-        stack.enter_context(bar)
+        stack.enter_context(line)
         asked = stack.enter_context(interruptible())
         for window in trainer.windows():
             frame = window.first_frame
@@ -109,7 +129,7 @@ def train_stream(
                 outputs.deliver(matured_by_contribution(trainer, window))
             else:
                 outputs.deliver(window.slices)
-            save_checkpoint(checkpoint, trainer.state(), outputs.pending, settings)
+            save_checkpoint(checkpoint, trainer.state(), outputs.pending, settings, options)
             shown = trainer.num_shown(frame)
             monitor.frame_finished(frame, shown, outputs.played_bytes, outputs.quality)
             if config.snapshot_every and frame % config.snapshot_every == 0:

@@ -9,12 +9,14 @@ from pathlib import Path
 from PIL import Image
 
 from codec.errors import InvalidError
+from codec.files import temporary_beside
 from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.slots.update import Update
 from codec.splats import Splats
 from codec.stream import StreamReader, StreamWriter
-from codec.stream.manifest import Manifest
+from codec.stream.index import INDEX_NAME
+from codec.stream.manifest import MANIFEST_NAME, SEGMENTS_NAME, Manifest
 from codec.stream.poster import POSTER_NAME, write_poster
 from player.render.cpu import render_splats
 from trainer.pictures.framecache import FrameCache
@@ -22,19 +24,60 @@ from trainer.score.meter import QualityMeter
 from trainer.score.picture import captured, displayed
 from trainer.score.sheet import comparison, save_png
 
+from .checkpoint import CHECKPOINT_NAME
 from .config import TrainConfig
 from .rank import writer_rank
 
 
-def check_targets(config: TrainConfig) -> list[Path]:
+def bare_targets(config: TrainConfig) -> list[Path]:
+    """The folders of a run that was stopped before its first checkpoint: they hold nothing to go on
+    from, and nothing to lose. Empty for any other run."""
+    targets = [t for t in _targets(config) if t.is_dir() and any(t.iterdir())]
+    return targets if all(map(_is_bare, targets)) else []
+
+
+BARE_NAMES = {MANIFEST_NAME, INDEX_NAME, SEGMENTS_NAME}
+"""What a stream without a frame consists of."""
+
+
+def _is_bare(target: Path) -> bool:
+    names = {entry.name for entry in target.iterdir() if entry not in _leftovers(target)}
+    if not names <= BARE_NAMES:
+        return False
+    if MANIFEST_NAME in names:
+        reader = StreamReader(target)
+        return reader.manifest.live and not reader.records
+    return True
+
+
+def _leftovers(target: Path) -> list[Path]:
+    """What a killed run may not have come to rename."""
+    names = (MANIFEST_NAME, INDEX_NAME, CHECKPOINT_NAME)
+    return [temporary_beside(target / name) for name in names]
+
+
+def clear_bare(targets: Sequence[Path]) -> None:
+    """Makes the folders that `bare_targets` found fit for a new stream."""
+    for target in targets:
+        for path in (target / MANIFEST_NAME, *_leftovers(target)):
+            path.unlink(missing_ok=True)
+
+
+def _targets(config: TrainConfig) -> list[Path]:
+    return [config.target] + ([config.raw_stream] if config.raw_stream else [])
+
+
+def check_targets(config: TrainConfig, bare: Sequence[Path] = ()) -> list[Path]:
     """The folders to write. Raises InvalidError for one that holds something else, and for a log
-    that has no place."""
+    that has no place. bare: what `bare_targets` found."""
     if config.log is not None and not config.log.parent.is_dir():
         raise InvalidError(f"{config.log.parent} is not a folder; the log cannot be written there")
-    targets = [config.target] + ([config.raw_stream] if config.raw_stream else [])
+    targets = _targets(config)
     if config.resume:
         return targets
     for target in targets:
+        if target in bare:
+            continue
         if target.exists() and (not target.is_dir() or any(target.iterdir())):
             raise InvalidError(
                 f"{target} exists and is not empty; remove it, name another folder, or --resume"

@@ -60,7 +60,7 @@ class Prepared:
 def prepare(config: TrainConfig) -> Prepared:
     """Opens the capture. Raises SwingsError where capture or settings cannot work."""
     capture = open_capture(config.capture)
-    if config.points is not None:
+    if config.points is not None and not config.resume:
         capture = replace(capture, points=read_points_file(config.points))
     check_trainable(capture)
     frames = FrameRange.parse(config.frames).of(capture.num_frames, capture.root)
@@ -104,7 +104,15 @@ def shared_settings(config: TrainConfig, prepared: Prepared) -> dict[str, Any]:
         "far_m": prepared.far_m,
         **{
             name: getattr(config, name)
-            for name in ("scale", "point_share", "layers", "rank", "profile", "segment_frames")
+            for name in (
+                "preset",
+                "scale",
+                "point_share",
+                "layers",
+                "rank",
+                "profile",
+                "segment_frames",
+            )
         },
         "raw_stream": config.raw_stream is not None,
         "backend": type(prepared.backend).__name__,

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import tyro
 
 from codec.console import split_option
 from codec.profiles.profile import Profile
+from trainer.errors import CheckpointError
 from trainer.fit.config import FitConfig
 from trainer.fit.mcmc import McmcConfig
 from trainer.fit.optimiser import OptimiserConfig
 
+from .checkpoint import CHECKPOINT_NAME, read_options
 from .config import Preset, TrainConfig
+from .storedconfig import config_from_json
 
 PRESETS: Mapping[Preset, Callable[..., TrainConfig]] = {
     # The defaults: what two cores train in minutes. Measured in docs/RESULTS.md.
@@ -78,10 +82,32 @@ PRESETS: Mapping[Preset, Callable[..., TrainConfig]] = {
 def parse_with_preset(
     config_type: Callable[..., TrainConfig], args: Sequence[str], **options: Any
 ) -> TrainConfig:
-    """Calls `tyro.cli` with the defaults of the preset that `args` name, if any.
+    """Calls `tyro.cli` with the defaults of the preset that `args` name, if any; where they ask to
+    resume a run, with what that was told.
 
     An unknown name is left to tyro to refuse.
     """
+    config: TrainConfig
+    before = _resumed(args) if "--resume" in args else None
+    if before is not None:
+        config = tyro.cli(TrainConfig, default=before, args=args, **options)
+        return config
     preset, _ = split_option(args, "--preset", nargs="?")
-    config: TrainConfig = tyro.cli(PRESETS.get(preset, config_type), args=args, **options)
+    config = tyro.cli(PRESETS.get(preset, config_type), args=args, **options)
     return config
+
+
+def _resumed(args: Sequence[str]) -> TrainConfig | None:
+    """The settings of the run whose folder is among `args`; None if there is none, or if its
+    checkpoint cannot be read, which is told later."""
+    # Before parsing, which needs them: of what is given, a part may be wrong without the rest.
+    folders = (Path(word) for word in args if not word.startswith("-"))
+    checkpoint = next(
+        (f / CHECKPOINT_NAME for f in folders if (f / CHECKPOINT_NAME).exists()), None
+    )
+    if checkpoint is None:
+        return None
+    try:
+        return config_from_json(TrainConfig, read_options(checkpoint))
+    except (CheckpointError, TypeError, ValueError):
+        return None

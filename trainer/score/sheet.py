@@ -60,12 +60,14 @@ def write_sheet(stream: Path, capture_path: Path, target: Path) -> None:
 
 
 def _labelled(lines: Sequence[npt.NDArray[np.uint8]], labels: Sequence[str]) -> Image.Image:
-    """The lines below each other, each below its label."""
-    height_px, width_px = lines[0].shape[:2]
-    sheet = Image.new("RGB", (width_px, len(lines) * (height_px + HEADER_PX)), "black")
+    """The lines below each other, each below its label. They may differ in size, as cameras do."""
+    width_px = max(line.shape[1] for line in lines)
+    height_px = sum(HEADER_PX + line.shape[0] for line in lines)
+    sheet = Image.new("RGB", (width_px, height_px), "black")
     draw = ImageDraw.Draw(sheet)
-    for row, (line, label) in enumerate(zip(lines, labels, strict=True)):
-        top = row * (height_px + HEADER_PX)
+    top = 0
+    for line, label in zip(lines, labels, strict=True):
         draw.text((4, top + 2), f"{label}   |   capture, rendered, error x{ERROR_GAIN}", "white")
         sheet.paste(Image.fromarray(line), (0, top + HEADER_PX))
+        top += HEADER_PX + line.shape[0]
     return sheet

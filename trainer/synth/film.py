@@ -7,6 +7,7 @@ surfaces of frame 0, as a structure-from-motion tool would give them.
 
 from __future__ import annotations
 
+import io
 import os
 import shutil
 import tempfile
@@ -27,6 +28,7 @@ from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 
 from codec.camera import Camera
 from codec.errors import InvalidError
+from codec.files import name_file
 from trainer.capture.capture import Picture
 from trainer.capture.dynerf import POINTS_NAME, POSES_NAME, encode_pose
 from trainer.capture.held_out import HELD_OUT_NAME
@@ -122,8 +124,9 @@ def synthesise(config: SynthConfig, console: Console | None = None) -> None:
         if out.exists():
             out.rmdir()
         partial.rename(out)
-    except BaseException:
+    except BaseException as error:
         shutil.rmtree(partial, ignore_errors=True)
+        name_file(error, out)
         raise
 
 
@@ -235,13 +238,19 @@ def _write_capture(config: SynthConfig, folder: Path, console: Console) -> None:
 
         def film(camera: Camera) -> Take:
             count = per_camera if camera.name in training else 0
-            return _film_camera(
-                config, folder, scene, camera, count, lambda: progress.advance(task)
-            )
+            try:
+                return _film_camera(
+                    config, folder, scene, camera, count, lambda: progress.advance(task)
+                )
+            except OSError as error:
+                name_file(error, config.out / f"{camera.name}.mp4")
+                raise
 
         takes = _in_threads(film, cameras)
     rows = [encode_pose(c, t.near_m, t.far_m) for c, t in zip(cameras, takes, strict=True)]
-    np.save(folder / POSES_NAME, np.stack(rows))
+    poses = io.BytesIO()  # of a full disk numpy itself does not tell
+    np.save(poses, np.stack(rows))
+    (folder / POSES_NAME).write_bytes(poses.getvalue())
     (folder / HELD_OUT_NAME).write_text("".join(f"{name}\n" for name in held_out))
     if config.points:
         xyz = np.concatenate([take.xyz for take in takes])[: config.points]

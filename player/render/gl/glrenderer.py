@@ -17,10 +17,11 @@ import numpy.typing as npt
 
 from codec.camera import Camera
 from codec.errors import SwingsError
+from codec.halfway import Motion
 from codec.slice import Slice
 from codec.stream.manifest import Manifest
 
-from ..arrivals import Arrivals
+from ..arrivals import Arrivals, Glide
 from ..lane import check_slice
 from ..renderer import GlVersion
 from ..steptimes import StepTimes, step
@@ -56,7 +57,9 @@ class GlRenderer:
         self._current: AbstractContextManager[object] = (
             self._context if self._own else nullcontext()
         )
-        self._arrivals: Arrivals[Any] = Arrivals()  # as its packer packs them
+        # As its packer packs them, and what they move.
+        self._arrivals: Arrivals[tuple[Any, int, Motion | None]] = Arrivals()
+        self._glide = Glide()
         self._packing = threading.Lock()
         self._closed = False
         self.uploaded_bytes = 0
@@ -93,12 +96,12 @@ class GlRenderer:
         """Packs the slice for the GPU; the next `upload` of a frame >= its birth takes it there."""
         check_slice(slice, self._manifest.slice_size, self._manifest.sh_degree)
         with self._packing:
-            self._arrivals.put(slice.birth, self._packer.pack(slice))
+            self._arrivals.put(slice.birth, (self._packer.pack(slice), slice.birth, slice.motion))
 
     def forget_waiting(self) -> None:
         """See Renderer."""
         with self._packing:
-            for packed in self._arrivals.drop():
+            for packed, _, _ in self._arrivals.drop():
                 self._packer.forget(packed.lane)
 
     def upload(self, frame: int) -> None:
@@ -108,8 +111,25 @@ class GlRenderer:
 
     def _upload(self, frame: int) -> None:
         with step(self.times, "upload_ms", self._unlocked.finish):
-            for packed in self._arrivals.take(frame):
+            self._move(1.0)
+            taken = self._arrivals.take(frame)
+            for packed, _, _ in taken:
                 self.uploaded_bytes += self._resident.put(packed)
+            self._glide.begin(frame, [(birth, motion) for _, birth, motion in taken])
+
+    def glide(self, share: float) -> bool:
+        """See Renderer."""
+        with self._current, step(self.times, "upload_ms", self._unlocked.finish):
+            return self._move(share)
+
+    def _move(self, share: float) -> bool:
+        moved = self._glide.to(share)
+        for slice in moved:
+            with self._packing:
+                packed = self._packer.correct(slice)
+            if packed is not None:
+                self.uploaded_bytes += self._resident.put(packed)
+        return bool(moved)
 
     def _draw(self, frame: int, camera: Camera) -> None:
         """Draws `frame` from what is uploaded, without waiting for the GPU."""

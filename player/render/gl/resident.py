@@ -27,6 +27,11 @@ class Packer(Protocol[PackedOut]):
         """The slice, which fits a lane. Raises InvalidError if it changes what its lane lacks."""
         ...
 
+    def correct(self, slice: Slice) -> PackedOut | None:
+        """The slice, which tells anew what some rows of its lane hold, as one whose other rows
+        stay as they are; None where the lane has another slice by now."""
+        ...
+
     def forget(self, lane: int) -> None:
         """What was packed for `lane` may never be uploaded: only a whole slice can follow."""
         ...

@@ -36,6 +36,7 @@ class RowPacker:
         self._swin_size = swin_size
         self._num_words = 4 * texels_per_gaussian(sh_degree)
         self._births: list[int | None] = [None] * swin_size
+        self._serials = [0] * swin_size
         self._serial = 0
 
     def pack(self, slice: Slice) -> PackedRows:
@@ -44,12 +45,22 @@ class RowPacker:
         slice.check_follows(self._births[lane], self._swin_size)
         self._births[lane] = slice.birth
         self._serial += 1
+        self._serials[lane] = self._serial
+        return self._packed(lane, slice)
+
+    def correct(self, slice: Slice) -> PackedRows | None:
+        """See Packer."""
+        lane = slice.lane(self._swin_size)
+        return self._packed(lane, slice) if slice.corrects(self._births[lane]) else None
+
+    def _packed(self, lane: int, slice: Slice) -> PackedRows:
+        serial = self._serials[lane]
         words = np.zeros((len(slice.splats), self._num_words), np.float32)
         starts = np.empty(len(words), np.int32)
         pack_slice(slice, words, starts)
         times = words.view(np.int32)[:, -2:]
-        times[:, 0], times[:, 1] = starts, self._serial
-        return PackedRows(lane, self._serial, slice.birth, slice.rows, words)
+        times[:, 0], times[:, 1] = starts, serial
+        return PackedRows(lane, serial, slice.birth, slice.rows, words)
 
     def forget(self, lane: int) -> None:
         """What was packed for `lane` may never be uploaded: only a whole slice can follow."""

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from codec.errors import CodecError, CorruptError, UnsupportedError
+from codec.foreign.limits import MAX_GAUSSIANS
 from codec.interop.formats import MAX_FILE_BYTES, SplatFormat, read_splats, write_splats
-from codec.interop.limits import MAX_GAUSSIANS
 from codec.splats import SH_C0
 from tests.support.commands import ROOT
 from tests.support.drawn import angles_rad, same
@@ -45,8 +45,8 @@ def test_an_unreadable_file_is_named(tmp_path: Path) -> None:
         read_splats(path)
     with pytest.raises(CorruptError, match="cannot be read: Is a directory"):
         read_splats(tmp_path)
-    path.write_bytes(b"glTF and so on")
-    with pytest.raises(UnsupportedError, match=r"model\.ply: starts with b'glTF'; this program"):
+    path.write_bytes(b"GIF89a and so on")
+    with pytest.raises(UnsupportedError, match=r"model\.ply: starts with b'GIF8'; this program"):
         read_splats(path)
     path.write_bytes(b"ply\n")
     with pytest.raises(CorruptError, match=r"model\.ply: PLY: no end_header"):
@@ -108,7 +108,9 @@ def spz_head(count: int, version: int = 4) -> bytes:
 @pytest.mark.parametrize(
     ("name", "head", "file_bytes", "says"),
     [
-        ("a.ply", b"glTF", HUGE_BYTES, "starts with b'glTF'"),
+        ("a.ply", b"GIF8", HUGE_BYTES, "starts with b'GIF8'"),
+        ("a.glb", struct.pack("<4sIII4s", b"glTF", 2, 99, 5 << 20, b"JSON"), HUGE_BYTES, "of JSON"),
+        ("a.glb", struct.pack("<4sIII4s", b"glTF", 2, 99, 80, b"JSON"), 99, "80 bytes of JSON"),
         ("a.ply", b"ply\n", HUGE_BYTES, "no end_header"),
         ("a.ply", ply_head(9, "ascii"), HUGE_BYTES, "format 'ascii'"),
         ("a.ply", ply_head(MAX_GAUSSIANS + 1), HUGE_BYTES, "claims 16777217 Gaussians"),

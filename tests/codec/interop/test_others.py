@@ -1,13 +1,15 @@
-"""What is exported, read by the programs of others: gsply and PlayCanvas' splat-transform.
+"""What is exported, read by the programs of others: gsply, PlayCanvas' splat-transform and engine,
+and the glTF validator of Khronos; and what they write, read here.
 
-Neither is a dependency; where one is not installed its tests are skipped with the command that
-installs it.
+None is a dependency; where one is not installed its tests are skipped with what installs it.
 """
 
 from __future__ import annotations
 
 import contextlib
 import importlib
+import importlib.util
+import json
 import shutil
 import subprocess
 from pathlib import Path
@@ -15,29 +17,42 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
+from codec.foreign.ply import encode_ply
+from codec.foreign.spz import SpzVersion
 from codec.interop.exporting import export_stream
-from codec.interop.formats import SplatFormat, read_splats
-from codec.interop.importing import ImportOptions, import_stream
-from codec.interop.ply import encode_ply
+from codec.interop.formats import SplatFormat, encode_splats, read_splats
 from codec.profiles.profile import Profile
+from codec.sequence.importing import ImportOptions, import_stream
 from codec.splats import SH_C0, Splats
 from codec.stream import StreamReader
 from tests.support.drawn import angles_rad, same
-from tests.support.trained_like import trained_like_splats
+from tests.support.trained_like import covariances, trained_like_splats
 
-SPLAT_TRANSFORM = shutil.which("splat-transform")
+HERE = Path(__file__).parent
+MODULES = HERE / "node_modules"
+NODE = shutil.which("node")
+LOCAL = MODULES / ".bin" / "splat-transform"
+SPLAT_TRANSFORM = str(LOCAL) if NODE and LOCAL.exists() else shutil.which("splat-transform")
 gsply: Any = None
 with contextlib.suppress(ImportError):
     gsply = importlib.import_module("gsply")
 
-needs_gsply = pytest.mark.skipif(gsply is None, reason="gsply is missing: pip install gsply")
+needs_gsply = pytest.mark.skipif(gsply is None, reason="gsply is missing: scripts/setup dev")
+needs_gsply_sog = pytest.mark.skipif(
+    gsply is None or importlib.util.find_spec("imagecodecs") is None,
+    reason="gsply[sogs] is missing: scripts/setup dev",
+)
 needs_splat_transform = pytest.mark.skipif(
-    SPLAT_TRANSFORM is None,
-    reason="splat-transform is missing: npm install -g @playcanvas/splat-transform",
+    SPLAT_TRANSFORM is None, reason="splat-transform is missing: npm, then scripts/setup dev"
+)
+needs_modules = pytest.mark.skipif(
+    NODE is None or not (MODULES / "gltf-validator").is_dir(),
+    reason="the modules of tests/codec/interop are missing: npm, then scripts/setup dev",
 )
 degrees = pytest.mark.parametrize("sh_degree", [0, 1, 2, 3])
-formats = pytest.mark.parametrize("format", list(SplatFormat))
+versions = pytest.mark.parametrize("version", list(SpzVersion))
 
 # The real harmonics in order, by the axes that each is a product of.
 HARMONICS = ["1", *"yzx", "xy", "yz", "zz", "xz", "xx"]
@@ -65,18 +80,31 @@ def shown(tmp_path: Path, sh_degree: int) -> tuple[Path, Splats]:
     return tmp_path / "stream", reader.active_splats(0, reader.manifest.num_layers)
 
 
-def exported(tmp_path: Path, sh_degree: int, format: SplatFormat) -> tuple[Path, Splats]:
-    """A frame as a file, and what it shows, in the order of the file."""
+def exported(
+    tmp_path: Path, sh_degree: int, format: SplatFormat, version: SpzVersion | None = None
+) -> tuple[Path, Splats]:
+    """A frame as a file, and what it shows, in the order of the file but for SOG."""
     stream, splats = shown(tmp_path, sh_degree)
-    [path] = export_stream(stream, tmp_path / f"frame.{format}", 0, None, None, None)
+    [path] = export_stream(stream, tmp_path / f"frame.{format}", 0, None, None, None, version)
     if format is SplatFormat.SPLAT:
         importance = splats.log_scales.astype(np.float64).sum(axis=1) + np.log(splats.opacities)
         splats = splats.take(np.argsort(-importance, kind="stable"))
     return path, splats
 
 
+def in_order(found: Splats, wanted: Splats) -> Splats:
+    """`found` in the order of `wanted`: each is the one that lies where it belongs."""
+    nearest = cKDTree(found.means).query(wanted.means)[1]
+    assert sorted(nearest) == list(range(len(wanted)))
+    return found.take(nearest)
+
+
 def assert_within(
-    found: Splats, wanted: Splats, format: SplatFormat, harmonic: float = 0.51 / 128
+    found: Splats,
+    wanted: Splats,
+    format: SplatFormat,
+    harmonic: float = 0.51 / 128,
+    angle_rad: float = 0.005,
 ) -> None:
     """That `found` is `wanted`, as precisely as `format` holds it."""
     assert len(found) == len(wanted)
@@ -89,7 +117,7 @@ def assert_within(
     close(found.means, wanted.means, rtol=2e-7, atol=0.5 / 4096 + 1e-6 if spz else 0)
     close(found.log_scales, wanted.log_scales, rtol=0, atol=0.5 / 16 + 1e-5 if spz else 1e-5)
     # Three components in 9 bits of 1 / sqrt(2), or four in 8 bits, of which readers differ by one.
-    assert angles_rad(found, wanted).max() < (0.005 if spz else 0.03)
+    assert angles_rad(found, wanted).max() < (angle_rad if spz else 0.03)
     close(found.opacities, wanted.opacities, rtol=0, atol=1 / 255)
     dc_step = 1 / (255 * (0.15 if spz else SH_C0))
     inside = np.abs(wanted.sh[:, 0] * SH_C0) < 0.5 if not spz else np.ones((len(wanted), 3), bool)
@@ -100,9 +128,29 @@ def assert_within(
         close(found.sh[:, 1:], wanted.sh[:, 1:], rtol=0, atol=harmonic)
 
 
+def assert_within_sog(found: Splats, wanted: Splats, roundings: int = 1) -> None:
+    """That `found` is `wanted` as SOG holds it; a writer that cuts off has two `roundings`."""
+    found = in_order(found, wanted)
+    close = np.testing.assert_allclose
+    logs = np.sign(wanted.means) * np.log1p(np.abs(wanted.means))
+    step = np.ptp(logs, axis=0).max() / 65535
+    # A step of the logarithm is one of 1 + |p| in the position.
+    away = np.abs(found.means - wanted.means) / (1 + np.abs(wanted.means))
+    assert away.max() < roundings * 0.51 * step + 1e-6
+    close(found.log_scales, wanted.log_scales, rtol=0, atol=0.1)
+    assert angles_rad(found, wanted).max() < roundings * 0.017
+    close(found.opacities, wanted.opacities, rtol=0, atol=roundings * 0.51 / 255)
+    close(found.sh[:, 0], wanted.sh[:, 0], rtol=0, atol=0.05)
+    assert found.sh.shape == wanted.sh.shape
+    # A palette of 256 rows for 400 Gaussians, whose harmonics have no pattern.
+    away = found.sh[:, 1:] - wanted.sh[:, 1:]
+    assert np.sqrt((away**2).mean()) < 0.03 if away.size else True
+
+
 def gsply_splats(path: Path) -> Splats:
     """What gsply reads."""
-    read = gsply.read_spz(path) if path.suffix == ".spz" else gsply.plyread(path)
+    reads = {".spz": "read_spz", ".sog": "sogread", ".ply": "plyread"}
+    read = getattr(gsply, reads[path.suffix])(path)
     count = len(read.means)
     parts = [read.sh0.reshape(count, 1, 3)]
     if read.shN is not None and read.shN.size:
@@ -130,12 +178,24 @@ def test_gsply_reads_the_ply_bit_by_bit(sh_degree: int, tmp_path: Path) -> None:
     assert_within(gsply_splats(path), splats, SplatFormat.PLY)
 
 
+ANGLES_RAD = {SpzVersion.V2: 0.24, SpzVersion.V3: 0.005, SpzVersion.V4: 0.005}
+"""Of version 2: w is made of x, y and z in 8 bits, which tells little where it is small."""
+
+
 @needs_gsply
 @degrees
-def test_gsply_reads_the_spz(sh_degree: int, tmp_path: Path) -> None:
-    path, splats = exported(tmp_path, sh_degree, SplatFormat.SPZ)
-    assert path.read_bytes()[:8] == b"NGSP\4\0\0\0"
-    assert_within(turned(gsply_splats(path)), splats, SplatFormat.SPZ)
+@versions
+def test_gsply_reads_the_spz(version: SpzVersion, sh_degree: int, tmp_path: Path) -> None:
+    path, splats = exported(tmp_path, sh_degree, SplatFormat.SPZ, version)
+    found = turned(gsply_splats(path))
+    assert_within(found, splats, SplatFormat.SPZ, angle_rad=ANGLES_RAD[version])
+
+
+@needs_gsply_sog
+@degrees
+def test_gsply_reads_the_sog(sh_degree: int, tmp_path: Path) -> None:
+    path, splats = exported(tmp_path, sh_degree, SplatFormat.SOG)
+    assert_within_sog(gsply_splats(path), splats)
 
 
 @needs_gsply
@@ -155,7 +215,7 @@ def transformed(path: Path, out: Path) -> Path:
     """`path` as splat-transform writes it again."""
     assert SPLAT_TRANSFORM is not None
     done = subprocess.run(
-        [SPLAT_TRANSFORM, "-q", "-w", str(path), str(out)],
+        [SPLAT_TRANSFORM, "-q", "-w", "-g", "cpu", str(path), str(out)],
         capture_output=True,
         text=True,
         timeout=120,
@@ -166,7 +226,7 @@ def transformed(path: Path, out: Path) -> Path:
 
 @needs_splat_transform
 @degrees
-@formats
+@pytest.mark.parametrize("format", [SplatFormat.PLY, SplatFormat.SPLAT])
 def test_splat_transform_reads_what_is_exported(
     format: SplatFormat, sh_degree: int, tmp_path: Path
 ) -> None:
@@ -177,12 +237,107 @@ def test_splat_transform_reads_what_is_exported(
 
 @needs_splat_transform
 @degrees
+@versions
+def test_splat_transform_reads_the_spz(version: SpzVersion, sh_degree: int, tmp_path: Path) -> None:
+    path, splats = exported(tmp_path, sh_degree, SplatFormat.SPZ, version)
+    found = read_splats(transformed(path, tmp_path / "theirs.ply"))
+    assert_within(found, splats, SplatFormat.SPZ, angle_rad=ANGLES_RAD[version])
+
+
+@needs_splat_transform
+@degrees
+def test_splat_transform_reads_the_sog(sh_degree: int, tmp_path: Path) -> None:
+    path, splats = exported(tmp_path, sh_degree, SplatFormat.SOG)
+    assert_within_sog(read_splats(transformed(path, tmp_path / "theirs.ply")), splats)
+
+
+@needs_splat_transform
+@degrees
 def test_the_spz_that_splat_transform_writes_is_read_alike(sh_degree: int, tmp_path: Path) -> None:
     path, splats = exported(tmp_path, sh_degree, SplatFormat.PLY)
     found = read_splats(transformed(path, tmp_path / "theirs.spz"))
-    # They come in another order: each is the one that lies where it belongs.
-    away = np.abs(splats.means[:, None] - found.means[None]).max(axis=2)
-    nearest = away.argmin(axis=1)
-    assert sorted(nearest) == list(range(len(splats)))
     # It rounds harmonics to 8 bits, then the first to five of these and the others to four.
-    assert_within(found.take(nearest), splats, SplatFormat.SPZ, (8 + 0.51) / 128)
+    assert_within(in_order(found, splats), splats, SplatFormat.SPZ, (8 + 0.51) / 128)
+
+
+@needs_splat_transform
+@degrees
+def test_the_sog_that_splat_transform_writes_is_read_alike(sh_degree: int, tmp_path: Path) -> None:
+    path, splats = exported(tmp_path, sh_degree, SplatFormat.PLY)
+    # It cuts off where others round.
+    assert_within_sog(read_splats(transformed(path, tmp_path / "theirs.sog")), splats, 2)
+
+
+def shapes(splats: Splats) -> np.ndarray[Any, Any]:
+    return covariances(splats.log_scales.astype(np.float64), splats.quats.astype(np.float64))
+
+
+def assert_same_shown(found: Splats, wanted: Splats) -> None:
+    """That both are the same bodies in float32, whichever way their axes are named."""
+    assert (found.means == wanted.means).all()
+    assert (found.sh == wanted.sh).all()
+    np.testing.assert_allclose(found.opacities, wanted.opacities, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(found.log_scales, wanted.log_scales, rtol=0, atol=1e-6)
+    largest = np.exp(2 * wanted.log_scales.max(axis=1))[:, None, None]
+    assert np.abs((shapes(found) - shapes(wanted)) / largest).max() < 1e-5
+
+
+@needs_splat_transform
+@degrees
+def test_the_glb_that_splat_transform_writes_is_read_alike(sh_degree: int, tmp_path: Path) -> None:
+    path, splats = exported(tmp_path, sh_degree, SplatFormat.PLY)
+    assert_same_shown(read_splats(transformed(path, tmp_path / "theirs.glb")), splats)
+
+
+def run_node(script: str, *words: Path) -> str:
+    assert NODE is not None
+    done = subprocess.run(
+        [NODE, str(HERE / script), *map(str, words)], capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@needs_modules
+@degrees
+def test_the_playcanvas_engine_reads_the_glb(sh_degree: int, tmp_path: Path) -> None:
+    path, splats = exported(tmp_path, sh_degree, SplatFormat.GLB)
+    run_node("readglb.mjs", path, tmp_path / "columns")
+    names, _, columns = (tmp_path / "columns").read_bytes().partition(b"\n")
+    table = dict(
+        zip(json.loads(names), np.frombuffer(columns, "<f4").reshape(-1, 400), strict=True)
+    )
+
+    def named(*keys: str) -> np.ndarray[Any, Any]:
+        return np.stack([table[key] for key in keys], axis=1)
+
+    count = splats.sh.shape[1] - 1
+    rest = [[f"f_rest_{c * count + k}" for c in range(3)] for k in range(count)]
+    # It has y up, x to the left, linear sizes and opacities.
+    found = Splats(
+        named("x", "y", "z") * np.array([-1, -1, 1], np.float32),
+        np.log(named("scale_0", "scale_1", "scale_2")),
+        named("rot_0", "rot_1", "rot_2", "rot_3") * np.array([1, -1, -1, 1], np.float32),
+        np.log(table["opacity"] / (1 - table["opacity"])),
+        np.stack([named(*keys) for keys in [["f_dc_0", "f_dc_1", "f_dc_2"], *rest]], axis=1)
+        * np.array([(-1) ** sum(n.count(a) for a in "xy") for n in HARMONICS], np.float32)[
+            : count + 1, None
+        ],
+    )
+    assert_same_shown(in_order(found, splats), splats)
+
+
+@needs_modules
+@pytest.mark.parametrize("format", [SplatFormat.GLB, SplatFormat.GLTF])
+@pytest.mark.parametrize("count", [0, 400])
+def test_the_validator_of_khronos_finds_no_fault(
+    format: SplatFormat, count: int, tmp_path: Path
+) -> None:
+    path = tmp_path / f"frame.{format}"
+    path.write_bytes(encode_splats(trained_like_splats(count, 5, 1), format))
+    said = json.loads(run_node("validate.mjs", path))
+    # It does not know the extension, and so not the names of its attributes.
+    unknown = {"UNSUPPORTED_EXTENSION", "MESH_PRIMITIVE_INVALID_ATTRIBUTE", "NODE_EMPTY"}
+    assert {message["code"] for message in said} <= unknown
+    named = [m["pointer"] for m in said if m["code"] == "MESH_PRIMITIVE_INVALID_ATTRIBUTE"]
+    assert all("KHR_gaussian_splatting:" in pointer for pointer in named)

@@ -163,7 +163,17 @@ def test_a_name_that_nobody_has_is_told() -> None:
 
 
 @pytest.mark.parametrize(
-    "url", ["http://", "ftp://a/b", "http://a:b/", "http://a:99999/", "http://é..é/"]
+    "url",
+    [
+        "http://",
+        "ftp://a/b",
+        "http://a:b/",
+        "http://a:99999/",
+        "http://é..é/",
+        "http://a..b/",
+        "http://a b/",
+        "http://" + "a" * 70,
+    ],
 )
 def test_what_is_not_a_url_is_told(url: str) -> None:
     with closing(Fetcher()) as fetcher, pytest.raises(FetchError, match="is not a URL"):

@@ -304,3 +304,30 @@ def test_100_000_frames_of_an_endless_loop_in_flat_memory(tmp_path: Path) -> Non
                     memory.append(resident_bytes())
     grown = memory[-1] - memory[0]
     assert grown < 8 << 20, f"{grown} bytes more after {most} frames: {memory}"
+
+
+def test_slowed_down_it_says_how_far_the_way_from_frame_to_frame_is_over(tmp_path: Path) -> None:
+    path = write_busy_stream(tmp_path / "s", 40, small_layout(3, (4, 3), 0, 5), fps=FPS)
+    with conducted(path, real=True) as (played, renderer):
+        conductor, clock = played.conductor, played.clock
+        played.shows(2)
+        assert conductor.share == 1.0
+        clock.set_rate(0.25)
+        shares: dict[int, list[float]] = {}
+        moved = 0
+
+        def look() -> bool:
+            nonlocal moved
+            frame = played.records[-1].frame
+            shares.setdefault(frame, []).append(conductor.share)
+            moved += renderer.glide(shares[frame][-1])
+            return frame >= 8
+
+        played.poll_until(look)
+        whole = [shares[frame] for frame in range(4, 8)]
+        assert all(rising == sorted(rising) for rising in whole)
+        assert all(rising[0] < 0.5 < rising[-1] for rising in whole)
+        assert all(0 <= share <= 1 for rising in whole for share in rising)
+        assert moved > 2 * len(whole)
+        conductor.toggle_pause()
+        assert conductor.share == 1.0

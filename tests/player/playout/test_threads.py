@@ -24,8 +24,7 @@ from player.playout.queues import EmptyStreamError, Events, Handoff
 from player.playout.threads import Threads, render_thread
 from player.playout.timeline import FrameRecord, Playout, QueueConfig
 from player.render.steptimes import StepTimes
-from player.source.lastplay import NO_PLAY
-from player.source.source import Packets, SlicePackets
+from player.source.source import NO_PLAY, Packets, SlicePackets
 from server.abr.playout import PlayoutConfig
 from server.abr.standing import Standing
 from tests.support.hosted_streams import SWIN_SIZE, random_slice, small_manifest
@@ -107,6 +106,9 @@ class NotingRenderer:
         self.births: list[int] = []
         self.drawn: list[tuple[int, int]] = []
         self._failure, self._draw_s = failure, draw_s
+
+    def glide(self, share: float) -> bool:
+        return False
 
     def put(self, slice: Slice) -> None:
         if self._failure is not None:

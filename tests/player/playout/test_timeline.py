@@ -139,7 +139,7 @@ def test_frames_come_only_when_they_are_due() -> None:
     assert playout.take(1.9) is None
     first = playout.take(2.0)
     assert first is not None
-    assert first.record == FrameRecord(0, 2.0, 199, 2.0, 2.0)
+    assert first.record == FrameRecord(0, 2.0, 199, 2.0, 2.0, fewest_layers=1)
     assert playout.next_shown_s == pytest.approx(2.1)
     assert playout.take(2.05) is None
     second = playout.take(2.1 + EPSILON_S)

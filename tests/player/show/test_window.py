@@ -14,6 +14,8 @@ import pytest
 from tests.support.commands import ROOT
 from tests.support.hosted_streams import write_stream
 from tests.support.screen.xserver import x_server
+from tests.support.slots.slot_streams import write_busy_stream
+from tests.support.slots.trained_updates import trained_like_layout
 
 # Plays in a window, notes what is on it, turns the view by mouse and key events and closes it.
 PLAY = """
@@ -44,9 +46,9 @@ def swap_buffers(window):
         glfw.set_window_should_close(window, True)
 
 glfw.swap_buffers = swap_buffers
-version = GlVersion(sys.argv[4])
+version, rate = GlVersion(sys.argv[4]), float(sys.argv[5])
 summary = play(
-    PlayConfig(sys.argv[1], report=Path(sys.argv[2]), loop=int(sys.argv[3]), gl=version)
+    PlayConfig(sys.argv[1], report=Path(sys.argv[2]), loop=int(sys.argv[3]), gl=version, rate=rate)
 )
 print(json.dumps({
     "sizes": [s[:2] for s in shown],
@@ -71,7 +73,16 @@ def test_a_window_plays_resizes_and_closes(
 ) -> None:
     stream = write_stream(tmp_path / "s", num_frames)
     done = subprocess.run(
-        [sys.executable, "-c", PLAY, str(stream), str(tmp_path / "r.json"), str(loop), version],
+        [
+            sys.executable,
+            "-c",
+            PLAY,
+            str(stream),
+            str(tmp_path / "r.json"),
+            str(loop),
+            version,
+            "1",
+        ],
         cwd=ROOT,
         env={**os.environ, "DISPLAY": display},
         capture_output=True,
@@ -91,6 +102,22 @@ def test_a_window_plays_resizes_and_closes(
     assert len(frames) > 5
     undrawn = [f for f in summary["frames"] if f["drawn_s"] is None]
     assert len(undrawn) == summary["totals"]["undrawn_frames"] < len(frames)
+
+
+def test_slowed_down_there_are_pictures_between_the_frames(display: str, tmp_path: Path) -> None:
+    stream = write_busy_stream(tmp_path / "s", 40, trained_like_layout(100, 2, 5))
+    done = subprocess.run(
+        [sys.executable, "-c", PLAY, str(stream), str(tmp_path / "r.json"), "1", "auto", "0.25"],
+        cwd=ROOT,
+        env={**os.environ, "DISPLAY": display},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    frames = json.loads((tmp_path / "r.json").read_text())["frames"]
+    assert told["different"] > len(frames) + 3
 
 
 def test_without_a_display_one_line_says_what_to_do(tmp_path: Path) -> None:

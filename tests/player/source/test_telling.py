@@ -20,8 +20,8 @@ from player.playout.queues import Events
 from player.playout.threads import TELL_MOST_S, Threads
 from player.playout.timeline import Playout
 from player.render.renderer import RendererKind
-from player.source.lastplay import LastPlay
 from player.source.served import ServedSource
+from player.source.source import LastPlay
 from player.view.path import Size
 from server.abr.standing import FRAME_HEADER, PLAY_HEADER, RATE_HEADER, Standing
 from tests.player.source.test_served import ALL, HEAD, HOLD, QUICK, answer, script, start

@@ -81,6 +81,7 @@ def range_host(root: Path) -> Iterator[RangeHost]:
 
     class Handler(BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
+        disable_nagle_algorithm = True
 
         def do_GET(self) -> None:
             host.answer(self)

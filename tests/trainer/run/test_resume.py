@@ -166,7 +166,9 @@ def test_a_poster_comes_with_the_first_segment_and_stays_when_the_run_goes_on(
     assert contents(stream) == uninterrupted
 
 
-def test_resuming_what_is_not_there_or_other_is_one_line(capture: Path, tmp_path: Path) -> None:
+def test_resuming_what_is_not_there_or_other_is_one_line(
+    capture: Path, uninterrupted: dict[str, bytes], tmp_path: Path
+) -> None:
     stream = tmp_path / "stream"
     nothing = run("swings-train", capture, stream, *SETTINGS, "--resume")
     assert nothing.returncode == 1
@@ -174,21 +176,51 @@ def test_resuming_what_is_not_there_or_other_is_one_line(capture: Path, tmp_path
     process = start_until(capture, stream, 0)
     process.kill()
     process.communicate()
-    other = run("swings-train", capture, stream, *SETTINGS, "--resume", "--seed", 5)
+    other = run(
+        "swings-train", capture, stream, "--resume", "--seed", 5, "--lease.hold", 0.5,
+        "--preset", "fast", "--num-gs", 200,
+    )  # fmt: skip
     assert other.returncode == 1
-    assert "seed" in other.stderr
+    (line,) = other.stderr.splitlines()
+    assert "lease.hold was" in line
+    assert "preset was 'cpu' and is 'fast' now" in line
+    assert "seed was 0 and is 5 now" in line
+    assert "num_gs" not in line  # given, and the same
     # The same rig and number of frames, another take.
     take = tmp_path / "take"
     shutil.copytree(capture, take)
     videos = sorted(take.glob("*.mp4"))
     shutil.copyfile(videos[2], videos[1])
     shutil.copyfile(videos[3], videos[2])
-    another = run("swings-train", take, stream, *SETTINGS, "--resume")
+    another = run("swings-train", take, stream, "--resume")
     assert another.returncode == 1
     assert "first_picture" in another.stderr
     again = run("swings-train", capture, stream, *SETTINGS)
     assert again.returncode == 1
     assert "--resume" in again.stderr
+    # What no option has to repeat: all that the first run was told.
+    run_ok("swings-train", capture, stream, "--resume")
+    assert contents(stream) == uninterrupted
+
+
+def test_a_run_that_had_no_room_for_its_first_checkpoint_begins_anew(
+    capture: Path, uninterrupted: dict[str, bytes], tmp_path: Path
+) -> None:
+    stream = tmp_path / "stream"
+    full = subprocess.run(
+        ["sh", "-c", 'ulimit -f 8; exec "$@"', "sh",
+         *command("swings-train", capture, stream, *SETTINGS)],
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )  # fmt: skip
+    assert full.returncode == 1
+    line = full.stderr.splitlines()[-1]
+    assert str(stream / CHECKPOINT_NAME) in line
+    assert sorted(p.name for p in stream.iterdir()) == ["index.bin", "manifest.json", "segments"]
+    run_ok("swings-train", capture, stream, *SETTINGS, "--resume")
+    assert contents(stream) == uninterrupted
 
 
 def test_a_damaged_checkpoint_is_told(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 
@@ -15,7 +16,8 @@ from tests.support.commands import run, run_ok
 from tests.support.tiny_capture import write_dynerf
 from trainer.fit.config import FitConfig
 from trainer.fit.trainer import Progress as FitProgress
-from trainer.run.monitor import Monitor, progress_bar
+from trainer.run.monitor import Monitor
+from trainer.run.progressline import ProgressLine
 from trainer.run.runlog import LOG_NAME, RunLog
 from trainer.score.meter import QualityMeter
 
@@ -73,12 +75,18 @@ def test_a_run_logs_every_frame_and_draws_snapshots(tmp_path: Path) -> None:
 def test_time_left_is_that_of_the_iterations_left(tmp_path: Path) -> None:
     class Meter(QualityMeter):
         def __init__(self) -> None:
-            self.last_db = [20.0, 25.5]
+            pass
+
+        @property
+        def mean_db(self) -> float:
+            return 25.5
 
     now_s = [100.0]
     config = FitConfig(num_gs=10, genesis_iterations=150, settle_rounds=1, window_iterations=50)
-    with RunLog(tmp_path / "log") as log, progress_bar(Console(quiet=True)) as bar:
-        monitor = Monitor(bar, log, config, 5, lambda: now_s[0])
+    told = io.StringIO()
+    line = ProgressLine(Console(file=told), lambda: now_s[0])
+    with RunLog(tmp_path / "log") as log, line:
+        monitor = Monitor(line, log, config, 5, lambda: now_s[0])
         now_s[0] += 7  # before training begins
         monitor.window_begun(0)
         monitor.progressed(FitProgress(0, 200, 200, 0.25))
@@ -87,13 +95,13 @@ def test_time_left_is_that_of_the_iterations_left(tmp_path: Path) -> None:
         monitor.window_begun(1)
         now_s[0] += 10  # 50 in 10 s; 250 in 30 s so far; 150 are left
         monitor.frame_finished(1, 10, 4000, Meter())
-        bar_text = bar.tasks[0].fields["score"]
     first, second = (json.loads(line) for line in (tmp_path / "log").read_text().splitlines())
     assert (first["left_s"], first["iterations_per_s"], first["loss"]) == (20, 10, 0.25)
     assert (second["left_s"], second["iterations_per_s"]) == (18, 5)
     assert (second["bytes_per_frame"], second["psnr_db"]) == (2000, 25.5)
-    assert "25.50 dB" in bar_text
-    assert "2.0 kB/frame" in bar_text
+    assert told.getvalue().splitlines()[-1] == (
+        "frame 1 of 5  62% done  0:30 gone, 0:18 left  25.50 dB  2.0 kB/frame  5 it/s"
+    )
 
 
 def test_tensorboard_gets_the_scalars_or_says_what_to_install(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from codec.slice import Slice
 from codec.slots.lattice import Lattice
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import Update
@@ -18,6 +19,7 @@ from codec.stream.manifest import Manifest
 from tests.support.slots.folder import slots_manifest
 from tests.support.slots.updates import patternless_updates
 from tests.support.tiny_capture import write_dynamic3dgs
+from tests.support.tiny_stream import tiny_manifest, tiny_slice
 from trainer.capture.layout import open_capture
 from trainer.pictures.framecache import FrameCache
 from trainer.score.evaluate import EvaluateConfig, evaluate_stream
@@ -55,8 +57,16 @@ def write(made: Made, stream: Path, killed_at: int | None = None) -> list[list[f
     """Writes the stream; what the meter said of each frame. killed_at: the birth before which the
     writer is dropped, and another one resumes."""
     meter = QualityMeter(made.cache, made.manifest)
-    writer = StreamWriter.create(stream, made.manifest, quality=meter)
     said: dict[int, list[float]] = {}
+
+    def noted(frame: int, slices: Sequence[Slice]) -> list[float] | None:
+        scores_db = meter(frame, slices)
+        if scores_db is not None:
+            said[frame] = scores_db
+            assert meter.mean_db == scores_db[-1]  # of the one camera
+        return scores_db
+
+    writer = StreamWriter.create(stream, made.manifest, quality=noted)
     at = 0
     while at < len(made.updates):
         update = made.updates[at]
@@ -64,13 +74,11 @@ def write(made: Made, stream: Path, killed_at: int | None = None) -> list[list[f
             killed_at = None
             writer.abort()
             meter = QualityMeter(made.cache, made.manifest)
-            writer = StreamWriter.resume(stream, quality=meter)
+            writer = StreamWriter.resume(stream, quality=noted)
             meter.recall(StreamReader(stream), writer.next_birth)
             at = writer.next_birth - made.updates[0].birth
             continue
         writer.append(update)
-        if update.birth >= 0:
-            said[update.birth] = list(meter.last_db)
         at += 1
     writer.close()
     return [said[frame] for frame in range(FRAMES)]
@@ -89,3 +97,29 @@ def test_a_frame_is_scored_as_a_reader_shows_it(
     for record in StreamReader(stream).records:
         frames = range(record.first_frame, record.first_frame + record.num_frames)
         assert record.psnr_db == pytest.approx(expected[frames].mean(axis=0), abs=1e-4)
+
+
+def test_the_mean_is_over_all_held_out_cameras_from_the_first_frame_on(tmp_path: Path) -> None:
+    """Cameras that differ by much: what a person reads must not jump from one to the other."""
+    write_dynamic3dgs(tmp_path / "capture", num_cameras=6, num_frames=4)
+    capture = open_capture(tmp_path / "capture")
+    far = tuple(replace(c, held_out=i >= 3) for i, c in enumerate(capture.cameras))
+    capture = replace(capture, cameras=far)
+    manifest = replace(tiny_manifest(), near_m=0.2)
+    with FrameCache(capture, range(4), 1.0, 1 << 24) as cache:
+        meter = QualityMeter(cache, manifest)
+        assert meter.mean_db is None
+        means: list[float] = []
+        by_turns: list[float] = []
+        for birth in range(manifest.first_birth, 4):
+            slice = tiny_slice(birth)
+            scores_db = meter(birth, [slice] * manifest.num_layers)
+            if birth >= 0:
+                assert scores_db is not None
+                assert meter.mean_db is not None
+                by_turns.append(scores_db[-1])
+                means.append(meter.mean_db)
+    # The red of a picture grows with its camera, and the Gaussians hide little of it.
+    assert max(by_turns) - min(by_turns) > 1
+    assert max(means) - min(means) < 0.3
+    assert means[0] == pytest.approx(np.mean(by_turns[:3]), abs=0.2)

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codec.errors import CorruptError
+from codec.foreign.splat import decode_splat, encode_splat
 from codec.interop.formats import decode_any
-from codec.interop.splat import decode_splat, encode_splat
 from codec.splats import SH_C0, Splats
 from tests.support.drawn import angles_rad, drawn_splats
 from tests.support.hostile import flips, survives

@@ -1,6 +1,6 @@
-"""SPZ (nianticlabs/spz): versions 2, 3 and 4 in, version 4 out; 16 bytes a Gaussian at degree 0.
+"""SPZ (nianticlabs/spz): versions 1 to 4 in, 2 to 4 out; 16 bytes a Gaussian at degree 0.
 
-Layout, little-endian. Versions 2 and 3 are one gzip stream of a header of 16 bytes and the arrays;
+Layout, little-endian. Versions 1 to 3 are one gzip stream of a header of 16 bytes and the arrays;
 version 4 is a header of 32 bytes, extensions (left out here), a table of contents and one zstd
 frame for each array that is not empty.
 
@@ -8,11 +8,11 @@ frame for each array that is not empty.
              u8 flags (1 = trained with opacity compensation, 2 = extensions), u8 zero;
              in version 4 that u8 is the number of arrays, then u32 offset of the table, 12 zeros
     table    for each array: u64 compressed bytes, u64 raw bytes
-    arrays   positions  i24 x 3, fixed point with the fractional bits
+    arrays   positions  version 1: f16 x 3; later: i24 x 3, fixed point with the fractional bits
              opacities  u8, of 255
              colours    u8 x 3: f_dc * 0.15 * 255 + 127.5
              scales     u8 x 3: (ln s + 10) * 16
-             rotations  version 2: u8 x 3, x y z as (q + 1) * 127.5, w >= 0 follows;
+             rotations  to version 2: u8 x 3, x y z as (q + 1) * 127.5, w >= 0 follows;
                         later: u32, 2 bits which of x, y, z, w is largest and left out, then the
                         other three in order: sign and 9 bits of |q| * sqrt(2) * 511
              harmonics  u8 x 3 (K - 1), coefficient after coefficient, RGB: 128 (1 + c)
@@ -28,6 +28,7 @@ import logging
 import struct
 import zlib
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 import zstandard
@@ -35,7 +36,15 @@ import zstandard
 from codec.errors import CorruptError, InvalidError, UnsupportedError
 from codec.splats import MAX_SH_DEGREE, Floats, Splats, sh_count
 
-from .levels import Bytes, byte_logits, clipped_bytes, opacity_bytes, restore_largest, unit_quats
+from .levels import (
+    Bytes,
+    byte_logits,
+    clipped_bytes,
+    opacity_bytes,
+    restore_largest,
+    split_largest,
+    unit_quats,
+)
 from .limits import MAX_GAUSSIANS, Decoded, check_count, check_ratio
 
 MAGIC = 0x5053474E
@@ -51,8 +60,10 @@ DEFAULT_FRACTIONAL_BITS = 12
 """What other writers use: steps of 0.24 mm, up to 2048 m from the origin."""
 COLOUR_SCALE = 0.15
 ZSTD_LEVEL = 12
+GZIP_LEVEL = 9
+GZIP_VERSIONS = (1, 2, 3)
 EXTENSION_BYTES = 1 << 20
-"""Bytes tolerated after the arrays of versions 2 and 3, for extensions."""
+"""Bytes tolerated after the arrays of versions 1 to 3, for extensions."""
 
 FLIP_POSITION = np.array([1, -1, -1], np.float32)
 FLIP_QUATERNION = np.array([1, 1, -1, -1], np.float32)
@@ -62,6 +73,14 @@ FLIP_QUATERNION = np.array([1, 1, -1, -1], np.float32)
 FLIP_SH = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
 
 _log = logging.getLogger(__name__)
+
+
+class SpzVersion(IntEnum):
+    """What can be written: 2 and 3 are read by most programs, 4 is smallest."""
+
+    V2 = 2
+    V3 = 3
+    V4 = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,11 +96,14 @@ class SpzHeader:
     @property
     def array_bytes(self) -> tuple[int, ...]:
         """Sizes of the arrays that are there, in order."""
-        rotation = 3 if self.version == 2 else 4
-        rows = [9, 1, 3, 3, rotation]
-        if self.sh_degree:
-            rows.append(3 * (sh_count(self.sh_degree) - 1))
-        return tuple(self.count * row for row in rows)
+        return tuple(self.count * width for width in self.widths if width)
+
+    @property
+    def widths(self) -> tuple[int, ...]:
+        """Bytes of a Gaussian in each of the six arrays."""
+        position = 6 if self.version == 1 else 9
+        rotation = 3 if self.version <= 2 else 4
+        return position, 1, 3, 3, rotation, 3 * (sh_count(self.sh_degree) - 1)
 
 
 def _header(
@@ -126,11 +148,11 @@ def spz_header(head: bytes, file_bytes: int, max_gaussians: int = MAX_GAUSSIANS)
     size_bytes = HEADER.size if is_gzip else HEADER_V4.size
     if len(head) < size_bytes:
         raise CorruptError(f"SPZ: ends inside its header of {size_bytes} bytes")
-    return _header(head, (2, 3) if is_gzip else (4,), file_bytes, max_gaussians)
+    return _header(head, GZIP_VERSIONS if is_gzip else (4,), file_bytes, max_gaussians)
 
 
 def _gzip_arrays(data: bytes, header: SpzHeader) -> list[memoryview]:
-    """The arrays of versions 2 and 3."""
+    """The arrays of versions 1 to 3."""
     stream = zlib.decompressobj(wbits=31)
     wanted = sum(header.array_bytes)
     body = memoryview(_gunzip(stream, data, HEADER.size + wanted + EXTENSION_BYTES))[HEADER.size :]
@@ -185,16 +207,19 @@ def _rows(array: memoryview, width: int) -> Bytes:
     return np.frombuffer(array, np.uint8).reshape(-1, width)
 
 
-def _positions(rows: Bytes, fractional_bits: int) -> Floats:
+def _positions(rows: Bytes, header: SpzHeader) -> Floats:
+    if header.version == 1:
+        with np.errstate(invalid="ignore"):  # NaN is refused with the Gaussians that have it
+            return rows.view("<f2").astype(np.float32) * FLIP_POSITION
     low = rows.reshape(-1, 3, 3).astype(np.int32)
     fixed = low[:, :, 0] | low[:, :, 1] << 8 | low[:, :, 2] << 16
     signed = (fixed ^ 0x800000) - 0x800000
-    return np.ldexp(signed.astype(np.float32), -fractional_bits) * FLIP_POSITION
+    return np.ldexp(signed.astype(np.float32), -header.fractional_bits) * FLIP_POSITION
 
 
 def _rotations(rows: Bytes, version: int) -> Floats:
     """(N, 4) w, x, y, z."""
-    if version == 2:
+    if version <= 2:
         xyz = rows / 127.5 - 1
         xyzw = restore_largest(xyz, np.full(len(xyz), 3))
     else:
@@ -206,7 +231,7 @@ def _rotations(rows: Bytes, version: int) -> Floats:
 
 
 def decode_spz(data: bytes, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
-    """The Gaussians of an SPZ file of version 2, 3 or 4.
+    """The Gaussians of an SPZ file of version 1 to 4.
 
     Raises CorruptError, or UnsupportedError, also for more than `max_gaussians`. The flag for
     opacity compensation is only logged: a Splats has no place for it.
@@ -219,13 +244,11 @@ def decode_spz(data: bytes, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
             "small Gaussians may look too bright"
         )
     made = Decoded.empty(header.count, header.sh_degree)
-    rotation_bytes = 3 if header.version == 2 else 4
-    widths = (9, 1, 3, 3, rotation_bytes, 3 * (made.sh.shape[1] - 1))
-    parts = [_rows(array, width) for array, width in zip(arrays, widths, strict=False)]
+    parts = [_rows(array, width) for array, width in zip(arrays, header.widths, strict=False)]
     positions, opacities, colours, scales, rotations = parts[:5]
     flips = FLIP_SH[1 : made.sh.shape[1], None]
     for block in made.blocks():
-        made.means[block] = _positions(positions[block], header.fractional_bits)
+        made.means[block] = _positions(positions[block], header)
         made.logit_opacities[block] = byte_logits(opacities[block, 0])
         made.sh[block, 0] = (colours[block] / 255 - 0.5) / COLOUR_SCALE
         made.log_scales[block] = scales[block].astype(np.float32) / 16 - 10
@@ -249,14 +272,18 @@ def _fixed_positions(means: Floats) -> tuple[bytes, int]:
     return low.tobytes(), bits
 
 
-def _packed_rotations(quats: Floats) -> bytes:
-    xyzw = (unit_quats(quats) * FLIP_QUATERNION)[:, [1, 2, 3, 0]]
-    largest = np.abs(xyzw).argmax(axis=1)
-    rows = np.arange(len(xyzw))
-    # A quaternion and its negative are the same rotation; the one left out is taken as positive.
-    xyzw *= np.where(xyzw[rows, largest] < 0, -1.0, 1.0)[:, None]
+def _first_three(quats: Floats) -> bytes:
+    """The array of rotations to version 2."""
+    unit = unit_quats(quats) * FLIP_QUATERNION
+    # A quaternion and its negative are the same rotation; w is taken as positive.
+    unit *= np.where(unit[:, :1] < 0, -1.0, 1.0)
+    return clipped_bytes(unit[:, 1:] * 127.5 + 127.5).tobytes()
+
+
+def _smallest_three(quats: Floats) -> bytes:
+    """The array of rotations from version 3 on."""
+    largest, smaller = split_largest((unit_quats(quats) * FLIP_QUATERNION)[:, [1, 2, 3, 0]])
     words = largest.astype(np.uint32)
-    smaller = np.delete(xyzw.ravel(), rows * 4 + largest).reshape(-1, 3)
     for column in smaller.T:
         size = np.minimum(np.rint(np.abs(column) * np.sqrt(2) * 511), 511).astype(np.uint32)
         words = words << np.uint32(10) | np.where(column < 0, np.uint32(512), np.uint32(0)) | size
@@ -264,8 +291,8 @@ def _packed_rotations(quats: Floats) -> bytes:
     return packed
 
 
-def encode_spz(splats: Splats) -> bytes:
-    """The SPZ file of `splats`, version 4, every harmonic at its full 8 bits.
+def encode_spz(splats: Splats, version: SpzVersion = SpzVersion.V4) -> bytes:
+    """The SPZ file of `splats`, every harmonic at its full 8 bits.
 
     Raises InvalidError for a position beyond 8388607. Clipped: ln s to -10..5.9, f_dc to -3.3..3.3,
     harmonics to -1..1.
@@ -277,23 +304,17 @@ def encode_spz(splats: Splats) -> bytes:
         opacity_bytes(splats.opacities).tobytes(),
         clipped_bytes(wide[:, 0] * (COLOUR_SCALE * 255) + 127.5).tobytes(),
         clipped_bytes((splats.log_scales.astype(np.float64) + 10) * 16).tobytes(),
-        _packed_rotations(splats.quats),
+        (_first_three if version == SpzVersion.V2 else _smallest_three)(splats.quats),
         clipped_bytes(wide[:, 1:] * FLIP_SH[1 : wide.shape[1], None] * 128 + 128).tobytes(),
     ]
     arrays = [array for array in arrays if array]
+    said = (MAGIC, int(version), len(splats), splats.sh_degree, fractional_bits, 0)
+    if version != SpzVersion.V4:
+        stream = zlib.compressobj(GZIP_LEVEL, wbits=31)
+        return stream.compress(b"".join([HEADER.pack(*said, 0), *arrays])) + stream.flush()
     compressor = zstandard.ZstdCompressor(level=ZSTD_LEVEL, write_checksum=True)
     frames = [compressor.compress(array) for array in arrays]
-    head = HEADER_V4.pack(
-        MAGIC,
-        4,
-        len(splats),
-        splats.sh_degree,
-        fractional_bits,
-        0,
-        len(frames),
-        HEADER_V4.size,
-        bytes(12),
-    )
+    head = HEADER_V4.pack(*said, len(frames), HEADER_V4.size, bytes(12))
     table = b"".join(
         ENTRY.pack(len(frame), len(array)) for frame, array in zip(frames, arrays, strict=True)
     )

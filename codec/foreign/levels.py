@@ -52,3 +52,15 @@ def restore_largest(smaller: Doubles, largest: npt.NDArray[np.integer]) -> Doubl
     full[rows, places] = smaller
     full[rows[:, 0], largest] = np.sqrt(np.maximum(0.0, 1.0 - squares))
     return full
+
+
+def split_largest(unit: Doubles) -> tuple[npt.NDArray[np.intp], Doubles]:
+    """(N,) which component of each of the (N, 4) unit vectors is largest, and (N, 3) the others in
+    order, of the vector or its negative: the one left out is positive.
+
+    A quaternion and its negative are the same rotation.
+    """
+    rows = np.arange(len(unit))
+    largest = np.abs(unit).argmax(axis=1)
+    signed = unit * np.where(unit[rows, largest] < 0, -1.0, 1.0)[:, None]
+    return largest, np.delete(signed.ravel(), rows * 4 + largest).reshape(-1, 3)

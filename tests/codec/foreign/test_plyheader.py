@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from codec.errors import CorruptError
-from codec.interop.plyheader import (
+from codec.foreign.plyheader import (
     BINARY,
     MAX_HEADER_BYTES,
     TEXT,

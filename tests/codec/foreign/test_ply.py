@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codec.errors import CodecError, CorruptError, UnsupportedError
-from codec.interop.compressed_ply import decode_compressed_ply
+from codec.foreign.compressed_ply import decode_compressed_ply
+from codec.foreign.ply import decode_ply, encode_ply
 from codec.interop.formats import decode_any
-from codec.interop.ply import decode_ply, encode_ply
 from codec.splats import SH_C0, Splats
 from tests.support.drawn import drawn_splats, same
 from tests.support.hostile import flips, survives, truncations

@@ -1,4 +1,4 @@
-"""SPZ 2, 3 and 4: hand-made bytes, axes, round trips, bombs and other hostile bytes."""
+"""SPZ 1 to 4: hand-made bytes, axes, round trips, bombs and other hostile bytes."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
+from codec.foreign.spz import SpzVersion, decode_spz, encode_spz
 from codec.interop.formats import decode_any
-from codec.interop.spz import decode_spz, encode_spz
 from codec.pose import Doubles
 from codec.splats import Splats
-from tests.support.drawn import angles_rad, drawn_splats
+from tests.support.drawn import angles_rad, drawn_splats, same
 from tests.support.hostile import flips, survives, truncations
 from tests.support.trained_like import trained_like_splats
 
@@ -94,6 +94,18 @@ def test_spz_2_keeps_the_rotation_in_three_bytes() -> None:
     assert splats.quats[1] == pytest.approx([0, small, -small, 1], abs=3e-5)
 
 
+def test_spz_1_keeps_half_floats() -> None:
+    positions = np.array([[1, -1, 0.5], [-2, 0.1, 65504]], "<f2")
+    data = legacy(2, FIRST_THREE)
+    body = gzip.decompress(data)[16 + len(POSITIONS) :]
+    splats = decode_any(gzip.compress(header(1) + positions.tobytes() + body))
+    assert splats.means.tolist() == (positions.astype(np.float32) * [1, -1, -1]).tolist()
+    assert splats.sh.tolist() == decode_any(data).sh.tolist()
+    endless = np.array([[np.inf] * 3] * 2, "<f2").tobytes()
+    with pytest.raises(CorruptError, match="not finite"):
+        decode_any(gzip.compress(header(1) + endless + body))
+
+
 def basis(directions: Doubles) -> Doubles:
     """(N, 16) harmonics up to their constants and signs, which do not matter here."""
     x, y, z = directions.T
@@ -140,6 +152,23 @@ def test_spz_keeps_what_its_bits_can(splats: Splats) -> None:
     assert angles_rad(again, back).max(initial=0) <= 2 * np.sqrt(3 + 9) * step / 2
 
 
+@given(drawn_splats(log_scale=(-10.0, 5.9), harmonic=0.99))
+@settings(max_examples=40, deadline=None)
+def test_versions_differ_in_rotations_alone(splats: Splats) -> None:
+    third = encode_spz(splats, SpzVersion.V3)
+    assert gzip.decompress(third)[:8] == b"NGSP\3\0\0\0"
+    assert same(decode_any(third), decode_any(encode_spz(splats)))
+    second = encode_spz(splats, SpzVersion.V2)
+    assert gzip.decompress(second)[:8] == b"NGSP\2\0\0\0"
+    back = decode_any(second)
+    for name in ("means", "log_scales", "logit_opacities", "sh"):
+        assert (getattr(back, name) == getattr(decode_any(third), name)).all()
+    # x, y and z in 8 bits of -1..1; w makes them a unit vector, but that it is never below 0.
+    unit = splats.quats / np.linalg.norm(splats.quats, axis=1, keepdims=True)
+    unit *= np.where(unit[:, :1] < 0, -1, 1)
+    assert np.abs(back.quats - unit)[:, 1:].max(initial=0) <= 0.51 / 127.5
+
+
 def test_a_huge_scene_trades_precision_for_range() -> None:
     splats = trained_like_splats(3)
     far = Splats(
@@ -176,7 +205,7 @@ def altered(data: bytes, place: int, value: bytes) -> bytes:
         (b"NGSP", CorruptError, "header of 32"),
         (gzip.compress(b"NGSP"), CorruptError, "header of 16"),
         (gzip.compress(b"PSGN" + bytes(12)), CorruptError, "NGSP"),
-        (gzip.compress(header(1)), UnsupportedError, "version 1; .* 2 or 3"),
+        (gzip.compress(header(0)), UnsupportedError, "version 0; .* 1 or 2 or 3"),
         (gzip.compress(header(4)), UnsupportedError, "version 4"),
         (header(3) + bytes(16), UnsupportedError, "must be 4"),
         (gzip.compress(header(3, degree=4)), UnsupportedError, "SH degree 4"),

@@ -1,0 +1,1 @@
+"""Files of Gaussians as other programs write them: bytes to a Splats and back."""

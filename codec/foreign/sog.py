@@ -1,0 +1,251 @@
+"""SOG of version 2 (PlayCanvas, "Spatially Ordered Gaussians"), bundled: a ZIP of meta.json and
+WebP pictures without loss, one pixel a Gaussian, row after row.
+
+    means     two pictures, the low and the high bytes of x, y, z in 16 bits between mins and maxs,
+              each as sign(p) ln(1 + |p|)
+    scales    RGB: which of the 256 values of a codebook ln s is, by axis
+    quats     RGBA: A - 252 is which of w, x, y, z is largest and left out; the other three in
+              order, as (v / 255 - 1/2) * sqrt(2)
+    sh0       RGBA: which of the 256 values of a codebook f_dc is, by channel; opacity of 255
+    shN       labels: R + 256 G is which row of a palette holds the other harmonics.
+              centroids: 64 rows of the palette in a row of pixels, K - 1 pixels each, RGB: which of
+              the 256 values of a codebook it is
+
+The specification (developer.playcanvas.com) says that y points up, and that the first mode leaves
+out x; the programs that write and read these files keep the frame of the PLY, RDF, and w first. So
+do these functions.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from codec.errors import CorruptError, UnsupportedError
+from codec.pose import Doubles
+from codec.profiles.morton import interleave
+from codec.splats import MAX_SH_DEGREE, Floats, Splats, sh_count
+
+from .bundle import Bundle, encode_bundle
+from .codebook import CODES, codebook, codes_of, palette
+from .jsonfields import Fields
+from .levels import (
+    Bytes,
+    byte_logits,
+    clipped_bytes,
+    opacity_bytes,
+    restore_largest,
+    split_largest,
+    unit_quats,
+)
+from .limits import MAX_GAUSSIANS, Decoded, check_count, check_ratio
+from .webp import decode_webp, encode_webp
+
+META = "meta.json"
+VERSION = 2
+FIRST_MODE = 252
+LEVELS = 65535
+"""Steps of a position."""
+MAX_PALETTE = 1 << 16
+PALETTE_COLUMNS = 64
+PIXEL_BYTES = 20
+"""Of a Gaussian in the five pictures that there always are, as they are decoded."""
+SPARE_PIXELS = 1 << 16
+
+_log = logging.getLogger(__name__)
+
+
+class _Pictures:
+    """The pictures of a bundle with a pixel for each of `count` Gaussians."""
+
+    def __init__(self, bundle: Bundle, count: int) -> None:
+        self._bundle, self._count = bundle, count
+
+    def pixels(self, name: str, needed: int) -> Bytes:
+        """(height, width, 4) of a picture that is not much larger than `needed` pixels."""
+        most = 2 * needed + SPARE_PIXELS
+        return decode_webp(self._bundle.read(name), f"SOG: {name[:40]!r}", most)
+
+    def rows(self, name: str) -> Bytes:
+        """(N, 4): a pixel for each Gaussian."""
+        pixels = self.pixels(name, self._count).reshape(-1, 4)
+        if len(pixels) < self._count:
+            raise CorruptError(f"SOG: {name[:40]!r}: {len(pixels)} pixels of {self._count}")
+        return pixels[: self._count]
+
+
+def _book(fields: Fields) -> Floats:
+    with np.errstate(over="ignore"):  # infinities are refused with the Gaussians that have them
+        return np.array(fields.numbers("codebook", CODES)).astype(np.float32)
+
+
+def _harmonics(shn: Fields, pictures: _Pictures) -> tuple[int, Floats, npt.NDArray[np.uint16]]:
+    """The SH degree, (k, K - 1, 3) the palette, and (N,) which row of it each Gaussian has."""
+    degree = shn.integer("bands", most=MAX_SH_DEGREE)
+    size = shn.integer("count", most=MAX_PALETTE)
+    if not degree or not size:
+        raise CorruptError("SOG: shN without harmonics")
+    coefficients = sh_count(degree) - 1
+    names = shn.texts("files", 2)
+    width, height = PALETTE_COLUMNS * coefficients, -(-size // PALETTE_COLUMNS)
+    pixels = pictures.pixels(names[0], width * height)
+    if pixels.shape[1] != width or pixels.shape[0] < height:
+        raise CorruptError(f"SOG: {names[0][:40]!r}: not {width} x {height} pixels")
+    entries = pixels[..., :3].reshape(-1, coefficients, 3)[:size]
+    rows = pictures.rows(names[1])
+    labels = rows[:, 0] | rows[:, 1].astype(np.uint16) << np.uint16(8)
+    if labels.max(initial=0) >= size:
+        raise CorruptError(f"SOG: a label of {labels.max()} where the palette has {size} rows")
+    return degree, _book(shn)[entries], labels
+
+
+def decode_sog(data: bytes, max_gaussians: int = MAX_GAUSSIANS) -> Splats:
+    """The Gaussians of a bundled SOG of version 2.
+
+    Raises CorruptError, or UnsupportedError, also for more than `max_gaussians`. The flag for
+    opacity compensation is only logged: a Splats has no place for it.
+    """
+    bundle = Bundle(data, "SOG")
+    meta = Fields.parse(bundle.read(META), f"SOG: {META}")
+    version = meta.integer("version", 1, most=1 << 32)
+    if version != VERSION:
+        raise UnsupportedError(f"SOG: version {version}; this program reads {VERSION}")
+    count = check_count("SOG", meta.integer("count", most=1 << 53), max_gaussians)
+    check_ratio("SOG", count * PIXEL_BYTES, len(data))
+    if meta.flag("antialias"):
+        _log.warning(
+            "the SOG was trained with opacity compensation, which is left out: "
+            "small Gaussians may look too bright"
+        )
+    pictures = _Pictures(bundle, count)
+    degree, entries, labels = 0, np.empty((0, 0, 3), np.float32), np.empty(0, np.uint16)
+    if "shN" in meta:
+        degree, entries, labels = _harmonics(meta.fields("shN"), pictures)
+    means, scales, sh0 = (meta.fields(name) for name in ("means", "scales", "sh0"))
+    low, high = (pictures.rows(name) for name in means.texts("files", 2))
+    scale_rows, quat_rows, sh0_rows = (
+        pictures.rows(fields.texts("files", 1)[0]) for fields in (scales, meta.fields("quats"), sh0)
+    )
+    lower, upper = np.array(means.numbers("mins", 3)), np.array(means.numbers("maxs", 3))
+    scale_book, sh0_book = _book(scales), _book(sh0)
+    if quat_rows[:, 3].min(initial=FIRST_MODE) < FIRST_MODE:
+        raise CorruptError("SOG: a quaternion does not say which component is left out")
+    made = Decoded.empty(count, degree)
+    for block in made.blocks():
+        steps = low[block, :3] | high[block, :3].astype(np.uint16) << np.uint16(8)
+        three = (quat_rows[block, :3] / 255 - 0.5) * np.sqrt(2.0)
+        with np.errstate(all="ignore"):  # infinities and NaN are refused below
+            logs = lower + (upper - lower) * (steps / LEVELS)
+            made.means[block] = np.sign(logs) * np.expm1(np.abs(logs))
+        made.log_scales[block] = scale_book[scale_rows[block, :3]]
+        made.quats[block] = restore_largest(three, quat_rows[block, 3] - FIRST_MODE)
+        made.logit_opacities[block] = byte_logits(sh0_rows[block, 3])
+        made.sh[block, 0] = sh0_book[sh0_rows[block, :3]]
+        if degree:
+            made.sh[block, 1:] = entries[labels[block]]
+    return made.checked("SOG")
+
+
+def _quantised_means(means: Floats) -> tuple[npt.NDArray[np.uint16], Doubles, Doubles]:
+    """(N, 3) steps, and (3,) what the first and the last stand for."""
+    wide = means.astype(np.float64)
+    logs = np.sign(wide) * np.log1p(np.abs(wide))
+    if not len(logs):
+        return np.zeros((0, 3), np.uint16), np.zeros(3), np.zeros(3)
+    lower, upper = logs.min(axis=0), logs.max(axis=0)
+    shares = (logs - lower) / np.where(upper > lower, upper - lower, 1)
+    return np.rint(shares * LEVELS).astype(np.uint16), lower, upper
+
+
+def _numbers(values: Floats) -> list[float]:
+    """`values` as JSON keeps them, as short as a float32 can be written."""
+    return [float(str(value)) for value in values]
+
+
+class _Sheet:
+    """Tables of bytes as pictures with a pixel for each of `count` rows."""
+
+    def __init__(self, count: int) -> None:
+        # Multiples of four, which graphics hardware likes.
+        self.width = max(4, int(np.ceil(np.sqrt(count) / 4)) * 4)
+        self.height = max(4, -(-count // self.width // 4) * 4)
+
+    def picture(self, *columns: Bytes) -> bytes:
+        """columns: (N, any) bytes, together three or four channels."""
+        rows = np.concatenate(columns, axis=1)
+        pixels = np.zeros((self.width * self.height, rows.shape[1]), np.uint8)
+        pixels[: len(rows)] = rows
+        return encode_webp(pixels.reshape(self.height, self.width, -1))
+
+
+def _low_and_high(values: npt.NDArray[np.integer]) -> tuple[Bytes, Bytes]:
+    return (values & 255).astype(np.uint8), (values >> 8).astype(np.uint8)
+
+
+def _encode_harmonics(
+    rest: Floats, sh_degree: int, sheet: _Sheet
+) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """What meta.json says of (N, K - 1, 3) harmonics, and their pictures."""
+    count, coefficients, _ = rest.shape
+    # As many rows as the largest power of two of Gaussians that there are.
+    size = min(MAX_PALETTE, 1 << count.bit_length() - 1)
+    entries, labels = palette(rest.reshape(count, -1), size)
+    book = codebook(entries)
+    rows_of_pixels = -(-len(entries) // PALETTE_COLUMNS)
+    pixels = np.zeros((rows_of_pixels * PALETTE_COLUMNS, coefficients * 3), np.uint8)
+    pixels[: len(entries)] = codes_of(entries, book)
+    low, high = _low_and_high(labels[:, None])
+    files = {
+        "shN_centroids.webp": encode_webp(
+            pixels.reshape(rows_of_pixels, PALETTE_COLUMNS * coefficients, 3)
+        ),
+        "shN_labels.webp": sheet.picture(low, high, np.zeros_like(low)),
+    }
+    about = {"count": len(entries), "bands": sh_degree, "codebook": _numbers(book)}
+    return about, files
+
+
+def encode_sog(splats: Splats) -> bytes:
+    """The bundled SOG of `splats`, in the order of a Morton curve. Nothing is clipped."""
+    steps, lower, upper = _quantised_means(splats.means)
+    order = np.argsort(interleave(steps.astype(np.int64)), kind="stable")
+    splats, steps = splats.take(order), steps[order]
+    sheet = _Sheet(len(splats))
+    low, high = _low_and_high(steps)
+    largest, three = split_largest(unit_quats(splats.quats))
+    scale_book, sh0_book = codebook(splats.log_scales), codebook(splats.sh[:, 0])
+    files = {
+        "means_l.webp": sheet.picture(low),
+        "means_u.webp": sheet.picture(high),
+        "scales.webp": sheet.picture(codes_of(splats.log_scales, scale_book)),
+        "quats.webp": sheet.picture(
+            clipped_bytes((three / np.sqrt(2) + 0.5) * 255),
+            (FIRST_MODE + largest[:, None]).astype(np.uint8),
+        ),
+        "sh0.webp": sheet.picture(
+            codes_of(splats.sh[:, 0], sh0_book), opacity_bytes(splats.opacities)[:, None]
+        ),
+    }
+    meta = {
+        "version": VERSION,
+        "count": len(splats),
+        "antialias": False,
+        "means": {
+            "mins": lower.tolist(),
+            "maxs": upper.tolist(),
+            "files": ["means_l.webp", "means_u.webp"],
+        },
+        "scales": {"codebook": _numbers(scale_book), "files": ["scales.webp"]},
+        "quats": {"files": ["quats.webp"]},
+        "sh0": {"codebook": _numbers(sh0_book), "files": ["sh0.webp"]},
+    }
+    if splats.sh_degree and len(splats):
+        about, pictures = _encode_harmonics(splats.sh[:, 1:], splats.sh_degree, sheet)
+        meta["shN"] = about | {"files": list(pictures)}
+        files |= pictures
+    text = json.dumps(meta, separators=(",", ":"), allow_nan=False).encode()
+    return encode_bundle({META: text} | files)

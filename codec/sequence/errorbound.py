@@ -1,0 +1,96 @@
+"""How far a stream may be from the files that it is made of, and how far it was."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from itertools import pairwise
+
+import numpy as np
+
+from codec.errors import InvalidError
+from codec.pose import Doubles
+from codec.profiles.quantise import MAX_OPACITY_LEVELS
+from codec.slots.lattice import COLOURS, SCALES, TURNS, Lattice
+
+HOLD = 0.75
+"""Steps that a value may be off before it is sent again; a new one is rounded, so half a step off.
+Above 0.5, so that noise about the middle between two steps is not sent."""
+
+KINDS = ("position", "size", "turn", "colour", "opacity")
+
+TOP = 127
+"""The integer of the largest log-scale that an attribute holds."""
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorBound:
+    """How far a Gaussian of a frame may be from the one in that frame's file. What would be farther
+    off is sent as it is, at full precision."""
+
+    position: float = 0.067
+    """Of each coordinate, as a share of the usual size of a Gaussian: of the geometric mean of its
+    two larger standard deviations, in the file where that is least."""
+    size: float = 0.09
+    """Of each axis, of the natural logarithm of its standard deviation: 0.09 is 9 %. An axis
+    thinner than the lattice holds counts as the thinnest that it holds."""
+    turn: float = 0.0125
+    """Of the components x, y, z of the unit quaternion: 0.0125 is 1.4 degrees."""
+    colour: float = 0.042
+    """Of Y, Co, Cg of each spherical harmonic coefficient: 0.042 is 0.012 of the whole range."""
+    opacity: float = 0.02
+    """Of the opacity, which lies between 0 and 1."""
+    finer: float = 1.0
+    """All of these are divided by it."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not 0 < value < float("inf"):
+                raise InvalidError(f"error {field.name} {value:g}: choose more than 0")
+        finest = HOLD / (MAX_OPACITY_LEVELS - 1)
+        if self.of("opacity") < finest:
+            raise InvalidError(
+                f"error opacity {self.of('opacity'):g}: no stream holds finer than {finest:.4f}"
+            )
+
+    def of(self, kind: str) -> float:
+        """The bound of one of KINDS."""
+        return float(getattr(self, kind)) / self.finer
+
+    def lattice(self, size_m: float, lowest: float, highest: float) -> Lattice:
+        """The lattice that keeps these bounds.
+
+        size_m: the usual size of a Gaussian; lowest, highest: of all log-scales. Raises
+        InvalidError for steps that no stream has.
+        """
+        log_scale = self.of("size") / HOLD
+        base = 0.0
+        if highest > TOP * log_scale or lowest < -(TOP + 1) * log_scale:
+            # What is large must fit; what is too thin is flat.
+            base = (np.ceil(highest / log_scale) - TOP) * log_scale
+        levels = 1 + int(np.ceil(HOLD / self.of("opacity") - 1e-9))
+        return Lattice(
+            max(self.of("position") * size_m / HOLD, 1e-6),
+            log_scale,
+            self.of("turn") / HOLD,
+            self.of("colour") / HOLD,
+            max(levels, 2),
+            base,
+        )
+
+
+EDGES = (0, 3 + SCALES, 3 + TURNS, 3 + COLOURS)
+"""Where the position and the attributes of each kind begin; the opacity is the last attribute."""
+
+
+def steps_of(lattice: Lattice) -> Doubles:
+    """(5,) the steps of KINDS, in the units of ErrorBound, but those of positions in metres."""
+    steps = lattice.position_m, lattice.log_scale, lattice.rotation, lattice.colour
+    return np.array([*steps, 1 / (lattice.opacity_levels - 1)])
+
+
+def by_kind(values: Doubles) -> Doubles:
+    """(N, 5) the largest of each of KINDS in (N, 3 + A) values of a position and attributes."""
+    parts = [values[:, a:b] for a, b in pairwise((*EDGES, values.shape[1]))]
+    parts[3], last = parts[3][:, :-1], parts[3][:, -1]
+    return np.stack([*(part.max(axis=1) for part in parts), last], axis=1)

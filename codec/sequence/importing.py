@@ -1,0 +1,303 @@
+"""A stream made of files of Gaussians: one still model, or a numbered sequence.
+
+With the profile lattice a slice sends only what changes from file to file. With the others every
+file becomes a slice that lives for one frame (swin_size 1), so that each frame stands by itself. A
+still model is a stream of one frame; nothing in it ever expires, so a player may hold or repeat it
+for as long as it likes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+
+from codec.camera import Camera
+from codec.errors import InvalidError
+from codec.files import making_folder
+from codec.framerange import FRAMES, FrameRange
+from codec.pose import Doubles
+from codec.profiles.profile import Profile
+from codec.slice import Slice
+from codec.slots.slotlayout import MAX_LAYERS, MAX_SEGMENT_SLOTS
+from codec.slots.update import Update
+from codec.splats import Splats
+from codec.stream.layers import RANKS, Rank, split_counts
+from codec.stream.manifest import SLOTS_VERSION, Manifest, Point
+from codec.stream.poster import POSTER_NAME, Draw, write_poster
+from codec.stream.reader import StreamReader
+from codec.stream.writer import StreamWriter
+
+from .errorbound import KINDS, ErrorBound
+from .importscore import ImportScore, cameras_around
+from .numberedfiles import find_files
+from .slotfiller import SlotFiller, SlotPlan
+from .survey import Survey, read_frame
+
+WIDTH_PX, HEIGHT_PX = 1280, 720
+VERTICAL_FOV_RAD = math.radians(50)
+NEAR_SHARE = 0.01
+"""Nearest depth drawn, as a share of the bounds' half diagonal: one may walk into the model."""
+SHARES = (0.35, 0.15, 0.2, 0.3)
+"""Of the layers, where there are as many; else they are equal."""
+SEGMENT_FRAMES = 15
+LONGEST_SEGMENT_S = 10.0
+STILL_FPS = 30.0
+"""Of a single file: nothing moves."""
+MAX_FPS = 1000
+"""What a manifest may say."""
+FPS_NAME = "fps.txt"
+"""A file in the folder with the frames per second, a number, as captures may have."""
+
+Progress = Callable[[int, int], None]
+"""Told after each step: how many there were, and how many there will be."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImportOptions:
+    """How files become a stream."""
+
+    fps: float | None = None
+    """Frames shown in a second. A sequence needs it, here or as a number in its fps.txt."""
+    frames: Annotated[FrameRange, FRAMES] = field(default_factory=FrameRange)
+    """The files to take, from 0 on: A to B - 1."""
+    profile: Profile | None = None
+    """lattice sends only what changes from file to file, within the errors below; it is the default
+    of a sequence. The others send every file whole: compact, the default of a single file, is
+    small, raw keeps every float as it is in the file."""
+    layers: int = 4
+    """Layers to cut each frame into, for players on slow links."""
+    rank: Rank = Rank.COVERAGE
+    """Importance that orders Gaussians into layers: coverage, opacity, or given (as in the
+    file)."""
+    error: ErrorBound = field(default_factory=ErrorBound)
+    """How far profile lattice may be from the files."""
+    title: str | None = None
+    """A name for people; by default the name of the file or folder."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.layers <= MAX_LAYERS:
+            raise InvalidError(f"layers {self.layers}: choose 1 to {MAX_LAYERS}")
+
+    @property
+    def shares(self) -> tuple[float, ...]:
+        """Of the layers."""
+        return SHARES if self.layers == len(SHARES) else (1 / self.layers,) * self.layers
+
+
+@dataclass(frozen=True, slots=True)
+class Imported:
+    """What `import_stream` made."""
+
+    manifest: Manifest
+    num_frames: int
+    num_bytes: int
+    """Of all objects."""
+    played_bytes: int
+    """Of what one fetches who plays from frame 0."""
+    first_bytes: int
+    """Of that, what comes before anything shows: the snapshots of frame 0, or its slice."""
+    errors: dict[str, float] | None
+    """The most that each of KINDS was off; of positions in metres. None if frames are whole."""
+    num_escaped: int
+    """Gaussians that were sent at full precision, so that the errors held."""
+    statuses: tuple[int, ...]
+    """How many slots were kept, ended, predicted, new; empty if frames are whole."""
+    scores_db: tuple[tuple[float, ...], ...]
+    """PSNR of some frames with 1, 2, ... layers, against the files, if there was something to draw
+    with."""
+
+
+def facing_camera(lower: Doubles, upper: Doubles) -> Camera:
+    """A camera in front of a box that sees all of it. It looks along +z with y down, as is the
+    convention in a PLY."""
+    radius = float(np.linalg.norm(upper - lower)) / 2
+    centre = (lower + upper) / 2
+    focal_px = HEIGHT_PX / 2 / math.tan(VERTICAL_FOV_RAD / 2)
+    w2c = np.eye(4)
+    w2c[:3, 3] = -centre
+    w2c[2, 3] += radius / math.sin(VERTICAL_FOV_RAD / 2)
+    return Camera(
+        "front", WIDTH_PX, HEIGHT_PX, focal_px, focal_px, WIDTH_PX / 2, HEIGHT_PX / 2, w2c
+    )
+
+
+def make_manifest(survey: Survey, options: ImportOptions, title: str) -> Manifest:
+    """The manifest of a stream of what `survey` found, each frame by itself (version 1,
+    profile compact)."""
+    lower, upper = survey.box
+    camera = facing_camera(lower, upper)
+    return Manifest(
+        fps=STILL_FPS if options.fps is None else options.fps,
+        swin_size=1,
+        num_gs=max(1, survey.num_gs),
+        layers=options.shares,
+        segment_frames=SEGMENT_FRAMES,
+        sh_degree=survey.sh_degree,
+        profile=Profile.COMPACT,
+        antialias=False,
+        near_m=NEAR_SHARE * float(np.linalg.norm(upper - lower)) / 2,
+        bounds=(_point(lower), _point(upper)),
+        cameras=(camera,),
+        default_camera=camera.name,
+        live=True,
+        title=title,
+        capture_frame=options.frames.first,
+    )
+
+
+def _point(values: Doubles) -> Point:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def _segment_frames(survey: Survey, fps: float) -> int:
+    """Frames in a segment such that its changes are about as large as its snapshot, which who joins
+    fetches too: the less moves, the longer."""
+    most = max(SEGMENT_FRAMES, round(LONGEST_SEGMENT_S * fps))
+    fitting = min(most, MAX_SEGMENT_SLOTS // max(1, survey.num_gs))
+    return int(np.clip(round(1 / max(survey.moved_share, 1e-6)), SEGMENT_FRAMES, fitting))
+
+
+def make_plan(survey: Survey, options: ImportOptions) -> SlotPlan:
+    """How the slots of a stream of what `survey` found are laid out."""
+    size_m = survey.size_m if survey.num_gs else 1.0
+    lattice = survey.lattice
+    wanted = options.error.lattice(size_m, survey.lowest, survey.highest)
+    if lattice is None or 4 * lattice.position_m < wanted.position_m:
+        lattice = wanted
+    slots = split_counts(max(1, survey.num_gs), options.shares)
+    if not min(slots):  # no layer is empty
+        slots = (sum(slots),)
+    bounds = np.array([options.error.of(kind) for kind in KINDS])
+    bounds[0] *= size_m
+    shares = options.shares if len(slots) == options.layers else (1.0,)
+    return SlotPlan(slots, shares, survey.sh_degree, lattice, bounds, *survey.box)
+
+
+def with_slots(plain: Manifest, plan: SlotPlan, survey: Survey) -> Manifest:
+    """`plain`, which is of version 1, as the manifest of a stream of the slots of `plan`."""
+    return replace(
+        plain,
+        version=SLOTS_VERSION,
+        num_gs=sum(plan.slots),
+        profile=Profile.LATTICE,
+        layers=(),
+        slots=plan.slots,
+        lattice=(plan.lattice,) * len(plan.slots),
+        segment_frames=_segment_frames(survey, plain.fps),
+    )
+
+
+def _fps_of(source: Path, num_files: int, options: ImportOptions) -> float:
+    """Frames in a second, from the options or the folder. Raises InvalidError."""
+    path = source / FPS_NAME
+    fps = STILL_FPS if options.fps is None else options.fps
+    if options.fps is None and num_files > 1:
+        if not path.is_file():
+            raise InvalidError(
+                f"{source}: no file says how many frames there are in a second; add --fps, as "
+                "--fps 30"
+            )
+        try:
+            fps = float(path.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise InvalidError(f"{path}: does not hold one number, frames per second") from error
+    if not 0 < fps <= MAX_FPS:
+        raise InvalidError(f"fps {fps:g}: choose more than 0, at most {MAX_FPS}")
+    return fps
+
+
+def _nothing(done: int, total: int) -> None:
+    pass
+
+
+def import_stream(
+    source: Path,
+    stream: Path,
+    options: ImportOptions,
+    draw: Draw | None = None,
+    progress: Progress = _nothing,
+) -> Imported:
+    """Writes a finished stream at `stream`, absent or an empty folder, of the file or numbered
+    folder `source`; with PSNR and a poster if there is something to draw them with.
+
+    Each file of a sequence is read twice: the manifest comes first and describes them all, and two
+    at most are in memory at a time. The stream appears whole or not at all. Raises a SwingsError
+    that names the file at fault.
+    """
+    all_files = find_files(source)
+    files = [all_files[n] for n in options.frames.of(len(all_files), source)]
+    options = replace(options, fps=_fps_of(source, len(files), options))
+    with making_folder(stream) as folder:
+        survey = Survey()
+        for number, file in enumerate(files):
+            survey.take(file, read_frame(file))
+            progress(number + 1, 2 * len(files))
+        title = source.resolve().name if options.title is None else options.title
+        manifest = make_manifest(survey, options, title)
+        filler = None
+        profile = options.profile
+        if profile is None:
+            profile = Profile.LATTICE if len(files) > 1 else Profile.COMPACT
+        if profile is not Profile.LATTICE:
+            manifest = replace(manifest, profile=profile)
+        else:
+            plan = make_plan(survey, options)
+            manifest = with_slots(manifest, plan, survey)
+            filler = SlotFiller(plan, RANKS[_known(options.rank)])
+        score = None
+        if draw is not None:
+            manifest = replace(manifest, poster=POSTER_NAME)
+            lower, upper = survey.box
+            cameras = cameras_around(manifest.camera(), (lower + upper) / 2)
+            score = ImportScore(draw, cameras, manifest.near_m, SEGMENT_FRAMES)
+        with StreamWriter.create(folder, manifest, options.rank, score) as writer:
+            for birth, file in enumerate(files):
+                splats = _read_again(file, survey)
+                if score is not None:
+                    score.source = splats
+                writer.append(_slice_of(birth, splats, filler))
+                if not birth:
+                    first_bytes = writer.slice_bytes
+                progress(len(files) + birth + 1, 2 * len(files))
+        if manifest.has_slots:
+            first_bytes = sum(StreamReader(folder).records[0].side_bytes[1:])
+        if draw is not None:
+            write_poster(folder, draw)
+    errors = None if filler is None else dict(zip(KINDS, filler.errors.tolist(), strict=True))
+    return Imported(
+        writer.manifest,
+        len(files),
+        writer.bytes_written,
+        writer.played_bytes,
+        first_bytes,
+        errors,
+        0 if filler is None else filler.num_escaped,
+        () if filler is None else tuple(filler.statuses.tolist()),
+        () if score is None else tuple(score.scores_db),
+    )
+
+
+def _known(rank: Rank) -> Rank:
+    if rank not in RANKS:  # a string of a caller whose types nobody checks
+        raise InvalidError(f"no rank is called {rank!r}; there are {', '.join(RANKS)}")
+    return rank
+
+
+def _read_again(file: Path, survey: Survey) -> Splats:
+    """The Gaussians of `file`. Raises InvalidError if they are not those that `survey` saw."""
+    splats = read_frame(file)
+    if splats.sh_degree != survey.sh_degree or len(splats) > survey.num_gs:
+        raise InvalidError(f"{file}: has changed while it was imported")
+    return splats
+
+
+def _slice_of(birth: int, splats: Splats, filler: SlotFiller | None) -> Slice | Update:
+    if filler is not None:
+        return filler.update(birth, splats)
+    return Slice(birth, splats, np.zeros(len(splats), np.uint8))

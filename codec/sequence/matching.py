@@ -1,0 +1,221 @@
+"""Which Gaussian of a file goes on in the next file.
+
+Rule: the same files give the same pairs. A wrong pair costs bytes, never precision: what a stream
+sends of a Gaussian is held against the file, whatever was there before.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from codec.pose import Doubles
+from codec.splats import SH_C0, Splats
+
+Rows = npt.NDArray[np.int64]
+Flags = npt.NDArray[np.bool_]
+Keys = npt.NDArray[np.uint64]
+
+ALIKE = (0.5, 0.5, 0.3, 0.15, 0.15, 0.15)
+"""How far the looks of a Gaussian may differ from file to file: the logarithms of its two larger
+standard deviations, its opacity, its colour."""
+
+ORDER_SHARE = 0.5
+"""Of the Gaussians at the same place in two files, the share that must be alike for the order of
+the files to mean something."""
+
+ORDER_REACH = 0.1
+"""How far a Gaussian may go in a frame where the order tells, as a share of the scene's extent."""
+
+REACH = 4.0
+"""How far a Gaussian may go in a frame where it does not, as a multiple of its size."""
+
+NEIGHBOURS = 4
+"""Nearest Gaussians that are looked at."""
+
+FLOW_ROUNDS, FLOW_NEIGHBOURS = 2, 8
+"""How often it is looked where a Gaussian's neighbours go, and how many of them tell."""
+
+FLOW_SAMPLES = 1 << 13
+"""Gaussians that are looked at for that."""
+
+ROUNDS = 3
+"""How often those that lost their nearest to another one look again."""
+
+
+def row_keys(splats: Splats) -> Keys:
+    """(N,) uint64 that tell Gaussians apart: equal for equal bits, hardly ever for others."""
+    count = len(splats)
+    keys = np.zeros(count, np.uint64)
+    for array in splats.arrays:
+        for column in array.reshape(count, -1).T if count else ():
+            keys ^= np.ascontiguousarray(column).view(np.uint32)
+            keys *= np.uint64(0x9E3779B97F4A7C15)
+            keys ^= keys >> np.uint64(29)
+    return keys
+
+
+def match(before: Splats, after: Splats) -> tuple[Rows, Flags]:
+    """(N,) the row of `before` that each Gaussian of `after` continues, or -1; and which of them
+    are the same bit by bit. No row is continued twice.
+
+    Bits come first, then the order of the files where it means something, then place and looks.
+    """
+    if len(before) == len(after) and all(map(np.array_equal, before.arrays, after.arrays)):
+        return np.arange(len(after)), np.ones(len(after), np.bool_)
+    continued = _equal_pairs(before, after)
+    same = continued >= 0
+    for pair in (_pair_by_order, _pair_by_place):
+        old = np.ones(len(before), np.bool_)
+        old[continued[continued >= 0]] = False
+        left, right = np.flatnonzero(old), np.flatnonzero(continued < 0)
+        if not len(left) or not len(right):
+            break
+        pair(before, after, left, right, continued)
+    return continued, same
+
+
+def _equal_pairs(before: Splats, after: Splats) -> Rows:
+    """(N,) the row of the same bits, the one at the same place first; or -1."""
+    continued = np.full(len(after), -1, np.int64)
+    both = min(len(before), len(after))
+    old, new = row_keys(before), row_keys(after)
+    stays = np.flatnonzero(old[:both] == new[:both])
+    stays = stays[_same_bits(before, stays, after, stays)]
+    continued[stays] = stays
+    left, right = _rest(len(before), stays), _rest(len(after), stays)
+    # Sorted by key, then by place; the n-th of a key goes to the n-th of the same key.
+    left = left[np.argsort(old[left], kind="stable")]
+    right = right[np.argsort(new[right], kind="stable")]
+    first = np.searchsorted(new[right], new[right])
+    at = np.searchsorted(old[left], new[right]) + np.arange(len(right)) - first
+    found = np.flatnonzero(at < len(left))
+    found = found[old[left[at[found]]] == new[right[found]]]
+    a, b = left[at[found]], right[found]
+    equal = _same_bits(before, a, after, b)
+    continued[b[equal]] = a[equal]
+    return continued
+
+
+def _rest(count: int, rows: Rows) -> Rows:
+    """Those of 0..count-1 that are not in `rows`."""
+    rest = np.ones(count, np.bool_)
+    rest[rows] = False
+    return np.flatnonzero(rest)
+
+
+def _same_bits(before: Splats, a: Rows, after: Splats, b: Rows) -> Flags:
+    """(M,) whether Gaussian a[i] of `before` has the bits of b[i] of `after`."""
+    same = np.ones(len(a), np.bool_)
+    for x, y in zip(before.arrays, after.arrays, strict=True):
+        bits = x[a].view(np.uint32) == y[b].view(np.uint32)
+        same &= bits.reshape(len(a), -1).all(axis=1) if len(a) else True
+    return same
+
+
+def _looks(splats: Splats) -> Doubles:
+    """(N, 6) what Gaussians look like, in units of ALIKE."""
+    sizes = np.sort(splats.log_scales.astype(np.float64), axis=1)[:, :0:-1]
+    colours = np.clip(0.5 + SH_C0 * splats.sh[:, 0].astype(np.float64), 0, 1)
+    return np.column_stack([sizes, splats.opacities, colours]) / ALIKE
+
+
+def _pair_by_order(before: Splats, after: Splats, left: Rows, right: Rows, continued: Rows) -> None:
+    """Fills `continued` where what stands at the same place of both files is alike, if it mostly
+    is: of all rows, or, if as many are left, of these alone."""
+    pairs = []
+    if len(left) == len(right):
+        pairs.append((left, right))
+    stays = np.intersect1d(left, right, assume_unique=True)
+    pairs.append((stays, stays))
+    extent = float(np.ptp(np.quantile(before.means[left], (0.02, 0.98), axis=0), axis=0).max())
+    best = (0, pairs[0][0][:0], pairs[0][1][:0])
+    for a, b in pairs:
+        if not len(a):
+            continue
+        looks = abs(_looks(before.take(a)) - _looks(after.take(b))).max(axis=1) <= 1
+        moves_m = np.linalg.norm(before.means[a].astype(np.float64) - after.means[b], axis=1)
+        sizes_m = np.exp(np.clip(before.log_scales[a].astype(np.float64).max(axis=1), -30, 30))
+        alike = looks & (moves_m <= ORDER_REACH * extent + sizes_m)
+        if alike.mean() >= ORDER_SHARE and alike.sum() > best[0]:
+            best = (int(alike.sum()), a[alike], b[alike])
+    continued[best[2]] = best[1]
+
+
+def _pair_by_place(before: Splats, after: Splats, left: Rows, right: Rows, continued: Rows) -> None:
+    """Fills `continued` with pairs each of which is the other's nearest, in place and looks, once
+    what goes one way with its neighbours is carried along."""
+    old, new = _Cloud.of(before.take(left)), _Cloud.of(after.take(right))
+    told = np.arange(0, len(left), 1 + len(left) // FLOW_SAMPLES)
+    for _ in range(FLOW_ROUNDS):
+        a, b = _mutual(old, new, told)
+        if len(a) < FLOW_NEIGHBOURS:
+            break
+        moves_m = new.means_m[b] - old.means_m[a]
+        _, near = _nearest(old.means_m[a], old.means_m, FLOW_NEIGHBOURS)
+        old = replace(old, guesses_m=old.means_m + np.median(moves_m[near], axis=1))
+    for _ in range(ROUNDS):
+        a, b = _mutual(old, new, np.arange(len(left)))
+        if not len(a):
+            return
+        continued[right[b]] = left[a]
+        rest, missing = _rest(len(left), a), _rest(len(right), b)
+        if not len(rest) or not len(missing):
+            return
+        left, right, old, new = left[rest], right[missing], old.take(rest), new.take(missing)
+
+
+@dataclass(frozen=True, slots=True)
+class _Cloud:
+    """What is compared of N Gaussians."""
+
+    means_m: Doubles  # (N, 3)
+    guesses_m: Doubles  # (N, 3) where they are thought to be in the other file
+    reach_m: Doubles  # (N,)
+    looks: Doubles  # (N, 6)
+
+    @staticmethod
+    def of(splats: Splats) -> _Cloud:
+        means_m = splats.means.astype(np.float64)
+        larger = np.sort(splats.log_scales.astype(np.float64), axis=1)[:, 1:]
+        reach_m = REACH * np.exp(np.clip(larger.mean(axis=1), -30, 30))
+        return _Cloud(means_m, means_m, reach_m, _looks(splats))
+
+    def take(self, rows: Rows) -> _Cloud:
+        return _Cloud(
+            self.means_m[rows], self.guesses_m[rows], self.reach_m[rows], self.looks[rows]
+        )
+
+
+def _mutual(old: _Cloud, new: _Cloud, asking: Rows) -> tuple[Rows, Rows]:
+    """Those of the rows `asking` of `old`, and rows of `new`, that are each other's best."""
+    asked = old.take(asking)
+    to_new = _best(asked, new, asked.guesses_m, new.means_m, asked.reach_m[:, None])
+    rows, to_new = asking[to_new >= 0], to_new[to_new >= 0]
+    found = new.take(to_new)
+    mutual = _best(found, old, found.means_m, old.guesses_m, old.reach_m) == rows
+    return rows[mutual], to_new[mutual]
+
+
+def _best(asking: _Cloud, others: _Cloud, from_m: Doubles, to_m: Doubles, reach_m: Doubles) -> Rows:
+    """(N,) for each of `asking` the best of its nearest among `others`, or -1. reach_m: (N, 1) of
+    those that ask, or (M,) of the others."""
+    count = min(NEIGHBOURS, len(others.looks))
+    distances, found = _nearest(to_m, from_m, count)
+    reaches = reach_m if reach_m.ndim == 2 else reach_m[found]
+    apart = abs(asking.looks[:, None] - others.looks[found])
+    costs = (distances / reaches) ** 2 + (apart**2).sum(axis=2)
+    costs[(distances > reaches) | (apart.max(axis=2) > 1)] = np.inf
+    best = np.argmin(costs, axis=1)
+    rows = np.arange(len(found))
+    return np.where(np.isfinite(costs[rows, best]), found[rows, best], -1)
+
+
+def _nearest(points_m: Doubles, from_m: Doubles, count: int) -> tuple[Doubles, Rows]:
+    """(N, count) how far from each of `from_m` the nearest of `points_m` are, and which."""
+    from scipy.spatial import cKDTree  # loads slowly, and few commands need it
+
+    distances_m, found = cKDTree(points_m).query(from_m, k=count)
+    return distances_m.reshape(-1, count), found.reshape(-1, count)

@@ -1,0 +1,42 @@
+"""The files of a sequence: one for each frame, in order of number."""
+
+from __future__ import annotations
+
+import re
+from itertools import pairwise
+from pathlib import Path
+
+from codec.errors import InvalidError
+from codec.interop.formats import READ, has_known_suffix
+
+
+def find_files(source: Path) -> list[Path]:
+    """The file `source`, or those of the folder `source` by the last number in their names.
+
+    Numbers may begin anywhere and go on by any step that stays the same. Raises InvalidError for a
+    folder without files of Gaussians, a name without a number, two names with the same number, or a
+    number that is missing.
+    """
+    if not source.is_dir():
+        return [source]
+    numbered: dict[int, Path] = {}
+    for path in sorted(source.iterdir()):
+        if path.name.startswith(".") or not has_known_suffix(path) or not path.is_file():
+            continue
+        digits = re.findall(r"[0-9]+", path.stem)
+        if not digits:
+            raise InvalidError(f"{path}: its name has no number to sort a sequence by")
+        first = numbered.setdefault(int(digits[-1]), path)
+        if first is not path:
+            raise InvalidError(f"{source}: {first.name} and {path.name} have the same number")
+    if not numbered:
+        raise InvalidError(f"{source}: no file of Gaussians in this folder ({READ})")
+    numbers = sorted(numbered)
+    step = min((b - a for a, b in pairwise(numbers)), default=1)
+    for a, b in pairwise(numbers):
+        if b - a != step:
+            raise InvalidError(
+                f"{source}: number {a + step} is missing between {numbered[a].name} and "
+                f"{numbered[b].name}"
+            )
+    return [numbered[number] for number in numbers]

@@ -1,0 +1,228 @@
+"""Files of Gaussians as slots that last: what stays the same from file to file is sent once.
+
+Every file is one frame, and the stream has one lane (swin_size 1), so that any Gaussian may change
+in any frame: with more lanes a change would wait for its lane's turn, and the frames until then
+would be wrong. Slots that nothing happens to cost next to nothing.
+
+Rule: what a slot holds is known as a player decodes it, and every number is held against the file,
+never against what was sent before; so errors do not add up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from codec.pose import Doubles
+from codec.profiles.morton import interleave
+from codec.slots.lattice import (
+    SCALES,
+    TURNS,
+    Bytes,
+    Flags,
+    Lattice,
+    States,
+    lattice_values,
+    round_values,
+)
+from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
+from codec.splats import Splats
+from codec.stream.layers import RankFunction, split_counts
+
+from .errorbound import HOLD, KINDS, by_kind, steps_of
+from .findlattice import as_given
+from .matching import Rows, match
+
+SLACK = 1e-6
+"""Of a step, for the rounding of the steps themselves."""
+
+BLOCK = 1 << 16
+"""Gaussians that become integers at a time."""
+
+CELLS = (1 << 16) - 1
+"""Cells along an axis of the curve on which newcomers are ordered."""
+
+Counts = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class SlotPlan:
+    """What must be known of all files before the first one becomes slots."""
+
+    slots: tuple[int, ...]
+    """Of each layer; all together as many as the fullest file has Gaussians, or more."""
+    shares: tuple[float, ...]
+    """Of the Gaussians of a file, by importance, that belong into each layer."""
+    sh_degree: int
+    lattice: Lattice
+    bounds: Doubles  # (5,) most that each of KINDS may be off; of positions in metres
+    lower: Doubles  # (3,) metres, of the box along which newcomers are ordered
+    upper: Doubles  # (3,)
+
+
+class SlotFiller:
+    """Makes an Update of each file in turn. S is how many slots there are."""
+
+    def __init__(self, plan: SlotPlan, rank: RankFunction) -> None:
+        self._plan, self._rank = plan, rank
+        self._limits = plan.bounds / steps_of(plan.lattice) + SLACK
+        self._hold = float(np.clip(self._limits.min(), 0.5, HOLD))
+        count = sum(plan.slots)
+        self._before = Splats.empty(plan.sh_degree)
+        self._slot_of_row: Rows = np.zeros(0, np.int64)  # of _before
+        self._states = States.zeros(count, plan.sh_degree)
+        self._is_full = np.zeros(count, np.bool_)
+        self._has_escaped = np.zeros(count, np.bool_)
+        self._worst = np.zeros(len(KINDS))  # in steps
+        self.statuses: Counts = np.zeros(4, np.int64)
+        """How many slots were kept, ended, predicted, new so far, after the first file; empty ones
+        count as kept."""
+        self.num_escaped = 0
+        """Gaussians sent at full precision so far."""
+
+    @property
+    def errors(self) -> Doubles:
+        """(5,) the most that each of KINDS was off so far; of positions in metres."""
+        return self._worst * steps_of(self._plan.lattice)
+
+    def update(self, birth: int, splats: Splats) -> Update:
+        """The update that makes the slots hold `splats`, of the next file, which has at most S
+        Gaussians."""
+        continued, same = match(self._before, splats)
+        lasts = continued >= 0
+        slots = np.full(len(splats), -1, np.int64)
+        slots[lasts] = self._slot_of_row[continued[lasts]]
+        is_free = np.ones(len(self._is_full), np.bool_)
+        is_free[slots[lasts]] = False
+        statuses = np.full(len(is_free), KEPT, np.uint8)
+        statuses[self._is_full & is_free] = ENDED
+        self._empty(np.flatnonzero(statuses == ENDED))
+        newcomers = np.flatnonzero(~lasts)
+        if len(newcomers):
+            rows, places = self._placed(splats, newcomers, is_free)
+            slots[rows] = places
+        changed = np.flatnonzero(lasts & ~same)
+        known = ~self._has_escaped[slots[changed]]
+        fresh = np.concatenate([newcomers, changed[~known]])
+        self._fill(splats, fresh, slots[fresh], None, statuses)
+        goes_on = changed[known]
+        before = self._states.take(slots[goes_on])
+        self._fill(splats, goes_on, slots[goes_on], before, statuses)
+        self._before, self._slot_of_row = splats, slots
+        if birth:
+            self.statuses += np.bincount(statuses, minlength=4)
+        return self._told(birth, statuses, splats, slots)
+
+    def _empty(self, slots: Rows) -> None:
+        self._is_full[slots] = self._has_escaped[slots] = False
+        self._states.put(slots, States.zeros(len(slots), self._plan.sh_degree))
+
+    def _fill(
+        self, splats: Splats, rows: Rows, slots: Rows, before: States | None, statuses: Bytes
+    ) -> None:
+        """Puts the Gaussians `rows` into `slots`, which held `before`; fills `statuses`."""
+        # Block by block: numbers on the way to integers take eight bytes each.
+        for first in range(0, len(rows), BLOCK):
+            part = slice(first, first + BLOCK)
+            held = None if before is None else before.take(part)
+            self._fill_block(splats, rows[part], slots[part], held, statuses)
+
+    def _fill_block(
+        self, splats: Splats, rows: Rows, slots: Rows, before: States | None, statuses: Bytes
+    ) -> None:
+        states, fits = self._on_lattice(splats.take(rows), before)
+        statuses[slots] = NEW
+        if before is not None:
+            kept = (states.positions == before.positions).all(axis=1)
+            kept &= (states.attributes == before.attributes).all(axis=1)
+            statuses[slots[fits]] = np.where(kept[fits], KEPT, PREDICTED)
+        # What has escaped holds no integers that could be predicted from.
+        nowhere = np.flatnonzero(~fits)
+        states.put(nowhere, States.zeros(len(nowhere), splats.sh_degree))
+        self._states.put(slots, states)
+        self._is_full[slots] = True
+        self._has_escaped[slots] = ~fits
+
+    def _on_lattice(self, splats: Splats, before: States | None) -> tuple[States, Flags]:
+        """`splats` as integers, and which of them are within the bounds."""
+        lattice = self._plan.lattice
+        states, fits = as_given(splats, lattice)
+        rest = np.flatnonzero(~fits)
+        if not len(rest):
+            return states, fits
+        left = None if before is None else before.take(rest)
+        values = lattice_values(splats.take(rest), lattice, left)
+        rounded, inside = round_values(values, lattice, left, self._hold)
+        sizes = values[:, 3 + SCALES : 3 + TURNS]
+        np.maximum(sizes, -128, out=sizes)  # what is thinner is flat
+        errors = by_kind(abs(values - rounded.numbers()))
+        inside &= (errors <= self._limits).all(axis=1)
+        self._worst = np.maximum(self._worst, errors[inside].max(axis=0, initial=0))
+        states.put(rest, rounded)
+        fits[rest] = inside
+        return states, fits
+
+    def _placed(self, splats: Splats, newcomers: Rows, is_free: Flags) -> tuple[Rows, Rows]:
+        """The rows `newcomers` in some order, and a free slot for each: in the layer that its
+        importance among all of `splats` gives it, or the nearest one with room. In a layer they
+        follow each other as neighbours do."""
+        plan = self._plan
+        by_rank = np.argsort(-self._rank(splats), kind="stable")
+        layers = np.empty(len(splats), np.int64)
+        layers[by_rank] = np.repeat(
+            np.arange(len(plan.slots)), split_counts(len(splats), plan.shares)
+        )
+        is_new = np.zeros(len(splats), np.bool_)
+        is_new[newcomers] = True
+        waiting = by_rank[is_new[by_rank]]  # the most important first
+        edges = np.cumsum((0, *plan.slots))
+        free = np.flatnonzero(is_free)
+        free_of = np.split(free, np.searchsorted(free, edges[1:-1]))
+        counts = _with_room(
+            np.bincount(layers[waiting], minlength=len(plan.slots)),
+            np.array([len(slots) for slots in free_of]),
+        )
+        extent = np.maximum(plan.upper - plan.lower, 1e-9).max()
+        cells = np.clip((splats.means[waiting] - plan.lower) / extent, 0, 1) * CELLS
+        curve = interleave(cells.astype(np.int64))
+        rows, places = [], []
+        ends = np.cumsum(counts)
+        for end, count, slots in zip(ends, counts, free_of, strict=True):
+            part = slice(end - count, end)
+            rows.append(waiting[part][np.argsort(curve[part], kind="stable")])
+            places.append(slots[:count])
+        return np.concatenate(rows), np.concatenate(places)
+
+    def _told(self, birth: int, statuses: Bytes, splats: Splats, slots: Rows) -> Update:
+        """The Update of what the slots hold now."""
+        coded = np.flatnonzero(statuses >= PREDICTED)
+        escaped = self._has_escaped[coded]
+        row_of_slot = np.zeros(len(statuses), np.int64)
+        row_of_slot[slots] = np.arange(len(slots))
+        self.num_escaped += int(np.count_nonzero(escaped))
+        return Update(
+            birth,
+            statuses,
+            self._states.take(coded),
+            np.zeros(len(coded), np.uint8),
+            escaped,
+            splats.take(row_of_slot[coded[escaped]]),
+        )
+
+
+def _with_room(wanted: Counts, room: Counts) -> Counts:
+    """How many go into each layer: as many as want, but no more than have room; the others go on
+    to less important layers, and those that find none there to more important ones."""
+    counts = np.zeros_like(wanted)
+    waiting = 0
+    for layer in range(len(wanted)):
+        waiting += wanted[layer]
+        counts[layer] = min(waiting, room[layer])
+        waiting -= counts[layer]
+    for layer in reversed(range(len(wanted))):
+        more = min(waiting, room[layer] - counts[layer])
+        counts[layer] += more
+        waiting -= more
+    return counts

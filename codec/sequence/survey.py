@@ -1,0 +1,104 @@
+"""What must be known of all files before the first one is written: they are read twice."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from codec.errors import InvalidError
+from codec.interop.formats import read_splats
+from codec.pose import Doubles
+from codec.profiles.quantise import POSITION_PER_SIZE, choose_steps
+from codec.slots.lattice import Lattice
+from codec.splats import Splats
+from codec.stream.chunk import MAX_SPLATS_PER_CHUNK
+
+from .findlattice import find_lattice
+from .matching import Keys, row_keys
+
+CORE_SHARE = 0.98
+"""Share of the centres, along each axis, that the bounds enclose: floaters lie far outside."""
+
+USUAL_SHARE = 0.999
+FAR = 2.0
+"""A log-scale counts that is not larger, by more than FAR, than USUAL_SHARE of all."""
+
+
+def read_frame(path: Path) -> Splats:
+    """The Gaussians of one file of a sequence. Raises a CodecError that names the file."""
+    return read_splats(path, MAX_SPLATS_PER_CHUNK)
+
+
+def _nowhere(sign: float) -> Doubles:
+    return np.full(3, sign * np.inf)
+
+
+@dataclass
+class Survey:
+    """Of the files taken in so far."""
+
+    num_files: int = 0
+    num_gs: int = 0
+    """Of the fullest file."""
+    sh_degree: int = 0
+    lower: Doubles = field(default_factory=lambda: _nowhere(1))  # (3,) metres
+    upper: Doubles = field(default_factory=lambda: _nowhere(-1))  # (3,) metres
+    size_m: float = np.inf
+    """The usual size of a Gaussian, in the file where it is least."""
+    lowest: float = 0.0
+    highest: float = 0.0
+    """The log-scales, without the few largest ones."""
+    lattice: Lattice | None = None
+    """That the Gaussians of the first file that has any lie on already."""
+    num_moved: int = 0
+    """Gaussians that are not, bit by bit, in the file before; the first file does not count."""
+    num_later: int = 0
+    """All Gaussians after the first file."""
+    _keys: Keys | None = None  # of the file before
+
+    def take(self, path: Path, splats: Splats) -> None:
+        """Takes in the next file. Raises InvalidError if it does not fit those before."""
+        if self.num_files and splats.sh_degree != self.sh_degree:
+            raise InvalidError(
+                f"{path}: SH degree {splats.sh_degree}, where the files before have "
+                f"{self.sh_degree}; a sequence has one"
+            )
+        keys = row_keys(splats)
+        if self._keys is not None:
+            self.num_later += len(keys)
+            self.num_moved += int(np.count_nonzero(~np.isin(keys, self._keys)))
+        self.num_files, self.sh_degree, self._keys = self.num_files + 1, splats.sh_degree, keys
+        if not len(splats):
+            return
+        cut = (1 - CORE_SHARE) / 2
+        # Axis by axis, for the quantile takes several float64 copies of what it is given.
+        lower, upper = np.transpose(
+            [np.quantile(axis.astype(np.float64), (cut, 1 - cut)) for axis in splats.means.T]
+        )
+        lowest = float(splats.log_scales.min())
+        usual = float(np.quantile(splats.log_scales, USUAL_SHARE))
+        highest = min(float(splats.log_scales.max()), usual + FAR)
+        if not self.num_gs:
+            self.lattice = find_lattice(splats)
+            self.lowest, self.highest = lowest, highest
+        self.lowest, self.highest = min(self.lowest, lowest), max(self.highest, highest)
+        self.lower = np.minimum(self.lower, lower)
+        self.upper = np.maximum(self.upper, upper)
+        self.size_m = min(self.size_m, choose_steps(splats).position_m / POSITION_PER_SIZE)
+        self.num_gs = max(self.num_gs, len(splats))
+
+    @property
+    def box(self) -> tuple[Doubles, Doubles]:
+        """The lower and upper corner of a box with most of the centres, (3,) metres each; a single
+        point, or nothing at all, still has one to look at."""
+        middle = (self.lower + self.upper) / 2 if self.num_gs else np.zeros(3)
+        half = (self.upper - self.lower) / 2 if self.num_gs else np.zeros(3)
+        half = np.maximum(half, max(0.01 * float(half.max()), 1e-3))
+        return middle - half, middle + half
+
+    @property
+    def moved_share(self) -> float:
+        """Share of the Gaussians of a file that the one before does not have; 1 if unknown."""
+        return self.num_moved / self.num_later if self.num_later else 1.0

@@ -1,0 +1,120 @@
+"""A stream for scripts and notebooks: any frame as arrays.
+
+import codec
+stream = codec.open_stream("my-stream")
+splats = stream.frame(12)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from codec.camera import Camera
+from codec.errors import InvalidError
+from codec.splats import Splats
+from codec.storage.openstorage import Place
+from codec.stream.manifest import Manifest
+from codec.stream.reader import StreamReader
+
+
+def open_stream(place: Place) -> OpenedStream:
+    """The stream at `place`: a folder, as str or Path, or a URL in an object store, such as
+    s3://BUCKET/STREAM. Only its manifest and its index are read.
+
+    Raises a SwingsError: InvalidError for another kind of URL, CorruptError for what is not there
+    or is not a stream.
+    """
+    return OpenedStream(place)
+
+
+class OpenedStream:
+    """A stream that is open. Closing it, or leaving its `with` block, frees what was read.
+
+    One thread at a time. Any order of frames is exact; going forward is cheapest.
+    """
+
+    def __init__(self, place: Place) -> None:
+        """Use `open_stream`."""
+        if not isinstance(place, Path) and str(place).lower().startswith(("http://", "https://")):
+            raise InvalidError(
+                f"{place}: codec reads folders and object stores; for this kind of URL take "
+                "player.Scene.open"
+            )
+        self._reader: StreamReader | None = StreamReader(place)
+        self.name = self._reader.name
+
+    @property
+    def manifest(self) -> Manifest:
+        """All that is fixed for the whole stream."""
+        return self._open().manifest
+
+    @property
+    def num_frames(self) -> int:
+        """Frames that there are; `refresh` may find more in a live stream."""
+        return self._open().num_frames
+
+    @property
+    def num_layers(self) -> int:
+        return self.manifest.num_layers
+
+    @property
+    def fps(self) -> float:
+        """Frames per second."""
+        return self.manifest.fps
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """Those of the capture, OpenCV poses from world to camera, metres."""
+        return self.manifest.cameras
+
+    def camera(self, name: str | None = None) -> Camera:
+        """The one called `name`; without a name the stream's default. Raises InvalidError."""
+        return self.manifest.camera(name)
+
+    def frame(self, frame: int, layers: int | None = None) -> Splats:
+        """The Gaussians that show in `frame`, frames count from 0.
+
+        layers: only the so many most important layers of every slice; None takes all. Raises
+        InvalidError for a frame or layers that there are not, CorruptError for damaged files.
+        """
+        return self._open().active_splats(frame, self.num_layers if layers is None else layers)
+
+    def __len__(self) -> int:
+        return self.num_frames
+
+    def __iter__(self) -> Iterator[Splats]:
+        """Frame after frame, all layers, to the last one that there is when it is reached."""
+        frame = 0
+        while frame < self.num_frames:
+            yield self.frame(frame)
+            frame += 1
+
+    def refresh(self) -> int:
+        """Takes in what a live stream has grown by; gives how many frames are new."""
+        before = self.num_frames
+        self._open().refresh()
+        return self.num_frames - before
+
+    def _open(self) -> StreamReader:
+        if self._reader is None:
+            raise InvalidError(f"{self.name}: the stream is closed; open it again")
+        return self._reader
+
+    def close(self) -> None:
+        """Frees what was read; closing twice is the same as once."""
+        self._reader = None
+
+    def __enter__(self) -> Self:
+        self._open()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()

@@ -1,0 +1,319 @@
+"""What of a stream of files is asked for next, and what came of it: a server's part, played here.
+
+Rule: pure. Times and bytes come in; runs of bytes to ask for, and packets, go out. A request is
+made before the one before it has been answered: the link has no time to rest.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+from codec.errors import CodecError
+from codec.framerange import FrameRange
+from codec.stream.index import SegmentRecord
+from codec.stream.manifest import MASKS, Manifest, Part, is_snapshot, snapshot_part
+from server.abr.media import RecordedMedia
+from server.abr.outlook import Send, SendSlices, SendSnapshots
+from server.abr.policies.choice import own_policy
+from server.abr.session import (
+    Finished,
+    PlaySession,
+    SessionConfig,
+    WaitForFrames,
+    WaitForNews,
+    WaitUntil,
+)
+
+from .pieces import ObjectPieces
+from .source import Blame, Packets, SlicePackets, SnapshotPackets
+
+SESSION = SessionConfig(run_s=0.1, queue_s=0.04, first_bytes=16 << 10)
+"""As a server's, but each request costs something: it fills more of the link. As that is on its way
+then, too, less may be before it on a slow one."""
+
+MOST_ASKS = 3
+"""So many requests may be open, each on a connection of its own, before another one is made: they
+share the link, and what is needed first comes later."""
+
+
+class ObjectStore(Protocol):
+    """Objects from an earlier play, by their SHA-256."""
+
+    def has(self, sha256: bytes) -> bool: ...
+
+    def get(self, sha256: bytes) -> bytes | None: ...
+
+    def put(self, sha256: bytes, data: bytes) -> None: ...
+
+
+@dataclass(slots=True, eq=False)
+class Ask:
+    """A request for a run of bytes of an object."""
+
+    segment: int
+    part: Part
+    first_byte: int
+    end_byte: int
+    come_bytes: int = 0
+
+    @property
+    def num_bytes(self) -> int:
+        return self.end_byte - self.first_byte
+
+
+Wait = WaitForNews | WaitUntil | WaitForFrames | Finished
+
+
+@dataclass(slots=True, eq=False)
+class _Wanted:
+    """What was chosen of one layer of one segment, on its way."""
+
+    send: Send
+    segment: int
+    parts: tuple[Part, ...]
+    """All that one of its slices, or snapshots, needs."""
+    layer: int
+    births: range
+    """That have not been handed over; of snapshots their frame."""
+    asks: list[Ask] = field(default_factory=list)
+    """Those of which not all has come."""
+
+
+class HostedPlay:
+    """One play of a hosted stream whose layers are chosen by how fast they come."""
+
+    def __init__(
+        self,
+        manifest: Manifest,
+        records: Sequence[SegmentRecord],
+        frames: FrameRange,
+        now_s: float,
+        rate_bps: float | None = None,
+        store: ObjectStore | None = None,
+        config: SessionConfig = SESSION,
+    ) -> None:
+        """records: of the index, which may grow. rate_bps: what the link is known to carry."""
+        self._records, self._store, self._frames = records, store, frames
+        self.media = RecordedMedia(manifest, records, self._is_stored)
+        self.session = PlaySession(
+            self.media,
+            own_policy(self.media),
+            config,
+            now_s,
+            frames.first,
+            frames.end,
+            rate_bps,
+        )
+        self.knows_ranges = True
+        """Whether the host sends less than the whole of an object; False once it did not."""
+        self._pieces: dict[tuple[int, Part], ObjectPieces] = {}
+        self._given: dict[tuple[int, Part], set[int]] = {}
+        """Births that were chosen, by segment and part: none is handed over twice."""
+        self._wanted: list[_Wanted] = []
+        """In the order in which it was chosen."""
+        self._chosen: list[Send] = []
+        """What the session has chosen, of one segment each, and was not asked for yet."""
+        self._unsent: deque[Ask] = deque()
+        self._ended_bytes = 0
+        """Of requests that were answered whole."""
+
+    def _is_stored(self, record: SegmentRecord, number: int) -> bool:
+        return self._store is not None and self._store.has(record.part_sha256[number])
+
+    @property
+    def _open_asks(self) -> list[Ask]:
+        return [ask for wanted in self._wanted for ask in wanted.asks]
+
+    def next(self, now_s: float) -> Ask | Wait:
+        """What to ask for now, or what to wait for: WaitForNews is for what was asked for. Raises a
+        CodecError."""
+        session = self.session
+        come_bytes = sum(ask.come_bytes for ask in self._open_asks)
+        session.acknowledge(now_s, self._ended_bytes + come_bytes)
+        while True:
+            for wanted in self._wanted:
+                if num_bytes := self._ask(wanted):
+                    session.sent(wanted.send, num_bytes, now_s)  # it is known now where it lies
+            if self._unsent:
+                return self._unsent.popleft()
+            # Nor is more chosen before it is known where all lies that was.
+            if len(self._open_asks) >= MOST_ASKS or any(map(self._lacks, self._wanted)):
+                return WaitForNews()
+            if not self._chosen:
+                decision = session.decide(now_s)
+                if not isinstance(decision, SendSlices | SendSnapshots):
+                    return decision
+                self._forget()
+                self._chosen = self._by_segment(decision)
+            self._want(self._chosen.pop(0), now_s)
+
+    def _want(self, send: Send, now_s: float) -> None:
+        """Asks for what was chosen of one segment."""
+        manifest, num_bytes = self.media.manifest, 0
+        births = send.births if isinstance(send, SendSlices) else range(send.frame, send.frame + 1)
+        segment = manifest.segment_of(births[0])
+        for layer in range(send.first_layer, send.end_layer):
+            parts: tuple[Part, ...] = (layer,)
+            if isinstance(send, SendSnapshots):
+                parts = (snapshot_part(layer),)
+            elif layer == 0 and manifest.has_slots:
+                parts = (MASKS, layer)
+            for run in self._fresh(segment, parts[-1], births):
+                wanted = _Wanted(send, segment, parts, layer, run)
+                self._wanted.append(wanted)
+                num_bytes += self._ask(wanted)
+        # It hears of what is here or underway already, too: that was chosen.
+        self.session.sent(send, num_bytes, now_s)
+
+    def _by_segment(self, send: Send) -> list[Send]:
+        """What was chosen, segment by segment: requests that are made together share the link, and
+        what is due later can wait."""
+        if not isinstance(send, SendSlices):
+            return [send]
+        found: list[Send] = []
+        first = send.births.start
+        while first < send.births.stop:
+            record = self._records[self.media.manifest.segment_of(first)]
+            record_end = end = record.first_frame + record.num_frames
+            if self.knows_ranges:
+                end = min(end, send.births.stop)
+            elif self._frames.end is not None:
+                end = min(end, self._frames.end)  # whole objects
+            found.append(replace(send, births=range(first, end)))
+            first = record_end
+        return found
+
+    def _fresh(self, segment: int, part: Part, births: range) -> list[range]:
+        """Those of `births` in the segment that were not chosen before, in runs."""
+        record = self._records[segment]
+        own = self.media.manifest.part_births(segment, record.num_frames, part)
+        given = self._given.setdefault((segment, part), set())
+        runs: list[range] = []
+        for birth in range(max(births.start, own.start), min(births.stop, own.stop)):
+            if birth in given:
+                continue
+            given.add(birth)
+            if runs and runs[-1].stop == birth:
+                runs[-1] = range(runs[-1].start, birth + 1)
+            else:
+                runs.append(range(birth, birth + 1))
+        return runs
+
+    def _lacks(self, wanted: _Wanted) -> bool:
+        """Whether something of it could not be asked for yet."""
+        asked = {ask.part for ask in wanted.asks}
+        return any(
+            part not in asked and not self._object(wanted.segment, part).is_settled
+            for part in wanted.parts
+        )
+
+    def _ask(self, wanted: _Wanted) -> int:
+        """Makes the requests for what `wanted` lacks, as far as is known where that lies; gives
+        their bytes."""
+        num_bytes = 0
+        for part in wanted.parts:
+            pieces = self._object(wanted.segment, part)
+            if not wanted.births or pieces.has(wanted.births[-1]):
+                continue
+            run = pieces.ask(wanted.births, whole=not self.knows_ranges)
+            if run is not None:
+                ask = Ask(wanted.segment, part, run.start, run.stop)
+                wanted.asks.append(ask)
+                self._unsent.append(ask)
+                num_bytes += ask.num_bytes
+        return num_bytes
+
+    def _object(self, segment: int, part: Part) -> ObjectPieces:
+        key = segment, part
+        found = self._pieces.get(key)
+        if found is None:
+            manifest = self.media.manifest
+            found = self._pieces[key] = ObjectPieces(manifest, self._records[segment], part)
+            kept = self._store.get(found.sha256) if self._store is not None else None
+            if kept is not None:
+                found.name = f"segment {segment}, {part}, on the disk"
+                found.all_comes()
+                found.add(0, kept)
+        return found
+
+    def comes_whole(self, ask: Ask, now_s: float) -> None:
+        """Whoever was asked sends the whole object."""
+        pieces = self._object(ask.segment, ask.part)
+        more_bytes = pieces.num_bytes - ask.num_bytes
+        if not more_bytes:
+            return
+        self.knows_ranges = False
+        wanted = next(one for one in self._wanted if ask in one.asks)
+        ask.first_byte, ask.end_byte = 0, pieces.num_bytes
+        pieces.all_comes()
+        self.session.sent(wanted.send, more_bytes, now_s)
+        self._chosen = self._by_segment(wanted.send) + self._chosen
+
+    def come(self, ask: Ask, url: str, first_byte: int, data: bytes) -> None:
+        """Bytes of the object came from `url`. Raises a CodecError that names it."""
+        pieces = self._object(ask.segment, ask.part)
+        pieces.name = url
+        pieces.add(first_byte, data)
+        ask.come_bytes = max(ask.come_bytes, first_byte + len(data) - ask.first_byte)
+
+    def ended(self, ask: Ask) -> None:
+        """All of it has come. Raises a CodecError that names an object that is not the one of the
+        index."""
+        wanted = next(one for one in self._wanted if ask in one.asks)
+        wanted.asks.remove(ask)
+        self._ended_bytes += ask.num_bytes
+        pieces = self._object(ask.segment, ask.part)
+        whole = pieces.whole()
+        if whole is not None and self._store is not None:
+            self._store.put(pieces.sha256, whole)
+
+    def packets(self) -> Iterator[Packets]:
+        """What is here and was not handed over: of each layer in the order in which it was chosen,
+        as a snapshot comes before what it is followed by."""
+        behind: set[int] = set()  # layers of which something is to come first
+        for wanted in list(self._wanted):
+            if wanted.layer not in behind:
+                yield from self._complete(wanted)
+            if wanted.births:
+                behind.add(wanted.layer)
+            elif not wanted.asks:
+                self._wanted.remove(wanted)
+
+    def _complete(self, wanted: _Wanted) -> Iterator[Packets]:
+        """What of it is here."""
+        objects = {part: self._object(wanted.segment, part) for part in wanted.parts}
+        while wanted.births:
+            birth = wanted.births[0]
+            found = [pieces.packet(birth) for pieces in objects.values()]
+            if None in found:
+                return
+            wanted.births = wanted.births[1:]
+            *masks, packet = (one or b"" for one in found)
+            blame = _blame(objects, birth)
+            if is_snapshot(wanted.parts[-1]):
+                yield SnapshotPackets(birth, wanted.layer, (packet,), blame)
+            else:
+                mask = masks[0] if masks else None
+                yield SlicePackets(birth, wanted.layer, (packet,), mask, blame)
+
+    def _forget(self) -> None:
+        """Drops what is here of segments of which nothing shows any more."""
+        oldest = self.session.next_frame - self.media.swin_size + 1
+        segment = self.media.manifest.segment_of(oldest)
+        segment = min([segment, *(wanted.segment for wanted in self._wanted)])
+        for key in [key for key in self._pieces if key[0] < segment]:
+            del self._pieces[key]
+        for key in [key for key in self._given if key[0] < segment]:
+            del self._given[key]
+
+
+def _blame(objects: dict[Part, ObjectPieces], birth: int) -> Blame:
+    """Makes an error name the object of a segment that is at fault."""
+
+    def blame(error: CodecError, part: Part) -> CodecError:
+        return objects[part].blamed(error, birth)
+
+    return blame

@@ -1,0 +1,297 @@
+"""glTF: a file made by hand, axes, nodes, and hostile bytes."""
+
+from __future__ import annotations
+
+import copy
+import json
+import logging
+import struct
+import tracemalloc
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from codec.errors import CodecError, CorruptError, UnsupportedError
+from codec.foreign.gltf import decode_gltf, encode_glb, encode_gltf
+from codec.foreign.gltfbuffers import join_glb, split_glb
+from codec.foreign.spz import SpzVersion, decode_spz, encode_spz
+from codec.interop.formats import decode_any
+from codec.splats import Splats
+from tests.support.drawn import angles_rad, drawn_splats, same
+from tests.support.handmade_gltf import CHUNK, HALF, KHR, ROOT, TABLES, Json, made, primitive
+from tests.support.hostile import flips, survives, truncations
+from tests.support.trained_like import covariances, trained_like_splats
+
+
+def test_gltf_by_hand() -> None:
+    splats = decode_any(made())
+    # Up and left become down and right.
+    assert splats.means.tolist() == [[-1, -2, 3], [4, -5, 6]]
+    assert splats.log_scales[0] == pytest.approx([0, 1, 2], abs=1e-6)
+    assert splats.log_scales[1] == pytest.approx([np.log(np.finfo(np.float32).tiny), 0, 0])
+    assert splats.quats[0] == pytest.approx([HALF, -HALF, 0, 0])
+    assert splats.logit_opacities.tolist() == [0, 16]
+    # The harmonics of degree 1 go as y, z, x.
+    assert splats.sh[0].tolist() == [
+        [np.float32(v) for v in (0.1, 0.2, 0.3)],
+        [-1, -2, -3],
+        [4, 5, 6],
+        [-7, -8, -9],
+    ]
+
+
+@given(drawn_splats(logit=8.0))
+@settings(max_examples=60, deadline=None)
+def test_floats_come_back(splats: Splats) -> None:
+    for encode in (encode_glb, encode_gltf):
+        back = decode_any(encode(splats))
+        if not len(splats):
+            assert same(back, Splats.empty())
+            continue
+        for name in ("means", "sh"):
+            assert getattr(back, name).tobytes() == (getattr(splats, name) + 0.0).tobytes()
+        assert np.abs(back.log_scales - splats.log_scales).max() < 1e-6
+        assert np.abs(back.opacities - splats.opacities).max() < 2e-7
+        assert angles_rad(back, splats).max() < 1e-6
+
+
+def test_a_gltf_has_the_same_as_a_glb_in_one_file() -> None:
+    splats = trained_like_splats(30, 2, 2)
+    assert same(decode_any(encode_gltf(splats)), decode_any(encode_glb(splats)))
+    root = json.loads(encode_gltf(splats))
+    assert root["buffers"][0]["uri"].startswith("data:application/octet-stream;base64,")
+    assert decode_any(b"\xef\xbb\xbf\n" + encode_gltf(splats)).sh_degree == 2
+
+
+def shapes(splats: Splats) -> np.ndarray[Any, Any]:
+    return covariances(splats.log_scales.astype(np.float64), splats.quats.astype(np.float64))
+
+
+def test_nodes_place_what_they_hold() -> None:
+    """Twice a quarter turn about y, in a matrix and as a quaternion, are half a turn."""
+
+    def place(root: Json) -> None:
+        root["nodes"] = [
+            {"children": [1], "rotation": [0, HALF, 0, HALF], "translation": [10, 0, 0]},
+            {"children": [2], "scale": [2, 2, 2]},
+            {"mesh": 0, "matrix": [0, 0, -1, 0, 0, 1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 1]},
+        ]
+
+    plain, placed = decode_any(made()), decode_any(made(place))
+    # In our frame half a turn about y is one too, and 10 along x is -10.
+    expected = 2 * plain.means * [-1, 1, -1] + [-10, 0, 0]
+    assert placed.means == pytest.approx(expected, abs=1e-5)
+    turn = np.diag([-1.0, 1.0, -1.0])
+    assert shapes(placed) == pytest.approx(4 * turn @ shapes(plain) @ turn, rel=1e-4, abs=1e-5)
+    assert placed.sh[0, 1:] == pytest.approx(
+        plain.sh[0, 1:] * np.array([[1], [-1], [-1]]), abs=1e-5
+    )
+
+
+def test_every_set_of_gaussians_that_is_shown_is_read_and_meshes_are_not() -> None:
+    def more(root: Json) -> None:
+        triangle = {"attributes": {"POSITION": 0}}
+        plain = copy.deepcopy(primitive(root))
+        for name in list(plain["attributes"]):
+            if "DEGREE_1" in name:
+                del plain["attributes"][name]
+        root["meshes"] += [{"primitives": [triangle, plain]}]
+        root["nodes"] = [{"mesh": 0}, {"mesh": 1, "translation": [0, 0, 9]}, {"mesh": 0}]
+        root["scenes"] = [{"nodes": [1]}, {"nodes": [0, 1]}]
+        root["scene"] = 1
+
+    splats = decode_any(made(more))
+    assert sorted(splats.means[:, 2].tolist()) == [3, 6, 12, 15]
+    assert splats.sh_degree == 1
+
+    def anywhere(root: Json) -> None:
+        more(root)
+        del root["scenes"], root["scene"]
+
+    assert len(decode_any(made(anywhere))) == 6
+
+
+@pytest.mark.parametrize("version", list(SpzVersion))
+@pytest.mark.parametrize("name", [f"{KHR}_compression_spz", f"{KHR}_compression_spz_2"])
+def test_spz_inside_is_read(version: SpzVersion, name: str) -> None:
+    splats = trained_like_splats(40, 3, 1)
+    packed = encode_spz(splats, version)
+
+    def pack(root: Json) -> None:
+        primitive(root)["extensions"][KHR]["extensions"] = {name: {"bufferView": 0}}
+        root["bufferViews"] = [{"buffer": 0, "byteLength": len(packed)}]
+        root["buffers"] = [{"byteLength": len(packed)}]
+        root["extensionsRequired"] = [KHR, name]
+
+    assert same(decode_any(made(pack, packed)), decode_spz(packed))
+
+
+def test_logarithms_of_a_draft_are_known_by_their_sign(caplog: pytest.LogCaptureFixture) -> None:
+    logs = np.array([[-1, -2, 0.5], [-3, 0, 1]], "<f4")
+    start = ROOT["bufferViews"][2]["byteOffset"]
+    chunk = CHUNK[:start] + logs.tobytes() + CHUNK[start + 24 :]
+    with caplog.at_level(logging.WARNING):
+        assert (decode_any(made(chunk=chunk)).log_scales == logs).all()
+    assert "logarithms" in caplog.text
+
+
+def setting(*path: Any, value: Any) -> Callable[[Json], None]:
+    """A change that sets what `path` leads to."""
+
+    def change(root: Json) -> None:
+        for key in path[:-1]:
+            root = root[key]
+        root[path[-1]] = value
+
+    return change
+
+
+def within(name: str, value: Any) -> Callable[[Json], None]:
+    return setting("meshes", 0, "primitives", 0, "extensions", KHR, name, value=value)
+
+
+@pytest.mark.parametrize(
+    ("change", "kind", "says"),
+    [
+        (setting("accessors", 0, "count", value=3), CorruptError, "outside of its buffer view"),
+        (setting("accessors", 0, "count", value=1 << 40), CorruptError, "outside of its buffer"),
+        (setting("accessors", 3, "count", value=1), CorruptError, "1 rows of KHR.*OPACITY, not 2"),
+        (setting("accessors", 0, "byteOffset", value=4), CorruptError, "outside of its buffer"),
+        (setting("accessors", 0, "byteOffset", value=-4), CorruptError, "byteOffset: is not in 0"),
+        (setting("accessors", 0, "sparse", value={}), UnsupportedError, "sparse"),
+        (setting("accessors", 0, "type", value="MAT4"), CorruptError, "is 'MAT4', not VEC3"),
+        (setting("accessors", 0, "componentType", value=5130), CorruptError, "componentType"),
+        (lambda r: r["accessors"][1].pop("bufferView"), UnsupportedError, "sparse or empty"),
+        (setting("bufferViews", 0, "byteLength", value=1 << 30), CorruptError, "ends at"),
+        (setting("bufferViews", 0, "byteStride", value=4), CorruptError, "outside of its buffer"),
+        (setting("bufferViews", 0, "buffer", value=1), CorruptError, "buffers: has no item 1"),
+        (
+            setting("bufferViews", 0, "extensions", value={"EXT_meshopt_compression": {}}),
+            UnsupportedError,
+            "packed by 'EXT_meshopt_compression'",
+        ),
+        (setting("buffers", 0, "byteLength", value=1 << 30), CorruptError, "bytes of 1073741824"),
+        (setting("buffers", value=[{"byteLength": 4}] * 2), CorruptError, "ends at"),
+        (setting("meshes", 0, "primitives", 0, "mode", value=4), CorruptError, "must be points"),
+        (within("kernel", "cube"), UnsupportedError, "kernel 'cube'"),
+        (within("extensions", {"X_packed": {}}), UnsupportedError, "extended by 'X_packed'"),
+        (
+            within("extensions", {f"{KHR}_compression_spz": {"bufferView": 0}}),
+            CorruptError,
+            "SPZ: ",
+        ),
+        (setting("extensionsRequired", value=["X_y"]), UnsupportedError, "needs 'X_y'"),
+        (setting("extensionsRequired", value=7), CorruptError, "extensionsRequired: is not a list"),
+        (setting("nodes", 0, "scale", value=[1, 2, 1]), UnsupportedError, "stretches or shears"),
+        (setting("nodes", 0, "scale", value=[0, 0, 0]), UnsupportedError, "stretches or shears"),
+        (setting("nodes", 0, "translation", value=[1e39, 0, 0]), UnsupportedError, "not finite"),
+        (setting("nodes", 0, "matrix", value=[0] * 15), CorruptError, "15 numbers, not 16"),
+        (setting("nodes", 0, "rotation", value=[0, 0, 0, "1"]), CorruptError, "finite number"),
+        (setting("nodes", 0, "children", value=[0]), CorruptError, "hangs in two places"),
+        (setting("nodes", 0, "children", value=[7]), CorruptError, "nodes: has no item 7"),
+        (setting("nodes", 0, "mesh", value=7), CorruptError, "meshes: has no item 7"),
+        (setting("nodes", value={}), CorruptError, "nodes: is not a list"),
+        (setting("nodes", value=[7]), CorruptError, "is not a JSON object"),
+        (setting("scene", value=7), CorruptError, "scenes: has no item 7"),
+        (
+            lambda r: primitive(r)["attributes"].pop(f"{KHR}:SH_DEGREE_1_COEF_1"),
+            CorruptError,
+            "SH_DEGREE_1_COEF_1",
+        ),
+        (
+            lambda r: primitive(r)["attributes"].pop(f"{KHR}:SH_DEGREE_0_COEF_0"),
+            CorruptError,
+            "SH_DEGREE_0_COEF_0",
+        ),
+        (
+            lambda r: primitive(r)["attributes"].update({f"{KHR}:SH_DEGREE_4_COEF_0": 0}),
+            UnsupportedError,
+            "SH degree 4, at most 3",
+        ),
+        (
+            lambda r: (primitive(r).pop("extensions"), r.pop("extensionsUsed")),
+            CorruptError,
+            "no Gaussians .*; this is a mesh",
+        ),
+        (
+            lambda r: r.update(nodes=[{"mesh": 0}] * 5000, scenes=[{"nodes": list(range(5000))}]),
+            UnsupportedError,
+            "more than 4096 sets",
+        ),
+        (lambda r: r.update(nodes=[{}] * 70_000), UnsupportedError, "70000 nodes"),
+        (
+            lambda r: r.update(
+                meshes=[{"primitives": [{}] * 9000}],
+                nodes=[{"mesh": 0}] * 8,
+                scenes=[{"nodes": list(range(8))}],
+            ),
+            UnsupportedError,
+            "more than 65536 primitives",
+        ),
+        (setting("scenes", 0, "nodes", value=[0] * 1_000_000), CorruptError, "hangs in two places"),
+    ],
+)
+def test_a_bad_gltf_is_refused_with_the_reason(
+    change: Callable[[Json], object], kind: type[CodecError], says: str
+) -> None:
+    with pytest.raises(kind, match=says):
+        decode_any(made(change))
+
+
+def with_opacity(value: float) -> bytes:
+    start = ROOT["bufferViews"][3]["byteOffset"]
+    return made(chunk=CHUNK[:start] + struct.pack("<f", value) + CHUNK[start + 4 :])
+
+
+@pytest.mark.parametrize("opacity", [-0.1, 1.1, np.nan, np.inf])
+def test_an_opacity_outside_of_its_range_is_refused(opacity: float) -> None:
+    with pytest.raises(CorruptError, match="an opacity outside"):
+        decode_any(with_opacity(opacity))
+
+
+def test_more_than_the_caller_takes_is_refused() -> None:
+    with pytest.raises(UnsupportedError, match="2 Gaussians in a frame, at most 1"):
+        decode_any(made(), max_gaussians=1)
+
+
+def test_a_small_file_does_not_become_large_by_repetition() -> None:
+    """One table of 60000 rows of three bytes, shown by 4000 nodes as all that there is."""
+    count = 20_000
+
+    def repeat(root: Json) -> None:
+        root["nodes"] = [{"mesh": 0}] * 4000
+        root["scenes"] = [{"nodes": list(range(4000))}]
+        root["bufferViews"] = [{"buffer": 0, "byteLength": 4 * count}]
+        kinds = {"SCALAR": 0, "VEC3": 1, "VEC4": 2}
+        root["accessors"] = [
+            {"bufferView": 0, "componentType": 5120, "count": count, "type": kind} for kind in kinds
+        ]
+        names = primitive(root)["attributes"]
+        primitive(root)["attributes"] = {name: kinds[TABLES[name][0]] for name in names}
+        root["buffers"] = [{"byteLength": 4 * count}]
+
+    data = made(repeat, bytes(4 * count))
+    tracemalloc.start()
+    try:
+        with pytest.raises(CorruptError, match="claims"):
+            decode_any(data)
+        assert tracemalloc.get_traced_memory()[1] < 32 << 20
+    finally:
+        tracemalloc.stop()
+
+
+def test_any_bytes_give_gaussians_or_one_clear_error() -> None:
+    data = made()
+    assert not any(survives(decode_any, part) for part in list(truncations(data))[::9])
+    for part in flips(data, 7):
+        survives(decode_any, part)
+    text, _ = split_glb(data)
+    for part in flips(text, 3):
+        survives(decode_any, join_glb(part, CHUNK))
+
+
+def test_a_file_longer_than_it_says_is_read() -> None:
+    assert same(decode_gltf(made() + b"more"), decode_any(made()))

@@ -1,0 +1,234 @@
+"""SOG: a file made by hand, axes, round trips, bombs and other hostile bytes."""
+
+from __future__ import annotations
+
+import io
+import json
+import logging
+import tracemalloc
+import zipfile
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from PIL import Image
+
+from codec.errors import CodecError, CorruptError, UnsupportedError
+from codec.foreign.sog import decode_sog, encode_sog
+from codec.interop.formats import decode_any
+from codec.splats import Splats
+from tests.support.drawn import angles_rad, drawn_splats, same
+from tests.support.hostile import flips, survives, truncations
+from tests.support.trained_like import trained_like_splats
+
+HALF = np.sqrt(0.5)
+BOOK = [(i - 128) / 16 for i in range(256)]
+PIXELS = {
+    # Two Gaussians in the upper row, nothing in the lower.
+    "ml": [[0, 255, 0], [255, 255, 255]],
+    "mu": [[0, 255, 128], [255, 255, 255]],
+    "s": [[128, 112, 0], [255, 144, 128]],
+    "q": [[255, 128, 128, 252], [128, 255, 0, 255]],
+    "c": [[128, 144, 112, 255], [0, 255, 128, 51]],
+    "l": [[1, 0, 0], [0, 0, 0]],
+}
+META: dict[str, Any] = {
+    "version": 2,
+    "count": 2,
+    "antialias": False,
+    "means": {"mins": [-1, 0, -2], "maxs": [1, 3, 2], "files": ["ml", "mu"]},
+    "scales": {"codebook": BOOK, "files": ["s"]},
+    "quats": {"files": ["q"]},
+    "sh0": {"codebook": BOOK, "files": ["c"]},
+    "shN": {"count": 2, "bands": 1, "codebook": BOOK, "files": ["p", "l"]},
+}
+
+
+def webp(pixels: np.ndarray[Any, Any], **options: Any) -> bytes:
+    file = io.BytesIO()
+    lossless = {"lossless": True, "exact": True} | options
+    Image.fromarray(pixels).save(file, "WEBP", **lossless)
+    return file.getvalue()
+
+
+def two_rows(pixels: list[list[int]]) -> bytes:
+    table = np.zeros((2, 2, len(pixels[0])), np.uint8)
+    table[0] = pixels
+    return webp(table)
+
+
+def files_of(meta: object) -> dict[str, bytes]:
+    palette = np.zeros((1, 64 * 3, 3), np.uint8)
+    palette[0, :6] = [[128, 128, 144]] * 3 + [[144, 128, 128], [128, 160, 128], [128, 128, 192]]
+    pictures = {name: two_rows(pixels) for name, pixels in PIXELS.items()}
+    return {"meta.json": json.dumps(meta).encode(), "p": webp(palette)} | pictures
+
+
+def bundled(files: dict[str, bytes], method: int = zipfile.ZIP_DEFLATED) -> bytes:
+    made = io.BytesIO()
+    with zipfile.ZipFile(made, "w", method) as archive:
+        for name, data in files.items():
+            archive.writestr(name, data)
+    return made.getvalue()
+
+
+def changed(**parts: object) -> bytes:
+    return bundled(files_of(META | parts))
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
+def test_sog_by_hand(method: int) -> None:
+    splats = decode_any(bundled(files_of(META), method))
+    share = 0x8000 / 65535
+    last = [np.expm1(1), np.expm1(3), np.expm1(2)]
+    assert splats.means[0] == pytest.approx([-np.expm1(1), last[1], np.expm1(-2 + 4 * share)])
+    assert splats.means[1] == pytest.approx(last)
+    assert splats.log_scales.tolist() == [[0, -1, -8], [127 / 16, 1, 0]]
+    # 252: w is left out, and x, y, z follow; 255: z is, and w, x, y follow.
+    assert splats.quats[0] == pytest.approx([HALF, HALF, 0, 0], abs=0.004)
+    assert splats.quats[1] == pytest.approx([0, HALF, -HALF, 0], abs=0.06)
+    assert splats.opacities == pytest.approx([254.75 / 255, 0.2], abs=1e-6)
+    assert splats.sh[:, 0].tolist() == [[0, 1, -1], [-8, 127 / 16, 0]]
+    assert splats.sh[0, 1:].tolist() == [[1, 0, 0], [0, 2, 0], [0, 0, 4]]
+    assert splats.sh[1, 1:].tolist() == [[0, 0, 1]] * 3
+
+
+@given(drawn_splats(max_count=40))
+@settings(max_examples=60, deadline=None)
+def test_a_few_gaussians_lose_little(splats: Splats) -> None:
+    """Sizes and colours with no more than 256 values are exact."""
+    data = encode_sog(splats)
+    assert data == encode_sog(splats)
+    back = decode_any(data)
+    assert len(back) == len(splats)
+    if not len(splats):
+        return
+    assert back.sh.shape == splats.sh.shape
+    logs = np.sign(splats.means) * np.log1p(np.abs(splats.means))
+    nearest = np.abs(back.means[None] - splats.means[:, None]).max(axis=2).argmin(axis=1)
+    if len(set(nearest)) < len(splats):
+        return  # two lie in one place
+    back = back.take(nearest)
+    found = np.sign(back.means) * np.log1p(np.abs(back.means))
+    assert np.abs(found - logs).max() <= 0.51 * np.ptp(logs, axis=0).max() / 65535 + 1e-6
+    assert back.log_scales.tobytes() == splats.log_scales.tobytes()
+    assert back.sh[:, 0].tobytes() == splats.sh[:, 0].tobytes()
+    assert np.abs(back.opacities - splats.opacities).max() <= 0.51 / 255
+    # Half a step of sqrt(2)/255 in three components; the fourth is at least as large as each.
+    assert angles_rad(back, splats).max() <= np.sqrt(12) * np.sqrt(2) / 255
+
+
+def ordered(splats: Splats) -> tuple[np.ndarray[Any, Any], ...]:
+    """Each kind of number by itself, from the least on."""
+    kinds = (splats.means[:, 0], splats.log_scales, splats.sh[:, 0], splats.opacities)
+    return tuple(np.sort(values, axis=None) for values in kinds)
+
+
+def test_many_gaussians_lose_what_the_page_says() -> None:
+    splats = trained_like_splats(4000, 3, 1)
+    data = encode_sog(splats)
+    back = decode_sog(data)
+    assert len(data) < 25 * len(splats)
+    # They come in the order of a curve through space.
+    steps = [np.linalg.norm(np.diff(s.means, axis=0), axis=1) for s in (splats, back)]
+    assert np.median(steps[1]) < 0.2 * np.median(steps[0])
+    for found, wanted, most in zip(
+        ordered(back), ordered(splats), (0.01, 0.1, 0.05, 0.002), strict=True
+    ):
+        assert np.abs(found - wanted).max() < most
+    # What it has given once it gives again, but for positions.
+    for found, wanted in zip(ordered(decode_sog(encode_sog(back))), ordered(back), strict=True):
+        assert np.abs(found - wanted).max() < 1e-4
+
+
+def test_nothing_is_a_file_too() -> None:
+    assert same(decode_sog(encode_sog(Splats.empty(2))), Splats.empty())
+
+
+def test_opacity_compensation_is_not_lost_in_silence(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING):
+        decode_sog(changed(antialias=True))
+    assert "opacity compensation" in caplog.text
+
+
+def without(name: str) -> bytes:
+    return bundled({key: data for key, data in files_of(META).items() if key != name})
+
+
+def replaced(name: str, data: bytes) -> bytes:
+    return bundled(files_of(META) | {name: data})
+
+
+WRONG_TAG = two_rows([[0, 0, 0, 252], [0, 0, 0, 251]])
+
+
+@pytest.mark.parametrize(
+    ("data", "kind", "says"),
+    [
+        (changed(version=1), UnsupportedError, "version 1; this program reads 2"),
+        (bundled({"meta.json": b'{"means": {}}'}), UnsupportedError, "version 1"),
+        (changed(version=True), CorruptError, "is not a whole number"),
+        (changed(count=-1), CorruptError, "count: is not in 0"),
+        (changed(count=5), CorruptError, "4 pixels of 5"),
+        (changed(count=1 << 24), CorruptError, "claims to decompress to"),
+        (changed(count=(1 << 24) + 1), CorruptError, "at most 16777216"),
+        (changed(scales=7), CorruptError, "scales: is not an object"),
+        (changed(scales={"codebook": BOOK[1:], "files": ["s"]}), CorruptError, "255 numbers"),
+        (changed(scales={"codebook": BOOK, "files": ["s", "s"]}), CorruptError, "1 texts"),
+        (changed(scales={"codebook": [1e300] * 256, "files": ["s"]}), CorruptError, "not finite"),
+        (
+            changed(sh0={"codebook": ["1"] * 256, "files": ["c"]}),
+            CorruptError,
+            "not a finite",
+        ),
+        (changed(sh0={"codebook": [10**400] * 256, "files": ["c"]}), CorruptError, "out of range"),
+        (changed(means=META["means"] | {"maxs": [1e9, 1, 1]}), CorruptError, "not finite"),
+        (changed(shN=META["shN"] | {"count": 1}), CorruptError, "a label of 1 where"),
+        (changed(shN=META["shN"] | {"count": 65}), CorruptError, "not 192 x 2 pixels"),
+        (changed(shN=META["shN"] | {"bands": 2}), CorruptError, "not 512 x 1 pixels"),
+        (changed(shN=META["shN"] | {"bands": 0}), CorruptError, "without harmonics"),
+        (changed(shN=META["shN"] | {"bands": 4}), CorruptError, "bands: is not in 0..3"),
+        (replaced("q", WRONG_TAG), CorruptError, "which component is left out"),
+        (replaced("q", b"RIFF"), UnsupportedError, "'q': is not a WebP"),
+        (replaced("meta.json", b"[]"), CorruptError, "not a JSON object"),
+        (replaced("meta.json", b"{"), CorruptError, "is not JSON"),
+        (replaced("meta.json", b"[" * 100_000), CorruptError, "is not JSON"),
+        (replaced("meta.json", b" " * (5 << 20)), CorruptError, "meta.json' claims|bytes of JSON"),
+        (without("ml"), CorruptError, "'ml' is not in the archive"),
+        (without("meta.json"), CorruptError, "'meta.json' is not in the archive"),
+    ],
+)
+def test_a_bad_sog_is_refused_with_the_reason(
+    data: bytes, kind: type[CodecError], says: str
+) -> None:
+    with pytest.raises(kind, match=says):
+        decode_any(data)
+
+
+def test_more_than_the_caller_takes_is_refused_before_a_picture_is_decoded() -> None:
+    with pytest.raises(UnsupportedError, match="2 Gaussians in a frame, at most 1"):
+        decode_any(without("ml"), max_gaussians=1)
+
+
+def test_a_huge_picture_costs_little_memory() -> None:
+    """Of one colour, 16000 x 16000 pixels take a few hundred bytes."""
+    flat = webp(np.zeros((4000, 4000, 3), np.uint8), method=0)
+    assert len(flat) < 20_000
+    tracemalloc.start()
+    try:
+        with pytest.raises(CorruptError, match="4000 x 4000 pixels, at most"):
+            decode_any(replaced("ml", flat))
+        assert tracemalloc.get_traced_memory()[1] < 4 << 20
+    finally:
+        tracemalloc.stop()
+
+
+def test_any_bytes_give_gaussians_or_one_clear_error() -> None:
+    data = bundled(files_of(META), zipfile.ZIP_STORED)
+    assert not any(survives(decode_any, part) for part in list(truncations(data))[::7])
+    for part in flips(data, 5):
+        survives(decode_any, part)
+    for name, content in files_of(META).items():
+        for part in flips(content, 11 if name == "meta.json" else 1):
+            survives(decode_any, replaced(name, part))

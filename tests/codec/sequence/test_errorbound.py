@@ -1,0 +1,248 @@
+"""Whatever the files, each frame of the stream has their Gaussians within the errors that were
+stated; read from the stream on disk, and held against the files by formulas of the test's own."""
+
+from __future__ import annotations
+
+import itertools
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import maximum_bipartite_matching
+
+from codec.interop.formats import SplatFormat, write_splats
+from codec.pose import Doubles
+from codec.profiles.profile import Profile
+from codec.sequence.errorbound import ErrorBound
+from codec.sequence.importing import ImportOptions, import_stream
+from codec.splats import SH_C0, Splats, sh_count
+from codec.stream import StreamReader
+from codec.tools.audit import verify_stream
+from tests.support.drawn import same
+
+LATTICE = ImportOptions(fps=30, profile=Profile.LATTICE)
+
+SLACK = 1e-5
+"""For the rounding of f32, as a share."""
+
+
+def cube_turns() -> list[Doubles]:
+    """The 24 rotations that put axes on axes."""
+    turns = []
+    for order in itertools.permutations(range(3)):
+        for signs in itertools.product((1.0, -1.0), repeat=3):
+            turn = np.zeros((3, 3))
+            turn[order, range(3)] = signs
+            if np.linalg.det(turn) > 0:
+                turns.append(turn)
+    return turns
+
+
+def matrices(quats: Doubles) -> Doubles:
+    """(N, 3, 3) rotations of quaternions wxyz."""
+    w, x, y, z = (quats / np.linalg.norm(quats, axis=1, keepdims=True)).T
+    rows = [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]
+    rows += [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]
+    rows += [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
+    return np.stack(rows, axis=1).reshape(-1, 3, 3)
+
+
+def vectors(turns: Doubles) -> Doubles:
+    """(..., 3) x, y, z of the quaternions of rotations, of w >= 0 where w is not tiny."""
+    w = np.sqrt(np.maximum(1 + np.trace(turns, axis1=-2, axis2=-1), 0)) / 2
+    skew = np.stack(
+        [
+            turns[..., 2, 1] - turns[..., 1, 2],
+            turns[..., 0, 2] - turns[..., 2, 0],
+            turns[..., 1, 0] - turns[..., 0, 1],
+        ],
+        axis=-1,
+    )
+    return np.asarray(skew / (4 * np.maximum(w, 1e-3))[..., None])
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What a stream promises."""
+
+    error: ErrorBound
+    size_m: float
+    lowest: float
+    """The least log-scale that its lattice holds."""
+
+
+def usual_size_m(splats: Splats) -> float:
+    scales = np.sort(splats.log_scales.astype(np.float64), axis=1)[:, 1:].mean(axis=1)
+    opacities = 1 / (1 + np.exp(-splats.logit_opacities.astype(np.float64)))
+    weights = opacities + 1e-6
+    return float(np.exp((weights * scales).sum() / weights.sum()))
+
+
+def within(source: Splats, found: Splats, stated: Stated) -> npt.NDArray[np.bool_]:
+    """(N, M) whether Gaussian j of `found` may stand for i of `source`."""
+    error = stated.error
+
+    def apart(a: npt.NDArray[np.float32], b: npt.NDArray[np.float32]) -> Doubles:
+        return np.asarray(abs(a[:, None].astype(np.float64) - b[None]))
+
+    slack = SLACK * (1 + abs(source.means[:, None].astype(np.float64)))
+    fits = (apart(source.means, found.means) <= error.of("position") * stated.size_m + slack).all(2)
+    opacities = apart(source.opacities, found.opacities)
+    fits &= opacities <= error.of("opacity") + SLACK
+
+    def luma(splats: Splats, darkest: float = -np.inf) -> Doubles:
+        rgb = np.maximum(splats.sh.astype(np.float64), darkest)
+        red, green, blue = np.moveaxis(rgb, 2, 0)
+        y, co = (red + 2 * green + blue) / 4, (red - blue) / 2
+        return np.stack([y, co, (2 * green - red - blue) / 4], axis=2).reshape(len(rgb), -1)
+
+    # Without harmonics what is below black is drawn black.
+    darkest = -0.5 / SH_C0 if source.sh_degree == 0 else -np.inf
+    colours = abs(luma(source, darkest)[:, None] - luma(found)[None])
+    fits &= (colours <= error.of("colour") + SLACK).all(axis=2)
+    form = np.zeros_like(fits)
+    have = vectors(matrices(found.quats.astype(np.float64)))
+    wanted_turns = matrices(source.quats.astype(np.float64))
+    scales = np.maximum(source.log_scales.astype(np.float64), stated.lowest)
+    for turn in cube_turns():
+        sizes = abs((scales @ abs(turn))[:, None] - found.log_scales[None].astype(np.float64))
+        turns = abs(vectors(wanted_turns @ turn)[:, None] - have[None])
+        form |= (sizes <= error.of("size") + SLACK).all(2) & (
+            turns <= error.of("turn") + 10 * SLACK
+        ).all(2)
+    return fits & form
+
+
+def exact(source: Splats, found: Splats) -> npt.NDArray[np.bool_]:
+    """(N, M) whether they have the same bits."""
+    fits = np.ones((len(source), len(found)), np.bool_)
+    for a, b in zip(source.arrays, found.arrays, strict=True):
+        a, b = a.reshape(len(a), -1), b.reshape(len(b), -1)
+        fits &= (a[:, None] == b[None]).all(axis=2)
+    return fits
+
+
+def drawn(rng: np.random.Generator, count: int, degree: int, wide: float) -> Splats:
+    quats = rng.normal(size=(count, 4)) * 10 ** rng.uniform(-2, 2, (count, 1))
+    return Splats(
+        (wide * rng.uniform(-1, 1, (count, 3))).astype(np.float32),
+        rng.uniform(-7, 1, (count, 3)).astype(np.float32),
+        quats.astype(np.float32),
+        rng.uniform(-9, 9, count).astype(np.float32),
+        rng.uniform(-3, 3, (count, sh_count(degree), 3)).astype(np.float32),
+    )
+
+
+def later(rng: np.random.Generator, splats: Splats, moves: float) -> Splats:
+    """`splats` a frame on: some moved, some gone, some born, perhaps in another order."""
+    alters = rng.random(len(splats)) < rng.choice([0, 0.5, 1])
+    arrays = []
+    for array in splats.arrays:
+        noise = moves * rng.normal(size=array.shape) * abs(array)
+        shaped = alters.reshape(-1, *[1] * (array.ndim - 1))
+        arrays.append(np.where(shaped, array + noise, array).astype(np.float32))
+    stays = rng.random(len(splats)) < rng.choice([0.7, 1, 1])
+    born = drawn(rng, int(rng.choice([0, 0, 3])), splats.sh_degree, 3)
+    parts = [Splats(*arrays).take(np.flatnonzero(stays)), born]
+    together = Splats.concatenate(parts)
+    orders = np.arange(len(together)), rng.permutation(len(together))
+    return together.take(orders[int(rng.random() < 0.4)])
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 1 << 32),
+    count=st.integers(0, 16),
+    degree=st.integers(0, 1),
+    moves=st.sampled_from([0.001, 0.02, 0.3]),
+    wide=st.sampled_from([1.0, 1e5]),
+    error=st.sampled_from([ErrorBound(), ErrorBound(finer=3), ErrorBound(position=0.5, turn=0.1)]),
+    layers=st.integers(1, 4),
+)
+def test_every_frame_is_within_the_stated_errors(
+    seed: int,
+    count: int,
+    degree: int,
+    moves: float,
+    wide: float,
+    error: ErrorBound,
+    layers: int,
+) -> None:
+    rng = np.random.default_rng(seed)
+    frames = [drawn(rng, count, degree, wide)]
+    while len(frames) < 6:
+        frames.append(later(rng, frames[-1], moves))
+    with tempfile.TemporaryDirectory() as name:
+        root = Path(name)
+        (root / "seq").mkdir()
+        for number, splats in enumerate(frames):
+            write_splats(root / "seq" / f"{number}.ply", splats, SplatFormat.PLY)
+        options = ImportOptions(fps=30, error=error, layers=layers)
+        made = import_stream(root / "seq", root / "s", options)
+        assert verify_stream(root / "s").num_frames == len(frames)
+        reader = StreamReader(root / "s")
+        lattice = reader.manifest.lattice[0]
+        sizes_m = [usual_size_m(splats) for splats in frames if len(splats)]
+        lowest = lattice.log_scale_base - 128 * lattice.log_scale
+        stated = Stated(error, min(sizes_m, default=1.0), lowest)
+        for number, splats in enumerate(frames):
+            found = reader.active_splats(number, reader.manifest.num_layers)
+            assert len(found) == len(splats)
+            if not len(splats):
+                continue
+            fits = within(splats, found, stated) | exact(splats, found)
+            pairs = maximum_bipartite_matching(csr_matrix(fits), perm_type="column")
+            assert (pairs >= 0).all()
+        assert made.errors is not None
+        for kind, value in made.errors.items():
+            most = error.of(kind) * (stated.size_m if kind == "position" else 1)
+            assert value <= most * (1 + SLACK)
+        # What is less exact is not larger by much, whatever the files are like.
+        whole = sum(4 * (11 + 3 * sh_count(degree)) * len(splats) for splats in frames)
+        assert made.num_bytes <= 1.5 * whole + 3000
+
+
+def test_a_sequence_of_the_same_file_costs_nothing_after_the_first_frame(tmp_path: Path) -> None:
+    splats = drawn(np.random.default_rng(0), 500, 0, 1)
+    (tmp_path / "seq").mkdir()
+    made = {}
+    for num_files in (1, 100):
+        for number in range(num_files):
+            write_splats(tmp_path / "seq" / f"{number}.ply", splats, SplatFormat.PLY)
+        out = tmp_path / str(num_files)
+        made[num_files] = import_stream(tmp_path / "seq", out, LATTICE)
+    assert made[100].num_bytes == made[1].num_bytes
+    assert made[100].manifest.segment_frames == 300
+    reader = StreamReader(tmp_path / "100")
+    assert same(reader.active_splats(99, 4), reader.active_splats(0, 4))
+
+
+def test_noise_below_the_error_is_not_sent_and_does_not_add_up(tmp_path: Path) -> None:
+    """A slow drift far below the error in each file: no frame is farther off than stated."""
+    rng = np.random.default_rng(1)
+    first = drawn(rng, 200, 0, 1)
+    (tmp_path / "seq").mkdir()
+    step_m = 0.005 * usual_size_m(first)
+    frames = []
+    for number in range(40):
+        means = first.means + np.float32(step_m * number)
+        means += rng.normal(0, 0.1 * step_m, means.shape).astype(np.float32)
+        arrays = (means, *first.arrays[1:])
+        frames.append(Splats(*arrays))
+        write_splats(tmp_path / "seq" / f"{number}.ply", frames[-1], SplatFormat.PLY)
+    made = import_stream(tmp_path / "seq", tmp_path / "s", ImportOptions(fps=30))
+    kept, ended, predicted, new = made.statuses
+    assert (ended, new) == (0, 0)
+    assert kept > predicted > 0
+    assert made.errors is not None
+    assert made.errors["position"] <= ErrorBound().position * usual_size_m(first) * (1 + SLACK)
+    reader = StreamReader(tmp_path / "s")
+    for number in (0, 20, 39):
+        found = np.sort(reader.active_splats(number, 4).means, axis=0)
+        apart = abs(found - np.sort(frames[number].means, axis=0))
+        assert apart.max() <= ErrorBound().position * usual_size_m(first) * (1 + SLACK)

@@ -1,0 +1,331 @@
+"""swings-stream import: files to a stream, as functions and as processes."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import signal
+import struct
+import subprocess
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from codec.errors import CodecError, InvalidError, UnsupportedError
+from codec.framerange import FrameRange
+from codec.interop.formats import SplatFormat, read_splats, write_splats
+from codec.profiles.profile import Profile
+from codec.sequence.errorbound import ErrorBound
+from codec.sequence.importing import ImportOptions, import_stream, make_manifest
+from codec.sequence.survey import Survey
+from codec.splats import Splats
+from codec.stream import StreamReader
+from codec.stream.layers import Rank
+from codec.tools.audit import verify_stream
+from tests.support.commands import command, environment, run, run_ok
+from tests.support.drawn import same
+from tests.support.slots.rotating import turned
+from tests.support.trained_like import trained_like_splats
+
+RAW = ImportOptions(fps=30, profile=Profile.RAW)
+LATTICE = ImportOptions(fps=30)
+
+
+def save(path: Path, splats: Splats) -> Path:
+    path.parent.mkdir(exist_ok=True)
+    write_splats(path, splats, SplatFormat.PLY)
+    return path
+
+
+def by_position(splats: Splats) -> Splats:
+    return splats.take(np.lexsort(splats.means.T))
+
+
+def test_a_still_model_goes_in_and_out_bit_by_bit(tmp_path: Path) -> None:
+    splats = trained_like_splats(300, sh_degree=2)
+    save(tmp_path / "model.ply", splats)
+    made = import_stream(tmp_path / "model.ply", tmp_path / "stream", RAW)
+    manifest = made.manifest
+    assert (manifest.swin_size, manifest.num_gs, manifest.sh_degree) == (1, 300, 2)
+    assert (manifest.title, manifest.live, made.num_frames) == ("model.ply", False, 1)
+    assert made.errors is None
+    reader = StreamReader(tmp_path / "stream")
+    assert reader.num_frames == 1
+    assert same(by_position(reader.active_splats(0, 4)), by_position(splats))
+
+
+def test_the_default_camera_sees_the_whole_model_from_outside() -> None:
+    splats = trained_like_splats(2000, 4)
+    survey = Survey()
+    survey.take(Path("model.ply"), splats)
+    manifest = make_manifest(survey, ImportOptions(), "")
+    camera = manifest.camera()
+    lower, upper = np.array(manifest.bounds)
+    corners = np.stack(np.meshgrid(*zip(lower, upper, strict=True)), -1).reshape(-1, 3)
+    seen = corners @ camera.w2c[:3, :3].T + camera.w2c[:3, 3]
+    assert (seen[:, 2] > manifest.near_m).all()
+    for axis, (focal, centre, size) in enumerate(
+        [
+            (camera.fx_px, camera.cx_px, camera.width_px),
+            (camera.fy_px, camera.cy_px, camera.height_px),
+        ]
+    ):
+        pixels = focal * seen[:, axis] / seen[:, 2] + centre
+        assert (pixels >= 0).all()
+        assert (pixels <= size).all()
+    middle = (lower + upper) / 2 - camera.position
+    assert middle / np.linalg.norm(middle) == pytest.approx(camera.forward)
+    inside = ((splats.means >= lower) & (splats.means <= upper)).all(axis=1)
+    assert 0.9 < inside.mean() < 1  # floaters stay out
+
+
+@pytest.mark.parametrize("profile", [Profile.RAW, Profile.LATTICE])
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_next_to_nothing_is_a_model_too(count: int, profile: Profile, tmp_path: Path) -> None:
+    save(tmp_path / "model.ply", trained_like_splats(count))
+    import_stream(tmp_path / "model.ply", tmp_path / "stream", ImportOptions(profile=profile))
+    reader = StreamReader(tmp_path / "stream")
+    assert len(reader.active_splats(0, reader.manifest.num_layers)) == count
+    verify_stream(tmp_path / "stream")
+
+
+@pytest.mark.parametrize("profile", [Profile.RAW, Profile.LATTICE])
+def test_a_folder_is_a_sequence_in_order_of_number(profile: Profile, tmp_path: Path) -> None:
+    folder = tmp_path / "take"
+    # The text order of the names is 10, 2, 6; counts and kinds differ, and one frame is empty.
+    parts = {2: trained_like_splats(30), 6: trained_like_splats(50, 1), 14: trained_like_splats(0)}
+    for number, splats in parts.items():
+        save(folder / f"v1_{number}.ply", splats)
+    write_splats(folder / "v1_10.spz", trained_like_splats(40), SplatFormat.SPZ)
+    for other in ("notes.txt", ".v1_3.ply.tmp", ".v1_3.ply"):
+        (folder / other).write_text("no model")
+    options = ImportOptions(24, profile=profile, title="Take", layers=3)
+    made = import_stream(folder, tmp_path / "stream", options).manifest
+    assert (made.fps, made.num_gs, made.num_layers, made.title) == (24, 50, 3, "Take")
+    reader = StreamReader(tmp_path / "stream")
+    assert [len(reader.active_splats(frame, 3)) for frame in range(4)] == [30, 50, 40, 0]
+    if profile is Profile.RAW:
+        assert same(by_position(reader.active_splats(1, 3)), by_position(parts[6]))
+    assert (np.array(made.bounds[0]) < np.array(made.bounds[1])).all()
+    verify_stream(tmp_path / "stream")
+    options = replace(options, frames=FrameRange(1, 3))
+    made = import_stream(folder, tmp_path / "part", options).manifest
+    reader = StreamReader(tmp_path / "part")
+    assert made.capture_frame == 1
+    assert [len(reader.active_splats(frame, 3)) for frame in range(2)] == [50, 40]
+
+
+def test_a_bad_folder_or_file_is_named_and_nothing_is_written(tmp_path: Path) -> None:
+    folder = tmp_path / "take"
+    folder.mkdir()
+    stream = tmp_path / "stream"
+
+    def refused(says: str, options: ImportOptions = LATTICE) -> None:
+        with pytest.raises((InvalidError, CodecError), match=says):
+            import_stream(folder, stream, options)
+        assert not [path for path in tmp_path.iterdir() if path != folder]
+
+    refused(r"take: no file of Gaussians in this folder .*bundled \.sog")
+    save(folder / "frame_1.ply", trained_like_splats(3))
+    save(folder / "frame_01.ply", trained_like_splats(3))
+    refused(r"frame_01\.ply and frame_1\.ply have the same number")
+    (folder / "frame_01.ply").rename(folder / "last.ply")
+    refused(r"last\.ply: its name has no number")
+    (folder / "last.ply").rename(folder / "frame_2.ply")
+    refused(r"take: no file says how many frames .* --fps 30", ImportOptions())
+    (folder / "fps.txt").write_text("fast")
+    refused(r"fps\.txt: does not hold one number", ImportOptions())
+    data = (folder / "frame_2.ply").read_bytes()
+    (folder / "frame_2.ply").write_bytes(data[:-1])
+    refused(r"frame_2\.ply: PLY: ends after")
+    save(folder / "frame_2.ply", trained_like_splats(3, sh_degree=1))
+    refused(r"frame_2\.ply: SH degree 1, where the files before have 0")
+    (folder / "frame_2.ply").write_bytes(data)
+    save(folder / "frame_4.ply", trained_like_splats(3))
+    refused(r"take: number 3 is missing between frame_2\.ply and frame_4\.ply")
+    (folder / "frame_4.ply").unlink()
+    refused("fps 0", ImportOptions(fps=0))
+    refused("frames 1:3: .*take has frames 0:2", replace(LATTICE, frames=FrameRange(1, 3)))
+    for options in (LATTICE, RAW):
+        options = replace(options, rank="beauty")  # type: ignore[arg-type]
+        refused("no rank is called", options)
+    for values in ({"opacity": 0.001}, {"finer": 1e9}):
+        with pytest.raises(InvalidError, match=r"error opacity .*finer than 0\.0029"):
+            ErrorBound(**values)
+    with pytest.raises(InvalidError, match="error size 0: choose more than 0"):
+        ErrorBound(size=0)
+    with pytest.raises(InvalidError, match="layers 17: choose 1 to 16"):
+        ImportOptions(layers=17)
+    save(stream, trained_like_splats(1))
+    with pytest.raises(InvalidError, match="stream is not empty"):
+        import_stream(folder, stream, RAW)
+    (folder / "fps.txt").write_text("12.5\n")
+    assert import_stream(folder, tmp_path / "s", ImportOptions()).manifest.fps == 12.5
+
+
+def test_a_file_that_changes_while_it_is_imported_is_named(tmp_path: Path) -> None:
+    for number in range(3):
+        save(tmp_path / "take" / f"{number}.ply", trained_like_splats(5))
+
+    def grow(done: int, total: int) -> None:
+        if done == 4:
+            save(tmp_path / "take" / "1.ply", trained_like_splats(6))
+
+    with pytest.raises(InvalidError, match=r"1\.ply: has changed while it was imported"):
+        import_stream(tmp_path / "take", tmp_path / "s", LATTICE, progress=grow)
+    assert [path.name for path in tmp_path.iterdir()] == ["take"]
+
+
+@pytest.mark.parametrize("format", SplatFormat)
+def test_every_format_makes_a_sequence(format: SplatFormat, tmp_path: Path) -> None:
+    """Whose Gaussians are those that each file has, also where its format is coarse."""
+    splats = trained_like_splats(200)
+    (tmp_path / "seq").mkdir()
+    files = [tmp_path / "seq" / f"{number}.{format}" for number in range(3)]
+    for number, file in enumerate(files):
+        write_splats(file, turned(splats, 0.02 * (number // 2)), format)
+    made = import_stream(tmp_path / "seq", tmp_path / "s", LATTICE)
+    assert made.statuses[0] >= 200  # the second file is the first
+    reader = StreamReader(tmp_path / "s")
+    for number, file in enumerate(files):
+        found, wanted = reader.active_splats(number, 4), read_splats(file)
+        assert len(found) == len(wanted)
+        for a, b in zip(np.sort(found.means, 0).T, np.sort(wanted.means, 0).T, strict=True):
+            assert abs(a - b).max() < 0.003
+
+
+def test_a_single_file_is_compact_unless_said_otherwise(tmp_path: Path) -> None:
+    model = save(tmp_path / "model.ply", trained_like_splats(50))
+    assert import_stream(model, tmp_path / "a", ImportOptions()).manifest.profile == "compact"
+    lattice = ImportOptions(profile=Profile.LATTICE)
+    made = import_stream(model, tmp_path / "b", lattice).manifest
+    assert (made.profile, made.version) == ("lattice", 2)
+    moving(tmp_path / "seq", 2, 50)
+    assert import_stream(tmp_path / "seq", tmp_path / "c", LATTICE).manifest.version == 2
+
+
+def test_more_than_a_frame_holds_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("codec.sequence.survey.MAX_SPLATS_PER_CHUNK", 9)
+    model = save(tmp_path / "model.ply", trained_like_splats(10))
+    with pytest.raises(
+        UnsupportedError, match=r"model\.ply: PLY: 10 Gaussians in a frame, at most 9"
+    ):
+        import_stream(model, tmp_path / "stream", RAW)
+    assert not (tmp_path / "stream").exists()
+
+
+SPLAT_RECORD_BYTES = 32
+
+
+@pytest.mark.parametrize(
+    ("name", "head"),
+    [
+        ("a.spz", gzip.compress(struct.pack("<4sIIBBBB", b"NGSP", 3, 10, 0, 12, 0, 0))),
+        ("b.spz", struct.pack("<4sIIBBBBI12x", b"NGSP", 4, 10, 0, 12, 0, 5, 32)),
+        ("c.splat", bytes(10 * SPLAT_RECORD_BYTES)),
+    ],
+    ids=["v3", "v4", "splat"],
+)
+def test_too_many_are_refused_by_the_header_alone(
+    tmp_path: Path, name: str, head: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing follows the header: whoever went on would say so."""
+    monkeypatch.setattr("codec.sequence.survey.MAX_SPLATS_PER_CHUNK", 9)
+    (tmp_path / name).write_bytes(head)
+    with pytest.raises(UnsupportedError, match=r"10 Gaussians in a frame, at most 9"):
+        import_stream(tmp_path / name, tmp_path / "stream", RAW)
+
+
+def moving(folder: Path, num_files: int, count: int = 300) -> Path:
+    """A sequence of which a third moves, as files in `folder`."""
+    first = trained_like_splats(count)
+    for number in range(num_files):
+        means = first.means.copy()
+        means[: count // 3] += np.float32(0.01 * number)
+        save(folder / f"f_{number:04d}.ply", replace(first, means=means))
+    return folder
+
+
+def test_the_commands(tmp_path: Path) -> None:
+    folder = moving(tmp_path / "seq", 5)
+    told = run_ok("swings-stream", "import", folder, tmp_path / "s", "--fps", 25).splitlines()
+    assert told[0] == f"{tmp_path}/s: seq, up to 300 Gaussians a frame, SH degree 0, lattice"
+    assert [line.split()[0] for line in told[1:]] == ["frames", "errors", "slots", "PSNR"]
+    assert "66.7 % kept, 0.0 % ended, 33.3 % moved, 0.0 % new" in told[3]
+    run_ok("swings-stream", "verify", tmp_path / "s")
+    poster = Image.open(tmp_path / "s" / "poster.jpg")
+    assert (poster.format, poster.size) == ("JPEG", (640, 360))
+    assert np.asarray(poster).max() > 60
+    [record] = StreamReader(tmp_path / "s").records
+    layers_db = record.psnr_db
+    assert 20 < layers_db[0] < layers_db[-1]
+    assert layers_db[-1] > 40
+    out = tmp_path / "out.spz"
+    told_out = run_ok("swings-stream", "export", tmp_path / "s", out, "--frame", 4)
+    assert told_out == f"{out}: 1 file, {out.stat().st_size} bytes\n"
+    assert len(read_splats(out)) == 300
+    done = run("swings-stream", "import", tmp_path / "none.ply", tmp_path / "other")
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr == f"swings-stream: {tmp_path}/none.ply is missing\n"
+    done = run("swings-stream", "import", folder, tmp_path / "other")
+    assert done.returncode == 1
+    assert "add --fps, as --fps 30" in done.stderr
+    done = run("swings-stream", "import", folder, tmp_path / "other", "--error.turn", -1)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert not (tmp_path / "other").exists()
+
+
+def test_a_rank_that_there_is_not_is_bad_usage_and_no_file_is_opened(tmp_path: Path) -> None:
+    done = run("swings-stream", "import", tmp_path / "none.ply", tmp_path / "out", "--rank", "typo")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "none.ply" not in done.stderr
+    for name in Rank:
+        assert name in done.stderr
+
+
+@pytest.mark.skipif(not Path("/proc").exists(), reason="needs Linux: RLIMIT_FSIZE")
+def test_a_full_disk_is_told_by_the_name_of_the_file_that_has_no_room(tmp_path: Path) -> None:
+    folder = moving(tmp_path / "seq", 2, 3000)
+    code = (
+        "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (9000, 9000));"
+        "from codec.__main__ import main; main()"
+    )
+    words = command("swings-stream", "import", folder, tmp_path / "s", "--fps", 30)
+    words[2] = code
+    done = subprocess.run(words, env=environment(), capture_output=True, text=True, timeout=120)
+    assert done.returncode == 1
+    assert f"{tmp_path}/s/segments/0/" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["seq"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
+def test_a_killed_import_leaves_no_stream_and_the_next_one_goes_through(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    folder = moving(tmp_path / "seq", 60)
+    out = tmp_path / "s"
+    words = command("swings-stream", "import", folder, out, "--fps", 30)
+    process = subprocess.Popen(
+        words, env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    working = tmp_path / ".s.tmp" / "segments" / "0"
+    until_s = time.monotonic() + 120
+    while not working.exists() and process.poll() is None and time.monotonic() < until_s:
+        time.sleep(0.002)
+    os.kill(process.pid, number)
+    code = process.wait(timeout=60)
+    assert code == (-number if number == signal.SIGKILL else 128 + number)
+    assert not out.exists()
+    if number != signal.SIGKILL:
+        assert [path.name for path in tmp_path.iterdir()] == ["seq"]
+    import_stream(folder, out, LATTICE)
+    assert verify_stream(out).num_frames == 60
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["s", "seq"]

@@ -1,0 +1,97 @@
+"""Which Gaussian goes on in the next file."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from codec.pose import rotation_about
+from codec.sequence.matching import match, row_keys
+from codec.splats import Splats
+from tests.support.drawn import drawn_splats
+from tests.support.slots.rotating import figure, turned
+from tests.support.trained_like import trained_like_splats
+
+
+@settings(max_examples=60, deadline=None)
+@given(splats=drawn_splats(max_count=12), seed=st.integers(0, 1 << 32))
+def test_the_same_bits_go_on_in_any_order(splats: Splats, seed: int) -> None:
+    """Also with doubles, births and deaths."""
+    rng = np.random.default_rng(seed)
+    rows = rng.integers(0, max(len(splats), 1), len(splats)) if len(splats) else np.zeros(0, int)
+    before = splats.take(rows)  # some are there twice
+    order = rng.permutation(len(before))[: rng.integers(0, len(before) + 1)]
+    after = before.take(order)
+    continued, same = match(before, after)
+    assert same.all()
+    for array, earlier in zip(after.arrays, before.arrays, strict=True):
+        assert (array == earlier[continued]).all()
+    assert len(np.unique(continued)) == len(continued)
+
+
+@settings(max_examples=60, deadline=None)
+@given(a=drawn_splats(max_degree=0, position=1), b=drawn_splats(max_degree=0, position=1))
+def test_pairs_are_pairs_whatever_the_files(a: Splats, b: Splats) -> None:
+    continued, same = match(a, b)
+    assert continued.shape == same.shape == (len(b),)
+    used = continued[continued >= 0]
+    assert len(np.unique(used)) == len(used)
+    assert ((continued >= -1) & (continued < len(a))).all()
+    again, _ = match(a, b)
+    assert (again == continued).all()
+
+
+def test_keys_tell_bits_apart() -> None:
+    splats = trained_like_splats(5000, sh_degree=1)
+    assert len(np.unique(row_keys(splats))) == 5000
+    other = splats.sh.copy()
+    other[7, 3, 2] = np.nextafter(other[7, 3, 2], np.float32(9))
+    changed = Splats(*splats.arrays[:4], other)
+    assert np.flatnonzero(row_keys(changed) != row_keys(splats)).tolist() == [7]
+
+
+@pytest.mark.parametrize("count", [3000, 12000])
+def test_the_order_of_the_files_tells_where_everything_moves_far(count: int) -> None:
+    before, after = figure(count), turned(figure(count), 0.1)
+    continued, same = match(before, after)
+    assert (continued == np.arange(count)).mean() > 0.999
+    assert not same.all()
+
+
+def test_place_and_looks_tell_where_the_order_does_not() -> None:
+    before = figure(4000)
+    order = np.random.default_rng(0).permutation(4000)
+    after = turned(before, 0.02).take(order)
+    continued, _ = match(before, after)
+    assert (continued == order).mean() > 0.8
+    # Some are gone and others there: few mistakes for all that.
+    stays = np.arange(4000) >= 300
+    continued, _ = match(before.take(np.flatnonzero(stays)), after)
+    true = np.where(stays[order], order - 300, -1)
+    assert (continued == true).mean() > 0.75
+
+
+def test_two_files_that_have_nothing_to_do_with_each_other_have_few_pairs() -> None:
+    before, after = trained_like_splats(2000, 1), trained_like_splats(2000, 2)
+    continued, same = match(before, after)
+    assert not same.any()
+    far = continued >= 0
+    moves_m = np.linalg.norm(after.means[far] - before.means[continued[far]], axis=1)
+    sizes_m = np.exp(np.sort(before.log_scales[continued[far]], axis=1)[:, 1:].mean(axis=1))
+    assert far.mean() < 0.3
+    assert (moves_m <= 4.01 * sizes_m + 1e-6).mean() > 0.9
+
+
+def test_a_turn_of_the_model_is_a_turn() -> None:
+    """What the tests turn is the same figure: its covariances turn along."""
+    splats = figure(50)
+    turn = rotation_about(np.array([0.0, 1.0, 0.0]), 0.7)
+    from tests.support.trained_like import covariances
+
+    before = covariances(splats.log_scales.astype(float), splats.quats.astype(float))
+    other = turned(splats, 0.7)
+    after = covariances(other.log_scales.astype(float), other.quats.astype(float))
+    assert np.allclose(turn @ before @ turn.T, after, rtol=1e-3, atol=1e-9)
+    assert np.allclose(splats.means @ turn.T, other.means, atol=1e-6)

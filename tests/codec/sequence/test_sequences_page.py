@@ -1,0 +1,70 @@
+"""What docs/SEQUENCES.md tells to type runs as it stands there, and does what it says."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from codec.interop.formats import SplatFormat, write_splats
+from codec.sequence.errorbound import ErrorBound
+from codec.stream import StreamReader
+from tests.support.commands import ENTRY, ROOT, command, environment
+from tests.support.slots.rotating import figure, turned
+from tests.support.slots.slot_streams import gaussians
+
+PAGE = (ROOT / "docs" / "SEQUENCES.md").read_text(encoding="utf-8")
+COMMANDS = re.findall(r"^ {4}(swings-.*)$", PAGE, re.MULTILINE)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """After all commands, in their order."""
+    root = tmp_path_factory.mktemp("page")
+    (root / "my-splats").mkdir()
+    splats = figure(300)
+    for number in range(4):
+        path = root / "my-splats" / f"frame_{number:04d}.ply"
+        write_splats(path, turned(splats, 0.02 * number), SplatFormat.PLY)
+    for line in COMMANDS:
+        name, *words = line.split()
+        done = subprocess.run(
+            command(name, *words),
+            cwd=root,
+            env=environment(),
+            capture_output=True,
+            text=True,
+            timeout=120,
+        )
+        assert done.returncode == 0, f"{line}: {done.stderr}"
+    return root
+
+
+def test_the_commands_run(folder: Path) -> None:
+    assert len(COMMANDS) == 8
+    assert {line.split()[0] for line in COMMANDS} <= set(ENTRY)
+
+
+def test_they_do_what_the_page_says(folder: Path) -> None:
+    sizes, streams = {}, {}
+    for name in ("my-stream", "finer-stream", "back-stream", "raw-stream", "two-layers"):
+        streams[name] = StreamReader(folder / name)
+        sizes[name] = sum(sum(record.part_bytes) for record in streams[name].records)
+        assert streams[name].num_frames == 4
+    assert sizes["my-stream"] < sizes["finer-stream"] < sizes["raw-stream"]
+    assert sizes["back-stream"] < 1.15 * sizes["my-stream"]
+    for frame in range(4):
+        one, other = (streams[n].active_splats(frame, 4) for n in ("my-stream", "back-stream"))
+        assert gaussians(one) == gaussians(other)
+    assert streams["two-layers"].manifest.num_layers == 2
+
+
+def test_the_page_has_the_defaults() -> None:
+    told = dict(re.findall(r"\| `--error\.(\w+)` \| .* \| ([0-9.]+) \|", PAGE))
+    bound = ErrorBound()
+    assert told.keys() == {field.name for field in fields(bound)}
+    for name, value in told.items():
+        assert float(value) == pytest.approx(getattr(bound, name), rel=0.01)

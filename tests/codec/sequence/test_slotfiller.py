@@ -1,0 +1,130 @@
+"""Files become slots: each layer gets what is due to it, and slots are used again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from codec.sequence import slotfiller
+from codec.sequence.errorbound import KINDS, ErrorBound
+from codec.sequence.slotfiller import SlotFiller, SlotPlan
+from codec.slots.lattice import Lattice, dequantise
+from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
+from codec.splats import Splats
+from codec.stream.layers import coverage_rank, opacity_rank
+from tests.support.slots.rotating import figure, turned
+
+
+def planned(splats: Splats, slots: tuple[int, ...]) -> SlotPlan:
+    """With shares as the slots have them."""
+    error, size_m = ErrorBound(), 0.01
+    bounds = np.array([error.of(kind) for kind in KINDS]) * (size_m, 1, 1, 1, 1)
+    lattice = error.lattice(size_m, -12, 0)
+    shares = tuple(count / sum(slots) for count in slots)
+    return SlotPlan(slots, shares, 0, lattice, bounds, -np.ones(3), np.ones(3))
+
+
+def counted(update: Update) -> list[int]:
+    return [int(count) for count in np.bincount(update.statuses, minlength=4)]
+
+
+def test_the_most_important_are_in_the_first_layer() -> None:
+    splats = figure(100)
+    update = SlotFiller(planned(splats, (20, 30, 50)), opacity_rank).update(0, splats)
+    assert (update.statuses == NEW).all()
+    logits = [
+        states.attributes[:, -1].astype(int)
+        for states in (update.states.take(slice(0, 20)), update.states.take(slice(20, 50)))
+    ]
+    assert logits[0].min() >= logits[1].max()
+
+
+def test_a_file_with_fewer_fills_every_layer_by_its_share() -> None:
+    splats = figure(100)
+    plan = planned(splats, (20, 30, 50))
+    update = SlotFiller(plan, coverage_rank).update(0, splats.take(slice(0, 50)))
+    full = update.statuses == NEW
+    assert [int(full[a:b].sum()) for a, b in ((0, 20), (20, 50), (50, 100))] == [10, 15, 25]
+
+
+def test_slots_end_and_are_used_again() -> None:
+    splats = figure(60)
+    filler = SlotFiller(planned(splats, (30, 30)), coverage_rank)
+    filler.update(0, splats)
+    assert counted(filler.update(1, splats)) == [60, 0, 0, 0]
+    assert counted(filler.update(2, splats.take(slice(0, 40)))) == [40, 20, 0, 0]
+    assert counted(filler.update(3, splats.take(slice(0, 40)))) == [60, 0, 0, 0]
+    # Ten of those that were gone, far away, and the rest turned a little.
+    late = figure(70, 1).take(slice(60, 70))
+    late = replace(late, means=late.means + np.float32(7))
+    both = Splats.concatenate([turned(splats.take(slice(0, 40)), 0.05), late])
+    _, ended, predicted, new = counted(filler.update(4, both))
+    assert (ended, predicted, new) == (0, 40, 10)
+    assert counted(filler.update(5, both.take(slice(0, 0)))) == [10, 50, 0, 0]
+    assert filler.statuses.sum() == 5 * 60
+
+
+def test_what_a_lattice_cannot_hold_is_sent_as_it_is_and_kept_while_it_stays() -> None:
+    splats = figure(30)
+    means = splats.means.copy()
+    means[:3] = 1e6
+    splats = replace(splats, means=means)
+    filler = SlotFiller(planned(splats, (30,)), coverage_rank)
+    update = filler.update(0, splats)
+    assert filler.num_escaped == update.escaped.sum() == 3
+    assert sorted(map(bytes, update.escapes.means)) == sorted(map(bytes, means[:3]))
+    assert counted(filler.update(1, splats)) == [30, 0, 0, 0]
+    back = means.copy()
+    back[0] = 0.5
+    changed = filler.update(2, replace(splats, means=back))
+    assert counted(changed)[KEPT] == 29
+    assert counted(changed)[NEW] == 1
+    assert not changed.escaped.any()
+    moved = filler.update(3, replace(splats, means=means + np.float32(0.1)))
+    assert counted(moved)[PREDICTED] == 27
+    assert counted(moved)[ENDED] == 0
+
+
+def test_a_frame_may_be_taken_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    splats = figure(50)
+    whole = SlotFiller(planned(splats, (20, 30)), coverage_rank)
+    wanted = [whole.update(n, turned(splats, 0.03 * n)) for n in range(3)]
+    monkeypatch.setattr(slotfiller, "BLOCK", 7)
+    blocks = SlotFiller(planned(splats, (20, 30)), coverage_rank)
+    for number, update in enumerate(wanted):
+        found = blocks.update(number, turned(splats, 0.03 * number))
+        assert (found.statuses == update.statuses).all()
+        assert (found.states.positions == update.states.positions).all()
+        assert (found.states.attributes == update.states.attributes).all()
+    assert (blocks.errors == whole.errors).all()
+
+
+def test_noise_about_the_middle_between_two_steps_is_held() -> None:
+    splats = figure(200)
+    plan = planned(splats, (200,))
+    filler = SlotFiller(plan, coverage_rank)
+    step_m = plan.lattice.position_m
+    middle = np.floor(splats.means / step_m) * step_m + 0.5 * step_m
+    rng = np.random.default_rng(0)
+    first = filler.update(0, replace(splats, means=middle.astype(np.float32)))
+    decoded = dequantise(first.states, plan.lattice)
+    assert abs(np.sort(decoded.means, 0) - np.sort(middle, 0)).max() < 0.51 * step_m
+    for number in range(1, 4):
+        noisy = middle + rng.uniform(-0.2, 0.2, middle.shape) * step_m
+        update = filler.update(number, replace(splats, means=noisy.astype(np.float32)))
+        assert counted(update)[KEPT] == 200
+    assert 0.6 * step_m < filler.errors[0] <= 0.75 * step_m * (1 + 1e-6)
+
+
+def test_a_lattice_holds_what_is_large() -> None:
+    """And what is too thin counts as the thinnest; so with fine steps its base moves."""
+    for finer, lowest, highest in ((1, -12.0, 0.0), (3, -12.0, 1.5), (1, -40.0, 3.0)):
+        lattice: Lattice = ErrorBound(finer=finer).lattice(0.01, lowest, highest)
+        top = lattice.log_scale_base + 127 * lattice.log_scale
+        assert top >= highest - 1e-4
+        if lattice.log_scale_base:
+            assert top < highest + 1.1 * lattice.log_scale
+        else:
+            assert -128 * lattice.log_scale <= lowest

@@ -1,0 +1,127 @@
+"""`import codec` opens a stream from a string and gives any frame as arrays."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import codec
+from codec.errors import CorruptError, InvalidError
+from codec.splats import Splats
+from codec.storage.openstorage import open_storage
+from codec.stream import StreamReader, StreamWriter
+from tests.support.slots.folder import write_slots
+from tests.support.tiny_stream import tiny_manifest, tiny_slice, write_tiny
+
+FRAMES = 7
+
+
+@pytest.fixture(params=["slices", "slots"])
+def stream(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    path = tmp_path / "stream"
+    if request.param == "slices":
+        write_tiny(path, FRAMES)
+    else:
+        write_slots(path, FRAMES)
+    return path
+
+
+def same(a: Splats, b: Splats) -> bool:
+    return all(np.array_equal(x, y) for x, y in zip(a.arrays, b.arrays, strict=True))
+
+
+def test_three_lines_give_a_frame(stream: Path) -> None:
+    opened = codec.open_stream(str(stream))
+    splats = opened.frame(5)
+    reader = StreamReader(stream)
+    assert same(splats, reader.active_splats(5, reader.manifest.num_layers))
+    assert (len(opened), opened.fps) == (reader.num_frames, reader.manifest.fps)
+    assert [c.name for c in opened.cameras] == [c.name for c in reader.manifest.cameras]
+    assert opened.camera().name == reader.manifest.default_camera
+
+
+def test_whatever_names_a_folder_opens_it(stream: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    expected = codec.open_stream(stream).frame(0)
+    monkeypatch.chdir(stream.parent)
+    for place in ("stream", "./stream/", Path("stream"), open_storage(stream)):
+        with codec.open_stream(place) as opened:
+            assert same(opened.frame(0), expected)
+
+
+def test_fewer_layers_are_the_most_important_ones(stream: Path) -> None:
+    reader = StreamReader(stream)
+    with codec.open_stream(stream) as opened:
+        sizes = [len(opened.frame(4, layers=n)) for n in range(1, opened.num_layers + 1)]
+        assert same(opened.frame(4, 1), reader.active_splats(4, 1))
+    assert sizes == sorted(set(sizes))
+
+
+def test_frames_in_any_order_are_those_one_after_another(stream: Path) -> None:
+    with codec.open_stream(stream) as opened:
+        forward = list(opened)
+        assert len(forward) == FRAMES
+        for frame in (6, 0, 5, 1, 1, 4):
+            assert same(opened.frame(frame), forward[frame])
+
+
+def test_a_live_stream_grows_when_one_asks(tmp_path: Path) -> None:
+    path = tmp_path / "stream"
+    manifest = tiny_manifest()
+    writer = StreamWriter.create(path, manifest)
+    births = iter(range(manifest.first_birth, 100))
+    for birth in births:
+        writer.append(tiny_slice(birth))
+        if birth == 3:
+            break
+    with codec.open_stream(path) as opened:
+        assert (opened.num_frames, opened.refresh()) == (4, 0)
+        for birth in births:
+            writer.append(tiny_slice(birth))
+            if birth == 7:
+                break
+        assert (opened.refresh(), opened.num_frames) == (4, 8)
+        assert len(opened.frame(7)) > 0
+
+
+def test_what_cannot_be_given_is_one_line(stream: Path) -> None:
+    with codec.open_stream(stream) as opened:
+        for frame, layers in ((FRAMES, None), (-1, None), (0, 0), (0, 99)):
+            with pytest.raises(InvalidError) as refused:
+                opened.frame(frame, layers)
+            assert "\n" not in str(refused.value)
+        with pytest.raises(InvalidError, match="no camera is called 'x'"):
+            opened.camera("x")
+    with pytest.raises(InvalidError, match="closed"):
+        opened.frame(0)
+    with pytest.raises(InvalidError, match="closed"), opened:
+        pass
+    opened.close()
+
+
+def test_what_is_not_a_stream_is_an_error_of_ours(tmp_path: Path) -> None:
+    with pytest.raises(CorruptError, match="nowhere"):
+        codec.open_stream(str(tmp_path / "nowhere"))
+    with pytest.raises(codec.SwingsError, match=r"manifest\.json"):
+        codec.open_stream(tmp_path)
+    with pytest.raises(InvalidError, match=r"player\.Scene"):
+        codec.open_stream("http://127.0.0.1:1/watch/x")
+    with pytest.raises(InvalidError, match="ftp"):
+        codec.open_stream("ftp://127.0.0.1/x")
+
+
+def test_importing_codec_loads_nothing_else() -> None:
+    code = (
+        "import sys, codec\n"
+        "loaded = [n for n in sys.modules if n.startswith(('codec.', 'numpy', 'numba'))]\n"
+        "assert not loaded, loaded\n"
+        "assert {'open_stream', 'SwingsError'} <= set(codec.__all__)\n"
+        "try:\n    codec.nothing\n"
+        "except AttributeError as error:\n    assert 'nothing' in str(error)\n"
+        "else:\n    raise SystemExit(1)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,146 @@
+"""Pictures between two frames, by every renderer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from codec.camera import Camera
+from codec.framerange import FrameRange
+from codec.profiles.profile import Profile
+from codec.slots.lattice import Lattice, States, quantise
+from codec.slots.slotlayout import SlotLayout
+from codec.slots.update import NEW, PREDICTED, Update
+from codec.splats import Splats
+from codec.stream import StreamWriter
+from player.playout.assembler import open_assembler
+from player.render.cpu import render_splats
+from player.render.gl import create_renderer
+from player.render.renderer import GlVersion, Renderer, RendererKind
+from player.source.directory import DirectorySource
+from tests.support.hosted_streams import random_splats
+from tests.support.screen.opengl import GL_VERSIONS
+from tests.support.slots.slot_streams import slot_manifest, write_busy_stream
+from tests.support.slots.trained_updates import trained_like_layout
+
+NUM_FRAMES = 9
+STEP_M = np.array([0.09, 0.03, 0.0], np.float32)
+"""What the body moves in a frame, world."""
+
+
+def renderers() -> list[object]:
+    return ["cpu", *GL_VERSIONS]
+
+
+@pytest.fixture(params=renderers())
+def kind(request: pytest.FixtureRequest) -> tuple[RendererKind, GlVersion]:
+    if request.param == "cpu":
+        return RendererKind.CPU, GlVersion.AUTO
+    return RendererKind.GL, GlVersion(request.param)
+
+
+class Player:
+    """A stream in a renderer, frame by frame."""
+
+    def __init__(self, path: Path, kind: tuple[RendererKind, GlVersion]) -> None:
+        self.source = DirectorySource(path, FrameRange(), None)
+        self.manifest = self.source.manifest
+        self._packets = list(self.source.packets())
+        self._assembler = open_assembler(self.manifest, self.source.num_layers, 0)
+        self.renderer: Renderer = create_renderer(kind[0], self.manifest, kind[1])
+        self.camera: Camera = self.manifest.camera()
+
+    def go_to(self, frame: int, with_motion: bool = True) -> None:
+        due = [one for one in self._packets if max(0, one.first_frame) == frame]
+        for slice in self._assembler.take(frame, due, with_motion):
+            self.renderer.put(slice)
+        self.renderer.upload(frame)
+
+    def picture(self, frame: int) -> np.ndarray:
+        return self.renderer.render_again(frame, self.camera)
+
+
+@pytest.fixture
+def busy(tmp_path: Path) -> Path:
+    return write_busy_stream(tmp_path / "s", NUM_FRAMES, trained_like_layout(60, 3, 4))
+
+
+@pytest.fixture
+def glided(busy: Path, kind: tuple[RendererKind, GlVersion]) -> Iterator[Player]:
+    player = Player(busy, kind)
+    with closing(player.renderer):
+        yield player
+
+
+def test_frames_stay_exact_however_one_glides_between_them(busy: Path, glided: Player) -> None:
+    straight = Player(busy, (RendererKind.CPU, GlVersion.AUTO))
+    exact = Player(busy, (RendererKind.CPU, GlVersion.AUTO))
+    twin, rng = glided, np.random.default_rng(0)
+    pictures = []
+    for frame in range(NUM_FRAMES):
+        twin.go_to(frame)
+        straight.go_to(frame, with_motion=False)
+        assert not straight.renderer.glide(0.3)
+        pictures.append(twin.picture(frame))
+        for share in sorted(rng.random(3)):
+            moves = twin.renderer.glide(float(share))
+            assert moves == (frame > 0)
+            assert not twin.renderer.glide(float(share))
+        if frame % 2:  # else the next upload has to put it right
+            twin.renderer.glide(1.0)
+            assert np.array_equal(twin.picture(frame), pictures[-1])
+    for frame in range(NUM_FRAMES):
+        exact.go_to(frame)
+        assert np.abs(exact.picture(frame) - pictures[frame]).max() < 2e-3
+
+
+def write_body(path: Path) -> Splats:
+    """A stream in which a body of one lane moves by STEP_M each frame; gives it at frame 0."""
+    body = random_splats(50, 0, 3)
+    lattice = Lattice.suiting(body)
+    layout = SlotLayout(1, (len(body),), 0, (lattice,), 4)
+    manifest = slot_manifest(layout, profile=Profile.LATTICE)
+    with StreamWriter.create(path, manifest) as writer:
+        states: States | None = None
+        for birth in range(NUM_FRAMES):
+            made, fits = quantise(moved(body, birth), lattice)
+            assert fits.all()
+            if states is not None:
+                made = States(made.positions, states.attributes)
+            statuses = np.full(len(body), NEW if birth == 0 else PREDICTED, np.uint8)
+            nothing = np.zeros(len(body), np.uint8)
+            writer.append(Update(birth, statuses, made, nothing, nothing > 0, Splats.empty(0)))
+            states = made
+    return body
+
+
+def moved(body: Splats, frames: float) -> Splats:
+    return Splats(body.means + np.float32(frames) * STEP_M, *body.arrays[1:])
+
+
+def psnr_db(a: np.ndarray, b: np.ndarray) -> float:
+    return float(-10 * np.log10(((a - b) ** 2).mean()))
+
+
+def test_half_way_it_looks_as_it_would_half_way(
+    tmp_path: Path, kind: tuple[RendererKind, GlVersion]
+) -> None:
+    body = write_body(tmp_path / "s")
+    player = Player(tmp_path / "s", kind)
+    with closing(player.renderer):
+        for frame in range(4):
+            player.go_to(frame)
+        there = player.picture(3)
+        for share in (0.25, 0.5, 0.75):
+            player.renderer.glide(share)
+            found = player.picture(3)
+            camera, near_m = player.camera, player.manifest.near_m
+            truth = render_splats(moved(body, 2 + share), camera, near_m)
+            before = render_splats(moved(body, 2), camera, near_m)
+            assert psnr_db(found, truth) > 30
+            assert psnr_db(found, truth) > psnr_db(there, truth) + 6
+            assert psnr_db(found, truth) > psnr_db(before, truth) + 6

@@ -1,0 +1,116 @@
+"""What was once done to trainer, codec and player, and the tests that hold what they do today.
+
+As tests/server/test_attacks.py for the server: each row is what a stranger's file, a newcomer or a
+full disk did, and the tests (FILE::NAME, below tests) that fail if it ever happens again. A test
+that is renamed is renamed here too.
+"""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).parent
+
+HELD_BY = {
+    # What a newcomer met.
+    "a sheet takes the size of its first row; pictures of other cameras are cut": (
+        "trainer/score/test_sheet.py::test_cameras_of_any_size_are_whole",
+    ),
+    "a capture of a served stream is not the folder's, and the report hides it": (
+        "player/test_command.py::test_a_capture_of_a_served_stream_is_that_of_its_folder",
+        "player/test_command.py::test_a_slice_of_fewer_layers_is_told_for_as_long_as_it_shows",
+        "player/playout/test_timeline.py::test_frames_come_only_when_they_are_due",
+    ),
+    "the help of export names a file that it does not write": (
+        "codec/test_main.py::test_the_help_of_export_names_the_first_file_that_it_writes",
+    ),
+    "training cameras far apart train to smears without a warning": (
+        "trainer/run/test_apart.py::test_a_run_begins_with_the_warning",
+    ),
+    "who reads the first line only gets a complaint of a broken pipe": (
+        "codec/test_console.py::test_who_reads_the_first_line_only_gets_it_and_no_complaint",
+    ),
+    "output that is not a terminal says nothing till the end, and one line is too wide": (
+        "trainer/run/test_progressline.py::test_the_line_fits_and_leaves_out_whole_parts_only",
+        "trainer/run/test_progressline.py::test_on_a_terminal_of_80_columns_it_is_one_line",
+        "trainer/run/test_progressline.py::test_a_run_whose_output_is_a_file_says_how_it_goes",
+    ),
+    "the dB of the progress line jump from one held-out camera to the other": (
+        "trainer/score/test_meter.py::"
+        "test_the_mean_is_over_all_held_out_cameras_from_the_first_frame_on",
+    ),
+    "--resume wants every option again": (
+        "trainer/run/test_resume.py::test_resuming_what_is_not_there_or_other_is_one_line",
+        "trainer/run/test_storedconfig.py::test_settings_come_back",
+    ),
+    "the table of scores hides a bad camera in a mean": (
+        "trainer/score/test_moving.py::test_the_table_tells_what_moves_and_each_camera",
+    ),
+    "info and eval differ without a word": (
+        "trainer/score/test_same_figures.py::test_info_and_eval_agree_or_info_says_why_not",
+    ),
+    # Files of strangers.
+    "16-bit pictures become white, alpha is dropped, a float picture of NaN trains to 100 dB": (
+        "trainer/test_pixels.py::test_16_bit_grey_is_rounded_to_8",
+        "trainer/test_pixels.py::test_16_bit_colour_is_that_of_8",
+        "trainer/test_pixels.py::test_transparent_pixels_are_refused",
+        "trainer/test_pixels.py::test_what_is_not_8_or_16_bit_rgb_or_grey_is_refused",
+    ),
+    "a picture of too many pixels is a traceback amid training": (
+        "trainer/test_pixels.py::test_a_picture_of_a_billion_pixels_is_one_line",
+    ),
+    "verify, info, import and train hang on a pipe": (
+        "codec/storage/test_folder.py::test_no_command_waits_for_a_pipe",
+        "codec/storage/test_folder.py::test_an_import_does_not_wait_for_a_pipe",
+        "trainer/test_hostile_captures.py::test_nobody_waits_for_the_other_end_of_a_pipe",
+        "trainer/test_hostile_captures.py::test_points_are_not_read_from_a_pipe",
+        "trainer/test_pixels.py::test_nobody_waits_for_a_pipe",
+    ),
+    "gigabytes of a file are read before its header is looked at": (
+        "codec/interop/test_formats.py::test_a_huge_file_is_refused_by_its_first_bytes",
+        "codec/interop/test_import_export.py::test_too_many_are_refused_by_the_header_alone",
+    ),
+    "points of 700 kB take 3 GB; a .npy claims 10^11 rows": (
+        "trainer/test_hostile_captures.py::test_points_that_unpack_to_gigabytes_are_refused",
+        "trainer/test_hostile_captures.py::test_points_whose_header_claims_more_than_there_is",
+        "trainer/test_hostile_captures.py::test_rows_that_a_header_only_claims_are_not_made",
+    ),
+    "a focal length of 1e-300 is a traceback": (
+        "trainer/test_hostile_captures.py::test_a_focal_length_of_no_lens_is_refused",
+    ),
+    "what a stream calls itself steers the terminal": (
+        "player/source/test_strange_hosts.py::"
+        "test_what_a_stream_calls_itself_does_not_steer_the_terminal",
+    ),
+    # Disks and signals.
+    "of a full disk one is not told the file": (
+        "test_full_disk.py::test_a_full_disk_is_one_line_with_the_file_and_leaves_nothing",
+        "test_full_disk.py::test_an_import_without_room_names_the_file",
+        "test_full_disk.py::test_a_log_keeps_whole_lines_only",
+        "codec/test_files.py::test_a_full_disk_names_the_file",
+        "codec/test_console.py::test_a_full_disk_under_the_output_is_one_line",
+        "player/test_stills.py::test_a_full_disk_leaves_nothing_and_names_the_file",
+    ),
+    "a disk that is full before the first checkpoint: --resume refuses": (
+        "trainer/run/test_resume.py::"
+        "test_a_run_that_had_no_room_for_its_first_checkpoint_begins_anew",
+        "test_full_disk.py::test_training_without_room_is_told_and_goes_on_later",
+    ),
+    "SIGTERM leaves what was being written": (
+        "codec/test_console.py::test_a_signal_ends_a_command_when_it_has_cleaned_up",
+        "codec/test_files.py::test_what_fails_leaves_the_old_file_and_nothing_else",
+        "player/test_interrupt.py::test_a_signal_writes_the_report_and_no_half_video",
+    ),
+}
+
+
+@pytest.mark.parametrize("attack", HELD_BY)
+def test_it_is_held_offline(attack: str) -> None:
+    for test in HELD_BY[attack]:
+        file, name = test.split("::")
+        tree = ast.parse((HERE / file).read_text(encoding="utf-8"))
+        names = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+        assert name in names, test

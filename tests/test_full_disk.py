@@ -1,0 +1,165 @@
+"""Whatever writes a file says, in one line, which one had no room, and leaves nothing half-written.
+
+A limit on the size of files stands for the disk: it stops the same calls at the same places.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import shutil
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from codec.stream import StreamReader
+from codec.stream.poster import POSTER_NAME
+from codec.tools.audit import verify_stream
+from tests.support.commands import command, environment
+from tests.support.tiny_capture import write_dynamic3dgs
+from tests.support.tiny_stream import tiny_manifest, write_tiny
+from trainer.capture.layout import open_capture
+from trainer.run.runlog import RunLog
+
+FRAMES = 6
+TRAINING = (
+    "--num-gs", 400, "--genesis-iterations", 8, "--settle-rounds", 1, "--window-iterations", 4,
+    "--segment-frames", 2, "--snapshot-every", 1,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """With a capture, a stream of it, and a file of Gaussians."""
+    root = tmp_path_factory.mktemp("full")
+    write_dynamic3dgs(root / "capture", num_cameras=4, num_frames=FRAMES)
+    cameras = tuple(c.camera for c in open_capture(root / "capture").cameras)
+    manifest = replace(
+        tiny_manifest(), cameras=cameras, default_camera=cameras[0].name, poster=POSTER_NAME
+    )
+    write_tiny(root / "stream", FRAMES, manifest)
+    done = limited(root, 1 << 30, "swings-stream", "export", "stream", "frame.ply", "--frame", 0)
+    assert done.returncode == 0, done.stderr
+    return root
+
+
+def limited(
+    folder: Path, limit_bytes: int, name: str, *arguments: object
+) -> subprocess.CompletedProcess[str]:
+    """The command in `folder`, where no file may be longer than `limit_bytes`."""
+    return subprocess.run(
+        command(name, *arguments),
+        cwd=folder,
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=120,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, limit_bytes)),
+    )
+
+
+def files(folder: Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+
+
+COMMANDS: dict[str, tuple[int, str, tuple[object, ...]]] = {
+    "static export": (
+        300, "'out/segments", ("swings-stream", "export", "stream", "out", "--static"),
+    ),
+    "ply": (300, "out.ply", ("swings-stream", "export", "stream", "out.ply", "--frame", 0)),
+    "numbered": (
+        300, "out_0000.spz", ("swings-stream", "export", "stream", "out.spz", "--frames", ":"),
+    ),
+    "plot": (300, "out.png", ("swings-stream", "info", "stream", "--plot", "out.png")),
+    "check": (300, "out.png", ("swings-train", "capture", "--check", "out.png")),
+    "sheet": (300, "out.png", ("swings-eval", "stream", "capture", "--sheet", "out.png")),
+    "compared video": (
+        300, "out.mp4", ("swings-eval", "stream", "capture", "--compare", "cam01", "out.mp4"),
+    ),
+    "video of a capture": (
+        900, "out/cam0", ("swings-synth", "out", "--frames", 2, "--cameras", 3, "--held-out", 1,
+                     "--width-px", 64, "--height-px", 36),
+    ),
+    "poses and points of a capture": (
+        20_000, "out", ("swings-synth", "out", "--frames", 1, "--cameras", 3, "--held-out", 1,
+                        "--width-px", 32, "--height-px", 32, "--points", 4000),
+    ),
+}  # fmt: skip
+"""Bytes that fit, the place that the line names, and the command; all of it writes to out*."""
+
+
+@pytest.mark.parametrize("what", COMMANDS)
+def test_a_full_disk_is_one_line_with_the_file_and_leaves_nothing(what: str, folder: Path) -> None:
+    limit_bytes, place, (name, *arguments) = COMMANDS[what]
+    before = files(folder)
+    done = limited(folder, limit_bytes, str(name), *arguments)
+    assert done.returncode == 1, done.stderr
+    (line,) = done.stderr.strip().splitlines()
+    assert line.startswith(f"{name}: ")
+    assert place in line, line
+    assert files(folder) == before
+
+
+def test_an_import_without_room_names_the_file(folder: Path) -> None:
+    done = limited(folder, 100, "swings-stream", "import", "frame.ply", "out")
+    assert done.returncode == 1
+    (line,) = done.stderr.strip().splitlines()
+    assert "'out/manifest.json'" in line
+    assert not [name for name in files(folder) if name.endswith((".tmp", ".partial"))]
+    shutil.rmtree(folder / "out", ignore_errors=True)
+
+
+def test_training_without_room_is_told_and_goes_on_later(folder: Path) -> None:
+    """At each limit another file is the first that is too long: whichever it is, what stands can be
+    gone on with, and the whole stream is there in the end."""
+    named = set[str]()
+    for limit_bytes in (4_000, 90_000):
+        resume = ["--resume"] if (folder / "trained").exists() else []
+        done = limited(
+            folder, limit_bytes, "swings-train", "capture", "trained", *TRAINING, *resume
+        )
+        if done.returncode == 0:
+            break
+        line = done.stderr.strip().splitlines()[-1]
+        assert line.startswith("swings-train: [Errno 27] File too large: 'trained/"), line
+        named.add(line.split("'")[1])
+        assert not list((folder / "trained").rglob("*.tmp"))
+        reader = StreamReader(folder / "trained")
+        for frame in range(reader.num_frames):
+            reader.active_splats(frame, reader.manifest.num_layers)
+    else:
+        done = limited(folder, 1 << 30, "swings-train", "capture", "trained", *TRAINING, "--resume")
+        assert done.returncode == 0, done.stderr
+    assert "trained/.checkpoint.npz" in named
+    assert verify_stream(folder / "trained").num_frames == FRAMES
+    shutil.rmtree(folder / "trained")
+
+
+@contextmanager
+def no_file_longer_than(limit_bytes: int) -> Iterator[None]:
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_a_log_keeps_whole_lines_only(tmp_path: Path) -> None:
+    path = tmp_path / "training.jsonl"
+    records = [{"frame": frame, "text": "y" * 40} for frame in range(3)]
+    with RunLog(path) as log:
+        log.add(records[0])
+        with no_file_longer_than(90), pytest.raises(OSError, match=r"training\.jsonl"):
+            log.add(records[1])
+        assert path.read_text().count("\n") == 1
+        log.add(records[1])
+    whole = path.read_bytes()
+    path.write_bytes(whole + b'{"frame": 2, "te')  # the machine stopped
+    with RunLog(path) as log:
+        log.add(records[2])
+    assert [json.loads(line) for line in path.read_text().splitlines()] == records

@@ -1,0 +1,155 @@
+"""Pictures are read rightly or refused: none becomes white, black or bodiless without a word."""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from PIL import Image
+
+from trainer.errors import CaptureError
+from trainer.pixels import read_grey, read_rgb
+
+GREY = np.arange(48, dtype=np.uint8).reshape(6, 8) * 5
+RGB = np.stack([GREY, 255 - GREY, GREY // 2], axis=2)
+
+
+def any_size(path: Path, size: tuple[int, int]) -> None:
+    """A capture that declares the size that the file has."""
+
+
+def png_16(path: Path, pixels: npt.NDArray[np.uint16], colour_type: int) -> None:
+    """Writes what Pillow cannot: 16 bits in each channel of a colour PNG."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return (
+            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        )
+
+    height, width = pixels.shape[:2]
+    rows = b"".join(b"\0" + row.astype(">u2").tobytes() for row in pixels)
+    head = struct.pack(">IIBBBBB", width, height, 16, colour_type, 0, 0, 0)
+    path.write_bytes(
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(rows))
+        + chunk(b"IEND", b"")
+    )  # fmt: skip
+
+
+def test_16_bit_grey_is_rounded_to_8(tmp_path: Path) -> None:
+    for kind in ("png", "tif"):
+        path = tmp_path / f"grey.{kind}"
+        deep = np.linspace(0, 65535, 48).astype(np.uint16).reshape(6, 8)
+        Image.fromarray(deep).save(path)
+        found = read_rgb(path, any_size)
+        assert (found == np.rint(deep / 257)[..., None]).all()
+        assert (read_grey(path, any_size) == found[..., 0]).all()
+
+
+def test_16_bit_colour_is_that_of_8(tmp_path: Path) -> None:
+    path = tmp_path / "colour.png"
+    png_16(path, RGB.astype(np.uint16) * 257, 2)
+    assert (read_rgb(path, any_size) == RGB).all()
+
+
+@pytest.mark.parametrize("suffix", ["png", "tif", "bmp"])
+def test_8_bits_are_as_they_are(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"picture.{suffix}"
+    Image.fromarray(RGB).save(path)
+    assert (read_rgb(path, any_size) == RGB).all()
+    Image.fromarray(GREY).save(path)
+    assert (read_rgb(path, any_size) == GREY[..., None]).all()
+
+
+def test_alpha_that_hides_nothing_is_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "opaque.png"
+    opaque = np.dstack([RGB, np.full(GREY.shape, 255, np.uint8)])
+    Image.fromarray(opaque).save(path)
+    assert (read_rgb(path, any_size) == RGB).all()
+
+
+def saved_with_alpha(path: Path) -> None:
+    Image.fromarray(np.dstack([RGB, GREY])).save(path)
+
+
+def saved_with_grey_alpha(path: Path) -> None:
+    Image.fromarray(np.dstack([GREY, GREY]), "LA").save(path)
+
+
+def saved_with_a_transparent_colour(path: Path) -> None:
+    picture = Image.fromarray(GREY // 64, "P")
+    picture.putpalette([9, 8, 7, 99, 98, 97, 200, 0, 0, 0, 0, 200])
+    picture.save(path, transparency=1)
+
+
+def saved_with_16_bit_alpha(path: Path) -> None:
+    png_16(path, np.full((6, 8, 4), 0x8000, np.uint16), 6)
+
+
+@pytest.mark.parametrize(
+    "save",
+    [
+        saved_with_alpha,
+        saved_with_grey_alpha,
+        saved_with_a_transparent_colour,
+        saved_with_16_bit_alpha,
+    ],
+)
+@pytest.mark.filterwarnings("ignore:'mode' parameter:DeprecationWarning")
+def test_transparent_pixels_are_refused(save: object, tmp_path: Path) -> None:
+    path = tmp_path / "picture.png"
+    assert callable(save)
+    save(path)
+    with pytest.raises(CaptureError, match=r"picture\.png: has transparent pixels") as refused:
+        read_rgb(path, any_size)
+    assert "\n" not in str(refused.value)
+
+
+def test_what_is_not_8_or_16_bit_rgb_or_grey_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "nan.tif"
+    Image.fromarray(np.full((6, 8), np.nan, np.float32)).save(path)
+    with pytest.raises(CaptureError, match=r"nan\.tif: its pixels are F"):
+        read_rgb(path, any_size)
+    path = tmp_path / "ink.jpg"
+    Image.new("CMYK", (8, 6)).save(path)
+    with pytest.raises(CaptureError, match=r"ink\.jpg: its pixels are CMYK"):
+        read_rgb(path, any_size)
+    path = tmp_path / "deep.tif"
+    Image.fromarray(np.full((6, 8), 1 << 20, np.int32)).save(path)
+    with pytest.raises(CaptureError, match=r"deep\.tif: its pixels are I"):
+        read_rgb(path, any_size)
+
+
+@pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
+def test_a_picture_of_a_billion_pixels_is_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.png"
+    Image.fromarray(GREY).save(path)
+    data = bytearray(path.read_bytes())
+    data[16:24] = struct.pack(">II", 60_000, 60_000)
+    data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
+    path.write_bytes(data)
+    for read in (read_rgb, read_grey):
+        with pytest.raises(CaptureError, match=r"bomb\.png: too large") as refused:
+            read(path, any_size)
+        assert "\n" not in str(refused.value)
+
+
+def test_nobody_waits_for_a_pipe(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.png")
+    with pytest.raises(CaptureError, match="not a regular file"):
+        read_rgb(tmp_path / "pipe.png", any_size)
+
+
+def test_damage_is_told_with_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "picture.png"
+    Image.fromarray(RGB).save(path)
+    data = path.read_bytes()
+    for size in range(0, len(data) - 16, 7):
+        path.write_bytes(data[:size])
+        with pytest.raises(CaptureError, match=r"picture\.png") as refused:
+            read_rgb(path, any_size)
+        assert "BufferedReader" not in str(refused.value)

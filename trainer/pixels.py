@@ -1,0 +1,99 @@
+"""Picture files to 8-bit pixels, and nothing else: what a file means otherwise is refused, not
+guessed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image, UnidentifiedImageError
+
+from codec.errors import CodecError
+from codec.files import opened_regular
+from trainer.errors import CaptureError
+
+Bytes = npt.NDArray[np.uint8]
+
+CheckSize = Callable[[Path, tuple[int, int]], None]
+"""Raises CaptureError for a file whose (width, height) in pixels is wrong, before it is decoded."""
+
+PLAIN_MODES = {"1", "L", "P", "RGB"}
+"""Of Pillow: 8 bits a channel at most. A colour PNG of 16 bits is one of them, too: Pillow gives
+the upper 8."""
+
+ALPHA_MODES = {"LA", "La", "PA", "RGBA", "RGBa"}
+
+DEEP_GREY_MODES = {"I;16", "I;16B", "I;16L", "I;16N"}
+
+GREY_STEP = 257
+"""Steps of 16-bit grey in one of 8 bits: 65535 / 255."""
+
+
+@contextmanager
+def opened_picture(path: Path, what: str, check_size: CheckSize) -> Iterator[Image.Image]:
+    """The picture at `path`, of which only the header is read yet. Raises CaptureError, here and
+    for what is done in the block; what: "picture" or "mask", for errors."""
+    with ExitStack() as stack:
+        try:
+            file = stack.enter_context(opened_regular(path))
+        except CodecError as error:
+            raise CaptureError(str(error)) from error
+        try:
+            image = stack.enter_context(Image.open(file))
+            check_size(path, image.size)
+            yield image
+        except UnidentifiedImageError as error:
+            raise CaptureError(f"{path}: not a {what} that can be read") from error
+        except Image.DecompressionBombError as error:
+            raise CaptureError(f"{path}: too large for a {what}: {error}") from error
+        except (OSError, ValueError, SyntaxError) as error:
+            raise CaptureError(f"{path}: not a {what} that can be read: {error}") from error
+
+
+def read_rgb(path: Path, check_size: CheckSize) -> Bytes:
+    """(H, W, 3) the picture at `path`.
+
+    16-bit grey is rounded to 8 bits; transparency is taken where it hides nothing. Raises
+    CaptureError for anything that has no one meaning as 8-bit RGB: transparent pixels, CMYK,
+    floats.
+    """
+    with opened_picture(path, "picture", check_size) as image:
+        if _is_deep_grey(image):
+            return np.repeat(_rounded(image)[..., None], 3, axis=2)
+        if image.mode in ALPHA_MODES or "transparency" in image.info:
+            _check_opaque(path, image)
+        elif image.mode not in PLAIN_MODES:
+            raise CaptureError(
+                f"{path}: its pixels are {image.mode}, which a picture of a capture cannot be; "
+                "save it as 8-bit RGB"
+            )
+        return np.array(image.convert("RGB"))
+
+
+def read_grey(path: Path, check_size: CheckSize) -> Bytes:
+    """(H, W) the mask at `path`; 16 bits are rounded to 8. Raises CaptureError."""
+    with opened_picture(path, "mask", check_size) as image:
+        return _rounded(image) if _is_deep_grey(image) else np.array(image.convert("L"))
+
+
+def _is_deep_grey(image: Image.Image) -> bool:
+    # Older Pillows call a PNG's 16 bits I; elsewhere I is 32 bits.
+    return image.mode in DEEP_GREY_MODES or (image.mode == "I" and image.format == "PNG")
+
+
+def _rounded(image: Image.Image) -> Bytes:
+    """(H, W) of 16-bit grey, which Pillow itself would cut off at 255."""
+    deep = np.asarray(image).astype(np.uint32)
+    return ((deep + GREY_STEP // 2) // GREY_STEP).astype(np.uint8)
+
+
+def _check_opaque(path: Path, image: Image.Image) -> None:
+    lowest = int(np.asarray(image.convert("RGBA"))[..., 3].min())
+    if lowest < 255:
+        raise CaptureError(
+            f"{path}: has transparent pixels (alpha {lowest} of 255), and nothing says what is "
+            "behind them; flatten it onto a colour, or save the alpha as a mask"
+        )
