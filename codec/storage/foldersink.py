@@ -41,6 +41,12 @@ class FolderSink:
             for entry in path.iterdir()
         )
 
+    def names(self) -> set[str]:
+        return {entry.name for entry in self._folder.iterdir()} if self._folder.is_dir() else set()
+
+    def remove(self, name: str) -> None:
+        (self._folder / name).unlink(missing_ok=True)
+
     def begin(self, head: bytes) -> None:
         self.check_unused()
         self._folder.mkdir(parents=True, exist_ok=True)

@@ -159,19 +159,21 @@ class StorePrefix:
     def _unwritable(self, path: str, error: Exception) -> UnwritableError:
         return UnwritableError(f"{self.place(path)} cannot be written: {_said(error)}")
 
-    def delete(self, folder: str) -> None:
-        """Deletes what lies below `folder`. Raises UnwritableError."""
+    def delete(self, path: str) -> None:
+        """Deletes the object at `path`, and what lies below it. Raises UnwritableError."""
         import obstore
         import obstore.exceptions
 
-        keys = [f"{self._prefix}{path}" for path, _ in self.sizes(folder)]
+        keys = [self._prefix + below for below, _ in self.sizes(path)]
+        if self.stamp(path) is not None:
+            keys.append(self._prefix + path)
         try:
             for begin in range(0, len(keys), 1000):
                 obstore.delete(self._store, keys[begin : begin + 1000])
         except FileNotFoundError:
             return  # somebody was faster
         except (obstore.exceptions.BaseError, ValueError, OSError) as error:
-            raise self._unwritable(folder, error) from error
+            raise self._unwritable(path, error) from error
 
     def names(self) -> list[str]:
         """Of the files and folders one level below. Raises UnreadableError."""

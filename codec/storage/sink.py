@@ -33,6 +33,12 @@ class Sink(Protocol):
         """Raises InvalidError if there is more than what a writer may have left that was killed
         while it began."""
 
+    def names(self) -> set[str]:
+        """Of the files and folders directly in the place."""
+
+    def remove(self, name: str) -> None:
+        """Removes the file called `name` beside the log."""
+
     def begin(self, head: bytes) -> None:
         """Takes an unused place: the log is empty. Raises InvalidError."""
 

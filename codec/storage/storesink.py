@@ -36,12 +36,18 @@ class StoreSink:
         return self._store.name
 
     def check_unused(self) -> None:
-        names = set(self._store.names())
+        names = self.names()
         stamp = self._store.stamp(self._shape.log) if self._shape.log in names else None
         if stamp is not None and stamp.size_bytes <= TOKEN_BYTES:
             names.remove(self._shape.log)
         if names:
             raise InvalidError(f"{self.name} is not empty; delete it or name another place")
+
+    def names(self) -> set[str]:
+        return set(self._store.names())
+
+    def remove(self, name: str) -> None:
+        self._store.delete(name)
 
     def begin(self, head: bytes) -> None:
         self.check_unused()

@@ -19,6 +19,7 @@ from codec.camera import Camera
 from codec.files import replacing
 from codec.pose import Doubles
 from codec.rig import mean_up
+from codec.storage.openstorage import Target
 from trainer.capture.capture import Capture, check_trainable
 from trainer.capture.depths import rig_centre
 from trainer.capture.layout import open_capture
@@ -41,14 +42,16 @@ MAX_LABELS = 64
 """With more cameras only the held-out ones are labelled."""
 
 
-def check_capture(path: Path, picture: Path | None = None, points: Path | None = None) -> list[str]:
+def check_capture(
+    target: Target, picture: Path | None = None, points: Path | None = None
+) -> list[str]:
     """Opens a capture, reads the first and the last frame of each camera with its mask, and
     describes it.
 
     picture: where to draw it as a PNG, if anywhere. points: a file of points in place of the
     capture's own. Raises CaptureError for what would stop training.
     """
-    capture = open_capture(path)
+    capture = open_capture(target)
     if points is not None:
         capture = replace(capture, points=read_points_file(points))
     for index in range(len(capture.cameras)):
