@@ -17,7 +17,7 @@ from PIL import Image
 from codec.camera import Camera
 from codec.errors import CorruptError
 from codec.splats import Splats
-from codec.storage.opensink import open_sink
+from codec.storage.opengrowing import open_growing
 from codec.storage.openstorage import Place, Target, open_storage
 
 from .manifest import Manifest
@@ -113,4 +113,4 @@ def write_poster(stream: Target, draw: Draw) -> None:
     picture.resize(sides_px, Image.Resampling.BOX).save(
         data, "JPEG", quality=QUALITY, optimize=True, progressive=True
     )
-    open_sink(stream, SHAPE).put(POSTER_NAME, data.getvalue())
+    open_growing(stream, SHAPE).put(POSTER_NAME, data.getvalue())

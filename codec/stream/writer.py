@@ -1,8 +1,8 @@
 """Writes a stream to a folder or an object store: a reader always sees a valid, shorter stream.
 
 Rule: an object is whole and in its place before the index record that names it is appended (see
-codec/storage/foldersink and storesink). Killing the writer at any instant loses at most the segment
-being written.
+codec/storage/growingfolder and growingstore). Killing the writer at any instant loses at most the
+segment being written.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from codec.errors import InvalidError
 from codec.slice import Slice
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.update import Update
-from codec.storage.opensink import open_sink
+from codec.storage.growingplace import GrowingPlace, Shape
+from codec.storage.opengrowing import open_growing
 from codec.storage.openstorage import Target
-from codec.storage.sink import Shape, Sink
 
 from .draft import Draft, Quality, Scores, SliceDraft, SlotDraft
 from .index import INDEX_NAME, SegmentRecord, pack_record, record_bytes
@@ -39,7 +39,7 @@ class StreamWriter:
     def __init__(
         self,
         target: Target,
-        sink: Sink,
+        place: GrowingPlace,
         manifest: Manifest,
         records: list[SegmentRecord],
         rank: Rank,
@@ -50,7 +50,7 @@ class StreamWriter:
         if rank not in RANKS:  # a string of a caller whose types nobody checks
             raise InvalidError(f"no rank is called {rank!r}; there are {', '.join(RANKS)}")
         self.target = target
-        self._sink = sink
+        self._place = place
         self.manifest = manifest
         self._num_segments = len(records)
         self._draft: Draft
@@ -85,9 +85,9 @@ class StreamWriter:
         `rank` orders the Gaussians of each slice into layers. `quality` scores every frame; the
         index holds its mean over each segment, or NaN without it.
         """
-        sink = open_sink(target, SHAPE)
-        writer = cls(target, sink, manifest.with_live(True), [], rank, quality)
-        sink.begin(writer.manifest.to_json())
+        place = open_growing(target, SHAPE)
+        writer = cls(target, place, manifest.with_live(True), [], rank, quality)
+        place.begin(writer.manifest.to_json())
         return writer
 
     @classmethod
@@ -102,13 +102,13 @@ class StreamWriter:
         manifest, records = reader.manifest, reader.records
         if not manifest.live:
             raise InvalidError(f"{target} is finished; write to another folder")
-        sink = open_sink(target, SHAPE)
+        place = open_growing(target, SHAPE)
         record_size = record_bytes(manifest.num_layers, manifest.has_slots)
-        sink.take_over(reader.index_bytes, record_size, len(records))
+        place.take_over(reader.index_bytes, record_size, len(records))
         read = None
         if manifest.has_slots and records:
             read = reader.decoder_at(reader.num_frames - 1, manifest.num_layers)
-        return cls(target, sink, manifest, records, rank, quality, read)
+        return cls(target, place, manifest, records, rank, quality, read)
 
     @property
     def complete(self) -> bool:
@@ -134,19 +134,19 @@ class StreamWriter:
         If it raises, nothing of the slice is kept: the same one, or another, may be tried again.
         """
         if self._closed:
-            raise InvalidError(f"{self._sink.name}: the writer is closed")
+            raise InvalidError(f"{self._place.name}: the writer is closed")
         if slice.birth != self.next_birth:
             raise InvalidError(
-                f"{self._sink.name}: slice born at {slice.birth}, expected {self.next_birth}"
+                f"{self._place.name}: slice born at {slice.birth}, expected {self.next_birth}"
             )
         if self.complete:
             raise InvalidError(
-                f"{self._sink.name}: the last segment is short; nothing can follow it"
+                f"{self._place.name}: the last segment is short; nothing can follow it"
             )
         try:
             draft = self._draft.after(slice)
         except InvalidError as error:
-            raise InvalidError(f"{self._sink.name}: {error}") from error
+            raise InvalidError(f"{self._place.name}: {error}") from error
         self.slice_bytes = draft.slice_bytes
         next_birth = slice.birth + 1
         if next_birth == (self._num_segments + 1) * self.manifest.segment_frames:
@@ -159,7 +159,7 @@ class StreamWriter:
         segment, num_layers = self._num_segments, self.manifest.num_layers
         first_frame = segment * self.manifest.segment_frames
         objects = draft.objects()
-        self._sink.add(segment, {str(part): data for part, data in objects.items()})
+        self._place.add(segment, {str(part): data for part, data in objects.items()})
         data_of_parts = [objects[part] for part in self.manifest.parts]
         sizes = tuple(map(len, data_of_parts))
         hashes = tuple(hashlib.sha256(data).digest() for data in data_of_parts)
@@ -174,7 +174,7 @@ class StreamWriter:
             hashes[num_layers:],
         )
         index_bytes = segment * record_bytes(num_layers, self.manifest.has_slots)
-        self._sink.append(index_bytes, pack_record(record))
+        self._place.append(index_bytes, pack_record(record))
         self._num_segments += 1
         self.next_birth = next_birth
         self.bytes_written += sum(record.part_bytes)
@@ -195,7 +195,7 @@ class StreamWriter:
         if self.num_packets and self.next_birth > 0:
             self._write_segment(self._draft, self.next_birth)
         finished = self.manifest.with_live(False)
-        self._sink.finish(finished.to_json())
+        self._place.finish(finished.to_json())
         self.manifest = finished
         self._closed = True  # only now: what failed above may be tried again
 

@@ -87,6 +87,8 @@ def test_from_store_to_store_are_the_bytes_of_folders(
     assert f"{FRAMES} frames" in run_ok("swings-stream", "verify", url)
     info = json.loads(run_ok("swings-stream", "info", url, "--json"))
     assert info["num_frames"] == FRAMES
+    scores = json.loads(run_ok("swings-eval", url, capture_url(layout), "--json"))
+    assert (scores["stream"], scores["frames"]) == (url, FRAMES)
     run_ok("swings-stream", "export", url, tmp_path / "frame.ply", "--frame", 3)
     with serving(f"s3://{BUCKET}/streams") as base:
         listed = urllib.request.urlopen(f"{base}/v1/streams/{layout}/manifest.json").read()

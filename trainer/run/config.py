@@ -10,21 +10,11 @@ import tyro
 
 from codec.errors import InvalidError
 from codec.profiles.profile import Profile
-from codec.storage.openstorage import Target, is_url, parse_target
+from codec.storage.openstorage import Target, is_url
+from codec.storage.targetargument import target_named
 from trainer.fit.config import FitConfig
 from trainer.pictures.framecache import DEFAULT_MAX_BYTES
 from trainer.step.backend import BackendName
-
-
-def target_named(metavar: str) -> tyro.constructors.PrimitiveConstructorSpec[Target | None]:
-    """How the command line says a folder or a URL."""
-    return tyro.constructors.PrimitiveConstructorSpec(
-        nargs=1,
-        metavar=metavar,
-        instance_from_str=lambda words: parse_target(words[0]),
-        is_instance=lambda value: value is None or isinstance(value, str | Path),
-        str_from_instance=lambda target: [str(target)],
-    )
 
 
 def default_work(target: Target) -> Path:

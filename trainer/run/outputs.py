@@ -14,7 +14,7 @@ from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.slots.update import Update
 from codec.splats import Splats
-from codec.storage.opensink import open_sink
+from codec.storage.opengrowing import open_growing
 from codec.storage.openstorage import Target, is_url, open_storage
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.index import INDEX_NAME
@@ -37,7 +37,7 @@ def bare_targets(config: TrainConfig) -> list[Target]:
     from, and nothing to lose. Empty for any other run."""
     if (config.work_folder / CHECKPOINT_NAME).exists():
         return []
-    targets = [t for t in _targets(config) if open_sink(t, SHAPE).names()]
+    targets = [t for t in _targets(config) if open_growing(t, SHAPE).names()]
     return targets if all(map(_is_bare, targets)) else []
 
 
@@ -46,7 +46,7 @@ BARE_NAMES = {MANIFEST_NAME, INDEX_NAME, SEGMENTS_NAME}
 
 
 def _is_bare(target: Target) -> bool:
-    names = open_sink(target, SHAPE).names() - LEFTOVERS
+    names = open_growing(target, SHAPE).names() - LEFTOVERS
     if not names <= BARE_NAMES:
         return False
     if MANIFEST_NAME in names:
@@ -64,9 +64,9 @@ LEFTOVERS = {
 def clear_bare(targets: Sequence[Target]) -> None:
     """Makes the places that `bare_targets` found fit for a new stream."""
     for target in targets:
-        sink = open_sink(target, SHAPE)
-        for name in sink.names() & {MANIFEST_NAME, *LEFTOVERS}:
-            sink.remove(name)
+        place = open_growing(target, SHAPE)
+        for name in place.names() & {MANIFEST_NAME, *LEFTOVERS}:
+            place.remove(name)
 
 
 def _targets(config: TrainConfig) -> list[Target]:
@@ -91,7 +91,7 @@ def check_targets(config: TrainConfig, bare: Sequence[Target] = ()) -> list[Targ
 
 def _check_empty(target: Target) -> None:
     if is_url(target):
-        open_sink(target, SHAPE).check_unused()
+        open_growing(target, SHAPE).check_unused()
         return
     path = Path(target)
     if path.exists() and (not path.is_dir() or any(path.iterdir())):

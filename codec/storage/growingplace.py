@@ -22,7 +22,7 @@ class Shape:
     """Of the entries: the files of entry n lie in its folder n."""
 
 
-class Sink(Protocol):
+class GrowingPlace(Protocol):
     """A place that one writer fills. Where it can tell, a second writer gets an InvalidError."""
 
     @property

@@ -148,10 +148,10 @@ def test_of_two_writers_the_one_that_came_later_goes_on(server: S3Server, tmp_pa
 def test_of_two_that_begin_at_once_one_is_refused(
     server: S3Server, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from codec.storage.storesink import StoreSink
+    from codec.storage.growingstore import GrowingStore
 
     StreamWriter.create(URL, forked_manifest())
-    monkeypatch.setattr(StoreSink, "check_unused", lambda self: None)  # it looked just before
+    monkeypatch.setattr(GrowingStore, "check_unused", lambda self: None)  # it looked just before
     with pytest.raises((InvalidError, CorruptError)):
         StreamWriter.create(URL, forked_manifest(has_slots=True))
     assert verify_stream(URL).num_segments == 0

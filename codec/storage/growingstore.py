@@ -13,14 +13,14 @@ from collections.abc import Mapping
 
 from codec.errors import ConflictError, InvalidError
 
+from .growingplace import Shape
 from .objectstore import StorePrefix, Version
-from .sink import Shape
 
 TOKEN_BYTES = 8
 """Shorter than any record."""
 
 
-class StoreSink:
+class GrowingStore:
     """A prefix of an object store; holds the log."""
 
     def __init__(self, store: StorePrefix, shape: Shape) -> None:

@@ -12,10 +12,10 @@ from pathlib import Path
 from codec.errors import InvalidError
 from codec.files import append_durably, sync_folder, temporary_beside, write_atomic
 
-from .sink import Shape
+from .growingplace import Shape
 
 
-class FolderSink:
+class GrowingFolder:
     """A folder, which need not be there yet. That there is one writer, the user sees to."""
 
     def __init__(self, folder: Path, shape: Shape) -> None:
