@@ -18,7 +18,7 @@ from rich.console import Console
 from codec.errors import SwingsError
 from codec.storage import objectstore
 from codec.tools.audit import verify_stream
-from tests.support.commands import command, environment, run, run_ok, serving
+from tests.support.commands import ROOT, command, environment, run, run_ok, serving
 from tests.support.stores.s3_server import BUCKET, S3Server, s3_server
 from tests.support.tiny_capture import write_dynamic3dgs, write_dynerf
 from trainer.fit.trainer import Observer
@@ -96,6 +96,35 @@ def test_from_store_to_store_are_the_bytes_of_folders(
     again = run("swings-train", capture_url(layout), url, "--work", tmp_path / "w", *SETTINGS)
     assert (again.returncode, again.stderr.count("\n")) == (1, 1)
     assert f"{url} is not empty" in again.stderr
+
+
+def test_the_commands_of_the_manual_run(
+    server: S3Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_dynerf(tmp_path / "show", 4, FRAMES)
+    server.upload(tmp_path / "show", "captures/show")
+    manual = (ROOT / "docs" / "OPERATE.md").read_text(encoding="utf-8")
+    section = manual.partition("\n## Object stores\n")[2].partition("\n## ")[0]
+    lines = [line.split() for line in section.splitlines() if line.startswith("    swings-")]
+    train, resume, *others = [[word.replace("BUCKET", BUCKET) for word in words] for words in lines]
+    assert resume == [*train, "--resume"]
+    # Stopped before its end, so that there is something to resume.
+    stopped = started(*train[1:], *SETTINGS, "--window-iterations", 400)
+    deadline_s = time.monotonic() + 120
+    while not (tmp_path / "show.work" / LOG_NAME).exists():
+        assert stopped.poll() is None
+        assert time.monotonic() < deadline_s
+        time.sleep(0.01)
+    stopped.send_signal(signal.SIGINT)
+    assert "--resume goes on from there" in stopped.communicate()[1]
+    run_ok(*resume)
+    *read, (_, root) = others
+    assert [words[0] for words in others] == ["swings-stream", "swings-eval", "swings-serve"]
+    for words in read:
+        assert run_ok(*words)
+    with serving(root) as base:
+        assert urllib.request.urlopen(f"{base}/v1/streams/show/manifest.json").status == 200
 
 
 def started(*arguments: object) -> subprocess.Popen[str]:
