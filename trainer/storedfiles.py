@@ -30,7 +30,7 @@ from codec.storage.openstorage import Target, check_url, is_url
 from .errors import CaptureError
 
 COPIED_SUFFIXES = frozenset({".json", ".txt", ".npy", ".npz", ".ply", ".bin"})
-"""Of the files that are no pictures and no videos, and are read whole as a capture is opened."""
+"""What is neither picture nor video and is read whole as a capture is opened."""
 
 MAX_COPIED_BYTES = 1 << 30
 """Of all of them."""

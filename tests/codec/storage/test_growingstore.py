@@ -23,8 +23,8 @@ from codec.slots.update import Update
 from codec.storage import objectstore
 from codec.stream import StreamReader, StreamWriter
 from codec.tools.audit import verify_stream
-from tests.support.forked_writer import forked_manifest, forked_slices, write
-from tests.support.forker import Forker
+from tests.support.forked.forked_writer import forked_manifest, forked_slices, write
+from tests.support.forked.forker import Forker
 from tests.support.stores.s3_server import BUCKET, S3Server, s3_server
 
 URL = f"s3://{BUCKET}/deep/stream"

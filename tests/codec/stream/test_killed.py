@@ -27,8 +27,8 @@ import pytest
 from codec.stream.index import record_bytes
 from codec.stream.reader import StreamReader
 from codec.tools.audit import verify_stream
-from tests.support.forked_writer import NUM_FRAMES, forked_manifest, forked_slices, write
-from tests.support.forker import Forker
+from tests.support.forked.forked_writer import NUM_FRAMES, forked_manifest, forked_slices, write
+from tests.support.forked.forker import Forker
 
 KILLS = {"slices": 200, "slots": 60}
 """Of version 2 fewer: more of its time goes into compression, which a kill cannot harm."""

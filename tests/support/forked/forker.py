@@ -15,7 +15,7 @@ class Forker:
 
     def __init__(self, *arguments: str) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.support.forked_writer", *arguments],
+            [sys.executable, "-m", "tests.support.forked.forked_writer", *arguments],
             cwd=ROOT,
             env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
             stdin=subprocess.PIPE,

@@ -1,4 +1,4 @@
-"""A warm process that forks stream writers to be killed: `python -m tests.support.forked_writer`,
+"""A warm process that forks stream writers to be killed: `python -m tests.support.forked.forked_writer`,
 with the argument `slots` for streams of version 2.
 
 A line on its standard input is the folder or URL to write to: the writer says its pid when it is
