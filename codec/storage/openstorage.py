@@ -31,7 +31,7 @@ def check_url(url: str) -> None:
     """Raises InvalidError for a URL of no object store."""
     if url.partition("://")[0].lower() not in SCHEMES:
         names = ", ".join(f"{name}://" for name in SCHEMES)
-        raise InvalidError(f"{url}: streams are read from folders, or from {names}")
+        raise InvalidError(f"{url}: choose a folder of this machine, or a URL of {names}")
 
 
 def open_storage(place: Place) -> Storage:

@@ -1,5 +1,6 @@
-"""A warm process that forks stream writers to be killed: `python -m tests.support.forked.forked_writer`,
-with the argument `slots` for streams of version 2.
+"""A warm process that forks stream writers to be killed.
+
+`python -m tests.support.forked.forked_writer`, with the argument `slots` for streams of version 2.
 
 A line on its standard input is the folder or URL to write to: the writer says its pid when it is
 about to begin, creates or resumes the stream there, and finishes it. An empty line waits for that
