@@ -145,6 +145,13 @@ class _Playback:
             source = self._opener.open(frames, self._layers)
         return source
 
+    def _open_whole(self, first_frame: int) -> Source:
+        """The same with all layers, however slowly they come."""
+        manifest = self._opener.manifest
+        assert manifest is not None  # it was opened before
+        frames = FrameRange(first_frame, self._config.frames.end)
+        return self._opener.open(frames, manifest.num_layers)
+
     def _events(self, source: Source, play: int, not_before_s: float) -> Events:
         """The queue of a play."""
         config, summary, clock = self._config, self._summary, self._clock
@@ -201,6 +208,7 @@ class _Playback:
             config.frames.first,
             plays,
             self._opener.interrupt,
+            None if config.layers is not None else self._open_whole,
         )
         recorder: PathRecorder | None = None
         try:

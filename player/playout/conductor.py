@@ -9,10 +9,13 @@ conduct_thread begins and ends plays; whoever draws polls; commands may come fro
 
 from __future__ import annotations
 
+import logging
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from codec.errors import SwingsError
 from player.network.fetch import StoppedError
 from player.render.renderer import Renderer
 from player.source.source import Source
@@ -22,6 +25,11 @@ from .queues import Events, Handoff
 from .threads import Threads
 from .timeline import FrameRecord
 from .transport import Transport, next_rate
+
+log = logging.getLogger(__name__)
+
+SHARPEN_S = 0.3
+"""For so long a picture stands before the layers that it lacks are asked for, seconds."""
 
 OpenAt = Callable[[int], Source]
 """Asks for the stream from a frame on. Raises what a source raises."""
@@ -56,6 +64,8 @@ class _Play:
         self, source: Source, events: Events, number: int, changed: Callable[[], None]
     ) -> None:
         self.source, self.events, self.number = source, events, number
+        self.whole = False
+        """Whether it was asked for with all layers, for a picture that stands."""
         self.handoff: Handoff | None = None
         self._threads = Threads(source, events, changed)
         self._threads.__enter__()
@@ -84,11 +94,13 @@ class Conductor:
         first_frame: int = 0,
         plays: float = 1,
         interrupt: Callable[[], None] = lambda: None,
+        open_whole: OpenAt | None = None,
     ) -> None:
         """plays: how often the frames are played; math.inf for without end. interrupt: makes an
-        `open_at` that waits raise StoppedError."""
+        `open_at` that waits raise StoppedError. open_whole: as open_at, but with all layers,
+        however long they take; None leaves a picture that stands as it is."""
         self._open_at, self._make_events = open_at, make_events
-        self._interrupt = interrupt
+        self._interrupt, self._open_whole = interrupt, open_whole
         self._clock = clock
         self._first_frame, self._plays = first_frame, plays
         self._changed = threading.Condition()
@@ -99,6 +111,7 @@ class Conductor:
         self._target: int | None = None  # what was sought and does not show yet
         self._source: Source | None = None  # of the play that was begun last
         self._newest: FrameRecord | None = None  # that was polled
+        self._changed_s = 0.0  # when it was, or somebody touched the clock
         self._number = 0
         self._stopped = False
         self._failure: BaseException | None = None
@@ -181,6 +194,8 @@ class Conductor:
                 self._clock.stop()
             else:
                 self._clock.start()
+                if self._current is not None and self._current.whole and self._target is None:
+                    self._seek(self.transport.shown or self.transport.first_frame)
                 if self.transport.at_end and self._target is None:
                     self._seek(self.transport.first_frame)
             self._time_changed()
@@ -201,6 +216,8 @@ class Conductor:
         self._changed.notify_all()
 
     def _time_changed(self) -> None:
+        self._changed_s = time.monotonic()
+        self._changed.notify_all()
         for play in (self._current, self._following):
             if play is not None:
                 play.events.time_changed()
@@ -219,10 +236,12 @@ class Conductor:
             records = play.handoff.poll()
             if records:
                 assert self._renderer is not None
-                self._newest = records[-1]
+                self._newest, self._changed_s = records[-1], time.monotonic()
                 self._renderer.upload(records[-1].frame)
                 self.transport.shown = records[-1].frame
                 self._target = None
+                if self._lacks_layers():
+                    self._changed.notify_all()
             if play.handoff.ended:
                 self._changed.notify_all()
             return records
@@ -269,12 +288,16 @@ class Conductor:
         try:
             while True:
                 with self._changed:
-                    self._changed.wait_for(self._has_work)
+                    while not self._has_work():
+                        self._changed.wait(SHARPEN_S if self._lacks_layers() else None)
                     if self._stopped:
                         return
                     frame, current, following = self._wanted, self._current, self._following
+                    blurred = self._newest if self._is_to_sharpen() else None
                 if frame is not None:
                     self._go_to(frame)
+                elif blurred is not None:
+                    self._sharpen(blurred.frame)
                 elif following is not None and not self.transport.loops:
                     self._forget_following(following)
                 elif current is not None and following is not None:
@@ -288,7 +311,7 @@ class Conductor:
                 self._failure = error
 
     def _has_work(self) -> bool:
-        if self._stopped or self._wanted is not None:
+        if self._stopped or self._wanted is not None or self._is_to_sharpen():
             return True
         current, loops = self._current, self.transport.loops
         if current is None:
@@ -297,14 +320,44 @@ class Conductor:
             return current.drawn or not loops
         return loops and current.events.finished
 
-    def _begin(self, frame: int, not_before_s: float) -> _Play:
-        source = self._open_at(frame)
+    def _lacks_layers(self) -> bool:
+        """Whether a picture stands that lacks layers, and the rest of it may be asked for."""
+        current, newest = self._current, self._newest
+        return (
+            self._open_whole is not None
+            and not self._clock.running
+            and self._target is None
+            and newest is not None
+            and current is not None
+            and newest.play == current.number
+            and current.source.adaptive
+            and newest.fewest_layers < current.source.num_layers
+        )
+
+    def _is_to_sharpen(self) -> bool:
+        return self._lacks_layers() and time.monotonic() >= self._changed_s + SHARPEN_S
+
+    def _sharpen(self, frame: int) -> None:
+        """Shows `frame`, which stands, with all layers."""
+        try:
+            self._go_to(frame, whole=True)
+        except StoppedError:
+            raise
+        except SwingsError as error:  # such as a server that has no time for all layers
+            log.info("the picture stays as it is: %s", error)
+            self._open_whole = None
+            self._go_to(frame)
+
+    def _begin(self, frame: int, not_before_s: float, whole: bool = False) -> _Play:
+        open_at = self._open_whole if whole else None
+        source = (open_at or self._open_at)(frame)
         try:
             events = self._make_events(source, self._number, not_before_s)
             play = _Play(source, events, self._number, self._notify)
         except BaseException:
             source.close()
             raise
+        play.whole = whole
         self._number += 1
         self._source = source
         return play
@@ -317,8 +370,8 @@ class Conductor:
         with self._changed:
             self._changed.notify_all()
 
-    def _go_to(self, frame: int) -> None:
-        """Ends what plays, and plays from `frame` on."""
+    def _go_to(self, frame: int, whole: bool = False) -> None:
+        """Ends what plays, and plays from `frame` on; whole: with all layers."""
         with self._changed:
             ended = [play for play in (self._current, self._following) if play is not None]
             self._current = self._following = None
@@ -326,7 +379,7 @@ class Conductor:
             self._end(play)
         assert self._renderer is not None
         self._renderer.forget_waiting()
-        play = self._begin(frame, 0.0)
+        play = self._begin(frame, 0.0, whole)
         play.update(self._renderer)
         with self._changed:
             self._current = play

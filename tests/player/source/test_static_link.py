@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from codec.errors import CorruptError
@@ -17,10 +18,14 @@ from codec.stream import StreamReader, StreamWriter
 from player.link.linkprocess import LinkProcess
 from player.network.fetch import BrokenError
 from player.network.retry import RetryConfig
+from player.playout.clock import Clock
+from player.playout.conductor import Conductor
+from player.render.cpu import CpuRenderer
 from player.source.opener import Opener, SourceConfig, opened
 from player.source.source import SlicePackets
 from server.abr.link.link import Link, LinkStep
 from tests.player.link.starved import Watch
+from tests.player.playout.test_conductor import Played, picture
 from tests.support.delivery.assembled import assembled
 from tests.support.delivery.rangehost import RangeHost, range_host
 from tests.support.delivery.watched import Watched, watched
@@ -326,3 +331,50 @@ def test_the_second_time_objects_come_from_the_disk(root: Path, tmp_path: Path) 
             check_packets(StreamReader(root / "whole"), got)
         assert len(host.objects()) == before
         assert got.totals.mean_layers > LAYERS - 0.1
+
+
+@pytest.mark.parametrize("host", [swings_server, host_with_ranges])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_picture_that_stands_gets_the_layers_that_it_lacks(
+    root: Path, name: str, host: Host
+) -> None:
+    expected = picture(root / name, 57)
+    reader = StreamReader(root / name)
+    all_bps = 8 * FPS * sum(record.played_bytes for record in reader.records) / NUM_FRAMES
+    with host(root) as url:
+        port = int(url.partition("://")[2].partition("/")[0].rpartition(":")[2])
+        link = Link([LinkStep(60.0, all_bps, 0.02)])
+        with (
+            LinkProcess(link, "127.0.0.1", port) as relay,
+            closing(Opener(f"{url}/{name}", relay.address)) as opener,
+        ):
+            played = Played(root / name, Clock(real=True), 1, 57)
+            conductor = played.conductor = Conductor(
+                lambda frame: opener.open(FrameRange(frame), None, adaptive=True),
+                played.make_events,
+                played.clock,
+                57,
+                1,
+                opener.interrupt,
+                lambda frame: opener.open(FrameRange(frame), LAYERS),
+            )
+            with conductor:
+                conductor.toggle_pause()
+                renderer = CpuRenderer(conductor.source.manifest)
+                conductor.attach(renderer)
+                played.shows(57)
+                camera = conductor.source.manifest.camera()
+                assert played.records[0].fewest_layers < LAYERS
+
+                def is_whole() -> bool:
+                    return np.array_equal(renderer.render_again(57, camera), expected)
+
+                assert not is_whole()
+                played.poll_until(is_whole)
+                assert {one.frame for one in played.records} == {57}
+                conductor.step(1)
+                played.shows(58)
+                assert played.records[-1].fewest_layers == LAYERS
+                conductor.toggle_pause()
+                played.shows(70)
+                assert conductor.source.adaptive
