@@ -49,6 +49,14 @@ class UnreadableError(CorruptError):
     answer. The same may be well later."""
 
 
+class UnwritableError(CodecError):
+    """A store does not take what is to be written. The same may be well later."""
+
+
+class ConflictError(UnwritableError):
+    """Somebody else has written in the meantime."""
+
+
 class UnsupportedError(CodecError):
     """The bytes may be right, but this version cannot read them."""
 

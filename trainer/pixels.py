@@ -12,8 +12,8 @@ import numpy.typing as npt
 from PIL import Image, UnidentifiedImageError
 
 from codec.errors import CodecError
-from codec.files import opened_regular
 from trainer.errors import CaptureError
+from trainer.storedfiles import by_its_name, opened_file
 
 Bytes = npt.NDArray[np.uint8]
 
@@ -39,8 +39,9 @@ def opened_picture(path: Path, what: str, check_size: CheckSize) -> Iterator[Ima
     """The picture at `path`, of which only the header is read yet. Raises CaptureError, here and
     for what is done in the block; what: "picture" or "mask", for errors."""
     with ExitStack() as stack:
+        stack.enter_context(by_its_name(path))
         try:
-            file = stack.enter_context(opened_regular(path))
+            file = stack.enter_context(opened_file(path))
         except CodecError as error:
             raise CaptureError(str(error)) from error
         try:

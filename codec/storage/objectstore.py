@@ -6,17 +6,23 @@ Credentials, region and endpoint come from the environment, as obstore reads the
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from datetime import timedelta
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast
 
-from codec.errors import CorruptError, InvalidError, UnreadableError
+from codec.errors import (
+    ConflictError,
+    CorruptError,
+    InvalidError,
+    UnreadableError,
+    UnwritableError,
+)
 
 from .storage import Stamp
 
 if TYPE_CHECKING:
-    from obstore import GetOptions, ObjectMeta
+    from obstore import GetOptions, ObjectMeta, PutMode
     from obstore.store import ObjectStore
 
 SCHEMES = ("s3", "s3a", "gs", "az", "azure", "abfs", "abfss")
@@ -25,6 +31,10 @@ SCHEMES = ("s3", "s3a", "gs", "az", "azure", "abfs", "abfss")
 MAX_RETRIES = 2
 RETRY_S = 10.0
 """How long a request is tried again when the store fails, seconds."""
+
+PATIENT_RETRIES = 10
+PATIENT_RETRY_S = 180.0
+"""The same where hours of work depend on it; a minute in all, as obstore waits between them."""
 
 REQUESTS = 16
 """Requests at the same time when many files are looked at."""
@@ -35,6 +45,9 @@ _ANSWER = re.compile("<Code>(.*?)</Code>.*?<Message>(.*?)</Message>", re.DOTALL)
 """In the error of an S3 server."""
 
 Value = TypeVar("Value")
+
+Version = dict[str, str]
+"""Of an object, as a store tells it. Another content has another version."""
 
 
 class StorePrefix:
@@ -72,13 +85,27 @@ class StorePrefix:
             raise CorruptError(f"{self.place(path)} is missing{meaning}")
         return data
 
+    def read_version(self, path: str, limit_bytes: int) -> tuple[bytes, Version] | None:
+        """The object at `path` and its version; None if there is none. Raises CorruptError."""
+        return self._asked(path, lambda: self._got(path, limit_bytes, 0))
+
+    def version(self, path: str) -> Version | None:
+        """Of the object at `path`; None if there is none. Raises UnreadableError."""
+        import obstore
+
+        found = self._asked(path, lambda: obstore.head(self._store, self._prefix + path))
+        return None if found is None else _version(found)
+
     def _get(self, path: str, limit_bytes: int, offset: int) -> bytes:
+        return self._got(path, limit_bytes, offset)[0]
+
+    def _got(self, path: str, limit_bytes: int, offset: int) -> tuple[bytes, Version]:
         import obstore
 
         key = self._prefix + path
         # A store refuses a range that begins where the object ends.
         if offset and obstore.head(self._store, key)["size"] <= offset:
-            return b""
+            return b"", {}
         options: GetOptions = {"range": {"offset": offset}} if offset else {}
         result = obstore.get(self._store, key, options=options)
         data = bytearray()
@@ -88,8 +115,70 @@ class StorePrefix:
                 if len(data) > limit_bytes:
                     break
             else:
-                return bytes(data)
+                return bytes(data), _version(result.meta)
         raise CorruptError(f"{self.place(path)} is longer than {limit_bytes} bytes")
+
+    def read_range(self, path: str, offset: int, size_bytes: int) -> bytes:
+        """That many bytes of the object at `path`, which has them. Raises CorruptError."""
+        import obstore
+
+        key, end = self._prefix + path, offset + size_bytes
+        data = self._asked(
+            path, lambda: bytes(obstore.get_range(self._store, key, start=offset, end=end))
+        )
+        if data is None or len(data) != size_bytes:
+            raise CorruptError(f"{self.place(path)} is not what it was; has it been replaced?")
+        return data
+
+    def put(self, path: str, data: bytes, over: Version | Literal["any"] | None = "any") -> Version:
+        """Puts an object, whole; gives its version.
+
+        over: what it may replace: any, only this version, or nothing (None). Raises ConflictError
+        if something else is there, UnwritableError if the store does not take it.
+        """
+        import obstore
+        import obstore.exceptions
+
+        conflicts = (obstore.exceptions.AlreadyExistsError, obstore.exceptions.PreconditionError)
+        mode: PutMode = "overwrite" if over == "any" else "create"
+        if isinstance(over, dict):
+            mode = cast("PutMode", over)
+        try:
+            # In one request: what is given up half way leaves nothing that has to be paid for.
+            put = obstore.put(
+                self._store, self._prefix + path, data, mode=mode, use_multipart=False
+            )
+        except (*conflicts, FileNotFoundError) as error:
+            if over == "any":
+                raise self._unwritable(path, error) from error
+            raise ConflictError(f"{self.place(path)} is not as it was left") from error
+        except (obstore.exceptions.BaseError, ValueError, OSError) as error:
+            raise self._unwritable(path, error) from error
+        return _version(put)
+
+    def _unwritable(self, path: str, error: Exception) -> UnwritableError:
+        return UnwritableError(f"{self.place(path)} cannot be written: {_said(error)}")
+
+    def delete(self, path: str) -> None:
+        """Deletes the object at `path`, and what lies below it. Raises UnwritableError."""
+        import obstore
+        import obstore.exceptions
+
+        keys = [self._prefix + below for below, _ in self.sizes(path)]
+        if self.stamp(path) is not None:
+            keys.append(self._prefix + path)
+        try:
+            for begin in range(0, len(keys), 1000):
+                obstore.delete(self._store, keys[begin : begin + 1000])
+        except FileNotFoundError:
+            return  # somebody was faster
+        except (obstore.exceptions.BaseError, ValueError, OSError) as error:
+            raise self._unwritable(path, error) from error
+
+    def names(self) -> list[str]:
+        """Of the files and folders one level below. Raises UnreadableError."""
+        files, folders = self._level()
+        return files + folders
 
     def stamp(self, path: str) -> Stamp | None:
         import obstore
@@ -110,13 +199,19 @@ class StorePrefix:
         return {name: row for name, row in zip(names, rows, strict=True) if row[0] is not None}
 
     def _folders(self) -> list[str]:
+        return [name for name in self._level()[1] if not name.startswith(".")]
+
+    def _level(self) -> tuple[list[str], list[str]]:
+        """The names of the files and of the folders one level below."""
         import obstore
 
         prefix = self._prefix or None
         listed = self._asked("", lambda: obstore.list_with_delimiter(self._store, prefix))
-        found = [] if listed is None else listed["common_prefixes"]
-        names = [path.rpartition("/")[2] for path in found]
-        return [name for name in names if not name.startswith(".")]
+        if listed is None:
+            return [], []
+        keys = [entry["path"] for entry in listed["objects"]], listed["common_prefixes"]
+        files, folders = ([key.rpartition("/")[2] for key in found] for found in keys)
+        return files, folders
 
     def sizes(self, folder: str) -> Iterator[tuple[str, int]]:
         import obstore
@@ -153,9 +248,16 @@ def _stamp(found: ObjectMeta) -> Stamp:
     return Stamp(found["size"], (tag, found["version"] or ""))
 
 
-def open_store(url: str) -> StorePrefix:
-    """The object store at `url`. Raises InvalidError if it cannot be one, or if obstore is not
-    there; whether the store answers shows when it is read."""
+def _version(found: Mapping[str, Any]) -> Version:
+    return {name: found[name] for name in ("e_tag", "version") if found.get(name)}
+
+
+def open_store(url: str, *, patient: bool = False) -> StorePrefix:
+    """The object store at `url`. patient: a store that is gone is waited for, for a minute.
+
+    Raises InvalidError if it cannot be one, or if obstore is not there; whether the store answers
+    shows when it is asked.
+    """
     try:
         import obstore.exceptions
         from obstore.store import from_url
@@ -167,8 +269,8 @@ def open_store(url: str) -> StorePrefix:
         store = from_url(
             url,
             retry_config={
-                "max_retries": MAX_RETRIES,
-                "retry_timeout": timedelta(seconds=RETRY_S),
+                "max_retries": PATIENT_RETRIES if patient else MAX_RETRIES,
+                "retry_timeout": timedelta(seconds=PATIENT_RETRY_S if patient else RETRY_S),
             },
         )
     except (obstore.exceptions.BaseError, ValueError) as error:

@@ -10,18 +10,35 @@ from .folder import FolderStorage
 from .objectstore import SCHEMES, open_store
 from .storage import Storage
 
-Place = str | Path | Storage
-"""A folder, a URL such as `s3://bucket/stream`, or what `open_storage` made of one."""
+Target = str | Path
+"""A folder, or a URL such as `s3://bucket/stream`."""
+
+Place = Target | Storage
+"""A target, or what `open_storage` made of one."""
+
+
+def is_url(target: Target) -> bool:
+    """Whether `target` names something else than a file or folder of this machine."""
+    return not isinstance(target, Path) and "://" in target
+
+
+def parse_target(text: str) -> Target:
+    """What the user typed: a Path, or a URL as it is."""
+    return text if is_url(text) else Path(text)
+
+
+def check_url(url: str) -> None:
+    """Raises InvalidError for a URL of no object store."""
+    if url.partition("://")[0].lower() not in SCHEMES:
+        names = ", ".join(f"{name}://" for name in SCHEMES)
+        raise InvalidError(f"{url}: choose a folder of this machine, or a URL of {names}")
 
 
 def open_storage(place: Place) -> Storage:
     """The storage at `place`. Raises InvalidError for a URL that cannot be one."""
     if isinstance(place, Storage):
         return place
-    scheme, separator, _ = str(place).partition("://")
-    if isinstance(place, Path) or not separator:
+    if not is_url(place):
         return FolderStorage(Path(place))
-    if scheme.lower() not in SCHEMES:
-        names = ", ".join(f"{name}://" for name in SCHEMES)
-        raise InvalidError(f"{place}: streams are read from folders, or from {names}")
-    return open_store(place)
+    check_url(str(place))
+    return open_store(str(place))

@@ -6,6 +6,7 @@ a poster hands in a renderer.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 
@@ -15,12 +16,13 @@ from PIL import Image
 
 from codec.camera import Camera
 from codec.errors import CorruptError
-from codec.files import replacing
 from codec.splats import Splats
-from codec.storage.openstorage import Place, open_storage
+from codec.storage.opengrowing import open_growing
+from codec.storage.openstorage import Place, Target, open_storage
 
 from .manifest import Manifest
 from .reader import StreamReader
+from .writer import SHAPE
 
 POSTER_NAME = "poster.jpg"
 """What the poster is called that `write_poster` writes."""
@@ -89,8 +91,8 @@ def check_poster(place: Place, manifest: Manifest) -> None:
         raise CorruptError(f"{name}: does not begin as {kind} does")
 
 
-def write_poster(stream: Path, draw: Draw) -> None:
-    """Puts a poster into the folder of a stream whose manifest names POSTER_NAME; else, or before
+def write_poster(stream: Target, draw: Draw) -> None:
+    """Puts a poster beside a stream whose manifest names POSTER_NAME; else, or before
     its first frame, nothing.
 
     It shows what the default camera sees of the frame in the middle of what there is by now,
@@ -107,7 +109,8 @@ def write_poster(stream: Path, draw: Draw) -> None:
     # Drawn twice as large where the camera is: small Gaussians are drawn at least a pixel wide.
     drawn = draw(splats, camera.scaled(min(1.0, 2 * scale)), manifest.near_m)
     picture = Image.fromarray(np.rint(np.clip(drawn, 0, 1) * 255).astype(np.uint8))
-    with replacing(stream / POSTER_NAME) as temporary:
-        picture.resize(sides_px, Image.Resampling.BOX).save(
-            temporary, "JPEG", quality=QUALITY, optimize=True, progressive=True
-        )
+    data = io.BytesIO()
+    picture.resize(sides_px, Image.Resampling.BOX).save(
+        data, "JPEG", quality=QUALITY, optimize=True, progressive=True
+    )
+    open_growing(stream, SHAPE).put(POSTER_NAME, data.getvalue())

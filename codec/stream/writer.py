@@ -1,40 +1,31 @@
-"""Writes the folder of a stream so that a reader always sees a valid, shorter stream.
+"""Writes a stream to a folder or an object store: a reader always sees a valid, shorter stream.
 
-Rule: an object is whole on disk (temporary name, fsync, rename) before the index record
-that names it is appended (fsync). Killing the writer at any instant loses at most the segment being
-written.
+Rule: an object is whole and in its place before the index record that names it is appended (see
+codec/storage/growingfolder and growingstore). Killing the writer at any instant loses at most the
+segment being written.
 """
 
 from __future__ import annotations
 
 import hashlib
 import math
-import os
-from pathlib import Path
 from types import TracebackType
 
 from codec.errors import InvalidError
-from codec.files import append_durably, sync_folder, temporary_beside, write_atomic
 from codec.slice import Slice
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.update import Update
+from codec.storage.growingplace import GrowingPlace, Shape
+from codec.storage.opengrowing import open_growing
+from codec.storage.openstorage import Target
 
 from .draft import Draft, Quality, Scores, SliceDraft, SlotDraft
 from .index import INDEX_NAME, SegmentRecord, pack_record, record_bytes
 from .layers import RANKS, Rank
-from .manifest import MANIFEST_NAME, SEGMENTS_NAME, Manifest, object_file
+from .manifest import MANIFEST_NAME, SEGMENTS_NAME, Manifest
 from .reader import StreamReader
 
-
-def _is_unused(path: Path) -> bool:
-    """Whether the folder `path` holds nothing but what a killed `create` may have left."""
-    leftovers = [temporary_beside(path / name) for name in (INDEX_NAME, MANIFEST_NAME)]
-    return all(
-        (entry.name == INDEX_NAME and not entry.stat().st_size)
-        or (entry.name == SEGMENTS_NAME and entry.is_dir() and not any(entry.iterdir()))
-        or entry in leftovers
-        for entry in path.iterdir()
-    )
+SHAPE = Shape(log=INDEX_NAME, head=MANIFEST_NAME, folder=SEGMENTS_NAME)
 
 
 class StreamWriter:
@@ -47,7 +38,8 @@ class StreamWriter:
 
     def __init__(
         self,
-        path: Path,
+        target: Target,
+        place: GrowingPlace,
         manifest: Manifest,
         records: list[SegmentRecord],
         rank: Rank,
@@ -57,7 +49,8 @@ class StreamWriter:
         """Use `create` or `resume`. read: what a reader has at the end of `records` (version 2)."""
         if rank not in RANKS:  # a string of a caller whose types nobody checks
             raise InvalidError(f"no rank is called {rank!r}; there are {', '.join(RANKS)}")
-        self.path = path
+        self.target = target
+        self._place = place
         self.manifest = manifest
         self._num_segments = len(records)
         self._draft: Draft
@@ -81,48 +74,41 @@ class StreamWriter:
     @classmethod
     def create(
         cls,
-        path: Path,
+        target: Target,
         manifest: Manifest,
         rank: Rank = Rank.OPACITY,
         quality: Quality | None = None,
     ) -> StreamWriter:
-        """A writer of a new stream at `path`, which is absent, an empty folder, or one where a
+        """A writer of a new stream at `target`, which is absent, empty, or a place where a
         writer was killed before it was a stream.
 
         `rank` orders the Gaussians of each slice into layers. `quality` scores every frame; the
         index holds its mean over each segment, or NaN without it.
         """
-        if path.exists() and not (path.is_dir() and _is_unused(path)):
-            raise InvalidError(f"{path} is not empty; remove it or name another folder")
-        writer = cls(path, manifest.with_live(True), [], rank, quality)
-        described = writer.manifest.to_json()  # before anything is written: it may be refused
-        path.mkdir(parents=True, exist_ok=True)
-        (path / SEGMENTS_NAME).mkdir(exist_ok=True)
-        write_atomic(path / INDEX_NAME, b"")
-        # Last, because a folder is a stream from the moment that it has a manifest.
-        write_atomic(path / MANIFEST_NAME, described)
+        place = open_growing(target, SHAPE)
+        writer = cls(target, place, manifest.with_live(True), [], rank, quality)
+        place.begin(writer.manifest.to_json())
         return writer
 
     @classmethod
     def resume(
         cls,
-        path: Path,
+        target: Target,
         rank: Rank = Rank.OPACITY,
         quality: Quality | None = None,
     ) -> StreamWriter:
-        """A writer that goes on after `path`'s last finished segment; `next_birth` says where."""
-        reader = StreamReader(path)
+        """A writer that goes on after `target`'s last finished segment; `next_birth` says where."""
+        reader = StreamReader(target)
         manifest, records = reader.manifest, reader.records
         if not manifest.live:
-            raise InvalidError(f"{path} is finished; write to another folder")
-        # Takes off what a killed writer left after the last whole record.
-        os.truncate(path / INDEX_NAME, reader.index_bytes)
-        for leftover in (*path.glob(".*.tmp"), *(path / SEGMENTS_NAME).glob("*/.*.tmp")):
-            leftover.unlink()
+            raise InvalidError(f"{target} is finished; write to another folder")
+        place = open_growing(target, SHAPE)
+        record_size = record_bytes(manifest.num_layers, manifest.has_slots)
+        place.take_over(reader.index_bytes, record_size, len(records))
         read = None
         if manifest.has_slots and records:
             read = reader.decoder_at(reader.num_frames - 1, manifest.num_layers)
-        return cls(path, manifest, records, rank, quality, read)
+        return cls(target, place, manifest, records, rank, quality, read)
 
     @property
     def complete(self) -> bool:
@@ -148,17 +134,19 @@ class StreamWriter:
         If it raises, nothing of the slice is kept: the same one, or another, may be tried again.
         """
         if self._closed:
-            raise InvalidError(f"{self.path}: the writer is closed")
+            raise InvalidError(f"{self._place.name}: the writer is closed")
         if slice.birth != self.next_birth:
             raise InvalidError(
-                f"{self.path}: slice born at {slice.birth}, expected {self.next_birth}"
+                f"{self._place.name}: slice born at {slice.birth}, expected {self.next_birth}"
             )
         if self.complete:
-            raise InvalidError(f"{self.path}: the last segment is short; nothing can follow it")
+            raise InvalidError(
+                f"{self._place.name}: the last segment is short; nothing can follow it"
+            )
         try:
             draft = self._draft.after(slice)
         except InvalidError as error:
-            raise InvalidError(f"{self.path}: {error}") from error
+            raise InvalidError(f"{self._place.name}: {error}") from error
         self.slice_bytes = draft.slice_bytes
         next_birth = slice.birth + 1
         if next_birth == (self._num_segments + 1) * self.manifest.segment_frames:
@@ -171,11 +159,7 @@ class StreamWriter:
         segment, num_layers = self._num_segments, self.manifest.num_layers
         first_frame = segment * self.manifest.segment_frames
         objects = draft.objects()
-        for part, data in objects.items():
-            path = object_file(self.path, segment, part)
-            path.parent.mkdir(exist_ok=True)
-            write_atomic(path, data)
-        sync_folder(self.path / SEGMENTS_NAME)
+        self._place.add(segment, {str(part): data for part, data in objects.items()})
         data_of_parts = [objects[part] for part in self.manifest.parts]
         sizes = tuple(map(len, data_of_parts))
         hashes = tuple(hashlib.sha256(data).digest() for data in data_of_parts)
@@ -190,7 +174,7 @@ class StreamWriter:
             hashes[num_layers:],
         )
         index_bytes = segment * record_bytes(num_layers, self.manifest.has_slots)
-        append_durably(self.path / INDEX_NAME, index_bytes, pack_record(record))
+        self._place.append(index_bytes, pack_record(record))
         self._num_segments += 1
         self.next_birth = next_birth
         self.bytes_written += sum(record.part_bytes)
@@ -211,7 +195,7 @@ class StreamWriter:
         if self.num_packets and self.next_birth > 0:
             self._write_segment(self._draft, self.next_birth)
         finished = self.manifest.with_live(False)
-        write_atomic(self.path / MANIFEST_NAME, finished.to_json())
+        self._place.finish(finished.to_json())
         self.manifest = finished
         self._closed = True  # only now: what failed above may be tried again
 

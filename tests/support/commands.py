@@ -52,8 +52,8 @@ def run_ok(name: str, *arguments: object, timeout_s: float = 240) -> str:
 
 
 @contextlib.contextmanager
-def serving(root: Path, *arguments: object) -> Iterator[str]:
-    """A server process of `root`; gives its URL and ends it by its pid."""
+def serving(root: Path | str, *arguments: object) -> Iterator[str]:
+    """A server process of `root`, a folder or a URL; gives its URL and ends it by its pid."""
     process = subprocess.Popen(
         command("swings-serve", root, "--port", 0, *arguments),
         env=environment(),

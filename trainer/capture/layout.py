@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from codec.storage.openstorage import Target
 from trainer.errors import CaptureError
+from trainer.storedfiles import by_its_name, local_folder, translated
 
 from .capture import Capture
 from .colmap import MODEL_NAME, open_colmap
@@ -13,8 +15,18 @@ from .dynerf import POSES_NAME, VIDEO_PATTERN, open_dynerf
 from .nerfstudio import TRANSFORMS_NAME, open_nerfstudio
 
 
-def open_capture(path: Path) -> Capture:
-    """The capture in a folder of a known layout; no picture is decoded yet. Raises CaptureError."""
+def open_capture(target: Target) -> Capture:
+    """The capture of a known layout in a folder or, by URL, in an object store.
+
+    No picture is decoded yet. Raises CaptureError.
+    """
+    with translated():
+        path = local_folder(target)
+    with by_its_name(path):
+        return _open_folder(path)
+
+
+def _open_folder(path: Path) -> Capture:
     if not path.exists():
         raise CaptureError(f"{path}: no such folder")
     if not path.is_dir():

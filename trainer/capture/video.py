@@ -22,6 +22,7 @@ import numpy as np
 
 from codec.camera import Camera
 from trainer.errors import CaptureError
+from trainer.storedfiles import block_file, by_its_name, translated
 
 from .capture import Picture, check_frame
 
@@ -61,7 +62,7 @@ def probe_video(path: Path) -> VideoFacts:
     counted.
     """
     try:
-        with _open_container(path) as container:
+        with translated(), _open_container(path) as container:
             stream = _video_stream(path, container)
             if container.format.name.endswith("_pipe"):
                 raise CaptureError(f"{path}: a still picture, not a video")
@@ -131,6 +132,10 @@ class VideoSource:
 
     def read(self, frame: int) -> Picture:
         check_frame(frame, self._num_frames, self._camera.name)
+        with by_its_name(self._path), translated():
+            return self._read(frame)
+
+    def _read(self, frame: int) -> Picture:
         try:
             self._approach(frame)
             while True:
@@ -213,9 +218,11 @@ class VideoSource:
 def _open_container(path: Path) -> av.container.InputContainer:
     if path.exists() and not path.is_file():
         raise CaptureError(f"{path}: not a video but a folder, a pipe or a device")
+    stored = block_file(path)
     # Only local files: a playlist under a video's name must not reach for the network. The prefix
     # keeps a colon in a path from being read as a protocol.
-    return av.open(f"file:{path}", options={"protocol_whitelist": "file"})
+    source = f"file:{path}" if stored is None else stored
+    return av.open(source, "r", options={"protocol_whitelist": "file"})
 
 
 def _video_stream(

@@ -10,10 +10,20 @@ import tyro
 
 from codec.errors import InvalidError
 from codec.profiles.profile import Profile
+from codec.storage.openstorage import Target, is_url
+from codec.storage.targetargument import target_named
 from trainer.capture.capture import MAX_FPS
 from trainer.fit.config import FitConfig
 from trainer.pictures.framecache import DEFAULT_MAX_BYTES
 from trainer.step.backend import BackendName
+
+
+def default_work(target: Target) -> Path:
+    """The work folder of a run that is not told one."""
+    if not is_url(target):
+        return Path(target)
+    return Path(str(target).rstrip("/").rpartition("/")[2] + ".work")
+
 
 Preset = Literal["cpu", "fast", "fine", "paper"]
 
@@ -22,10 +32,14 @@ Preset = Literal["cpu", "fast", "fine", "paper"]
 class TrainConfig:
     """Trains a capture into a stream."""
 
-    capture: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="CAPTURE")]
-    """Folder of the recording: Dynamic 3D Gaussians, DyNeRF, COLMAP or nerfstudio layout."""
-    stream: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="STREAM")] = None
-    """Folder to write, new or empty. Left out only with --check."""
+    capture: tyro.conf.Positional[Annotated[Target, target_named("CAPTURE")]]
+    """Folder of the recording, or its URL in an object store, as s3://BUCKET/PATH: Dynamic 3D
+    Gaussians, DyNeRF, COLMAP or nerfstudio layout."""
+    stream: tyro.conf.Positional[Annotated[Target | None, target_named("STREAM")]] = None
+    """Folder to write, new or empty, or a URL. Left out only with --check."""
+    work: Path | None = None
+    """Folder for what is not for players: checkpoint, log and snapshots. By default the stream's
+    folder; for a URL NAME.work here, after its last part."""
     check: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
     """Train nothing: read the first and the last frame of every camera, say what was understood,
     and draw cameras and points to this PNG."""
@@ -62,9 +76,9 @@ class TrainConfig:
     profile: Profile = Profile.LATTICE
     """How the stream says its Gaussians: lattice (what stands still is sent once, what goes on as a
     difference), or slices sent whole in one of three precisions: compact, paper, raw."""
-    raw_stream: Path | None = None
-    """Folder for a second stream, of the same Gaussians with profile raw: shows what `profile`
-    costs."""
+    raw_stream: Annotated[Target | None, target_named("STREAM")] = None
+    """Folder or URL for a second stream, of the same Gaussians with profile raw: shows what
+    `profile` costs."""
     segment_frames: int = 15
     """Frames in a segment: what a writer can lose, and the unit of caching."""
     backend: BackendName = "cpu"
@@ -78,12 +92,12 @@ class TrainConfig:
     """Go on where the run that wrote STREAM was stopped or killed, with its settings. Options that
     are given must be the same as then, but for those that change no byte of the stream."""
     log: Path | None = None
-    """File that gets one JSON object per frame; by default training.jsonl in the stream folder."""
+    """File that gets one JSON object per frame; by default training.jsonl in the work folder."""
     tensorboard: Path | None = None
     """Also write the log's numbers as TensorBoard scalars to this folder."""
     snapshot_every: int = 30
     """Frames between pictures of a held-out view (capture, rendered, error), in snapshots/ in the
-    stream's folder; 0 for none."""
+    work folder; 0 for none."""
     title: str = ""
     """Name of the stream for people; by default the capture folder's."""
     cache_bytes: int = DEFAULT_MAX_BYTES
@@ -118,8 +132,13 @@ class TrainConfig:
             )
 
     @property
-    def target(self) -> Path:
-        """The folder to write."""
+    def target(self) -> Target:
+        """The folder or URL to write."""
         if self.stream is None:
             raise InvalidError("no folder to write the stream to")
         return self.stream
+
+    @property
+    def work_folder(self) -> Path:
+        """Where what the run needs besides the stream is written."""
+        return self.work if self.work is not None else default_work(self.target)

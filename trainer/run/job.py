@@ -1,4 +1,4 @@
-"""A training run from end to end: a capture folder in, a stream directory out."""
+"""A training run from end to end: a capture in, a stream out."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def train_stream(
     with console.status("what the cameras see"):
         prepared = prepare(config)
     settings = shared_settings(config, prepared)
-    checkpoint = config.target / CHECKPOINT_NAME
+    checkpoint = config.work_folder / CHECKPOINT_NAME
     options = config_to_json(replace(config, resume=False))
     found = load_checkpoint(checkpoint, settings) if config.resume else None
     on_checked()
@@ -87,12 +87,14 @@ def train_stream(
     for doubt in rig_doubts(prepared.capture) if found is None else ():
         log_to.warning(doubt)
     clear_bare(bare)
+    if config.work_folder != config.target:
+        config.work_folder.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
         cache = stack.enter_context(
             FrameCache(prepared.capture, prepared.frames, config.scale, config.cache_bytes)
         )
         pictures = CapturePictures(cache, prepared.capture.training)
-        log_path = config.log or config.target / LOG_NAME
+        log_path = config.log or config.work_folder / LOG_NAME
         log = stack.enter_context(RunLog(log_path, config.tensorboard))
         if found is None:
             with console.status("first Gaussians"):
@@ -135,9 +137,8 @@ def train_stream(
             shown = trainer.num_shown(frame)
             monitor.frame_finished(frame, shown, outputs.played_bytes, outputs.quality)
             if config.snapshot_every and frame % config.snapshot_every == 0:
-                write_snapshot(
-                    trainer.shown(frame), frame, cache, prepared.near_m, config.target / "snapshots"
-                )
+                folder = config.work_folder / "snapshots"
+                write_snapshot(trainer.shown(frame), frame, cache, prepared.near_m, folder)
             if asked.is_set() and frame + 1 < len(prepared.frames):
                 raise InterruptedRunError(
                     f"stopped after frame {frame}; --resume goes on from there"

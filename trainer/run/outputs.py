@@ -14,10 +14,13 @@ from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.slots.update import Update
 from codec.splats import Splats
+from codec.storage.opengrowing import open_growing
+from codec.storage.openstorage import Target, is_url, open_storage
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.index import INDEX_NAME
 from codec.stream.manifest import MANIFEST_NAME, SEGMENTS_NAME, Manifest
 from codec.stream.poster import POSTER_NAME, write_poster
+from codec.stream.writer import SHAPE
 from player.render.cpu import render_splats
 from trainer.pictures.framecache import FrameCache
 from trainer.score.meter import QualityMeter
@@ -29,10 +32,12 @@ from .config import TrainConfig
 from .rank import writer_rank
 
 
-def bare_targets(config: TrainConfig) -> list[Path]:
-    """The folders of a run that was stopped before its first checkpoint: they hold nothing to go on
+def bare_targets(config: TrainConfig) -> list[Target]:
+    """The places of a run that was stopped before its first checkpoint: they hold nothing to go on
     from, and nothing to lose. Empty for any other run."""
-    targets = [t for t in _targets(config) if t.is_dir() and any(t.iterdir())]
+    if (config.work_folder / CHECKPOINT_NAME).exists():
+        return []
+    targets = [t for t in _targets(config) if open_growing(t, SHAPE).names()]
     return targets if all(map(_is_bare, targets)) else []
 
 
@@ -40,8 +45,8 @@ BARE_NAMES = {MANIFEST_NAME, INDEX_NAME, SEGMENTS_NAME}
 """What a stream without a frame consists of."""
 
 
-def _is_bare(target: Path) -> bool:
-    names = {entry.name for entry in target.iterdir() if entry not in _leftovers(target)}
+def _is_bare(target: Target) -> bool:
+    names = open_growing(target, SHAPE).names() - LEFTOVERS
     if not names <= BARE_NAMES:
         return False
     if MANIFEST_NAME in names:
@@ -50,25 +55,26 @@ def _is_bare(target: Path) -> bool:
     return True
 
 
-def _leftovers(target: Path) -> list[Path]:
-    """What a killed run may not have come to rename."""
-    names = (MANIFEST_NAME, INDEX_NAME, CHECKPOINT_NAME)
-    return [temporary_beside(target / name) for name in names]
+LEFTOVERS = {
+    temporary_beside(Path(name)).name for name in (MANIFEST_NAME, INDEX_NAME, CHECKPOINT_NAME)
+}
+"""What a killed run may not have come to rename."""
 
 
-def clear_bare(targets: Sequence[Path]) -> None:
-    """Makes the folders that `bare_targets` found fit for a new stream."""
+def clear_bare(targets: Sequence[Target]) -> None:
+    """Makes the places that `bare_targets` found fit for a new stream."""
     for target in targets:
-        for path in (target / MANIFEST_NAME, *_leftovers(target)):
-            path.unlink(missing_ok=True)
+        place = open_growing(target, SHAPE)
+        for name in place.names() & {MANIFEST_NAME, *LEFTOVERS}:
+            place.remove(name)
 
 
-def _targets(config: TrainConfig) -> list[Path]:
+def _targets(config: TrainConfig) -> list[Target]:
     return [config.target] + ([config.raw_stream] if config.raw_stream else [])
 
 
-def check_targets(config: TrainConfig, bare: Sequence[Path] = ()) -> list[Path]:
-    """The folders to write. Raises InvalidError for one that holds something else, and for a log
+def check_targets(config: TrainConfig, bare: Sequence[Target] = ()) -> list[Target]:
+    """The places to write. Raises InvalidError for one that holds something else, and for a log
     that has no place. bare: what `bare_targets` found."""
     if config.log is not None and not config.log.parent.is_dir():
         raise InvalidError(f"{config.log.parent} is not a folder; the log cannot be written there")
@@ -76,13 +82,22 @@ def check_targets(config: TrainConfig, bare: Sequence[Path] = ()) -> list[Path]:
     if config.resume:
         return targets
     for target in targets:
-        if target in bare:
-            continue
-        if target.exists() and (not target.is_dir() or any(target.iterdir())):
-            raise InvalidError(
-                f"{target} exists and is not empty; remove it, name another folder, or --resume"
-            )
+        if target not in bare:
+            _check_empty(target)
+    if config.work_folder != config.target and not bare:
+        _check_empty(config.work_folder)
     return targets
+
+
+def _check_empty(target: Target) -> None:
+    if is_url(target):
+        open_growing(target, SHAPE).check_unused()
+        return
+    path = Path(target)
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise InvalidError(
+            f"{path} exists and is not empty; remove it, name another folder, or --resume"
+        )
 
 
 class Outputs:
@@ -94,7 +109,7 @@ class Outputs:
         self.quality = quality
         self.pending: list[Slice | Update] = []
         """What may not be in a finished segment of every stream yet, in order of birth."""
-        self._without_poster = [w for w in writers if not (w.path / POSTER_NAME).exists()]
+        self._without_poster = [w for w in writers if not open_storage(w.target).holds(POSTER_NAME)]
 
     @property
     def played_bytes(self) -> int:
@@ -118,13 +133,13 @@ class Outputs:
         ]
         for writer in self._without_poster:
             if writer.durable_birth > 0:  # its first frames are there
-                write_poster(writer.path, render_splats)
+                write_poster(writer.target, render_splats)
         self._without_poster = [w for w in self._without_poster if w.durable_birth <= 0]
 
 
 @contextmanager
 def open_outputs(
-    config: TrainConfig, targets: Sequence[Path], manifest: Manifest, cache: FrameCache
+    config: TrainConfig, targets: Sequence[Target], manifest: Manifest, cache: FrameCache
 ) -> Iterator[Outputs]:
     """A stream in each of the folders; a resumed run leaves out those that are finished.
 
@@ -151,7 +166,7 @@ def open_outputs(
             raise InvalidError(f"{config.target} is finished; there is nothing to resume")
         yield Outputs(writers, meters[0])
     for writer in writers:  # again: now there is all of the stream to choose from
-        write_poster(writer.path, render_splats)
+        write_poster(writer.target, render_splats)
 
 
 def write_snapshot(

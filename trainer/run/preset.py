@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import tyro
 
 from codec.console import split_option
 from codec.profiles.profile import Profile
+from codec.storage.openstorage import parse_target
 from trainer.errors import CheckpointError
 from trainer.fit.config import FitConfig
 from trainer.fit.mcmc import McmcConfig
 from trainer.fit.optimiser import OptimiserConfig
 
 from .checkpoint import CHECKPOINT_NAME, read_options
-from .config import Preset, TrainConfig
+from .config import Preset, TrainConfig, default_work
 from .storedconfig import config_from_json
 
 PRESETS: Mapping[Preset, Callable[..., TrainConfig]] = {
@@ -101,7 +101,7 @@ def _resumed(args: Sequence[str]) -> TrainConfig | None:
     """The settings of the run whose folder is among `args`; None if there is none, or if its
     checkpoint cannot be read, which is told later."""
     # Before parsing, which needs them: of what is given, a part may be wrong without the rest.
-    folders = (Path(word) for word in args if not word.startswith("-"))
+    folders = [default_work(parse_target(word)) for word in args if not word.startswith("-")]
     checkpoint = next(
         (f / CHECKPOINT_NAME for f in folders if (f / CHECKPOINT_NAME).exists()), None
     )

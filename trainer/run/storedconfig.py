@@ -9,6 +9,8 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
+from codec.storage.openstorage import parse_target
+
 Config = TypeVar("Config")
 
 
@@ -46,6 +48,8 @@ def _from_json(wanted: Any, value: Any) -> Any:
     if get_origin(wanted) in (Union, UnionType):
         if value is None:
             return None
+        if {str, Path} <= set(get_args(wanted)):
+            return parse_target(value)
         wanted = next(kind for kind in get_args(wanted) if kind is not type(None))
     if get_origin(wanted) is tuple:
         return tuple(value)

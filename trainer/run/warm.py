@@ -32,6 +32,7 @@ from trainer.fit.mcmc import McmcConfig
 from trainer.fit.trainer import SMALLEST_HALVED_PX, Trainer
 from trainer.pictures.shot import Shot
 from trainer.seed.gaussians import initial_splats, stereo_seeds
+from trainer.storedfiles import forget_stored
 
 from .rank import matured_by_contribution
 
@@ -135,4 +136,5 @@ def start_over_if_compiled(sh_degree: int, console: Console) -> None:
         os.environ[_STARTED_OVER] = "1"
         sys.stdout.flush()
         sys.stderr.flush()
+        forget_stored()
         os.execv(sys.executable, sys.orig_argv)

@@ -16,6 +16,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from codec.errors import InvalidError
+from codec.storage.openstorage import Target
+from codec.storage.targetargument import target_named
 from player.show.sink import check_output
 from trainer.capture.capture import Mask
 from trainer.step.loss import psnr_db
@@ -39,10 +41,10 @@ COLUMNS = (
 class EvaluateConfig:
     """Scores a stream's decoded files on the held-out cameras of its capture."""
 
-    stream: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="STREAM")]
-    """Folder of the stream."""
-    capture: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="CAPTURE")]
-    """Folder of the capture that it was trained from."""
+    stream: tyro.conf.Positional[Annotated[Target, target_named("STREAM")]]
+    """Folder of the stream, or its URL in an object store, as s3://BUCKET/PATH."""
+    capture: tyro.conf.Positional[Annotated[Target, target_named("CAPTURE")]]
+    """Folder or URL of the capture that it was trained from."""
     json: bool = False
     """Print JSON instead of a table."""
     sheet: Path | None = None

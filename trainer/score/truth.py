@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from codec.camera import Camera
 from codec.errors import InvalidError
+from codec.storage.openstorage import Target
 from codec.stream import StreamReader
 from codec.stream.manifest import Manifest
 from trainer.capture.capture import Capture
@@ -53,12 +53,12 @@ class HeldOut:
 
 
 @contextmanager
-def open_held_out(stream: Path, capture_path: Path) -> Iterator[HeldOut]:
+def open_held_out(stream: Target, capture_target: Target) -> Iterator[HeldOut]:
     """The stream beside its capture, until the context ends. Raises CaptureError where the capture
     is not the stream's or holds no camera out, and InvalidError for a stream without a frame."""
     reader = StreamReader(stream)
     manifest = reader.manifest
-    capture = open_capture(capture_path)
+    capture = open_capture(capture_target)
     held_out = capture.held_out
     if not held_out:
         raise CaptureError(f"{capture.root}: no held-out camera to score with")

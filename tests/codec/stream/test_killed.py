@@ -17,8 +17,6 @@ from __future__ import annotations
 import os
 import random
 import signal
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -29,44 +27,12 @@ import pytest
 from codec.stream.index import record_bytes
 from codec.stream.reader import StreamReader
 from codec.tools.audit import verify_stream
-from tests.support.commands import ROOT
-from tests.support.forked_writer import NUM_FRAMES, forked_manifest, forked_slices, write
+from tests.support.forked.forked_writer import NUM_FRAMES, forked_manifest, forked_slices, write
+from tests.support.forked.forker import Forker
 
 KILLS = {"slices": 200, "slots": 60}
 """Of version 2 fewer: more of its time goes into compression, which a kill cannot harm."""
 NUM_LAYERS = {"slices": 2, "slots": 1}
-
-
-class Forker:
-    """The warm process, and at most one writer forked from it."""
-
-    def __init__(self, *arguments: str) -> None:
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.support.forked_writer", *arguments],
-            cwd=ROOT,
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            bufsize=1,
-        )
-
-    def _ask(self, line: str) -> int:
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.write(line + "\n")
-        return int(self._process.stdout.readline())
-
-    def start(self, path: Path) -> int:
-        """The pid of a writer that is about to begin; until `ended` nobody else can have it."""
-        return self._ask(str(path))
-
-    def ended(self) -> int:
-        """How the writer ended, once it has."""
-        return self._ask("")
-
-    def close(self) -> None:
-        self._process.communicate(timeout=60)
 
 
 @pytest.fixture(params=["slices", "slots"])

@@ -133,11 +133,12 @@ def test_one_that_cannot_be_written_leaves_the_one_before(
     write_tiny(tmp_path / "s", 2, manifest_of(64, 48))
     (tmp_path / "s" / POSTER_NAME).write_bytes(b"before")
 
-    def save(picture: Image.Image, path: Path, *args: object, **options: object) -> None:
-        path.write_bytes(b"half")
+    def write_bytes(path: Path, data: bytes) -> int:
+        with open(path, "wb") as file:
+            file.write(data[: len(data) // 2])
         raise OSError(28, "no space")
 
-    monkeypatch.setattr(Image.Image, "save", save)
+    monkeypatch.setattr(Path, "write_bytes", write_bytes)
     with pytest.raises(OSError, match="no space"):
         write_poster(tmp_path / "s", render_splats)
     assert (tmp_path / "s" / POSTER_NAME).read_bytes() == b"before"

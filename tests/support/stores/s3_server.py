@@ -70,6 +70,17 @@ class S3Server:
             for entry in page.get("Contents", ()):
                 client.delete_object(Bucket=BUCKET, Key=entry["Key"])
 
+    def files(self, key: str) -> dict[str, bytes]:
+        """What lies below `key`."""
+        client, found = self.client(), {}
+        for page in client.get_paginator("list_objects_v2").paginate(
+            Bucket=BUCKET, Prefix=f"{key}/"
+        ):
+            for entry in page.get("Contents", ()):
+                got = client.get_object(Bucket=BUCKET, Key=entry["Key"])
+                found[entry["Key"].removeprefix(f"{key}/")] = got["Body"].read()
+        return found
+
     def upload(self, folder: Path, key: str) -> None:
         """Puts all files of `folder` below `key`, the manifest last."""
         files = sorted(path for path in folder.rglob("*") if path.is_file())

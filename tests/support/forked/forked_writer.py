@@ -1,9 +1,11 @@
-"""A warm process that forks stream writers to be killed: `python -m tests.support.forked_writer`,
-with the argument `slots` for streams of version 2.
+"""A warm process that forks stream writers to be killed.
 
-A line on its standard input is the folder to write to: the writer says its pid when it is about to
-begin, creates or resumes the stream there, and finishes it. An empty line waits for that writer and
-says how it ended, -9 for SIGKILL. A fork costs milliseconds where a new interpreter costs a second.
+`python -m tests.support.forked.forked_writer`, with the argument `slots` for streams of version 2.
+
+A line on its standard input is the folder or URL to write to: the writer says its pid when it is
+about to begin, creates or resumes the stream there, and finishes it. An empty line waits for that
+writer and says how it ended, -9 for SIGKILL. A fork costs milliseconds where a new interpreter
+costs a second.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from pathlib import Path
 from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.slots.update import Update
+from codec.storage.openstorage import Target, open_storage, parse_target
 from codec.stream import StreamWriter
 from codec.stream.manifest import Manifest
 from tests.support.slots.folder import slots_manifest
@@ -42,12 +45,12 @@ def forked_slices(has_slots: bool = False) -> list[Slice] | list[Update]:
     return [tiny_slice(birth) for birth in range(manifest.first_birth, NUM_FRAMES)]
 
 
-def write(path: Path, slices: list[Slice] | list[Update]) -> None:
-    """Creates or resumes the stream at `path` and finishes it."""
-    if (path / "manifest.json").exists():
-        writer = StreamWriter.resume(path)
+def write(target: Target, slices: list[Slice] | list[Update]) -> None:
+    """Creates or resumes the stream at `target` and finishes it."""
+    if open_storage(target).holds("manifest.json"):
+        writer = StreamWriter.resume(target)
     else:
-        writer = StreamWriter.create(path, forked_manifest(isinstance(slices[0], Update)))
+        writer = StreamWriter.create(target, forked_manifest(isinstance(slices[0], Update)))
     with writer:
         for slice in slices:
             if slice.birth >= writer.next_birth and not writer.complete:
@@ -78,7 +81,7 @@ def main() -> None:
         if not pid:
             try:
                 say(os.getpid())
-                write(Path(folder), slices)
+                write(parse_target(folder), slices)
                 os._exit(0)
             except BaseException:
                 traceback.print_exc()

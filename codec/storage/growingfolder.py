@@ -1,0 +1,80 @@
+"""A stream that is written to a folder of this machine.
+
+Rule: a file is whole on disk (temporary name, fsync, rename) before the log names it (fsync).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+from codec.errors import InvalidError
+from codec.files import append_durably, sync_folder, temporary_beside, write_atomic
+
+from .growingplace import Shape
+
+
+class GrowingFolder:
+    """A folder, which need not be there yet. That there is one writer, the user sees to."""
+
+    def __init__(self, folder: Path, shape: Shape) -> None:
+        self._folder = folder
+        self._shape = shape
+
+    @property
+    def name(self) -> str:
+        return str(self._folder)
+
+    def check_unused(self) -> None:
+        path = self._folder
+        if path.exists() and not (path.is_dir() and self._is_unused()):
+            raise InvalidError(f"{path} is not empty; remove it or name another folder")
+
+    def _is_unused(self) -> bool:
+        path, shape = self._folder, self._shape
+        leftovers = [temporary_beside(path / name) for name in (shape.log, shape.head)]
+        return all(
+            (entry.name == shape.log and not entry.stat().st_size)
+            or (entry.name == shape.folder and entry.is_dir() and not any(entry.iterdir()))
+            or entry in leftovers
+            for entry in path.iterdir()
+        )
+
+    def names(self) -> set[str]:
+        return {entry.name for entry in self._folder.iterdir()} if self._folder.is_dir() else set()
+
+    def remove(self, name: str) -> None:
+        (self._folder / name).unlink(missing_ok=True)
+
+    def begin(self, head: bytes) -> None:
+        self.check_unused()
+        self._folder.mkdir(parents=True, exist_ok=True)
+        (self._folder / self._shape.folder).mkdir(exist_ok=True)
+        write_atomic(self._folder / self._shape.log, b"")
+        # Last, because a folder is a stream from the moment that it has its head.
+        write_atomic(self._folder / self._shape.head, head)
+
+    def take_over(self, log_bytes: int, record_bytes: int, num_entries: int) -> None:
+        path = self._folder
+        # Takes off what a killed writer left after the last whole record.
+        os.truncate(path / self._shape.log, log_bytes)
+        for leftover in (*path.glob(".*.tmp"), *(path / self._shape.folder).glob("*/.*.tmp")):
+            leftover.unlink()
+
+    def add(self, entry: int, files: Mapping[str, bytes]) -> None:
+        folder = self._folder / self._shape.folder
+        for name, data in files.items():
+            path = folder / str(entry) / name
+            path.parent.mkdir(exist_ok=True)
+            write_atomic(path, data)
+        sync_folder(folder)
+
+    def append(self, log_bytes: int, record: bytes) -> None:
+        append_durably(self._folder / self._shape.log, log_bytes, record)
+
+    def put(self, path: str, data: bytes) -> None:
+        write_atomic(self._folder / path, data)
+
+    def finish(self, head: bytes) -> None:
+        write_atomic(self._folder / self._shape.head, head)

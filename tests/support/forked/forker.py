@@ -1,0 +1,42 @@
+"""The warm process of forked_writer.py, seen from a test."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+from codec.storage.openstorage import Target
+from tests.support.commands import ROOT
+
+
+class Forker:
+    """The warm process, and at most one writer forked from it."""
+
+    def __init__(self, *arguments: str) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "tests.support.forked.forked_writer", *arguments],
+            cwd=ROOT,
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            bufsize=1,
+        )
+
+    def _ask(self, line: str) -> int:
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(line + "\n")
+        return int(self._process.stdout.readline())
+
+    def start(self, target: Target) -> int:
+        """The pid of a writer that is about to begin; until `ended` nobody else can have it."""
+        return self._ask(str(target))
+
+    def ended(self) -> int:
+        """How the writer ended, once it has."""
+        return self._ask("")
+
+    def close(self) -> None:
+        self._process.communicate(timeout=60)
