@@ -52,7 +52,7 @@ def test_pictures_are_those_of_the_folder_in_any_order(
             assert np.array_equal(ours.read(frame), theirs.read(frame))
         theirs.close()
     on_disk = sum(path.stat().st_size for path in there.root.rglob("*") if path.is_file())
-    tables = (tmp_path / "capture").glob("*.[jn]*")
+    tables = (tmp_path / "capture").glob("*.[jnt]*")
     assert on_disk == sum(path.stat().st_size for path in tables)
     forget_stored()
     assert not there.root.parent.exists()

@@ -243,7 +243,10 @@ def _write_capture(config: SynthConfig, folder: Path, console: Console) -> None:
                     config, folder, scene, camera, count, lambda: progress.advance(task)
                 )
             except OSError as error:
-                name_file(error, config.out / f"{camera.name}.mp4")
+                place = config.out / f"{camera.name}.mp4"
+                if str(error.filename).startswith("file:"):  # as FFmpeg calls what it writes
+                    raise OSError(error.errno, error.strerror, str(place)) from error
+                name_file(error, place)
                 raise
 
         takes = _in_threads(film, cameras)
