@@ -374,7 +374,8 @@ def test_a_picture_that_stands_gets_the_layers_that_it_lacks(
                 assert {one.frame for one in played.records} == {57}
                 conductor.step(1)
                 played.shows(58)
-                assert played.records[-1].fewest_layers == LAYERS
+                played.poll_until(lambda: played.records[-1].fewest_layers == LAYERS)
+                assert played.records[-1].frame == 58
                 conductor.toggle_pause()
                 played.shows(70)
                 assert conductor.source.adaptive
