@@ -7,10 +7,12 @@ never does.
 from __future__ import annotations
 
 import hashlib
+import logging
 import sys
 import threading
 from collections.abc import Callable
 from functools import update_wrapper
+from pathlib import Path
 from types import CodeType
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
@@ -18,6 +20,8 @@ import numpy as np
 
 if TYPE_CHECKING:
     from numba.core.dispatcher import Dispatcher
+
+log = logging.getLogger(__name__)
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -85,6 +89,7 @@ class Kernel:
         else:
             if hasattr(made, "py_func"):  # NUMBA_DISABLE_JIT gives the function as it is
                 _notice_what_is_borrowed(made)
+                _do_without_room(made)
         if names.get(function.__name__) is self:
             names[function.__name__] = made
         return made
@@ -98,6 +103,22 @@ def _notice_what_is_borrowed(made: Any) -> None:
     """
     kept = made._cache._cache_file
     kept._source_stamp = (kept._source_stamp, _fingerprint(made.py_func))
+
+
+def _do_without_room(made: Any) -> None:
+    """Makes a kernel that cannot be kept, on a full disk for one, run all the same."""
+    kept = made._cache._cache_file
+    save = kept.save
+
+    def save_where_there_is_room(key: Any, compiled: Any) -> None:
+        try:
+            save(key, compiled)
+        except OSError as error:
+            log.info("a compiled kernel cannot be kept: %s", error)
+            # The index is written first: it may name what an older source left in the data's place.
+            Path(kept._index_path).unlink(missing_ok=True)
+
+    kept.save = save_where_there_is_room
 
 
 def _fingerprint(function: Callable[..., Any]) -> str:

@@ -57,6 +57,12 @@ def refuse(locator):
 caching._CacheLocator.ensure_cache_path = refuse
 """
 
+# What is compiled takes more, an index of it less.
+NO_ROOM = """
+import resource
+resource.setrlimit(resource.RLIMIT_FSIZE, (4_000, resource.RLIM_INFINITY))
+"""
+
 SYNTH = """
 import sys
 from pathlib import Path
@@ -111,6 +117,14 @@ def test_kernels_work_where_nothing_can_be_kept() -> None:
     _, compiled, loaded = output_of(NO_PLACE + KERNELS)
     assert compiled > 0
     assert loaded == 0
+
+
+def test_kernels_work_on_a_full_disk_and_leave_nothing_broken(tmp_path: Path) -> None:
+    _, compiled, _ = output_of(NO_ROOM + KERNELS, NUMBA_CACHE_DIR=str(tmp_path))
+    assert compiled > 0
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+    _, again, loaded = output_of(KERNELS, NUMBA_CACHE_DIR=str(tmp_path))
+    assert (again, loaded) == (compiled, 0)
 
 
 def test_a_capture_is_made_where_nothing_can_be_kept(tmp_path: Path) -> None:
