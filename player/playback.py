@@ -92,7 +92,6 @@ class _Playback:
         self._kind = config.renderer
         self._relay = relay
         self._clock = Clock(real=True)
-        self._layers = config.layers
         self._renderers: list[Renderer] = []
         self._journal = Journal(MAX_ROWS if config.report or config.plot else 0)
         self._summary = PlaySummary(config.source, link=config.link, journal=self._journal)
@@ -137,20 +136,11 @@ class _Playback:
         # Files have time to wait for all that there is, unless the link is asked to decide.
         adaptive = config.capture is None or config.link is not None
         frames = FrameRange(first_frame, config.frames.end)
-        source = self._opener.open(frames, self._layers, adaptive)
-        if source.adaptive and not adaptive:
-            # How many layers a server has, the stream tells.
-            self._layers = source.num_layers
-            source.close()
-            source = self._opener.open(frames, self._layers)
-        return source
+        return self._opener.open(frames, config.layers, adaptive)
 
     def _open_whole(self, first_frame: int) -> Source:
         """The same with all layers, however slowly they come."""
-        manifest = self._opener.manifest
-        assert manifest is not None  # it was opened before
-        frames = FrameRange(first_frame, self._config.frames.end)
-        return self._opener.open(frames, manifest.num_layers)
+        return self._opener.open(FrameRange(first_frame, self._config.frames.end), None)
 
     def _events(self, source: Source, play: int, not_before_s: float) -> Events:
         """The queue of a play."""

@@ -78,9 +78,9 @@ class Opener:
         """The stream from `frames.first` on. Of the one before it all packets must have come, or it
         must be closed.
 
-        layers: None lets a server choose, and takes all elsewhere. adaptive: from a static host
-        those that the link allows, where layers is None. Raises CorruptError when the
-        stream is not the one that was opened before.
+        layers: None takes all. adaptive: where layers is None, those that the link allows; from a
+        folder all the same. Raises CorruptError when the stream is not the one that was opened
+        before.
         """
         fetcher = self._use()
         try:
@@ -134,8 +134,9 @@ class Opener:
         # Whoever hears of the link does not start blind.
         last_play = self._last.play if self._last else NO_PLAY
         if isinstance(place, ServedPlace):
+            retry = self._config.retry
             return ServedSource(
-                self.name, place.urls, fetcher, frames, layers, self._config.retry, last_play
+                self.name, place.urls, fetcher, frames, layers, retry, last_play, adaptive
             )
         retry, cache = self._config.retry, self.cache
         chosen, rate_bps = adaptive and layers is None, last_play.rate_bps

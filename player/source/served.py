@@ -72,18 +72,20 @@ class ServedSource:
         layers: int | None,
         retry: RetryConfig | None = None,
         last_play: LastPlay = NO_PLAY,
+        adaptive: bool = True,
     ) -> None:
         """Connects, and reads the manifest.
 
         urls: of the stream on one or more servers, to which /play is added. fetcher: is closed
-        together with the source. layers: None leaves the choice to the server. last_play: the one
-        before this.
+        together with the source. layers: None leaves the choice to the server, or takes all where
+        it is not adaptive. last_play: the one before this.
         """
         self.name = name
         self._urls = [urls] if isinstance(urls, str) else [*urls]
         self._fetcher = fetcher
         self._retry_config = retry or RetryConfig()
-        self._layers = layers
+        self.adaptive = adaptive and layers is None
+        self._asked_layers = "auto" if self.adaptive else layers or "all"
         self._asked = frames
         self._response: OpenResponse | None = None
         self._token = last_play.token  # an older server gives none
@@ -98,7 +100,6 @@ class ServedSource:
         try:
             start = self._connect_any(frames.first)
             self.manifest = self._manifest_of(start)
-            self.adaptive = layers is None
             self.num_layers = check_layers(layers, self.manifest, name)
             self._num_frames = start.num_frames
             self.frames = check_frames(frames, self.manifest, self._num_frames, name)
@@ -129,8 +130,7 @@ class ServedSource:
 
     def _connect(self, frame: int) -> StartRecord:
         """Asks for the slices that show from `frame` on; gives the first record."""
-        layers = "auto" if self._layers is None else str(self._layers)
-        url = f"{self._url}/play?from={frame}&layers={layers}"
+        url = f"{self._url}/play?from={frame}&layers={self._asked_layers}"
         if self._asked.end is not None:
             url += f"&until={self._asked.end}"
         self._disconnect()

@@ -59,9 +59,9 @@ def parse_query(
     layers = values.get("layers", "auto")
     if layers == "auto":
         return PlayQuery(from_frame, until_frame, None, plain, paused)
-    fixed = _number("layers", layers)
+    fixed = num_layers if layers == "all" else _number("layers", layers)
     if not 1 <= fixed <= num_layers:
-        raise RequestError(400, f"layers={fixed}: give auto or 1 to {num_layers}")
+        raise RequestError(400, f"layers={fixed}: give auto, all or 1 to {num_layers}")
     return PlayQuery(from_frame, until_frame, fixed, plain, paused)
 
 

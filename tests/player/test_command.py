@@ -189,7 +189,8 @@ def test_a_slow_link_stalls_and_is_counted(library: Path, tmp_path: Path) -> Non
     with static_host(library) as host:
         source = f"{host}/one"
         link = read_link("400k")
-        summary = play(PlayConfig(source, capture=tmp_path / "out", renderer=CPU, link=link))
+        config = PlayConfig(source, capture=tmp_path / "out", renderer=CPU, link=link, layers=2)
+        summary = play(config)
     totals = summary.totals
     assert totals.frames == 13
     # Two segments and a half of about 20 kB each, at 50 kB/s, for half a second of frames.

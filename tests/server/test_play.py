@@ -75,6 +75,7 @@ def packets_on_disk(path: Path) -> dict[tuple[int, int], bytes]:
         ("?layers=1", 0, 23, 1),
         ("", 0, 23, None),
         ("?from=0&layers=auto", 0, 23, None),
+        ("?from=0&layers=all", 0, 23, 4),
         ("?from=11&layers=2", 11, 23, 2),
         ("?from=22&layers=3", 22, 23, 3),
         ("?from=5&paused=1&layers=2", 5, 23, 2),
@@ -111,7 +112,7 @@ def test_a_play_is_the_directory_slice_by_slice(
 pairs = st.lists(
     st.tuples(
         st.sampled_from(["from", "until", "layers", "x"]),
-        st.sampled_from(["auto", "0", "1", "4", "5", "9", "10", "-1", "1.0", "٣", ""])
+        st.sampled_from(["auto", "all", "0", "1", "4", "5", "9", "10", "-1", "1.0", "٣", ""])
         | st.text(max_size=12),
     ),
     max_size=4,
@@ -146,7 +147,7 @@ def test_a_query_is_valid_or_a_400_in_one_short_line(items: list[tuple[str, str]
         "?from=99999999999",
         "?layers=0",
         "?layers=5",
-        "?layers=all",
+        "?layers=every",
         "?until=0",
         "?from=5&until=5",
         "?from=1&from=2",
