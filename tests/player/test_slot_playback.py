@@ -87,7 +87,7 @@ def test_layers_come_and_go_over_a_link_and_only_what_is_known_shows(
     with LinkProcess(DIP, "127.0.0.1", served_library.port) as relay:
         url = f"{served_library.url}/watch/long"
         screen, layers = Screen(reader, 0), list[float]()
-        with opened(url, via=relay.address) as source:
+        with opened(url, via=relay.address, adaptive=True) as source:
             assert source.adaptive
             for one in assembled(source):
                 # As if each frame were shown as soon as it can be: what comes later mends it.
