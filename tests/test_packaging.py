@@ -71,6 +71,7 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
         {"trainer/step/device"},
         {"trainer/fit", "trainer/score"},
         {"trainer/run"},
+        {"trainer/parts"},
     ),
 }
 MAX_FILES = 14

@@ -16,6 +16,7 @@ from codec.console import printing, run_command, say
 # It has to be said before the first parallel kernel runs.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
+from trainer.parts.raydriver import train_in_parts
 from trainer.run.check import check_capture
 from trainer.run.config import TrainConfig
 from trainer.run.job import train_stream
@@ -33,6 +34,10 @@ def _train(config: TrainConfig) -> None:
         say("\n".join(check_capture(config)))
         return
     console = Console(stderr=True)
+    if config.ray is not None:
+        train_in_parts(config, config.ray, console)
+        say(str(config.target))
+        return
     # Bytes must not depend on whether this run compiles the kernels.
     train_stream(config, console, lambda: start_over_if_compiled(config.fit.sh_degree, console))
     say(str(config.target))

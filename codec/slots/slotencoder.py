@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,6 +69,18 @@ class SlotEncoder:
             raise InvalidError("an encoder goes on only after a decoder that has all layers")
         own, made = decoder.copy(), SlotEncoder(decoder.layout)
         made.lanes, made.history, made.next_birth = own.lanes, own.history, decoder.frame + 1
+        return made
+
+    @staticmethod
+    def opened(layout: SlotLayout, opening: Sequence[Update]) -> SlotEncoder:
+        """An encoder that goes on after the updates `opening`, which say all that shows by then: of
+        each lane the last one, in order of birth, and nothing in them is predicted."""
+        made = SlotEncoder(layout)
+        if len(opening) != layout.swin_size:
+            raise InvalidError(f"{len(opening)} updates open {layout.swin_size} lanes")
+        made.next_birth = opening[0].birth
+        for update in opening:
+            made.append(update)
         return made
 
     def copy(self) -> SlotEncoder:

@@ -162,6 +162,13 @@ class SlotDraft:
         packets: dict[Part, Packets] = dict.fromkeys(manifest.parts, ())
         return SlotDraft(manifest, quality, encoder, read if quality else None, packets)
 
+    @staticmethod
+    def opened(manifest: Manifest, quality: Quality | None, opening: Sequence[Update]) -> SlotDraft:
+        """The draft of the segment after the updates `opening`, see `SlotEncoder.opened`."""
+        encoder = SlotEncoder.opened(manifest.slot_layout, opening)
+        packets: dict[Part, Packets] = dict.fromkeys(manifest.parts, ())
+        return SlotDraft(manifest, quality, encoder, None, packets)
+
     @property
     def num_packets(self) -> int:
         return sum(map(len, self.packets.values()))

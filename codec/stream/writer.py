@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Sequence
 from types import TracebackType
 
 from codec.errors import InvalidError
@@ -109,6 +110,29 @@ class StreamWriter:
         if manifest.has_slots and records:
             read = reader.decoder_at(reader.num_frames - 1, manifest.num_layers)
         return cls(target, place, manifest, records, rank, quality, read)
+
+    @classmethod
+    def piece(
+        cls,
+        place: GrowingPlace,
+        manifest: Manifest,
+        segment: int,
+        opening: Sequence[Update],
+        quality: Quality | None = None,
+    ) -> StreamWriter:
+        """A writer of the segments from `segment` on, for one who puts pieces together.
+
+        opening: what shows in the frame before, see `SlotEncoder.opened`; none before segment 0.
+        Slots last.
+        """
+        writer = cls(place.name, place, manifest.with_live(True), [], Rank.OPACITY, quality)
+        if segment:
+            writer._num_segments = segment
+            writer.next_birth = segment * manifest.segment_frames
+            if not opening or opening[-1].birth + 1 != writer.next_birth:
+                raise InvalidError(f"{place.name}: segment {segment} needs what shows before it")
+            writer._draft = SlotDraft.opened(manifest, quality, opening)
+        return writer
 
     @property
     def complete(self) -> bool:

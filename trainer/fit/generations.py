@@ -21,6 +21,7 @@ from .leases import Leases
 from .lifespans import Lifespans
 from .mcmc import relocate
 from .optimiser import Adam
+from .takeover import Held, Takeover
 
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]
@@ -42,6 +43,8 @@ class Generations:
         self.num_gs = config.num_gs
         self.lifespans = Lifespans(config.num_gs, config.swin_size)
         self.adam = Adam(config.num_gs, config.sh_degree, config.optimiser)
+        self.takeover: Takeover | None = None
+        """Where slots come to follow another training."""
         self.values = Parameters.zeros(2 * config.num_gs, config.sh_degree)
         self.values.quats[:, 0] = 1
         if initial is not None:
@@ -106,12 +109,43 @@ class Generations:
             active = ~self.lifespans.kept(lane)
             self.lifespans.mature(birth)
             offsets = np.where(active, self.lifespans.matured_starts[lane] - birth, 0)
-            update, exact = leases.mature(birth, lane, active, self._read(lane), offsets)
+            theirs = None if self.takeover is None else self.takeover.held(birth)
+            other = None
+            if self.takeover is not None and theirs is not None:
+                follows = self.takeover.follows[lane]
+                other, active = (follows, theirs), active & ~follows
+            update, exact = leases.mature(birth, lane, active, self._read(lane), offsets, other)
             updates.append(update)
-            rows = np.flatnonzero(active) + self.matured_rows(birth).start
+            changed = active if other is None else active | other[0]
+            rows = np.flatnonzero(changed) + self.matured_rows(birth).start
             for array, decoded in zip(self.values.arrays, exact.arrays, strict=True):
-                array[rows] = decoded[active]
+                array[rows] = decoded[changed]
         return updates
+
+    def held(self, update: Update) -> Held:
+        """What a player holds of the lane of `update`, which has just matured."""
+        assert self.leases is not None
+        lane = self.lifespans.lane_rows(update.birth % self.lifespans.swin_size)
+        drawn = self._read(self.matured_rows(update.birth))
+        return self.leases.held(update.birth, lane, update, drawn)
+
+    def follow(self, birth: int) -> Ints:
+        """Has slots of the slice that is born at `birth` follow another training; gives all of the
+        slice that do, which are shown as that has them, and not trained."""
+        if self.takeover is None:
+            return np.zeros(0, np.int32)
+        lifespans = self.lifespans
+        lane = lifespans.lane_rows(birth % lifespans.swin_size)
+        rows, theirs = self.takeover.go_on(birth, lane), self.takeover.held(birth)
+        if theirs is None:
+            return rows
+        of_lane = rows - lane.start
+        lifespans.take_up(rows)
+        self._write(rows, theirs.splats.take(of_lane))
+        shows = theirs.shows[of_lane]
+        lifespans.starts[rows[shows]] += theirs.start_offsets[of_lane][shows]
+        lifespans.starts[rows[~shows]] = lifespans.expires[rows[~shows]]
+        return rows
 
     def matured_rows(self, birth: int) -> slice:
         """The rows of the slice born at `birth` from its maturing until the next of its lane."""
@@ -126,15 +160,16 @@ class Generations:
         slice is due (the paper's "birth" and "start").
         """
         lifespans = self.lifespans
+        own = np.ones(self.num_gs, np.bool_) if self.takeover is None else ~self.takeover.follows
         births = np.unique(lifespans.births)
         for birth in births[births <= last_frame]:
             logits = self.values.logit_opacities[: self.num_gs]
             is_dead = logits <= np.log(dead_opacity / (1 - dead_opacity))
-            born = (lifespans.births == birth) & (lifespans.starts < lifespans.expires)
+            born = (lifespans.births == birth) & (lifespans.starts < lifespans.expires) & own
             dead = np.flatnonzero(is_dead & born)
             # Slices that no frame of the video shows yet must not attract any.
             alive = np.flatnonzero(
-                ~is_dead & (lifespans.births >= birth) & (lifespans.starts <= last_frame)
+                ~is_dead & (lifespans.births >= birth) & (lifespans.starts <= last_frame) & own
             )
             targets = relocate(self.values, dead, alive, dead_opacity, rng)
             if len(targets):

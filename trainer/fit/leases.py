@@ -21,6 +21,7 @@ from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
 
 from .budget import ByteBudget
+from .takeover import NEAR_STEPS, Held
 
 Ints = npt.NDArray[np.int32]
 Flags = npt.NDArray[np.bool_]
@@ -174,14 +175,30 @@ class Leases:
             high = np.concatenate([high, rows[best[worth]]])
         return low.astype(np.int32), high.astype(np.int32)
 
+    def held(self, birth: int, lane: slice, update: Update, splats: Splats) -> Held:
+        """What a player holds of `lane` when `update`, that of `birth`, has just matured. splats:
+        as they are drawn."""
+        offsets = np.zeros(len(splats), np.uint8)
+        offsets[update.statuses >= PREDICTED] = update.start_offsets
+        states = self.states.take(lane).copy()
+        shows, escaped = self.is_shown[lane].copy(), self.is_other[lane] & self.is_shown[lane]
+        return Held(birth, states, shows, escaped, offsets, splats)
+
     def mature(
-        self, birth: int, lane: slice, is_active: Flags, splats: Splats, start_offsets: Ints
+        self,
+        birth: int,
+        lane: slice,
+        is_active: Flags,
+        splats: Splats,
+        start_offsets: Ints,
+        other: tuple[Flags, Held] | None = None,
     ) -> tuple[Update, Splats]:
         """What the slice born at `birth` says of its lane, whose trained Gaussians are `splats`;
         and those with the values that a player has from now on.
 
         lane, is_active, splats, start_offsets: of all slots of the lane, of which only the active
-        ones have been trained.
+        ones have been trained. other: which of the slots follow another training, and what that
+        holds; they are not active.
         """
         statuses = np.full(len(splats), KEPT, np.uint8)
         decoded = [array.copy() for array in splats.arrays]
@@ -212,6 +229,14 @@ class Leases:
                 held.put(rows, states)
                 is_shown[rows] = shows
                 escaped[rows] = ~fit
+        if other is not None:
+            follows, theirs = other
+            is_active = is_active | follows
+            self._follow(np.flatnonzero(follows), theirs, statuses, held, is_shown, is_other)
+            for array, exact_array in zip(decoded, theirs.splats.arrays, strict=True):
+                array[follows] = exact_array[follows]
+            escaped[follows] = (theirs.escaped & theirs.shows)[follows]
+            start_offsets = np.where(follows, theirs.start_offsets, start_offsets)
         self.states.put(np.arange(lane.start, lane.stop), held)
         # Views: the flags of the lane.
         is_other[is_active] = escaped[is_active]  # nothing is predicted from those
@@ -223,3 +248,25 @@ class Leases:
             exact.take(sent[escaped[sent]]),
         )  # fmt: skip
         return update, exact
+
+    def _follow(
+        self,
+        rows: npt.NDArray[np.int64],
+        theirs: Held,
+        statuses: npt.NDArray[np.uint8],
+        held: States,
+        is_shown: Flags,
+        is_other: Flags,
+    ) -> None:
+        """Makes `rows` of a lane what another training holds: fills in their statuses, and what is
+        held of them."""
+        before, after = held.take(rows), theirs.states.take(rows)
+        was_shown, shows = is_shown[rows], theirs.shows[rows]
+        steps = np.abs(after.numbers() - before.numbers()).max(axis=1)
+        goes_on = was_shown & shows & ~is_other[rows] & ~theirs.escaped[rows]
+        goes_on &= (steps <= NEAR_STEPS) & (theirs.start_offsets[rows] == 0)
+        status = np.where(goes_on, np.where(steps > 0, PREDICTED, KEPT), NEW)
+        status[~shows] = np.where(was_shown[~shows], ENDED, KEPT)
+        statuses[rows] = status
+        held.put(rows, after)
+        is_shown[rows] = shows

@@ -43,6 +43,13 @@ class Lifespans:
             self.starts[lane] = birth
             self.expires[lane] = birth + self.swin_size
 
+    def move(self, frames: int) -> None:
+        """Makes everything happen so many frames later."""
+        for times in (self.births, self.starts, self.expires):
+            times += frames
+        self.matured_starts += frames
+        self.matured_expires += frames
+
     def deal(self, ranking: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
         """The order that puts the rows in `ranking` into lanes, the first slice into that which
         lives longest, each next one into that which lives a frame less. Row i becomes what row

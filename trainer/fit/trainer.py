@@ -34,6 +34,7 @@ from .mcmc import CameraSpread, bound_scales
 from .optimiser import GATE_STEEPNESS, add_noise
 from .renew import Comparer, missing_splats
 from .schedule import Schedule, WindowPlan
+from .takeover import Held, Takeover
 from .together import cells_of, move_together
 
 Floats = npt.NDArray[np.float32]
@@ -246,6 +247,29 @@ class Trainer:
         self._rng.bit_generator.state = json.loads(state["random"].tobytes())
         self._next_window, self._steps = (int(n) for n in state["counters"])
 
+    def jump(self, frame: int) -> None:
+        """Goes on with the window that begins with `frame`, as if what was trained so far had led
+        there. Not before genesis has ended."""
+        by = frame - self._next_window
+        if not self._next_window or by % self._config.swin_size:
+            raise InvalidError(
+                f"from frame {self._next_window} to {frame}: jump after genesis, by a multiple of "
+                f"swin_size {self._config.swin_size}"
+            )
+        self._generations.lifespans.move(by)
+        if self._leases is not None:
+            self._leases.trained += by
+        self._next_window = frame
+
+    def take_over(self, takeover: Takeover | None) -> None:
+        """Has slots follow another training from the next window on; None: none from now on."""
+        self._generations.takeover = takeover
+
+    def held(self, window: Window) -> list[Held]:
+        """What a player holds of the lanes of `window`, which `windows` has just given; slots are
+        leased."""
+        return [self._generations.held(update) for update in window.updates]
+
     def _plan(self, frames: range, schedule: Schedule, settled: int | None = None) -> WindowPlan:
         """How a window is trained; gives it its new slices. settled: the rounds that genesis has
         settled for already."""
@@ -336,6 +360,9 @@ class Trainer:
             config.num_gs, self._gradients, plan.whole,
         )  # fmt: skip
         trainable = rows[rows < config.num_gs]
+        takeover = self._generations.takeover
+        if takeover is not None:
+            trainable = trainable[~takeover.follows[trainable]]
         cells = plan.cells(iteration)
         if cells is not None:
             move_together(self._gradients.means, trainable, cells)
@@ -384,6 +411,7 @@ class Trainer:
         lane = lifespans.lane_rows(frame % lifespans.swin_size)
         if leases is not None:
             lifespans.keep(lane)
+            generations.follow(frame)
         elif config.mcmc.renew_share == 0:
             return
         # Without leases, whatever has matured before this window expires before its last frame.
@@ -398,6 +426,8 @@ class Trainer:
         else:
             slots = rows % config.num_gs
             mine = (slots >= lane.start) & (slots < lane.stop)
+            if generations.takeover is not None:
+                mine &= ~generations.takeover.follows[slots]
             active = leases.choose(slots[mine], scores[mine])
             traded = leases.trades(slots[mine], contributions[mine])
             generations.trade(*traded)

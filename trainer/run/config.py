@@ -25,6 +25,9 @@ def default_work(target: Target) -> Path:
     return Path(str(target).rstrip("/").rpartition("/")[2] + ".work")
 
 
+LOCAL = "local"
+"""In place of the address of a Ray cluster: one of this machine alone, for one run."""
+
 Preset = Literal["cpu", "fast", "fine", "paper"]
 
 
@@ -88,6 +91,20 @@ class TrainConfig:
     torch_device: str | None = None
     """Device of backend torch, in torch's words: cuda:1, xpu, mps, cpu; by default a GPU if torch
     has one."""
+    ray: Annotated[str | None, tyro.conf.arg(metavar="[ADDRESS]")] = None
+    """Train parts of the capture side by side on the Ray cluster at ADDRESS, as auto or HOST:PORT;
+    without an address on this machine alone. Capture and stream must be where all of its nodes
+    find them: in an object store, or in a folder that they share."""
+    worker_cpus: float = 2
+    """With --ray: cores that a worker claims."""
+    part_frames: int = 300
+    """With --ray: frames of a part, which one worker trains after another; rounded up to whole
+    segments."""
+    warm_frames: int = 15
+    """With --ray: frames before a part in which it learns what has changed since the first."""
+    seam_frames: int = 15
+    """With --ray: frames in which a part takes over from the one before, rounded up to whole
+    segments; they are trained twice."""
     resume: bool = False
     """Go on where the run that wrote STREAM was stopped or killed, with its settings. Options that
     are given must be the same as then, but for those that change no byte of the stream."""

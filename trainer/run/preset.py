@@ -17,7 +17,7 @@ from trainer.fit.mcmc import McmcConfig
 from trainer.fit.optimiser import OptimiserConfig
 
 from .checkpoint import CHECKPOINT_NAME, read_options
-from .config import Preset, TrainConfig, default_work
+from .config import LOCAL, Preset, TrainConfig, default_work
 from .storedconfig import config_from_json
 
 PRESETS: Mapping[Preset, Callable[..., TrainConfig]] = {
@@ -88,6 +88,7 @@ def parse_with_preset(
     An unknown name is left to tyro to refuse.
     """
     config: TrainConfig
+    args = _with_address(args)
     before = _resumed(args) if "--resume" in args else None
     if before is not None:
         config = tyro.cli(TrainConfig, default=before, args=args, **options)
@@ -95,6 +96,16 @@ def parse_with_preset(
     preset, _ = split_option(args, "--preset", nargs="?")
     config = tyro.cli(PRESETS.get(preset, config_type), args=args, **options)
     return config
+
+
+def _with_address(args: Sequence[str]) -> list[str]:
+    """`args` with the address that --ray leaves out."""
+    given = list(args)
+    if "--ray" in given:
+        after = given.index("--ray") + 1
+        if after == len(given) or given[after].startswith("-"):
+            given.insert(after, LOCAL)
+    return given
 
 
 def _resumed(args: Sequence[str]) -> TrainConfig | None:

@@ -1,0 +1,70 @@
+"""A tiny run in parts, and one process that does all of its tasks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import tyro
+
+from codec.storage.openfiles import Files
+from tests.support.tiny_capture import write_dynamic3dgs
+from trainer.parts.joiner import Joiner
+from trainer.parts.raydriver import plan
+from trainer.parts.task import Kind, Run, Task
+from trainer.parts.worker import opened_worker
+from trainer.run.config import TrainConfig
+from trainer.run.prepare import prepare
+from trainer.run.preset import PRESETS
+
+FRAMES, PART_FRAMES = 22, 7
+SETTINGS = (
+    "--num-gs", 200, "--genesis-iterations", 40, "--settle-rounds", 1, "--window-iterations", 20,
+    "--segment-frames", 2, "--seam-frames", 3, "--warm-frames", 2, "--part-frames", PART_FRAMES,
+    "--mcmc.relocate-period", 5, "--title", "parts", "--lease.trade-share", 0.05,
+)  # fmt: skip
+
+
+class DiedError(Exception):
+    """Stands for a worker's death."""
+
+
+def capture_of(folder: Path) -> Path:
+    """A capture that is made in `folder`."""
+    write_dynamic3dgs(folder / "capture", num_cameras=4, num_frames=FRAMES)
+    return folder / "capture"
+
+
+def run_of(capture: Path | str, stream: Path | str) -> Run:
+    args = [str(word) for word in (capture, stream, *SETTINGS)]
+    config = tyro.cli(PRESETS["cpu"], args=args)
+    assert isinstance(config, TrainConfig)
+    return plan(config, prepare(config))
+
+
+def tasks_of(run: Run) -> list[Task]:
+    """In an order in which they can be done."""
+    genesis = Task(run, Kind.GENESIS)
+    parts = [genesis.other(Kind.PART, part.number) for part in run.parts]
+    return [genesis, *parts, *(genesis.other(Kind.SEAM, part.number) for part in run.parts[1:])]
+
+
+def train(run: Run, files: Files, tell: Callable[[int], None] = lambda iterations: None) -> None:
+    """All tasks, each again and again until it is done; pieces are joined as they come."""
+    joiner = Joiner(run, files)
+    for task in tasks_of(run):
+        while True:
+            try:
+                with opened_worker(Task.from_json(task.to_json()), tell) as worker:
+                    worker.work()
+                break
+            except DiedError:
+                pass
+        if task.kind is Kind.GENESIS:
+            joiner.begin(resumed=False)
+        joiner.go_on()
+    assert joiner.finish().num_gs == run.config.fit.num_gs
+
+
+def contents(stream: Path) -> dict[str, bytes]:
+    return {str(f.relative_to(stream)): f.read_bytes() for f in stream.rglob("*") if f.is_file()}

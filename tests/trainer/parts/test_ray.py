@@ -1,0 +1,95 @@
+"""Parts on a Ray cluster of this machine: real processes, some of which are killed."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from codec.storage.openfiles import FilesFolder
+from codec.tools.audit import verify_stream
+from tests.support.commands import run, run_ok
+from tests.support.parts import SETTINGS, capture_of, contents, run_of, train
+
+pytest.importorskip("ray", reason="ray is not installed")
+
+KILLS = 4
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return capture_of(tmp_path_factory.mktemp("ray"))
+
+
+def processes(words: bytes) -> list[int]:
+    """Those whose command line has `words`."""
+    found = []
+    for folder in Path("/proc").iterdir():
+        if folder.name.isdigit() and int(folder.name) != os.getpid():
+            try:
+                line = (folder / "cmdline").read_bytes().replace(b"\0", b" ")
+            except OSError:
+                continue
+            if words in line:
+                found.append(int(folder.name))
+    return found
+
+
+@contextmanager
+def killer(words: list[bytes], seed: int) -> Iterator[list[int]]:
+    """Kills processes of a run at random moments; gives how many it has killed of each kind."""
+    killed, done = [0] * len(words), threading.Event()
+    rng = random.Random(seed)
+
+    def kill() -> None:
+        while not done.wait(rng.uniform(1.0, 3.0)) and sum(killed) < KILLS:
+            kind = sum(killed) % len(words)
+            for number in rng.sample(found := processes(words[kind]), min(1, len(found))):
+                os.kill(number, signal.SIGKILL)
+                killed[kind] += 1
+
+    thread = threading.Thread(target=kill)
+    thread.start()
+    try:
+        yield killed
+    finally:
+        done.set()
+        thread.join()
+
+
+def test_a_cluster_with_killed_workers_makes_the_stream_that_one_process_makes(
+    capture: Path, tmp_path: Path
+) -> None:
+    one = run_of(capture, tmp_path / "one")
+    train(one, FilesFolder(tmp_path / "one"))
+    words = [b"-m trainer.parts", b"ray::do"]
+    with killer(words, seed=1) as killed:
+        told = run_ok(
+            "swings-train", capture, tmp_path / "many", *SETTINGS, "--ray", "--worker-cpus", 1
+        )
+    assert told == f"{tmp_path / 'many'}\n"
+    assert sum(killed) == KILLS
+    assert contents(tmp_path / "many") == contents(tmp_path / "one")
+    assert not verify_stream(tmp_path / "many").live
+
+
+def test_what_no_cluster_can_train_is_one_line(capture: Path, tmp_path: Path) -> None:
+    cases: list[tuple[list[object], str]] = [
+        (["--swin-size", 5, "--num-gs", 200], "swin_size 1"),
+        (["--ray", "127.0.0.1:9"], "127.0.0.1:9"),
+        (["--part-frames", 3], "part_frames 3"),
+        (["--resume"], "no run in parts was begun there"),
+    ]
+    for arguments, word in cases:
+        given = arguments if "--ray" in arguments else [*arguments, "--ray"]
+        done = run("swings-train", capture, tmp_path / "none", *SETTINGS, *given)
+        assert done.returncode == 1, done.stderr
+        assert done.stderr.count("\n") == 1, done.stderr
+        assert word in done.stderr, done.stderr
+        assert not (tmp_path / "none").exists()

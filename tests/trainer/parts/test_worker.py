@@ -1,0 +1,67 @@
+"""A stream in parts, without a cluster: the pieces fit, however often a worker dies."""
+
+from __future__ import annotations
+
+import json
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from codec.storage.openfiles import FilesFolder
+from codec.stream import StreamReader
+from codec.stream.seeker import roll
+from codec.tools.audit import verify_stream
+from tests.support.parts import FRAMES, DiedError, capture_of, contents, run_of, train
+from trainer.parts.task import STATE_FOLDER
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return capture_of(tmp_path_factory.mktemp("parts"))
+
+
+@pytest.fixture(scope="module")
+def stream(capture: Path) -> Path:
+    path = capture.parent / "stream"
+    train(run_of(capture, path), FilesFolder(path))
+    return path
+
+
+def test_parts_make_one_valid_stream(capture: Path, stream: Path) -> None:
+    audit = verify_stream(stream)
+    assert (audit.num_frames, audit.live) == (FRAMES, False)
+    assert not (stream / STATE_FOLDER).exists()
+    assert json.loads((stream / "manifest.json").read_bytes())["live"] is False
+    run = run_of(capture, stream.parent / "other")
+    assert [part.end_frame for part in run.parts] == [8, 16, 22]
+
+
+def test_to_join_anywhere_is_to_have_played_from_the_beginning(stream: Path) -> None:
+    reader = StreamReader(stream)
+    manifest, layers = reader.manifest, reader.manifest.num_layers
+    playing = reader.decoder_at(0, layers)
+    for frame in range(FRAMES):
+        roll(reader.read_object, manifest, frame, playing)
+        joined, played = reader.decoder_at(frame, layers).whole(frame), playing.whole(frame)
+        for one, other in zip(joined.splats.arrays, played.splats.arrays, strict=True):
+            assert np.array_equal(one, other)
+        assert np.array_equal(joined.start_offsets, played.start_offsets)
+
+
+def test_workers_that_die_leave_the_same_stream(
+    capture: Path, stream: Path, tmp_path: Path
+) -> None:
+    rng = random.Random(3)
+    left = 20
+
+    def die(iterations: int) -> None:
+        nonlocal left
+        if left and rng.random() < 0.3:
+            left -= 1
+            raise DiedError
+
+    train(run_of(capture, tmp_path / "stream"), FilesFolder(tmp_path / "stream"), die)
+    assert left == 0
+    assert contents(tmp_path / "stream") == contents(stream)

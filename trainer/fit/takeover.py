@@ -1,0 +1,112 @@
+"""A seam: slots take over, a few with each frame, what another training holds of them.
+
+Two trainings that began alike, but learned from different frames, hold different Gaussians for the
+same scene. To change from one to the other at once would be seen. So the first goes on for some
+frames; with each of them more of its slots follow the second, those that do not learn to live with
+those that do, and with the last all follow. What the second says from then on holds for whoever
+heard the first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from codec.errors import InvalidError
+from codec.slots.lattice import States
+from codec.slots.update import KEPT, NEW, Update
+from codec.splats import ARRAY_NAMES, Splats
+
+Ints = npt.NDArray[np.int32]
+Flags = npt.NDArray[np.bool_]
+Bytes = npt.NDArray[np.uint8]
+
+NEAR_STEPS = 64
+"""Steps of the lattice up to which a slot that changes to another training's Gaussian goes there
+as a difference. Farther away it is another Gaussian: between two frames it must not fly there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """What a player holds of the slots of one lane since the slice of `birth`."""
+
+    birth: int
+    states: States  # (S,) zeros where there is nothing; those of the escaped mean nothing
+    shows: Flags  # (S,) whether there is a Gaussian
+    escaped: Flags  # (S,) whether it is one that the lattice does not hold
+    start_offsets: Bytes  # (S,) frames after birth; 0 where the slice brings nothing new
+    splats: Splats  # (S,) the Gaussians as they are drawn
+
+    def as_opening(self) -> Update:
+        """What tells all of it to one who knows nothing."""
+        shown = np.flatnonzero(self.shows)
+        escaped = self.escaped[shown]
+        return Update(
+            self.birth,
+            np.where(self.shows, NEW, KEPT).astype(np.uint8),
+            self.states.take(shown),
+            self.start_offsets[shown],
+            escaped,
+            self.splats.take(shown[escaped]),
+        )
+
+    def to_arrays(self) -> dict[str, npt.NDArray[np.generic]]:
+        """All of it by name, for `from_arrays`."""
+        return {
+            "birth": np.array(self.birth),
+            "positions": self.states.positions,
+            "attributes": self.states.attributes,
+            "shows": self.shows,
+            "escaped": self.escaped,
+            "start_offsets": self.start_offsets,
+            **dict(zip(ARRAY_NAMES, self.splats.arrays, strict=True)),
+        }
+
+    @staticmethod
+    def from_arrays(arrays: Mapping[str, npt.NDArray[np.generic]]) -> Held:
+        """The opposite of `to_arrays`."""
+        given = dict(arrays)
+        return Held(
+            int(given["birth"]),
+            States(given["positions"], given["attributes"]),  # type: ignore[arg-type]
+            given["shows"],  # type: ignore[arg-type]
+            given["escaped"],  # type: ignore[arg-type]
+            given["start_offsets"],  # type: ignore[arg-type]
+            Splats(*(given[name] for name in ARRAY_NAMES)),  # type: ignore[arg-type]
+        )
+
+
+class Takeover:
+    """Which slots follow another training by now. The same seed makes the same choices."""
+
+    def __init__(self, other: Mapping[int, Held], swin_size: int, seed: int) -> None:
+        """other: what the other training holds, by birth: of births that follow one another, one
+        of each lane at least."""
+        births = sorted(other)
+        if len(births) < swin_size or births != list(range(births[0], births[-1] + 1)):
+            raise InvalidError(f"a seam of births {births}: give at least {swin_size} in a row")
+        self._other = other
+        self._swin_size = swin_size
+        self._seed = seed
+        self._last = births[-1]
+        self.follows = np.zeros(swin_size * len(other[births[0]].shows), np.bool_)
+        """(num_gs,) the slots that follow."""
+
+    def held(self, birth: int) -> Held | None:
+        """What the other training holds of the lane of `birth`; None outside the seam."""
+        return self._other.get(birth)
+
+    def go_on(self, birth: int, lane: slice) -> Ints:
+        """Has more slots of `lane`, that of `birth`, follow; gives all that do."""
+        if birth not in self._other:
+            return np.zeros(0, np.int32)
+        turns_left = (self._last - birth) // self._swin_size + 1
+        others = np.flatnonzero(~self.follows[lane])
+        rng = np.random.default_rng((self._seed, birth))
+        more = rng.permutation(others)[: -(-len(others) // turns_left)]
+        self.follows[lane.start + more] = True
+        following: Ints = (lane.start + np.flatnonzero(self.follows[lane])).astype(np.int32)
+        return following

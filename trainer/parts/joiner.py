@@ -1,0 +1,73 @@
+"""Puts the pieces of a stream together: their index, in order, as far as it goes."""
+
+from __future__ import annotations
+
+from codec.storage.openfiles import Files
+from codec.storage.opengrowing import open_growing
+from codec.stream import StreamReader
+from codec.stream.index import record_bytes
+from codec.stream.manifest import Manifest
+from codec.stream.poster import write_poster
+from codec.stream.writer import SHAPE
+from player.render.cpu import render_splats
+
+from .leftovers import MANIFEST_PATH, MAX_STATE_BYTES, unpack_arrays
+from .task import STATE_FOLDER, Kind, Run, Task
+
+
+class Joiner:
+    """The one writer of the stream's index, which names a segment when all before it are there."""
+
+    def __init__(self, run: Run, files: Files) -> None:
+        self._run, self._files = run, files
+        self._place = open_growing(run.config.target, SHAPE)
+        self._manifest: Manifest | None = None
+        self._num_segments = 0
+        self._waiting = [
+            Task(run, kind, part.number)
+            for part in run.parts
+            for kind in ((Kind.SEAM, Kind.PART) if part.number else (Kind.PART,))
+        ]
+        """The tasks whose segments are not in the index, in order."""
+
+    def begin(self, resumed: bool) -> None:
+        """Makes the place a stream; genesis has been trained. resumed: it may be one already."""
+        data = self._files.read(MANIFEST_PATH, MAX_STATE_BYTES)
+        self._manifest = manifest = Manifest.from_json(data)
+        if not resumed or not self._files.holds(SHAPE.head):
+            self._place.begin(data)
+            return
+        reader = StreamReader(self._run.config.target)
+        self._num_segments = len(reader.records)
+        size = record_bytes(manifest.num_layers, manifest.has_slots)
+        beyond = -(-self._run.parts[-1].end_frame // manifest.segment_frames)
+        # Segments after the last in the index are there already, and stay.
+        self._place.take_over(reader.index_bytes, size, beyond)
+        named = 0
+        while self._waiting and named < self._num_segments:
+            named += len(self._records_of(self._waiting.pop(0)))
+
+    def go_on(self) -> list[Task]:
+        """Takes in what has been finished; gives the tasks whose segments are new in the index."""
+        taken = []
+        while self._waiting and self._files.holds(self._waiting[0].state_path("records")):
+            task = self._waiting.pop(0)
+            for record in self._records_of(task):
+                self._place.append(self._num_segments * len(record), record)
+                self._num_segments += 1
+            taken.append(task)
+        return taken
+
+    def finish(self) -> Manifest:
+        """Marks the stream as finished; all tasks are done."""
+        assert self._manifest is not None
+        assert not self._waiting
+        finished = self._manifest.with_live(False)
+        write_poster(self._run.config.target, render_splats)
+        self._place.finish(finished.to_json())
+        self._files.delete(STATE_FOLDER)
+        return finished
+
+    def _records_of(self, task: Task) -> list[bytes]:
+        rows = unpack_arrays(self._files.read(task.state_path("records"), MAX_STATE_BYTES))
+        return [row.tobytes() for row in rows["records"]]

@@ -1,0 +1,89 @@
+"""What a worker is told: the run, and which piece of it to train."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from enum import Enum
+
+from trainer.run.config import TrainConfig
+from trainer.run.storedconfig import config_from_json, config_to_json
+
+from .cut import Part
+
+STATE_FOLDER = ".parts"
+"""In the stream's place, until the stream is finished: what workers leave for others."""
+
+
+def whole_segments(frames: int, segment_frames: int) -> int:
+    """The frames of the segments that `frames` begin."""
+    return -(-frames // segment_frames) * segment_frames
+
+
+class Kind(Enum):
+    """What is trained."""
+
+    GENESIS = "genesis"
+    """The first window, with which all parts begin."""
+    PART = "part"
+    """A part without the seam at its beginning."""
+    SEAM = "seam"
+    """The seam between a part and the one before."""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A training run in parts."""
+
+    config: TrainConfig
+    parts: tuple[Part, ...]
+
+    @property
+    def seam_frames(self) -> int:
+        """Frames in which a part takes over from the one before: whole segments."""
+        return whole_segments(self.config.seam_frames, self.config.segment_frames)
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One thing for a worker to do. Whoever does it again gets the same bytes."""
+
+    run: Run
+    kind: Kind
+    number: int = 0
+    """Of the part."""
+
+    @property
+    def part(self) -> Part:
+        return self.run.parts[self.number]
+
+    @property
+    def name(self) -> str:
+        return self.kind.value if self.kind is Kind.GENESIS else f"{self.kind.value}-{self.number}"
+
+    def state_path(self, what: str) -> str:
+        """Where in the stream's place the task keeps something."""
+        return f"{STATE_FOLDER}/{self.name}.{what}"
+
+    def other(self, kind: Kind, number: int = 0) -> Task:
+        """Another task of the same run."""
+        return Task(self.run, kind, number)
+
+    def to_json(self) -> str:
+        parts = [[part.first_frame, part.end_frame] for part in self.run.parts]
+        return json.dumps(
+            {
+                "config": config_to_json(self.run.config),
+                "parts": parts,
+                "kind": self.kind.value,
+                "number": self.number,
+            }
+        )
+
+    @staticmethod
+    def from_json(text: str) -> Task:
+        """The opposite of `to_json`. Raises ValueError, TypeError or KeyError for another text."""
+        given = json.loads(text)
+        parts = tuple(Part(n, *map(int, frames)) for n, frames in enumerate(given["parts"]))
+        run = Run(config_from_json(TrainConfig, given["config"]), parts)
+        return Task(run, Kind(given["kind"]), int(given["number"]))

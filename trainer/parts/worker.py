@@ -1,0 +1,213 @@
+"""What a worker does: trains a piece of a stream from what others left, and leaves what they need.
+
+Rule: everything that is left is put whole, and a task that is done again, from its last checkpoint
+or from its beginning, leaves the same bytes. So a worker may die at any moment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from codec.slots.update import Update
+from codec.splats import Splats
+from codec.storage.growingpiece import GrowingPiece
+from codec.storage.openfiles import Files, open_files
+from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest
+from codec.stream.writer import SHAPE, StreamWriter
+from trainer.fit.takeover import Held, Takeover
+from trainer.fit.trainer import Observer, Progress, Trainer, Window
+from trainer.pictures.feed import CapturePictures
+from trainer.pictures.framecache import FrameCache
+from trainer.run.prepare import Prepared, first_gaussians, make_manifest, prepare
+from trainer.score.meter import QualityMeter
+
+from .leftovers import (
+    MANIFEST_PATH,
+    MAX_STATE_BYTES,
+    Arrays,
+    below,
+    held_in,
+    pack_arrays,
+    standing,
+    under,
+    unpack_arrays,
+)
+from .task import Kind, Task
+
+Tell = Callable[[int], None]
+"""Is told how many iterations have been done."""
+
+
+class _Teller(Observer):
+    """Passes on how many iterations have been done since the last word."""
+
+    def __init__(self, tell: Tell) -> None:
+        self._tell = tell
+        self._done = 0
+
+    def window_begun(self, first_frame: int) -> None:
+        self._done = 0
+
+    def progressed(self, progress: Progress) -> None:
+        self._tell(progress.iteration - self._done)
+        self._done = progress.iteration
+
+
+@dataclass(frozen=True, slots=True)
+class _Piece:
+    """Segments in the making."""
+
+    place: GrowingPiece
+    writer: StreamWriter
+
+    @property
+    def record_rows(self) -> npt.NDArray[np.uint8]:
+        """(N, bytes of a record) uint8."""
+        rows = np.frombuffer(b"".join(self.place.records), np.uint8)
+        return rows.reshape(len(self.place.records), -1)
+
+    def append(self, updates: Sequence[Update]) -> None:
+        for update in updates:
+            self.writer.append(update)
+
+
+@dataclass(frozen=True, slots=True)
+class Worker:
+    """A worker that has opened the capture."""
+
+    task: Task
+    prepared: Prepared
+    cache: FrameCache
+    pictures: CapturePictures
+    files: Files
+    tell: Tell
+
+    def work(self) -> None:
+        """Does the task."""
+        match self.task.kind:
+            case Kind.GENESIS:
+                self._train_genesis()
+            case Kind.PART:
+                self._train_part()
+            case Kind.SEAM:
+                self._train_seam()
+
+    def _resumed(self, manifest: Manifest, arrays: Arrays) -> Trainer:
+        """A trainer that goes on from what `standing` gave."""
+        trainer = self._trainer(manifest, None)
+        trainer.restore(below("state", arrays))
+        return trainer
+
+    def _trainer(self, manifest: Manifest, initial: Splats | None) -> Trainer:
+        prepared = self.prepared
+        return Trainer(
+            self.task.run.config.fit, self.pictures, initial, prepared.near_m, prepared.far_m,
+            prepared.picked.backend, (_Teller(self.tell),), manifest.slot_layout,
+            prepared.search_from_m,
+        )  # fmt: skip
+
+    def _train_genesis(self) -> None:
+        config = self.task.run.config
+        initial = first_gaussians(config, self.prepared, self.pictures)
+        manifest = make_manifest(config, self.prepared, self.cache, initial)
+        trainer = self._trainer(manifest, initial)
+        (held,) = trainer.held(next(trainer.windows()))
+        self._leave("state", standing(trainer, held))
+        self.files.put(MANIFEST_PATH, manifest.to_json())
+
+    def _train_part(self) -> None:
+        task, part, run = self.task, self.task.part, self.task.run
+        manifest = self._manifest()
+        begin = part.first_frame + (run.seam_frames if part.number else 0)
+        approach: list[Held] = []
+        if self.files.holds(task.state_path("checkpoint")):
+            arrays = self._left(task, "checkpoint")
+            trainer = self._resumed(manifest, arrays)
+            piece = self._piece(manifest, trainer.next_window, held_in(arrays))
+            piece.place.records += [record.tobytes() for record in arrays["records"]]
+        else:
+            arrays = self._left(task.other(Kind.GENESIS), "state")
+            trainer = self._resumed(manifest, arrays)
+            piece = self._piece(manifest, 0, None)
+            if part.number:
+                trainer.jump(max(1, part.first_frame - run.config.warm_frames))
+            else:
+                piece.writer.append(held_in(arrays).as_opening())
+        for window in self._windows(trainer, part.end_frame):
+            frame = window.first_frame
+            if frame < part.first_frame:
+                continue
+            (held,) = trainer.held(window)
+            if frame < begin:
+                approach.append(held)
+                if frame == begin - 1:
+                    left = {
+                        k: v for h in approach for k, v in under(h.birth, h.to_arrays()).items()
+                    }
+                    self._leave("approach", left)
+                    piece = self._piece(manifest, begin, held)
+                continue
+            piece.append(window.updates)
+            trainer.spent(window, piece.writer.slice_bytes)
+            if (frame + 1) % manifest.segment_frames == 0 and frame + 1 < part.end_frame:
+                records = {"records": piece.record_rows}
+                self._leave("checkpoint", standing(trainer, held) | records)
+        piece.writer.close()  # the last segment of a stream may be short
+        self._leave("end", standing(trainer, held))
+        self._leave("records", {"records": piece.record_rows})
+
+    def _train_seam(self) -> None:
+        task, part, run = self.task, self.task.part, self.task.run
+        manifest, config = self._manifest(), run.config
+        before = self._left(task.other(Kind.PART, part.number - 1), "end")
+        arrays = self._left(task.other(Kind.PART, part.number), "approach")
+        births = range(part.first_frame, part.first_frame + run.seam_frames)
+        other = {birth: Held.from_arrays(below(birth, arrays)) for birth in births}
+        trainer = self._resumed(manifest, before)
+        trainer.take_over(Takeover(other, config.fit.swin_size, config.fit.seed))
+        piece = self._piece(manifest, births.start, held_in(before))
+        for window in self._windows(trainer, births.stop):
+            piece.append(window.updates)
+        self._leave("records", {"records": piece.record_rows})
+
+    def _windows(self, trainer: Trainer, end_frame: int) -> Iterator[Window]:
+        """Those before `end_frame`."""
+        if trainer.next_window >= end_frame:
+            return
+        for window in trainer.windows():
+            self.pictures.prefetch(window.first_frame + 2, window.first_frame)
+            yield window
+            if window.first_frame + 1 == end_frame:
+                return
+
+    def _piece(self, manifest: Manifest, frame: int, opening: Held | None) -> _Piece:
+        """A piece of the stream from `frame` on, before which a player holds `opening`."""
+        place = GrowingPiece(self.files, SHAPE)
+        quality = QualityMeter(self.cache, manifest)
+        updates = () if opening is None else (opening.as_opening(),)
+        segment = frame // manifest.segment_frames
+        return _Piece(place, StreamWriter.piece(place, manifest, segment, updates, quality))
+
+    def _manifest(self) -> Manifest:
+        return Manifest.from_json(self.files.read(MANIFEST_PATH, MAX_MANIFEST_BYTES))
+
+    def _leave(self, what: str, arrays: Arrays) -> None:
+        self.files.put(self.task.state_path(what), pack_arrays(arrays))
+
+    def _left(self, task: Task, what: str) -> Arrays:
+        return unpack_arrays(self.files.read(task.state_path(what), MAX_STATE_BYTES))
+
+
+@contextmanager
+def opened_worker(task: Task, tell: Tell) -> Iterator[Worker]:
+    """A worker for `task`. Raises SwingsError where capture or settings cannot work."""
+    config = task.run.config
+    prepared = prepare(config)
+    with FrameCache(prepared.capture, prepared.frames, config.scale, config.cache_bytes) as cache:
+        pictures = CapturePictures(cache, prepared.capture.training)
+        yield Worker(task, prepared, cache, pictures, open_files(config.target), tell)
