@@ -64,7 +64,7 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
         {"player"},
     ),
     "trainer": (
-        {"trainer"},
+        {"trainer", "trainer/lease"},
         {"trainer/capture"},
         {"trainer/pictures", "trainer/seed", "trainer/synth"},
         {"trainer/step", "trainer/rig"},

@@ -30,17 +30,14 @@ from trainer.synth.film import SynthConfig, synthesise
 
 
 def _train(config: TrainConfig) -> None:
-    if config.check is not None:
-        say("\n".join(check_capture(config)))
-        return
     console = Console(stderr=True)
+    if config.check is not None:
+        return say("\n".join(check_capture(config)))
     if config.ray is not None:
         train_in_parts(config, config.ray, console)
-        say(str(config.target))
-        return
-    # Bytes must not depend on whether this run compiles the kernels.
-    train_stream(config, console, lambda: start_over_if_compiled(config.fit.sh_degree, console))
-    say(str(config.target))
+    else:  # bytes must not depend on whether this run compiles the kernels
+        train_stream(config, console, lambda: start_over_if_compiled(config.fit.sh_degree, console))
+    return say(str(config.target))
 
 
 @contextmanager

@@ -47,8 +47,9 @@ class GrowingFolder:
     def remove(self, name: str) -> None:
         (self._folder / name).unlink(missing_ok=True)
 
-    def begin(self, head: bytes) -> None:
-        self.check_unused()
+    def begin(self, head: bytes, others_began: bool = False) -> None:
+        if not others_began:
+            self.check_unused()
         self._folder.mkdir(parents=True, exist_ok=True)
         (self._folder / self._shape.folder).mkdir(exist_ok=True)
         write_atomic(self._folder / self._shape.log, b"")

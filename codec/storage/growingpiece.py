@@ -34,7 +34,7 @@ class GrowingPiece:
     def remove(self, name: str) -> None:
         self._files.delete(name)
 
-    def begin(self, head: bytes) -> None:
+    def begin(self, head: bytes, others_began: bool = False) -> None:
         """Whoever has the log has begun."""
 
     def take_over(self, log_bytes: int, record_bytes: int, num_entries: int) -> None:

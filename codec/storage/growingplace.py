@@ -39,8 +39,9 @@ class GrowingPlace(Protocol):
     def remove(self, name: str) -> None:
         """Removes the file called `name` beside the log."""
 
-    def begin(self, head: bytes) -> None:
-        """Takes an unused place: the log is empty. Raises InvalidError."""
+    def begin(self, head: bytes, others_began: bool = False) -> None:
+        """Takes an unused place: the log is empty. others_began: pieces of it may be there (see
+        `GrowingPiece`), so nothing is checked. Raises InvalidError."""
 
     def take_over(self, log_bytes: int, record_bytes: int, num_entries: int) -> None:
         """Goes on where another writer ended, after `num_entries` entries: the log keeps its first

@@ -49,8 +49,9 @@ class GrowingStore:
     def remove(self, name: str) -> None:
         self._store.delete(name)
 
-    def begin(self, head: bytes) -> None:
-        self.check_unused()
+    def begin(self, head: bytes, others_began: bool = False) -> None:
+        if not others_began:
+            self.check_unused()
         found = self._store.read_version(self._shape.log, TOKEN_BYTES)
         self._version = None if found is None else found[1]
         self._swap(os.urandom(TOKEN_BYTES))

@@ -10,7 +10,7 @@ import tyro
 from codec.storage.openfiles import Files
 from tests.support.tiny_capture import write_dynamic3dgs
 from trainer.parts.joiner import Joiner
-from trainer.parts.raydriver import plan
+from trainer.parts.raydriver import plan, run_task
 from trainer.parts.task import Kind, Run, Task
 from trainer.parts.worker import opened_worker
 from trainer.run.config import TrainConfig
@@ -49,21 +49,32 @@ def tasks_of(run: Run) -> list[Task]:
     return [genesis, *parts, *(genesis.other(Kind.SEAM, part.number) for part in run.parts[1:])]
 
 
-def train(run: Run, files: Files, tell: Callable[[int], None] = lambda iterations: None) -> None:
-    """All tasks, each again and again until it is done; pieces are joined as they come."""
+def train(run: Run, files: Files, do: Callable[[Task], None]) -> None:
+    """All tasks; pieces are joined as they come."""
     joiner = Joiner(run, files)
     for task in tasks_of(run):
-        while True:
-            try:
-                with opened_worker(Task.from_json(task.to_json()), tell) as worker:
-                    worker.work()
-                break
-            except DiedError:
-                pass
+        do(task)
         if task.kind is Kind.GENESIS:
             joiner.begin(resumed=False)
         joiner.go_on()
     assert joiner.finish().num_gs == run.config.fit.num_gs
+
+
+def do_here(task: Task, tell: Callable[[int], None] = lambda iterations: None) -> None:
+    """A task, in this process; again and again until it is done."""
+    while True:
+        try:
+            with opened_worker(Task.from_json(task.to_json()), tell) as worker:
+                worker.work()
+            return
+        except DiedError:
+            pass
+
+
+def do_in_process(task: Task) -> None:
+    """A task, in a process of its own."""
+    status, words = run_task(task, lambda iterations: None)
+    assert status == 0, words
 
 
 def contents(stream: Path) -> dict[str, bytes]:

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 
 from codec.errors import InvalidError
 from codec.slice import MAX_SWIN_SIZE
+from trainer.lease.leases import LeaseConfig
 from trainer.step.backend import BackendName
 from trainer.step.device.pick import Picked, Weights, pick_backend
 
-from .leases import LeaseConfig
 from .mcmc import McmcConfig
 from .optimiser import OptimiserConfig
 

@@ -12,16 +12,16 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.slice import Slice
-from codec.slots.update import Update
+from codec.slots.update import PREDICTED, Update
 from codec.splats import Splats
+from trainer.lease.leases import Leases
+from trainer.lease.takeover import Held, Takeover
 from trainer.step.raster import Parameters
 
 from .config import FitConfig
-from .leases import Leases
 from .lifespans import Lifespans
 from .mcmc import relocate
 from .optimiser import Adam
-from .takeover import Held, Takeover
 
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int32]
@@ -124,28 +124,29 @@ class Generations:
 
     def held(self, update: Update) -> Held:
         """What a player holds of the lane of `update`, which has just matured."""
+        offsets = np.zeros(self.lifespans.slice_size, np.uint8)
+        offsets[update.statuses >= PREDICTED] = update.start_offsets
         assert self.leases is not None
         lane = self.lifespans.lane_rows(update.birth % self.lifespans.swin_size)
         drawn = self._read(self.matured_rows(update.birth))
-        return self.leases.held(update.birth, lane, update, drawn)
+        return self.leases.held(update.birth, lane, offsets, drawn)
 
-    def follow(self, birth: int) -> Ints:
-        """Has slots of the slice that is born at `birth` follow another training; gives all of the
-        slice that do, which are shown as that has them, and not trained."""
+    def follow(self, birth: int) -> None:
+        """Has slots of the slice that is born at `birth` follow another training: they are shown as
+        that has them, and not trained."""
         if self.takeover is None:
-            return np.zeros(0, np.int32)
-        lifespans = self.lifespans
+            return
+        lifespans, theirs = self.lifespans, self.takeover.held(birth)
         lane = lifespans.lane_rows(birth % lifespans.swin_size)
-        rows, theirs = self.takeover.go_on(birth, lane), self.takeover.held(birth)
+        rows = self.takeover.go_on(birth, lane)
         if theirs is None:
-            return rows
+            return
         of_lane = rows - lane.start
         lifespans.take_up(rows)
         self._write(rows, theirs.splats.take(of_lane))
         shows = theirs.shows[of_lane]
         lifespans.starts[rows[shows]] += theirs.start_offsets[of_lane][shows]
         lifespans.starts[rows[~shows]] = lifespans.expires[rows[~shows]]
-        return rows
 
     def matured_rows(self, birth: int) -> slice:
         """The rows of the slice born at `birth` from its maturing until the next of its lane."""

@@ -20,6 +20,8 @@ from codec.slice import Slice
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import KEPT, Update
 from codec.splats import Splats
+from trainer.lease.leases import Leases
+from trainer.lease.takeover import Held, Takeover
 from trainer.pictures.feed import Pictures
 from trainer.step.backend import Backend
 from trainer.step.contribution import summed_contribution
@@ -29,12 +31,10 @@ from .cameradraws import CameraDraws
 from .colour import CameraColour
 from .config import FitConfig
 from .generations import Generations
-from .leases import Leases
 from .mcmc import CameraSpread, bound_scales
 from .optimiser import GATE_STEEPNESS, add_noise
 from .renew import Comparer, missing_splats
 from .schedule import Schedule, WindowPlan
-from .takeover import Held, Takeover
 from .together import cells_of, move_together
 
 Floats = npt.NDArray[np.float32]

@@ -35,7 +35,7 @@ class Joiner:
         data = self._files.read(MANIFEST_PATH, MAX_STATE_BYTES)
         self._manifest = manifest = Manifest.from_json(data)
         if not resumed or not self._files.holds(SHAPE.head):
-            self._place.begin(data)
+            self._place.begin(data, others_began=True)
             return
         reader = StreamReader(self._run.config.target)
         self._num_segments = len(reader.records)

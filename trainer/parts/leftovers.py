@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.stream.manifest import MANIFEST_NAME
-from trainer.fit.takeover import Held
 from trainer.fit.trainer import Trainer
+from trainer.lease.takeover import Held
 
 from .task import STATE_FOLDER
 

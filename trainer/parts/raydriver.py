@@ -7,11 +7,12 @@ in a process of its own, so that it compiles and threads as a run without Ray do
 from __future__ import annotations
 
 import logging
+import socket
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, redirect_stdout
 from typing import Any
 
 from rich.console import Console
@@ -37,12 +38,14 @@ RUN_PATH = f"{STATE_FOLDER}/run.json"
 LOOK_S = 0.5
 """How often progress is looked at, seconds."""
 
-MAX_LINE_CHARS = 2_000
-"""Of what a worker said when it failed."""
+CONNECT_S = 10.0
+"""How long the head of a cluster may take to answer, seconds."""
 
+MAX_WORDS_CHARS = 2_000
+"""Of what a process said when it failed."""
 
-class WorkerDiedError(Exception):
-    """A worker's process was killed; another one may have more luck."""
+MAX_DEATHS = 30
+"""Times that the process of a task may be killed before a worker gives up."""
 
 
 def plan(config: TrainConfig, prepared: Prepared) -> Run:
@@ -98,14 +101,27 @@ def _cluster(address: str) -> Iterator[Any]:
     except ImportError as error:
         raise InvalidError("--ray needs the extra ray: pip install 'swings[ray]'") from error
     options: Mapping[str, Any] = {} if address == LOCAL else {"address": address}
+    _check_listens(address)
     try:
         ray.init(log_to_driver=False, logging_level=logging.ERROR, **options)
     except (ConnectionError, ValueError, RuntimeError) as error:
         raise InvalidError(f"--ray {address}: {error}") from error
+    with redirect_stdout(sys.stderr):  # where Ray tells of workers that died
+        try:
+            yield ray
+        finally:
+            ray.shutdown()
+
+
+def _check_listens(address: str) -> None:
+    """Raises InvalidError where nobody listens at HOST:PORT; Ray would try for minutes."""
+    host, colon, port = address.removeprefix("ray://").rpartition(":")
+    if not colon or not port.isdigit():
+        return  # auto and local, and whatever else Ray knows
     try:
-        yield ray
-    finally:
-        ray.shutdown()
+        socket.create_connection((host.strip("[]"), int(port)), CONNECT_S).close()
+    except (OSError, OverflowError) as error:
+        raise InvalidError(f"--ray {address}: no cluster answers there: {error}") from error
 
 
 class _Tally:
@@ -126,11 +142,23 @@ class _Tally:
 
 
 def do(task: Task, tally: Any, *after: object) -> None:
-    """Does a task in a process of its own. tally: the actor. after: what was done before it."""
+    """Does a task in a process of its own, again if that is killed. tally: the actor. after: what
+    was done before it. Raises InvalidError where another try would be of no use."""
+    for _ in range(MAX_DEATHS):
+        tally.begin.remote(task.name)
+        status, words = run_task(task, lambda n: tally.add.remote(task.name, n))
+        if not status:
+            return
+        if status == FAILED:
+            break
+    raise InvalidError(words or f"its process ended with {status}, {MAX_DEATHS} times")
+
+
+def run_task(task: Task, tell: Callable[[int], object]) -> tuple[int, str]:
+    """Does a task in a process of its own; gives its exit status and its last words."""
     with tempfile.NamedTemporaryFile("w", suffix=".json") as told, tempfile.TemporaryFile() as said:
         told.write(task.to_json())
         told.flush()
-        tally.begin.remote(task.name)
         process = subprocess.Popen(
             [sys.executable, "-m", "trainer.parts", told.name],
             stdin=subprocess.PIPE,  # ends when this process does
@@ -141,19 +169,15 @@ def do(task: Task, tally: Any, *after: object) -> None:
         with process:
             assert process.stdout is not None
             for line in process.stdout:
-                tally.add.remote(task.name, int(line))
+                tell(int(line))
         said.seek(0)
-        words = said.read().decode(errors="replace").strip()[-MAX_LINE_CHARS:]
-    if process.returncode == FAILED:
-        raise InvalidError(words)
-    if process.returncode:
-        raise WorkerDiedError(f"{task.name} ended with {process.returncode}: {words}")
+        words = said.read().decode(errors="replace").strip()[-MAX_WORDS_CHARS:]
+    return process.returncode, words
 
 
 def _train(run: Run, files: Files, resumed: bool, ray: Any, console: Console) -> Manifest:
-    remote = ray.remote(
-        num_cpus=run.config.worker_cpus, max_retries=-1, retry_exceptions=[WorkerDiedError]
-    )(do)
+    # Ray does again what a worker did that died; what else goes wrong would go wrong again.
+    remote = ray.remote(num_cpus=run.config.worker_cpus, max_retries=-1)(do)
     tally = ray.remote(num_cpus=0, max_restarts=-1)(_Tally).remote()
     joiner = Joiner(run, files)
     waiting: dict[Any, Task] = {}
@@ -214,7 +238,7 @@ def _tidy(files: Files, task: Task) -> None:
     files.delete(task.other(Kind.PART, task.number).state_path("approach"))
 
 
-def _iterations(run: Run, tasks: Any) -> int:
+def _iterations(run: Run, tasks: Iterable[Task]) -> int:
     """Of all `tasks`."""
     fit, total = run.config.fit, 0
     for task in tasks:

@@ -19,8 +19,8 @@ from codec.storage.growingpiece import GrowingPiece
 from codec.storage.openfiles import Files, open_files
 from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest
 from codec.stream.writer import SHAPE, StreamWriter
-from trainer.fit.takeover import Held, Takeover
 from trainer.fit.trainer import Observer, Progress, Trainer, Window
+from trainer.lease.takeover import Held, Takeover
 from trainer.pictures.feed import CapturePictures
 from trainer.pictures.framecache import FrameCache
 from trainer.run.prepare import Prepared, first_gaussians, make_manifest, prepare

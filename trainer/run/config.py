@@ -100,9 +100,9 @@ class TrainConfig:
     part_frames: int = 300
     """With --ray: frames of a part, which one worker trains after another; rounded up to whole
     segments."""
-    warm_frames: int = 15
+    warm_frames: int = 30
     """With --ray: frames before a part in which it learns what has changed since the first."""
-    seam_frames: int = 15
+    seam_frames: int = 30
     """With --ray: frames in which a part takes over from the one before, rounded up to whole
     segments; they are trained twice."""
     resume: bool = False

@@ -27,9 +27,9 @@ from player.render.cpu import render_splats
 from trainer.capture.capture import Mask
 from trainer.capture.lens import Lens, straightened
 from trainer.fit.config import FitConfig
-from trainer.fit.leases import LeaseConfig
 from trainer.fit.mcmc import McmcConfig
 from trainer.fit.trainer import SMALLEST_HALVED_PX, Trainer
+from trainer.lease.leases import LeaseConfig
 from trainer.pictures.shot import Shot
 from trainer.seed.gaussians import initial_splats, stereo_seeds
 from trainer.storedfiles import forget_stored

@@ -15,13 +15,13 @@ from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
 from player.render.cpu import render_splats
-from trainer.fit.budget import ByteBudget
 from trainer.fit.changescores import ChangeScores
 from trainer.fit.config import FitConfig
 from trainer.fit.generations import Generations
-from trainer.fit.leases import LeaseConfig, Leases
 from trainer.fit.mcmc import McmcConfig
 from trainer.fit.trainer import Trainer
+from trainer.lease.budget import ByteBudget
+from trainer.lease.leases import LeaseConfig, Leases
 from trainer.step.contribution import contribution
 from trainer.step.loss import psnr_db
 from trainer.step.raster import Parameters, View, render

@@ -15,7 +15,7 @@ import pytest
 from codec.storage.openfiles import FilesFolder
 from codec.tools.audit import verify_stream
 from tests.support.commands import run, run_ok
-from tests.support.parts import SETTINGS, capture_of, contents, run_of, train
+from tests.support.parts import SETTINGS, capture_of, contents, do_in_process, run_of, train
 
 pytest.importorskip("ray", reason="ray is not installed")
 
@@ -67,7 +67,7 @@ def test_a_cluster_with_killed_workers_makes_the_stream_that_one_process_makes(
     capture: Path, tmp_path: Path
 ) -> None:
     one = run_of(capture, tmp_path / "one")
-    train(one, FilesFolder(tmp_path / "one"))
+    train(one, FilesFolder(tmp_path / "one"), do_in_process)
     words = [b"-m trainer.parts", b"ray::do"]
     with killer(words, seed=1) as killed:
         told = run_ok(

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import json
 import random
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from codec.storage.openfiles import FilesFolder
+from codec.storage.openfiles import FilesFolder, open_files
 from codec.stream import StreamReader
 from codec.stream.seeker import roll
 from codec.tools.audit import verify_stream
-from tests.support.parts import FRAMES, DiedError, capture_of, contents, run_of, train
+from tests.support.parts import FRAMES, DiedError, capture_of, contents, do_here, run_of, train
+from tests.support.stores.s3_server import BUCKET, s3_server
 from trainer.parts.task import STATE_FOLDER
 
 
@@ -25,7 +27,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def stream(capture: Path) -> Path:
     path = capture.parent / "stream"
-    train(run_of(capture, path), FilesFolder(path))
+    train(run_of(capture, path), FilesFolder(path), do_here)
     return path
 
 
@@ -58,10 +60,20 @@ def test_workers_that_die_leave_the_same_stream(
 
     def die(iterations: int) -> None:
         nonlocal left
-        if left and rng.random() < 0.3:
+        if left and rng.random() < 0.5:
             left -= 1
             raise DiedError
 
-    train(run_of(capture, tmp_path / "stream"), FilesFolder(tmp_path / "stream"), die)
+    path = tmp_path / "stream"
+    train(run_of(capture, path), FilesFolder(path), partial(do_here, tell=die))
     assert left == 0
-    assert contents(tmp_path / "stream") == contents(stream)
+    assert contents(path) == contents(stream)
+
+
+def test_from_store_to_store_are_the_bytes_of_folders(capture: Path, stream: Path) -> None:
+    with s3_server() as server:
+        server.upload(capture, "captures/one")
+        url = f"s3://{BUCKET}/streams/one"
+        train(run_of(f"s3://{BUCKET}/captures/one", url), open_files(url), do_here)
+        assert server.files("streams/one") == contents(stream)
+        assert not verify_stream(url).live

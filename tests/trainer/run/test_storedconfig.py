@@ -11,7 +11,7 @@ import pytest
 
 from codec.profiles.profile import Profile
 from trainer.fit.config import FitConfig
-from trainer.fit.leases import LeaseConfig
+from trainer.lease.leases import LeaseConfig
 from trainer.run.config import TrainConfig
 from trainer.run.preset import PRESETS
 from trainer.run.storedconfig import config_from_json, config_to_json

@@ -26,6 +26,7 @@ from .takeover import NEAR_STEPS, Held
 Ints = npt.NDArray[np.int32]
 Flags = npt.NDArray[np.bool_]
 Doubles = npt.NDArray[np.float64]
+Bytes = npt.NDArray[np.uint8]
 
 TRADE_GAIN = 4.0
 """How many times as much a Gaussian of a higher layer must contribute to be worth a trade."""
@@ -175,14 +176,12 @@ class Leases:
             high = np.concatenate([high, rows[best[worth]]])
         return low.astype(np.int32), high.astype(np.int32)
 
-    def held(self, birth: int, lane: slice, update: Update, splats: Splats) -> Held:
-        """What a player holds of `lane` when `update`, that of `birth`, has just matured. splats:
-        as they are drawn."""
-        offsets = np.zeros(len(splats), np.uint8)
-        offsets[update.statuses >= PREDICTED] = update.start_offsets
+    def held(self, birth: int, lane: slice, start_offsets: Bytes, splats: Splats) -> Held:
+        """What a player holds of `lane` from `birth` on, whose next life has not begun. splats: as
+        they are drawn."""
         states = self.states.take(lane).copy()
         shows, escaped = self.is_shown[lane].copy(), self.is_other[lane] & self.is_shown[lane]
-        return Held(birth, states, shows, escaped, offsets, splats)
+        return Held(birth, states, shows, escaped, start_offsets, splats)
 
     def mature(
         self,
@@ -197,8 +196,8 @@ class Leases:
         and those with the values that a player has from now on.
 
         lane, is_active, splats, start_offsets: of all slots of the lane, of which only the active
-        ones have been trained. other: which of the slots follow another training, and what that
-        holds; they are not active.
+        ones have been trained. other: which of the slots are given what they hold, and that; they
+        are not active.
         """
         statuses = np.full(len(splats), KEPT, np.uint8)
         decoded = [array.copy() for array in splats.arrays]
@@ -258,8 +257,8 @@ class Leases:
         is_shown: Flags,
         is_other: Flags,
     ) -> None:
-        """Makes `rows` of a lane what another training holds: fills in their statuses, and what is
-        held of them."""
+        """Makes `rows` of a lane what they are to hold: fills in their statuses, and what is held
+        of them."""
         before, after = held.take(rows), theirs.states.take(rows)
         was_shown, shows = is_shown[rows], theirs.shows[rows]
         steps = np.abs(after.numbers() - before.numbers()).max(axis=1)

@@ -16,13 +16,18 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.errors import InvalidError
+from codec.profiles.morton import interleave
 from codec.slots.lattice import States
 from codec.slots.update import KEPT, NEW, Update
 from codec.splats import ARRAY_NAMES, Splats
 
 Ints = npt.NDArray[np.int32]
 Flags = npt.NDArray[np.bool_]
+Longs = npt.NDArray[np.int64]
 Bytes = npt.NDArray[np.uint8]
+
+CELLS_PER_TURN = 4
+"""Cells of the scene that change to another training with each birth."""
 
 NEAR_STEPS = 64
 """Steps of the lattice up to which a slot that changes to another training's Gaussian goes there
@@ -80,7 +85,11 @@ class Held:
 
 
 class Takeover:
-    """Which slots follow another training by now. The same seed makes the same choices."""
+    """Who follows another training by now. The same seed makes the same choices.
+
+    Slots follow cell by cell of the scene: what one training splits between neighbours the other
+    splits in another way, so a few of them alone show what neither has learned.
+    """
 
     def __init__(self, other: Mapping[int, Held], swin_size: int, seed: int) -> None:
         """other: what the other training holds, by birth: of births that follow one another, one
@@ -89,11 +98,17 @@ class Takeover:
         if len(births) < swin_size or births != list(range(births[0], births[-1] + 1)):
             raise InvalidError(f"a seam of births {births}: give at least {swin_size} in a row")
         self._other = other
-        self._swin_size = swin_size
-        self._seed = seed
-        self._last = births[-1]
-        self.follows = np.zeros(swin_size * len(other[births[0]].shows), np.bool_)
-        """(num_gs,) the slots that follow."""
+        # Of each lane what it holds in the end, lane after lane.
+        last = sorted((other[b] for b in births[-swin_size:]), key=lambda h: h.birth % swin_size)
+        means = np.concatenate([held.splats.means for held in last])
+        rng = np.random.default_rng(seed)
+        self._turns = births[0] + turns(means, len(births), rng)
+        slice_size = len(means) // swin_size
+        for lane, held in enumerate(last):  # at the end all of them do
+            mine = self._turns[lane * slice_size : (lane + 1) * slice_size]
+            np.minimum(mine, held.birth, out=mine)
+        self.follows = np.zeros(len(means), np.bool_)
+        """(num_gs,) the slots that follow, in the newest life of their lane."""
 
     def held(self, birth: int) -> Held | None:
         """What the other training holds of the lane of `birth`; None outside the seam."""
@@ -101,12 +116,20 @@ class Takeover:
 
     def go_on(self, birth: int, lane: slice) -> Ints:
         """Has more slots of `lane`, that of `birth`, follow; gives all that do."""
-        if birth not in self._other:
-            return np.zeros(0, np.int32)
-        turns_left = (self._last - birth) // self._swin_size + 1
-        others = np.flatnonzero(~self.follows[lane])
-        rng = np.random.default_rng((self._seed, birth))
-        more = rng.permutation(others)[: -(-len(others) // turns_left)]
-        self.follows[lane.start + more] = True
+        self.follows[lane] = (self._turns[lane] <= birth) & (birth in self._other)
         following: Ints = (lane.start + np.flatnonzero(self.follows[lane])).astype(np.int32)
         return following
+
+
+def turns(means: npt.NDArray[np.float32], count: int, rng: np.random.Generator) -> Longs:
+    """(N,) 0 to count - 1: whose turn it is when, as many each time, in cells of the scene that are
+    drawn at random. means: (N, 3), metres, world."""
+    low, high = np.percentile(means, 2, axis=0), np.percentile(means, 98, axis=0)
+    extent = max(float((high - low).max()), 1e-6)
+    places = np.clip((means - low) * (((1 << 16) - 1) / extent), 0, (1 << 16) - 1)
+    order = np.argsort(interleave(places.astype(np.int64)), kind="stable")
+    num_cells = CELLS_PER_TURN * count
+    cells = np.empty(len(means), np.int64)
+    cells[order] = np.arange(len(means)) * num_cells // len(means)
+    drawn: Longs = rng.permutation(num_cells)[cells] // CELLS_PER_TURN
+    return drawn
