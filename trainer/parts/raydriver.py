@@ -7,6 +7,8 @@ in a process of its own, so that it compiles and threads as a run without Ray do
 from __future__ import annotations
 
 import logging
+import math
+import os
 import socket
 import subprocess
 import sys
@@ -73,7 +75,7 @@ def train_in_parts(config: TrainConfig, address: str, console: Console) -> Manif
     with console.status("what the cameras see"):
         run = plan(config, prepare(config))
     try:
-        with _cluster(address) as ray:
+        with _cluster(address, config.worker_cpus) as ray:
             resumed = _begin(run, files, config.resume)
             return _train(run, files, resumed, ray, console)
     except KeyboardInterrupt:
@@ -95,12 +97,15 @@ def _begin(run: Run, files: Files, resume: bool) -> bool:
 
 
 @contextmanager
-def _cluster(address: str) -> Iterator[Any]:
+def _cluster(address: str, least_cpus: float) -> Iterator[Any]:
+    """The cluster at `address`; one of this machine alone has `least_cpus` in any case."""
     try:
         import ray
     except ImportError as error:
         raise InvalidError("--ray needs the extra ray: pip install 'swings[ray]'") from error
-    options: Mapping[str, Any] = {} if address == LOCAL else {"address": address}
+    options: Mapping[str, Any] = {"address": address}
+    if address == LOCAL:
+        options = {"num_cpus": max(os.cpu_count() or 1, math.ceil(least_cpus))}
     _check_listens(address)
     try:
         ray.init(log_to_driver=False, logging_level=logging.ERROR, **options)

@@ -96,7 +96,7 @@ class TrainConfig:
     without an address on this machine alone. Capture and stream must be where all of its nodes
     find them: in an object store, or in a folder that they share."""
     worker_cpus: float = 2
-    """With --ray: cores that a worker claims."""
+    """With --ray: cores that a worker claims, of those that the cluster has."""
     part_frames: int = 300
     """With --ray: frames of a part, which one worker trains after another; rounded up to whole
     segments."""
