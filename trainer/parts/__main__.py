@@ -17,6 +17,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 from rich.console import Console
 
 from codec.errors import SwingsError
+from codec.storage.openfiles import open_files
 from trainer.run.warm import start_over_if_compiled
 
 from .task import Task
@@ -30,6 +31,8 @@ def main() -> int:
     """Reads the task, does it."""
     task = Task.from_json(Path(sys.argv[1]).read_text(encoding="utf-8"))
     threading.Thread(target=_end_with_stdin, daemon=True).start()
+    if open_files(task.run.config.target).holds(task.last_path):
+        return 0  # whoever did it died before it could say so
     start_over_if_compiled(task.run.config.fit.sh_degree, Console(file=sys.stderr, quiet=True))
     try:
         with opened_worker(task, lambda iterations: print(iterations, flush=True)) as worker:

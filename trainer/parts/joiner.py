@@ -50,7 +50,7 @@ class Joiner:
     def go_on(self) -> list[Task]:
         """Takes in what has been finished; gives the tasks whose segments are new in the index."""
         taken = []
-        while self._waiting and self._files.holds(self._waiting[0].state_path("records")):
+        while self._waiting and self._files.holds(self._waiting[0].last_path):
             task = self._waiting.pop(0)
             for record in self._records_of(task):
                 self._place.append(self._num_segments * len(record), record)
@@ -69,5 +69,5 @@ class Joiner:
         return finished
 
     def _records_of(self, task: Task) -> list[bytes]:
-        rows = unpack_arrays(self._files.read(task.state_path("records"), MAX_STATE_BYTES))
+        rows = unpack_arrays(self._files.read(task.last_path, MAX_STATE_BYTES))
         return [row.tobytes() for row in rows["records"]]

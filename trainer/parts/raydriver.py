@@ -15,6 +15,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
+from dataclasses import replace
 from typing import Any
 
 from rich.console import Console
@@ -72,14 +73,15 @@ def train_in_parts(config: TrainConfig, address: str, console: Console) -> Manif
     config.check_profile()
     files = open_files(config.target)
     check_targets(config)
+    afresh = replace(config, resume=False)  # as workers are told it
     with console.status("what the cameras see"):
-        run = plan(config, prepare(config))
+        run = plan(afresh, prepare(afresh))
     try:
         with _cluster(address, config.worker_cpus) as ray:
             resumed = _begin(run, files, config.resume)
             return _train(run, files, resumed, ray, console)
     except KeyboardInterrupt:
-        console.print(f"stopped; --resume goes on with {config.target}", markup=False)
+        console.print("stopped; --resume goes on from there", highlight=False)
         raise
 
 
@@ -189,8 +191,7 @@ def _train(run: Run, files: Files, resumed: bool, ray: Any, console: Console) ->
     refs: dict[str, Any] = {}
 
     def start(task: Task, *after: Task) -> None:
-        done = "state" if task.kind is Kind.GENESIS else "records"
-        if files.holds(task.state_path(done)):
+        if files.holds(task.last_path):
             return
         needed = [refs[other.name] for other in after if other.name in refs]
         ref = refs[task.name] = remote.remote(task, tally, *needed)

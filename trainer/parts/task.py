@@ -65,6 +65,11 @@ class Task:
         """Where in the stream's place the task keeps something."""
         return f"{STATE_FOLDER}/{self.name}.{what}"
 
+    @property
+    def last_path(self) -> str:
+        """What the task leaves last: where that is, it is done."""
+        return self.state_path("state" if self.kind is Kind.GENESIS else "records")
+
     def other(self, kind: Kind, number: int = 0) -> Task:
         """Another task of the same run."""
         return Task(self.run, kind, number)

@@ -117,8 +117,8 @@ class Worker:
         manifest = make_manifest(config, self.prepared, self.cache, initial)
         trainer = self._trainer(manifest, initial)
         (held,) = trainer.held(next(trainer.windows()))
-        self._leave("state", standing(trainer, held))
         self.files.put(MANIFEST_PATH, manifest.to_json())
+        self._leave("state", standing(trainer, held))  # last: who finds it finds both
 
     def _train_part(self) -> None:
         task, part, run = self.task, self.task.part, self.task.run

@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import random
 import signal
+import subprocess
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,8 +16,9 @@ import pytest
 
 from codec.storage.openfiles import FilesFolder
 from codec.tools.audit import verify_stream
-from tests.support.commands import run, run_ok
+from tests.support.commands import command, environment, run, run_ok
 from tests.support.parts import SETTINGS, capture_of, contents, do_in_process, run_of, train
+from trainer.parts.task import STATE_FOLDER
 
 pytest.importorskip("ray", reason="ray is not installed")
 
@@ -25,6 +28,14 @@ KILLS = 4
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return capture_of(tmp_path_factory.mktemp("ray"))
+
+
+@pytest.fixture(scope="module")
+def one(capture: Path) -> Path:
+    """The stream, by one process after another."""
+    stream = capture.parent / "one"
+    train(run_of(capture, stream), FilesFolder(stream), do_in_process)
+    return stream
 
 
 def processes(words: bytes) -> list[int]:
@@ -64,10 +75,8 @@ def killer(words: list[bytes], seed: int) -> Iterator[list[int]]:
 
 
 def test_a_cluster_with_killed_workers_makes_the_stream_that_one_process_makes(
-    capture: Path, tmp_path: Path
+    capture: Path, one: Path, tmp_path: Path
 ) -> None:
-    one = run_of(capture, tmp_path / "one")
-    train(one, FilesFolder(tmp_path / "one"), do_in_process)
     words = [b"-m trainer.parts", b"ray::do"]
     with killer(words, seed=1) as killed:
         told = run_ok(
@@ -75,8 +84,34 @@ def test_a_cluster_with_killed_workers_makes_the_stream_that_one_process_makes(
         )
     assert told == f"{tmp_path / 'many'}\n"
     assert sum(killed) > 1
-    assert contents(tmp_path / "many") == contents(tmp_path / "one")
+    assert contents(tmp_path / "many") == contents(one)
     assert not verify_stream(tmp_path / "many").live
+
+
+def test_a_run_that_is_stopped_goes_on_with_what_is_there(
+    capture: Path, one: Path, tmp_path: Path
+) -> None:
+    stream = tmp_path / "many"
+    arguments = [capture, stream, *SETTINGS, "--ray", "--worker-cpus", 1]
+    stopped = subprocess.Popen(
+        command("swings-train", *arguments),
+        env=environment(),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline_s = time.monotonic() + 120
+    while not (stream / STATE_FOLDER / "part-0.records").exists():
+        assert stopped.poll() is None
+        assert time.monotonic() < deadline_s
+        time.sleep(0.01)
+    stopped.send_signal(signal.SIGINT)
+    assert "--resume goes on from there" in stopped.communicate()[1]
+    other = run("swings-train", *arguments, "--resume", "--num-gs", 300)
+    assert (other.returncode, other.stderr.count("\n")) == (1, 1)
+    assert "wants the options" in other.stderr
+    run_ok("swings-train", *arguments, "--resume")
+    assert contents(stream) == contents(one)
 
 
 def test_what_no_cluster_can_train_is_one_line(capture: Path, tmp_path: Path) -> None:
