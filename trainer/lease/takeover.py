@@ -26,8 +26,9 @@ Flags = npt.NDArray[np.bool_]
 Longs = npt.NDArray[np.int64]
 Bytes = npt.NDArray[np.uint8]
 
-CELLS_PER_TURN = 4
-"""Cells of the scene that change to another training with each birth."""
+CELLS_PER_TURN = 1
+"""Cells of the scene that change to another training with each birth. More and smaller ones have
+longer borders, where neither side has learned to live with the other."""
 
 NEAR_STEPS = 64
 """Steps of the lattice up to which a slot that changes to another training's Gaussian goes there

@@ -256,7 +256,7 @@ def _iterations(run: Run, tasks: Iterable[Task]) -> int:
                 warm = min(run.config.warm_frames, part.first_frame - 1) if part.number else -1
                 total += (part.end_frame - part.first_frame + warm) * fit.iterations(1)
             case Kind.SEAM:
-                total += run.seam_frames * fit.iterations(1)
+                total += run.seam_frames * run.seam_fit.iterations(1)
     return total
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
+from trainer.fit.config import FitConfig
 from trainer.run.config import TrainConfig
 from trainer.run.storedconfig import config_from_json, config_to_json
 
@@ -13,6 +14,14 @@ from .cut import Part
 
 STATE_FOLDER = ".parts"
 """In the stream's place, until the stream is finished: what workers leave for others."""
+
+
+ACTIVE_IN_SEAM = 0.4
+"""Of the usual share of active slots, what trains along in a seam: that some go over is motion
+enough, and the rest need only learn to live with them."""
+
+ITERATIONS_IN_SEAM = 1.5
+"""Times the usual iterations of a window: what goes over is new to those that train along."""
 
 
 def whole_segments(frames: int, segment_frames: int) -> int:
@@ -42,6 +51,14 @@ class Run:
     def seam_frames(self) -> int:
         """Frames in which a part takes over from the one before: whole segments."""
         return whole_segments(self.config.seam_frames, self.config.segment_frames)
+
+    @property
+    def seam_fit(self) -> FitConfig:
+        """How a seam is trained."""
+        fit = self.config.fit
+        lease = replace(fit.lease, active_share=ACTIVE_IN_SEAM * fit.lease.active_share)
+        iterations = round(ITERATIONS_IN_SEAM * fit.window_iterations)
+        return replace(fit, lease=lease, window_iterations=iterations)
 
 
 @dataclass(frozen=True, slots=True)

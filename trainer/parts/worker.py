@@ -19,6 +19,7 @@ from codec.storage.growingpiece import GrowingPiece
 from codec.storage.openfiles import Files, open_files
 from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest
 from codec.stream.writer import SHAPE, StreamWriter
+from trainer.fit.config import FitConfig
 from trainer.fit.trainer import Observer, Progress, Trainer, Window
 from trainer.lease.takeover import Held, Takeover
 from trainer.pictures.feed import CapturePictures
@@ -97,17 +98,21 @@ class Worker:
             case Kind.SEAM:
                 self._train_seam()
 
-    def _resumed(self, manifest: Manifest, arrays: Arrays) -> Trainer:
-        """A trainer that goes on from what `standing` gave."""
-        trainer = self._trainer(manifest, None)
+    def _resumed(
+        self, manifest: Manifest, arrays: Arrays, fit: FitConfig | None = None
+    ) -> Trainer:
+        """A trainer that goes on from what `standing` gave, with the run's settings or `fit`."""
+        trainer = self._trainer(manifest, None, fit)
         trainer.restore(below("state", arrays))
         return trainer
 
-    def _trainer(self, manifest: Manifest, initial: Splats | None) -> Trainer:
+    def _trainer(
+        self, manifest: Manifest, initial: Splats | None, fit: FitConfig | None = None
+    ) -> Trainer:
         prepared = self.prepared
         return Trainer(
-            self.task.run.config.fit, self.pictures, initial, prepared.near_m, prepared.far_m,
-            prepared.picked.backend, (_Teller(self.tell),), manifest.slot_layout,
+            fit or self.task.run.config.fit, self.pictures, initial, prepared.near_m,
+            prepared.far_m, prepared.picked.backend, (_Teller(self.tell),), manifest.slot_layout,
             prepared.search_from_m,
         )  # fmt: skip
 
@@ -168,7 +173,7 @@ class Worker:
         arrays = self._left(task.other(Kind.PART, part.number), "approach")
         births = range(part.first_frame, part.first_frame + run.seam_frames)
         other = {birth: Held.from_arrays(below(birth, arrays)) for birth in births}
-        trainer = self._resumed(manifest, before)
+        trainer = self._resumed(manifest, before, run.seam_fit)
         trainer.take_over(Takeover(other, config.fit.swin_size, config.fit.seed))
         piece = self._piece(manifest, births.start, held_in(before))
         for window in self._windows(trainer, births.stop):
