@@ -1,15 +1,18 @@
 """Training on a GPU at the paper's scale: seconds per frame, quality and memory against the length,
-by gsplat and by plain torch.
+by gsplat and by plain torch, in one go and in parts.
 
-Usage: scripts/bench cuda CAPTURE [--frames 30 75 150] [--backends cuda torch]
+Usage: scripts/bench cuda CAPTURE [--frames 30 75 150] [--backends cuda torch] [--ray-workers 2]
 
 Needs a GPU: an NVIDIA one and the extra `cuda`, or one that torch knows and `--backends torch`.
 Preset paper, from the first frame on, scored from the decoded files; each training is in a process
-of its own.
+of its own. With `--ray-workers`, and the extra `ray`, the longest is trained twice more with slots
+that last a frame (profile lattice, swin_size 1), as parts need them: in one go, and in a part for
+each of so many workers, which share the GPUs of this machine.
 """
 
 from __future__ import annotations
 
+import math
 import resource
 import sys
 import tempfile
@@ -26,14 +29,18 @@ from rich.console import Console
 from rich.table import Table
 
 from codec.console import run_command
-from trainer.run.config import TrainConfig
+from codec.profiles.profile import Profile
+from trainer.parts.raydriver import train_in_parts
+from trainer.run.config import LOCAL, TrainConfig
 from trainer.run.job import train_stream
 from trainer.run.preset import PRESETS
 from trainer.score.evaluate import EvaluateConfig, evaluate_stream
 
 DeviceBackendName = Literal["cuda", "torch"]
+How = Literal["slices", "slots", "parts"]
+"""As the preset says; slots that last a frame; the same in parts."""
 COLUMNS = (
-    "backend", "frames", "s/frame", "PSNR dB", "SSIM", "GPU GB", "host GB", "kB/frame",
+    "backend", "how", "frames", "s/frame", "PSNR dB", "SSIM", "GPU GB", "host GB", "kB/frame",
 )  # fmt: skip
 
 
@@ -47,6 +54,10 @@ class CudaConfig:
     """Lengths to train."""
     backends: tuple[DeviceBackendName, ...] = ("cuda", "torch")
     """What to train with: cuda (gsplat), torch (plain torch)."""
+    ray_workers: int = 0
+    """Workers of Ray that train the longest side by side; 0 for none."""
+    worker_cpus: float = 4
+    """Cores that each of them claims."""
     torch_device: str | None = None
     """Device of backend torch, as in swings-train."""
     scale: float = 1.0
@@ -64,12 +75,14 @@ class Measured:
     """One training."""
 
     backend: DeviceBackendName
+    how: How
     frames: int
     s_per_frame: float
     psnr_db: float
     ssim: float
     device_bytes: int | None
-    """The most that torch has held on the device; None where torch does not count it."""
+    """The most that torch has held on the device; None where torch does not count it, and for
+    parts, whose workers hold it."""
     host_bytes: int
     bytes_per_frame: float
 
@@ -78,8 +91,8 @@ class Measured:
         """In the order of COLUMNS."""
         on_device = "-" if self.device_bytes is None else f"{self.device_bytes / 1e9:.2f}"
         return (
-            self.backend, str(self.frames), f"{self.s_per_frame:.1f}", f"{self.psnr_db:.2f}",
-            f"{self.ssim:.3f}", on_device, f"{self.host_bytes / 1e9:.2f}",
+            self.backend, self.how, str(self.frames), f"{self.s_per_frame:.1f}",
+            f"{self.psnr_db:.2f}", f"{self.ssim:.3f}", on_device, f"{self.host_bytes / 1e9:.2f}",
             f"{self.bytes_per_frame / 1e3:.0f}",
         )  # fmt: skip
 
@@ -101,6 +114,29 @@ def training(
     return replace(paper, fit=fit)
 
 
+def with_slots(job: TrainConfig) -> TrainConfig:
+    """The same with slots that last a frame."""
+    fit = replace(job.fit, swin_size=1)
+    return replace(job, profile=Profile.LATTICE, rank="contribution", fit=fit)
+
+
+def in_parts(job: TrainConfig, config: CudaConfig, num_frames: int) -> TrainConfig:
+    """The same in a part for each worker."""
+    import torch
+
+    part_frames = -(-num_frames // config.ray_workers)
+    seam_frames = min(job.seam_frames, part_frames // 2)
+    return replace(
+        job,
+        ray=LOCAL,
+        part_frames=part_frames,
+        seam_frames=seam_frames,
+        segment_frames=math.gcd(part_frames, seam_frames),
+        worker_cpus=config.worker_cpus,
+        worker_gpus=torch.cuda.device_count() / config.ray_workers,
+    )
+
+
 def _device_peak_bytes() -> int | None:
     import torch
 
@@ -111,28 +147,44 @@ def _device_peak_bytes() -> int | None:
     return None
 
 
-def measured(config: CudaConfig, backend: DeviceBackendName, num_frames: int) -> Measured:
-    """Trains and scores; memory is of the whole process."""
+def measured(config: CudaConfig, backend: DeviceBackendName, how: How, num_frames: int) -> Measured:
+    """Trains and scores; memory is of the whole process, in parts of the driver."""
+    console = Console(stderr=True)
     with tempfile.TemporaryDirectory() as folder:
         stream = Path(folder) / "stream"
+        job = training(config, backend, num_frames, stream)
+        if how != "slices":
+            job = with_slots(job)
         begin_s = time.monotonic()
-        train_stream(training(config, backend, num_frames, stream), Console(stderr=True))
+        if how == "parts":
+            train_in_parts(in_parts(job, config, num_frames), LOCAL, console)
+        else:
+            train_stream(job, console)
         took_s = time.monotonic() - begin_s
         unit_bytes = 1 if sys.platform == "darwin" else 1024
         host_bytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit_bytes
         score = evaluate_stream(EvaluateConfig(stream, config.capture)).layers[-1]
+    device_bytes = None if how == "parts" else _device_peak_bytes()
     return Measured(
-        backend, num_frames, took_s / num_frames, score.psnr_db, score.ssim, _device_peak_bytes(),
+        backend, how, num_frames, took_s / num_frames, score.psnr_db, score.ssim, device_bytes,
         host_bytes, score.bytes_per_frame,
     )  # fmt: skip
 
 
 def rows(config: CudaConfig) -> Iterator[Measured]:
-    """Every length by every backend, each in a process of its own."""
-    for num_frames in config.frames:
+    """Every length by every backend, each in a process of its own; then what is in parts."""
+    wanted: list[tuple[DeviceBackendName, How, int]] = [
+        (backend, "slices", num_frames)
+        for num_frames in config.frames
+        for backend in config.backends
+    ]
+    if config.ray_workers:
+        longest = max(config.frames)
         for backend in config.backends:
-            with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
-                yield process.submit(measured, config, backend, num_frames).result()
+            wanted += [(backend, "slots", longest), (backend, "parts", longest)]
+    for each in wanted:
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
+            yield process.submit(measured, config, *each).result()
 
 
 def run(config: CudaConfig) -> None:

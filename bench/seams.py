@@ -28,8 +28,9 @@ from codec.errors import InvalidError
 from codec.storage.openfiles import FilesFolder
 from codec.stream import StreamReader
 from trainer.parts.joiner import Joiner
-from trainer.parts.raydriver import plan, run_task
+from trainer.parts.raydriver import plan
 from trainer.parts.task import Kind, Run, Task
+from trainer.parts.taskprocess import run_task
 from trainer.run.config import TrainConfig
 from trainer.run.job import train_stream
 from trainer.run.prepare import prepare
@@ -132,7 +133,8 @@ def train_parts(run: Run, console: Console) -> None:
             raise InvalidError(f"{task.name}: {words}")
         if task is genesis:
             joiner.begin(resumed=False)
-        joiner.go_on()
+        for _ in joiner.go_on():
+            pass
     joiner.finish()
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -19,8 +21,13 @@ def config(folder: Path) -> CudaConfig:
     )  # fmt: skip
 
 
+def hows(printed: str) -> list[str]:
+    """Of the rows of a table, how each was trained: for 6 frames, by torch."""
+    return re.findall(r"│\s+torch │\s+(\w+) │\s+6 │", printed)
+
+
 def test_a_row_has_time_quality_and_memory(tmp_path: Path) -> None:
-    row = measured(config(tmp_path), "torch", 6)
+    row = measured(config(tmp_path), "torch", "slices", 6)
     assert len(row.texts) == len(COLUMNS)
     assert row.s_per_frame > 0
     assert row.psnr_db > 5
@@ -28,12 +35,23 @@ def test_a_row_has_time_quality_and_memory(tmp_path: Path) -> None:
     assert row.bytes_per_frame > 0
 
 
-def test_the_table_is_one_call(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_table_is_one_call(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "120")  # so that no heading is broken
     run(config(tmp_path))
     printed = capsys.readouterr().out
     assert "torch on cpu: 200 Gaussians" in printed
     assert "s/frame" in printed
-    assert "│   torch │      6 │" in printed
+    assert hows(printed) == ["slices"]
+
+
+def test_parts_are_trained_beside_the_same_in_one_go(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("ray", reason="ray is not installed")
+    run(replace(config(tmp_path), ray_workers=2, worker_cpus=1))
+    assert hows(capsys.readouterr().out) == ["slices", "slots", "parts"]
 
 
 def test_a_machine_that_cannot_is_said_before_anything_is_read(tmp_path: Path) -> None:

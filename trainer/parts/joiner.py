@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from codec.storage.openfiles import Files
 from codec.storage.opengrowing import open_growing
 from codec.stream import StreamReader
-from codec.stream.index import record_bytes
+from codec.stream.index import SegmentRecord, parse_index, record_bytes
 from codec.stream.manifest import Manifest
 from codec.stream.poster import write_poster
 from codec.stream.writer import SHAPE
@@ -30,13 +32,14 @@ class Joiner:
         ]
         """The tasks whose segments are not in the index, in order."""
 
-    def begin(self, resumed: bool) -> None:
-        """Makes the place a stream; genesis has been trained. resumed: it may be one already."""
+    def begin(self, resumed: bool) -> list[SegmentRecord]:
+        """Makes the place a stream; genesis has been trained. resumed: it may be one already; gives
+        the segments in its index."""
         data = self._files.read(MANIFEST_PATH, MAX_STATE_BYTES)
         self._manifest = manifest = Manifest.from_json(data)
         if not resumed or not self._files.holds(SHAPE.head):
             self._place.begin(data, others_began=True)
-            return
+            return []
         reader = StreamReader(self._run.config.target)
         self._num_segments = len(reader.records)
         size = record_bytes(manifest.num_layers, manifest.has_slots)
@@ -46,17 +49,20 @@ class Joiner:
         named = 0
         while self._waiting and named < self._num_segments:
             named += len(self._records_of(self._waiting.pop(0)))
+        return list(reader.records)
 
-    def go_on(self) -> list[Task]:
-        """Takes in what has been finished; gives the tasks whose segments are new in the index."""
-        taken = []
+    def go_on(self) -> Iterator[tuple[Task, list[SegmentRecord]]]:
+        """Takes in what has been finished; gives each task whose segments are new in the index, and
+        those."""
+        assert self._manifest is not None
         while self._waiting and self._files.holds(self._waiting[0].last_path):
             task = self._waiting.pop(0)
-            for record in self._records_of(task):
-                self._place.append(self._num_segments * len(record), record)
+            rows, first = self._records_of(task), self._num_segments
+            for row in rows:
+                self._place.append(self._num_segments * len(row), row)
                 self._num_segments += 1
-            taken.append(task)
-        return taken
+            manifest = self._manifest
+            yield task, parse_index(b"".join(rows), manifest.num_layers, first, manifest.has_slots)
 
     def finish(self) -> Manifest:
         """Marks the stream as finished; all tasks are done."""

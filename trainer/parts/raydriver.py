@@ -1,54 +1,37 @@
 """`swings-train --ray`: a run in parts on a Ray cluster, from the driver's side.
 
-Ray decides where each task is done, and has it done again where its worker died. What is done runs
-in a process of its own, so that it compiles and threads as a run without Ray does.
+Ray decides where each task is done, and has it done again where its worker died.
 """
 
 from __future__ import annotations
 
-import logging
-import math
-import os
-import socket
-import subprocess
-import sys
-import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from codec.errors import InvalidError
 from codec.profiles.profile import Profile
 from codec.storage.openfiles import Files, open_files
 from codec.stream.manifest import Manifest
-from trainer.run.config import LOCAL, TrainConfig
+from trainer.run.config import TrainConfig
 from trainer.run.outputs import check_targets
 from trainer.run.prepare import Prepared, prepare
+from trainer.run.progressline import ProgressLine
+from trainer.run.runlog import LOG_NAME, RunLog
 
-from .__main__ import FAILED
+from .cluster import look_for_room, open_cluster
 from .cut import cut
 from .joiner import Joiner
+from .joinmonitor import JoinMonitor
 from .task import STATE_FOLDER, Kind, Run, Task, whole_segments
-
-log = logging.getLogger(__name__)
+from .taskprocess import Tally, do
 
 RUN_PATH = f"{STATE_FOLDER}/run.json"
 
 LOOK_S = 0.5
 """How often progress is looked at, seconds."""
-
-CONNECT_S = 10.0
-"""How long the head of a cluster may take to answer, seconds."""
-
-MAX_WORDS_CHARS = 2_000
-"""Of what a process said when it failed."""
-
-MAX_DEATHS = 30
-"""Times that the process of a task may be killed before a worker gives up."""
 
 
 def plan(config: TrainConfig, prepared: Prepared) -> Run:
@@ -75,11 +58,16 @@ def train_in_parts(config: TrainConfig, address: str, console: Console) -> Manif
     check_targets(config)
     afresh = replace(config, resume=False)  # as workers are told it
     with console.status("what the cameras see"):
-        run = plan(afresh, prepare(afresh))
+        prepared = prepare(afresh)
+        run = plan(afresh, prepared)
     try:
-        with _cluster(address, config.worker_cpus) as ray:
+        with open_cluster(address, config.worker_cpus) as ray:
+            look_for_room(ray, config, console)
             resumed = _begin(run, files, config.resume)
-            return _train(run, files, resumed, ray, console)
+            log_path = config.log or config.work_folder / LOG_NAME
+            with ProgressLine(console) as line, RunLog(log_path, config.tensorboard) as runlog:
+                monitor = JoinMonitor(line, runlog, len(prepared.frames))
+                return _train(run, files, resumed, ray, monitor)
     except KeyboardInterrupt:
         console.print("stopped; --resume goes on from there", highlight=False)
         raise
@@ -87,7 +75,12 @@ def train_in_parts(config: TrainConfig, address: str, console: Console) -> Manif
 
 def _begin(run: Run, files: Files, resume: bool) -> bool:
     """Notes what is trained; whether something of it is there."""
-    told = Task(run, Kind.GENESIS).to_json().encode()
+    # Without what changes no byte.
+    config = replace(
+        run.config, worker_cpus=1, worker_gpus=0, cache_bytes=0, log=None, tensorboard=None,
+        snapshot_every=0,
+    )  # fmt: skip
+    told = Task(replace(run, config=config), Kind.GENESIS).to_json().encode()
     if not resume:
         files.put(RUN_PATH, told)
         return False
@@ -98,94 +91,12 @@ def _begin(run: Run, files: Files, resume: bool) -> bool:
     return True
 
 
-@contextmanager
-def _cluster(address: str, least_cpus: float) -> Iterator[Any]:
-    """The cluster at `address`; one of this machine alone has `least_cpus` in any case."""
-    try:
-        import ray
-    except ImportError as error:
-        raise InvalidError("--ray needs the extra ray: pip install 'swings[ray]'") from error
-    options: Mapping[str, Any] = {"address": address}
-    if address == LOCAL:
-        options = {"num_cpus": max(os.cpu_count() or 1, math.ceil(least_cpus))}
-    _check_listens(address)
-    try:
-        ray.init(log_to_driver=False, logging_level=logging.ERROR, **options)
-    except (ConnectionError, ValueError, RuntimeError) as error:
-        raise InvalidError(f"--ray {address}: {error}") from error
-    with redirect_stdout(sys.stderr):  # where Ray tells of workers that died
-        try:
-            yield ray
-        finally:
-            ray.shutdown()
-
-
-def _check_listens(address: str) -> None:
-    """Raises InvalidError where nobody listens at HOST:PORT; Ray would try for minutes."""
-    host, colon, port = address.removeprefix("ray://").rpartition(":")
-    if not colon or not port.isdigit():
-        return  # auto and local, and whatever else Ray knows
-    try:
-        socket.create_connection((host.strip("[]"), int(port)), CONNECT_S).close()
-    except (OSError, OverflowError) as error:
-        raise InvalidError(f"--ray {address}: no cluster answers there: {error}") from error
-
-
-class _Tally:
-    """Counts, on the cluster, the iterations that tasks have done; what is done again counts
-    once."""
-
-    def __init__(self) -> None:
-        self._done: dict[str, int] = {}
-
-    def begin(self, task: str) -> None:
-        self._done[task] = 0
-
-    def add(self, task: str, iterations: int) -> None:
-        self._done[task] += iterations
-
-    def total(self) -> int:
-        return sum(self._done.values())
-
-
-def do(task: Task, tally: Any, *after: object) -> None:
-    """Does a task in a process of its own, again if that is killed. tally: the actor. after: what
-    was done before it. Raises InvalidError where another try would be of no use."""
-    for _ in range(MAX_DEATHS):
-        tally.begin.remote(task.name)
-        status, words = run_task(task, lambda n: tally.add.remote(task.name, n))
-        if not status:
-            return
-        if status == FAILED:
-            break
-    raise InvalidError(words or f"its process ended with {status}, {MAX_DEATHS} times")
-
-
-def run_task(task: Task, tell: Callable[[int], object]) -> tuple[int, str]:
-    """Does a task in a process of its own; gives its exit status and its last words."""
-    with tempfile.NamedTemporaryFile("w", suffix=".json") as told, tempfile.TemporaryFile() as said:
-        told.write(task.to_json())
-        told.flush()
-        process = subprocess.Popen(
-            [sys.executable, "-m", "trainer.parts", told.name],
-            stdin=subprocess.PIPE,  # ends when this process does
-            stdout=subprocess.PIPE,
-            stderr=said,
-            text=True,
-        )
-        with process:
-            assert process.stdout is not None
-            for line in process.stdout:
-                tell(int(line))
-        said.seek(0)
-        words = said.read().decode(errors="replace").strip()[-MAX_WORDS_CHARS:]
-    return process.returncode, words
-
-
-def _train(run: Run, files: Files, resumed: bool, ray: Any, console: Console) -> Manifest:
+def _train(run: Run, files: Files, resumed: bool, ray: Any, monitor: JoinMonitor) -> Manifest:
+    config = run.config
+    claims = {"num_cpus": config.worker_cpus, "num_gpus": config.worker_gpus}
     # Ray does again what a worker did that died; what else goes wrong would go wrong again.
-    remote = ray.remote(num_cpus=run.config.worker_cpus, max_retries=-1)(do)
-    tally = ray.remote(num_cpus=0, max_restarts=-1)(_Tally).remote()
+    remote = ray.remote(max_retries=-1, **claims)(do)
+    tally = ray.remote(num_cpus=0, max_restarts=-1)(Tally).remote()
     joiner = Joiner(run, files)
     waiting: dict[Any, Task] = {}
     refs: dict[str, Any] = {}
@@ -204,23 +115,24 @@ def _train(run: Run, files: Files, resumed: bool, ray: Any, console: Console) ->
         if part.number:
             both = (genesis.other(Kind.PART, number) for number in (part.number - 1, part.number))
             start(genesis.other(Kind.SEAM, part.number), *both)
-    with _progress(console) as bar:
-        shown = bar.add_task(f"{len(run.parts)} parts", total=_iterations(run, waiting.values()))
-        begun = genesis not in waiting.values()
+    monitor.begin(_iterations(run, waiting.values()))
+    begun = genesis not in waiting.values()
+    if begun:
+        monitor.found(joiner.begin(resumed))
+    while waiting:
+        done, _ = ray.wait(list(waiting), timeout=LOOK_S)
+        for ref in done:
+            _check(ray, ref, waiting.pop(ref))
+            if not begun:
+                monitor.found(joiner.begin(resumed))
+                begun = True
+        monitor.progressed(ray.get(tally.total.remote()))
         if begun:
-            joiner.begin(resumed)
-        while waiting:
-            done, _ = ray.wait(list(waiting), timeout=LOOK_S)
-            for ref in done:
-                _check(ray, ref, waiting.pop(ref))
-                if not begun:
-                    joiner.begin(resumed)
-                    begun = True
-            if begun:
-                for task in joiner.go_on():
-                    _tidy(files, task)
-            bar.update(shown, completed=ray.get(tally.total.remote()))
-    joiner.go_on()
+            for task, records in joiner.go_on():
+                monitor.joined(records)
+                _tidy(files, task)
+    for _, records in joiner.go_on():
+        monitor.joined(records)
     return joiner.finish()
 
 
@@ -258,10 +170,3 @@ def _iterations(run: Run, tasks: Iterable[Task]) -> int:
             case Kind.SEAM:
                 total += run.seam_frames * run.seam_fit.iterations(1)
     return total
-
-
-def _progress(console: Console) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:.0f} %"),
-        TimeElapsedColumn(), TimeRemainingColumn(), console=console, transient=True,
-    )  # fmt: skip

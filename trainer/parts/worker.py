@@ -98,9 +98,7 @@ class Worker:
             case Kind.SEAM:
                 self._train_seam()
 
-    def _resumed(
-        self, manifest: Manifest, arrays: Arrays, fit: FitConfig | None = None
-    ) -> Trainer:
+    def _resumed(self, manifest: Manifest, arrays: Arrays, fit: FitConfig | None = None) -> Trainer:
         """A trainer that goes on from what `standing` gave, with the run's settings or `fit`."""
         trainer = self._trainer(manifest, None, fit)
         trainer.restore(below("state", arrays))

@@ -96,7 +96,11 @@ class TrainConfig:
     without an address on this machine alone. Capture and stream must be where all of its nodes
     find them: in an object store, or in a folder that they share."""
     worker_cpus: float = 2
-    """With --ray: cores that a worker claims, of those that the cluster has."""
+    """With --ray: cores that a worker claims, of those that the cluster has, and threads that it
+    trains with."""
+    worker_gpus: float = 0
+    """With --ray: GPUs that a worker claims; below 1 where several share one. Backends cuda and
+    torch need some; see docs/OPERATE.md."""
     part_frames: int = 300
     """With --ray: frames of a part, which one worker trains after another; rounded up to whole
     segments."""
@@ -131,6 +135,10 @@ class TrainConfig:
             raise InvalidError(f"point_share {self.point_share:g}: choose 0 to 1")
         if self.snapshot_every < 0:
             raise InvalidError(f"snapshot_every {self.snapshot_every}: choose 0 or more")
+        if not self.worker_cpus > 0:
+            raise InvalidError(f"worker_cpus {self.worker_cpus:g}: choose above 0")
+        if not self.worker_gpus >= 0:
+            raise InvalidError(f"worker_gpus {self.worker_gpus:g}: choose 0 or more")
 
     def check_profile(self) -> None:
         """Raises InvalidError for an option that the profile leaves without a meaning. Not part of

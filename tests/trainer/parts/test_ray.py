@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import signal
@@ -14,11 +15,13 @@ from pathlib import Path
 
 import pytest
 
+from bench.parts import HOLDER, WORKER, processes
 from codec.storage.openfiles import FilesFolder
 from codec.tools.audit import verify_stream
 from tests.support.commands import command, environment, run, run_ok
-from tests.support.parts import SETTINGS, capture_of, contents, do_in_process, run_of, train
+from tests.support.parts import FRAMES, SETTINGS, capture_of, contents, do_in_process, run_of, train
 from trainer.parts.task import STATE_FOLDER
+from trainer.run.runlog import LOG_NAME
 
 pytest.importorskip("ray", reason="ray is not installed")
 
@@ -36,20 +39,6 @@ def one(capture: Path) -> Path:
     stream = capture.parent / "one"
     train(run_of(capture, stream), FilesFolder(stream), do_in_process)
     return stream
-
-
-def processes(words: bytes) -> list[int]:
-    """Those whose command line has `words`."""
-    found = []
-    for folder in Path("/proc").iterdir():
-        if folder.name.isdigit() and int(folder.name) != os.getpid():
-            try:
-                line = (folder / "cmdline").read_bytes().replace(b"\0", b" ")
-            except OSError:
-                continue
-            if words in line:
-                found.append(int(folder.name))
-    return found
 
 
 @contextmanager
@@ -77,8 +66,7 @@ def killer(words: list[bytes], seed: int) -> Iterator[list[int]]:
 def test_a_cluster_with_killed_workers_makes_the_stream_that_one_process_makes(
     capture: Path, one: Path, tmp_path: Path
 ) -> None:
-    words = [b"-m trainer.parts", b"ray::do"]
-    with killer(words, seed=1) as killed:
+    with killer([WORKER, HOLDER], seed=1) as killed:
         told = run_ok(
             "swings-train", capture, tmp_path / "many", *SETTINGS, "--ray", "--worker-cpus", 1
         )
@@ -86,6 +74,8 @@ def test_a_cluster_with_killed_workers_makes_the_stream_that_one_process_makes(
     assert sum(killed) > 1
     assert contents(tmp_path / "many") == contents(one)
     assert not verify_stream(tmp_path / "many").live
+    log = (tmp_path / "many" / LOG_NAME).read_text().splitlines()
+    assert [json.loads(line)["frame"] for line in log] == [*range(1, FRAMES, 2)]
 
 
 def test_a_run_that_is_stopped_goes_on_with_what_is_there(
@@ -110,7 +100,7 @@ def test_a_run_that_is_stopped_goes_on_with_what_is_there(
     other = run("swings-train", *arguments, "--resume", "--num-gs", 300)
     assert (other.returncode, other.stderr.count("\n")) == (1, 1)
     assert "wants the options" in other.stderr
-    run_ok("swings-train", *arguments, "--resume")
+    run_ok("swings-train", *arguments, "--resume", "--worker-cpus", 2)  # what changes no byte
     assert contents(stream) == contents(one)
 
 

@@ -1,0 +1,227 @@
+"""A capture trained in parts on Ray clusters of this machine: time, deaths and memory.
+
+Usage: scripts/bench parts CAPTURE --work FOLDER [--workers 1 2 4] [--kills 20] ...
+
+Every worker has one core of the cluster and one thread; a cluster that has more of them than this
+machine has cores is said to be oversubscribed. "over perfect" is the time over that of one worker
+divided by the workers. In the row with kills a worker, or the process that trains for it, is killed
+by SIGKILL at random moments. The row with many parts has the same frames in shorter ones. Memory is
+the most that a process has had resident: of the driver, and of whichever worker had most.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import random
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from codec.console import run_command
+from codec.errors import InvalidError
+from codec.tools.audit import verify_stream
+from trainer.run.runlog import LOG_NAME
+
+LOOK_S = 0.1
+"""How often processes are looked at, seconds."""
+
+WORKER, HOLDER = b"-m trainer.parts", b"ray::do"
+"""In the command lines of a process that trains, and of the worker of Ray that waits for it."""
+
+
+@dataclass(frozen=True)
+class PartsConfig:
+    """Trains a capture on clusters of several sizes, and where workers die."""
+
+    capture: tyro.conf.Positional[Path]
+    """Folder of the recording."""
+    work: Path
+    """Folder for the streams."""
+    frames: str = ":"
+    """Frames of the capture to train, A:B."""
+    workers: tuple[int, ...] = (1, 2, 4)
+    """Workers of each cluster; the first is what others are compared with."""
+    kills: int = 20
+    """Workers to kill in one more run, on the second cluster."""
+    parts: tuple[int, int, int] = (60, 30, 30)
+    """Frames of a part, of its seam, and before it to learn from."""
+    many_parts: tuple[int, int, int] = (6, 2, 4)
+    """The same where there are to be many."""
+    num_gs: int = 3_000
+    """Gaussians active in a frame."""
+    genesis_iterations: int = 600
+    """Iterations of the first window."""
+    settle_rounds: int = 2
+    """How often it is trained once more."""
+    window_iterations: int = 60
+    """Iterations of every later window."""
+    seed: int = 1
+    """Of the moments at which workers are killed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """What to train."""
+
+    stream: Path
+    workers: int
+    parts: tuple[int, int, int]
+    kills: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Trained:
+    """What training it took."""
+
+    took_s: float
+    killed: int
+    driver_bytes: int
+    worker_bytes: int
+
+
+def processes(words: bytes) -> list[int]:
+    """Those whose command line has `words`, of all that this one has started."""
+    parents, lines = {}, {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            status = (folder / "stat").read_text()
+            parents[int(folder.name)] = int(status.rpartition(")")[2].split()[1])
+            lines[int(folder.name)] = (folder / "cmdline").read_bytes().replace(b"\0", b" ")
+    mine = {os.getpid()}
+    while more := {child for child, parent in parents.items() if parent in mine} - mine:
+        mine |= more
+    return sorted(child for child in mine if words in lines.get(child, b""))
+
+
+def peak_bytes(process: int) -> int:
+    """The most that a process has had resident; 0 when it is gone."""
+    with contextlib.suppress(OSError):
+        text = Path(f"/proc/{process}/status").read_text()
+        if found := re.search(r"VmHWM:\s+(\d+)", text):
+            return 1024 * int(found[1])
+    return 0
+
+
+@contextmanager
+def cluster_of(workers: int) -> Iterator[str]:
+    """The address of a cluster of this machine that has a core for each worker."""
+    from ray.cluster_utils import Cluster
+
+    cluster: Any = Cluster(initialize_head=True, head_node_args={"num_cpus": workers})
+    try:
+        yield cluster.address
+    finally:
+        cluster.shutdown()
+
+
+class Killer:
+    """Kills workers at random moments."""
+
+    def __init__(self, kills: int, every_s: float, seed: int) -> None:
+        self._left, self._every_s, self._rng = kills, every_s, random.Random(seed)
+        self.killed = 0
+        self._next_s = self._later()
+
+    def _later(self) -> float:
+        return time.monotonic() + self._rng.uniform(0.2, 1.8) * self._every_s
+
+    def look(self) -> None:
+        """Kills one when it is time."""
+        if not self._left or time.monotonic() < self._next_s:
+            return
+        found = processes(self._rng.choice([WORKER, HOLDER]))
+        if found:
+            os.kill(self._rng.choice(found), signal.SIGKILL)
+            self._left -= 1
+            self.killed += 1
+            self._next_s = self._later()
+
+
+def trained(config: PartsConfig, run: Run, killer: Killer) -> Trained:
+    """Trains with a real driver and real workers."""
+    shutil.rmtree(run.stream, ignore_errors=True)
+    part_frames, seam_frames, warm_frames = run.parts
+    with cluster_of(run.workers) as address:
+        words = [
+            config.capture, run.stream, "--frames", config.frames, "--ray", address,
+            "--worker-cpus", 1, "--part-frames", part_frames, "--seam-frames", seam_frames,
+            "--warm-frames", warm_frames, "--segment-frames", math.gcd(part_frames, seam_frames),
+            "--num-gs", config.num_gs, "--genesis-iterations", config.genesis_iterations,
+            "--settle-rounds", config.settle_rounds,
+            "--window-iterations", config.window_iterations,
+        ]  # fmt: skip
+        code = "import sys; from trainer.__main__ import train; sys.exit(train())"
+        begin_s, driver_bytes, worker_bytes = time.monotonic(), 0, 0
+        driver = subprocess.Popen([sys.executable, "-c", code, *map(str, words)])
+        while driver.poll() is None:
+            driver_bytes = max(driver_bytes, peak_bytes(driver.pid))
+            worker_bytes = max(worker_bytes, *map(peak_bytes, processes(WORKER)), 0)
+            killer.look()
+            time.sleep(LOOK_S)
+        took_s = time.monotonic() - begin_s
+    if driver.returncode:
+        raise InvalidError(f"{run.stream}: training ended with {driver.returncode}")
+    verify_stream(run.stream)
+    return Trained(took_s, killer.killed, driver_bytes, worker_bytes)
+
+
+def contents(stream: Path) -> dict[str, bytes]:
+    """All of a stream but the log of its training, which says how long that took."""
+    files = (f for f in stream.rglob("*") if f.is_file() and f.name != LOG_NAME)
+    return {str(f.relative_to(stream)): f.read_bytes() for f in files}
+
+
+def runs(config: PartsConfig) -> list[Run]:
+    """All runs, the first of which others are compared with."""
+    found = [Run(config.work / f"by{n}", n, config.parts) for n in config.workers]
+    last = config.workers[-1]
+    if config.kills:
+        found.append(Run(config.work / "killed", last, config.parts, config.kills))
+    return [*found, Run(config.work / "many", last, config.many_parts)]
+
+
+def measure(config: PartsConfig) -> None:
+    """Trains all and prints the table."""
+    cores = os.cpu_count() or 1
+    config.work.mkdir(parents=True, exist_ok=True)
+    table = Table(title=f"{cores} cores, a thread for each worker; all streams verified")
+    for name in (
+        "workers", "frames of a part", "killed", "s", "over perfect", "same bytes", "driver MB",
+        "worker MB",
+    ):  # fmt: skip
+        table.add_column(name, justify="right")
+    first: Trained | None = None
+    for run in runs(config):
+        # So that the last dies before the end, though what dies is done again.
+        every_s = 1.0 if first is None else first.took_s / min(run.workers, cores) / (run.kills + 1)
+        row = trained(config, run, Killer(run.kills, every_s, config.seed))
+        first = first or row
+        over = same = "-"
+        if run.parts == config.parts:
+            same = "yes" if contents(run.stream) == contents(runs(config)[0].stream) else "NO"
+            if not run.kills:
+                over = f"{row.took_s * run.workers / (first.took_s * config.workers[0]):.2f}"
+        table.add_row(
+            f"{run.workers}{' (oversubscribed)' if run.workers > cores else ''}",
+            str(run.parts[0]), str(row.killed), f"{row.took_s:.0f}", over, same,
+            f"{row.driver_bytes / 1e6:.0f}", f"{row.worker_bytes / 1e6:.0f}",
+        )  # fmt: skip
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    run_command(PartsConfig, measure, "bench parts", __doc__ or "")

@@ -1,0 +1,47 @@
+"""scripts/bench parts finds and kills its own processes, and no others."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from bench.parts import Killer, PartsConfig, peak_bytes, processes, runs
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="/proc is Linux's")
+
+MARK = "trainer.parts"
+
+
+def test_processes_are_those_that_this_one_has_started() -> None:
+    waits = "import sys; sys.stdin.read()"
+    with subprocess.Popen(
+        [sys.executable, "-c", waits, "-m", MARK], stdin=subprocess.PIPE
+    ) as child:
+        deadline_s = time.monotonic() + 10
+        while child.pid not in processes(b"-m trainer.parts"):
+            assert time.monotonic() < deadline_s
+        assert peak_bytes(child.pid) > 1_000_000
+        assert os.getppid() not in processes(b"")
+        assert os.getpid() in processes(b"")
+        killer = Killer(1, 0.0, 1)
+        while child.poll() is None:
+            assert time.monotonic() < deadline_s
+            killer.look()
+        killer.look()
+        assert killer.killed == 1
+    assert peak_bytes(child.pid) == 0
+
+
+def test_there_is_a_run_for_each_figure() -> None:
+    config = PartsConfig(Path("capture"), Path("work"), workers=(1, 2), kills=5)
+    assert [(run.workers, run.kills, run.parts[0]) for run in runs(config)] == [
+        (1, 0, 60),
+        (2, 0, 60),
+        (2, 5, 60),
+        (2, 0, 6),
+    ]

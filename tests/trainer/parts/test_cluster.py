@@ -1,0 +1,40 @@
+"""What is said of a cluster before work is given to it."""
+
+from __future__ import annotations
+
+import io
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from codec.errors import InvalidError
+from trainer.parts.cluster import look_for_room
+from trainer.run.config import TrainConfig
+
+
+def config(**claims: Any) -> TrainConfig:
+    return TrainConfig("capture", "stream", **claims)
+
+
+def told(nodes: list[dict[str, Any]], **claims: Any) -> str:
+    ray, words = SimpleNamespace(nodes=lambda: nodes), io.StringIO()
+    look_for_room(ray, config(**claims), Console(file=words))
+    return words.getvalue()
+
+
+def test_that_no_node_has_room_for_a_worker_is_said() -> None:
+    small = {"Alive": True, "Resources": {"CPU": 2.0}}
+    large = {"Alive": True, "Resources": {"CPU": 8.0, "GPU": 1.0}}
+    gone = {**large, "Alive": False}
+    assert told([small], worker_cpus=2) == ""
+    assert told([small, large], worker_cpus=4, worker_gpus=0.5) == ""
+    assert "4 cores and 0 GPUs" in told([small, gone], worker_cpus=4)
+    assert "1 cores and 2 GPUs" in told([small, large], worker_cpus=1, worker_gpus=2)
+
+
+@pytest.mark.parametrize("claims", [{"worker_cpus": 0}, {"worker_gpus": -1}])
+def test_claims_are_numbers_that_can_be_had(claims: dict[str, float]) -> None:
+    with pytest.raises(InvalidError, match=next(iter(claims))):
+        config(**claims)

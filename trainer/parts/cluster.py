@@ -1,0 +1,65 @@
+"""A Ray cluster, from the side of one who comes with work."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import socket
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, redirect_stdout
+from typing import Any
+
+from rich.console import Console
+
+from codec.errors import InvalidError
+from trainer.run.config import LOCAL, TrainConfig
+
+CONNECT_S = 10.0
+"""How long the head of a cluster may take to answer, seconds."""
+
+
+@contextmanager
+def open_cluster(address: str, least_cpus: float) -> Iterator[Any]:
+    """The cluster at `address`; one of this machine alone has `least_cpus` in any case."""
+    try:
+        import ray
+    except ImportError as error:
+        raise InvalidError("--ray needs the extra ray: pip install 'swings[ray]'") from error
+    options: Mapping[str, Any] = {"address": address}
+    if address == LOCAL:
+        options = {"num_cpus": max(os.cpu_count() or 1, math.ceil(least_cpus))}
+    _check_listens(address)
+    try:
+        ray.init(log_to_driver=False, logging_level=logging.ERROR, **options)
+    except (ConnectionError, ValueError, RuntimeError) as error:
+        raise InvalidError(f"--ray {address}: {error}") from error
+    with redirect_stdout(sys.stderr):  # where Ray tells of workers that died
+        try:
+            yield ray
+        finally:
+            ray.shutdown()
+
+
+def look_for_room(ray: Any, config: TrainConfig, console: Console) -> None:
+    """Says so where no node has what a worker claims: one may come, but until then all waits."""
+    claims = {"CPU": config.worker_cpus, "GPU": config.worker_gpus}
+    for node in ray.nodes():
+        if node["Alive"] and all(node["Resources"].get(k, 0) >= n for k, n in claims.items()):
+            return
+    console.print(
+        f"no node of the cluster has {claims['CPU']:g} cores and {claims['GPU']:g} GPUs for a "
+        "worker (--worker-cpus, --worker-gpus): waiting for one", highlight=False, soft_wrap=True,
+    )  # fmt: skip
+
+
+def _check_listens(address: str) -> None:
+    """Raises InvalidError where nobody listens at HOST:PORT; Ray would try for minutes."""
+    host, colon, port = address.removeprefix("ray://").rpartition(":")
+    if not colon or not port.isdigit():
+        return  # auto and local, and whatever else Ray knows
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), CONNECT_S).close()
+    except (OSError, OverflowError) as error:
+        raise InvalidError(f"--ray {address}: no cluster answers there: {error}") from error
