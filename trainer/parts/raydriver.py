@@ -158,15 +158,17 @@ def _tidy(files: Files, task: Task) -> None:
 
 def _iterations(run: Run, tasks: Iterable[Task]) -> int:
     """Of all `tasks`."""
-    fit, total = run.config.fit, 0
+    usual, in_seam = run.config.fit.iterations(1), run.seam_fit.iterations(1)
+    total = 0
     for task in tasks:
         part = task.part
         match task.kind:
             case Kind.GENESIS:
-                total += fit.iterations(0)
+                total += run.config.fit.iterations(0)
             case Kind.PART:
                 warm = min(run.config.warm_frames, part.first_frame - 1) if part.number else -1
-                total += (part.end_frame - part.first_frame + warm) * fit.iterations(1)
+                total += (part.end_frame - run.seam_end(part) + warm) * usual
+                total += (run.seam_end(part) - part.first_frame) * in_seam
             case Kind.SEAM:
-                total += run.seam_frames * run.seam_fit.iterations(1)
+                total += run.seam_frames * in_seam
     return total

@@ -17,8 +17,8 @@ STATE_FOLDER = ".parts"
 
 
 ACTIVE_IN_SEAM = 0.4
-"""Of the usual share of active slots, what trains along in a seam: that some go over is motion
-enough, and the rest need only learn to live with them."""
+"""Of the usual share of active slots, what is trained in a seam, on both sides of it: that some go
+over is motion enough."""
 
 ITERATIONS_IN_SEAM = 1.5
 """Times the usual iterations of a window: what goes over is new to those that train along."""
@@ -52,9 +52,14 @@ class Run:
         """Frames in which a part takes over from the one before: whole segments."""
         return whole_segments(self.config.seam_frames, self.config.segment_frames)
 
+    def seam_end(self, part: Part) -> int:
+        """The first frame behind the seam at a part's beginning; the first part has none."""
+        return part.first_frame + (self.seam_frames if part.number else 0)
+
     @property
     def seam_fit(self) -> FitConfig:
-        """How a seam is trained."""
+        """How the frames of a seam are trained, by the part that begins with them and by the one
+        before."""
         fit = self.config.fit
         lease = replace(fit.lease, active_share=ACTIVE_IN_SEAM * fit.lease.active_share)
         iterations = round(ITERATIONS_IN_SEAM * fit.window_iterations)

@@ -99,7 +99,7 @@ class Worker:
                 self._train_seam()
 
     def _resumed(self, manifest: Manifest, arrays: Arrays, fit: FitConfig | None = None) -> Trainer:
-        """A trainer that goes on from what `standing` gave, with the run's settings or `fit`."""
+        """One who goes on from what `standing` gave, with the run's settings or `fit`."""
         trainer = self._trainer(manifest, None, fit)
         trainer.restore(below("state", arrays))
         return trainer
@@ -124,52 +124,62 @@ class Worker:
         self._leave("state", standing(trainer, held))  # last: who finds it finds both
 
     def _train_part(self) -> None:
-        task, part, run = self.task, self.task.part, self.task.run
-        manifest = self._manifest()
-        begin = part.first_frame + (run.seam_frames if part.number else 0)
-        approach: list[Held] = []
+        task, part, manifest = self.task, self.task.part, self._manifest()
         if self.files.holds(task.state_path("checkpoint")):
             arrays = self._left(task, "checkpoint")
             trainer = self._resumed(manifest, arrays)
             piece = self._piece(manifest, trainer.next_window, held_in(arrays))
             piece.place.records += [record.tobytes() for record in arrays["records"]]
+        elif part.number:
+            trainer, piece = self._approach(manifest)
         else:
             arrays = self._left(task.other(Kind.GENESIS), "state")
-            trainer = self._resumed(manifest, arrays)
-            piece = self._piece(manifest, 0, None)
-            if part.number:
-                trainer.jump(max(1, part.first_frame - run.config.warm_frames))
-            else:
-                piece.writer.append(held_in(arrays).as_opening())
+            trainer, piece = self._resumed(manifest, arrays), self._piece(manifest, 0, None)
+            piece.writer.append(held_in(arrays).as_opening())
         for window in self._windows(trainer, part.end_frame):
             frame = window.first_frame
-            if frame < part.first_frame:
-                continue
-            (held,) = trainer.held(window)
-            if frame < begin:
-                approach.append(held)
-                if frame == begin - 1:
-                    left = {
-                        k: v for h in approach for k, v in under(h.birth, h.to_arrays()).items()
-                    }
-                    self._leave("approach", left)
-                    piece = self._piece(manifest, begin, held)
-                continue
             piece.append(window.updates)
             trainer.spent(window, piece.writer.slice_bytes)
             if (frame + 1) % manifest.segment_frames == 0 and frame + 1 < part.end_frame:
+                (held,) = trainer.held(window)
                 records = {"records": piece.record_rows}
                 self._leave("checkpoint", standing(trainer, held) | records)
+        (held,) = trainer.held(window)
         piece.writer.close()  # the last segment of a stream may be short
         self._leave("end", standing(trainer, held))
         self._leave("records", {"records": piece.record_rows})
+
+    def _approach(self, manifest: Manifest) -> tuple[Trainer, _Piece]:
+        """Learns what has changed since genesis, and leaves what the part holds in the frames of
+        the seam at its beginning; gives who goes on behind them, and the piece that begins there.
+        """
+        task, part, run = self.task, self.task.part, self.task.run
+        trainer = self._resumed(manifest, self._left(task.other(Kind.GENESIS), "state"))
+        trainer.jump(max(1, part.first_frame - run.config.warm_frames))
+        for _ in self._windows(trainer, part.first_frame):
+            pass
+        trainer, begin = self._other(trainer, manifest, run.seam_fit), run.seam_end(part)
+        approach: Arrays = {}
+        held = None
+        for window in self._windows(trainer, begin):
+            (held,) = trainer.held(window)
+            approach |= under(held.birth, held.to_arrays())
+        self._leave("approach", approach)
+        piece = self._piece(manifest, begin, held)
+        return self._other(trainer, manifest, run.config.fit), piece
+
+    def _other(self, trainer: Trainer, manifest: Manifest, fit: FitConfig) -> Trainer:
+        """One who goes on from where `trainer` stands, with other settings."""
+        other = self._trainer(manifest, None, fit)
+        other.restore(trainer.state())
+        return other
 
     def _train_seam(self) -> None:
         task, part, run = self.task, self.task.part, self.task.run
         manifest, config = self._manifest(), run.config
         before = self._left(task.other(Kind.PART, part.number - 1), "end")
         arrays = self._left(task.other(Kind.PART, part.number), "approach")
-        births = range(part.first_frame, part.first_frame + run.seam_frames)
+        births = range(part.first_frame, run.seam_end(part))
         other = {birth: Held.from_arrays(below(birth, arrays)) for birth in births}
         trainer = self._resumed(manifest, before, run.seam_fit)
         trainer.take_over(Takeover(other, config.fit.swin_size, config.fit.seed))
