@@ -6,6 +6,7 @@ Ray decides where each task is done, and has it done again where its worker died
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -126,7 +127,8 @@ def _train(run: Run, files: Files, resumed: bool, ray: Any, monitor: JoinMonitor
             if not begun:
                 monitor.found(joiner.begin(resumed))
                 begun = True
-        monitor.progressed(ray.get(tally.total.remote()))
+        with suppress(ray.exceptions.RayActorError):  # it is being started anew
+            monitor.progressed(ray.get(tally.total.remote()))
         if begun:
             for task, records in joiner.go_on():
                 monitor.joined(records)

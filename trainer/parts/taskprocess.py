@@ -33,7 +33,8 @@ class Tally:
         self._done[task] = 0
 
     def add(self, task: str, iterations: int) -> None:
-        self._done[task] += iterations
+        # Started anew, after its node has died, it knows of no task.
+        self._done[task] = self._done.get(task, 0) + iterations
 
     def total(self) -> int:
         return sum(self._done.values())

@@ -25,7 +25,9 @@ from trainer.run.runlog import LOG_NAME
 
 pytest.importorskip("ray", reason="ray is not installed")
 
-KILLS = 4
+KILLS = 5
+TALLY = b"ray::Tally"
+"""In the command line of the process that counts what has been done."""
 
 
 @pytest.fixture(scope="module")
@@ -66,12 +68,12 @@ def killer(words: list[bytes], seed: int) -> Iterator[list[int]]:
 def test_a_cluster_with_killed_workers_makes_the_stream_that_one_process_makes(
     capture: Path, one: Path, tmp_path: Path
 ) -> None:
-    with killer([WORKER, HOLDER], seed=1) as killed:
+    with killer([WORKER, HOLDER, TALLY], seed=1) as killed:
         told = run_ok(
             "swings-train", capture, tmp_path / "many", *SETTINGS, "--ray", "--worker-cpus", 1
         )
     assert told == f"{tmp_path / 'many'}\n"
-    assert sum(killed) > 1
+    assert min(killed) > 0
     assert contents(tmp_path / "many") == contents(one)
     assert not verify_stream(tmp_path / "many").live
     log = (tmp_path / "many" / LOG_NAME).read_text().splitlines()

@@ -58,6 +58,9 @@ async def serve(what: str, worker: Worker) -> None:
     server = await asyncio.start_server(talk, sock=worker.listener, backlog=512)
     worker.ready()
     await stop.wait()
+    # asyncio drops a connection that it has accepted and not begun to serve when its server closes.
+    loop.remove_reader(worker.listener)
+    await asyncio.sleep(0)
     server.close()
     if what == "slow":
         await asyncio.sleep(1.0)
