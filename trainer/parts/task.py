@@ -16,11 +16,11 @@ STATE_FOLDER = ".parts"
 """In the stream's place, until the stream is finished: what workers leave for others."""
 
 
-ACTIVE_IN_SEAM = 0.4
+ACTIVE_IN_SEAM = 0.5
 """Of the usual share of active slots, what is trained in a seam, on both sides of it: that some go
 over is motion enough."""
 
-ITERATIONS_IN_SEAM = 1.5
+ITERATIONS_IN_SEAM = 2.0
 """Times the usual iterations of a window: what goes over is new to those that train along."""
 
 
