@@ -205,10 +205,12 @@ def measure(config: PartsConfig) -> None:
     ):  # fmt: skip
         table.add_column(name, justify="right")
     first: Trained | None = None
+    took_s: dict[int, float] = {}  # by workers, with none killed
     for run in runs(config):
-        # So that the last dies before the end, though what dies is done again.
-        every_s = 1.0 if first is None else first.took_s / min(run.workers, cores) / (run.kills + 1)
+        # Deaths are spread over a run that they make twice as long.
+        every_s = 2 * took_s[run.workers] / run.kills if run.kills else 0.0
         row = trained(config, run, Killer(run.kills, every_s, config.seed))
+        took_s.setdefault(run.workers, row.took_s)
         first = first or row
         over = same = "-"
         if run.parts == config.parts:

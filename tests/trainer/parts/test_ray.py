@@ -10,12 +10,12 @@ import subprocess
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
 
-from bench.parts import HOLDER, WORKER, processes
+from bench.parts import HOLDER, WORKER, cluster_of, processes
 from codec.storage.openfiles import FilesFolder
 from codec.tools.audit import verify_stream
 from tests.support.commands import command, environment, run, run_ok
@@ -78,6 +78,33 @@ def test_a_cluster_with_killed_workers_makes_the_stream_that_one_process_makes(
     assert not verify_stream(tmp_path / "many").live
     log = (tmp_path / "many" / LOG_NAME).read_text().splitlines()
     assert [json.loads(line)["frame"] for line in log] == [*range(1, FRAMES, 2)]
+
+
+def test_two_captures_share_a_cluster_of_four_workers(
+    capture: Path, one: Path, tmp_path: Path
+) -> None:
+    streams = [tmp_path / "first", tmp_path / "second"]
+    with cluster_of(4) as address, ExitStack() as stack:
+        runs = [
+            stack.enter_context(
+                subprocess.Popen(
+                    command(
+                        "swings-train", capture, stream, *SETTINGS, "--ray", address,
+                        "--worker-cpus", 1,
+                    ),
+                    env=environment(),
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.PIPE,
+                    text=True,
+                )
+            )
+            for stream in streams
+        ]  # fmt: skip
+        for run in runs:
+            said = run.communicate(timeout=240)[1]
+            assert run.returncode == 0, said
+    for stream in streams:
+        assert contents(stream) == contents(one)
 
 
 def test_a_run_that_is_stopped_goes_on_with_what_is_there(
