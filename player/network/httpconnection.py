@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import os
 import re
+import socket
 import ssl
 from base64 import b64encode
 from collections.abc import Iterator, Mapping
@@ -16,6 +17,7 @@ from functools import cache
 from typing import Any
 from urllib.parse import quote, unquote, urlsplit
 
+import aiohappyeyeballs
 import h11
 
 BUFFER_BYTES = 64 << 10
@@ -137,12 +139,18 @@ class HttpConnection:
         context = _tls() if target.scheme == "https" else None
         try:
             async with asyncio.timeout(timeout_s):
+                addresses = await asyncio.get_running_loop().getaddrinfo(
+                    target.host, target.port, type=socket.SOCK_STREAM
+                )
+                # asyncio's own staggered connecting forgets a socket when it is cancelled.
+                connected = await aiohappyeyeballs.start_connection(
+                    addresses, happy_eyeballs_delay=STAGGER_S
+                )
                 reader, writer = await asyncio.open_connection(
-                    target.host,
-                    target.port,
                     limit=BUFFER_BYTES,
+                    sock=connected,
                     ssl=context,
-                    happy_eyeballs_delay=STAGGER_S,
+                    server_hostname=target.host if context else None,
                 )
         except TimeoutError:
             raise
