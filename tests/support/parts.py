@@ -15,6 +15,7 @@ from trainer.parts.task import Kind, Run, Task
 from trainer.parts.taskprocess import run_task
 from trainer.parts.worker import opened_worker
 from trainer.run.config import TrainConfig
+from trainer.run.outputs import SNAPSHOT_FOLDER
 from trainer.run.prepare import prepare
 from trainer.run.preset import PRESETS
 from trainer.run.runlog import LOG_NAME
@@ -81,6 +82,8 @@ def do_in_process(task: Task) -> None:
 
 
 def contents(stream: Path) -> dict[str, bytes]:
-    """All of a stream but the log of its training, which says how long that took."""
-    files = (f for f in stream.rglob("*") if f.is_file() and f.name != LOG_NAME)
-    return {str(f.relative_to(stream)): f.read_bytes() for f in files}
+    """All of a stream but what is only for people: pictures, and a log that says how long training
+    took."""
+    names = [str(path.relative_to(stream)) for path in stream.rglob("*") if path.is_file()]
+    people = (LOG_NAME, SNAPSHOT_FOLDER)
+    return {name: (stream / name).read_bytes() for name in names if not name.startswith(people)}

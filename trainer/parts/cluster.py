@@ -44,14 +44,22 @@ def open_cluster(address: str, least_cpus: float) -> Iterator[Any]:
 
 def look_for_room(ray: Any, config: TrainConfig, console: Console) -> None:
     """Says so where no node has what a worker claims: one may come, but until then all waits."""
+    if not num_workers(ray, config):
+        console.print(
+            f"no node of the cluster has {config.worker_cpus:g} cores and {config.worker_gpus:g} "
+            "GPUs for a worker (--worker-cpus, --worker-gpus): waiting for one",
+            highlight=False, soft_wrap=True,
+        )  # fmt: skip
+
+
+def num_workers(ray: Any, config: TrainConfig) -> int:
+    """For how many workers the nodes have room that there are now, if nobody else works there."""
     claims = {"CPU": config.worker_cpus, "GPU": config.worker_gpus}
-    for node in ray.nodes():
-        if node["Alive"] and all(node["Resources"].get(k, 0) >= n for k, n in claims.items()):
-            return
-    console.print(
-        f"no node of the cluster has {claims['CPU']:g} cores and {claims['GPU']:g} GPUs for a "
-        "worker (--worker-cpus, --worker-gpus): waiting for one", highlight=False, soft_wrap=True,
-    )  # fmt: skip
+    return sum(
+        min(int(node["Resources"].get(kind, 0) / much) for kind, much in claims.items() if much)
+        for node in ray.nodes()
+        if node["Alive"]
+    )
 
 
 def _check_listens(address: str) -> None:

@@ -5,7 +5,6 @@ Ray decides where each task is done, and has it done again where its worker died
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
@@ -16,16 +15,19 @@ from codec.errors import InvalidError
 from codec.profiles.profile import Profile
 from codec.storage.openfiles import Files, open_files
 from codec.stream.manifest import Manifest
+from trainer.pictures.framecache import FrameCache
 from trainer.run.config import TrainConfig
 from trainer.run.outputs import check_targets
 from trainer.run.prepare import Prepared, prepare
 from trainer.run.progressline import ProgressLine
 from trainer.run.runlog import LOG_NAME, RunLog
 
-from .cluster import look_for_room, open_cluster
+from .cluster import look_for_room, num_workers, open_cluster
 from .cut import cut
 from .joiner import Joiner
 from .joinmonitor import JoinMonitor
+from .joinpictures import JoinPictures
+from .schedule import Schedule
 from .task import STATE_FOLDER, Kind, Run, Task, whole_segments
 from .taskprocess import Tally, do
 
@@ -33,6 +35,10 @@ RUN_PATH = f"{STATE_FOLDER}/run.json"
 
 LOOK_S = 0.5
 """How often progress is looked at, seconds."""
+
+AHEAD = 2
+"""Tasks that the cluster is given, over the workers that it has room for: the others wait there, so
+that no worker does, and so that a cluster that can grow sees why."""
 
 
 def plan(config: TrainConfig, prepared: Prepared) -> Run:
@@ -66,9 +72,16 @@ def train_in_parts(config: TrainConfig, address: str, console: Console) -> Manif
             look_for_room(ray, config, console)
             resumed = _begin(run, files, config.resume)
             log_path = config.log or config.work_folder / LOG_NAME
-            with ProgressLine(console) as line, RunLog(log_path, config.tensorboard) as runlog:
+            with (
+                FrameCache(
+                    prepared.capture, prepared.frames, config.scale, config.cache_bytes
+                ) as cache,
+                ProgressLine(console) as line,
+                RunLog(log_path, config.tensorboard) as runlog,
+            ):
                 monitor = JoinMonitor(line, runlog, len(prepared.frames))
-                return _train(run, files, resumed, ray, monitor)
+                pictures = JoinPictures(config, cache, prepared.near_m)
+                return _train(run, files, resumed, ray, monitor, pictures)
     except KeyboardInterrupt:
         console.print("stopped; --resume goes on from there", highlight=False)
         raise
@@ -92,50 +105,39 @@ def _begin(run: Run, files: Files, resume: bool) -> bool:
     return True
 
 
-def _train(run: Run, files: Files, resumed: bool, ray: Any, monitor: JoinMonitor) -> Manifest:
+def _train(
+    run: Run, files: Files, resumed: bool, ray: Any, monitor: JoinMonitor, pictures: JoinPictures
+) -> Manifest:
     config = run.config
     claims = {"num_cpus": config.worker_cpus, "num_gpus": config.worker_gpus}
     # Ray does again what a worker did that died; what else goes wrong would go wrong again.
     remote = ray.remote(max_retries=-1, **claims)(do)
     tally = ray.remote(num_cpus=0, max_restarts=-1)(Tally).remote()
     joiner = Joiner(run, files)
-    waiting: dict[Any, Task] = {}
-    refs: dict[str, Any] = {}
-
-    def start(task: Task, *after: Task) -> None:
-        if files.holds(task.last_path):
-            return
-        needed = [refs[other.name] for other in after if other.name in refs]
-        ref = refs[task.name] = remote.remote(task, tally, *needed)
-        waiting[ref] = task
-
-    genesis = Task(run, Kind.GENESIS)
-    start(genesis)
-    for part in run.parts:
-        start(genesis.other(Kind.PART, part.number), genesis)
-        if part.number:
-            both = (genesis.other(Kind.PART, number) for number in (part.number - 1, part.number))
-            start(genesis.other(Kind.SEAM, part.number), *both)
-    monitor.begin(_iterations(run, waiting.values()))
-    begun = genesis not in waiting.values()
-    if begun:
-        monitor.found(joiner.begin(resumed))
-    while waiting:
-        done, _ = ray.wait(list(waiting), timeout=LOOK_S)
+    schedule = Schedule(run, lambda task: files.holds(task.last_path))
+    monitor.begin(sum(task.iterations for task in schedule.waiting))
+    begun = False
+    given: dict[Any, Task] = {}
+    while True:
+        if not begun and schedule.is_done(Task(run, Kind.GENESIS)):
+            monitor.found(joiner.begin(resumed))
+            begun = True
+        if begun:
+            for joined, records in joiner.go_on():
+                monitor.joined(records)
+                pictures.joined(records)
+                _tidy(files, joined)
+        most = AHEAD * max(1, num_workers(ray, config))
+        while len(given) < most and (task := schedule.take()) is not None:
+            given[remote.remote(task, tally)] = task
+        if not given:
+            return joiner.finish()
+        done, _ = ray.wait(list(given), timeout=LOOK_S)
         for ref in done:
-            _check(ray, ref, waiting.pop(ref))
-            if not begun:
-                monitor.found(joiner.begin(resumed))
-                begun = True
+            _check(ray, ref, given[ref])
+            schedule.done(given.pop(ref))
         with suppress(ray.exceptions.RayActorError):  # it is being started anew
             monitor.progressed(ray.get(tally.total.remote()))
-        if begun:
-            for task, records in joiner.go_on():
-                monitor.joined(records)
-                _tidy(files, task)
-    for _, records in joiner.go_on():
-        monitor.joined(records)
-    return joiner.finish()
 
 
 def _check(ray: Any, ref: Any, task: Task) -> None:
@@ -156,21 +158,3 @@ def _tidy(files: Files, task: Task) -> None:
         return
     files.delete(task.other(Kind.PART, task.number - 1).state_path("end"))
     files.delete(task.other(Kind.PART, task.number).state_path("approach"))
-
-
-def _iterations(run: Run, tasks: Iterable[Task]) -> int:
-    """Of all `tasks`."""
-    usual, in_seam = run.config.fit.iterations(1), run.seam_fit.iterations(1)
-    total = 0
-    for task in tasks:
-        part = task.part
-        match task.kind:
-            case Kind.GENESIS:
-                total += run.config.fit.iterations(0)
-            case Kind.PART:
-                warm = min(run.config.warm_frames, part.first_frame - 1) if part.number else -1
-                total += (part.end_frame - run.seam_end(part) + warm) * usual
-                total += (run.seam_end(part) - part.first_frame) * in_seam
-            case Kind.SEAM:
-                total += run.seam_frames * in_seam
-    return total

@@ -92,6 +92,33 @@ class Task:
         """What the task leaves last: where that is, it is done."""
         return self.state_path("state" if self.kind is Kind.GENESIS else "records")
 
+    @property
+    def needs(self) -> tuple[Task, ...]:
+        """What must have been done before."""
+        match self.kind:
+            case Kind.GENESIS:
+                return ()
+            case Kind.PART:
+                return (self.other(Kind.GENESIS),)
+            case Kind.SEAM:
+                return self.other(Kind.PART, self.number - 1), self.other(Kind.PART, self.number)
+
+    @property
+    def iterations(self) -> int:
+        """How many it takes."""
+        run, part = self.run, self.part
+        usual, in_seam = run.config.fit.iterations(1), run.seam_fit.iterations(1)
+        match self.kind:
+            case Kind.GENESIS:
+                return run.config.fit.iterations(0)
+            case Kind.PART:
+                warm = min(run.config.warm_frames, part.first_frame - 1) if part.number else -1
+                seam = run.seam_end(part) - part.first_frame
+                frames = part.end_frame - part.first_frame - seam
+                return (frames + warm) * usual + seam * in_seam
+            case Kind.SEAM:
+                return run.seam_frames * in_seam
+
     def other(self, kind: Kind, number: int = 0) -> Task:
         """Another task of the same run."""
         return Task(self.run, kind, number)

@@ -40,9 +40,9 @@ class Tally:
         return sum(self._done.values())
 
 
-def do(task: Task, tally: Any, *after: object) -> None:
-    """Does a task in a process of its own, again if that is killed. tally: the actor. after: what
-    was done before it. Raises InvalidError where another try would be of no use."""
+def do(task: Task, tally: Any) -> None:
+    """Does a task in a process of its own, again if that is killed. tally: the actor. Raises
+    InvalidError where another try would be of no use."""
     for _ in range(MAX_DEATHS):
         tally.begin.remote(task.name)
         status, words = run_task(task, lambda n: tally.add.remote(task.name, n))

@@ -137,8 +137,9 @@ def train_stream(
             shown = trainer.num_shown(frame)
             monitor.frame_finished(frame, shown, outputs.played_bytes, outputs.quality)
             if config.snapshot_every and frame % config.snapshot_every == 0:
-                folder = config.work_folder / "snapshots"
-                write_snapshot(trainer.shown(frame), frame, cache, prepared.near_m, folder)
+                write_snapshot(
+                    trainer.shown(frame), frame, cache, prepared.near_m, config.work_folder
+                )
             if asked.is_set() and frame + 1 < len(prepared.frames):
                 raise InterruptedRunError(
                     f"stopped after frame {frame}; --resume goes on from there"

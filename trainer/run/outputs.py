@@ -31,6 +31,9 @@ from .checkpoint import CHECKPOINT_NAME
 from .config import TrainConfig
 from .rank import writer_rank
 
+SNAPSHOT_FOLDER = "snapshots"
+"""In the work folder: pictures of a stream beside the capture's."""
+
 
 def bare_targets(config: TrainConfig) -> list[Target]:
     """The places of a run that was stopped before its first checkpoint: they hold nothing to go on
@@ -170,11 +173,12 @@ def open_outputs(
 
 
 def write_snapshot(
-    splats: Splats, frame: int, cache: FrameCache, near_m: float, folder: Path
+    splats: Splats, frame: int, cache: FrameCache, near_m: float, work_folder: Path
 ) -> None:
     """Draws what shows in a frame of the stream, as the first of the capture's `watching` cameras
-    sees it, to a PNG in `folder`."""
+    sees it, to a PNG in the work folder."""
     index = cache.capture.watching[0]
     truth = captured(cache.image(index, cache.frames[frame]))
     shown = displayed(splats, cache.camera(index), near_m)
-    save_png(Image.fromarray(comparison(shown, truth)), folder / f"{frame:06d}.png")
+    path = work_folder / SNAPSHOT_FOLDER / f"{frame:06d}.png"
+    save_png(Image.fromarray(comparison(shown, truth)), path)

@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from codec.errors import InvalidError
-from trainer.parts.cluster import look_for_room
+from trainer.parts.cluster import look_for_room, num_workers
 from trainer.run.config import TrainConfig
 
 
@@ -32,6 +32,20 @@ def test_that_no_node_has_room_for_a_worker_is_said() -> None:
     assert told([small, large], worker_cpus=4, worker_gpus=0.5) == ""
     assert "4 cores and 0 GPUs" in told([small, gone], worker_cpus=4)
     assert "1 cores and 2 GPUs" in told([small, large], worker_cpus=1, worker_gpus=2)
+
+
+def test_workers_find_room_node_by_node() -> None:
+    ray = SimpleNamespace(
+        nodes=lambda: [
+            {"Alive": True, "Resources": {"CPU": 3.0}},
+            {"Alive": True, "Resources": {"CPU": 8.0, "GPU": 1.0}},
+            {"Alive": False, "Resources": {"CPU": 64.0, "GPU": 8.0}},
+        ]
+    )
+    assert num_workers(ray, config(worker_cpus=2)) == 1 + 4
+    assert num_workers(ray, config(worker_cpus=0.5)) == 6 + 16
+    assert num_workers(ray, config(worker_cpus=2, worker_gpus=0.5)) == 2
+    assert num_workers(ray, config(worker_cpus=16)) == 0
 
 
 @pytest.mark.parametrize("claims", [{"worker_cpus": 0}, {"worker_gpus": -1}])

@@ -21,6 +21,7 @@ from codec.tools.audit import verify_stream
 from tests.support.commands import command, environment, run, run_ok
 from tests.support.parts import FRAMES, SETTINGS, capture_of, contents, do_in_process, run_of, train
 from trainer.parts.task import STATE_FOLDER
+from trainer.run.outputs import SNAPSHOT_FOLDER
 from trainer.run.runlog import LOG_NAME
 
 pytest.importorskip("ray", reason="ray is not installed")
@@ -70,14 +71,17 @@ def test_a_cluster_with_killed_workers_makes_the_stream_that_one_process_makes(
 ) -> None:
     with killer([WORKER, HOLDER, TALLY], seed=1) as killed:
         told = run_ok(
-            "swings-train", capture, tmp_path / "many", *SETTINGS, "--ray", "--worker-cpus", 1
-        )
+            "swings-train", capture, tmp_path / "many", *SETTINGS, "--ray", "--worker-cpus", 1,
+            "--snapshot-every", 5,
+        )  # fmt: skip
     assert told == f"{tmp_path / 'many'}\n"
     assert min(killed) > 0
     assert contents(tmp_path / "many") == contents(one)
     assert not verify_stream(tmp_path / "many").live
     log = (tmp_path / "many" / LOG_NAME).read_text().splitlines()
     assert [json.loads(line)["frame"] for line in log] == [*range(1, FRAMES, 2)]
+    pictures = sorted((tmp_path / "many" / SNAPSHOT_FOLDER).iterdir())
+    assert [path.name for path in pictures] == [f"{n:06d}.png" for n in range(0, FRAMES, 5)]
 
 
 def test_two_captures_share_a_cluster_of_four_workers(

@@ -1,0 +1,82 @@
+"""Tasks in an order in which they can be done, and in which the stream grows soonest."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trainer.parts.cut import cut
+from trainer.parts.schedule import Schedule
+from trainer.parts.task import Kind, Run, Task
+from trainer.run.config import TrainConfig
+
+
+def run_of(num_parts: int) -> Run:
+    config = replace(TrainConfig("capture", "stream"), segment_frames=2, seam_frames=2)
+    return Run(config, tuple(cut(6 * num_parts, 6, 2, 2)))
+
+
+def never(task: Task) -> bool:
+    return False
+
+
+def all_tasks(run: Run) -> list[Task]:
+    return list(Schedule(run, never).waiting)
+
+
+@given(st.integers(1, 9), st.integers(1, 6), st.data())
+def test_every_task_is_handed_out_once_and_after_what_it_needs(
+    num_parts: int, at_a_time: int, data: st.DataObject
+) -> None:
+    run = run_of(num_parts)
+    tasks = all_tasks(run)
+    # What an earlier run has done includes what that needs.
+    before = {t.name for t in tasks[: data.draw(st.integers(0, len(tasks)))]}
+    schedule = Schedule(run, lambda task: task.name in before)
+    finished, working = set(before), list[Task]()
+    while True:
+        while len(working) < at_a_time and (task := schedule.take()) is not None:
+            assert task.name not in finished
+            assert {other.name for other in task.needs} <= finished
+            working.append(task)
+        if not working:
+            break
+        task = working.pop(data.draw(st.integers(0, len(working) - 1)))
+        finished.add(task.name)
+        schedule.done(task)
+    assert not schedule.waiting
+    assert finished == {task.name for task in tasks}
+
+
+@given(st.integers(2, 40), st.integers(1, 8))
+def test_few_parts_wait_for_their_seams(num_parts: int, at_a_time: int) -> None:
+    """What parts leave for their seams is bounded by the workers, not by the length."""
+    schedule = Schedule(run_of(num_parts), never)
+    working: deque[Task] = deque()
+    waiting: set[int] = set()  # seams of which a part has been done, but not the seam
+    while True:
+        while len(working) < at_a_time and (task := schedule.take()) is not None:
+            working.append(task)
+        if not working:
+            break
+        task = working.popleft()
+        schedule.done(task)
+        if task.kind is Kind.PART:
+            waiting |= {n for n in (task.number, task.number + 1) if 0 < n < num_parts}
+        elif task.kind is Kind.SEAM:
+            waiting.remove(task.number)
+        assert len(waiting) <= 2 * at_a_time + 1
+    assert not waiting
+
+
+def test_iterations_are_those_of_the_windows() -> None:
+    run = run_of(3)
+    genesis, first, second, seam, *_ = all_tasks(run)
+    fit = run.config.fit
+    assert genesis.iterations == fit.iterations(0)
+    assert first.iterations == 5 * fit.window_iterations  # genesis has trained its first
+    assert second.iterations == (4 + 5) * fit.window_iterations + 2 * run.seam_fit.window_iterations
+    assert seam.iterations == 2 * run.seam_fit.window_iterations

@@ -1,0 +1,42 @@
+"""Which task is given away next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from .task import Kind, Run, Task
+
+
+class Schedule:
+    """Hands tasks out in the order of the stream, each once what it needs has been done: so the
+    stream grows from its beginning, and little waits to be joined."""
+
+    def __init__(self, run: Run, is_done: Callable[[Task], bool]) -> None:
+        """is_done: whether a task has been done before."""
+        genesis = Task(run, Kind.GENESIS)
+        tasks = [genesis]
+        for part in run.parts:
+            tasks.append(genesis.other(Kind.PART, part.number))
+            if part.number:
+                tasks.append(genesis.other(Kind.SEAM, part.number))
+        self._done = {task.name for task in tasks if is_done(task)}
+        self._waiting = [task for task in tasks if task.name not in self._done]
+
+    @property
+    def waiting(self) -> Sequence[Task]:
+        """What has not been handed out."""
+        return self._waiting
+
+    def is_done(self, task: Task) -> bool:
+        return task.name in self._done
+
+    def take(self) -> Task | None:
+        """The first that can be done now; None where all that are left need others first."""
+        for index, task in enumerate(self._waiting):
+            if all(map(self.is_done, task.needs)):
+                return self._waiting.pop(index)
+        return None
+
+    def done(self, task: Task) -> None:
+        """One that was handed out has been done."""
+        self._done.add(task.name)
