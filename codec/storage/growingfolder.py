@@ -71,8 +71,8 @@ class GrowingFolder:
             write_atomic(path, data)
         sync_folder(folder)
 
-    def append(self, log_bytes: int, record: bytes) -> None:
-        append_durably(self._folder / self._shape.log, log_bytes, record)
+    def append(self, log_bytes: int, records: bytes) -> None:
+        append_durably(self._folder / self._shape.log, log_bytes, records)
 
     def put(self, path: str, data: bytes) -> None:
         write_atomic(self._folder / path, data)

@@ -44,8 +44,8 @@ class GrowingPiece:
         for name, data in files.items():
             self._files.put(f"{self._shape.folder}/{entry}/{name}", data)
 
-    def append(self, log_bytes: int, record: bytes) -> None:
-        self.records.append(record)
+    def append(self, log_bytes: int, records: bytes) -> None:
+        self.records.append(records)
 
     def put(self, path: str, data: bytes) -> None:
         self._files.put(path, data)

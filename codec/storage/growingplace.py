@@ -51,7 +51,7 @@ class GrowingPlace(Protocol):
     def add(self, entry: int, files: Mapping[str, bytes]) -> None:
         """Puts the files of an entry, by their names in its folder."""
 
-    def append(self, log_bytes: int, record: bytes) -> None:
+    def append(self, log_bytes: int, records: bytes) -> None:
         """Appends to the log, which has `log_bytes`: all of it, or it raises."""
 
     def put(self, path: str, data: bytes) -> None:

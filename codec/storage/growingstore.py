@@ -80,8 +80,8 @@ class GrowingStore:
             except ConflictError:
                 self._own[path] = self._replace(path, data)
 
-    def append(self, log_bytes: int, record: bytes) -> None:
-        log = self._log[:log_bytes] + record
+    def append(self, log_bytes: int, records: bytes) -> None:
+        log = self._log[:log_bytes] + records
         self._swap(log)
         self._log = log
         self._own.clear()

@@ -46,9 +46,8 @@ class Joiner:
         beyond = -(-self._run.parts[-1].end_frame // manifest.segment_frames)
         # Segments after the last in the index are there already, and stay.
         self._place.take_over(reader.index_bytes, size, beyond)
-        named = 0
-        while self._waiting and named < self._num_segments:
-            named += len(self._records_of(self._waiting.pop(0)))
+        shown = self._num_segments * manifest.segment_frames
+        self._waiting = [task for task in self._waiting if task.frames.stop > shown]
         return list(reader.records)
 
     def go_on(self) -> Iterator[tuple[Task, list[SegmentRecord]]]:
@@ -56,13 +55,17 @@ class Joiner:
         those."""
         assert self._manifest is not None
         while self._waiting and self._files.holds(self._waiting[0].last_path):
-            task = self._waiting.pop(0)
-            rows, first = self._records_of(task), self._num_segments
-            for row in rows:
-                self._place.append(self._num_segments * len(row), row)
-                self._num_segments += 1
-            manifest = self._manifest
-            yield task, parse_index(b"".join(rows), manifest.num_layers, first, manifest.has_slots)
+            task, manifest = self._waiting.pop(0), self._manifest
+            rows = unpack_arrays(self._files.read(task.last_path, MAX_STATE_BYTES))["records"]
+            first = self._num_segments
+            # A driver that died may have named some.
+            new = rows[first - task.frames.start // manifest.segment_frames :]
+            self._place.append(first * rows.shape[1], new.tobytes())
+            self._num_segments += len(new)
+            yield (
+                task,
+                parse_index(new.tobytes(), manifest.num_layers, first, manifest.has_slots),
+            )
 
     def finish(self) -> Manifest:
         """Marks the stream as finished; all tasks are done."""
@@ -73,7 +76,3 @@ class Joiner:
         self._place.finish(finished.to_json())
         self._files.delete(STATE_FOLDER)
         return finished
-
-    def _records_of(self, task: Task) -> list[bytes]:
-        rows = unpack_arrays(self._files.read(task.last_path, MAX_STATE_BYTES))
-        return [row.tobytes() for row in rows["records"]]

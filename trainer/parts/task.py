@@ -93,6 +93,18 @@ class Task:
         return self.state_path("state" if self.kind is Kind.GENESIS else "records")
 
     @property
+    def frames(self) -> range:
+        """Those of the segments that it leaves."""
+        run, part = self.run, self.part
+        match self.kind:
+            case Kind.GENESIS:
+                return range(0)
+            case Kind.PART:
+                return range(run.seam_end(part), part.end_frame)
+            case Kind.SEAM:
+                return range(part.first_frame, run.seam_end(part))
+
+    @property
     def needs(self) -> tuple[Task, ...]:
         """What must have been done before."""
         match self.kind:
@@ -106,18 +118,17 @@ class Task:
     @property
     def iterations(self) -> int:
         """How many it takes."""
-        run, part = self.run, self.part
+        run, first = self.run, self.part.first_frame
         usual, in_seam = run.config.fit.iterations(1), run.seam_fit.iterations(1)
         match self.kind:
             case Kind.GENESIS:
                 return run.config.fit.iterations(0)
             case Kind.PART:
-                warm = min(run.config.warm_frames, part.first_frame - 1) if part.number else -1
-                seam = run.seam_end(part) - part.first_frame
-                frames = part.end_frame - part.first_frame - seam
-                return (frames + warm) * usual + seam * in_seam
+                # The first part goes on from genesis, which has trained its first window.
+                warm = min(run.config.warm_frames, first - 1) if first else -1
+                return (len(self.frames) + warm) * usual + (self.frames.start - first) * in_seam
             case Kind.SEAM:
-                return run.seam_frames * in_seam
+                return len(self.frames) * in_seam
 
     def other(self, kind: Kind, number: int = 0) -> Task:
         """Another task of the same run."""

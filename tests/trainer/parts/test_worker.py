@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import shutil
 from functools import partial
 from pathlib import Path
 
@@ -14,9 +15,19 @@ from codec.storage.openfiles import FilesFolder, open_files
 from codec.stream import StreamReader
 from codec.stream.seeker import roll
 from codec.tools.audit import verify_stream
-from tests.support.parts import FRAMES, DiedError, capture_of, contents, do_here, run_of, train
+from tests.support.parts import (
+    FRAMES,
+    DiedError,
+    capture_of,
+    contents,
+    do_here,
+    run_of,
+    tasks_of,
+    train,
+)
 from tests.support.stores.s3_server import BUCKET, s3_server
-from trainer.parts.task import STATE_FOLDER
+from trainer.parts.joiner import Joiner
+from trainer.parts.task import STATE_FOLDER, Kind
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +79,27 @@ def test_workers_that_die_leave_the_same_stream(
     train(run_of(capture, path), FilesFolder(path), partial(do_here, tell=die))
     assert left == 0
     assert contents(path) == contents(stream)
+
+
+def test_a_driver_that_died_at_any_moment_is_gone_on_from(
+    capture: Path, stream: Path, tmp_path: Path
+) -> None:
+    whole = tmp_path / "whole"
+    run = run_of(capture, whole)
+    for task in tasks_of(run):
+        do_here(task)
+        if task.kind is Kind.GENESIS:
+            Joiner(run, FilesFolder(whole)).begin(resumed=False)
+    for num_bytes in range(0, len((stream / "index.bin").read_bytes()) + 1, 200):
+        shutil.copytree(whole, path := tmp_path / "died")
+        (path / "index.bin").write_bytes((stream / "index.bin").read_bytes()[:num_bytes])
+        joiner = Joiner(run_of(capture, path), FilesFolder(path))
+        found = joiner.begin(resumed=True)
+        new = [record for _, records in joiner.go_on() for record in records]
+        assert [record.first_frame for record in found + new] == [*range(0, FRAMES, 2)]
+        joiner.finish()
+        assert contents(path) == contents(stream)
+        shutil.rmtree(path)
 
 
 def test_from_store_to_store_are_the_bytes_of_folders(capture: Path, stream: Path) -> None:
