@@ -58,15 +58,22 @@ def ending_by_signals() -> Iterator[None]:
         return
     taken = [number for number in ENDING if signal.getsignal(number) is signal.SIG_DFL]
 
+    ended: list[Ended] = []
+
     def end(number: int, frame: object) -> None:
         for other in taken:
             signal.signal(other, signal.SIG_IGN)
-        raise Ended(number)
+        ended.append(Ended(number))
+        raise ended[0]
 
     for number in taken:
         signal.signal(number, end)
     try:
         yield
+    except KeyboardInterrupt as error:
+        if ended and error is not ended[0]:  # a library has made another one of it
+            raise ended[0] from error
+        raise
     finally:
         for number in taken:
             signal.signal(number, signal.SIG_DFL)

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 import tyro
 
-from codec.console import run_command
+from codec.console import Ended, ending_by_signals, run_command
 from codec.errors import InvalidError, SwingsError
 from tests.support.commands import ROOT
 
@@ -135,6 +135,18 @@ def test_a_signal_ends_a_command_when_it_has_cleaned_up(number: signal.Signals) 
             process.send_signal(later)
     assert process.communicate(timeout=20) == ("clean\n", "")
     assert process.returncode == 128 + number
+
+
+def test_a_library_that_raises_its_own_for_a_signal_does_not_hide_it() -> None:
+    def wait() -> None:
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt from None
+
+    with pytest.raises(Ended) as raised, ending_by_signals():
+        wait()
+    assert raised.value.number == signal.SIGTERM
 
 
 def test_a_signal_that_is_ignored_stays_ignored() -> None:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import logging
 import math
 import os
+import signal
 import socket
 import sys
+import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from typing import Any
@@ -32,7 +34,8 @@ def open_cluster(address: str, least_cpus: float) -> Iterator[Any]:
         options = {"num_cpus": max(os.cpu_count() or 1, math.ceil(least_cpus))}
     _check_listens(address)
     try:
-        ray.init(log_to_driver=False, logging_level=logging.ERROR, **options)
+        with _keeping_signals():
+            ray.init(log_to_driver=False, logging_level=logging.ERROR, **options)
     except (ConnectionError, ValueError, RuntimeError) as error:
         raise InvalidError(f"--ray {address}: {error}") from error
     with redirect_stdout(sys.stderr):  # where Ray tells of workers that died
@@ -40,6 +43,17 @@ def open_cluster(address: str, least_cpus: float) -> Iterator[Any]:
             yield ray
         finally:
             ray.shutdown()
+
+
+@contextmanager
+def _keeping_signals() -> Iterator[None]:
+    """Ray would end the process by itself when it is asked to end, without a word."""
+    handler = signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+    finally:
+        if handler is not None and threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, handler)
 
 
 def look_for_room(ray: Any, config: TrainConfig, console: Console) -> None:

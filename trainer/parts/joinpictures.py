@@ -9,23 +9,27 @@ from codec.stream.index import SegmentRecord
 from trainer.pictures.framecache import FrameCache
 from trainer.run.config import TrainConfig
 from trainer.run.outputs import write_snapshot
+from trainer.run.prepare import Prepared
 
 
 class JoinPictures:
     """Draws every so many frames of what has joined the stream, beside the capture's."""
 
-    def __init__(self, config: TrainConfig, cache: FrameCache, near_m: float) -> None:
-        self._config, self._cache, self._near_m = config, cache, near_m
+    def __init__(self, config: TrainConfig, prepared: Prepared) -> None:
+        self._config, self._prepared = config, prepared
 
     def joined(self, records: Sequence[SegmentRecord]) -> None:
         """These have joined the stream now."""
-        every = self._config.snapshot_every
-        if not every or not records:
+        config, prepared = self._config, self._prepared
+        if not config.snapshot_every or not records:
             return
-        reader = StreamReader(self._config.target)
+        reader = StreamReader(config.target)
         first, last = records[0], records[-1]
-        for frame in range(first.first_frame, last.first_frame + last.num_frames):
-            if frame % every == 0:
-                splats = reader.active_splats(frame, reader.manifest.num_layers)
-                folder = self._config.work_folder
-                write_snapshot(splats, frame, self._cache, self._near_m, folder)
+        # Pictures of other frames need not be held for these.
+        with FrameCache(
+            prepared.capture, prepared.frames, config.scale, config.cache_bytes
+        ) as cache:
+            for frame in range(first.first_frame, last.first_frame + last.num_frames):
+                if frame % config.snapshot_every == 0:
+                    splats = reader.active_splats(frame, reader.manifest.num_layers)
+                    write_snapshot(splats, frame, cache, prepared.near_m, config.work_folder)

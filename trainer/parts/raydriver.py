@@ -15,7 +15,6 @@ from codec.errors import InvalidError
 from codec.profiles.profile import Profile
 from codec.storage.openfiles import Files, open_files
 from codec.stream.manifest import Manifest
-from trainer.pictures.framecache import FrameCache
 from trainer.run.config import TrainConfig
 from trainer.run.outputs import check_targets
 from trainer.run.prepare import Prepared, prepare
@@ -27,9 +26,9 @@ from .cut import cut
 from .joiner import Joiner
 from .joinmonitor import JoinMonitor
 from .joinpictures import JoinPictures
-from .schedule import Schedule
 from .task import STATE_FOLDER, Kind, Run, Task, whole_segments
 from .taskprocess import Tally, do
+from .taskqueue import TaskQueue
 
 RUN_PATH = f"{STATE_FOLDER}/run.json"
 
@@ -72,15 +71,9 @@ def train_in_parts(config: TrainConfig, address: str, console: Console) -> Manif
             look_for_room(ray, config, console)
             resumed = _begin(run, files, config.resume)
             log_path = config.log or config.work_folder / LOG_NAME
-            with (
-                FrameCache(
-                    prepared.capture, prepared.frames, config.scale, config.cache_bytes
-                ) as cache,
-                ProgressLine(console) as line,
-                RunLog(log_path, config.tensorboard) as runlog,
-            ):
+            with ProgressLine(console) as line, RunLog(log_path, config.tensorboard) as runlog:
                 monitor = JoinMonitor(line, runlog, len(prepared.frames))
-                pictures = JoinPictures(config, cache, prepared.near_m)
+                pictures = JoinPictures(config, prepared)
                 return _train(run, files, resumed, ray, monitor, pictures)
     except KeyboardInterrupt:
         console.print("stopped; --resume goes on from there", highlight=False)
@@ -114,12 +107,12 @@ def _train(
     remote = ray.remote(max_retries=-1, **claims)(do)
     tally = ray.remote(num_cpus=0, max_restarts=-1)(Tally).remote()
     joiner = Joiner(run, files)
-    schedule = Schedule(run, lambda task: files.holds(task.last_path))
-    monitor.begin(sum(task.iterations for task in schedule.waiting))
+    queue = TaskQueue(run, lambda task: files.holds(task.last_path))
+    monitor.begin(sum(task.iterations for task in queue.waiting))
     begun = False
     given: dict[Any, Task] = {}
     while True:
-        if not begun and schedule.is_done(Task(run, Kind.GENESIS)):
+        if not begun and queue.is_done(Task(run, Kind.GENESIS)):
             monitor.found(joiner.begin(resumed))
             begun = True
         if begun:
@@ -128,14 +121,14 @@ def _train(
                 pictures.joined(records)
                 _tidy(files, joined)
         most = AHEAD * max(1, num_workers(ray, config))
-        while len(given) < most and (task := schedule.take()) is not None:
+        while len(given) < most and (task := queue.take()) is not None:
             given[remote.remote(task, tally)] = task
         if not given:
             return joiner.finish()
         done, _ = ray.wait(list(given), timeout=LOOK_S)
         for ref in done:
             _check(ray, ref, given[ref])
-            schedule.done(given.pop(ref))
+            queue.done(given.pop(ref))
         with suppress(ray.exceptions.RayActorError):  # it is being started anew
             monitor.progressed(ray.get(tally.total.remote()))
 

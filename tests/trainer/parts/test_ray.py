@@ -111,12 +111,9 @@ def test_two_captures_share_a_cluster_of_four_workers(
         assert contents(stream) == contents(one)
 
 
-def test_a_run_that_is_stopped_goes_on_with_what_is_there(
-    capture: Path, one: Path, tmp_path: Path
-) -> None:
-    stream = tmp_path / "many"
-    arguments = [capture, stream, *SETTINGS, "--ray", "--worker-cpus", 1]
-    stopped = subprocess.Popen(
+def stop_at(file: str, number: signal.Signals, stream: Path, arguments: list[object]) -> None:
+    """Trains until a worker has left `file`, and ends the driver by a signal."""
+    driver = subprocess.Popen(
         command("swings-train", *arguments),
         env=environment(),
         stdout=subprocess.DEVNULL,
@@ -124,12 +121,27 @@ def test_a_run_that_is_stopped_goes_on_with_what_is_there(
         text=True,
     )
     deadline_s = time.monotonic() + 120
-    while not (stream / STATE_FOLDER / "part-0.records").exists():
-        assert stopped.poll() is None
+    while not (stream / STATE_FOLDER / file).exists():
+        assert driver.poll() is None
         assert time.monotonic() < deadline_s
         time.sleep(0.01)
-    stopped.send_signal(signal.SIGINT)
-    assert "--resume goes on from there" in stopped.communicate()[1]
+    driver.send_signal(number)
+    said = driver.communicate()[1]
+    if number is signal.SIGKILL:
+        assert driver.returncode == -number
+    else:
+        assert driver.returncode == 128 + number, said
+        assert "--resume goes on from there" in said
+
+
+def test_a_run_that_is_stopped_goes_on_with_what_is_there(
+    capture: Path, one: Path, tmp_path: Path
+) -> None:
+    stream = tmp_path / "many"
+    arguments = [capture, stream, *SETTINGS, "--ray", "--worker-cpus", 1]
+    stop_at("genesis.state", signal.SIGTERM, stream, arguments)
+    stop_at("part-0.records", signal.SIGINT, stream, [*arguments, "--resume"])
+    stop_at("seam-1.records", signal.SIGKILL, stream, [*arguments, "--resume"])
     other = run("swings-train", *arguments, "--resume", "--num-gs", 300)
     assert (other.returncode, other.stderr.count("\n")) == (1, 1)
     assert "wants the options" in other.stderr

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trainer.parts.cut import cut
-from trainer.parts.schedule import Schedule
 from trainer.parts.task import Kind, Run, Task
+from trainer.parts.taskqueue import TaskQueue
 from trainer.run.config import TrainConfig
 
 
@@ -24,7 +24,7 @@ def never(task: Task) -> bool:
 
 
 def all_tasks(run: Run) -> list[Task]:
-    return list(Schedule(run, never).waiting)
+    return list(TaskQueue(run, never).waiting)
 
 
 @given(st.integers(1, 9), st.integers(1, 6), st.data())
@@ -35,10 +35,10 @@ def test_every_task_is_handed_out_once_and_after_what_it_needs(
     tasks = all_tasks(run)
     # What an earlier run has done includes what that needs.
     before = {t.name for t in tasks[: data.draw(st.integers(0, len(tasks)))]}
-    schedule = Schedule(run, lambda task: task.name in before)
+    queue = TaskQueue(run, lambda task: task.name in before)
     finished, working = set(before), list[Task]()
     while True:
-        while len(working) < at_a_time and (task := schedule.take()) is not None:
+        while len(working) < at_a_time and (task := queue.take()) is not None:
             assert task.name not in finished
             assert {other.name for other in task.needs} <= finished
             working.append(task)
@@ -46,24 +46,24 @@ def test_every_task_is_handed_out_once_and_after_what_it_needs(
             break
         task = working.pop(data.draw(st.integers(0, len(working) - 1)))
         finished.add(task.name)
-        schedule.done(task)
-    assert not schedule.waiting
+        queue.done(task)
+    assert not queue.waiting
     assert finished == {task.name for task in tasks}
 
 
 @given(st.integers(2, 40), st.integers(1, 8))
 def test_few_parts_wait_for_their_seams(num_parts: int, at_a_time: int) -> None:
     """What parts leave for their seams is bounded by the workers, not by the length."""
-    schedule = Schedule(run_of(num_parts), never)
+    queue = TaskQueue(run_of(num_parts), never)
     working: deque[Task] = deque()
     waiting: set[int] = set()  # seams of which a part has been done, but not the seam
     while True:
-        while len(working) < at_a_time and (task := schedule.take()) is not None:
+        while len(working) < at_a_time and (task := queue.take()) is not None:
             working.append(task)
         if not working:
             break
         task = working.popleft()
-        schedule.done(task)
+        queue.done(task)
         if task.kind is Kind.PART:
             waiting |= {n for n in (task.number, task.number + 1) if 0 < n < num_parts}
         elif task.kind is Kind.SEAM:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from .task import Kind, Run, Task
 
 
-class Schedule:
+class TaskQueue:
     """Hands tasks out in the order of the stream, each once what it needs has been done: so the
     stream grows from its beginning, and little waits to be joined."""
 
