@@ -11,14 +11,15 @@ import re
 import socket
 import ssl
 from base64 import b64encode
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
 from urllib.parse import quote, unquote, urlsplit
 
-import aiohappyeyeballs
 import h11
+from aiohappyeyeballs import AddrInfoType, start_connection
 
 BUFFER_BYTES = 64 << 10
 """When twice as much has come that nobody has read, the socket is left alone, bytes."""
@@ -120,6 +121,14 @@ def _ascii_host(host: str) -> str:
     return host.encode("idna").decode("ascii")  # a UnicodeError is a ValueError
 
 
+async def _addresses(host: str, port: int) -> Sequence[AddrInfoType]:
+    """Where a host is. Raises OSError."""
+    kind, numeric = socket.SOCK_STREAM, socket.AI_NUMERICHOST
+    with suppress(socket.gaierror):  # what is an address need not be looked up, by a thread
+        return socket.getaddrinfo(host, port, type=kind, flags=numeric)
+    return await asyncio.get_running_loop().getaddrinfo(host, port, type=kind)
+
+
 @cache
 def _tls() -> ssl.SSLContext:
     return ssl.create_default_context()
@@ -139,13 +148,9 @@ class HttpConnection:
         context = _tls() if target.scheme == "https" else None
         try:
             async with asyncio.timeout(timeout_s):
-                addresses = await asyncio.get_running_loop().getaddrinfo(
-                    target.host, target.port, type=socket.SOCK_STREAM
-                )
+                addresses = await _addresses(target.host, target.port)
                 # asyncio's own staggered connecting forgets a socket when it is cancelled.
-                connected = await aiohappyeyeballs.start_connection(
-                    addresses, happy_eyeballs_delay=STAGGER_S
-                )
+                connected = await start_connection(addresses, happy_eyeballs_delay=STAGGER_S)
                 reader, writer = await asyncio.open_connection(
                     limit=BUFFER_BYTES,
                     sock=connected,
