@@ -31,6 +31,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from bench.serve.processes import family
 from codec.console import run_command
 from codec.errors import InvalidError
 from codec.tools.audit import verify_stream
@@ -95,16 +96,13 @@ class Trained:
 
 def processes(words: bytes) -> list[int]:
     """Those whose command line has `words`, of all that this one has started."""
-    parents, lines = {}, {}
-    for folder in Path("/proc").glob("[0-9]*"):
+    found = []
+    for process in family(os.getpid()):
         with contextlib.suppress(OSError):
-            status = (folder / "stat").read_text()
-            parents[int(folder.name)] = int(status.rpartition(")")[2].split()[1])
-            lines[int(folder.name)] = (folder / "cmdline").read_bytes().replace(b"\0", b" ")
-    mine = {os.getpid()}
-    while more := {child for child, parent in parents.items() if parent in mine} - mine:
-        mine |= more
-    return sorted(child for child in mine if words in lines.get(child, b""))
+            line = Path(f"/proc/{process}/cmdline").read_bytes()
+            if words in line.replace(b"\0", b" "):
+                found.append(process)
+    return found
 
 
 def peak_bytes(process: int) -> int:

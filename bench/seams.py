@@ -29,8 +29,9 @@ from codec.storage.openfiles import FilesFolder
 from codec.stream import StreamReader
 from trainer.parts.joiner import Joiner
 from trainer.parts.raydriver import plan
-from trainer.parts.task import Kind, Run, Task
+from trainer.parts.task import Kind, Run
 from trainer.parts.taskprocess import run_task
+from trainer.parts.taskqueue import TaskQueue
 from trainer.run.config import TrainConfig
 from trainer.run.job import train_stream
 from trainer.run.prepare import prepare
@@ -123,15 +124,14 @@ def seen_of(held_out: HeldOut) -> Seen:
 def train_parts(run: Run, console: Console) -> None:
     """Trains all parts, one after the other."""
     files = FilesFolder(Path(run.config.target))
-    joiner, genesis = Joiner(run, files), Task(run, Kind.GENESIS)
-    parts = [genesis.other(Kind.PART, part.number) for part in run.parts]
-    seams = [genesis.other(Kind.SEAM, part.number) for part in run.parts[1:]]
-    for task in (genesis, *parts, *seams):
+    joiner, queue = Joiner(run, files), TaskQueue(run, lambda task: False)
+    while (task := queue.take()) is not None:
         with console.status(task.name):
             status, words = run_task(task, lambda iterations: None)
         if status:
             raise InvalidError(f"{task.name}: {words}")
-        if task is genesis:
+        queue.done(task)
+        if task.kind is Kind.GENESIS:
             joiner.begin(resumed=False)
         for _ in joiner.go_on():
             pass

@@ -37,7 +37,7 @@ class Bundle:
         _check_end(data, what)
         try:
             self._archive = zipfile.ZipFile(io.BytesIO(data))
-        except (*_BROKEN, NotImplementedError) as error:
+        except _BROKEN as error:
             raise CorruptError(f"{what}: the ZIP archive is broken: {error}") from error
 
     def read(self, name: str) -> bytes:
@@ -57,7 +57,7 @@ class Bundle:
         try:
             with self._archive.open(info) as file:
                 return file.read(self._max_bytes)
-        except (*_BROKEN, NotImplementedError) as error:
+        except _BROKEN as error:
             raise CorruptError(f"{shown} is broken: {error}") from error
 
 

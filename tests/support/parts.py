@@ -13,6 +13,7 @@ from trainer.parts.joiner import Joiner
 from trainer.parts.raydriver import plan
 from trainer.parts.task import Kind, Run, Task
 from trainer.parts.taskprocess import run_task
+from trainer.parts.taskqueue import TaskQueue
 from trainer.parts.worker import opened_worker
 from trainer.run.config import TrainConfig
 from trainer.run.outputs import SNAPSHOT_FOLDER
@@ -47,9 +48,7 @@ def run_of(capture: Path | str, stream: Path | str) -> Run:
 
 def tasks_of(run: Run) -> list[Task]:
     """In an order in which they can be done."""
-    genesis = Task(run, Kind.GENESIS)
-    parts = [genesis.other(Kind.PART, part.number) for part in run.parts]
-    return [genesis, *parts, *(genesis.other(Kind.SEAM, part.number) for part in run.parts[1:])]
+    return list(TaskQueue(run, lambda task: False).waiting)
 
 
 def train(run: Run, files: Files, do: Callable[[Task], None]) -> None:

@@ -21,15 +21,16 @@ class JoinPictures:
     def joined(self, records: Sequence[SegmentRecord]) -> None:
         """These have joined the stream now."""
         config, prepared = self._config, self._prepared
-        if not config.snapshot_every or not records:
+        every = config.snapshot_every
+        frames = [n for r in records for n in range(r.first_frame, r.first_frame + r.num_frames)]
+        due = [frame for frame in frames if every and frame % every == 0]
+        if not due:
             return
         reader = StreamReader(config.target)
-        first, last = records[0], records[-1]
         # Pictures of other frames need not be held for these.
         with FrameCache(
             prepared.capture, prepared.frames, config.scale, config.cache_bytes
         ) as cache:
-            for frame in range(first.first_frame, last.first_frame + last.num_frames):
-                if frame % config.snapshot_every == 0:
-                    splats = reader.active_splats(frame, reader.manifest.num_layers)
-                    write_snapshot(splats, frame, cache, prepared.near_m, config.work_folder)
+            for frame in due:
+                splats = reader.active_splats(frame, reader.manifest.num_layers)
+                write_snapshot(splats, frame, cache, prepared.near_m, config.work_folder)

@@ -158,7 +158,7 @@ class Worker:
         trainer.jump(max(1, part.first_frame - run.config.warm_frames))
         for _ in self._windows(trainer, part.first_frame):
             pass
-        trainer, begin = self._other(trainer, manifest, run.seam_fit), run.seam_end(part)
+        trainer, begin = self._other(trainer, manifest, run.seam_fit), task.frames.start
         approach: Arrays = {}
         held = None
         for window in self._windows(trainer, begin):
@@ -179,7 +179,7 @@ class Worker:
         manifest, config = self._manifest(), run.config
         before = self._left(task.other(Kind.PART, part.number - 1), "end")
         arrays = self._left(task.other(Kind.PART, part.number), "approach")
-        births = range(part.first_frame, run.seam_end(part))
+        births = task.frames
         other = {birth: Held.from_arrays(below(birth, arrays)) for birth in births}
         trainer = self._resumed(manifest, before, run.seam_fit)
         trainer.take_over(Takeover(other, config.fit.swin_size, config.fit.seed))

@@ -8,6 +8,7 @@ from dataclasses import replace
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.parts import tasks_of
 from trainer.parts.cut import cut
 from trainer.parts.task import Kind, Run, Task
 from trainer.parts.taskqueue import TaskQueue
@@ -23,16 +24,12 @@ def never(task: Task) -> bool:
     return False
 
 
-def all_tasks(run: Run) -> list[Task]:
-    return list(TaskQueue(run, never).waiting)
-
-
 @given(st.integers(1, 9), st.integers(1, 6), st.data())
 def test_every_task_is_handed_out_once_and_after_what_it_needs(
     num_parts: int, at_a_time: int, data: st.DataObject
 ) -> None:
     run = run_of(num_parts)
-    tasks = all_tasks(run)
+    tasks = tasks_of(run)
     # What an earlier run has done includes what that needs.
     before = {t.name for t in tasks[: data.draw(st.integers(0, len(tasks)))]}
     queue = TaskQueue(run, lambda task: task.name in before)
@@ -74,7 +71,7 @@ def test_few_parts_wait_for_their_seams(num_parts: int, at_a_time: int) -> None:
 
 def test_iterations_are_those_of_the_windows() -> None:
     run = run_of(3)
-    genesis, first, second, seam, *_ = all_tasks(run)
+    genesis, first, second, seam, *_ = tasks_of(run)
     fit = run.config.fit
     assert genesis.iterations == fit.iterations(0)
     assert first.iterations == 5 * fit.window_iterations  # genesis has trained its first
