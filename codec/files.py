@@ -17,8 +17,8 @@ from typing import BinaryIO
 
 from .errors import CorruptError, InvalidError, UnreadableError
 
-DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
-"""What a disk that is full or broken says when something is written."""
+DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
+"""What a disk that is full, broken or read-only says when something is written."""
 
 Opener = Callable[[str, int], int]
 """Gives the descriptor of the file at a path, opened with flags of `os`."""
@@ -45,6 +45,14 @@ def name_file(error: BaseException, path: Path | str) -> None:
     """Has `error`, if it is one of a full or broken disk and names no file, name `path`."""
     if isinstance(error, OSError) and error.filename is None and error.errno in DISK_ERRORS:
         error.filename = str(path)
+
+
+def describe_os_error(error: OSError) -> str:
+    """`error` in one line, which begins with the file if `error` names one."""
+    if error.filename is None or error.strerror is None:
+        return str(error)
+    verb = " cannot be written" if error.errno in DISK_ERRORS else ""
+    return f"{os.fsdecode(error.filename)}{verb}: {error.strerror}"
 
 
 def put_in_place(temporary: Path, path: Path) -> None:

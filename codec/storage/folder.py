@@ -11,7 +11,7 @@ import stat
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from codec.errors import CorruptError, UnreadableError
+from codec.errors import CorruptError, MissingFolderError, UnreadableError
 from codec.files import read_bounded
 
 from .storage import Stamp
@@ -43,7 +43,8 @@ class FolderStorage:
 
     def check(self) -> None:
         if not self._folder.is_dir():
-            raise CorruptError(f"{self._folder} is not a folder; name the folder of a stream")
+            kind = CorruptError if self._folder.exists() else MissingFolderError
+            raise kind(f"{self._folder} is not a folder; name the folder of a stream")
 
     def below(self, folder: str) -> FolderStorage:
         return FolderStorage(self._folder / folder, self._root)
