@@ -77,7 +77,8 @@ IMPORTS = {
 
 
 def style() -> str:
-    light, dark = [], []
+    light: list[str] = []
+    dark: list[str] = []
     for package, (ink, paper, dark_ink, dark_paper) in COLOURS.items():
         for rules, line, fill in ((light, ink, paper), (dark, dark_ink, dark_paper)):
             rules.append(f".{package} .room {{ fill: {fill}; stroke: {line} }}")
