@@ -8,6 +8,7 @@ from __future__ import annotations
 import errno
 import os
 import stat
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -18,7 +19,8 @@ from .storage import Stamp
 
 _MISSING = (FileNotFoundError, NotADirectoryError)
 
-_STEP = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
+if sys.platform != "win32":
+    _STEP = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
 class FolderStorage:
@@ -122,8 +124,11 @@ class FolderStorage:
         return root, real
 
     def _open(self, path: str, flags: int) -> int:
-        """An `Opener`. A link that comes after the look at the path is not followed."""
+        """An `Opener`. A link that comes after the look at the path is not followed, but on
+        Windows, where folders cannot be opened."""
         root, real = self._resolved(Path(path))
+        if sys.platform == "win32":
+            return os.open(real, flags)
         *folders, name = os.path.relpath(real, root).split(os.sep)
         at = os.open(root, _STEP & ~os.O_NOFOLLOW)
         try:
