@@ -16,6 +16,7 @@ from codec.profiles.profile import Profile
 from codec.storage.openfiles import Files, open_files
 from codec.stream.manifest import Manifest
 from trainer.run.config import TrainConfig
+from trainer.run.finished import finish_outputs, show_finished
 from trainer.run.outputs import check_targets
 from trainer.run.prepare import Prepared, prepare
 from trainer.run.progressline import ProgressLine
@@ -57,10 +58,17 @@ def plan(config: TrainConfig, prepared: Prepared) -> Run:
 def train_in_parts(config: TrainConfig, address: str, console: Console) -> Manifest:
     """Trains `config.capture` into `config.stream` on the cluster at `address`.
 
-    Raises SwingsError; then what is there by then stays, and --resume goes on from it.
+    A resumed run that is finished already is left as it is. Raises SwingsError; then what is there
+    by then stays, and --resume goes on from it.
     """
     config.check_profile()
     files = open_files(config.target)
+    if config.resume:
+        finished = finish_outputs(config)
+        if finished is not None:
+            files.delete(STATE_FOLDER)  # a driver killed at its end may have left it
+            show_finished(config, console)
+            return finished
     check_targets(config)
     afresh = replace(config, resume=False)  # as workers are told it
     with console.status("what the cameras see"):
@@ -76,7 +84,8 @@ def train_in_parts(config: TrainConfig, address: str, console: Console) -> Manif
                 pictures = JoinPictures(config, prepared)
                 return _train(run, files, resumed, ray, monitor, pictures)
     except KeyboardInterrupt:
-        console.print("stopped; --resume goes on from there", highlight=False)
+        with suppress(OSError):  # the terminal may be gone
+            console.print("stopped; --resume goes on from there", highlight=False)
         raise
 
 

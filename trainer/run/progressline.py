@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
@@ -67,6 +68,19 @@ def line_of(standing: Standing, columns: int) -> str:
             break
         line += f"  {part}"
     return line[:columns]
+
+
+@contextmanager
+def waiting(console: Console, text: str) -> Iterator[None]:
+    """Shows `text` while the block runs: in place on a terminal, else as a line of its own, so that
+    a log tells what takes so long. Nothing for an empty text."""
+    if console.is_terminal:
+        with console.status(text):
+            yield
+        return
+    if text:
+        console.print(text, highlight=False, markup=False, soft_wrap=True)
+    yield
 
 
 class ProgressLine:
