@@ -56,6 +56,7 @@ def check_capture(config: TrainConfig, console: Console = SILENT) -> list[str]:
         draw_capture(capture, config.check)
         lines.append(f"picture     {config.check}")
     doubts = [
+        *capture.doubts,
         *rig_doubts(capture),
         *cut_doubts,
         *picture_doubts(doubted, len(capture.cameras)),

@@ -158,7 +158,8 @@ def _announce(start: _Start, console: Console) -> None:
             "the settings given now"
         )
     if start.found is None:
-        for doubt in [*rig_doubts(prepared.capture), *prepared.near_doubts]:
+        capture = prepared.capture
+        for doubt in [*capture.doubts, *rig_doubts(capture), *prepared.near_doubts]:
             log_to.warning(doubt)
 
 

@@ -14,12 +14,13 @@ from codec.console import printing, say
 from .ablation import ablate_quantisation
 from .evaluate import EvaluateConfig, evaluate_stream
 from .sheet import write_sheet
-from .sidebyside import write_side_by_side
 
 
 def run_evaluation(config: EvaluateConfig) -> None:
     """Prints what `config` asks for, and writes its files. Raises SwingsError."""
     if config.compare is not None:
+        from .sidebyside import write_side_by_side  # loads matplotlib
+
         with _progress("drawing") as note:
             found = write_side_by_side(config, *config.compare, note)
         say(found.line)
