@@ -75,7 +75,7 @@ def train_in_parts(config: TrainConfig, address: str, console: Console) -> Manif
         prepared = prepare(afresh)
         run = plan(afresh, prepared)
     try:
-        with open_cluster(address, config.worker_cpus) as ray:
+        with open_cluster(address, config.worker_cpus, console) as ray:
             look_for_room(ray, config, console)
             resumed = _begin(run, files, config.resume)
             log_path = config.log or config.work_folder / LOG_NAME

@@ -14,6 +14,7 @@ from trainer.capture.depths import rig_centre
 from trainer.capture.layout import open_capture
 from trainer.capture.picturefiles import FPS_NAME
 from trainer.capture.points import read_points_file
+from trainer.rig.coverage import coverage_doubts
 from trainer.rig.doubts import picture_doubt, picture_doubts, rig_doubts
 from trainer.rig.nearplane import FALLBACK_NEAR_M, Seen, look, near_doubts, near_plane
 from trainer.rig.rigdrawing import draw_capture
@@ -53,12 +54,18 @@ def check_capture(config: TrainConfig, console: Console = SILENT) -> list[str]:
     near, cut_doubts = _describe_near(capture, seen, config.near_m)
     lines = describe_capture(capture) + near
     if config.check is not None:
-        draw_capture(capture, config.check)
+        by_name = draw_capture(capture, config.check)
         lines.append(f"picture     {config.check}")
+        if not by_name:
+            numbers = ", ".join(f"{n} {c.camera.name}" for n, c in enumerate(capture.cameras))
+            lines.append(
+                "labels      by number, as no font here has all letters of the names: " + numbers
+            )
     doubts = [
         *capture.doubts,
         *rig_doubts(capture),
         *cut_doubts,
+        *coverage_doubts(capture),
         *picture_doubts(doubted, len(capture.cameras)),
     ]
     if capture.fps is None:

@@ -94,7 +94,12 @@ class ProgressLine:
         self._due_s = now_s()
         self._lock = threading.Lock()
         self._live = (
-            Live(get_renderable=self._text, console=console, refresh_per_second=4)
+            Live(
+                get_renderable=self._text,
+                console=console,
+                refresh_per_second=4,
+                redirect_stdout=False,  # what Ray prints there is taken care of
+            )
             if console.is_terminal
             else None
         )

@@ -300,4 +300,5 @@ def test_the_run_that_compiles_the_kernels_writes_the_same_bytes(
     )
     assert done.returncode == 0, done.stderr
     assert any((tmp_path / "cache").rglob("*.nbc"))
+    assert done.stderr.count("kernels (half a minute once after an install)\n") == 1
     assert contents(stream) == uninterrupted
