@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import sys
 from contextlib import redirect_stdout
 from types import SimpleNamespace
 from typing import Any
@@ -59,14 +60,14 @@ def test_what_ray_says_of_a_dead_worker_becomes_one_line() -> None:
     words = io.StringIO()
     with redirect_stdout(RayOutput(Console(file=words))):
         # As ray 2.60 prints it.
-        print(
+        sys.stdout.write(
             "\x1b[33m(raylet)\x1b[0m A worker died or was killed while executing a task by an "
             "unexpected system error. To troubleshoot the problem, check the logs for the dead "
             "worker. Lease ID: 00 Worker ID: a5 Worker exit type: SYSTEM_ERROR Some common causes "
             "include: (1) the process was killed by the OOM killer due to high memory usage"
         )
-        print("Task do failed. There are infinite retries remaining. Error: ")
-        print("2 Workers (tasks / actors) killed due to memory pressure (OOM)")
+        sys.stdout.write("Task do failed. There are infinite retries remaining. Error: \n")
+        sys.stdout.write("2 Workers (tasks / actors) killed due to memory pressure (OOM)\n")
     told = words.getvalue().splitlines()
     assert [line.partition(";")[0] for line in told] == [
         "a worker died",
