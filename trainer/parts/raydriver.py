@@ -5,6 +5,7 @@ Ray decides where each task is done, and has it done again where its worker died
 
 from __future__ import annotations
 
+import logging
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
@@ -30,6 +31,8 @@ from .joinpictures import JoinPictures
 from .task import STATE_FOLDER, Kind, Run, Task, whole_segments
 from .taskprocess import Tally, do
 from .taskqueue import TaskQueue
+
+log = logging.getLogger(__name__)
 
 RUN_PATH = f"{STATE_FOLDER}/run.json"
 
@@ -76,6 +79,8 @@ def train_in_parts(config: TrainConfig, address: str, console: Console) -> Manif
         run = plan(afresh, prepared)
     try:
         with open_cluster(address, config.worker_cpus, console) as ray:
+            for doubt in () if config.resume else prepared.doubts:
+                log.warning(doubt)
             look_for_room(ray, config, console)
             resumed = _begin(run, files, config.resume)
             log_path = config.log or config.work_folder / LOG_NAME

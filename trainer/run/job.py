@@ -19,7 +19,6 @@ from codec.stream.manifest import Manifest
 from trainer.fit.trainer import Observer, Trainer
 from trainer.pictures.feed import CapturePictures
 from trainer.pictures.framecache import FrameCache
-from trainer.rig.doubts import rig_doubts
 
 from .checkpoint import CHECKPOINT_NAME, Checkpoint, load_checkpoint, save_checkpoint
 from .config import TrainConfig
@@ -158,8 +157,7 @@ def _announce(start: _Start, console: Console) -> None:
             "the settings given now"
         )
     if start.found is None:
-        capture = prepared.capture
-        for doubt in [*capture.doubts, *rig_doubts(capture), *prepared.near_doubts]:
+        for doubt in prepared.doubts:
             log_to.warning(doubt)
 
 

@@ -28,6 +28,7 @@ from trainer.errors import CaptureError
 from trainer.fit.trainer import FALLBACK_FAR_M
 from trainer.pictures.feed import Pictures
 from trainer.pictures.framecache import FrameCache
+from trainer.rig.doubts import rig_doubts
 from trainer.rig.nearplane import FALLBACK_NEAR_M, Seen, look, near_doubts, near_plane
 from trainer.seed.gaussians import initial_splats, stereo_seeds
 from trainer.step.device.pick import Picked
@@ -60,6 +61,11 @@ class Prepared:
     """What the first frame begins with, if it is given."""
     near_doubts: tuple[str, ...] = ()
     """What is doubtful about a near plane that was not given, a line each."""
+
+    @property
+    def doubts(self) -> list[str]:
+        """What may make the stream worse than the user expects, a line each."""
+        return [*self.capture.doubts, *rig_doubts(self.capture), *self.near_doubts]
 
 
 def prepare(config: TrainConfig) -> Prepared:
