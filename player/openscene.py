@@ -26,6 +26,7 @@ from codec.stream.index import INDEX_NAME
 from codec.stream.manifest import Manifest
 from player.render.gl import create_renderer
 from player.render.renderer import GlVersion, Renderer, RendererKind
+from player.show.background import BLACK, Colour, on_background
 from player.source.bounds import Bounds
 from player.source.locate import is_url
 from player.source.opener import SourceConfig
@@ -165,9 +166,11 @@ class Scene:
         frame: int,
         camera: Camera | str | None = None,
         size: tuple[int, int] | None = None,
+        *,
+        background: Colour | None = BLACK,
     ) -> Floats:
-        """(H, W, 3) float32 picture of `frame`, row 0 on top, black where nothing is, not clamped
-        above 1.
+        """(H, W, 3) float32 picture of `frame`, row 0 on top, `background` where nothing is, not
+        clamped above 1. Where `background` is None, (H, W, 4) with straight alpha.
 
         camera: the name of one of the stream's, or any other; None takes the default one. size:
         width and height in pixels; what the camera sees is fitted into it. Raises what `splats`
@@ -180,7 +183,9 @@ class Scene:
         try:
             for slice in self._missing(frame):
                 renderer.put(slice)
-            return renderer.render(frame, seen)
+            renderer.alpha = background != BLACK
+            picture = renderer.render(frame, seen)
+            return on_background(picture, background) if renderer.alpha else picture
         except BaseException:
             # What it holds by now is not known; the next picture starts with another one.
             self._stop_drawing()

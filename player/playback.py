@@ -23,6 +23,7 @@ from player.playout.threads import Joined, Threads, render_thread
 from player.playout.timeline import FrameRecord, Playout, QueueConfig
 from player.render.gl import GlError, create_renderer
 from player.render.renderer import Renderer, RendererKind
+from player.show.background import BLACK, on_background
 from player.show.errand import Errand
 from player.show.progress import frames_progress
 from player.show.sink import FrameSink, to_bytes
@@ -180,7 +181,7 @@ class _Playback:
         camera = config.camera.of(found.manifest, config.size, FrameRange())(config.frames.first)
         size = Size(camera.width_px, camera.height_px)
         window = GlWindow(size, config.source, config.gl)
-        poster = PosterScreen(window, read_picture(found.poster), config.background)
+        poster = PosterScreen(window, read_picture(found.poster), config.window_background)
         preparing = Errand(self._rehearse_for_window)
         if poster.show_until(preparing.is_done):
             self._play_in(window, poster, size)
@@ -214,7 +215,7 @@ class _Playback:
                     self._renderers,
                     self._note,
                     recorder.add,
-                    config.background,
+                    config.window_background,
                 )
         finally:
             self._summary.received_bytes += conductor.received_bytes
@@ -267,9 +268,13 @@ class _Playback:
                     render_thread(threads.update(renderer), renderer, joined.path, show)
 
     def _create_renderer(self, joined: Joined) -> Renderer:
-        return create_renderer(self._kind, joined.source.manifest, self._config.gl)
+        renderer = create_renderer(self._kind, joined.source.manifest, self._config.gl)
+        renderer.alpha = self._config.background != BLACK
+        return renderer
 
     def _show(self, files: _Files, record: FrameRecord, picture: Floats) -> None:
+        if picture.shape[2] == 4:
+            picture = on_background(picture, self._config.background)
         files.write(picture)
         self._note(record, drawn=True)
 

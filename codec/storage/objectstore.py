@@ -44,6 +44,8 @@ MAX_REASON_CHARS = 200
 _ANSWER = re.compile("<Code>(.*?)</Code>.*?<Message>(.*?)</Message>", re.DOTALL)
 """In the error of an S3 server."""
 
+_PLAIN_ENDPOINT = re.compile(r"\bhttp://")
+
 Value = TypeVar("Value")
 
 Version = dict[str, str]
@@ -240,7 +242,27 @@ def _said(error: Exception) -> str:
     answer = _ANSWER.search(str(error))
     # What follows in the text is for those who develop obstore.
     text = ": ".join(answer.groups()) if answer else str(error).partition("Debug source")[0]
-    return " ".join(text.split())[:MAX_REASON_CHARS]
+    advice = "" if answer else _advice(text)
+    return advice or " ".join(text.split())[:MAX_REASON_CHARS]
+
+
+METADATA_ADDRESS = "http://169.254.169.254/"
+"""Where the machines of a cloud get credentials: obstore asks there when it is given none."""
+
+
+def _advice(text: str) -> str:
+    """What to set where obstore's own words name a symptom; empty for another error."""
+    if METADATA_ADDRESS in text:
+        return (
+            "no credentials: set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or "
+            "AWS_SKIP_SIGNATURE=true for a public bucket"
+        )
+    if "builder error" in text and _PLAIN_ENDPOINT.search(text):
+        return (
+            "the endpoint is http://, without encryption; set AWS_ALLOW_HTTP=true to allow that, "
+            "or use an https:// endpoint"
+        )
+    return ""
 
 
 def _stamp(found: ObjectMeta) -> Stamp:

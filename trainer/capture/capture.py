@@ -1,7 +1,7 @@
 """What every layout of a capture becomes: cameras, a frame count, and pictures read on demand.
 
-Rule: opening a capture decodes no picture, yet proves that each camera has each frame, so that a
-training run does not die of a missing file in its third hour.
+Rule: opening a capture decodes no picture but the first of a video, yet proves that each camera has
+each frame, so that a training run does not die of a missing file in its third hour.
 """
 
 from __future__ import annotations
@@ -119,6 +119,8 @@ class Capture:
     """Depth behind which nothing of the scene stands, metres; None if the rig does not tell."""
     opener: Callable[[int], PictureSource]
     """Makes the source of the camera of this index; `open_images` checks the index first."""
+    doubts: tuple[str, ...] = ()
+    """What is doubtful about the files, a line each."""
 
     def open_images(self, camera_index: int) -> PictureSource:
         """A new source of one camera's pictures; nothing is read before its first `read`."""

@@ -129,6 +129,8 @@ class TrainConfig:
     def __post_init__(self) -> None:
         if self.stream is None and self.check is None:
             raise InvalidError("name the folder to write the stream to, or --check PNG")
+        if not 0 < self.scale <= 1:
+            raise InvalidError(f"scale {self.scale:g}: choose above 0, at most 1")
         if self.fps is not None and not 0 < self.fps <= MAX_FPS:
             raise InvalidError(f"fps {self.fps:g}: choose above 0, at most {MAX_FPS:g}")
         if self.point_share is not None and not 0 <= self.point_share <= 1:
