@@ -18,8 +18,10 @@ from yarl import URL
 
 from codec.errors import InvalidError
 from codec.stream import StreamWriter
-from server.html.gallery import clock_text
+from server.answers import pages
+from server.html.gallery import Card, card_html, clock_text
 from server.html.webplayer import WebPlayer
+from server.library import ServedStream
 from tests.support.server.running_server import (
     SEGMENT_FRAMES,
     Running,
@@ -77,6 +79,56 @@ def test_a_poster_of_any_name_shows_on_the_front_page(tmp_path: Path) -> None:
             assert (response.status, response.content_type) == (200, "image/png")
 
     on_server(tmp_path, check)
+
+
+@pytest.mark.parametrize("fps", [1e-320, 1e-300])
+def test_a_stream_of_hardly_any_frames_a_second_leaves_the_front_page_alone(
+    tmp_path: Path, fps: float
+) -> None:
+    make_stream(tmp_path / "slow", 3)
+    make_stream(tmp_path / "walk", 12)
+    manifest = tmp_path / "slow" / "manifest.json"
+    text = manifest.read_text()
+    assert '"fps": 30' in text
+    manifest.write_text(re.sub('"fps": [0-9.]+', f'"fps": {fps}', text))
+
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        async with client.get("/") as response:
+            assert response.status == 200
+            assert re.findall('href="watch/([^"]*)"', await response.text()) == ["walk"]
+        async with client.get("/v1/streams") as response:
+            (broken,) = (await response.json())["broken"]
+        assert broken["name"] == "slow"
+        assert "fps" in broken["reason"]
+
+    on_server(tmp_path, check)
+
+
+def test_a_card_that_cannot_be_made_shows_its_name_among_the_others(
+    root: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def about(stream: ServedStream) -> str:
+        if stream.name == "walk":
+            raise OverflowError("cannot convert float infinity to integer")
+        return "what it has"
+
+    monkeypatch.setattr(pages, "_about", about)
+
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        async with client.get("/") as response:
+            page = await response.text()
+        assert response.status == 200
+        assert re.findall('href="watch/([^"]*)"', page) == ["dance.2", "walk"]
+        assert page.count("what it has") == 1
+        assert '<span class="title">walk</span>' in page
+
+    on_server(root, check)
+    assert "only the name of walk" in caplog.text
+
+
+def test_a_length_that_is_not_known_is_not_shown() -> None:
+    assert '<span class="tag">0:01</span>' in card_html(Card("walk", "Walk", seconds=1.5))
+    assert "tag" not in card_html(Card("walk", "Walk"))
 
 
 def test_every_stream_has_a_page_that_plays_it(root: Path) -> None:

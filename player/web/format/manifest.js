@@ -13,6 +13,8 @@ const MAX_NUM_GS = 2 ** 24;
 const MAX_SLOTS = 2 ** 20;
 const MAX_SEGMENT_SLOTS = 2 ** 28;
 const MAX_LAYERS = 16;
+const MIN_FPS = 0.001;
+const MAX_FPS = 1000;
 const MAX_POSTER_BYTES = 255;
 const MIN_STEP = 1e-6;
 
@@ -74,7 +76,7 @@ export function readManifest(bytes) {
     throw corrupt(`manifest: no camera is called ${name.slice(0, 80)}`);
   return {
     version,
-    fps: within(number(field(value, "fps"), "fps"), 1000, "fps"),
+    fps: readFps(value),
     swinSize,
     numGs,
     numLayers,
@@ -82,7 +84,7 @@ export function readManifest(bytes) {
     shDegree,
     profile,
     antialias: boolean(field(value, "antialias"), "antialias"),
-    nearM: within(number(field(value, "near_m"), "near_m"), Infinity, "near_m"),
+    nearM: positive(number(field(value, "near_m"), "near_m"), "near_m"),
     bounds: readBounds(value),
     cameras,
     defaultCamera,
@@ -133,7 +135,7 @@ function partsOf(numLayers, version) {
 function readShares(value) {
   const shares = list(field(value, "layers"), 1, MAX_LAYERS, "layers");
   let sum = 0;
-  for (const share of shares) sum += within(number(share, "layers"), Infinity, "a layer's share");
+  for (const share of shares) sum += positive(number(share, "layers"), "a layer's share");
   if (Math.abs(sum - 1) > 1e-6) throw corrupt(`manifest: the shares of the layers make ${sum}`);
   return shares.length;
 }
@@ -181,14 +183,20 @@ function readLattice(row) {
   };
 }
 
+/** @param {unknown} value */
+function readFps(value) {
+  const fps = number(field(value, "fps"), "fps");
+  if (!(fps >= MIN_FPS && fps <= MAX_FPS)) throw corrupt(`manifest: fps is ${fps}`);
+  return fps;
+}
+
 /**
  * A number over 0.
  * @param {number} found
- * @param {number} most
  * @param {string} what
  */
-function within(found, most, what) {
-  if (!(found > 0 && found <= most)) throw corrupt(`manifest: ${what} is ${found}`);
+function positive(found, what) {
+  if (found <= 0) throw corrupt(`manifest: ${what} is ${found}`);
   return found;
 }
 
