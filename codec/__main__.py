@@ -11,6 +11,7 @@ from typing import Annotated
 import tyro
 
 from codec.stream.poster import Draw
+from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 from codec.tools.audit import describe, summarise, verify_stream
 from codec.tools.commands import Export, Import, export_files, import_files
 
@@ -30,6 +31,9 @@ class Info:
     """Print one JSON object instead of text."""
     plot: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
     """Also draw bitrate per layer and quality over time, as a picture at this place."""
+    max_gaussians: int = DEFAULT_MAX_GAUSSIANS
+    """Refuse a stream of more Gaussians a frame: a few kilobytes of file can ask for gigabytes of
+    memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +42,9 @@ class Verify:
 
     stream: tyro.conf.Positional[Stream]
     """Folder of the stream, or its URL in an object store, as s3://BUCKET/PATH."""
+    max_gaussians: int = DEFAULT_MAX_GAUSSIANS
+    """Refuse a stream of more Gaussians a frame: a few kilobytes of file can ask for gigabytes of
+    memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +56,8 @@ class Command:
 
 def run(command: Command, draw: Draw | None) -> None:
     match command.action:
-        case Info(stream=path, json=as_json, plot=picture):
-            summary = summarise(path)
+        case Info(stream=path, json=as_json, plot=picture, max_gaussians=most):
+            summary = summarise(path, most)
             if picture is not None:
                 from codec.tools.plot import draw_stream  # matplotlib loads slowly
 
@@ -58,8 +65,8 @@ def run(command: Command, draw: Draw | None) -> None:
             say(json.dumps(asdict(summary)) if as_json else describe(summary))
             if picture is not None and not as_json:
                 say(f"picture      {picture}")
-        case Verify(stream=path):
-            summary = verify_stream(path)
+        case Verify(stream=path, max_gaussians=most):
+            summary = verify_stream(path, most)
             say(f"{path}: {summary.num_frames} frames in {summary.num_segments} segments are good")
         case Import() as config:
             say(import_files(config, draw))

@@ -15,6 +15,7 @@ from codec.console import option
 from codec.errors import InvalidError
 from codec.framerange import FRAMES, FrameRange
 from codec.stream.manifest import Manifest
+from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 from player.link.linktext import read_link
 from player.network.retry import RetryConfig
 from player.playout.clock import MAX_RATE, MIN_RATE
@@ -171,6 +172,9 @@ class PlayConfig:
     """Keep what comes from static hosts in this folder, and take it from there the next time."""
     cache_bytes: Annotated[int, tyro.conf.arg(metavar="BYTES")] = 1 << 30
     """Most that is kept; what was used longest ago goes first."""
+    max_gaussians: int = DEFAULT_MAX_GAUSSIANS
+    """Refuse a stream of more Gaussians a frame: a few kilobytes of file can ask for gigabytes of
+    memory."""
     loop: Annotated[int | None, LOOP] = 1
     """Play the frames so often, or forever; each time the stream is asked for anew."""
     rate: float = 1.0

@@ -96,7 +96,9 @@ class _Playback:
         self._journal = Journal(MAX_ROWS if config.report or config.plot else 0)
         self._summary = PlaySummary(config.source, link=config.link, journal=self._journal)
         via = relay.address if relay is not None else None
-        self._opener = Opener(config.source, via, self._received, config.delivery)
+        self._opener = Opener(
+            config.source, via, self._received, config.delivery, config.max_gaussians
+        )
 
     def close(self) -> None:
         self._opener.close()

@@ -264,7 +264,7 @@ def import_stream(
                     first_bytes = writer.slice_bytes
                 progress(len(files) + birth + 1, 2 * len(files))
         if manifest.has_slots:
-            first_bytes = sum(StreamReader(folder).records[0].side_bytes[1:])
+            first_bytes = sum(StreamReader(folder, max_gaussians=None).records[0].side_bytes[1:])
         if draw is not None:
             write_poster(folder, draw)
     errors = None if filler is None else dict(zip(KINDS, filler.errors.tolist(), strict=True))

@@ -98,7 +98,7 @@ def write_poster(stream: Target, draw: Draw) -> None:
     It shows what the default camera sees of the frame in the middle of what there is by now,
     decoded with all layers. It is whole or absent, and replaces the one before.
     """
-    reader = StreamReader(stream)
+    reader = StreamReader(stream, max_gaussians=None)
     manifest = reader.manifest
     if manifest.poster != POSTER_NAME or not reader.num_frames:
         return

@@ -15,6 +15,7 @@ from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat
 from codec.sequence.importing import Imported, ImportOptions, import_stream
 from codec.stream.poster import Draw
+from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 
 from .fileprogress import told
 from .static import export_static
@@ -56,6 +57,9 @@ class Export:
     """Most important layers to write; all by default."""
     static: bool = False
     """Write all of the stream, coded so that browsers inflate it by themselves (gzip)."""
+    max_gaussians: int = DEFAULT_MAX_GAUSSIANS
+    """Refuse a stream of more Gaussians a frame: a few kilobytes of file can ask for gigabytes of
+    memory."""
 
 
 def import_files(config: Import, draw: Draw | None = None) -> str:
@@ -118,6 +122,7 @@ def export_files(config: Export) -> str:
         config.format,
         config.layers,
         config.spz_version,
+        config.max_gaussians,
     )
     files = str(written[0]) if len(written) == 1 else f"{written[0]} .. {written[-1].name}"
     total_bytes = sum(path.stat().st_size for path in written)
@@ -129,7 +134,7 @@ def _export_static(config: Export) -> str:
     chosen = (config.frame, config.frames, config.format, config.layers, config.spz_version)
     if chosen != (None,) * 5:
         raise InvalidError("--static writes the whole stream; leave out what is for frames")
-    made = export_static(config.stream, config.out)
+    made = export_static(config.stream, config.out, config.max_gaussians)
     share = 100 * made.size_bytes / made.source_bytes
     return (
         f"{config.out}: {made.num_frames} frames in {made.num_segments} segments for any web "

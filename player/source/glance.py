@@ -34,7 +34,7 @@ def glance(place: Place, fetcher: Fetcher) -> Glance | None:
     """Looks at the stream at `place`; None where a server has none, who says more to who plays it.
     A poster that cannot be had is done without. Raises FetchError, CodecError."""
     if isinstance(place, Path):
-        reader = StreamReader(place)
+        reader = StreamReader(place, max_gaussians=None)
         try:
             return Glance(reader.manifest, read_poster(reader.storage, reader.manifest))
         except CodecError as error:

@@ -101,7 +101,7 @@ def train_stream(
                 initial = first_gaussians(config, prepared, pictures)
             manifest = make_manifest(config, prepared, cache, initial)
         else:
-            initial, manifest = None, StreamReader(config.target).manifest
+            initial, manifest = None, StreamReader(config.target, max_gaussians=None).manifest
         line = ProgressLine(console)
         monitor = Monitor(line, log, config.fit, len(prepared.frames))
         trainer = Trainer(

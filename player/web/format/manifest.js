@@ -10,6 +10,9 @@ const { fround } = Math;
 
 const MAX_MANIFEST_BYTES = 2 ** 20;
 const MAX_NUM_GS = 2 ** 24;
+/** As in codec/stream/reader.py. */
+const DEFAULT_MAX_GAUSSIANS = 2 ** 22;
+const FLOAT_COPIES = 5;
 const MAX_SLOTS = 2 ** 20;
 const MAX_SEGMENT_SLOTS = 2 ** 28;
 const MAX_LAYERS = 16;
@@ -96,6 +99,23 @@ export function readManifest(bytes) {
     layout,
     parts: partsOf(numLayers, version),
   };
+}
+
+/**
+ * Throws a FormatError if a stream has more Gaussians than a page should hold: a stream of a few
+ * kilobytes may have 2^24. To be called before anything is decoded, or allocated by these counts.
+ * @param {Manifest} manifest
+ * @param {number | null} maxGaussians null for the default
+ * @param {string} name
+ */
+export function checkGaussians({ numGs, shDegree }, maxGaussians, name) {
+  if (numGs <= (maxGaussians ?? DEFAULT_MAX_GAUSSIANS)) return;
+  const floats = 11 + 3 * (shDegree + 1) ** 2;
+  const memoryGb = ((FLOAT_COPIES * 4 * floats * numGs) / 1e9).toFixed(1);
+  throw unsupported(
+    `${name} has ${numGs.toLocaleString("en")} Gaussians; max-gaussians=${numGs}, as an attribute of ` +
+      `the player or in the address of its page, plays it (about ${memoryGb} GB of memory)`,
+  );
 }
 
 /**
