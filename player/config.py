@@ -14,6 +14,7 @@ from tyro.constructors import PrimitiveConstructorSpec
 from codec.console import option
 from codec.errors import InvalidError
 from codec.framerange import FRAMES, FrameRange
+from codec.storage.credentials import without_credentials
 from codec.stream.manifest import Manifest
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 from player.link.linktext import read_link
@@ -191,8 +192,13 @@ class PlayConfig:
     """Go once around the still in this time, or along --camera if that moves, to an .mp4 or a
     folder of PNGs."""
     viser: Annotated[int | None, PORT] = None
-    """Show it in a browser by viser (pip install 'swings[viser]'), at this port or the next one
-    that is free; by default 8080."""
+    """Show it in a browser by viser (pip install '.[viser]' in the folder of swings), at this port
+    or the next one that is free; by default 8080."""
+
+    @property
+    def name(self) -> str:
+        """The source for people: without the name and password that its URL may hold."""
+        return without_credentials(self.source)
 
     @property
     def delivery(self) -> SourceConfig:
@@ -201,7 +207,7 @@ class PlayConfig:
     def __post_init__(self) -> None:
         """Raises InvalidError for options that do not go together, whatever the stream is."""
         if self.link is not None and not self.source.lower().startswith("http://"):
-            raise InvalidError(f"--link slows down http:// URLs; {self.source} is not one")
+            raise InvalidError(f"--link slows down http:// URLs; {self.name} is not one")
         if self.viser is not None:
             self._refuse("--viser", *self._of_plays, *self._of_pictures)
         elif self.still is not None or self.turntable is not None:
@@ -289,5 +295,5 @@ class PlayConfig:
 
     def _check_profile(self) -> None:
         if "://" in self.source:
-            raise InvalidError(f"--profile measures a stream in a folder; {self.source} is not one")
+            raise InvalidError(f"--profile measures a stream in a folder; {self.name} is not one")
         self._refuse("--profile", ("--capture", self.capture is not None), *self._of_plays)

@@ -40,10 +40,10 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def run_measured(*words: object) -> tuple[int, str, float]:
+def run_measured(name: str, *words: object) -> tuple[int, str, float]:
     """Exit status, stderr, and peak memory in MB of a command."""
     process = subprocess.Popen(
-        command(*words),
+        command(name, *words),
         env=environment(),
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
@@ -57,8 +57,8 @@ def run_measured(*words: object) -> tuple[int, str, float]:
     return process.returncode, told, usage.ru_maxrss / 1024
 
 
-def assert_refused(*words: object) -> None:
-    status, told, peak_mb = run_measured(*words)
+def assert_refused(name: str, *words: object) -> None:
+    status, told, peak_mb = run_measured(name, *words)
     assert status == 1, told
     assert re.fullmatch(rf"swings-\w+: \S+many\S* has {REFUSAL}\n", told), told
     assert peak_mb < LIMIT_MB
@@ -92,7 +92,7 @@ def test_exporting_it(library: Path, tmp_path: Path, more: tuple[object, ...]) -
     ],
 )
 def test_playing_it_from_a_folder(library: Path, tmp_path: Path, more: tuple[object, ...]) -> None:
-    words = [tmp_path / word if str(word).startswith("out.") else word for word in more]
+    words = [tmp_path / str(word) if str(word).startswith("out.") else word for word in more]
     assert_refused("swings-play", library / "many", *words)
     assert not list(tmp_path.iterdir())
 

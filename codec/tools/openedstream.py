@@ -15,6 +15,7 @@ from typing import Self
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.splats import Splats
+from codec.storage.credentials import without_credentials
 from codec.storage.openstorage import Place
 from codec.stream.manifest import Manifest
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
@@ -41,8 +42,9 @@ class OpenedStream:
     def __init__(self, place: Place, max_gaussians: int | None) -> None:
         """Use `open_stream`."""
         if not isinstance(place, Path) and str(place).lower().startswith(("http://", "https://")):
+            name = without_credentials(str(place))
             raise InvalidError(
-                f"{place}: codec reads folders and object stores; for this kind of URL take "
+                f"{name}: codec reads folders and object stores; for this kind of URL take "
                 "player.Scene.open"
             )
         self._reader: StreamReader | None = StreamReader(place, max_gaussians)

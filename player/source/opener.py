@@ -16,17 +16,19 @@ from pathlib import Path
 
 from codec.errors import CorruptError
 from codec.framerange import FrameRange
+from codec.storage.credentials import without_credentials
 from codec.stream.manifest import Manifest
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, check_gaussians
 from player.network.diskcache import DiskCache
 from player.network.faults import BrokenError, StoppedError
 from player.network.fetch import FetchConfig, Fetcher
+from player.network.logins import logins_of
 from player.network.retry import Retry, RetryConfig
 
 from .directory import DirectorySource
 from .glance import Glance, glance
 from .hosted import HostedSource
-from .locate import Place, ServedPlace, locate
+from .locate import Place, ServedPlace, locate, split_source
 from .served import ServedSource
 from .source import NO_PLAY, Source
 
@@ -64,11 +66,11 @@ class Opener:
         see `check_gaussians`."""
         self._config = config or SourceConfig()
         self._max_gaussians = max_gaussians
-        self.name = source
+        self.name = without_credentials(source)
         self.manifest: Manifest | None = None
         """As it was when the stream was opened last; None before that."""
         fetch = FetchConfig(other_hosts=self._config.other_hosts)
-        self._fetcher = Fetcher(via, fetch, received)
+        self._fetcher = Fetcher(via, fetch, received, logins=logins_of(split_source(source)))
         folder, cache_bytes = self._config.cache, self._config.cache_bytes
         self.cache = DiskCache(folder, cache_bytes) if folder is not None else None
         """Counts what it has saved."""
