@@ -5,46 +5,15 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass
 from functools import partial
-from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from codec.stream.poster import Draw
-from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 from codec.tools.audit import describe, summarise, verify_stream
-from codec.tools.commands import Export, Import, export_files, import_files
+from codec.tools.commands import Export, Import, Info, Verify, export_files, import_files
 
 from .console import run_command, say
-
-Stream = Annotated[str, tyro.conf.arg(metavar="STREAM")]
-
-
-@dataclass(frozen=True, slots=True)
-class Info:
-    """Say what a stream holds, from its manifest and index; where slots last (version 2), also
-    from its masks."""
-
-    stream: tyro.conf.Positional[Stream]
-    """Folder of the stream, or its URL in an object store, as s3://BUCKET/PATH."""
-    json: bool = False
-    """Print one JSON object instead of text."""
-    plot: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
-    """Also draw bitrate per layer and quality over time, as a picture at this place."""
-    max_gaussians: int = DEFAULT_MAX_GAUSSIANS
-    """Refuse a stream of more Gaussians a frame: a few kilobytes of file can ask for gigabytes of
-    memory."""
-
-
-@dataclass(frozen=True, slots=True)
-class Verify:
-    """Read, check and decode every byte of a stream; name the first file and byte that is wrong."""
-
-    stream: tyro.conf.Positional[Stream]
-    """Folder of the stream, or its URL in an object store, as s3://BUCKET/PATH."""
-    max_gaussians: int = DEFAULT_MAX_GAUSSIANS
-    """Refuse a stream of more Gaussians a frame: a few kilobytes of file can ask for gigabytes of
-    memory."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -182,6 +182,16 @@ def test_what_a_person_reads_says_is_not_a() -> None:
     assert not found, "\n".join(found)
 
 
+def test_nobody_is_told_to_install_a_package_that_is_not_ours() -> None:
+    """`swings` on a package index would be somebody else's program; extras come from the
+    checkout: `pip install '.[s3]'`."""
+    files = [f for folder in (*HOUSE, "bench", "fuzz") for f in python_files(folder)]
+    files += [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("codec/*.md")]
+    files += [path for path in (ROOT / "deploy").iterdir() if path.is_file()]
+    wrong = re.compile(r"swings\[|pip install swings\b")
+    assert not [f for f in files if wrong.search(f.read_text(encoding="utf-8"))]
+
+
 def test_only_what_runs_on_devices_imports_torch() -> None:
     for folder in HOUSE:
         for file in python_files(folder):

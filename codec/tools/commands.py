@@ -1,4 +1,4 @@
-"""The subcommands `import` and `export` of swings-stream."""
+"""The subcommands of swings-stream, and what `import` and `export` do."""
 
 from __future__ import annotations
 
@@ -19,6 +19,35 @@ from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 
 from .fileprogress import told
 from .static import export_static
+
+Stream = Annotated[str, tyro.conf.arg(metavar="STREAM")]
+
+
+@dataclass(frozen=True, slots=True)
+class Info:
+    """Say what a stream holds, from its manifest and index; where slots last (version 2), also
+    from its masks."""
+
+    stream: tyro.conf.Positional[Stream]
+    """Folder of the stream, or its URL in an object store, as s3://BUCKET/PATH."""
+    json: bool = False
+    """Print one JSON object instead of text."""
+    plot: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
+    """Also draw bitrate per layer and quality over time, as a picture at this place."""
+    max_gaussians: int = DEFAULT_MAX_GAUSSIANS
+    """Refuse a stream of more Gaussians a frame: a few kilobytes of file can ask for gigabytes of
+    memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verify:
+    """Read, check and decode every byte of a stream; name the first file and byte that is wrong."""
+
+    stream: tyro.conf.Positional[Stream]
+    """Folder of the stream, or its URL in an object store, as s3://BUCKET/PATH."""
+    max_gaussians: int = DEFAULT_MAX_GAUSSIANS
+    """Refuse a stream of more Gaussians a frame: a few kilobytes of file can ask for gigabytes of
+    memory."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,9 @@ from .call import Call
 
 log = logging.getLogger(__name__)
 
+NO_REFERRER = {"Referrer-Policy": "no-referrer"}
+"""A page's own URL may hold its signature."""
+
 REVALIDATE = {"Cache-Control": "no-cache"}
 
 
@@ -23,6 +26,7 @@ def _page(text: str, security: str, status: int = 200) -> Response:
     fields = {
         "Content-Type": "text/html; charset=utf-8",
         "Content-Security-Policy": security,
+        **NO_REFERRER,
         **REVALIDATE,
     }
     return Response(status, fields, text.encode())
@@ -77,7 +81,7 @@ def _card(stream: ServedStream) -> str:
 
 def front(call: Call) -> Response:
     cards = [_card(stream) for stream in _streams(call)]
-    return _page(front_page(cards, _origin(call)), htmlpage.SECURITY)
+    return _page(front_page(cards, _origin(call)), htmlpage.UNFRAMED)
 
 
 def watch(call: Call) -> Response:

@@ -169,6 +169,27 @@ def test_only_files_of_the_player_are_served(root: Path, name: str) -> None:
     on_server(root, check)
 
 
+@pytest.mark.parametrize(
+    ("path", "has", "lacks"),
+    [
+        ("/", ("base-uri 'none'", "form-action 'none'", "frame-ancestors 'none'"), ()),
+        # Pages of other hosts show it in frames; it has a <base> of its own.
+        ("/watch/walk", ("base-uri 'self'", "form-action 'none'"), ("frame-ancestors",)),
+    ],
+)
+def test_what_pages_allow(
+    root: Path, path: str, has: tuple[str, ...], lacks: tuple[str, ...]
+) -> None:
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        async with client.get(path) as response:
+            policy = response.headers["Content-Security-Policy"].split("; ")
+            assert response.headers["Referrer-Policy"] == "no-referrer"
+        assert set(has) <= set(policy)
+        assert not [one for one in policy if one.startswith(lacks)]
+
+    on_server(root, check)
+
+
 def test_where_the_player_is_not_whole_no_server_starts(tmp_path: Path) -> None:
     (tmp_path / "watch.html").write_text("<html></html>")
     for folder in (tmp_path, tmp_path / "nothing"):
@@ -212,6 +233,8 @@ def test_a_stream_that_is_not_there_has_a_page_that_says_so(root: Path, name: st
         assert head.startswith(b"HTTP/1.1 404 "), head
         assert b"Content-Type: text/html" in head
         assert b"Content-Security-Policy: default-src 'none'" in head
+        assert b"frame-ancestors" not in head
+        assert b"Referrer-Policy: no-referrer" in head
         assert b'<a href="../">' in body
         assert name == ".." or name.encode() not in body
 
