@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 
+from codec.stream.poster import poster_path
 from server.html import htmlpage, webplayer
 from server.html.gallery import Card, card_html, front_page, missing_page
 from server.http.errors import RequestError
@@ -68,7 +69,7 @@ def _card(stream: ServedStream) -> str:
         card = Card(
             stream.name,
             _title(stream),
-            stream.view.manifest.poster,
+            poster_path(stream.view.manifest),
             seconds if math.isfinite(seconds) else None,
             stream.live,
             _about(stream),

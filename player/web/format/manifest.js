@@ -239,7 +239,9 @@ function readPoster(value) {
   if (numBytes > MAX_POSTER_BYTES || /[\u0000-\u001f\u007f]/.test(poster)) {
     throw corrupt("manifest: poster is too long or holds a control character");
   }
-  return poster;
+  // A reader goes without one that leads out of the stream's folder: `//` would begin another host.
+  const leadsOut = poster.split("/").some((part) => part === "" || part === "..");
+  return leadsOut || !/[^/]\.(jpe?g|png|webp)$/i.test(poster) ? null : poster;
 }
 
 /** @param {unknown} value */

@@ -31,6 +31,7 @@ from codec.stream.playrecord import (
     StartRecord,
     encode_record,
 )
+from codec.stream.poster import poster_path
 from fuzz.codec import TARGETS
 from fuzz.seed import CORPUS, made_manifest
 from tests.goldens.pinned_slots import FILE as SLOTS_FILE
@@ -115,7 +116,7 @@ def assert_same_manifest(found: dict[str, object], manifest: Manifest) -> None:
         "nearM": manifest.near_m,
         "bounds": [list(corner) for corner in manifest.bounds],
         "live": manifest.live,
-        "poster": manifest.poster,
+        "poster": poster_path(manifest),
         "objectUrl": manifest.object_url,
         "title": manifest.title,
         "captureFrame": manifest.capture_frame,
@@ -208,6 +209,31 @@ def test_frame_rates_out_of_the_bounds(browser: BrowserCode, fps: float) -> None
         Manifest.from_json(data)
     with pytest.raises(CodecError, match="fps"):
         browser.ask("manifest", bytes=data.hex())
+
+
+@pytest.mark.parametrize(
+    ("poster", "taken"),
+    [
+        ("poster.jpg", True),
+        ("art/still #1.PNG", True),
+        ("//evil.example/x.jpg", False),
+        ("/x.jpg", False),
+        ("a//x.jpg", False),
+        ("../x.jpg", False),
+        ("a/../x.jpg", False),
+        ("x.svg", False),
+        (".jpg", False),
+        ("art/.jpg", False),
+        ("", False),
+    ],
+)
+def test_a_poster_lies_in_the_stream_s_folder(
+    browser: BrowserCode, poster: str, taken: bool
+) -> None:
+    manifest = replace(made_manifest(), poster=poster)
+    expected = poster if taken else None
+    assert poster_path(manifest) == expected
+    assert browser.ask("manifest", bytes=manifest.to_json().hex())["poster"] == expected
 
 
 def record_is_taken(data: bytes) -> object:
