@@ -14,7 +14,9 @@ from tyro.constructors import PrimitiveConstructorSpec
 from codec.console import option
 from codec.errors import InvalidError
 from codec.framerange import FRAMES, FrameRange
+from codec.storage.credentials import without_credentials
 from codec.stream.manifest import Manifest
+from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 from player.link.linktext import read_link
 from player.network.retry import RetryConfig
 from player.playout.clock import MAX_RATE, MIN_RATE
@@ -180,6 +182,9 @@ class PlayConfig:
     """Keep what comes from static hosts in this folder, and take it from there the next time."""
     cache_bytes: Annotated[int, tyro.conf.arg(metavar="BYTES")] = 1 << 30
     """Most that is kept; what was used longest ago goes first."""
+    max_gaussians: int = DEFAULT_MAX_GAUSSIANS
+    """Refuse a stream of more Gaussians a frame: a few kilobytes of file can ask for gigabytes of
+    memory."""
     loop: Annotated[int | None, LOOP] = 1
     """Play the frames so often, or forever; each time the stream is asked for anew."""
     rate: float = 1.0
@@ -196,8 +201,13 @@ class PlayConfig:
     """Go once around the still in this time, or along --camera if that moves, to an .mp4 or a
     folder of PNGs."""
     viser: Annotated[int | None, PORT] = None
-    """Show it in a browser by viser (pip install 'swings[viser]'), at this port or the next one
-    that is free; by default 8080."""
+    """Show it in a browser by viser (pip install '.[viser]' in the folder of swings), at this port
+    or the next one that is free; by default 8080."""
+
+    @property
+    def name(self) -> str:
+        """The source for people: without the name and password that its URL may hold."""
+        return without_credentials(self.source)
 
     @property
     def delivery(self) -> SourceConfig:
@@ -206,7 +216,7 @@ class PlayConfig:
     def __post_init__(self) -> None:
         """Raises InvalidError for options that do not go together, whatever the stream is."""
         if self.link is not None and not self.source.lower().startswith("http://"):
-            raise InvalidError(f"--link slows down http:// URLs; {self.source} is not one")
+            raise InvalidError(f"--link slows down http:// URLs; {self.name} is not one")
         if self.viser is not None:
             self._refuse("--viser", *self._of_plays, *self._of_pictures)
         elif self.still is not None or self.turntable is not None:
@@ -312,6 +322,6 @@ class PlayConfig:
 
     def _check_profile(self) -> None:
         if "://" in self.source:
-            raise InvalidError(f"--profile measures a stream in a folder; {self.source} is not one")
+            raise InvalidError(f"--profile measures a stream in a folder; {self.name} is not one")
         given = ("--capture", self.capture is not None), ("--background", self.background != BLACK)
         self._refuse("--profile", *given, *self._of_plays)

@@ -95,9 +95,11 @@ class _Playback:
         self._clock = Clock(real=True)
         self._renderers: list[Renderer] = []
         self._journal = Journal(MAX_ROWS if config.report or config.plot else 0)
-        self._summary = PlaySummary(config.source, link=config.link, journal=self._journal)
+        self._summary = PlaySummary(config.name, link=config.link, journal=self._journal)
         via = relay.address if relay is not None else None
-        self._opener = Opener(config.source, via, self._received, config.delivery)
+        self._opener = Opener(
+            config.source, via, self._received, config.delivery, config.max_gaussians
+        )
 
     def close(self) -> None:
         self._opener.close()
@@ -180,7 +182,7 @@ class _Playback:
         config, found = self._config, self._glance()
         camera = config.camera.of(found.manifest, config.size, FrameRange())(config.frames.first)
         size = Size(camera.width_px, camera.height_px)
-        window = GlWindow(size, config.source, config.gl)
+        window = GlWindow(size, config.name, config.gl)
         poster = PosterScreen(window, read_picture(found.poster), config.window_background)
         preparing = Errand(self._rehearse_for_window)
         if poster.show_until(preparing.is_done):

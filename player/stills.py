@@ -29,6 +29,7 @@ def draw_still(config: PlayConfig) -> str:
         renderer=config.renderer,
         gl=config.gl,
         delivery=config.delivery,
+        max_gaussians=config.max_gaussians,
     ) as scene:
         frame = still.of(scene.fps)
         scene.frames(frame, frame + 1)  # raises where there is no such frame

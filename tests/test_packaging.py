@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from collections import Counter
@@ -109,6 +110,16 @@ def test_a_file_is_found_by_its_name() -> None:
         if file.stem not in ("__init__", "__main__", "errors", "config")
     )
     assert not {stem: count for stem, count in stems.items() if count > 1}
+
+
+def test_nobody_is_told_to_install_a_package_that_is_not_ours() -> None:
+    """`swings` on a package index would be somebody else's program; extras come from the
+    checkout: `pip install '.[s3]'`."""
+    files = [f for folder in (*HOUSE, "bench", "fuzz") for f in python_files(folder)]
+    files += [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("codec/*.md")]
+    files += [path for path in (ROOT / "deploy").iterdir() if path.is_file()]
+    wrong = re.compile(r"swings\[|pip install swings\b")
+    assert not [f for f in files if wrong.search(f.read_text(encoding="utf-8"))]
 
 
 def test_only_what_runs_on_devices_imports_torch() -> None:

@@ -19,6 +19,7 @@ from codec.errors import (
     UnwritableError,
 )
 
+from .credentials import without_credentials
 from .storage import Stamp
 
 if TYPE_CHECKING:
@@ -57,7 +58,7 @@ class StorePrefix:
 
     def __init__(self, url: str, store: ObjectStore, prefix: str = "") -> None:
         """Use `open_store`. prefix: in `store`, of every path; empty, or with '/' at its end."""
-        self._url = url.rstrip("/")
+        self._url = without_credentials(url).rstrip("/")
         self._store = store
         self._prefix = prefix
 
@@ -243,7 +244,7 @@ def _said(error: Exception) -> str:
     # What follows in the text is for those who develop obstore.
     text = ": ".join(answer.groups()) if answer else str(error).partition("Debug source")[0]
     advice = "" if answer else _advice(text)
-    return advice or " ".join(text.split())[:MAX_REASON_CHARS]
+    return advice or without_credentials(" ".join(text.split()))[:MAX_REASON_CHARS]
 
 
 METADATA_ADDRESS = "http://169.254.169.254/"
@@ -285,7 +286,8 @@ def open_store(url: str, *, patient: bool = False) -> StorePrefix:
         from obstore.store import from_url
     except ImportError as error:
         raise InvalidError(
-            f"{url}: object stores need obstore; install it with pip install 'swings[s3]'"
+            f"{without_credentials(url)}: object stores need obstore; install it with "
+            "pip install '.[s3]' in the folder of swings"
         ) from error
     try:
         store = from_url(
@@ -296,5 +298,6 @@ def open_store(url: str, *, patient: bool = False) -> StorePrefix:
             },
         )
     except (obstore.exceptions.BaseError, ValueError) as error:
-        raise InvalidError(f"{url} does not name an object store: {_said(error)}") from error
+        name = without_credentials(url)
+        raise InvalidError(f"{name} does not name an object store: {_said(error)}") from error
     return StorePrefix(url, store)

@@ -31,7 +31,9 @@ def open_cluster(address: str, least_cpus: float, console: Console) -> Iterator[
     try:
         import ray
     except ImportError as error:
-        raise InvalidError("--ray needs the extra ray: pip install 'swings[ray]'") from error
+        raise InvalidError(
+            "--ray needs the extra ray: pip install '.[ray]' in the folder of swings"
+        ) from error
     options: Mapping[str, Any] = {"address": address}
     if address == LOCAL:
         options = {"num_cpus": max(os.cpu_count() or 1, math.ceil(least_cpus))}

@@ -178,7 +178,7 @@ def _train(start: _Start, console: Console, observers: Sequence[Observer]) -> Ma
                 initial = first_gaussians(config, prepared, pictures)
             manifest = make_manifest(config, prepared, cache, initial)
         else:
-            initial, manifest = None, StreamReader(config.target).manifest
+            initial, manifest = None, StreamReader(config.target, max_gaussians=None).manifest
         line = ProgressLine(console)
         monitor = Monitor(line, log, config.fit, len(prepared.frames))
         trainer = Trainer(

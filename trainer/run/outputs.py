@@ -53,7 +53,7 @@ def _is_bare(target: Target) -> bool:
     if not names <= BARE_NAMES:
         return False
     if MANIFEST_NAME in names:
-        reader = StreamReader(target)
+        reader = StreamReader(target, max_gaussians=None)
         return reader.manifest.live and not reader.records
     return True
 
@@ -159,7 +159,7 @@ def open_outputs(
                 wanted = manifest.with_profile(profile)
                 writer = StreamWriter.create(target, wanted, rank, quality=quality)
             else:
-                reader = StreamReader(target)
+                reader = StreamReader(target, max_gaussians=None)
                 if not reader.manifest.live:
                     continue
                 writer = StreamWriter.resume(target, rank, quality=quality)

@@ -29,7 +29,7 @@ def run_evaluation(config: EvaluateConfig) -> None:
     with _progress("scoring") as note:
         result = score(config, note)
     if config.sheet is not None:
-        write_sheet(config.stream, config.capture, config.sheet)
+        write_sheet(config.stream, config.capture, config.sheet, config.max_gaussians)
     if config.json:
         say(json.dumps(result.to_json(), indent=1))
     else:
