@@ -9,6 +9,8 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from tests.support.forked.commands import command_server
+
 ROOT = Path(__file__).parents[2]
 """The root of the repository."""
 ENTRY = {
@@ -35,13 +37,13 @@ def environment() -> dict[str, str]:
 
 
 def run(name: str, *arguments: object, timeout_s: float = 240) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        command(name, *arguments),
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=timeout_s,
-    )
+    """The command as a process of its own, forked from one that has imported all commands."""
+    variables = environment()
+    server = command_server(os.getpid())
+    argv, words = command(name, *arguments), [*map(str, arguments)]
+    if server.suits(variables):
+        return server.run(ENTRY[name], argv, words, variables, timeout_s)
+    return subprocess.run(argv, env=variables, capture_output=True, text=True, timeout=timeout_s)
 
 
 def run_ok(name: str, *arguments: object, timeout_s: float = 240) -> str:

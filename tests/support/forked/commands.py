@@ -1,0 +1,90 @@
+"""The process of commandserver.py, seen from a test."""
+
+from __future__ import annotations
+
+import atexit
+import os
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+from functools import cache
+from pathlib import Path
+
+from tests.support.forked.commandserver import Request
+
+ROOT = Path(__file__).parents[3]
+
+READ_AT_IMPORT = ("PYTHON", "NUMBA", "OMP", "OPENBLAS", "MPL", "LD_")
+"""How variables begin that libraries read when they are imported, so that a fork has them from its
+server."""
+
+
+class CommandServer:
+    """The process, from which one command is forked at a time."""
+
+    def __init__(self, environment: dict[str, str]) -> None:
+        self._fixed = _fixed(environment)
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "tests.support.forked.commandserver"],
+            cwd=ROOT,
+            env={**environment, "PYTHONPATH": str(ROOT)},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+        atexit.register(self.close)
+
+    def suits(self, environment: dict[str, str]) -> bool:
+        """Whether a fork would see what a new process sees of `environment`."""
+        return _fixed(environment) == self._fixed and self._process.poll() is None
+
+    def run(
+        self,
+        entry: str,
+        argv: list[str],
+        arguments: list[str],
+        environment: dict[str, str],
+        timeout_s: float,
+    ) -> subprocess.CompletedProcess[str]:
+        """As subprocess.run with its output as text. Raises TimeoutExpired, and kills the command."""
+        assert self._process.stdin is not None
+        with tempfile.TemporaryDirectory() as folder:
+            out, err = Path(folder) / "out", Path(folder) / "err"
+            request = Request(
+                entry, argv, arguments, environment, os.getcwd(), str(out), str(err)
+            )
+            self._process.stdin.write(request.to_line().encode())
+            self._process.stdin.flush()
+            pid = self._answer(timeout_s)
+            assert pid is not None
+            status = self._answer(timeout_s)
+            if status is None:
+                os.kill(pid, signal.SIGKILL)
+                self._answer(timeout_s)
+                raise subprocess.TimeoutExpired(argv, timeout_s)
+            return subprocess.CompletedProcess(argv, status, out.read_text(), err.read_text())
+
+    def _answer(self, timeout_s: float) -> int | None:
+        """The next number that the server says; None if it does not come in time."""
+        assert self._process.stdout is not None
+        if not select.select([self._process.stdout], [], [], timeout_s)[0]:
+            return None
+        # Unbuffered below: one line at a time is on its way.
+        return int(self._process.stdout.readline())
+
+    def close(self) -> None:
+        self._process.kill()
+        self._process.communicate()
+
+
+def _fixed(environment: dict[str, str]) -> dict[str, str]:
+    fixed = {key: value for key, value in environment.items() if key.startswith(READ_AT_IMPORT)}
+    fixed.pop("PYTHONPATH", None)
+    return fixed
+
+
+@cache
+def command_server(pid: int) -> CommandServer:
+    """The server of the process `pid`, this one."""
+    return CommandServer(dict(os.environ))

@@ -1,0 +1,108 @@
+"""A process that has imported the commands, and forks one of them for each request.
+
+`python -m tests.support.forked.commandserver`. A line on its standard input is a request as JSON
+(`Request`). It answers with the pid of the command and, when that has ended, with its exit status.
+A fork costs milliseconds where a new interpreter costs a second.
+"""
+
+from __future__ import annotations
+
+import atexit
+import importlib
+import json
+import os
+import sys
+import threading
+import traceback
+from dataclasses import asdict, dataclass
+
+PRELOADED = (
+    "numba",
+    "trainer.run.job",
+    "trainer.score.evaluatecommand",
+    "trainer.synth.film",
+    "codec.sequence.importing",
+    "player.playback",
+    "player.streamcommand",
+    "server.serving",
+    "server.study.__main__",
+)
+"""What the commands import, at once or when they run."""
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A command to run."""
+
+    entry: str
+    """module:function"""
+    argv: list[str]
+    """As an interpreter gets it, with the command's arguments at its end."""
+    arguments: list[str]
+    environment: dict[str, str]
+    folder: str
+    out: str
+    """The file to put its standard output into."""
+    err: str
+
+    def to_line(self) -> str:
+        return json.dumps(asdict(self)) + "\n"
+
+
+def exit_status(code: object) -> int:
+    """What an interpreter makes of the code of a SystemExit."""
+    if code is None:
+        return 0
+    if isinstance(code, int):
+        return code & 255
+    sys.stderr.write(f"{code}\n")
+    return 1
+
+
+def run(request: Request) -> int:
+    """Runs the command in this process; its exit status."""
+    for number, path in enumerate((os.devnull, request.out, request.err)):
+        opened = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
+        os.dup2(opened, number)
+        os.close(opened)
+    os.environ.clear()
+    os.environ.update(request.environment)
+    os.chdir(request.folder)
+    sys.orig_argv, sys.argv = request.argv, ["-c", *request.arguments]
+    module, _, function = request.entry.partition(":")
+    try:
+        code: object = getattr(importlib.import_module(module), function)()
+    except SystemExit as ended:
+        code = ended.code
+    except BaseException:
+        traceback.print_exc()
+        code = 1
+    status = exit_status(code)
+    threading._shutdown()  # type: ignore[attr-defined]  # as an interpreter does at its end
+    atexit._run_exitfuncs()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    return status
+
+
+def main() -> None:
+    for name in PRELOADED:
+        importlib.import_module(name)
+    for line in sys.stdin:
+        request = Request(**json.loads(line))
+        pid = os.fork()
+        if not pid:
+            status = 1
+            try:
+                status = run(request)
+            finally:
+                os._exit(status)
+        sys.stdout.write(f"{pid}\n")
+        sys.stdout.flush()
+        status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        sys.stdout.write(f"{status}\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()
