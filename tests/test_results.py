@@ -17,7 +17,12 @@ from tests.support.commands import ENTRY, ROOT, environment
 
 PAGE = (ROOT / "docs" / "RESULTS.md").read_text(encoding="utf-8")
 IS_COMMAND = re.compile(r"(swings-\w+|scripts/bench) +\S")
-STANDS_FOR = {"--seed S": "--seed 0", "-share X": "-share 0.1", " ...": ""}
+STANDS_FOR = {
+    "--seed S": "--seed 0",
+    "-share X": "-share 0.1",
+    " ...": "",
+    "demo/link.json": "8M",
+}
 """Words of the page that stand for others."""
 NAMES_ALONE = {
     "swings-stream info",
