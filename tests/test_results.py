@@ -21,7 +21,7 @@ STANDS_FOR = {
     "--seed S": "--seed 0",
     "-share X": "-share 0.1",
     " ...": "",
-    "demo/link.json": "8M",
+    "URL --link demo/link.json": "http://127.0.0.1 --link 8M",
 }
 """Words of the page that stand for others."""
 NAMES_ALONE = {
