@@ -16,6 +16,7 @@ import tyro
 from tyro.constructors import PrimitiveConstructorSpec
 
 from .errors import SwingsError
+from .files import describe_os_error
 
 Config = TypeVar("Config")
 Value = TypeVar("Value")
@@ -146,7 +147,10 @@ def run_command(
     def fail(error: Exception, status: int) -> NoReturn:
         if verbose:
             raise error
-        message = " ".join(str(error).split()) or type(error).__name__
+        message = str(error)
+        if isinstance(error, OSError) and not isinstance(error, SwingsError):
+            message = describe_os_error(error)
+        message = " ".join(message.split()) or type(error).__name__
         sys.stderr.write(f"{prog}: {printable(message)}\n")
         sys.exit(status)
 

@@ -44,6 +44,10 @@ class CorruptError(CodecError):
     """The bytes break a rule of the format: truncated, altered, or never of this format."""
 
 
+class MissingFolderError(CorruptError, FileNotFoundError):
+    """The folder that the caller named does not exist, for which Python has a class as well."""
+
+
 class UnreadableError(CorruptError):
     """What is there cannot be read now: no permission, no descriptor left, a store that does not
     answer. The same may be well later."""

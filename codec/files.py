@@ -10,6 +10,7 @@ import errno
 import os
 import shutil
 import stat
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -17,15 +18,18 @@ from typing import BinaryIO
 
 from .errors import CorruptError, InvalidError, UnreadableError
 
-DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
-"""What a disk that is full or broken says when something is written."""
+DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
+"""What a disk that is full, broken or read-only says when something is written."""
 
 Opener = Callable[[str, int], int]
 """Gives the descriptor of the file at a path, opened with flags of `os`."""
 
 
 def sync_folder(path: Path) -> None:
-    """Makes the names in the folder `path` last through a power cut."""
+    """Makes the names in the folder `path` last through a power cut. Does nothing on Windows,
+    where folders cannot be opened."""
+    if sys.platform == "win32":
+        return
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -47,9 +51,17 @@ def name_file(error: BaseException, path: Path | str) -> None:
         error.filename = str(path)
 
 
+def describe_os_error(error: OSError) -> str:
+    """`error` in one line, which begins with the file if `error` names one."""
+    if error.filename is None or error.strerror is None:
+        return str(error)
+    verb = " cannot be written" if error.errno in DISK_ERRORS else ""
+    return f"{os.fsdecode(error.filename)}{verb}: {error.strerror}"
+
+
 def put_in_place(temporary: Path, path: Path) -> None:
     """Renames the finished file `temporary` to `path`, both of one folder, so that it lasts."""
-    with open(temporary, "rb") as file:
+    with open(temporary, "r+b") as file:  # Windows syncs only what may be written
         os.fsync(file.fileno())
     os.replace(temporary, path)
     sync_folder(path.parent)
@@ -131,6 +143,8 @@ def append_durably(path: Path, size_bytes: int, data: bytes) -> None:
 
 def open_without_waiting(path: str, flags: int) -> int:
     """An `Opener` for files of strangers: nobody has to open the other end of a pipe."""
+    if sys.platform == "win32":  # where pipes have no paths among files
+        return os.open(path, flags)
     return os.open(path, flags | os.O_NONBLOCK)
 
 

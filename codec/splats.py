@@ -21,6 +21,9 @@ SH_C0 = 0.28209479177387814
 
 MAX_SH_DEGREE = 3
 
+DRAWN_SH_DEGREE = 1
+"""Highest degree that the players draw. A stream may store more, which exports keep."""
+
 
 def sh_count(sh_degree: int) -> int:
     """Coefficients for each colour channel at `sh_degree`."""
@@ -36,7 +39,7 @@ ARRAY_NAMES = ("means", "log_scales", "quats", "logit_opacities", "sh")
 """The arrays of a `Splats`, in the order of construction."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Splats:
     """N Gaussians in the world frame (right-handed, metres).
 
@@ -71,6 +74,14 @@ class Splats:
 
     def __len__(self) -> int:
         return len(self.means)
+
+    def __repr__(self) -> str:
+        """The number, the SH degree and the bounds of the centres; not the arrays."""
+        bounds = ""
+        if len(self):
+            ends = zip("xyz", self.means.min(0), self.means.max(0), strict=True)
+            bounds = "".join(f", {axis} {low:.4g}..{high:.4g}" for axis, low, high in ends)
+        return f"Splats({len(self)} Gaussians, SH degree {self.sh_degree}{bounds})"
 
     @property
     def arrays(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import signal
 import socket
+import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -45,7 +46,9 @@ class Service:
         if self.config.supervisor.workers == 1:
             with log.writer:
                 take_over_logging(RecordHandler(log))
-                asyncio.run(self._serve(log, ready))
+                # The default on Windows is another one, which cannot watch the listener.
+                with asyncio.Runner(loop_factory=asyncio.SelectorEventLoop) as runner:
+                    runner.run(self._serve(log, ready))
             return
         with tempfile.TemporaryDirectory(prefix="swings-serve-") as folder:
             supervisor = Supervisor(
@@ -77,19 +80,26 @@ class Service:
         if not (library.streams or library.broken):
             log.trouble("no_stream_yet", "warning", root=self.root)
         state = ServerState(library, self.config, metrics, number, peers)
-        signals = [signal.SIGTERM] if worker is not None else [signal.SIGTERM, signal.SIGINT]
         if peers is not None:
             clock = asyncio.get_running_loop().time
             peers.on_request = lambda question: answer_peer(state, question, clock())
             peers.start()
         try:
             server = RunningServer(state, self.listener, log)
-            # Workers are renewed as processes.
-            renewing = [signal.SIGHUP] if worker is None else []
-            await run_until_stopped(server, ready, signals, renewing)
+            await run_until_stopped(server, ready, *handled_signals(worker is not None))
         finally:
             if peers is not None:
                 peers.close()
+
+
+def handled_signals(is_worker: bool) -> tuple[list[signal.Signals], list[signal.Signals]]:
+    """The signals that end the event loop of a process, and those that renew its keys and
+    certificate."""
+    if sys.platform == "win32":  # event loops handle none there; Ctrl-C cancels the main task
+        return [], []
+    if is_worker:  # workers are renewed as processes
+        return [signal.SIGTERM], []
+    return [signal.SIGTERM, signal.SIGINT], [signal.SIGHUP]
 
 
 def check_public(config: ServerConfig, listener: socket.socket) -> None:

@@ -8,7 +8,7 @@ from enum import StrEnum
 from functools import partial
 from pathlib import Path
 
-from codec.errors import CodecError, InvalidError, UnsupportedError
+from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
 from codec.files import read_bounded, read_head, write_atomic
 from codec.foreign.bundle import MAGIC as ZIP_MAGIC
 from codec.foreign.compressed_ply import compressed_layout, decode_compressed_ply, is_compressed
@@ -88,6 +88,8 @@ def _reading(head: bytes, suffix: str, beside: Beside = nothing_beside) -> _Read
             lambda start, file_bytes, _: check_glb(start, file_bytes),
             partial(decode_gltf, beside=beside),
         )
+    if not head:
+        raise CorruptError(f"is empty; this program reads {READ}")
     raise UnsupportedError(f"starts with {head[:4]!r}; this program reads {READ}")
 
 

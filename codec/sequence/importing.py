@@ -8,6 +8,7 @@ for as long as it likes.
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -25,7 +26,7 @@ from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.slots.slotlayout import MAX_LAYERS, MAX_SEGMENT_SLOTS
 from codec.slots.update import Update
-from codec.splats import Splats
+from codec.splats import DRAWN_SH_DEGREE, MAX_SH_DEGREE, Splats
 from codec.stream.layers import RANKS, Rank, split_counts
 from codec.stream.manifest import SLOTS_VERSION, Manifest, Point
 from codec.stream.poster import POSTER_NAME, Draw, write_poster
@@ -37,6 +38,8 @@ from .importscore import ImportScore, cameras_around
 from .numberedfiles import find_files
 from .slotfiller import SlotFiller, SlotPlan
 from .survey import Survey, read_frame
+
+_log = logging.getLogger(__name__)
 
 WIDTH_PX, HEIGHT_PX = 1280, 720
 VERTICAL_FOV_RAD = math.radians(50)
@@ -53,8 +56,13 @@ MAX_FPS = 1000
 FPS_NAME = "fps.txt"
 """A file in the folder with the frames per second, a number, as captures may have."""
 
+WRITE_STEPS = 4
+"""Steps that writing a frame counts for, where looking at it first counts for one: it takes about
+so much longer."""
+
 Progress = Callable[[int, int], None]
-"""Told after each step: how many there were, and how many there will be."""
+"""Called after each step with the number of steps done and their total; they take about equally
+long."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,10 +84,15 @@ class ImportOptions:
     file)."""
     error: ErrorBound = field(default_factory=ErrorBound)
     """How far profile lattice may be from the files."""
+    sh_degree: int | None = None
+    """Highest degree of spherical harmonics to keep, 0 to 3; files with fewer stay as they are. The
+    players draw degree 1. By default all are kept, for export."""
     title: str | None = None
     """A name for people; by default the name of the file or folder."""
 
     def __post_init__(self) -> None:
+        if self.sh_degree is not None and not 0 <= self.sh_degree <= MAX_SH_DEGREE:
+            raise InvalidError(f"sh-degree {self.sh_degree}: choose 0 to {MAX_SH_DEGREE}")
         if not 1 <= self.layers <= MAX_LAYERS:
             raise InvalidError(f"layers {self.layers}: choose 1 to {MAX_LAYERS}")
 
@@ -87,6 +100,12 @@ class ImportOptions:
     def shares(self) -> tuple[float, ...]:
         """Of the layers."""
         return SHARES if self.layers == len(SHARES) else (1 / self.layers,) * self.layers
+
+    def kept(self, splats: Splats) -> Splats:
+        """`splats` without the harmonics above `sh_degree`."""
+        if self.sh_degree is None or splats.sh_degree <= self.sh_degree:
+            return splats
+        return splats.with_degree(self.sh_degree)
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +128,9 @@ class Imported:
     """How many slots were kept, ended, predicted, new; empty if frames are whole."""
     scores_db: tuple[tuple[float, ...], ...]
     """PSNR of some frames with 1, 2, ... layers, against the files, if there was something to draw
-    with."""
+    with. The files are drawn at `source_sh_degree`, the stream as players draw it."""
+    source_sh_degree: int
+    """Highest degree of harmonics in the files."""
 
 
 def facing_camera(lower: Doubles, upper: Doubles) -> Camera:
@@ -234,10 +255,15 @@ def import_stream(
     files = [all_files[n] for n in options.frames.of(len(all_files), source)]
     options = replace(options, fps=_fps_of(source, len(files), options))
     with making_folder(stream) as folder:
-        survey = Survey()
+        num_steps = (1 + WRITE_STEPS) * len(files)
+        survey, source_sh_degree = Survey(), 0
         for number, file in enumerate(files):
-            survey.take(file, read_frame(file))
-            progress(number + 1, 2 * len(files))
+            splats = read_frame(file)
+            source_sh_degree = max(source_sh_degree, splats.sh_degree)
+            survey.take(file, options.kept(splats))
+            if not number:
+                _warn_of_undrawn(survey.sh_degree)
+            progress(number + 1, num_steps)
         title = source.resolve().name if options.title is None else options.title
         manifest = make_manifest(survey, options, title)
         filler = None
@@ -258,13 +284,14 @@ def import_stream(
             score = ImportScore(draw, cameras, manifest.near_m, SEGMENT_FRAMES)
         with StreamWriter.create(folder, manifest, options.rank, score) as writer:
             for birth, file in enumerate(files):
-                splats = _read_again(file, survey)
+                splats = read_frame(file)
                 if score is not None:
                     score.source = splats
-                writer.append(_slice_of(birth, splats, filler))
+                kept = _unchanged(file, options.kept(splats), survey)
+                writer.append(_slice_of(birth, kept, filler))
                 if not birth:
                     first_bytes = writer.slice_bytes
-                progress(len(files) + birth + 1, 2 * len(files))
+                progress(len(files) + WRITE_STEPS * (birth + 1), num_steps)
         if manifest.has_slots:
             first_bytes = sum(StreamReader(folder).records[0].side_bytes[1:])
         if draw is not None:
@@ -280,7 +307,20 @@ def import_stream(
         0 if filler is None else filler.num_escaped,
         () if filler is None else tuple(filler.statuses.tolist()),
         () if score is None else tuple(score.scores_db),
+        source_sh_degree,
     )
+
+
+def _warn_of_undrawn(sh_degree: int) -> None:
+    """Says what players leave out of a stream of `sh_degree`."""
+    if sh_degree > DRAWN_SH_DEGREE:
+        _log.warning(
+            "SH degree %d: the players draw harmonics up to degree %d only; the others are stored, "
+            "and kept for export; --sh-degree %d leaves them out and makes a smaller stream",
+            sh_degree,
+            DRAWN_SH_DEGREE,
+            DRAWN_SH_DEGREE,
+        )
 
 
 def _known(rank: Rank) -> Rank:
@@ -289,9 +329,8 @@ def _known(rank: Rank) -> Rank:
     return rank
 
 
-def _read_again(file: Path, survey: Survey) -> Splats:
-    """The Gaussians of `file`. Raises InvalidError if they are not those that `survey` saw."""
-    splats = read_frame(file)
+def _unchanged(file: Path, splats: Splats, survey: Survey) -> Splats:
+    """`splats`, read of `file` again. Raises InvalidError if `survey` saw others."""
     if splats.sh_degree != survey.sh_degree or len(splats) > survey.num_gs:
         raise InvalidError(f"{file}: has changed while it was imported")
     return splats

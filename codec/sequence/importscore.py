@@ -9,8 +9,9 @@ import numpy as np
 
 from codec.camera import Camera
 from codec.pose import Doubles, rotation_about
+from codec.similarity import harmonics
 from codec.slice import Slice
-from codec.splats import Splats
+from codec.splats import DRAWN_SH_DEGREE, SH_C0, Splats
 from codec.stream.poster import Draw
 
 NUM_VIEWS = 3
@@ -20,6 +21,9 @@ SCORE_HEIGHT_PX = 270
 
 SAME_DB = 100.0
 """PSNR of pictures that are the same, or more alike than that."""
+
+BLOCK_ROWS = 1 << 16
+"""Gaussians whose harmonics are evaluated at once, which bounds the memory."""
 
 
 def cameras_around(front: Camera, centre: Doubles) -> list[Camera]:
@@ -46,9 +50,27 @@ def cameras_around(front: Camera, centre: Doubles) -> list[Camera]:
     return cameras
 
 
+def with_seen_colours(splats: Splats, position: Doubles) -> Splats:
+    """`splats` at SH degree 0, with the colours that harmonics of every degree give to a camera at
+    `position`, (3,) metres."""
+    sh = np.empty((len(splats), 1, 3), np.float32)
+    for start in range(0, len(splats), BLOCK_ROWS):
+        rows = slice(start, start + BLOCK_ROWS)
+        directions = splats.means[rows] - position
+        lengths = np.linalg.norm(directions, axis=1, keepdims=True)
+        directions /= np.maximum(lengths, np.finfo(np.float64).tiny)
+        basis = harmonics(directions)[:, : splats.sh.shape[1]]
+        sh[rows, 0] = np.einsum("nk,nkc->nc", basis, splats.sh[rows]) / SH_C0
+    return Splats(*splats.arrays[:4], sh)
+
+
 class ImportScore:
     """A Quality (codec.stream.draft) that compares with `source`, the file of the frame, which
-    whoever appends it has set."""
+    whoever appends it has set.
+
+    The stream is drawn as players draw it, the file with its harmonics of every degree: what
+    players leave out counts as an error.
+    """
 
     def __init__(self, draw: Draw, cameras: Sequence[Camera], near_m: float, every: int) -> None:
         """every: frames from one that is scored to the next."""
@@ -62,9 +84,12 @@ class ImportScore:
             return None
         errors = np.zeros(len(slices))
         for camera in self._cameras:
-            wanted = self._drawn(self.source, camera)
-            for n, slice in enumerate(slices):
-                shown = slice.splats.take(np.flatnonzero(slice.active(birth, 1)))
+            source = self.source
+            if source.sh_degree > DRAWN_SH_DEGREE:
+                source = with_seen_colours(source, camera.position)
+            wanted = self._drawn(source, camera)
+            for n, part in enumerate(slices):
+                shown = part.splats.take(np.flatnonzero(part.active(birth, 1)))
                 errors[n] += np.mean((self._drawn(shown, camera) - wanted) ** 2)
         least = 10 ** (-SAME_DB / 10)
         mean = np.maximum(errors / len(self._cameras), least)

@@ -14,18 +14,21 @@ def find_files(source: Path) -> list[Path]:
     """The file `source`, or those of the folder `source` by the last number in their names.
 
     Numbers may begin anywhere and go on by any step that stays the same. Raises InvalidError for a
-    folder without files of Gaussians, a name without a number, two names with the same number, or a
-    number that is missing.
+    folder without files of Gaussians, a name without a number, two names with the same number, a
+    number that is missing, or a name of something else than a file.
     """
     if not source.is_dir():
         return [source]
     numbered: dict[int, Path] = {}
     for path in sorted(source.iterdir()):
-        if path.name.startswith(".") or not has_known_suffix(path) or not path.is_file():
+        if path.name.startswith(".") or not has_known_suffix(path):
             continue
         digits = re.findall(r"[0-9]+", path.stem)
         if not digits:
             raise InvalidError(f"{path}: its name has no number to sort a sequence by")
+        if not path.is_file():
+            what = "a link to nothing" if path.is_symlink() else "not a regular file"
+            raise InvalidError(f"{path} is {what}; replace or remove it")
         first = numbered.setdefault(int(digits[-1]), path)
         if first is not path:
             raise InvalidError(f"{source}: {first.name} and {path.name} have the same number")

@@ -63,7 +63,8 @@ class Survey:
         if self.num_files and splats.sh_degree != self.sh_degree:
             raise InvalidError(
                 f"{path}: SH degree {splats.sh_degree}, where the files before have "
-                f"{self.sh_degree}; a sequence has one"
+                f"{self.sh_degree}; a sequence has one: "
+                f"--sh-degree {min(splats.sh_degree, self.sh_degree)} leaves out what is above"
             )
         keys = row_keys(splats)
         if self._keys is not None:

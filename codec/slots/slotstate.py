@@ -61,6 +61,11 @@ class Slots:
         return len(self.conditions)
 
     @property
+    def has_unknown(self) -> bool:
+        """Whether any slot is unknown."""
+        return bool((self.conditions == UNKNOWN).any())
+
+    @property
     def num_bytes(self) -> int:
         """What the slots take in memory."""
         arrays = self.conditions, *(self.states.positions, self.states.attributes), self.starts

@@ -8,17 +8,19 @@ from __future__ import annotations
 import errno
 import os
 import stat
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from codec.errors import CorruptError, UnreadableError
+from codec.errors import CorruptError, MissingFolderError, UnreadableError
 from codec.files import read_bounded
 
 from .storage import Stamp
 
 _MISSING = (FileNotFoundError, NotADirectoryError)
 
-_STEP = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
+if sys.platform != "win32":
+    _STEP = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
 class FolderStorage:
@@ -43,7 +45,8 @@ class FolderStorage:
 
     def check(self) -> None:
         if not self._folder.is_dir():
-            raise CorruptError(f"{self._folder} is not a folder; name the folder of a stream")
+            kind = CorruptError if self._folder.exists() else MissingFolderError
+            raise kind(f"{self._folder} is not a folder; name the folder of a stream")
 
     def below(self, folder: str) -> FolderStorage:
         return FolderStorage(self._folder / folder, self._root)
@@ -121,8 +124,11 @@ class FolderStorage:
         return root, real
 
     def _open(self, path: str, flags: int) -> int:
-        """An `Opener`. A link that comes after the look at the path is not followed."""
+        """An `Opener`. A link that comes after the look at the path is not followed, but on
+        Windows, where folders cannot be opened."""
         root, real = self._resolved(Path(path))
+        if sys.platform == "win32":
+            return os.open(real, flags)
         *folders, name = os.path.relpath(real, root).split(os.sep)
         at = os.open(root, _STEP & ~os.O_NOFOLLOW)
         try:

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from codec.errors import CodecError
+from codec.splats import DRAWN_SH_DEGREE
 from codec.storage.openstorage import Place
 from codec.stream.index import INDEX_NAME, SegmentRecord
 from codec.stream.integrity import (
@@ -154,6 +155,9 @@ def describe(summary: StreamSummary) -> str:
     state = "live, may still grow" if s.live else "finished"
     frames = "1 frame" if s.swin_size == 1 else f"{s.swin_size} frames"
     share = f"{s.slice_size} a slice, live {frames}"
+    undrawn = ""
+    if s.sh_degree > DRAWN_SH_DEGREE:
+        undrawn = f", of which players draw degree {DRAWN_SH_DEGREE}; exports keep all"
     size = f"{s.played_bytes} bytes, {s.bytes_per_gaussian:.2f} bytes a Gaussian"
     if s.slots is not None:
         share = f"in leases of {frames}"
@@ -164,7 +168,7 @@ def describe(summary: StreamSummary) -> str:
         f"state        {state}",
         f"length       {s.num_frames} frames, {s.duration_s:.1f} s at {s.fps:g} fps",
         f"Gaussians    {s.num_gs} active, {share}",
-        f"colour       SH degree {s.sh_degree}",
+        f"colour       SH degree {s.sh_degree}{undrawn}",
         f"profile      {s.profile}",
         f"cameras      {s.num_cameras}",
         f"segments     {s.num_segments} of {s.segment_frames} frames",

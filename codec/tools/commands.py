@@ -14,6 +14,7 @@ from codec.foreign.spz import SpzVersion
 from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat
 from codec.sequence.importing import Imported, ImportOptions, import_stream
+from codec.splats import DRAWN_SH_DEGREE
 from codec.stream.poster import Draw
 
 from .fileprogress import told
@@ -81,6 +82,11 @@ def import_files(config: Import, draw: Draw | None = None) -> str:
             f"PSNR         {told_db} dB with 1, 2, ... layers against the files, "
             f"at least {least:.1f} dB with all"
         )
+        if made.source_sh_degree > DRAWN_SH_DEGREE:
+            lines.append(
+                f"             the files at SH degree {made.source_sh_degree}, the stream at "
+                f"{min(manifest.sh_degree, DRAWN_SH_DEGREE)} as players draw it"
+            )
     return "\n".join(lines)
 
 

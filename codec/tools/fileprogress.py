@@ -33,12 +33,20 @@ def told(
 
 def _lines(what: str, now_s: Callable[[], float]) -> Callable[[int, int], None]:
     """A function that writes a line if the last one, or the beginning, is LINE_EVERY_S ago."""
-    last_s = now_s()
+    began_s = last_s = now_s()
 
     def tell(done: int, total: int) -> None:
         nonlocal last_s
         if now_s() - last_s >= LINE_EVERY_S:
             last_s = now_s()
-            sys.stderr.write(f"{what}: {100 * done // total} %\n")
+            left = ""
+            if 0 < done < total:
+                left = f", {_duration((last_s - began_s) / done * (total - done))} left"
+            sys.stderr.write(f"{what}: {100 * done // total} %{left}\n")
 
     return tell
+
+
+def _duration(duration_s: float) -> str:
+    """Two digits or so, for people."""
+    return f"{duration_s:.0f} s" if duration_s < 120 else f"{duration_s / 60:.0f} min"

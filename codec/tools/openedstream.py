@@ -24,8 +24,8 @@ def open_stream(place: Place) -> OpenedStream:
     """The stream at `place`: a folder, as str or Path, or a URL in an object store, such as
     s3://BUCKET/STREAM. Only its manifest and its index are read.
 
-    Raises a SwingsError: InvalidError for another kind of URL, CorruptError for what is not there
-    or is not a stream.
+    Raises a SwingsError: InvalidError for another kind of URL, CorruptError for what is not a
+    stream; for a folder that does not exist it is a FileNotFoundError, too (MissingFolderError).
     """
     return OpenedStream(place)
 

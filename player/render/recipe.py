@@ -6,6 +6,8 @@ squared Mahalanobis distance in pixels. Pixel (i, j) has its centre at (i + 0.5,
 background is black.
 """
 
+from codec.splats import DRAWN_SH_DEGREE
+
 LOW_PASS_PX2 = 0.3
 """Added to both variances of the projected Gaussian, px^2."""
 
@@ -24,7 +26,7 @@ contributing."""
 MAX_EXTENT_SIGMA = 3.33
 """Extent of a Gaussian's box: min(this, sqrt(2 ln(255 opacity))) standard deviations."""
 
-MAX_SH_DEGREE = 1
+MAX_SH_DEGREE = DRAWN_SH_DEGREE
 """The constant and the linear harmonics are drawn; a stream may have more."""
 
 SH_C1 = 0.4886025119029199

@@ -13,7 +13,7 @@ from pathlib import Path
 import av
 import numpy as np
 
-from codec.files import replacing
+from codec.files import DISK_ERRORS, replacing
 from player.view.path import Size
 
 from .sink import Bytes, FrameSink, SinkError, check_output, write_png
@@ -30,11 +30,17 @@ _LIMITED_RANGE = 1
 def open_sink(path: Path, fps: float, size: Size) -> Iterator[FrameSink]:
     """Gives what writes pictures of `size` to `path`, by its suffix.
 
-    Leaving by an exception leaves no video; PNGs that are written stay.
+    Leaving by an error leaves nothing, so that the same command can be given again. Ctrl-C leaves
+    no video, but the PNGs that are written.
     """
     check_output(path)
     if path.suffix.lower() != ".mp4":
-        yield PngSink(path)
+        pictures = PngSink(path)
+        try:
+            yield pictures
+        except Exception:
+            pictures.remove()
+            raise
         return
     with replacing(path) as temporary:
         video = VideoSink(path, temporary, fps, size)
@@ -49,11 +55,23 @@ class PngSink:
     """frame_00000.png, frame_00001.png, ... by frame number."""
 
     def __init__(self, folder: Path) -> None:
+        self._was_there = folder.exists()
         folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder
+        self._written: list[Path] = []
 
     def write(self, frame: int, picture: Bytes) -> None:
-        write_png(self._folder / f"frame_{frame:05d}.png", picture)
+        path = self._folder / f"frame_{frame:05d}.png"
+        write_png(path, picture)
+        self._written.append(path)
+
+    def remove(self) -> None:
+        """Removes what was written, and the folder unless it was there before."""
+        for path in self._written:
+            path.unlink(missing_ok=True)
+        if not self._was_there:
+            with suppress(OSError):  # somebody else has put something into it
+                self._folder.rmdir()
 
 
 class VideoSink:
@@ -98,14 +116,19 @@ class VideoSink:
         try:
             self._container.mux(self._stream.encode(image))
         except av.error.FFmpegError as error:
-            raise SinkError(f"{self._path}: frame {frame}: {error}") from error
+            raise self._failed(error, f"frame {frame}: ") from error
 
     def finish(self) -> None:
         try:
             self._container.mux(self._stream.encode(None))
             self._container.close()
         except av.error.FFmpegError as error:
-            raise SinkError(f"{self._path}: {error}") from error
+            raise self._failed(error) from error
+
+    def _failed(self, error: av.error.FFmpegError, where: str = "") -> SinkError:
+        if error.errno in DISK_ERRORS:
+            return SinkError(f"{self._path} cannot be written: {error.strerror}")
+        return SinkError(f"{self._path}: {where}{error}")
 
     def close(self) -> None:
         with suppress(av.error.FFmpegError):  # a full disk takes no trailer, and has been reported

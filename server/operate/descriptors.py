@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import os
-import resource
+import sys
 from pathlib import Path
 
 from codec.errors import SwingsError
 
+if sys.platform != "win32":
+    import resource
+
 RESERVE = 64
 """Descriptors kept for what is not a connection: files of objects, the log, the event loop."""
+
+WINDOWS_SOCKETS = 512
+"""The most sockets that `select`, and so an event loop, watches on Windows."""
 
 RAISE_TO = 65_536
 """The soft limit is raised to the hard one, but not above this: an unlimited table costs memory."""
@@ -21,6 +27,8 @@ def connection_limit(wanted: int, per_connection: int = 1) -> int:
     Raises the process's own soft limit as far as the hard one allows. per_connection: descriptors
     that each of them takes. Raises SwingsError where there is not room for one.
     """
+    if sys.platform == "win32":
+        return min(wanted, (WINDOWS_SOCKETS - RESERVE) // per_connection)
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     ceiling = RAISE_TO if hard == resource.RLIM_INFINITY else min(hard, RAISE_TO)
     if soft != resource.RLIM_INFINITY and soft < ceiling:

@@ -206,4 +206,4 @@ def test_a_full_disk_under_the_output_is_one_line(count: int) -> None:
             cwd=ROOT, stdout=full, stderr=subprocess.PIPE, text=True, timeout=30,
         )  # fmt: skip
     assert done.returncode == 1
-    assert done.stderr == "tell: [Errno 28] No space left on device: 'standard output'\n"
+    assert done.stderr == "tell: standard output cannot be written: No space left on device\n"

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from codec.errors import CodecError, CorruptError, UnsupportedError
+from codec.errors import CodecError, CorruptError, MissingFolderError, UnsupportedError
 
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.mark.parametrize("kind", [CorruptError, UnsupportedError])
+@pytest.mark.parametrize("kind", [CorruptError, MissingFolderError, UnsupportedError])
 def test_an_error_within_a_file_names_it_and_the_byte(kind: type[CodecError]) -> None:
     told = kind("chunk: version 9", 4).within("segments/0/1", 100)
     assert (type(told), str(told), told.at) == (

@@ -5,8 +5,7 @@ import { packSlots } from "./packing.js";
 
 /**
  * The chunks of a stream of version 2 that are here, and what they make of the slots, frame by frame.
- * What comes when its frame has shown is still used; a snapshot then comes before the changes behind
- * it. Otherwise chunks may come in any order.
+ * Chunks may come in any order, and are used when their frame has shown, too.
  */
 export class SlotPlay {
   /** @param {import("../format/manifest.js").Manifest} manifest */

@@ -15,6 +15,7 @@ import random
 import select
 import signal
 import socket
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -38,7 +39,9 @@ RENEWAL_S = 60.0
 LOOK_S = 60.0
 """How often the supervisor looks around if nothing happens."""
 
-SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGCHLD)
+SIGNALS: tuple[signal.Signals, ...] = (signal.SIGTERM, signal.SIGINT)
+if sys.platform != "win32":
+    SIGNALS += (signal.SIGHUP, signal.SIGCHLD)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +58,8 @@ class SupervisorConfig:
     def __post_init__(self) -> None:
         if not 1 <= self.workers <= MAX_WORKERS:
             raise InvalidError(f"workers is {self.workers}; give 1 to {MAX_WORKERS}")
+        if self.workers > 1 and not sys.platform.startswith("linux"):
+            raise InvalidError(f"workers is {self.workers}; several need Linux, so give 1 here")
         if not 0 < self.shutdown_timeout_s < math.inf:
             raise InvalidError(
                 f"shutdown_timeout_s is {self.shutdown_timeout_s}; it must be positive"

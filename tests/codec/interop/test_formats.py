@@ -53,6 +53,17 @@ def test_an_unreadable_file_is_named(tmp_path: Path) -> None:
         read_splats(path)
 
 
+@pytest.mark.parametrize("format", SplatFormat)
+def test_an_empty_file_is_said_to_be_empty(format: SplatFormat, tmp_path: Path) -> None:
+    path = tmp_path / f"model.{format}"
+    path.touch()
+    if format is SplatFormat.SPLAT:  # it has no header, so nothing is a model without Gaussians
+        assert len(read_splats(path)) == 0
+        return
+    with pytest.raises(CorruptError, match=rf"model\.{format}: is empty; this program reads"):
+        read_splats(path)
+
+
 def test_an_interrupted_write_leaves_the_old_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -20,7 +20,12 @@ from codec.framerange import FrameRange
 from codec.interop.formats import SplatFormat, read_splats, write_splats
 from codec.profiles.profile import Profile
 from codec.sequence.errorbound import ErrorBound
-from codec.sequence.importing import ImportOptions, import_stream, make_manifest
+from codec.sequence.importing import (
+    WRITE_STEPS,
+    ImportOptions,
+    import_stream,
+    make_manifest,
+)
 from codec.sequence.survey import Survey
 from codec.splats import Splats
 from codec.stream import StreamReader
@@ -147,6 +152,12 @@ def test_a_bad_folder_or_file_is_named_and_nothing_is_written(tmp_path: Path) ->
     (folder / "frame_2.ply").write_bytes(data)
     save(folder / "frame_4.ply", trained_like_splats(3))
     refused(r"take: number 3 is missing between frame_2\.ply and frame_4\.ply")
+    (folder / "frame_3.ply").symlink_to("nowhere.ply")
+    refused(r"take/frame_3\.ply is a link to nothing; replace or remove it")
+    (folder / "frame_3.ply").unlink()
+    os.mkfifo(folder / "frame_3.ply")
+    refused(r"take/frame_3\.ply is not a regular file; replace or remove it")
+    (folder / "frame_3.ply").unlink()
     (folder / "frame_4.ply").unlink()
     refused("fps 0", ImportOptions(fps=0))
     refused("frames 1:3: .*take has frames 0:2", replace(LATTICE, frames=FrameRange(1, 3)))
@@ -172,7 +183,7 @@ def test_a_file_that_changes_while_it_is_imported_is_named(tmp_path: Path) -> No
         save(tmp_path / "take" / f"{number}.ply", trained_like_splats(5))
 
     def grow(done: int, total: int) -> None:
-        if done == 4:
+        if done == 3 + WRITE_STEPS:  # the first frame is written
             save(tmp_path / "take" / "1.ply", trained_like_splats(6))
 
     with pytest.raises(InvalidError, match=r"1\.ply: has changed while it was imported"):

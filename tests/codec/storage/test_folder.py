@@ -161,6 +161,12 @@ def test_a_folder_that_is_gone_says_so(tmp_path: Path) -> None:
     storage = FolderStorage(tmp_path / "absent")
     with pytest.raises(CorruptError, match="is not a folder"):
         storage.check()
+    with pytest.raises(FileNotFoundError):  # as a caller from Python expects it
+        storage.check()
+    (tmp_path / "file").touch()
+    with pytest.raises(CorruptError, match="is not a folder") as told:
+        FolderStorage(tmp_path / "file").check()
+    assert not isinstance(told.value, OSError)
     with pytest.raises(UnreadableError, match=r"absent cannot be listed: No such file"):
         storage.folders(("m",))
     assert storage.stamp("m") is None

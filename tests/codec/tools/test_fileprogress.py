@@ -25,7 +25,21 @@ def test_where_no_terminal_is_a_line_comes_now_and_then(
             now_s += 1
             tell(done, 40)
     lines = capsys.readouterr().err.splitlines()
-    assert lines == [f"importing x: {percent} %" for percent in (25, 50, 75, 100)]
+    assert lines == [
+        "importing x: 25 %, 30 s left",
+        "importing x: 50 %, 20 s left",
+        "importing x: 75 %, 10 s left",
+        "importing x: 100 %",
+    ]
+
+
+def test_a_long_time_is_told_in_minutes(capsys: pytest.CaptureFixture[str]) -> None:
+    now_s = 100.0
+    with told("importing x", lambda: now_s) as tell:
+        tell(0, 40)
+        now_s += 30
+        tell(1, 40)
+    assert capsys.readouterr().err == "importing x: 2 %, 20 min left\n"
 
 
 def test_a_terminal_has_a_bar_and_80_columns_hold_it(tmp_path: Path) -> None:

@@ -170,6 +170,25 @@ const ANSWERS = {
   },
   held,
   /** The means of what shows in each frame from `first` on, farthest first for the default camera. */
+  /** What a play holds at each "look" among its events, see tests/support/slots/arrivals.py. */
+  arrivals({ events }) {
+    const { layout } = decoder;
+    const play = new SlotPlay(/** @type {any} */ ({ layout }));
+    const found = [];
+    for (const [kind, frame, layer, bytes] of events) {
+      if (kind === "mask") play.addMask(frame, unhex(bytes));
+      else if (kind === "change") play.addChange(frame, layer, unhex(bytes));
+      else if (kind === "snapshot") play.addSnapshot(frame, layer, unhex(bytes));
+      else if (kind === "join") play.join(frame);
+      else if (kind === "show") play.advance(frame);
+      else {
+        decoder = play.decoder;
+        found.push(held());
+      }
+    }
+    if (play.refused > 0) throw new Error(`${play.refused} chunks were refused`);
+    return found;
+  },
   async shown({ files, first, lateness }) {
     const manifest = readManifest(unhex(files["manifest.json"]));
     const order = new DepthOrder(manifest.numGs);

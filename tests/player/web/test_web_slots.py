@@ -11,6 +11,7 @@ import pytest
 from codec.errors import CodecError
 from codec.slots.slotdecoder import SlotDecoder
 from tests.goldens.pinned_slots import FILE, SLOT_CASES, SlotCase, held_sha256
+from tests.support.slots.arrivals import TABLE, Arrivals
 from tests.support.slots.hostile_slots import altered
 from tests.support.slots.plain import encoded_chunks, held
 from tests.support.slots.updates import patternless_updates, small_layout
@@ -18,6 +19,14 @@ from tests.support.web.browsercode import BrowserCode, BrowserSlots
 
 GOLDENS = {row["name"]: row for row in json.loads(FILE.read_text())}
 NUM_FRAMES = 14
+
+
+@pytest.mark.parametrize("arrivals", TABLE, ids=range(len(TABLE)))
+def test_any_order_of_arrival_ends_in_the_same_slots(
+    browser: BrowserCode, arrivals: Arrivals
+) -> None:
+    found = BrowserSlots(browser, arrivals.layout).played(arrivals)
+    assert found == arrivals.expected()
 
 
 @pytest.mark.parametrize("case", SLOT_CASES, ids=lambda case: case.name)

@@ -88,15 +88,16 @@ def levels_of(layout: SlotLayout) -> list[int]:
 
 
 def patternless_update(
-    rng: np.random.Generator, model: Model, birth: int, wild: bool = False
+    rng: np.random.Generator, model: Model, birth: int, wild: bool = False, calm: int = 1
 ) -> Update:
-    """A valid update after what `model` took in."""
+    """A valid update after what `model` took in. calm: how often slots are kept, for each time that
+    one is new."""
     layout = model.layout
     levels, lane = levels_of(layout), birth % layout.swin_size
     statuses = []
     for row in range(layout.num_slots):
         held = model.held[lane, row]
-        may = [KEPT, ENDED, NEW]
+        may = [KEPT] * calm + [ENDED, NEW]
         if held is not None and held[0] == "lattice":
             may += [PREDICTED, PREDICTED]
         statuses.append(int(rng.choice(may)))
@@ -116,12 +117,12 @@ def patternless_update(
 
 
 def patternless_updates(
-    layout: SlotLayout, num_frames: int, seed: int = 0, wild: bool = False
+    layout: SlotLayout, num_frames: int, seed: int = 0, wild: bool = False, calm: int = 1
 ) -> list[Update]:
     """Updates of a stream of `num_frames` frames."""
     rng, model = np.random.default_rng(seed), Model(layout)
     updates = []
     for birth in range(1 - layout.swin_size, num_frames):
-        updates.append(patternless_update(rng, model, birth, wild))
+        updates.append(patternless_update(rng, model, birth, wild, calm if birth > 0 else 1))
         model.take(updates[-1])
     return updates

@@ -9,6 +9,7 @@ import numpy as np
 
 from codec.errors import CodecError, CorruptError, UnsupportedError
 from codec.slots.slotlayout import SlotLayout
+from tests.support.slots.arrivals import Arrivals, Change, Event, Look, Mask, Show, Snapshot
 from tests.support.slots.plain import Held
 from tests.support.web.nodeprocess import Json, NodeProcess, running_script
 
@@ -90,12 +91,33 @@ class BrowserSlots:
 
     def held(self) -> Held:
         """What tests.support.slots.plain.held says of a decoder of the package."""
+        return _held(self._browser.ask("held"))
 
-        def one(slot: Json) -> object:
-            if isinstance(slot, str):
-                return slot
-            start, integers, bits = slot
-            return start, None if integers is None else tuple(integers), bytes.fromhex(bits)
+    def played(self, arrivals: Arrivals) -> list[Held]:
+        """What the play of player/web holds at each Look of `arrivals`."""
+        events = [_event(event, arrivals.join_frame) for event in arrivals.events]
+        return [_held(lanes) for lanes in self._browser.ask("arrivals", events=events)]
 
-        lanes = self._browser.ask("held")
-        return [[[one(slot) for slot in layer] for layer in lane] for lane in lanes]
+
+def _held(lanes: Json) -> Held:
+    def one(slot: Json) -> object:
+        if isinstance(slot, str):
+            return slot
+        start, integers, bits = slot
+        return start, None if integers is None else tuple(integers), bytes.fromhex(bits)
+
+    return [[[one(slot) for slot in layer] for layer in lane] for lane in lanes]
+
+
+def _event(event: Event, join_frame: int) -> list[object]:
+    match event:
+        case Mask(birth, chunk):
+            return ["mask", birth, None, chunk.hex()]
+        case Change(birth, layer, chunk):
+            return ["change", birth, layer, chunk.hex()]
+        case Snapshot(frame, layer, chunk):
+            return ["snapshot", frame, layer, chunk.hex()]
+        case Show(frame):
+            return ["join" if frame == join_frame else "show", frame]
+        case Look():
+            return ["look"]

@@ -6,8 +6,10 @@ import { KEPT, MaskHistory, NEW, PREDICTED, decodeMask } from "./mask.js";
 import { changedRows, Slots, UNKNOWN } from "./slots.js";
 import { decodeSnapshot } from "./snapshot.js";
 
-/** Room that there is at least for what may have to be applied again. */
-const MIN_LOG_BYTES = 2 ** 22;
+/** Smallest bound on the bytes kept for late packets. */
+const MIN_LOG_BYTES = 2 ** 24;
+/** The bound as a multiple of the bytes of the slots, where that is more than MIN_LOG_BYTES. */
+const LOG_SHARE = 6;
 
 /**
  * What a slice said of a layer, and the bytes of its change; null: they are missing.
@@ -15,9 +17,9 @@ const MIN_LOG_BYTES = 2 ** 22;
  */
 
 /**
- * A layer of a lane since a change of it was missing: what to apply again when it comes.
- * @typedef {object} Missed
- * @property {Slots} before the slots before the first missing change
+ * A layer of a lane since something of it was missing: the slices to apply again when it comes.
+ * @typedef {object} Log
+ * @property {Slots | null} before the slots before those slices; null if all were unknown
  * @property {Map<number, Said>} since by birth, every slice of the lane since then
  */
 
@@ -53,8 +55,8 @@ export class SlotDecoder {
     /** @type {Slots[][]} lane after lane, layer after layer */
     this.lanes = Array.from({ length: layout.swinSize }, () => this.#unknownLane());
     this.history = new MaskHistory(layout);
-    /** @type {Map<string, Missed>} by lane and layer, the one that waits longest first */
-    this.missed = new Map();
+    /** @type {Map<string, Log>} by lane and layer, the oldest first */
+    this.logs = new Map();
     /** @type {Map<number, Uint8Array>} statuses of this segment's slices, for late snapshots */
     this.said = new Map();
     /** @type {Map<string, Uint8Array>} by lane and layer, what late bytes altered since the last slice */
@@ -112,13 +114,14 @@ export class SlotDecoder {
    */
   #canUseLate(lane, layer, births) {
     if (births.some((birth) => !this.said.has(birth))) return false;
-    const missed = this.missed.get(key(lane, layer));
+    const log = this.logs.get(key(lane, layer));
+    /** @type {Slots | null} */
     let slots = this.lanes[lane][layer];
-    if (missed !== undefined) {
-      const [first] = missed.since.keys();
-      if (births.includes(first)) slots = missed.before;
+    if (log !== undefined) {
+      const [first] = log.since.keys();
+      if (births.includes(first)) slots = log.before;
     }
-    return slots.conditions.includes(UNKNOWN);
+    return slots === null || slots.hasUnknown;
   }
 
   /**
@@ -129,7 +132,7 @@ export class SlotDecoder {
    * @param {number[]} births
    */
   #beginAnew(lane, layer, slots, births) {
-    const known = this.missed.get(key(lane, layer));
+    const known = this.logs.get(key(lane, layer));
     /** @type {Map<number, Said>} */
     const since = new Map();
     for (const birth of births) {
@@ -138,7 +141,7 @@ export class SlotDecoder {
       const change = known?.since.get(birth)?.change ?? null;
       since.set(birth, { statuses: this.#ofLayer(statuses, layer), change });
     }
-    this.missed.delete(key(lane, layer));
+    this.logs.delete(key(lane, layer));
     this.#replay(lane, layer, { before: slots, since }, null);
     this.pending.set(key(lane, layer), new Uint8Array(slots.count).fill(1));
   }
@@ -165,8 +168,9 @@ export class SlotDecoder {
     for (const [layer, delta] of deltas.entries()) {
       const slots = this.lanes[lane][layer];
       if (layer < changes.length) this.#remember(birth, layer, slots, parts[layer], changes[layer]);
-      else this.missed.delete(key(lane, layer));
+      else this.logs.delete(key(lane, layer));
       slots.advance(delta);
+      this.#dropIfComplete(lane, layer);
     }
     this.history.note(birth, statuses);
     this.#goOn(birth, statuses);
@@ -182,11 +186,11 @@ export class SlotDecoder {
    */
   late(birth, layer, bytes) {
     const lane = this.layout.lane(birth);
-    const missed = this.missed.get(key(lane, layer));
-    const said = missed?.since.get(birth);
-    if (missed === undefined || said === undefined || !isMissing(said)) return false;
-    const since = new Map(missed.since).set(birth, { statuses: said.statuses, change: bytes });
-    this.#replay(lane, layer, { before: missed.before, since }, birth);
+    const log = this.logs.get(key(lane, layer));
+    const said = log?.since.get(birth);
+    if (log === undefined || said === undefined || !isMissing(said)) return false;
+    const since = new Map(log.since).set(birth, { statuses: said.statuses, change: bytes });
+    this.#replay(lane, layer, { before: log.before, since }, birth);
     const altered = this.pending.get(key(lane, layer)) ?? new Uint8Array(said.statuses.length);
     for (const [known, { statuses }] of since) {
       if (known < birth) continue;
@@ -218,7 +222,7 @@ export class SlotDecoder {
   #loseLane(birth) {
     const lane = this.layout.lane(birth);
     this.lanes[lane] = this.#unknownLane();
-    for (let layer = 0; layer < this.numLayers; layer++) this.missed.delete(key(lane, layer));
+    for (let layer = 0; layer < this.numLayers; layer++) this.logs.delete(key(lane, layer));
     this.history.note(birth, null);
     this.#goOn(birth, null);
     for (let layer = 0; layer < this.numLayers; layer++) this.pending.delete(key(lane, layer));
@@ -230,8 +234,11 @@ export class SlotDecoder {
    * @param {Uint8Array | null} statuses null: the mask is missing
    */
   #goOn(birth, statuses) {
-    if (birth === this.layout.segmentStart(birth)) this.said.clear();
-    else if (statuses !== null) this.said.set(birth, statuses);
+    if (birth === this.layout.segmentStart(birth)) {
+      this.said.clear();
+      // The snapshots of the segment before can no longer come: only changes can.
+      for (const [at, log] of this.logs) if (!isWaiting(log)) this.logs.delete(at);
+    } else if (statuses !== null) this.said.set(birth, statuses);
     this.frame = birth;
     while (this.#isTooMuch(this.said.size * this.layout.numSlots)) forgetOldest(this.said);
   }
@@ -253,7 +260,7 @@ export class SlotDecoder {
   }
 
   /**
-   * Notes what a late change needs, before the slice is applied to `slots`.
+   * Logs what a late change or snapshot needs, before the slice is applied to `slots`.
    * @param {number} birth
    * @param {number} layer
    * @param {Slots} slots
@@ -262,25 +269,64 @@ export class SlotDecoder {
    */
   #remember(birth, layer, slots, statuses, change) {
     const at = key(this.layout.lane(birth), layer);
-    if (!this.missed.has(at)) {
-      if (!isMissing({ statuses, change })) return;
-      this.missed.set(at, { before: slots.copy(), since: new Map() });
+    if (!this.logs.has(at)) {
+      if (!isMissing({ statuses, change }) && !slots.hasUnknown) return;
+      const isKnown = slots.conditions.some((condition) => condition !== UNKNOWN);
+      this.logs.set(at, { before: isKnown ? slots.copy() : null, since: new Map() });
     }
-    this.missed.get(at)?.since.set(birth, { statuses, change });
-    while (this.missed.size > 0 && this.#isTooMuch(this.logBytes)) forgetOldest(this.missed);
+    this.logs.get(at)?.since.set(birth, { statuses, change });
+    while (this.logs.size > 0 && this.#isTooMuch(this.logBytes)) this.#shortenOldestLog();
+  }
+
+  /** Gives up what only late packets of earlier segments need, or the whole log. */
+  #shortenOldestLog() {
+    const [[at, { before, since }]] = this.logs;
+    this.logs.delete(at);
+    const start = this.layout.segmentStart(this.frame ?? 0);
+    const earlier = new Map([...since].filter(([birth]) => birth <= start));
+    const later = new Map([...since].filter(([birth]) => birth > start));
+    if (earlier.size === 0 || later.size === 0) return;
+    const layer = Number(at.split("/")[1]);
+    this.logs.set(at, { before: this.#replayed(layer, before, earlier, null), since: later });
   }
 
   /**
-   * Applies again to a layer of a lane all since it missed something.
+   * Drops the log of a layer of a lane that nothing late can alter.
    * @param {number} lane
    * @param {number} layer
-   * @param {Missed} missed
+   */
+  #dropIfComplete(lane, layer) {
+    const log = this.logs.get(key(lane, layer));
+    if (log === undefined || isWaiting(log)) return;
+    const canFill = log.before?.hasUnknown ?? true;
+    if (!canFill || !this.lanes[lane][layer].hasUnknown) this.logs.delete(key(lane, layer));
+  }
+
+  /**
+   * Applies a log again to a layer of a lane.
+   * @param {number} lane
+   * @param {number} layer
+   * @param {Log} log
    * @param {number | null} checked the birth whose change throws if it does not fit; any other counts
    *   as missing then
    */
-  #replay(lane, layer, missed, checked) {
-    const slots = missed.before.copy();
-    for (const [birth, { statuses, change }] of missed.since) {
+  #replay(lane, layer, log, checked) {
+    this.lanes[lane][layer] = this.#replayed(layer, log.before, log.since, checked);
+    this.logs.set(key(lane, layer), log);
+    this.#dropIfComplete(lane, layer);
+  }
+
+  /**
+   * What `since` makes of the slots `before`; see `#replay`.
+   * @param {number} layer
+   * @param {Slots | null} before
+   * @param {Map<number, Said>} since
+   * @param {number | null} checked
+   */
+  #replayed(layer, before, since, checked) {
+    const { slots: counts, numAttributes } = this.layout;
+    const slots = before?.copy() ?? new Slots(counts[layer], numAttributes, UNKNOWN);
+    for (const [birth, { statuses, change }] of since) {
       let delta;
       try {
         delta = this.#delta(birth, layer, slots, statuses, change);
@@ -290,10 +336,7 @@ export class SlotDecoder {
       }
       slots.advance(delta);
     }
-    this.lanes[lane][layer] = slots;
-    const waits = [...missed.since.values()].some(isMissing);
-    if (waits) this.missed.set(key(lane, layer), missed);
-    else this.missed.delete(key(lane, layer));
+    return slots;
   }
 
   /**
@@ -324,11 +367,11 @@ export class SlotDecoder {
     return statuses.subarray(this.rowEdges[layer], this.rowEdges[layer + 1]);
   }
 
-  /** Bytes held only because changes may come late. */
+  /** Bytes kept only because changes, or the snapshots before them, may come late. */
   get logBytes() {
     let total = 0;
-    for (const { before, since } of this.missed.values()) {
-      total += before.numBytes;
+    for (const { before, since } of this.logs.values()) {
+      total += before?.numBytes ?? 0;
       for (const { statuses, change } of since.values()) {
         total += statuses.length + (change?.length ?? 0);
       }
@@ -341,7 +384,7 @@ export class SlotDecoder {
     if (logBytes <= MIN_LOG_BYTES) return false;
     let stateBytes = 0;
     for (const lane of this.lanes) for (const slots of lane) stateBytes += slots.numBytes;
-    return logBytes > stateBytes;
+    return logBytes > LOG_SHARE * stateBytes;
   }
 }
 
@@ -353,6 +396,11 @@ function key(lane, layer) {
 /** Whether a change is not here that would say something. @param {Said} said */
 function isMissing({ statuses, change }) {
   return change === null && statuses.some((status) => status === PREDICTED || status === NEW);
+}
+
+/** Whether any change is missing. @param {Log} log */
+function isWaiting({ since }) {
+  return [...since.values()].some(isMissing);
 }
 
 /** @param {Map<unknown, unknown>} map */

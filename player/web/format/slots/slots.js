@@ -75,6 +75,11 @@ export class Slots {
     this.escapes = new Map();
   }
 
+  /** Whether any slot is unknown. */
+  get hasUnknown() {
+    return this.conditions.includes(UNKNOWN);
+  }
+
   /** What the slots take in memory. */
   get numBytes() {
     const escapeBytes = this.escapes.size * 4 * (4 + this.numAttributes);

@@ -1,0 +1,73 @@
+"""The law of imports, as data.
+
+tests/test_packaging.py checks the code against it. docs/architecture.py draws it, and writes the
+tables of docs/ARCHITECTURE.md; after a change here run scripts/architecture.
+"""
+
+from __future__ import annotations
+
+PACKAGES = ("trainer", "codec", "server", "player")
+"""The packages, in the order in which the data passes them."""
+
+MAY_USE: dict[str, tuple[str, ...]] = {
+    # A comparison with a capture is written by the same code as what is played.
+    "trainer": (
+        "codec",
+        "player.render",
+        "player.show.filesinks",
+        "player.show.sink",
+        "player.view.path",
+    ),
+    "codec": (),
+    "server": ("codec",),
+    "server/abr": ("codec.errors", "codec.stream.index", "codec.stream.manifest"),
+    "player": ("codec", "server.abr"),
+    "player/render": ("codec",),
+}
+"""The modules and packages that each folder may import, besides itself. A folder obeys its own row
+and those of the folders around it."""
+
+FLOORS: dict[str, tuple[tuple[str, ...], ...]] = {
+    "trainer": (
+        ("trainer", "trainer/lease"),
+        ("trainer/capture",),
+        ("trainer/pictures", "trainer/seed", "trainer/synth"),
+        ("trainer/step", "trainer/rig"),
+        ("trainer/step/device",),
+        ("trainer/fit", "trainer/score"),
+        ("trainer/run",),
+        ("trainer/parts",),
+    ),
+    "codec": (
+        ("codec",),
+        ("codec/coders", "codec/profiles", "codec/storage"),
+        ("codec/slots",),
+        ("codec/stream",),
+        ("codec/foreign",),
+        ("codec/interop",),
+        ("codec/sequence",),
+        ("codec/tools",),
+    ),
+    "server": (
+        ("server/abr/link",),
+        ("server/abr",),
+        ("server/abr/policies",),
+        ("server/abr/simulate",),
+        ("server/abr/oracle",),
+        ("server/operate/log",),
+        ("server/operate/sign", "server/operate/workers"),
+        ("server/study", "server/html", "server/http", "server/library", "server/operate"),
+        ("server/state",),
+        ("server/answers",),
+        ("server",),
+    ),
+    "player": (
+        ("player/network", "player/render", "player/view", "player/link"),
+        ("player/source",),
+        ("player/render/gl", "player/playout"),
+        ("player/show",),
+        ("player",),
+    ),
+}
+"""The folders of each package on floors, from the ground up: a folder imports only from the floors
+below its own. A package's own files are named by the package."""

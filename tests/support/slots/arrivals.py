@@ -1,0 +1,150 @@
+"""Orders in which the objects and packets of a play arrive, some never, and the slots that result:
+one table of cases for the readers of both languages.
+
+A case is a list of events. An item arrives at any time before its segment has been shown, or never.
+Only what a frame cannot be shown without is there in time: its mask, its change of layer 0, and
+where the play joins the snapshot of layer 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from codec.slots.slotlayout import SlotLayout
+from tests.goldens.slots_cases import make_shape
+from tests.goldens.slots_decoder import Shape
+from tests.goldens.slots_reader import Reader
+from tests.support.slots.plain import Chunks, Held, encoded_chunks, layout_of, plainly_held
+from tests.support.slots.updates import patternless_updates
+
+NUM_FRAMES = 14
+
+
+@dataclass(frozen=True)
+class Mask:
+    birth: int
+    chunk: bytes
+
+
+@dataclass(frozen=True)
+class Change:
+    birth: int
+    layer: int
+    chunk: bytes
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    frame: int
+    layer: int
+    chunk: bytes
+
+
+@dataclass(frozen=True)
+class Show:
+    """The play shows `frame`; its first is where it joins."""
+
+    frame: int
+
+
+@dataclass(frozen=True)
+class Look:
+    """All of a segment that ever arrives has: the slots are compared."""
+
+
+Item = Mask | Change | Snapshot
+Event = Item | Show | Look
+
+
+@dataclass(frozen=True)
+class Arrivals:
+    """One case of the table."""
+
+    shape: Shape
+    join_frame: int
+    events: list[Event]
+
+    @property
+    def layout(self) -> SlotLayout:
+        return layout_of(self.shape)
+
+    def expected(self) -> list[Held]:
+        """What a reader that knows nothing of orders holds at each Look: a plain one that is given
+        what has arrived by then in the order of births."""
+        arrived: list[Item] = []
+        found, frame = [], 0
+        for event in self.events:
+            if isinstance(event, Show):
+                frame = event.frame
+            elif isinstance(event, Look):
+                found.append(self._in_order(arrived, frame))
+            else:
+                arrived.append(event)
+        return found
+
+    def _in_order(self, arrived: list[Item], frame: int) -> Held:
+        reader, shape = Reader(self.shape), self.shape
+        first = self.join_frame - self.join_frame % shape.segment_frames
+        masks = {item.birth: item.chunk for item in arrived if isinstance(item, Mask)}
+        changes = [item for item in arrived if isinstance(item, Change)]
+        snapshots = [item for item in arrived if isinstance(item, Snapshot)]
+        for birth in range(first, frame + 1):
+            if birth > first:
+                mine = {item.layer: item.chunk for item in changes if item.birth == birth}
+                reader.apply(birth, masks[birth], mine)
+            for snapshot in snapshots:
+                if snapshot.frame == birth:
+                    reader.load(snapshot.chunk)
+        return plainly_held(reader, frame, len(shape.slots))
+
+
+def make_arrivals(shape: Shape, seed: int) -> Arrivals:
+    """A case: a stream of random updates, of which each item is lost or comes at a random time."""
+    rng = np.random.default_rng(seed)
+    layout = layout_of(shape)
+    updates = patternless_updates(layout, NUM_FRAMES, seed, wild=True, calm=5)
+    chunks = encoded_chunks(layout, updates)
+    join = int(rng.integers(0, NUM_FRAMES))
+    lost = float(rng.choice([0.0, 0.1, 0.4]))
+    timed: list[tuple[float, Event]] = []
+    for first in range(join - join % shape.segment_frames, NUM_FRAMES, shape.segment_frames):
+        end = min(first + shape.segment_frames, NUM_FRAMES)
+        timed.append((end - 0.5, Look()))
+        timed += [(frame, Show(frame)) for frame in range(max(first, join), end)]
+        for item, due_s in _items(chunks, first, end, first <= join):
+            if due_s is not None:
+                timed.append((float(rng.uniform(first - 2, max(due_s, join))), item))
+            elif rng.random() >= lost:
+                timed.append((float(rng.uniform(first - 2, end - 0.5)), item))
+    return Arrivals(shape, join, [event for _, event in sorted(timed, key=lambda one: one[0])])
+
+
+def _items(
+    chunks: Chunks, first: int, end: int, is_joined: bool
+) -> list[tuple[Item, float | None]]:
+    """All items of a segment; beside each the frame that cannot be shown without it, if any."""
+    items: list[tuple[Item, float | None]] = []
+    for layer, chunk in enumerate(chunks.snapshots[first]):
+        items.append((Snapshot(first, layer, chunk), first if is_joined and not layer else None))
+    for birth in range(first + 1 if is_joined else first, end):
+        items.append((Mask(birth, chunks.masks[birth]), birth))
+        for layer, chunk in enumerate(chunks.changes[birth]):
+            items.append((Change(birth, layer, chunk), None if layer else birth))
+    return items
+
+
+TABLE = [
+    make_arrivals(
+        make_shape(
+            swin_size=1 + seed % 3,
+            segment_frames=(3, 5, 9, 14)[seed // 3 % 4],
+            k=(1, 4)[seed % 2],
+            slots=((6, 5), (1, 4, 3), (9,), (4, 3, 3))[seed // 2 % 4],
+        ),
+        seed,
+    )
+    for seed in range(48)
+]
+"""The cases that both languages run."""

@@ -1,0 +1,111 @@
+"""All modules, `--help` of all commands and a server of one process do without what Windows lacks.
+
+No test runs on Windows itself. These remove from a process what Python lacks there, after loading
+the libraries; they imitate nothing else of Windows.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+from codec.errors import InvalidError
+from server.operate.workers.supervisor import SupervisorConfig
+from tests.importlaw import PACKAGES
+from tests.support.commands import ENTRY, ROOT, environment
+from tests.support.tiny_stream import tiny_manifest, write_tiny
+
+MODULES = [
+    ".".join(file.relative_to(ROOT).with_suffix("").parts)
+    for package in PACKAGES
+    for file in sorted((ROOT / package).rglob("*.py"))
+    if file.stem != "__init__"
+]
+
+AS_ON_WINDOWS = f"""
+import asyncio, importlib, os, select, signal, socket, sys
+
+def import_all():
+    for name in {MODULES!r}:
+        importlib.import_module(name)
+
+import_all()  # with the libraries, which choose by the platform
+for name in [m for m in sys.modules if m.split(".")[0] in {PACKAGES!r}]:
+    del sys.modules[name]
+for name in ("fcntl", "grp", "pwd", "resource", "termios"):
+    sys.modules[name] = None
+for module, names in (
+    (os, "O_CLOEXEC O_DIRECTORY O_NOFOLLOW O_NONBLOCK fork getppid geteuid getuid WNOHANG killpg"),
+    (os, "pread pwrite sched_getaffinity sendfile sysconf"),
+    (select, "poll"),
+    (signal, "SIGCHLD SIGHUP SIGKILL SIGUSR1 SIGUSR2 SIG_BLOCK SIG_SETMASK pthread_sigmask"),
+    (socket, "SO_REUSEPORT TCP_INFO TCP_NOTSENT_LOWAT TCP_USER_TIMEOUT"),
+):
+    for name in names.split():
+        delattr(module, name)
+asyncio.SelectorEventLoop.add_signal_handler = asyncio.AbstractEventLoop.add_signal_handler
+sys.platform = "win32"
+import_all()
+"""
+
+
+def test_every_module_is_imported_and_every_command_explains_itself() -> None:
+    code = f"""{AS_ON_WINDOWS}
+for command, entry in {ENTRY!r}.items():
+    module, function = entry.split(":")
+    sys.argv = [command, "--help"]
+    try:
+        getattr(sys.modules[module], function)()
+    except SystemExit as end:
+        assert not end.code, command
+    print("explained", command)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=240,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert len(re.findall(r"^explained ", done.stdout, re.MULTILINE)) == len(ENTRY)
+
+
+def test_one_process_serves(tmp_path: Path) -> None:
+    write_tiny(tmp_path / "stream", 4, tiny_manifest())
+    code = f"""{AS_ON_WINDOWS}
+sys.argv = ["swings-serve", {str(tmp_path)!r}, "--port", "0"]
+sys.modules["server.__main__"].main()
+"""
+    with subprocess.Popen(
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        url = process.stdout.readline().removeprefix("serving ").strip()
+        try:
+            assert url, process.stderr.read()[-2000:]
+            for path in ("/readyz", "/v1/streams/stream/manifest.json", "/watch/stream"):
+                with urllib.request.urlopen(url + path, timeout=20) as found:
+                    assert found.read()
+        finally:
+            process.terminate()
+            process.wait(timeout=20)
+
+
+def test_several_workers_are_refused_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "platform", "win32")
+    assert SupervisorConfig(1).workers == 1
+    with pytest.raises(InvalidError, match="several need Linux, so give 1"):
+        SupervisorConfig(2)
