@@ -5,39 +5,15 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass
 from functools import partial
-from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from codec.stream.poster import Draw
 from codec.tools.audit import describe, summarise, verify_stream
-from codec.tools.commands import Export, Import, export_files, import_files
+from codec.tools.commands import Export, Import, Info, Verify, export_files, import_files
 
 from .console import run_command, say
-
-Stream = Annotated[str, tyro.conf.arg(metavar="STREAM")]
-
-
-@dataclass(frozen=True, slots=True)
-class Info:
-    """Say what a stream holds, from its manifest and index; where slots last (version 2), also
-    from its masks."""
-
-    stream: tyro.conf.Positional[Stream]
-    """Folder of the stream, or its URL in an object store, as s3://BUCKET/PATH."""
-    json: bool = False
-    """Print one JSON object instead of text."""
-    plot: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
-    """Also draw bitrate per layer and quality over time, as a picture at this place."""
-
-
-@dataclass(frozen=True, slots=True)
-class Verify:
-    """Read, check and decode every byte of a stream; name the first file and byte that is wrong."""
-
-    stream: tyro.conf.Positional[Stream]
-    """Folder of the stream, or its URL in an object store, as s3://BUCKET/PATH."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +25,8 @@ class Command:
 
 def run(command: Command, draw: Draw | None) -> None:
     match command.action:
-        case Info(stream=path, json=as_json, plot=picture):
-            summary = summarise(path)
+        case Info(stream=path, json=as_json, plot=picture, max_gaussians=most):
+            summary = summarise(path, most)
             if picture is not None:
                 from codec.tools.plot import draw_stream  # matplotlib loads slowly
 
@@ -58,8 +34,8 @@ def run(command: Command, draw: Draw | None) -> None:
             say(json.dumps(asdict(summary)) if as_json else describe(summary))
             if picture is not None and not as_json:
                 say(f"picture      {picture}")
-        case Verify(stream=path):
-            summary = verify_stream(path)
+        case Verify(stream=path, max_gaussians=most):
+            summary = verify_stream(path, most)
             say(f"{path}: {summary.num_frames} frames in {summary.num_segments} segments are good")
         case Import() as config:
             say(import_files(config, draw))

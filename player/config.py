@@ -14,12 +14,14 @@ from tyro.constructors import PrimitiveConstructorSpec
 from codec.console import option
 from codec.errors import InvalidError
 from codec.framerange import FRAMES, FrameRange
+from codec.storage.credentials import without_credentials
 from codec.stream.manifest import Manifest
+from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 from player.link.linktext import read_link
 from player.network.retry import RetryConfig
 from player.playout.clock import MAX_RATE, MIN_RATE
-from player.render.gl.offscreen import BLACK, Colour
 from player.render.renderer import GlVersion, RendererKind
+from player.show.background import BLACK, TRANSPARENT, Colour
 from player.show.sink import check_output, check_still
 from player.source.locate import split_source
 from player.source.opener import SourceConfig
@@ -79,11 +81,20 @@ def parse_colour(text: str) -> Colour:
     return red, green, blue
 
 
+def parse_background(text: str) -> Colour | None:
+    """A colour as `#RRGGBB`, or TRANSPARENT for `transparent`. Raises InvalidError."""
+    return TRANSPARENT if text == "transparent" else parse_colour(text)
+
+
+def _background_text(background: Colour | None) -> str:
+    return "transparent" if background is None else _colour_text(background)
+
+
 def _colour_text(colour: Colour) -> str:
     return bytes(round(255 * part) for part in colour).hex()
 
 
-COLOUR = option("RRGGBB", parse_colour, _colour_text)
+BACKGROUND = option("RRGGBB|transparent", parse_background, _background_text)
 LOOP = option("N|forever", parse_loop, lambda loop: "forever" if loop is None else str(loop))
 
 
@@ -171,6 +182,9 @@ class PlayConfig:
     """Keep what comes from static hosts in this folder, and take it from there the next time."""
     cache_bytes: Annotated[int, tyro.conf.arg(metavar="BYTES")] = 1 << 30
     """Most that is kept; what was used longest ago goes first."""
+    max_gaussians: int = DEFAULT_MAX_GAUSSIANS
+    """Refuse a stream of more Gaussians a frame: a few kilobytes of file can ask for gigabytes of
+    memory."""
     loop: Annotated[int | None, LOOP] = 1
     """Play the frames so often, or forever; each time the stream is asked for anew."""
     rate: float = 1.0
@@ -178,8 +192,8 @@ class PlayConfig:
     the frames, where the stream says what moves."""
     record: Annotated[Path | None, tyro.conf.arg(metavar="JSON")] = None
     """Write where you moved the camera in the window to this file, for --camera."""
-    background: Annotated[Colour, COLOUR] = BLACK
-    """Of a window: what shows where the Gaussians let light through."""
+    background: Annotated[Colour | None, BACKGROUND] = BLACK
+    """What shows where the Gaussians let light through; transparent gives PNGs an alpha channel."""
     still: Annotated[Moment | None, MOMENT] = None
     """Draw this frame alone, or the one at a time (2.5s), with all layers unless told otherwise, to
     the .png that --capture names."""
@@ -187,8 +201,13 @@ class PlayConfig:
     """Go once around the still in this time, or along --camera if that moves, to an .mp4 or a
     folder of PNGs."""
     viser: Annotated[int | None, PORT] = None
-    """Show it in a browser by viser (pip install 'swings[viser]'), at this port or the next one
-    that is free; by default 8080."""
+    """Show it in a browser by viser (pip install '.[viser]' in the folder of swings), at this port
+    or the next one that is free; by default 8080."""
+
+    @property
+    def name(self) -> str:
+        """The source for people: without the name and password that its URL may hold."""
+        return without_credentials(self.source)
 
     @property
     def delivery(self) -> SourceConfig:
@@ -197,7 +216,7 @@ class PlayConfig:
     def __post_init__(self) -> None:
         """Raises InvalidError for options that do not go together, whatever the stream is."""
         if self.link is not None and not self.source.lower().startswith("http://"):
-            raise InvalidError(f"--link slows down http:// URLs; {self.source} is not one")
+            raise InvalidError(f"--link slows down http:// URLs; {self.name} is not one")
         if self.viser is not None:
             self._refuse("--viser", *self._of_plays, *self._of_pictures)
         elif self.still is not None or self.turntable is not None:
@@ -220,6 +239,7 @@ class PlayConfig:
             self._refuse("--capture", ("--loop forever", self.loop is None), *self._of_windows)
         if self.profile is not None:
             self._check_profile()
+        self._check_background()
         written = (
             ("report", self.report),
             ("plot", self.plot),
@@ -247,7 +267,6 @@ class PlayConfig:
         return (
             ("--rate", self.rate != 1),
             ("--record", self.record is not None),
-            ("--background", self.background != BLACK),
         )
 
     @property
@@ -260,6 +279,7 @@ class PlayConfig:
             ("--size", self.size is not None),
             ("--renderer", self.renderer is not RendererKind.AUTO),
             ("--gl", self.gl is not GlVersion.AUTO),
+            ("--background", self.background != BLACK),
         )
 
     def _refuse(self, option: str, *others: tuple[str, bool]) -> None:
@@ -283,7 +303,25 @@ class PlayConfig:
             )
         check_output(self.capture)
 
+    def _check_background(self) -> None:
+        if self.background is not TRANSPARENT:
+            return
+        if self.capture is None:
+            raise InvalidError("--background transparent is for PNGs; name them with --capture")
+        if self.capture.suffix.lower() == ".mp4":
+            raise InvalidError(
+                f"{self.capture}: an .mp4 has no alpha channel for --background transparent; "
+                "capture to a folder of PNGs"
+            )
+
+    @property
+    def window_background(self) -> Colour:
+        """The colour behind the Gaussians in a window, which has no transparency."""
+        assert self.background is not TRANSPARENT  # __post_init__ made sure
+        return self.background
+
     def _check_profile(self) -> None:
         if "://" in self.source:
-            raise InvalidError(f"--profile measures a stream in a folder; {self.source} is not one")
-        self._refuse("--profile", ("--capture", self.capture is not None), *self._of_plays)
+            raise InvalidError(f"--profile measures a stream in a folder; {self.name} is not one")
+        given = ("--capture", self.capture is not None), ("--background", self.background != BLACK)
+        self._refuse("--profile", *given, *self._of_plays)

@@ -24,8 +24,10 @@ from codec.splats import Splats
 from codec.stream import StreamReader
 from codec.stream.index import INDEX_NAME
 from codec.stream.manifest import Manifest
+from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 from player.render.gl import create_renderer
 from player.render.renderer import GlVersion, Renderer, RendererKind
+from player.show.background import BLACK, Colour, on_background
 from player.source.bounds import Bounds
 from player.source.locate import is_url
 from player.source.opener import SourceConfig
@@ -71,19 +73,22 @@ class Scene:
         renderer: str | RendererKind = "auto",
         gl: str | GlVersion = "auto",
         delivery: SourceConfig | None = None,
+        max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS,
     ) -> Scene:
         """The stream that `source` names, as for swings-play: a folder, or the URL of a served
         stream or of one on any static host.
 
         layers: how many of each slice are fetched and shown; None takes all. renderer: auto, gl or
         cpu; it starts when the first picture is drawn. gl: the version of OpenGL: auto, 3.3 or 4.3.
-        delivery: patience with the network, and where it may lead. Raises a SwingsError.
+        delivery: patience with the network, and where it may lead. max_gaussians: a stream of more
+        Gaussians a frame is refused, because a few kilobytes can ask for gigabytes of memory; None
+        takes any. Raises a SwingsError.
         """
         kind = _chosen(RendererKind, renderer, "renderer")
         version = _chosen(GlVersion, gl, "version of OpenGL")
         web = WebStorage(str(source), delivery) if is_url(str(source)) else None
         try:
-            reader = StreamReader(web or Path(source))
+            reader = StreamReader(web or Path(source), max_gaussians)
             num_layers = check_layers(layers, reader.manifest, reader.name)
             scene = Scene(reader, num_layers, kind, version, web)
             scene._check_bounds(0)
@@ -165,9 +170,11 @@ class Scene:
         frame: int,
         camera: Camera | str | None = None,
         size: tuple[int, int] | None = None,
+        *,
+        background: Colour | None = BLACK,
     ) -> Floats:
-        """(H, W, 3) float32 picture of `frame`, row 0 on top, black where nothing is, not clamped
-        above 1.
+        """(H, W, 3) float32 picture of `frame`, row 0 on top, `background` where nothing is, not
+        clamped above 1. Where `background` is None, (H, W, 4) with straight alpha.
 
         camera: the name of one of the stream's, or any other; None takes the default one. size:
         width and height in pixels; what the camera sees is fitted into it. Raises what `splats`
@@ -180,7 +187,9 @@ class Scene:
         try:
             for slice in self._missing(frame):
                 renderer.put(slice)
-            return renderer.render(frame, seen)
+            renderer.alpha = background != BLACK
+            picture = renderer.render(frame, seen)
+            return on_background(picture, background) if renderer.alpha else picture
         except BaseException:
             # What it holds by now is not known; the next picture starts with another one.
             self._stop_drawing()

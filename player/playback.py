@@ -23,6 +23,7 @@ from player.playout.threads import Joined, Threads, render_thread
 from player.playout.timeline import FrameRecord, Playout, QueueConfig
 from player.render.gl import GlError, create_renderer
 from player.render.renderer import Renderer, RendererKind
+from player.show.background import BLACK, on_background
 from player.show.errand import Errand
 from player.show.progress import frames_progress
 from player.show.sink import FrameSink, to_bytes
@@ -94,9 +95,11 @@ class _Playback:
         self._clock = Clock(real=True)
         self._renderers: list[Renderer] = []
         self._journal = Journal(MAX_ROWS if config.report or config.plot else 0)
-        self._summary = PlaySummary(config.source, link=config.link, journal=self._journal)
+        self._summary = PlaySummary(config.name, link=config.link, journal=self._journal)
         via = relay.address if relay is not None else None
-        self._opener = Opener(config.source, via, self._received, config.delivery)
+        self._opener = Opener(
+            config.source, via, self._received, config.delivery, config.max_gaussians
+        )
 
     def close(self) -> None:
         self._opener.close()
@@ -179,8 +182,8 @@ class _Playback:
         config, found = self._config, self._glance()
         camera = config.camera.of(found.manifest, config.size, FrameRange())(config.frames.first)
         size = Size(camera.width_px, camera.height_px)
-        window = GlWindow(size, config.source, config.gl)
-        poster = PosterScreen(window, read_picture(found.poster), config.background)
+        window = GlWindow(size, config.name, config.gl)
+        poster = PosterScreen(window, read_picture(found.poster), config.window_background)
         preparing = Errand(self._rehearse_for_window)
         if poster.show_until(preparing.is_done):
             self._play_in(window, poster, size)
@@ -214,7 +217,7 @@ class _Playback:
                     self._renderers,
                     self._note,
                     recorder.add,
-                    config.background,
+                    config.window_background,
                 )
         finally:
             self._summary.received_bytes += conductor.received_bytes
@@ -267,9 +270,13 @@ class _Playback:
                     render_thread(threads.update(renderer), renderer, joined.path, show)
 
     def _create_renderer(self, joined: Joined) -> Renderer:
-        return create_renderer(self._kind, joined.source.manifest, self._config.gl)
+        renderer = create_renderer(self._kind, joined.source.manifest, self._config.gl)
+        renderer.alpha = self._config.background != BLACK
+        return renderer
 
     def _show(self, files: _Files, record: FrameRecord, picture: Floats) -> None:
+        if picture.shape[2] == 4:
+            picture = on_background(picture, self._config.background)
         files.write(picture)
         self._note(record, drawn=True)
 

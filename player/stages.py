@@ -84,7 +84,10 @@ class StageProfile:
 def profile(config: PlayConfig) -> StageProfile:
     """Draws the stream's frames and measures each stage. Raises a SwingsError."""
     kind = rehearse(config.renderer, config.gl)
-    with closing(DirectorySource(Path(config.source), config.frames, config.layers)) as source:
+    opened = DirectorySource(
+        Path(config.source), config.frames, config.layers, max_gaussians=config.max_gaussians
+    )
+    with closing(opened) as source:
         manifest, first = source.manifest, source.frames.first
         path = config.camera.of(manifest, config.size, source.frames)
         with closing(create_renderer(kind, manifest, config.gl)) as renderer:

@@ -29,6 +29,7 @@ def draw_still(config: PlayConfig) -> str:
         renderer=config.renderer,
         gl=config.gl,
         delivery=config.delivery,
+        max_gaussians=config.max_gaussians,
     ) as scene:
         frame = still.of(scene.fps)
         scene.frames(frame, frame + 1)  # raises where there is no such frame
@@ -36,7 +37,7 @@ def draw_still(config: PlayConfig) -> str:
             # As a capture of the whole stream shows it.
             whole = FrameRange(0, scene.num_frames)
             camera = config.camera.of(scene.manifest, config.size, whole)(frame)
-            write_png(out, to_bytes(scene.render(frame, camera)))
+            write_png(out, to_bytes(scene.render(frame, camera, background=config.background)))
             drawn, size = "a picture", Size(camera.width_px, camera.height_px)
         else:
             count = max(1, round(config.turntable * scene.fps))
@@ -45,7 +46,8 @@ def draw_still(config: PlayConfig) -> str:
             size = Size(first.width_px, first.height_px)
             with open_sink(out, scene.fps, size) as sink, frames_progress() as progress:
                 for number in progress.track(range(count), description="drawing"):
-                    sink.write(number, to_bytes(scene.render(frame, path(number))))
+                    picture = scene.render(frame, path(number), background=config.background)
+                    sink.write(number, to_bytes(picture))
             drawn = f"{count} pictures"
         return (
             f"{drawn} of frame {frame} of {scene.name}, {size.width_px}x{size.height_px}, "

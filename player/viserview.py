@@ -60,7 +60,12 @@ def viser_arrays(splats: Splats) -> tuple[Floats, Floats, Floats, Floats]:
 def show_in_viser(config: PlayConfig) -> None:
     """Shows the stream until it is interrupted."""
     assert config.viser is not None
-    with Scene.open(config.source, layers=config.layers, delivery=config.delivery) as scene:
+    with Scene.open(
+        config.source,
+        layers=config.layers,
+        delivery=config.delivery,
+        max_gaussians=config.max_gaussians,
+    ) as scene:
         frames = config.frames.of(scene.num_frames, scene.name)
         shown = FrameRange(frames[0], frames[-1] + 1)
         camera = config.camera.of(scene.manifest, None, shown)(frames[0])
@@ -90,7 +95,8 @@ class ViserView:
             import viser
         except ImportError as error:
             raise InvalidError(
-                "viser is not installed; install it with pip install 'swings[viser]'"
+                "viser is not installed; install it with pip install '.[viser]' in the folder of "
+                "swings"
             ) from error
         self._scene = scene
         self._frames = scene.frames() if frames is None else frames

@@ -23,7 +23,13 @@ from .operate.admission import Admission
 from .operate.clientaddress import client_address, is_proxy
 from .operate.descriptors import connection_limit
 from .operate.log.eventlog import EventLog
-from .operate.sign.signing import Grant, Reason, Signer, needs_signature
+from .operate.sign.signing import (
+    Grant,
+    Reason,
+    Signer,
+    needs_signature,
+    without_signatures,
+)
 from .router import OBJECT_ROUTE, find_route
 from .state.serverstate import ServerState
 
@@ -104,7 +110,9 @@ class Application(Site):
         return error_response(500, "the server has a bug; its log says more", {})
 
     def _report(self, exchange: Exchange, error: Exception) -> None:
-        path = exchange.request.path[:200] if exchange.request is not None else ""
+        path = ""
+        if exchange.request is not None:
+            path = without_signatures(exchange.request.path)[:200]
         if isinstance(error, SwingsError | OSError):
             log.error("%s: %s", path, error)
         else:
@@ -124,19 +132,18 @@ class Application(Site):
     def _write_line(self, log: EventLog, exchange: Exchange, took_ms: float) -> None:
         request = exchange.request
         numbers = {"status": exchange.status, "bytes": exchange.body_bytes, "ms": took_ms}
-        note = exchange.note or None
+        note = without_signatures(exchange.note) or None
         if request is None:
             log.event("request", address=exchange.address, **numbers, note=note)
             return
-        texts = (
-            ("address", exchange.address),
-            ("method", request.method),
-            ("path", request.path),
-        )
+        path = request.path
+        if exchange.status >= 400 or path.startswith("/t/"):
+            path = without_signatures(path)
+        texts = (("address", exchange.address), ("method", request.method), ("path", path))
         if request.is_plain and note is None and not exchange.facts:
             log.often("request", texts, numbers)
             return
-        query = request.query or None
+        query = without_signatures(request.query) or None
         fields = {**dict(texts), "query": query, **numbers, "note": note, **exchange.facts}
         log.event("request", **fields)
 

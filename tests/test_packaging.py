@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from collections import Counter
@@ -111,14 +112,48 @@ def test_a_file_is_found_by_its_name() -> None:
     assert not {stem: count for stem, count in stems.items() if count > 1}
 
 
+def test_nobody_is_told_to_install_a_package_that_is_not_ours() -> None:
+    """`swings` on a package index would be somebody else's program; extras come from the
+    checkout: `pip install '.[s3]'`."""
+    files = [f for folder in (*HOUSE, "bench", "fuzz") for f in python_files(folder)]
+    files += [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("codec/*.md")]
+    files += [path for path in (ROOT / "deploy").iterdir() if path.is_file()]
+    wrong = re.compile(r"swings\[|pip install swings\b")
+    assert not [f for f in files if wrong.search(f.read_text(encoding="utf-8"))]
+
+
 def test_only_what_runs_on_devices_imports_torch() -> None:
     for folder in HOUSE:
         for file in python_files(folder):
             tops = {m.split(".")[0] for m in imported_modules(file)}
             may = file.parent.relative_to(ROOT).as_posix() == USES_TORCH
             assert may or not tops & {"torch", "gsplat"}, file
-    code = "import sys, trainer.__main__; sys.exit('torch' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
+
+
+@pytest.mark.parametrize("command", ["train", "evaluate", "synth"])
+def test_the_help_of_the_trainer_waits_for_no_large_library(command: str) -> None:
+    large = ["numba", "torch", "gsplat", "matplotlib", "ray"] + ["av"] * (command == "train")
+    code = (
+        "import sys, trainer.__main__ as commands\n"
+        "sys.argv = ['command', '--help']\n"
+        "try:\n"
+        f"    commands.{command}()\n"
+        "except SystemExit as done:\n"
+        f"    sys.exit(done.code or ' '.join(n for n in {large} if n in sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert "usage" in done.stdout
+    assert done.stderr.strip() == ""
+
+
+def test_no_module_imports_from_a_command() -> None:
+    """A `__main__` is started; what others need of it belongs into a module."""
+    for folder in HOUSE:
+        for file in python_files(folder):
+            # swings-stream is a command of codec to which player lends its renderer.
+            may = file == ROOT / "player" / "streamcommand.py"
+            named = [m for m in imported_modules(file) if "__main__" in m.split(".")]
+            assert may or not named, f"{file.relative_to(ROOT)} imports {named}"
 
 
 def test_abr_is_pure() -> None:

@@ -11,7 +11,3 @@ class CaptureError(SwingsError):
 
 class CheckpointError(SwingsError):
     """A run cannot be resumed from what lies on disk."""
-
-
-class InterruptedRunError(SwingsError):
-    """The user stopped a run; what is on disk is valid and can be resumed."""

@@ -8,7 +8,7 @@ from codec.errors import InvalidError
 from codec.foreign.spz import SpzVersion
 from codec.framerange import FrameRange
 from codec.storage.openstorage import Place
-from codec.stream.reader import StreamReader
+from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
 
 from .formats import SplatFormat, write_splats
 
@@ -46,18 +46,19 @@ def export_stream(
     format: SplatFormat | None,
     layers: int | None,
     spz_version: SpzVersion | None = None,
+    max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS,
 ) -> list[Path]:
     """Writes what shows at `frame` to `out`, or each of `frames` to `out`_NNNN.
 
     `layers` counts from the most important one; all by default. Existing files are replaced.
-    Raises a SwingsError; the files written before it stay.
+    max_gaussians: see `check_gaussians`. Raises a SwingsError; the files written before it stay.
     """
     if (frame is None) == (frames is None):
         raise InvalidError("say either --frame F or --frames A:B")
     format = chosen_format(out, format)
     if spz_version is not None and format is not SplatFormat.SPZ:
         raise InvalidError(f"--spz-version is for spz; the files would be {format}")
-    reader = StreamReader(stream)
+    reader = StreamReader(stream, max_gaussians)
     layers = reader.manifest.num_layers if layers is None else layers
     if frames is not None:
         wanted = FrameRange.parse(frames).of(reader.num_frames, reader.name)

@@ -28,7 +28,7 @@ from codec.slots.slotlayout import MAX_LAYERS, MAX_SEGMENT_SLOTS
 from codec.slots.update import Update
 from codec.splats import DRAWN_SH_DEGREE, MAX_SH_DEGREE, Splats
 from codec.stream.layers import RANKS, Rank, split_counts
-from codec.stream.manifest import SLOTS_VERSION, Manifest, Point
+from codec.stream.manifest import MAX_FPS, MIN_FPS, SLOTS_VERSION, Manifest, Point
 from codec.stream.poster import POSTER_NAME, Draw, write_poster
 from codec.stream.reader import StreamReader
 from codec.stream.writer import StreamWriter
@@ -51,8 +51,6 @@ SEGMENT_FRAMES = 15
 LONGEST_SEGMENT_S = 10.0
 STILL_FPS = 30.0
 """Of a single file: nothing moves."""
-MAX_FPS = 1000
-"""What a manifest may say."""
 FPS_NAME = "fps.txt"
 """A file in the folder with the frames per second, a number, as captures may have."""
 
@@ -228,8 +226,8 @@ def _fps_of(source: Path, num_files: int, options: ImportOptions) -> float:
             fps = float(path.read_text(encoding="utf-8"))
         except ValueError as error:
             raise InvalidError(f"{path}: does not hold one number, frames per second") from error
-    if not 0 < fps <= MAX_FPS:
-        raise InvalidError(f"fps {fps:g}: choose more than 0, at most {MAX_FPS}")
+    if not MIN_FPS <= fps <= MAX_FPS:
+        raise InvalidError(f"fps {fps:g}: choose {MIN_FPS:g} to {MAX_FPS:g}")
     return fps
 
 
@@ -293,7 +291,7 @@ def import_stream(
                     first_bytes = writer.slice_bytes
                 progress(len(files) + WRITE_STEPS * (birth + 1), num_steps)
         if manifest.has_slots:
-            first_bytes = sum(StreamReader(folder).records[0].side_bytes[1:])
+            first_bytes = sum(StreamReader(folder, max_gaussians=None).records[0].side_bytes[1:])
         if draw is not None:
             write_poster(folder, draw)
     errors = None if filler is None else dict(zip(KINDS, filler.errors.tolist(), strict=True))

@@ -19,6 +19,7 @@ from codec.errors import (
     UnwritableError,
 )
 
+from .credentials import without_credentials
 from .storage import Stamp
 
 if TYPE_CHECKING:
@@ -44,6 +45,8 @@ MAX_REASON_CHARS = 200
 _ANSWER = re.compile("<Code>(.*?)</Code>.*?<Message>(.*?)</Message>", re.DOTALL)
 """In the error of an S3 server."""
 
+_PLAIN_ENDPOINT = re.compile(r"\bhttp://")
+
 Value = TypeVar("Value")
 
 Version = dict[str, str]
@@ -55,7 +58,7 @@ class StorePrefix:
 
     def __init__(self, url: str, store: ObjectStore, prefix: str = "") -> None:
         """Use `open_store`. prefix: in `store`, of every path; empty, or with '/' at its end."""
-        self._url = url.rstrip("/")
+        self._url = without_credentials(url).rstrip("/")
         self._store = store
         self._prefix = prefix
 
@@ -240,7 +243,27 @@ def _said(error: Exception) -> str:
     answer = _ANSWER.search(str(error))
     # What follows in the text is for those who develop obstore.
     text = ": ".join(answer.groups()) if answer else str(error).partition("Debug source")[0]
-    return " ".join(text.split())[:MAX_REASON_CHARS]
+    advice = "" if answer else _advice(text)
+    return advice or without_credentials(" ".join(text.split()))[:MAX_REASON_CHARS]
+
+
+METADATA_ADDRESS = "http://169.254.169.254/"
+"""Where the machines of a cloud get credentials: obstore asks there when it is given none."""
+
+
+def _advice(text: str) -> str:
+    """What to set where obstore's own words name a symptom; empty for another error."""
+    if METADATA_ADDRESS in text:
+        return (
+            "no credentials: set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or "
+            "AWS_SKIP_SIGNATURE=true for a public bucket"
+        )
+    if "builder error" in text and _PLAIN_ENDPOINT.search(text):
+        return (
+            "the endpoint is http://, without encryption; set AWS_ALLOW_HTTP=true to allow that, "
+            "or use an https:// endpoint"
+        )
+    return ""
 
 
 def _stamp(found: ObjectMeta) -> Stamp:
@@ -263,7 +286,8 @@ def open_store(url: str, *, patient: bool = False) -> StorePrefix:
         from obstore.store import from_url
     except ImportError as error:
         raise InvalidError(
-            f"{url}: object stores need obstore; install it with pip install 'swings[s3]'"
+            f"{without_credentials(url)}: object stores need obstore; install it with "
+            "pip install '.[s3]' in the folder of swings"
         ) from error
     try:
         store = from_url(
@@ -274,5 +298,6 @@ def open_store(url: str, *, patient: bool = False) -> StorePrefix:
             },
         )
     except (obstore.exceptions.BaseError, ValueError) as error:
-        raise InvalidError(f"{url} does not name an object store: {_said(error)}") from error
+        name = without_credentials(url)
+        raise InvalidError(f"{name} does not name an object store: {_said(error)}") from error
     return StorePrefix(url, store)

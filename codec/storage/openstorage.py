@@ -6,6 +6,7 @@ from pathlib import Path
 
 from codec.errors import InvalidError
 
+from .credentials import without_credentials
 from .folder import FolderStorage
 from .objectstore import SCHEMES, open_store
 from .storage import Storage
@@ -31,7 +32,8 @@ def check_url(url: str) -> None:
     """Raises InvalidError for a URL of no object store."""
     if url.partition("://")[0].lower() not in SCHEMES:
         names = ", ".join(f"{name}://" for name in SCHEMES)
-        raise InvalidError(f"{url}: choose a folder of this machine, or a URL of {names}")
+        name = without_credentials(url)
+        raise InvalidError(f"{name}: choose a folder of this machine, or a URL of {names}")
 
 
 def open_storage(place: Place) -> Storage:

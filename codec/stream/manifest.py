@@ -53,6 +53,9 @@ MAX_CAMERAS = 256
 MAX_NUM_GS = 1 << 24
 """Most active Gaussians: far above what any player can draw."""
 
+MIN_FPS, MAX_FPS = 0.001, 1000
+"""Frames shown in a second: at the least one in 1000 seconds."""
+
 MAX_TEXT_CHARS = MAX_NAME_CHARS
 
 MAX_POSTER_BYTES = 255
@@ -99,7 +102,7 @@ class Manifest:
     """
 
     fps: float
-    """Frames shown in a second."""
+    """Frames shown in a second, MIN_FPS to MAX_FPS."""
     swin_size: int
     """Frames a Gaussian lives, and the slices in a window."""
     num_gs: int
@@ -157,8 +160,8 @@ class Manifest:
             self._check_slots()
             shares = tuple(count / sum(self.slots) for count in self.slots)
             object.__setattr__(self, "layers", shares)
-        if not (math.isfinite(self.fps) and 0 < self.fps <= 1000):
-            raise InvalidError(f"manifest: fps {self.fps} is not in 0..1000")
+        if not MIN_FPS <= self.fps <= MAX_FPS:
+            raise InvalidError(f"manifest: fps {self.fps} is not in {MIN_FPS}..{MAX_FPS}")
         if not 1 <= self.swin_size <= MAX_SWIN_SIZE:
             raise InvalidError(f"manifest: swin_size {self.swin_size} not in 1..{MAX_SWIN_SIZE}")
         if not 0 < self.num_gs <= MAX_NUM_GS or self.num_gs % self.swin_size:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -56,12 +56,19 @@ def picture_type(name: str) -> str | None:
     return PICTURE_TYPES.get(Path(name).suffix.lower())
 
 
+def poster_path(manifest: Manifest) -> str | None:
+    """The path of the poster that `manifest` names; None unless it is a picture's, in the stream's
+    folder: one that begins with `//` would lead a browser to another host."""
+    path = manifest.poster or ""
+    if picture_type(path) is None or {"", ".."} & set(path.split("/")):
+        return None
+    return path
+
+
 def find_poster(place: Place, manifest: Manifest) -> str | None:
     """The path of the poster that `manifest` names, if it is a picture of the stream at `place`."""
-    name = PurePosixPath(manifest.poster or "")
-    if picture_type(name.name) is None or name.is_absolute() or ".." in name.parts:
-        return None
-    return str(name) if open_storage(place).holds(str(name)) else None
+    path = poster_path(manifest)
+    return path if path is not None and open_storage(place).holds(path) else None
 
 
 def read_poster(place: Place, manifest: Manifest) -> bytes | None:
@@ -98,7 +105,7 @@ def write_poster(stream: Target, draw: Draw) -> None:
     It shows what the default camera sees of the frame in the middle of what there is by now,
     decoded with all layers. It is whole or absent, and replaces the one before.
     """
-    reader = StreamReader(stream)
+    reader = StreamReader(stream, max_gaussians=None)
     manifest = reader.manifest
     if manifest.poster != POSTER_NAME or not reader.num_frames:
         return

@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Iterator
 
-from codec.errors import CodecError, InvalidError
+from codec.errors import CodecError, InvalidError, UnsupportedError
+from codec.profiles.raw import bytes_per_gaussian
 from codec.slice import Slice, active_splats, window_births
 from codec.slots.slotdecoder import SlotDecoder
 from codec.splats import Splats
@@ -21,6 +22,29 @@ from .integrity import MAX_INDEX_BYTES, CheckedObject, fitting_slice, read_index
 from .manifest import MANIFEST_NAME, MAX_MANIFEST_BYTES, Manifest, Part, object_name
 from .seeker import SlotSeeker, join
 
+DEFAULT_MAX_GAUSSIANS = 1 << 22
+"""Gaussians of a stream that is opened unless more are allowed: at SH degree 0 about 1 GB."""
+
+FLOAT_COPIES = 5
+"""What a reader takes at most beside its libraries, in copies of all Gaussians as float32: export
+takes the most."""
+
+
+def check_gaussians(manifest: Manifest, max_gaussians: int | None, name: str) -> None:
+    """Raises UnsupportedError if the stream `name` has more than `max_gaussians` Gaussians. None
+    allows all that the format does, 2^24: a stream of a few kilobytes may have as many.
+
+    To be called before anything is decoded, or allocated by the manifest's counts.
+    """
+    count = manifest.num_gs
+    if max_gaussians is None or count <= max_gaussians:
+        return
+    memory_gb = FLOAT_COPIES * count * bytes_per_gaussian(manifest.sh_degree) / 1e9
+    raise UnsupportedError(
+        f"{name} has {count:,} Gaussians; --max-gaussians {count} reads it "
+        f"(about {memory_gb:.1f} GB of memory)"
+    )
+
 
 def read_stream_file(storage: Storage, path: str, limit_bytes: int, offset: int = 0) -> bytes:
     """The file at `path` of the stream in `storage`, from `offset` on. Raises CorruptError."""
@@ -31,7 +55,9 @@ def read_stream_file(storage: Storage, path: str, limit_bytes: int, offset: int 
 class StreamReader:
     """A stream where it lies, finished or still growing (`refresh`)."""
 
-    def __init__(self, place: Place) -> None:
+    def __init__(self, place: Place, max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS) -> None:
+        """max_gaussians: see `check_gaussians`; None for streams of one's own."""
+        self._max_gaussians = max_gaussians
         self.storage = open_storage(place)
         self.name = self.storage.name
         self.records: list[SegmentRecord] = []
@@ -50,6 +76,7 @@ class StreamReader:
             self.manifest = Manifest.from_json(data)
         except CodecError as error:
             raise error.within(self.storage.place(MANIFEST_NAME)) from error
+        check_gaussians(self.manifest, self._max_gaussians, self.name)
         self.manifest_json = data
 
     @property

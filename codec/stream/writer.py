@@ -99,7 +99,7 @@ class StreamWriter:
         quality: Quality | None = None,
     ) -> StreamWriter:
         """A writer that goes on after `target`'s last finished segment; `next_birth` says where."""
-        reader = StreamReader(target)
+        reader = StreamReader(target, max_gaussians=None)
         manifest, records = reader.manifest, reader.records
         if not manifest.live:
             raise InvalidError(f"{target} is finished; write to another folder")

@@ -19,7 +19,7 @@ from codec.stream.integrity import (
 from codec.stream.manifest import object_name
 from codec.stream.object import MAX_OBJECT_BYTES
 from codec.stream.poster import check_poster
-from codec.stream.reader import StreamReader, read_stream_file
+from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader, read_stream_file
 
 from .slotaudit import verify_slots
 from .slotcensus import SlotSummary, count_slots, describe_slots, summarise_slots
@@ -72,10 +72,13 @@ class StreamSummary:
     """Only in version 2."""
 
 
-def summarise(place: Place) -> StreamSummary:
+def summarise(place: Place, max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS) -> StreamSummary:
     """The summary of the stream at `place`, from its manifest and index; in version 2 also from its
-    masks and the snapshots of frame 0. Raises a CodecError."""
-    return _summary(StreamReader(place))
+    masks and the snapshots of frame 0. max_gaussians: see `check_gaussians`.
+
+    Raises a CodecError.
+    """
+    return _summary(StreamReader(place, max_gaussians))
 
 
 def _summary(reader: StreamReader) -> StreamSummary:
@@ -188,8 +191,9 @@ def describe(summary: StreamSummary) -> str:
     return "\n".join(lines)
 
 
-def verify_stream(place: Place) -> StreamSummary:
+def verify_stream(place: Place, max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS) -> StreamSummary:
     """The summary of the stream at `place`, after every byte of it was read, checked and decoded.
+    max_gaussians: see `check_gaussians`.
 
     Raises a CodecError for the first thing that is wrong, in the order manifest, index, objects,
     poster. Its message and `at` name the file and the first byte in it that may be wrong, as
@@ -197,7 +201,7 @@ def verify_stream(place: Place) -> StreamSummary:
     object's table, the record or the compressed chunk whose checksum or content is wrong, or where
     a file ends too early. Of two fields that contradict each other it is the first.
     """
-    reader = StreamReader(place)
+    reader = StreamReader(place, max_gaussians)
     storage, manifest = reader.storage, reader.manifest
     index = storage.stamp(INDEX_NAME)
     try:

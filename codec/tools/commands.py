@@ -1,4 +1,4 @@
-"""The subcommands `import` and `export` of swings-stream."""
+"""The subcommands of swings-stream, and what `import` and `export` do."""
 
 from __future__ import annotations
 
@@ -16,9 +16,39 @@ from codec.interop.formats import SplatFormat
 from codec.sequence.importing import Imported, ImportOptions, import_stream
 from codec.splats import DRAWN_SH_DEGREE
 from codec.stream.poster import Draw
+from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 
 from .fileprogress import told
 from .static import export_static
+
+Stream = Annotated[str, tyro.conf.arg(metavar="STREAM")]
+
+
+@dataclass(frozen=True, slots=True)
+class Info:
+    """Say what a stream holds, from its manifest and index; where slots last (version 2), also
+    from its masks."""
+
+    stream: tyro.conf.Positional[Stream]
+    """Folder of the stream, or its URL in an object store, as s3://BUCKET/PATH."""
+    json: bool = False
+    """Print one JSON object instead of text."""
+    plot: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
+    """Also draw bitrate per layer and quality over time, as a picture at this place."""
+    max_gaussians: int = DEFAULT_MAX_GAUSSIANS
+    """Refuse a stream of more Gaussians a frame: a few kilobytes of file can ask for gigabytes of
+    memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verify:
+    """Read, check and decode every byte of a stream; name the first file and byte that is wrong."""
+
+    stream: tyro.conf.Positional[Stream]
+    """Folder of the stream, or its URL in an object store, as s3://BUCKET/PATH."""
+    max_gaussians: int = DEFAULT_MAX_GAUSSIANS
+    """Refuse a stream of more Gaussians a frame: a few kilobytes of file can ask for gigabytes of
+    memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +87,9 @@ class Export:
     """Most important layers to write; all by default."""
     static: bool = False
     """Write all of the stream, coded so that browsers inflate it by themselves (gzip)."""
+    max_gaussians: int = DEFAULT_MAX_GAUSSIANS
+    """Refuse a stream of more Gaussians a frame: a few kilobytes of file can ask for gigabytes of
+    memory."""
 
 
 def import_files(config: Import, draw: Draw | None = None) -> str:
@@ -124,6 +157,7 @@ def export_files(config: Export) -> str:
         config.format,
         config.layers,
         config.spz_version,
+        config.max_gaussians,
     )
     files = str(written[0]) if len(written) == 1 else f"{written[0]} .. {written[-1].name}"
     total_bytes = sum(path.stat().st_size for path in written)
@@ -135,7 +169,7 @@ def _export_static(config: Export) -> str:
     chosen = (config.frame, config.frames, config.format, config.layers, config.spz_version)
     if chosen != (None,) * 5:
         raise InvalidError("--static writes the whole stream; leave out what is for frames")
-    made = export_static(config.stream, config.out)
+    made = export_static(config.stream, config.out, config.max_gaussians)
     share = 100 * made.size_bytes / made.source_bytes
     return (
         f"{config.out}: {made.num_frames} frames in {made.num_segments} segments for any web "

@@ -15,19 +15,23 @@ from typing import Self
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.splats import Splats
+from codec.storage.credentials import without_credentials
 from codec.storage.openstorage import Place
 from codec.stream.manifest import Manifest
-from codec.stream.reader import StreamReader
+from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
 
 
-def open_stream(place: Place) -> OpenedStream:
+def open_stream(place: Place, *, max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS) -> OpenedStream:
     """The stream at `place`: a folder, as str or Path, or a URL in an object store, such as
     s3://BUCKET/STREAM. Only its manifest and its index are read.
 
-    Raises a SwingsError: InvalidError for another kind of URL, CorruptError for what is not a
-    stream; for a folder that does not exist it is a FileNotFoundError, too (MissingFolderError).
+    max_gaussians: most Gaussians a frame, because a stream of a few kilobytes can ask for
+    gigabytes of memory; None takes any. Raises a SwingsError: InvalidError for another kind of URL,
+    CorruptError for what is not a stream, UnsupportedError for a stream of more than
+    `max_gaussians`; for a folder that does not exist a MissingFolderError, which is a
+    FileNotFoundError, too.
     """
-    return OpenedStream(place)
+    return OpenedStream(place, max_gaussians)
 
 
 class OpenedStream:
@@ -36,14 +40,15 @@ class OpenedStream:
     One thread at a time. Any order of frames is exact; going forward is cheapest.
     """
 
-    def __init__(self, place: Place) -> None:
+    def __init__(self, place: Place, max_gaussians: int | None) -> None:
         """Use `open_stream`."""
         if not isinstance(place, Path) and str(place).lower().startswith(("http://", "https://")):
+            name = without_credentials(str(place))
             raise InvalidError(
-                f"{place}: codec reads folders and object stores; for this kind of URL take "
+                f"{name}: codec reads folders and object stores; for this kind of URL take "
                 "player.Scene.open"
             )
-        self._reader: StreamReader | None = StreamReader(place)
+        self._reader: StreamReader | None = StreamReader(place, max_gaussians)
         self.name = self._reader.name
 
     @property

@@ -94,7 +94,7 @@ def draw_stream(stream: Place, picture: Path) -> None:
     """Draws the bitrate of each layer, where the index knows it the PSNR, and in version 2 what
     becomes of the slots, over time, as a PNG at `picture` that appears at once and whole. Raises a
     SwingsError."""
-    reader = StreamReader(stream)
+    reader = StreamReader(stream, max_gaussians=None)
     records, manifest = reader.records, reader.manifest
     if not records:
         raise InvalidError(f"{reader.name} has no frames yet; there is nothing to draw")

@@ -21,7 +21,7 @@ from codec.stream.integrity import CheckedObject, fitting_slice
 from codec.stream.manifest import MANIFEST_NAME, MASKS, OBJECT_URL, object_file
 from codec.stream.object import encode_packet, join_packets
 from codec.stream.poster import read_poster
-from codec.stream.reader import StreamReader
+from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
 
 from .slotaudit import verify_slots
 
@@ -38,14 +38,16 @@ class StaticExport:
     """The same of the exported one."""
 
 
-def export_static(stream: Place, out: Path) -> StaticExport:
+def export_static(
+    stream: Place, out: Path, max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS
+) -> StaticExport:
     """Writes the stream at `stream` to the folder `out`, absent or empty, coded with gzip.
 
     Every chunk is decoded and checked on the way, and its values stay as they are. A live stream is
-    exported as far as it has come, and finished. `out` appears whole or not at all. Raises a
-    SwingsError that names the file at fault.
+    exported as far as it has come, and finished. `out` appears whole or not at all.
+    max_gaussians: see `check_gaussians`. Raises a SwingsError that names the file at fault.
     """
-    reader = StreamReader(stream)
+    reader = StreamReader(stream, max_gaussians)
     if not reader.records:
         raise InvalidError(f"{reader.name} has no frames yet; there is nothing to export")
     with making_folder(out) as folder:

@@ -20,10 +20,12 @@ from urllib.parse import urlsplit
 from .faults import BrokenError as BrokenError
 from .faults import FetchError as FetchError
 from .faults import StoppedError as StoppedError
+from .handshake import HandshakeError
 from .hosts import joined
 from .httpconnection import CannotConnectError, GrammarError, Target
 from .httppool import Answer, HttpPool
 from .idle import IdleLimit
+from .logins import Origin
 
 Result = TypeVar("Result")
 
@@ -73,12 +75,14 @@ class Fetcher:
         config: FetchConfig | None = None,
         received: Callable[[int], None] | None = None,
         pool: HttpPool | None = None,
+        logins: Mapping[Origin, str] | None = None,
     ) -> None:
         """via: address of a relay that every request goes through instead of to its host.
         received: is told how many bytes of a body each read gave. pool: of another Fetcher,
-        which closes it; without it there is one of its own."""
+        which closes it; without it there is one of its own. logins: see `logins_of`."""
         self._via = via
         self.config = config or FetchConfig()
+        self._logins = logins or {}
         self._owns = pool is None
         self._pool = pool or HttpPool(self.config.connect_timeout_s)
         self._loop = self._pool.loop
@@ -138,11 +142,11 @@ class Fetcher:
     def shared(self) -> Fetcher:
         """One more over the same connections, interrupted and counted by itself. One of them is
         used at a time. Close it before this one."""
-        return Fetcher(self._via, self.config, self._received, self._pool)
+        return Fetcher(self._via, self.config, self._received, self._pool, self._logins)
 
     def another(self, config: FetchConfig) -> Fetcher:
         """One more, for another thread, that goes the same way. Close it."""
-        return Fetcher(self._via, config)
+        return Fetcher(self._via, config, logins=self._logins)
 
     def interrupt(self) -> None:
         """Makes whoever waits, now or later, raise StoppedError."""
@@ -199,6 +203,8 @@ class Fetcher:
             target = Target.of(url)
         except ValueError as error:
             raise FetchError(f"{url} is not a URL") from error
+        if target.authorization is None:
+            target = replace(target, authorization=self._logins.get(target.place))
         if self._via is not None:
             target = replace(target, host=self._via[0], port=self._via[1])
         # Also bounds an answer that begins again and again, or byte by byte.
@@ -218,6 +224,8 @@ def translated(url: str) -> Iterator[None]:
         yield
     except CannotConnectError as error:
         raise BrokenError(f"{url}: cannot connect: {error}") from error
+    except HandshakeError as error:
+        raise FetchError(f"{url}: {error}") from error
     except TimeoutError as error:
         raise BrokenError(f"{url}: no answer in time") from error
     except (GrammarError, OSError) as error:

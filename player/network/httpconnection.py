@@ -21,6 +21,8 @@ from urllib.parse import quote, unquote, urlsplit
 import h11
 from aiohappyeyeballs import AddrInfoType, start_connection
 
+from .handshake import ALERT, handshake_error
+
 BUFFER_BYTES = 64 << 10
 """When twice as much has come that nobody has read, the socket is left alone, bytes."""
 
@@ -39,6 +41,9 @@ class CannotConnectError(Exception):
     """No connection to the host; says why."""
 
     def __init__(self, error: OSError) -> None:
+        if isinstance(error, ssl.SSLError):  # its number is OpenSSL's, not the system's
+            super().__init__(f"TLS failed: {error.reason or _one_line(error)}")
+            return
         # Of several addresses asyncio gives the errors in one text. The name service's numbers are
         # below 1, and it has words of its own.
         numbers = [error.errno or 0, *map(int, re.findall(r"\[Errno (\d+)\]", str(error)))]
@@ -139,12 +144,14 @@ class HttpConnection:
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._reader, self._writer = reader, writer
+        is_plain = writer.get_extra_info("ssl_object") is None
+        self._other_scheme = "; if it speaks TLS, https:// is right" if is_plain else ""
         self._http = h11.Connection(h11.CLIENT)
         self._ended = False
 
     @staticmethod
     async def open(target: Target, timeout_s: float) -> HttpConnection:
-        """Raises CannotConnectError, TimeoutError."""
+        """Raises CannotConnectError, HandshakeError, TimeoutError."""
         context = _tls() if target.scheme == "https" else None
         try:
             async with asyncio.timeout(timeout_s):
@@ -159,6 +166,9 @@ class HttpConnection:
                 )
         except TimeoutError:
             raise
+        except ssl.SSLError as error:
+            refusal = handshake_error(error, target.host)
+            raise refusal or CannotConnectError(error) from error
         except OSError as error:
             raise CannotConnectError(error) from error
         return HttpConnection(reader, writer)
@@ -208,7 +218,13 @@ class HttpConnection:
         return bytes(piece)
 
     async def _receive(self) -> None:
-        self._http.receive_data(await self._reader.read(2 * BUFFER_BYTES))
+        data = await self._reader.read(2 * BUFFER_BYTES)
+        if self._http.their_state is h11.SEND_RESPONSE and not self._http.trailing_data[0]:
+            if data.startswith(ALERT):
+                raise GrammarError("it speaks TLS at this port; https:// may be right")
+            if not data:
+                raise GrammarError("it closed without an answer" + self._other_scheme)
+        self._http.receive_data(data)
 
     def _http_event(self) -> Any:
         try:

@@ -16,7 +16,7 @@ class IdleLimit:
     def __init__(self, idle_s: float, now_s: float) -> None:
         self._idle_s = idle_s
         self._since_s = now_s
-        self.num_bytes = self._open_bytes = 0
+        self.num_bytes = 0
         """Bytes that came since something of use did."""
         self._open_bytes = 0
         """Those of them whose use is not known yet."""

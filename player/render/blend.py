@@ -104,7 +104,7 @@ def blend_tiles(  # type: ignore[no-untyped-def]
     projected, starts, gaussians, order, tiles_x, picture
 ):
     """Blends every tile front to back into `picture`, float32,
-    (3, tiles_y * TILE_PX, tiles_x * TILE_PX)."""
+    (3, tiles_y * TILE_PX, tiles_x * TILE_PX). A fourth plane of it gets the alpha."""
     zero = np.float32(0)
     for k in prange(order.shape[0]):
         tile = order[k]
@@ -144,3 +144,6 @@ def blend_tiles(  # type: ignore[no-untyped-def]
             for channel in range(3):
                 for x in range(TILE_PX):
                     picture[channel, y_px + row, x_px + x] = pixels[row, PIXEL_RED + channel, x]
+            for channel in range(3, picture.shape[0]):
+                for x in range(TILE_PX):
+                    picture[channel, y_px + row, x_px + x] = np.float32(1) - pixels[row, SEEN, x]

@@ -33,6 +33,7 @@ class CpuRenderer:
         self.name = "CPU"
         self.uploaded_bytes = 0
         self.times: StepTimes | None = None
+        self.alpha = False
 
     def put(self, slice: Slice) -> None:
         self._arrivals.put(slice.birth, slice)
@@ -63,7 +64,7 @@ class CpuRenderer:
     def render_again(self, frame: int, camera: Camera) -> Floats:
         # Drawn from where they are: a copy of all that shows would take a sixth of the time.
         rows = self._ring.active_rows(frame)
-        return _draw(self._ring.splats, rows, camera, self._near_m, self.times)
+        return _draw(self._ring.splats, rows, camera, self._near_m, self.times, self.alpha)
 
     def close(self) -> None:
         pass
@@ -82,9 +83,15 @@ def render_splats(splats: Splats, camera: Camera, near_m: float) -> Floats:
 
 
 def _draw(
-    splats: Splats, rows: Ints, camera: Camera, near_m: float, times: StepTimes | None
+    splats: Splats,
+    rows: Ints,
+    camera: Camera,
+    near_m: float,
+    times: StepTimes | None,
+    alpha: bool = False,
 ) -> Floats:
-    """The picture of some rows of `splats`; of equally far ones the first is in front."""
+    """The picture of some rows of `splats`; of equally far ones the first is in front. alpha: with
+    a fourth channel."""
     tiles_x, tiles_y = tile_grid(camera.width_px, camera.height_px)
     with step(times, "sort_ms", _nothing):
         projection = Projection.allocate(len(rows))
@@ -104,7 +111,7 @@ def _draw(
         )
         lists = list_tiles(projection, tiles_x, tiles_y)
     with step(times, "draw_ms", _nothing):
-        picture = np.empty((3, tiles_y * TILE_PX, tiles_x * TILE_PX), np.float32)
+        picture = np.empty((3 + alpha, tiles_y * TILE_PX, tiles_x * TILE_PX), np.float32)
         blend_tiles(
             projection.projected, lists.starts, lists.gaussians, lists.order, tiles_x, picture
         )

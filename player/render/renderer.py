@@ -63,6 +63,10 @@ class Renderer(Protocol):
     times: StepTimes | None
     """Set it to have the steps timed, each until it is finished, which costs some overlap."""
 
+    alpha: bool
+    """Whether pictures have a fourth channel, 0..1: how much of a pixel the Gaussians cover. The
+    colours are premultiplied by it. False until it is set."""
+
     def put(self, slice: Slice) -> None:
         """Takes the slice over; it shows from the first `upload` of a frame >= its birth on.
 
@@ -95,7 +99,7 @@ class Renderer(Protocol):
 
     def render_again(self, frame: int, camera: Camera) -> Floats:
         """(H, W, 3) float32 picture of `frame` from what is uploaded, whatever waits: row 0 on top,
-        black background, not clamped."""
+        black background, not clamped; (H, W, 4) if `alpha` is set."""
         ...
 
     def close(self) -> None: ...

@@ -27,7 +27,7 @@ class FrameSink(Protocol):
     """Takes pictures in frame order."""
 
     def write(self, frame: int, picture: Bytes) -> None:
-        """picture: (H, W, 3) uint8 RGB, row 0 on top."""
+        """picture: (H, W, 3) uint8 RGB, row 0 on top; (H, W, 4) RGBA where PNGs are written."""
         ...
 
 
@@ -37,7 +37,7 @@ def to_bytes(picture: Floats) -> Bytes:
 
 
 def write_png(path: Path, picture: Bytes) -> None:
-    """Puts the picture, (H, W, 3) RGB, at `path`: all of it or nothing."""
+    """Puts the picture, (H, W, 3) RGB or (H, W, 4) RGBA, at `path`: all of it or nothing."""
     with replacing(path) as temporary:
         Image.fromarray(picture).save(temporary, "PNG", compress_level=4)
 

@@ -12,6 +12,7 @@ from codec.errors import CodecError
 from codec.framerange import FrameRange
 from codec.stream import StreamReader
 from codec.stream.manifest import Manifest
+from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 from player.network.faults import StoppedError
 from player.network.fetch import FetchConfig
 from player.network.idle import IdleLimit
@@ -36,11 +37,13 @@ class DirectorySource:
         frames: FrameRange,
         layers: int | None,
         idle_s: float = FetchConfig().idle_s,
+        max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS,
     ) -> None:
-        """layers: None takes all. idle_s: for how long new frames are waited for, seconds."""
+        """layers: None takes all. idle_s: for how long new frames are waited for, seconds.
+        max_gaussians: see `check_gaussians`."""
         self._idle_s = idle_s
         self._stopped = threading.Event()
-        self._reader = reader = StreamReader(path)
+        self._reader = reader = StreamReader(path, max_gaussians)
         self.name = str(path)
         self.play = NO_PLAY
         self.adaptive = False

@@ -11,7 +11,7 @@ from urllib.parse import quote
 from codec.errors import CodecError
 from codec.stream import StreamReader
 from codec.stream.manifest import MANIFEST_NAME, Manifest
-from codec.stream.poster import MAX_PICTURE_BYTES, picture_type, read_poster
+from codec.stream.poster import MAX_PICTURE_BYTES, poster_path, read_poster
 from player.network.faults import BrokenError, FetchError, StoppedError
 from player.network.fetch import Fetcher
 
@@ -34,7 +34,7 @@ def glance(place: Place, fetcher: Fetcher) -> Glance | None:
     """Looks at the stream at `place`; None where a server has none, who says more to who plays it.
     A poster that cannot be had is done without. Raises FetchError, CodecError."""
     if isinstance(place, Path):
-        reader = StreamReader(place)
+        reader = StreamReader(place, max_gaussians=None)
         try:
             return Glance(reader.manifest, read_poster(reader.storage, reader.manifest))
         except CodecError as error:
@@ -61,8 +61,8 @@ def _served_manifest(urls: Sequence[str], fetcher: Fetcher) -> tuple[Manifest, s
 
 
 def _poster(manifest: Manifest, base: str, fetcher: Fetcher) -> bytes | None:
-    name = manifest.poster
-    if name is None or picture_type(name) is None or ".." in name.split("/"):
+    name = poster_path(manifest)
+    if name is None:
         return None
     try:
         response = fetcher.get(base + quote(name), MAX_PICTURE_BYTES)

@@ -9,6 +9,7 @@ from pathlib import Path
 from urllib.parse import SplitResult, quote, unquote, urlsplit, urlunsplit
 
 from codec.errors import InvalidError
+from codec.storage.credentials import without_credentials
 from codec.stream.manifest import MANIFEST_NAME
 from player.network.faults import BrokenError, FetchError
 from player.network.fetch import Fetcher
@@ -41,7 +42,8 @@ def is_url(source: str) -> bool:
     if source.lower().startswith(("http://", "https://")):
         return True
     if "://" in source:
-        raise InvalidError(f"{source}: only http:// and https:// URLs and folders can be played")
+        shown = without_credentials(source)
+        raise InvalidError(f"{shown}: only http:// and https:// URLs and folders can be played")
     return False
 
 
@@ -51,9 +53,9 @@ def check_url(source: str) -> SplitResult:
         parts = urlsplit(source)
         host, _ = parts.hostname, parts.port
     except ValueError as error:  # urlsplit leaves the port unchecked until it is asked for
-        raise InvalidError(f"{source} is not a URL: {error}") from error
+        raise InvalidError(f"{without_credentials(source)} is not a URL: {error}") from error
     if not host:
-        raise InvalidError(f"{source} is not a URL: it names no host")
+        raise InvalidError(f"{without_credentials(source)} is not a URL: it names no host")
     return parts
 
 

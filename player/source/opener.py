@@ -16,16 +16,19 @@ from pathlib import Path
 
 from codec.errors import CorruptError
 from codec.framerange import FrameRange
+from codec.storage.credentials import without_credentials
 from codec.stream.manifest import Manifest
+from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, check_gaussians
 from player.network.diskcache import DiskCache
 from player.network.faults import BrokenError, StoppedError
 from player.network.fetch import FetchConfig, Fetcher
+from player.network.logins import logins_of
 from player.network.retry import Retry, RetryConfig
 
 from .directory import DirectorySource
 from .glance import Glance, glance
 from .hosted import HostedSource
-from .locate import Place, ServedPlace, locate
+from .locate import Place, ServedPlace, locate, split_source
 from .served import ServedSource
 from .source import NO_PLAY, Source
 
@@ -56,15 +59,18 @@ class Opener:
         via: tuple[str, int] | None = None,
         received: Callable[[int], None] | None = None,
         config: SourceConfig | None = None,
+        max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS,
     ) -> None:
         """Asks for nothing yet. via: the relay of `--link`. received: is told how many bytes each
-        read from the network gave."""
+        read from the network gave. max_gaussians: a larger stream is refused when it is opened,
+        see `check_gaussians`."""
         self._config = config or SourceConfig()
-        self.name = source
+        self._max_gaussians = max_gaussians
+        self.name = without_credentials(source)
         self.manifest: Manifest | None = None
         """As it was when the stream was opened last; None before that."""
         fetch = FetchConfig(other_hosts=self._config.other_hosts)
-        self._fetcher = Fetcher(via, fetch, received)
+        self._fetcher = Fetcher(via, fetch, received, logins=logins_of(split_source(source)))
         folder, cache_bytes = self._config.cache, self._config.cache_bytes
         self.cache = DiskCache(folder, cache_bytes) if folder is not None else None
         """Counts what it has saved."""
@@ -80,7 +86,7 @@ class Opener:
 
         layers: None takes all. adaptive: where layers is None, those that the link allows; from a
         folder all the same. Raises CorruptError when the stream is not the one that was opened
-        before.
+        before, UnsupportedError when it has too many Gaussians.
         """
         fetcher = self._use()
         try:
@@ -99,7 +105,10 @@ class Opener:
     def glance(self) -> Glance | None:
         """What is seen of the stream at once, while what plays it is made ready; see `glance`."""
         with closing(self._use()) as fetcher:
-            return glance(self._find(fetcher), fetcher)
+            found = glance(self._find(fetcher), fetcher)
+        if found is not None:
+            check_gaussians(found.manifest, self._max_gaussians, self.name)
+        return found
 
     def _find(self, fetcher: Fetcher) -> Place:
         if self._place is None:
@@ -130,7 +139,7 @@ class Opener:
     ) -> Source:
         place = self._find(fetcher)
         if isinstance(place, Path):
-            return DirectorySource(place, frames, layers)
+            return DirectorySource(place, frames, layers, max_gaussians=self._max_gaussians)
         # Whoever hears of the link does not start blind.
         last_play = self._last.play if self._last else NO_PLAY
         if isinstance(place, ServedPlace):
@@ -145,6 +154,7 @@ class Opener:
         )
 
     def _check(self, manifest: Manifest) -> None:
+        check_gaussians(manifest, self._max_gaussians, self.name)
         before = self.manifest
         # A live stream may have ended meanwhile.
         if before and before.with_live(False).to_json() != manifest.with_live(False).to_json():

@@ -12,15 +12,17 @@ from typing import TypeVar
 from urllib.parse import urlsplit
 
 from codec.errors import CorruptError, InvalidError, UnreadableError
+from codec.storage.credentials import without_credentials
 from codec.storage.storage import Stamp
 from codec.stream.manifest import MANIFEST_NAME, OBJECT_URL, SEGMENTS_NAME
 from player.network.faults import MissingError
 from player.network.fetch import FetchConfig, Fetcher
 from player.network.hosts import joined
+from player.network.logins import logins_of
 from player.network.mirrors import Mirrors
 
 from .hosted import HostedPlace
-from .locate import ServedPlace, locate
+from .locate import ServedPlace, locate, split_source
 from .opener import SourceConfig
 
 Result = TypeVar("Result")
@@ -37,21 +39,23 @@ class WebStorage:
     def __init__(self, source: str, config: SourceConfig | None = None) -> None:
         """Raises FetchError when no stream is there; of one on a swings server that shows when it
         is read."""
-        self.name = source
+        self.name = without_credentials(source)
         self._config = config or SourceConfig()
         self._thread = ThreadPoolExecutor(1, "fetch")
         fetching = FetchConfig(other_hosts=self._config.other_hosts)
-        self._fetcher = self._in_thread(lambda: Fetcher(config=fetching))
+        self._fetcher = self._in_thread(
+            lambda: Fetcher(config=fetching, logins=logins_of(split_source(source)))
+        )
         self._object_url = OBJECT_URL
         self._closed = False
         try:
-            place = self._in_thread(lambda: locate(source, self._fetcher))
+            place = self._in_thread(lambda: locate(self.name, self._fetcher))
             if isinstance(place, HostedPlace):
                 self._base, self._object_url = place.bases[0], place.manifest.object_url
             elif isinstance(place, ServedPlace):
                 self._base = place.urls[0] + "/"
             else:
-                raise InvalidError(f"{source} is not a URL")
+                raise InvalidError(f"{self.name} is not a URL")
         except BaseException:
             self.close()
             raise

@@ -1,6 +1,6 @@
 /**
  * The page of one stream: `watch.html?src=FOLDER`, or `/watch/NAME` of a swings server; perhaps with t
- * (seconds), view, loop, autoplay.
+ * (seconds), view, loop, autoplay, max-gaussians.
  */
 
 import "./element/swingsplayer.js";
@@ -14,6 +14,7 @@ player.setAttribute("link", location.href);
 for (const [name, attribute] of [
   ["t", "start"],
   ["view", "view"],
+  ["max-gaussians", "max-gaussians"],
 ]) {
   const value = query.get(name);
   if (value !== null) player.setAttribute(attribute, value);

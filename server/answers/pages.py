@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import logging
+import math
+
+from codec.stream.poster import poster_path
 from server.html import htmlpage, webplayer
-from server.html.gallery import Card, front_page, missing_page
+from server.html.gallery import Card, card_html, front_page, missing_page
 from server.http.errors import RequestError
 from server.http.response import Response, json_response
 from server.library import ServedStream
 from server.operate.prometheus import CONTENT_TYPE
 
 from .call import Call
+
+log = logging.getLogger(__name__)
+
+NO_REFERRER = {"Referrer-Policy": "no-referrer"}
+"""A page's own URL may hold its signature."""
 
 REVALIDATE = {"Cache-Control": "no-cache"}
 
@@ -18,6 +27,7 @@ def _page(text: str, security: str, status: int = 200) -> Response:
     fields = {
         "Content-Type": "text/html; charset=utf-8",
         "Content-Security-Policy": security,
+        **NO_REFERRER,
         **REVALIDATE,
     }
     return Response(status, fields, text.encode())
@@ -51,19 +61,28 @@ def _streams(call: Call) -> list[ServedStream]:
     return [stream for _, stream in sorted(call.state.library.streams.items())]
 
 
-def front(call: Call) -> Response:
-    cards = [
-        Card(
+def _card(stream: ServedStream) -> str:
+    """The card of `stream`; its name alone if the rest cannot be shown, so that one stream never
+    takes the page of all from the others."""
+    try:
+        seconds = stream.num_frames / stream.fps
+        card = Card(
             stream.name,
             _title(stream),
-            stream.view.manifest.poster,
-            stream.num_frames / stream.fps,
+            poster_path(stream.view.manifest),
+            seconds if math.isfinite(seconds) else None,
             stream.live,
             _about(stream),
         )
-        for stream in _streams(call)
-    ]
-    return _page(front_page(cards, _origin(call)), htmlpage.SECURITY)
+        return card_html(card)
+    except Exception:
+        log.exception("the front page shows only the name of %s", stream.name)
+        return card_html(Card(stream.name, stream.name))
+
+
+def front(call: Call) -> Response:
+    cards = [_card(stream) for stream in _streams(call)]
+    return _page(front_page(cards, _origin(call)), htmlpage.UNFRAMED)
 
 
 def watch(call: Call) -> Response:

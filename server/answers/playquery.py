@@ -8,12 +8,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from server.abr.standing import MAX_FRAME
 from server.http.errors import RequestError
 
 LIVE = "live"
 """In place of the first frame: the newest that can be begun with."""
-
-MAX_FRAME = 2**31 - 1
 
 
 @dataclass(frozen=True, slots=True)

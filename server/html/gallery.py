@@ -10,11 +10,12 @@ from urllib.parse import quote
 from .htmlpage import page
 
 _CARD = """<li><a class="card" href="watch/{name}">
-<span class="picture">{picture}{badge}<span class="tag">{length}</span></span>
+<span class="picture">{picture}{badge}{length}</span>
 <span class="title">{title}</span><span class="quiet">{about}</span>
 </a></li>"""
 
 _PICTURE = '<img src="v1/streams/{name}/{poster}" alt="" loading="lazy">'
+_LENGTH = '<span class="tag">{clock}</span>'
 _BADGE = '<span class="tag live">LIVE</span>'
 
 _FRONT = """<h1>Streams</h1>
@@ -38,18 +39,18 @@ class Card:
     name: str
     """Needs no quoting anywhere."""
     title: str
-    poster: str | None
-    seconds: float
-    live: bool
-    about: str
+    poster: str | None = None
+    seconds: float | None = None
+    """How long it plays; None where this is not known."""
+    live: bool = False
+    about: str = ""
 
 
-def front_page(cards: Sequence[Card], origin: str) -> str:
-    """origin: scheme://host of the server."""
+def front_page(cards: Sequence[str], origin: str) -> str:
+    """cards: what `card_html` gave for each stream. origin: scheme://host of the server."""
     if not cards:
         return page("swings", _NONE)
-    listed = "\n".join(map(_card, cards))
-    return page("swings", _FRONT.format(cards=listed, origin=origin))
+    return page("swings", _FRONT.format(cards="\n".join(cards), origin=origin))
 
 
 def missing_page(front: str) -> str:
@@ -57,7 +58,8 @@ def missing_page(front: str) -> str:
     return page("swings", _MISSING.format(front=front))
 
 
-def _card(card: Card) -> str:
+def card_html(card: Card) -> str:
+    """The list item that shows `card`."""
     picture = ""
     if card.poster:
         picture = _PICTURE.format(name=card.name, poster=escape(quote(card.poster)))
@@ -65,7 +67,7 @@ def _card(card: Card) -> str:
         name=card.name,
         picture=picture,
         badge=_BADGE if card.live else "",
-        length=clock_text(card.seconds),
+        length="" if card.seconds is None else _LENGTH.format(clock=clock_text(card.seconds)),
         title=escape(card.title),
         about=escape(card.about),
     )

@@ -4,8 +4,14 @@ from __future__ import annotations
 
 from html import escape
 
-SECURITY = "default-src 'none'; style-src 'unsafe-inline'; img-src 'self' data:"
+SECURITY = (
+    "default-src 'none'; style-src 'unsafe-inline'; img-src 'self' data:; "
+    "base-uri 'none'; form-action 'none'"
+)
 """The content security policy of these pages."""
+
+UNFRAMED = f"{SECURITY}; frame-ancestors 'none'"
+"""The policy of those that no other page may show in a frame."""
 
 _STYLE = """
 :root { color-scheme: dark; }

@@ -12,10 +12,10 @@ from codec.errors import InvalidError
 
 SECURITY = (
     "default-src 'none'; script-src 'self' blob:; worker-src 'self' blob:; connect-src *; "
-    "img-src * data:; style-src 'unsafe-inline'"
+    "img-src * data:; style-src 'unsafe-inline'; base-uri 'self'; form-action 'none'"
 )
-"""The content security policy of the page: its workers begin in a blob, and what it plays may come
-from another host."""
+"""The content security policy of the page: its workers begin in a blob, what it plays may come from
+another host, and pages of other hosts may show it in a frame."""
 
 _TYPES = {".js": "text/javascript", ".html": "text/html"}
 

@@ -197,7 +197,9 @@ def test_a_change_in_a_kernel_or_constant_of_another_file_is_noticed(tmp_path: P
     assert told(step=20, added=2) == "100 1\n"
 
 
-@pytest.mark.parametrize("module", ["codec", "server.__main__", "player.config"])
+@pytest.mark.parametrize(
+    "module", ["codec", "server.__main__", "player.config", "trainer.__main__"]
+)
 def test_numba_is_not_loaded_before_a_kernel_is_run(module: str) -> None:
     program = f"import sys, {module}; print(int('numba' in sys.modules))"
     assert output_of(program) == [0]

@@ -16,6 +16,8 @@ import pytest
 
 from server.state.config import ServerConfig
 from tests.deploy.proxied import DEPLOY
+from tests.support.commands import serving
+from tests.support.server.certificates import make_certificate
 
 ROOT = DEPLOY.parent
 UNIT = DEPLOY / "swings-serve.service"
@@ -90,7 +92,6 @@ def test_the_server_takes_the_settings_of_the_unit_and_can_reload() -> None:
     settings = checked_settings(command[1:], environment)
     assert settings["host"] == "127.0.0.1"
     assert ["ExecReload", "/bin/kill -HUP $MAINPID"] in values
-    # A server of one process would end on SIGHUP.
     assert settings["workers"] == 2
 
 
@@ -110,9 +111,31 @@ def test_the_dockerfile_copies_what_is_there_and_runs_as_nobody_special() -> Non
     last = len(steps) - 1 - [name for name, _ in reversed(steps)].index("FROM")
     names = dict(steps[last:])
     assert names["USER"] == "10001"
-    assert "/healthz" in names["HEALTHCHECK"]
     for name in ("ENTRYPOINT", "CMD"):
         assert isinstance(json.loads(names[name]), list)
+
+
+@pytest.mark.parametrize("scheme", ["http", "https"])
+def test_the_health_check_asks_where_it_is_told_to(tmp_path: Path, scheme: str) -> None:
+    names = dict(instructions())
+    assert names["ENV"] == "HEALTH_URL=http://127.0.0.1:8080/healthz"
+    words = json.loads(names["HEALTHCHECK"].partition("CMD ")[2])
+    assert words[0].endswith("/python")
+    options: tuple[object, ...] = ()
+    if scheme == "https":
+        cert, key = make_certificate(tmp_path / "tls")
+        options = ("--tls-cert", cert, "--tls-key", key)
+
+    def status(url: str) -> int:
+        environment = {**os.environ, "HEALTH_URL": url}
+        command = [sys.executable, *words[1:]]
+        return subprocess.run(command, env=environment, capture_output=True).returncode
+
+    with serving(tmp_path, *options) as url:
+        assert url.startswith(f"{scheme}://")
+        assert status(f"{url}/healthz") == 0
+        assert status(f"{url}/nothing") != 0
+    assert status(f"{url}/healthz") != 0
 
 
 def test_what_docker_ignores_is_all_but_what_is_copied() -> None:

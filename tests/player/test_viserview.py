@@ -192,7 +192,9 @@ def test_the_command_shows_a_stream_until_it_is_ended(stream: Path) -> None:
 def test_one_line_says_how_to_install_it(stream: Path) -> None:
     done = run("swings-play", stream, "--viser")
     assert (done.returncode, done.stdout) == (1, "")
-    expected = "viser is not installed; install it with pip install 'swings[viser]'"
+    expected = (
+        "viser is not installed; install it with pip install '.[viser]' in the folder of swings"
+    )
     assert done.stderr == f"swings-play: {expected}\n"
     with Scene.open(stream) as scene, pytest.raises(InvalidError, match="viser is not installed"):
         ViserView(scene)

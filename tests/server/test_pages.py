@@ -18,8 +18,10 @@ from yarl import URL
 
 from codec.errors import InvalidError
 from codec.stream import StreamWriter
-from server.html.gallery import clock_text
+from server.answers import pages
+from server.html.gallery import Card, card_html, clock_text
 from server.html.webplayer import WebPlayer
+from server.library import ServedStream
 from tests.support.server.running_server import (
     SEGMENT_FRAMES,
     Running,
@@ -79,6 +81,56 @@ def test_a_poster_of_any_name_shows_on_the_front_page(tmp_path: Path) -> None:
     on_server(tmp_path, check)
 
 
+@pytest.mark.parametrize("fps", [1e-320, 1e-300])
+def test_a_stream_of_hardly_any_frames_a_second_leaves_the_front_page_alone(
+    tmp_path: Path, fps: float
+) -> None:
+    make_stream(tmp_path / "slow", 3)
+    make_stream(tmp_path / "walk", 12)
+    manifest = tmp_path / "slow" / "manifest.json"
+    text = manifest.read_text()
+    assert '"fps": 30' in text
+    manifest.write_text(re.sub('"fps": [0-9.]+', f'"fps": {fps}', text))
+
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        async with client.get("/") as response:
+            assert response.status == 200
+            assert re.findall('href="watch/([^"]*)"', await response.text()) == ["walk"]
+        async with client.get("/v1/streams") as response:
+            (broken,) = (await response.json())["broken"]
+        assert broken["name"] == "slow"
+        assert "fps" in broken["reason"]
+
+    on_server(tmp_path, check)
+
+
+def test_a_card_that_cannot_be_made_shows_its_name_among_the_others(
+    root: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def about(stream: ServedStream) -> str:
+        if stream.name == "walk":
+            raise OverflowError("cannot convert float infinity to integer")
+        return "what it has"
+
+    monkeypatch.setattr(pages, "_about", about)
+
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        async with client.get("/") as response:
+            page = await response.text()
+        assert response.status == 200
+        assert re.findall('href="watch/([^"]*)"', page) == ["dance.2", "walk"]
+        assert page.count("what it has") == 1
+        assert '<span class="title">walk</span>' in page
+
+    on_server(root, check)
+    assert "only the name of walk" in caplog.text
+
+
+def test_a_length_that_is_not_known_is_not_shown() -> None:
+    assert '<span class="tag">0:01</span>' in card_html(Card("walk", "Walk", seconds=1.5))
+    assert "tag" not in card_html(Card("walk", "Walk"))
+
+
 def test_every_stream_has_a_page_that_plays_it(root: Path) -> None:
     async def check(server: Running, client: aiohttp.ClientSession) -> None:
         async with client.get("/watch/walk") as response:
@@ -113,6 +165,27 @@ def test_only_files_of_the_player_are_served(root: Path, name: str) -> None:
         request = f"GET /web/{name} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n"
         answer = await raw_request(server.port, request.encode())
         assert answer.startswith(b"HTTP/1.1 404 "), answer
+
+    on_server(root, check)
+
+
+@pytest.mark.parametrize(
+    ("path", "has", "lacks"),
+    [
+        ("/", ("base-uri 'none'", "form-action 'none'", "frame-ancestors 'none'"), ()),
+        # Pages of other hosts show it in frames; it has a <base> of its own.
+        ("/watch/walk", ("base-uri 'self'", "form-action 'none'"), ("frame-ancestors",)),
+    ],
+)
+def test_what_pages_allow(
+    root: Path, path: str, has: tuple[str, ...], lacks: tuple[str, ...]
+) -> None:
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        async with client.get(path) as response:
+            policy = response.headers["Content-Security-Policy"].split("; ")
+            assert response.headers["Referrer-Policy"] == "no-referrer"
+        assert set(has) <= set(policy)
+        assert not [one for one in policy if one.startswith(lacks)]
 
     on_server(root, check)
 
@@ -160,6 +233,8 @@ def test_a_stream_that_is_not_there_has_a_page_that_says_so(root: Path, name: st
         assert head.startswith(b"HTTP/1.1 404 "), head
         assert b"Content-Type: text/html" in head
         assert b"Content-Security-Policy: default-src 'none'" in head
+        assert b"frame-ancestors" not in head
+        assert b"Referrer-Policy: no-referrer" in head
         assert b'<a href="../">' in body
         assert name == ".." or name.encode() not in body
 

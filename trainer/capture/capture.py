@@ -1,7 +1,7 @@
 """What every layout of a capture becomes: cameras, a frame count, and pictures read on demand.
 
-Rule: opening a capture decodes no picture, yet proves that each camera has each frame, so that a
-training run does not die of a missing file in its third hour.
+Rule: opening a capture decodes no picture but the first of a video, yet proves that each camera has
+each frame, so that a training run does not die of a missing file in its third hour.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from codec.camera import Camera
 from codec.errors import InvalidError
+from codec.stream.manifest import MAX_FPS, MIN_FPS
 from trainer.errors import CaptureError
 
 Layout = Literal["dynamic3dgs", "dynerf", "colmap", "nerfstudio"]
@@ -26,9 +27,6 @@ Picture = npt.NDArray[np.uint8]
 
 Mask = npt.NDArray[np.uint8]
 """(H, W): 1 where a picture's pixel counts, 0 where it is ignored."""
-
-MAX_FPS = 1000.0
-"""Most frames per second."""
 
 STILL_TOLERANCE = 1e-6
 """Largest change of a number of a pose or a lens at which the camera still stands still: printed
@@ -119,6 +117,8 @@ class Capture:
     """Depth behind which nothing of the scene stands, metres; None if the rig does not tell."""
     opener: Callable[[int], PictureSource]
     """Makes the source of the camera of this index; `open_images` checks the index first."""
+    doubts: tuple[str, ...] = ()
+    """What is doubtful about the files, a line each."""
 
     def open_images(self, camera_index: int) -> PictureSource:
         """A new source of one camera's pictures; nothing is read before its first `read`."""
@@ -161,8 +161,8 @@ def check_trainable(capture: Capture) -> None:
 
 def check_fps(fps: float, path: Path) -> None:
     """Raises CaptureError, naming the file that tells it, for an impossible frame rate."""
-    if not 0 < fps <= MAX_FPS:
-        raise CaptureError(f"{path}: fps is {fps:g}; must be above 0, at most {MAX_FPS:g}")
+    if not MIN_FPS <= fps <= MAX_FPS:
+        raise CaptureError(f"{path}: fps is {fps:g}; must be {MIN_FPS:g} to {MAX_FPS:g}")
 
 
 def check_frame(frame: int, num_frames: int, name: str) -> None:

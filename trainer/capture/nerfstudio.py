@@ -71,7 +71,7 @@ from .picturefiles import (
     safe_path,
 )
 from .points import MAX_COORDINATE_M, points_depths, read_ply, read_points
-from .video import VideoSource, check_synchronised, check_video_size, probe_video
+from .video import VideoSource, check_synchronised, check_video_size, probe_video, turned_doubts
 
 TRANSFORMS_NAME = "transforms.json"
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".mkv", ".webm", ".avi"})
@@ -136,14 +136,16 @@ def open_nerfstudio(root: Path) -> Capture:
     if fps is not None:
         check_fps(fps, path)
     if True in are_videos:
-        facts = [probe_video(p.files[0]) for p in rig]
-        check_synchronised([p.files[0] for p in rig], facts)
+        videos = [p.files[0] for p in rig]
+        facts = [probe_video(video) for video in videos]
+        check_synchronised(videos, facts)
+        doubts = tuple(turned_doubts(videos, facts))
         for p, camera, fact in zip(rig, cameras, facts, strict=True):
             check_video_size(p.files[0], fact, camera, path)
         num_frames, fps = facts[0].num_frames, fps or facts[0].fps
         check_fps(fps, rig[0].files[0])
     else:
-        num_frames, fps = len(rig[0].files), fps or read_fps(root)
+        num_frames, fps, doubts = len(rig[0].files), fps or read_fps(root), ()
         sources = [
             picture_source(camera, p.entry.lens, p.files, path)
             for p, camera in zip(rig, cameras, strict=True)
@@ -175,6 +177,7 @@ def open_nerfstudio(root: Path) -> Capture:
         near_m=depths[0] if depths else None,
         far_m=depths[1] if depths else None,
         opener=open_images,
+        doubts=doubts,
     )
 
 

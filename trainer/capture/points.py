@@ -224,9 +224,19 @@ def points_evenness(points: InitialPoints, cameras: Sequence[Camera]) -> float:
 def depths_in_view(camera: Camera, places: Floating) -> Floating:
     """(V,) how deep those of the `places` (P, 3) lie that project into the camera's picture,
     metres."""
+    inside, depths = _projected(camera, places)
+    return depths[inside]
+
+
+def in_view(camera: Camera, places: Floating) -> npt.NDArray[np.bool_]:
+    """(P,) whether each of the `places` (P, 3) projects into the camera's picture."""
+    return _projected(camera, places)[0]
+
+
+def _projected(camera: Camera, places: Floating) -> tuple[npt.NDArray[np.bool_], Floating]:
     u_px, v_px, depths = camera.project(places.astype(np.float64))
     inside = (u_px >= 0) & (u_px < camera.width_px) & (v_px >= 0) & (v_px < camera.height_px)
-    return depths[(depths > 0) & inside]
+    return (depths > 0) & inside, depths
 
 
 def points_depths(points: InitialPoints, cameras: Sequence[Camera]) -> tuple[float, float] | None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -34,6 +35,25 @@ FPS_TOLERANCE = 1e-3
 """Largest relative difference of two cameras' frame rates: containers round their time base."""
 
 
+VARIABLE_SHARE = 0.1
+"""Of the usual time between two frames: containers round times by less."""
+
+HDR_CURVES = {16: "PQ", 18: "HLG"}
+"""Transfer curves of HDR, by their numbers in ITU-T H.273."""
+
+TO_SDR = (
+    "zscale=t=linear:npl=100,format=gbrpf32le,zscale=p=bt709,tonemap=hable,"
+    "zscale=t=bt709:m=bt709:r=tv,format=yuv420p"
+)
+"""Filters of ffmpeg that make SDR of HDR."""
+
+TURNING = "ffmpeg -i IN.mp4 -c:v libx264 -crf 12 OUT.mp4"
+"""Turns pictures as the file says, and drops that note."""
+
+MAX_NAMED = 4
+"""Videos named in a line."""
+
+
 @dataclass(frozen=True, slots=True)
 class VideoFacts:
     """What a container says about its video, without decoding it."""
@@ -42,6 +62,9 @@ class VideoFacts:
     height_px: int
     num_frames: int
     fps: float
+    turned_deg: int = 0
+    """Angle by which a player turns the pictures, 0 to 359, counterclockwise: phones film upright
+    in this way. Pictures are read without it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,17 +92,56 @@ def probe_video(path: Path) -> VideoFacts:
             rate = stream.average_rate or stream.guessed_rate
             if not rate:
                 raise CaptureError(f"{path}: the video does not tell its frame rate")
+            _check_transfer(path, stream.codec_context.color_trc)
             fps = float(rate)
             num_frames = stream.frames if "mp4" in container.format.name else 0
             shown = float(container.duration or 0) / 1e6 * fps
             if num_frames == 0 or abs(shown - num_frames) > 1.5:
                 num_frames = len(_read_times(path, container, stream).frames)
             size = stream.codec_context.width, stream.codec_context.height
+        with translated(), _open_container(path) as container:
+            turned_deg = _turned(container, _video_stream(path, container))
     except av.error.FFmpegError as error:
         raise CaptureError(f"{path}: not a video that can be read: {error.strerror}") from error
     if num_frames == 0:
         raise CaptureError(f"{path}: the video has no frames")
-    return VideoFacts(*size, num_frames, fps)
+    return VideoFacts(*size, num_frames, fps, turned_deg)
+
+
+def _check_transfer(path: Path, transfer: int) -> None:
+    """Raises CaptureError for a transfer curve of HDR: read as an ordinary one, its colours are
+    pale, and unlike those of other cameras."""
+    if transfer in HDR_CURVES:
+        raise CaptureError(
+            f"{path}: is HDR ({HDR_CURVES[transfer]}), and only SDR is read: convert all cameras "
+            f"alike, as with ffmpeg -i {path.name} -vf {TO_SDR} -c:v libx264 -crf 12 OUT.mp4"
+        )
+
+
+def _turned(container: av.container.InputContainer, stream: av.video.stream.VideoStream) -> int:
+    """`VideoFacts.turned_deg`, which the first picture tells; 0 if that cannot be decoded."""
+    stream.codec_context.thread_count = 1
+    with suppress(av.error.FFmpegError):
+        for picture in container.decode(stream):
+            return int(picture.rotation) % 360
+    return 0
+
+
+def turned_doubts(videos: Sequence[Path], facts: Sequence[VideoFacts]) -> list[str]:
+    """A line about videos that players turn, while their poses fit the pictures as they are
+    coded."""
+    turned = [
+        f"{path.name} ({fact.turned_deg} degrees)"
+        for path, fact in zip(videos, facts, strict=True)
+        if fact.turned_deg
+    ]
+    if not turned:
+        return []
+    more = f" and {len(turned) - MAX_NAMED} more" if len(turned) > MAX_NAMED else ""
+    return [
+        f"players turn {', '.join(turned[:MAX_NAMED])}{more}, and swings does not: where the poses "
+        f"are those of turned pictures, write these first, with {TURNING}"
+    ]
 
 
 def check_synchronised(videos: Sequence[Path], facts: Sequence[VideoFacts]) -> None:
@@ -97,15 +159,39 @@ def check_synchronised(videos: Sequence[Path], facts: Sequence[VideoFacts]) -> N
         )
     for path, fact in zip(videos, facts, strict=True):
         if abs(fact.fps - facts[0].fps) > FPS_TOLERANCE * facts[0].fps:
+            advice = "".join(
+                f"; the rate of {p.name} varies: make it constant with ffmpeg -i {p.name} -vf "
+                f"fps={facts[0].fps:.0f} -c:v libx264 -crf 12 OUT.mp4"
+                for p in (path, videos[0])
+                if _has_variable_rate(p)
+            )
             raise CaptureError(
                 f"{path}: {fact.fps:.3f} frames per second, "
-                f"{videos[0].name} {facts[0].fps:.3f}; they must agree"
+                f"{videos[0].name} {facts[0].fps:.3f}; they must agree{advice}"
             )
+
+
+def _has_variable_rate(path: Path) -> bool:
+    """Whether the times between a video's frames differ by more than their rounding."""
+    try:
+        with translated(), _open_container(path) as container:
+            times = _read_times(path, container, _video_stream(path, container)).frames
+    except (av.error.FFmpegError, CaptureError):
+        return False
+    gaps = np.diff(times)
+    return len(gaps) > 1 and float(np.ptp(gaps)) > max(1.0, VARIABLE_SHARE * float(np.median(gaps)))
 
 
 def check_video_size(path: Path, facts: VideoFacts, camera: Camera, declared_in: Path) -> None:
     """Raises CaptureError unless the video has the size of its camera, told by `declared_in`."""
-    if (facts.width_px, facts.height_px) != (camera.width_px, camera.height_px):
+    size_px, declared_px = (facts.width_px, facts.height_px), (camera.width_px, camera.height_px)
+    if size_px == declared_px[::-1] != declared_px and facts.turned_deg in (90, 270):
+        raise CaptureError(
+            f"{path}: is {facts.width_px}x{facts.height_px} px, and players turn it by "
+            f"{facts.turned_deg} degrees; {declared_in.name} declares the turned size. Write the "
+            f"turned pictures first, with {TURNING}"
+        )
+    if size_px != declared_px:
         raise CaptureError(
             f"{path}: is {facts.width_px}x{facts.height_px} px; {declared_in.name} declares "
             f"{camera.width_px}x{camera.height_px} px"

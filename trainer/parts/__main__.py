@@ -21,10 +21,8 @@ from codec.storage.openfiles import open_files
 from trainer.run.warm import start_over_if_compiled
 
 from .task import Task
+from .taskprocess import FAILED
 from .worker import opened_worker
-
-FAILED = 3
-"""Exit status where trying again is of no use; the line on stderr says why."""
 
 
 def main() -> int:

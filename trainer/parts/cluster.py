@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import math
 import os
 import signal
 import socket
-import sys
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
@@ -18,17 +18,22 @@ from rich.console import Console
 from codec.errors import InvalidError
 from trainer.run.config import LOCAL, TrainConfig
 
+log = logging.getLogger(__name__)
+
 CONNECT_S = 10.0
 """How long the head of a cluster may take to answer, seconds."""
 
 
 @contextmanager
-def open_cluster(address: str, least_cpus: float) -> Iterator[Any]:
-    """The cluster at `address`; one of this machine alone has `least_cpus` in any case."""
+def open_cluster(address: str, least_cpus: float, console: Console) -> Iterator[Any]:
+    """The cluster at `address`; one of this machine alone has `least_cpus` in any case. console:
+    gets a line where a worker dies."""
     try:
         import ray
     except ImportError as error:
-        raise InvalidError("--ray needs the extra ray: pip install 'swings[ray]'") from error
+        raise InvalidError(
+            "--ray needs the extra ray: pip install '.[ray]' in the folder of swings"
+        ) from error
     options: Mapping[str, Any] = {"address": address}
     if address == LOCAL:
         options = {"num_cpus": max(os.cpu_count() or 1, math.ceil(least_cpus))}
@@ -38,11 +43,37 @@ def open_cluster(address: str, least_cpus: float) -> Iterator[Any]:
             ray.init(log_to_driver=False, logging_level=logging.ERROR, **options)
     except (ConnectionError, ValueError, RuntimeError) as error:
         raise InvalidError(f"--ray {address}: {error}") from error
-    with redirect_stdout(sys.stderr):  # where Ray tells of workers that died
+    with redirect_stdout(RayOutput(console)):
         try:
             yield ray
         finally:
             ray.shutdown()
+
+
+LOSSES = {
+    "memory pressure": "a node ran out of memory and ended a worker",
+    "A worker died": "a worker died",
+    "marked dead": "a node of the cluster is gone",
+}
+"""What Ray prints, and what it means to a user."""
+
+
+class RayOutput(io.TextIOBase):
+    """Stands in for standard output, where Ray prints paragraphs about each worker that dies: one
+    line for each, and the rest to the debug log."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+
+    def write(self, text: str) -> int:
+        if text.strip():
+            log.debug("ray: %s", text.strip())
+        for words, meaning in LOSSES.items():
+            if words in text:
+                line = f"{meaning}; its task is done again (--verbose shows what Ray says)"
+                self._console.print(line, highlight=False, markup=False, soft_wrap=True)
+                break
+        return len(text)
 
 
 @contextmanager

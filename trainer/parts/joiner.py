@@ -40,7 +40,7 @@ class Joiner:
         if not resumed or not self._files.holds(SHAPE.head):
             self._place.begin(data, others_began=True)
             return []
-        reader = StreamReader(self._run.config.target)
+        reader = StreamReader(self._run.config.target, max_gaussians=None)
         self._num_segments = len(reader.records)
         size = record_bytes(manifest.num_layers, manifest.has_slots)
         beyond = -(-self._run.parts[-1].end_frame // manifest.segment_frames)

@@ -26,7 +26,7 @@ class JoinPictures:
         due = [frame for frame in frames if every and frame % every == 0]
         if not due:
             return
-        reader = StreamReader(config.target)
+        reader = StreamReader(config.target, max_gaussians=None)
         # Pictures of other frames need not be held for these.
         with FrameCache(
             prepared.capture, prepared.frames, config.scale, config.cache_bytes

@@ -5,6 +5,7 @@ Ray decides where each task is done, and has it done again where its worker died
 
 from __future__ import annotations
 
+import logging
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
@@ -16,6 +17,7 @@ from codec.profiles.profile import Profile
 from codec.storage.openfiles import Files, open_files
 from codec.stream.manifest import Manifest
 from trainer.run.config import TrainConfig
+from trainer.run.finished import finish_outputs, show_finished
 from trainer.run.outputs import check_targets
 from trainer.run.prepare import Prepared, prepare
 from trainer.run.progressline import ProgressLine
@@ -29,6 +31,8 @@ from .joinpictures import JoinPictures
 from .task import STATE_FOLDER, Kind, Run, Task, whole_segments
 from .taskprocess import Tally, do
 from .taskqueue import TaskQueue
+
+log = logging.getLogger(__name__)
 
 RUN_PATH = f"{STATE_FOLDER}/run.json"
 
@@ -57,17 +61,26 @@ def plan(config: TrainConfig, prepared: Prepared) -> Run:
 def train_in_parts(config: TrainConfig, address: str, console: Console) -> Manifest:
     """Trains `config.capture` into `config.stream` on the cluster at `address`.
 
-    Raises SwingsError; then what is there by then stays, and --resume goes on from it.
+    A resumed run that is finished already is left as it is. Raises SwingsError; then what is there
+    by then stays, and --resume goes on from it.
     """
     config.check_profile()
     files = open_files(config.target)
+    if config.resume:
+        finished = finish_outputs(config)
+        if finished is not None:
+            files.delete(STATE_FOLDER)  # a driver killed at its end may have left it
+            show_finished(config, console)
+            return finished
     check_targets(config)
     afresh = replace(config, resume=False)  # as workers are told it
     with console.status("what the cameras see"):
         prepared = prepare(afresh)
         run = plan(afresh, prepared)
     try:
-        with open_cluster(address, config.worker_cpus) as ray:
+        with open_cluster(address, config.worker_cpus, console) as ray:
+            for doubt in () if config.resume else prepared.doubts:
+                log.warning(doubt)
             look_for_room(ray, config, console)
             resumed = _begin(run, files, config.resume)
             log_path = config.log or config.work_folder / LOG_NAME
@@ -76,7 +89,8 @@ def train_in_parts(config: TrainConfig, address: str, console: Console) -> Manif
                 pictures = JoinPictures(config, prepared)
                 return _train(run, files, resumed, ray, monitor, pictures)
     except KeyboardInterrupt:
-        console.print("stopped; --resume goes on from there", highlight=False)
+        with suppress(OSError):  # the terminal may be gone
+            console.print("stopped; --resume goes on from there", highlight=False)
         raise
 
 

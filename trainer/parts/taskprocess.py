@@ -12,8 +12,10 @@ from typing import Any
 
 from codec.errors import InvalidError
 
-from .__main__ import FAILED
 from .task import Task
+
+FAILED = 3
+"""Exit status of a task's process where trying again is of no use; its stderr says why."""
 
 MAX_WORDS_CHARS = 2_000
 """Of what a process said when it failed."""

@@ -93,6 +93,24 @@ def near_plane(capture: Capture, seen: Seen | None) -> float | None:
     return max(MARGIN * min(cut), LEAST_SHARE * capture.near_m) if cut else capture.near_m
 
 
+MAX_CUT_CAMERAS = 3
+"""Cameras of which is said what the near plane cuts off."""
+
+
+def near_doubts(capture: Capture, seen: Seen | None, near_m: float) -> list[str]:
+    """A line where `near_m` cuts from a camera's view more than strays; else none."""
+    cut = [] if seen is None else cut_by(capture, seen, near_m)
+    if not cut:
+        return []
+    named = [f"{share:.1%} of what {name} sees" for name, share in cut[:MAX_CUT_CAMERAS]]
+    if len(cut) > MAX_CUT_CAMERAS:
+        named.append(f"less of {len(cut) - MAX_CUT_CAMERAS} more cameras")
+    return [
+        f"the near plane, {near_m:.3g} units, cuts {', '.join(named)}, and what it cuts dissolves "
+        "there; a smaller --near-m keeps it, but can leave fog before held-out cameras: try both"
+    ]
+
+
 def cut_by(capture: Capture, seen: Seen, near_m: float) -> list[tuple[str, float]]:
     """(name, share) of the cameras from whose view `near_m` cuts more than strays, most of all
     first; share: of the capture's points, or of what stereo found, in the view of the camera."""

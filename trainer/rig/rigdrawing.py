@@ -8,6 +8,7 @@ from pathlib import Path
 import matplotlib.backends.backend_agg
 import matplotlib.figure
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.collections import LineCollection
@@ -22,6 +23,8 @@ from codec.rig import mean_up
 from trainer.capture.capture import Capture
 from trainer.capture.depths import rig_centre
 
+from .labelfont import OWN_FAMILY, families_for
+
 TRAINING_COLOUR, HELD_OUT_COLOUR, CENTRE_COLOUR = "#1f5fbf", "#d9480f", "#2b8a3e"
 FRUSTUM_SHARE = 0.07
 """Length of a drawn frustum over the extent of the cameras."""
@@ -35,8 +38,22 @@ TILT_RAD = np.radians(20)
 """The cameras' up may be this far off the axis that is drawn upwards before the picture says so."""
 
 
-def draw_capture(capture: Capture, path: Path) -> None:
-    """Draws cameras and points into a PNG that appears whole."""
+def draw_capture(capture: Capture, path: Path) -> bool:
+    """Draws cameras and points into a PNG that appears whole. Gives whether cameras are labelled by
+    name; by their number in the capture where no installed font has the letters of the names."""
+    names = [c.camera.name for c in capture.cameras]
+    name = capture.root.resolve().name
+    families = families_for([*names, name])
+    labels = [name.removeprefix("cam") for name in names]
+    if families is None:
+        labels = [str(number) for number in range(len(names))]
+    with rc_context({"font.family": families or [OWN_FAMILY]}):
+        _draw(capture, labels, "capture" if families is None else name, path)
+    return families is not None
+
+
+def _draw(capture: Capture, labels: Sequence[str], name: str, path: Path) -> None:
+    """labels: of the cameras. name: of the capture."""
     cameras = [c.camera for c in capture.cameras]
     axes_of_view = drawn_axes(cameras)
     positions = np.array([c.position for c in cameras]) @ axes_of_view.T
@@ -59,7 +76,7 @@ def draw_capture(capture: Capture, path: Path) -> None:
         axes.scatter(
             points[order, across], points[order, up], s=3, c=colours[order], linewidths=0, zorder=1
         )
-        _draw_cameras(axes, capture, axes_of_view, (across, up), FRUSTUM_SHARE * extent)
+        _draw_cameras(axes, capture, labels, axes_of_view, (across, up), FRUSTUM_SHARE * extent)
         if centre is not None:
             at = axes_of_view @ centre
             axes.plot(at[across], at[up], "+", color=CENTRE_COLOUR, ms=14, mew=2, zorder=4)
@@ -81,7 +98,7 @@ def draw_capture(capture: Capture, path: Path) -> None:
             Line2D([], [], color=CENTRE_COLOUR, ls="", marker="+", ms=11, mew=2, label="centre")
         )
     figure.legend(handles=handles, loc="lower center", ncols=len(handles), frameon=False)
-    figure.suptitle(_title(capture, axes_of_view))
+    figure.suptitle(_title(capture, name, axes_of_view), parse_math=False)
     figure.tight_layout(rect=(0, 0.04, 1, 0.99))
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as temporary:
@@ -116,14 +133,11 @@ def _label(axis: Axis, direction: Doubles) -> None:
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{0 - value:g}"))
 
 
-def _title(capture: Capture, axes_of_view: Doubles) -> str:
+def _title(capture: Capture, name: str, axes_of_view: Doubles) -> str:
     cameras = [c.camera for c in capture.cameras]
     rate = "" if capture.fps is None else f" at {capture.fps:g} per second"
     points = f"{len(capture.points)} points" if capture.points is not None else "no points"
-    title = (
-        f"{capture.root.resolve().name}: {len(cameras)} cameras, {capture.num_frames} frames{rate}"
-        f", {points}"
-    )
+    title = f"{name}: {len(cameras)} cameras, {capture.num_frames} frames{rate}, {points}"
     tilt_rad = float(np.arccos(np.clip(mean_up(cameras) @ axes_of_view[2], -1, 1)))
     if tilt_rad > TILT_RAD:
         title += (
@@ -146,10 +160,15 @@ def _nearby_points(
 
 
 def _draw_cameras(
-    axes: Axes, capture: Capture, axes_of_view: Doubles, shown: tuple[int, int], length_m: float
+    axes: Axes,
+    capture: Capture,
+    labels: Sequence[str],
+    axes_of_view: Doubles,
+    shown: tuple[int, int],
+    length_m: float,
 ) -> None:
     """Draws frusta: a pyramid from each camera's centre to its picture `length_m` ahead."""
-    for entry in capture.cameras:
+    for entry, label in zip(capture.cameras, labels, strict=True):
         camera = entry.camera
         corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * (camera.width_px, camera.height_px)
         ends = camera.unproject(corners[:, 0], corners[:, 1], np.full(4, length_m))
@@ -171,7 +190,7 @@ def _draw_cameras(
             back = flat[4] - flat[:4].mean(axis=0)
             back = back / max(float(np.linalg.norm(back)), 1e-9)
             axes.annotate(
-                camera.name.removeprefix("cam"),
+                label,
                 flat[4],
                 xytext=tuple(back * 9),
                 textcoords="offset points",
@@ -181,5 +200,6 @@ def _draw_cameras(
                 color=colour,
                 fontweight="bold" if entry.held_out else "normal",
                 zorder=5,
+                parse_math=False,
                 path_effects=[withStroke(linewidth=2.5, foreground="white")],
             )

@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import replace
 
 import numpy as np
+from rich.console import Console
 
 from codec.framerange import FrameRange
 from trainer.capture.capture import Capture, check_trainable
@@ -13,12 +14,14 @@ from trainer.capture.depths import rig_centre
 from trainer.capture.layout import open_capture
 from trainer.capture.picturefiles import FPS_NAME
 from trainer.capture.points import read_points_file
+from trainer.rig.coverage import coverage_doubts
 from trainer.rig.doubts import picture_doubt, picture_doubts, rig_doubts
-from trainer.rig.nearplane import FALLBACK_NEAR_M, Seen, cut_by, look, near_plane
+from trainer.rig.nearplane import FALLBACK_NEAR_M, Seen, look, near_doubts, near_plane
 from trainer.rig.rigdrawing import draw_capture
 from trainer.seed.nearest import STRAY_SHARE
 
 from .config import TrainConfig
+from .progressline import waiting
 
 LAYOUT_NAMES = {
     "dynamic3dgs": "Dynamic 3D Gaussians",
@@ -26,14 +29,15 @@ LAYOUT_NAMES = {
     "colmap": "COLMAP",
     "nerfstudio": "Nerfstudio",
 }
-MAX_CUT_CAMERAS = 3
-"""Cameras of which is said what the near plane cuts off."""
 
 
-def check_capture(config: TrainConfig) -> list[str]:
+SILENT = Console(quiet=True)
+
+
+def check_capture(config: TrainConfig, console: Console = SILENT) -> list[str]:
     """Opens the capture, reads the first and the last frame of each camera with its mask, describes
     it, and draws it to the PNG of `config.check`, if there is one. What is doubtful about it comes
-    last, a line each.
+    last, a line each. console: where it says what it is waiting for.
 
     Raises SwingsError for what would stop training, other than a missing frame rate.
     """
@@ -42,14 +46,28 @@ def check_capture(config: TrainConfig) -> list[str]:
         capture = replace(capture, points=read_points_file(config.points))
     if config.fps is not None:
         capture = replace(capture, fps=config.fps)
-    doubted = _read_ends(capture)
-    check_trainable(capture)
-    seen = look(capture, FrameRange.parse(config.frames).of(capture.num_frames, capture.root))
-    lines = describe_capture(capture) + _describe_near(capture, seen, config.near_m)
+    what = f"reading the first and the last frame of {len(capture.cameras)} cameras"
+    with waiting(console, what):
+        doubted = _read_ends(capture)
+        check_trainable(capture)
+        seen = look(capture, FrameRange.parse(config.frames).of(capture.num_frames, capture.root))
+    near, cut_doubts = _describe_near(capture, seen, config.near_m)
+    lines = describe_capture(capture) + near
     if config.check is not None:
-        draw_capture(capture, config.check)
+        by_name = draw_capture(capture, config.check)
         lines.append(f"picture     {config.check}")
-    doubts = [*rig_doubts(capture), *picture_doubts(doubted, len(capture.cameras))]
+        if not by_name:
+            numbers = ", ".join(f"{n} {c.camera.name}" for n, c in enumerate(capture.cameras))
+            lines.append(
+                "labels      by number, as no font here has all letters of the names: " + numbers
+            )
+    doubts = [
+        *capture.doubts,
+        *rig_doubts(capture),
+        *cut_doubts,
+        *coverage_doubts(capture),
+        *picture_doubts(doubted, len(capture.cameras)),
+    ]
     if capture.fps is None:
         doubts.append(f"no file tells the frames per second: train with --fps, or write {FPS_NAME}")
     return lines + [f"warning     {doubt}" for doubt in doubts]
@@ -112,8 +130,10 @@ def describe_capture(capture: Capture) -> list[str]:
     ]
 
 
-def _describe_near(capture: Capture, seen: Seen | None, near_m: float | None) -> list[str]:
-    """Where the near plane is and why, and what it cuts off."""
+def _describe_near(
+    capture: Capture, seen: Seen | None, near_m: float | None
+) -> tuple[list[str], list[str]]:
+    """Lines about where the near plane is and why, and what is doubtful about it."""
     if near_m is None:
         near_m, reason = near_plane(capture, seen), "by the rig"
         if near_m is None:
@@ -123,13 +143,10 @@ def _describe_near(capture: Capture, seen: Seen | None, near_m: float | None) ->
     else:
         reason = "as given"
     lines = [f"near        {near_m:.3g} units, {reason}"]
-    if seen is not None:
-        cut = [f"{share:.1%} of what {name} sees" for name, share in cut_by(capture, seen, near_m)]
-        strays = f"at most {STRAY_SHARE:.1%} of what any camera sees"
-        if len(cut) > MAX_CUT_CAMERAS:
-            cut = [*cut[:MAX_CUT_CAMERAS], f"less of {len(cut) - MAX_CUT_CAMERAS} more cameras"]
-        lines.append(f"near cuts   {', '.join(cut) or strays}")
-    return lines
+    doubts = near_doubts(capture, seen, near_m)
+    if seen is not None and not doubts:
+        lines.append(f"near cuts   at most {STRAY_SHARE:.1%} of what any camera sees")
+    return lines, doubts
 
 
 def _describe_masks(capture: Capture) -> str:

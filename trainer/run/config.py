@@ -12,7 +12,7 @@ from codec.errors import InvalidError
 from codec.profiles.profile import Profile
 from codec.storage.openstorage import Target, is_url
 from codec.storage.targetargument import target_named
-from trainer.capture.capture import MAX_FPS
+from codec.stream.manifest import MAX_FPS, MIN_FPS
 from trainer.fit.config import FitConfig
 from trainer.pictures.framecache import DEFAULT_MAX_BYTES
 from trainer.step.backend import BackendName
@@ -129,8 +129,10 @@ class TrainConfig:
     def __post_init__(self) -> None:
         if self.stream is None and self.check is None:
             raise InvalidError("name the folder to write the stream to, or --check PNG")
-        if self.fps is not None and not 0 < self.fps <= MAX_FPS:
-            raise InvalidError(f"fps {self.fps:g}: choose above 0, at most {MAX_FPS:g}")
+        if not 0 < self.scale <= 1:
+            raise InvalidError(f"scale {self.scale:g}: choose above 0, at most 1")
+        if self.fps is not None and not MIN_FPS <= self.fps <= MAX_FPS:
+            raise InvalidError(f"fps {self.fps:g}: choose {MIN_FPS:g} to {MAX_FPS:g}")
         if self.point_share is not None and not 0 <= self.point_share <= 1:
             raise InvalidError(f"point_share {self.point_share:g}: choose 0 to 1")
         if self.snapshot_every < 0:

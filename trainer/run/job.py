@@ -5,31 +5,62 @@ from __future__ import annotations
 import logging
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
+from codec.storage.openstorage import Target
 from codec.stream import StreamReader
 from codec.stream.manifest import Manifest
-from trainer.errors import InterruptedRunError
 from trainer.fit.trainer import Observer, Trainer
 from trainer.pictures.feed import CapturePictures
 from trainer.pictures.framecache import FrameCache
-from trainer.rig.doubts import rig_doubts
 
-from .checkpoint import CHECKPOINT_NAME, load_checkpoint, save_checkpoint
+from .checkpoint import CHECKPOINT_NAME, Checkpoint, load_checkpoint, save_checkpoint
 from .config import TrainConfig
+from .finished import finish_outputs, show_finished
 from .monitor import Monitor
 from .outputs import bare_targets, check_targets, clear_bare, open_outputs, write_snapshot
-from .prepare import first_gaussians, make_manifest, prepare, shared_settings
+from .prepare import Prepared, first_gaussians, make_manifest, prepare, shared_settings
 from .progressline import ProgressLine
 from .rank import CONTRIBUTION, matured_by_contribution
 from .runlog import LOG_NAME, RunLog
 from .storedconfig import config_to_json
 
 log_to = logging.getLogger(__name__)
+
+
+@dataclass(slots=True)
+class _Progress:
+    """How far a run is, for the line that says where it was stopped."""
+
+    num_frames: int
+    finished_frames: int = 0
+    can_resume: bool = False
+    """Whether there is a checkpoint."""
+
+    @property
+    def is_finished(self) -> bool:
+        return self.finished_frames == self.num_frames
+
+
+@contextmanager
+def telling_where_it_stopped(progress: _Progress, console: Console) -> Iterator[None]:
+    """Where a signal ends the block: prints after which frame, and that the run can be resumed."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if progress.can_resume:
+            done = progress.finished_frames
+            when = f"after frame {done - 1}" if done else "before the first frame was finished"
+            with suppress(OSError):  # the terminal may be gone
+                line = f"stopped {when}; --resume goes on from there"
+                console.print(line, highlight=False, soft_wrap=True)
+        raise
 
 
 @contextmanager
@@ -63,10 +94,47 @@ def train_stream(
     on_checked: called when capture and settings were found good, before anything is computed.
     observers: told of every window; one has ended when its frame and its checkpoint are written.
 
-    Raises SwingsError before anything is written when the capture or the settings cannot work; what
-    stops it later leaves a valid, shorter stream and a checkpoint to resume from.
+    A resumed run that is finished already is left as it is. Raises SwingsError before anything is
+    written when the capture or the settings cannot work; what stops it later leaves a valid,
+    shorter stream and a checkpoint to resume from. Ctrl-C raises KeyboardInterrupt when the running
+    window has ended.
     """
     config.check_profile()
+    if config.resume:
+        finished = finish_outputs(config)
+        if finished is not None:
+            show_finished(config, console)
+            return finished
+    start = _checked(config, console)
+    on_checked()
+    _announce(start, console)
+    clear_bare(start.bare)
+    if config.work_folder != config.target:
+        config.work_folder.mkdir(parents=True, exist_ok=True)
+    return _train(start, console, observers)
+
+
+@dataclass(frozen=True, slots=True)
+class _Start:
+    """What a run begins with, found good."""
+
+    config: TrainConfig
+    bare: list[Target]
+    """Places that a run left before its first checkpoint."""
+    targets: list[Target]
+    prepared: Prepared
+    settings: Mapping[str, Any]
+    found: Checkpoint | None
+    """Where a resumed run goes on."""
+
+    @property
+    def checkpoint(self) -> Path:
+        return self.config.work_folder / CHECKPOINT_NAME
+
+
+def _checked(config: TrainConfig, console: Console) -> _Start:
+    """Opens the capture, and the checkpoint of a resumed run. Writes nothing; raises SwingsError
+    where something cannot work."""
     bare = bare_targets(config) if config.resume else []
     if bare:
         config = replace(config, resume=False)
@@ -74,22 +142,31 @@ def train_stream(
     with console.status("what the cameras see"):
         prepared = prepare(config)
     settings = shared_settings(config, prepared)
-    checkpoint = config.work_folder / CHECKPOINT_NAME
-    options = config_to_json(replace(config, resume=False))
-    found = load_checkpoint(checkpoint, settings) if config.resume else None
-    on_checked()
+    path = config.work_folder / CHECKPOINT_NAME
+    found = load_checkpoint(path, settings) if config.resume else None
+    return _Start(config, bare, targets, prepared, settings, found)
+
+
+def _announce(start: _Start, console: Console) -> None:
+    """Says where the run is computed, and what makes its result doubtful."""
+    prepared = start.prepared
     console.print(f"backend: {prepared.picked.why}", highlight=False, markup=False, soft_wrap=True)
-    if bare:
+    if start.bare:
         log_to.warning(
-            f"{config.target} was stopped before its first checkpoint; it begins anew, with the "
-            "settings given now"
+            f"{start.config.target} was stopped before its first checkpoint; it begins anew, with "
+            "the settings given now"
         )
-    for doubt in rig_doubts(prepared.capture) if found is None else ():
-        log_to.warning(doubt)
-    clear_bare(bare)
-    if config.work_folder != config.target:
-        config.work_folder.mkdir(parents=True, exist_ok=True)
-    with ExitStack() as stack:
+    if start.found is None:
+        for doubt in prepared.doubts:
+            log_to.warning(doubt)
+
+
+def _train(start: _Start, console: Console, observers: Sequence[Observer]) -> Manifest:
+    """Trains all windows from the start, or from the checkpoint on."""
+    config, prepared, found = start.config, start.prepared, start.found
+    options = config_to_json(replace(config, resume=False))
+    progress = _Progress(len(prepared.frames))
+    with telling_where_it_stopped(progress, console), ExitStack() as stack:
         cache = stack.enter_context(
             FrameCache(prepared.capture, prepared.frames, config.scale, config.cache_bytes)
         )
@@ -101,7 +178,7 @@ def train_stream(
                 initial = first_gaussians(config, prepared, pictures)
             manifest = make_manifest(config, prepared, cache, initial)
         else:
-            initial, manifest = None, StreamReader(config.target).manifest
+            initial, manifest = None, StreamReader(config.target, max_gaussians=None).manifest
         line = ProgressLine(console)
         monitor = Monitor(line, log, config.fit, len(prepared.frames))
         trainer = Trainer(
@@ -111,12 +188,19 @@ def train_stream(
         )  # fmt: skip
         if found is not None:
             trainer.restore(found.state)
-        outputs = stack.enter_context(open_outputs(config, targets, manifest, cache))
+        outputs = stack.enter_context(open_outputs(config, start.targets, manifest, cache))
+
+        def keep() -> None:
+            state = trainer.state()
+            save_checkpoint(start.checkpoint, state, outputs.pending, start.settings, options)
+
         if found is not None:
             outputs.deliver(found.pending)
         else:
-            save_checkpoint(checkpoint, trainer.state(), outputs.pending, settings, options)
+            keep()
         first, swin_size = trainer.next_window, config.fit.swin_size
+        progress.finished_frames = first
+        progress.can_resume = True
         for frame in range(first, first + swin_size + 1):
             pictures.prefetch(frame, first)
         stack.enter_context(line)
@@ -133,16 +217,16 @@ def train_stream(
                 outputs.deliver(matured_by_contribution(trainer, window))
             else:
                 outputs.deliver(window.slices)
-            save_checkpoint(checkpoint, trainer.state(), outputs.pending, settings, options)
-            shown = trainer.num_shown(frame)
-            monitor.frame_finished(frame, shown, outputs.played_bytes, outputs.quality)
+            # Before the checkpoint: a run that is killed in between draws it again.
             if config.snapshot_every and frame % config.snapshot_every == 0:
                 write_snapshot(
                     trainer.shown(frame), frame, cache, prepared.near_m, config.work_folder
                 )
-            if asked.is_set() and frame + 1 < len(prepared.frames):
-                raise InterruptedRunError(
-                    f"stopped after frame {frame}; --resume goes on from there"
-                )
-    checkpoint.unlink()
+            keep()
+            progress.finished_frames = frame + 1
+            shown = trainer.num_shown(frame)
+            monitor.frame_finished(frame, shown, outputs.played_bytes, outputs.quality)
+            if asked.is_set() and not progress.is_finished:
+                raise KeyboardInterrupt
+    start.checkpoint.unlink()
     return manifest

@@ -40,7 +40,7 @@ def bare_targets(config: TrainConfig) -> list[Target]:
     from, and nothing to lose. Empty for any other run."""
     if (config.work_folder / CHECKPOINT_NAME).exists():
         return []
-    targets = [t for t in _targets(config) if open_growing(t, SHAPE).names()]
+    targets = [t for t in run_targets(config) if open_growing(t, SHAPE).names()]
     return targets if all(map(_is_bare, targets)) else []
 
 
@@ -53,7 +53,7 @@ def _is_bare(target: Target) -> bool:
     if not names <= BARE_NAMES:
         return False
     if MANIFEST_NAME in names:
-        reader = StreamReader(target)
+        reader = StreamReader(target, max_gaussians=None)
         return reader.manifest.live and not reader.records
     return True
 
@@ -72,7 +72,8 @@ def clear_bare(targets: Sequence[Target]) -> None:
             place.remove(name)
 
 
-def _targets(config: TrainConfig) -> list[Target]:
+def run_targets(config: TrainConfig) -> list[Target]:
+    """The places of the streams that a run writes."""
     return [config.target] + ([config.raw_stream] if config.raw_stream else [])
 
 
@@ -81,7 +82,7 @@ def check_targets(config: TrainConfig, bare: Sequence[Target] = ()) -> list[Targ
     that has no place. bare: what `bare_targets` found."""
     if config.log is not None and not config.log.parent.is_dir():
         raise InvalidError(f"{config.log.parent} is not a folder; the log cannot be written there")
-    targets = _targets(config)
+    targets = run_targets(config)
     if config.resume:
         return targets
     for target in targets:
@@ -158,15 +159,13 @@ def open_outputs(
                 wanted = manifest.with_profile(profile)
                 writer = StreamWriter.create(target, wanted, rank, quality=quality)
             else:
-                reader = StreamReader(target)
+                reader = StreamReader(target, max_gaussians=None)
                 if not reader.manifest.live:
                     continue
                 writer = StreamWriter.resume(target, rank, quality=quality)
                 quality.recall(reader, writer.next_birth)
             writers.append(stack.enter_context(writer))
             meters.append(quality)
-        if not writers:
-            raise InvalidError(f"{config.target} is finished; there is nothing to resume")
         yield Outputs(writers, meters[0])
     for writer in writers:  # again: now there is all of the stream to choose from
         write_poster(writer.target, render_splats)

@@ -28,7 +28,8 @@ from trainer.errors import CaptureError
 from trainer.fit.trainer import FALLBACK_FAR_M
 from trainer.pictures.feed import Pictures
 from trainer.pictures.framecache import FrameCache
-from trainer.rig.nearplane import FALLBACK_NEAR_M, look, near_plane
+from trainer.rig.doubts import rig_doubts
+from trainer.rig.nearplane import FALLBACK_NEAR_M, Seen, look, near_doubts, near_plane
 from trainer.seed.gaussians import initial_splats, stereo_seeds
 from trainer.step.device.pick import Picked
 
@@ -58,6 +59,13 @@ class Prepared:
     """Where the steps are computed."""
     initial: Splats | None = None
     """What the first frame begins with, if it is given."""
+    near_doubts: tuple[str, ...] = ()
+    """What is doubtful about a near plane that was not given, a line each."""
+
+    @property
+    def doubts(self) -> list[str]:
+        """What may make the stream worse than the user expects, a line each."""
+        return [*self.capture.doubts, *rig_doubts(self.capture), *self.near_doubts]
 
 
 def prepare(config: TrainConfig) -> Prepared:
@@ -72,11 +80,14 @@ def prepare(config: TrainConfig) -> Prepared:
         fps_of(capture, config)
         initial = _given_gaussians(config)
     picked = config.fit.backend(config.backend, config.torch_device)
-    near_m, far_m = _depths(capture, config, frames)
+    # What cameras see takes time, and is not needed where the user knows the depth or was warned.
+    seen = look(capture, frames) if config.near_m is None else None
+    near_m, far_m = _depths(capture, config, seen)
     search_from_m = near_m
     if config.near_m is None and capture.near_m is not None:
         search_from_m = capture.near_m
-    return Prepared(capture, frames, near_m, far_m, search_from_m, picked, initial)
+    near_lines = tuple(near_doubts(capture, seen, near_m))
+    return Prepared(capture, frames, near_m, far_m, search_from_m, picked, initial, near_lines)
 
 
 def _given_gaussians(config: TrainConfig) -> Splats | None:
@@ -104,12 +115,12 @@ def fps_of(capture: Capture, config: TrainConfig) -> float:
     return fps
 
 
-def _depths(capture: Capture, config: TrainConfig, frames: range) -> tuple[float, float]:
+def _depths(capture: Capture, config: TrainConfig, seen: Seen | None) -> tuple[float, float]:
     """Near and far depth, metres: as configured, else by what the cameras see, else the
     fallbacks."""
     near_m = config.near_m
     if near_m is None:
-        near_m = near_plane(capture, look(capture, frames))
+        near_m = near_plane(capture, seen)
     if near_m is None:
         near_m = FALLBACK_NEAR_M
     far_m = config.far_m

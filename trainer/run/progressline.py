@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
@@ -69,6 +70,19 @@ def line_of(standing: Standing, columns: int) -> str:
     return line[:columns]
 
 
+@contextmanager
+def waiting(console: Console, text: str) -> Iterator[None]:
+    """Shows `text` while the block runs: in place on a terminal, else as a line of its own, so that
+    a log tells what takes so long. Nothing for an empty text."""
+    if console.is_terminal:
+        with console.status(text):
+            yield
+        return
+    if text:
+        console.print(text, highlight=False, markup=False, soft_wrap=True)
+    yield
+
+
 class ProgressLine:
     """The line of a run, from `with` to its end: drawn in place on a terminal, else written as a
     new line every TELL_EVERY_S and at the end. Any thread may tell."""
@@ -80,7 +94,12 @@ class ProgressLine:
         self._due_s = now_s()
         self._lock = threading.Lock()
         self._live = (
-            Live(get_renderable=self._text, console=console, refresh_per_second=4)
+            Live(
+                get_renderable=self._text,
+                console=console,
+                refresh_per_second=4,
+                redirect_stdout=False,  # what Ray prints there is taken care of
+            )
             if console.is_terminal
             else None
         )

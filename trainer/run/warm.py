@@ -12,7 +12,6 @@ import sys
 from dataclasses import replace
 
 import numpy as np
-from numba.core.dispatcher import Dispatcher
 from rich.console import Console
 
 from codec.camera import Camera
@@ -34,6 +33,7 @@ from trainer.pictures.shot import Shot
 from trainer.seed.gaussians import initial_splats, stereo_seeds
 from trainer.storedfiles import forget_stored
 
+from .progressline import waiting
 from .rank import matured_by_contribution
 
 _STARTED_OVER = "SWINGS_STARTED_OVER"
@@ -71,6 +71,8 @@ class _Noise:
 
 def _misses() -> int:
     """Kernels of ours that this process has compiled."""
+    from numba.core.dispatcher import Dispatcher
+
     return sum(
         sum(value.stats.cache_misses.values())
         for name, module in list(sys.modules.items())
@@ -130,9 +132,10 @@ def _train_with_slots(config: FitConfig, pictures: _Noise, initial: Splats) -> N
 
 def start_over_if_compiled(sh_degree: int, console: Console) -> None:
     """Does not return where a kernel had to be compiled: this program is started once more."""
-    with console.status("kernels (half a minute once after an install)"):
+    started_over = _STARTED_OVER in os.environ
+    with waiting(console, "" if started_over else "kernels (half a minute once after an install)"):
         compiled = compile_kernels(sh_degree)
-    if compiled and _STARTED_OVER not in os.environ:
+    if compiled and not started_over:
         os.environ[_STARTED_OVER] = "1"
         sys.stdout.flush()
         sys.stderr.flush()

@@ -125,7 +125,7 @@ def ablate_quantisation(
     Raises InvalidError unless the stream has profile raw, and what `evaluate_stream` raises.
     """
     scores: dict[str, list[Score]] = {case: [] for case in CASES}
-    with open_held_out(config.stream, config.capture) as held_out:
+    with open_held_out(config.stream, config.capture, config.max_gaussians) as held_out:
         reader, manifest = held_out.reader, held_out.reader.manifest
         if manifest.profile is not Profile.RAW:
             raise InvalidError(

@@ -18,6 +18,7 @@ from rich.table import Table
 from codec.errors import InvalidError
 from codec.storage.openstorage import Target
 from codec.storage.targetargument import target_named
+from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 from player.show.sink import check_output
 from trainer.capture.capture import Mask
 from trainer.step.loss import psnr_db
@@ -57,6 +58,9 @@ class EvaluateConfig:
     compare: Annotated[tuple[str, Path] | None, tyro.conf.arg(metavar="CAMERA OUT")] = None
     """Draw instead, for each frame, what this camera saw, what the stream shows there and the
     error, to an .mp4 or a folder of PNGs."""
+    max_gaussians: int = DEFAULT_MAX_GAUSSIANS
+    """Refuse a stream of more Gaussians a frame: a few kilobytes of file can ask for gigabytes of
+    memory."""
 
     def __post_init__(self) -> None:
         """Raises InvalidError for options that do not go together."""
@@ -248,7 +252,7 @@ def evaluate_stream(
 
     Raises what `open_held_out` and the methods of HeldOut raise.
     """
-    with open_held_out(config.stream, config.capture) as held_out:
+    with open_held_out(config.stream, config.capture, config.max_gaussians) as held_out:
         reader, manifest, cameras = held_out.reader, held_out.reader.manifest, held_out.cameras
         found = {layers: _Scores() for layers in range(1, manifest.num_layers + 1)}
         chosen = held_out.every(config.every)

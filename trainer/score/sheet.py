@@ -12,6 +12,7 @@ from PIL import Image, ImageDraw
 
 from codec.files import replacing
 from codec.storage.openstorage import Target
+from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 from trainer.step.loss import psnr_db
 
 from .picture import Floats, captured, displayed
@@ -40,12 +41,17 @@ def save_png(picture: Image.Image, target: Path) -> None:
         picture.save(temporary, format="PNG")
 
 
-def write_sheet(stream: Target, capture: Target, target: Path) -> None:
+def write_sheet(
+    stream: Target,
+    capture: Target,
+    target: Path,
+    max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS,
+) -> None:
     """Draws up to MAX_ROWS rows (frames spread over the stream, held-out cameras in turn) to a
     PNG. Raises what `open_held_out` raises."""
     lines: list[npt.NDArray[np.uint8]] = []
     labels: list[str] = []
-    with open_held_out(stream, capture) as held_out:
+    with open_held_out(stream, capture, max_gaussians) as held_out:
         reader, manifest = held_out.reader, held_out.reader.manifest
         rows = min(MAX_ROWS, reader.num_frames)
         for row in range(rows):

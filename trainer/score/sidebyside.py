@@ -124,7 +124,7 @@ def write_side_by_side(
     Raises InvalidError for a camera that the capture does not have, and what `open_held_out` and
     `open_sink` raise.
     """
-    with open_held_out(config.stream, config.capture) as held_out:
+    with open_held_out(config.stream, config.capture, config.max_gaussians) as held_out:
         reader, cache = held_out.reader, held_out.cache
         manifest, frames = reader.manifest, held_out.every(config.every)
         number, camera = _find(cache, name)

@@ -13,6 +13,7 @@ from codec.errors import InvalidError
 from codec.storage.openstorage import Target
 from codec.stream import StreamReader
 from codec.stream.manifest import Manifest
+from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError
@@ -53,10 +54,13 @@ class HeldOut:
 
 
 @contextmanager
-def open_held_out(stream: Target, capture_target: Target) -> Iterator[HeldOut]:
+def open_held_out(
+    stream: Target, capture_target: Target, max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS
+) -> Iterator[HeldOut]:
     """The stream beside its capture, until the context ends. Raises CaptureError where the capture
-    is not the stream's or holds no camera out, and InvalidError for a stream without a frame."""
-    reader = StreamReader(stream)
+    is not the stream's or holds no camera out, InvalidError for a stream without a frame, and
+    UnsupportedError for one of more than `max_gaussians`."""
+    reader = StreamReader(stream, max_gaussians)
     manifest = reader.manifest
     capture = open_capture(capture_target)
     held_out = capture.held_out

@@ -64,6 +64,7 @@ class GlRenderer:
         self._closed = False
         self.uploaded_bytes = 0
         self.times: StepTimes | None = None
+        self.alpha = False
         try:
             with self._current:
                 # What Python drops is freed at the next frame, by the thread that owns the context.
@@ -170,7 +171,7 @@ class GlRenderer:
     def _read(self, frame: int, camera: Camera) -> Floats:
         self._draw(frame, camera)
         self._unlocked.finish()
-        return self._offscreen.read()
+        return self._offscreen.read(4 if self.alpha else 3)
 
     def close(self) -> None:
         """Frees everything; closing twice is the same as once."""

@@ -62,17 +62,17 @@ class Offscreen:
         self._framebuffer.use()
         self._framebuffer.clear()
 
-    def read(self) -> Floats:
-        """(H, W, 3) float32 picture, row 0 on top."""
+    def read(self, channels: int = 3) -> Floats:
+        """(H, W, channels) float32 picture, row 0 on top; the fourth channel is alpha."""
         assert self._framebuffer is not None
         width_px, height_px = self._framebuffer.size
-        shape = (height_px, width_px, 3)
+        shape = (height_px, width_px, channels)
         if self._target is not Target.BYTE:
             picture = np.empty(shape, np.float32)
-            self._framebuffer.read_into(picture, components=3, dtype="f4")
+            self._framebuffer.read_into(picture, components=channels, dtype="f4")
             return picture
         bytes_read = np.empty(shape, np.uint8)
-        self._framebuffer.read_into(bytes_read, components=3, dtype="f1", alignment=1)
+        self._framebuffer.read_into(bytes_read, components=channels, dtype="f1", alignment=1)
         return bytes_read.astype(np.float32) / np.float32(255)
 
     def show(self, screen: moderngl.Framebuffer, background: Colour) -> None:

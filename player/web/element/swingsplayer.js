@@ -16,7 +16,7 @@ const TURN_PX = 30;
  * `<swings-player src="URL of a stream's folder">`: plays a stream, with controls.
  *
  * Attributes: `src`, `autoplay`, `loop`, `start` (seconds), `view` (as a share link has it), `poster`,
- * `link` (the page that share links open). docs/EMBED.md has them all, and what a script can do.
+ * `link` (the page that share links open), `max-gaussians`. docs/EMBED.md has them all, and what a script can do.
  */
 export class SwingsPlayerElement extends MediaInterface {
   static observedAttributes = ["src", "loop"];
@@ -95,7 +95,8 @@ export class SwingsPlayerElement extends MediaInterface {
     if (url) poster.src = url;
     poster.classList.remove("gone");
     this.#part(".spinner").toggleAttribute("hidden", false);
-    player.open(src);
+    const most = Number(this.getAttribute("max-gaussians"));
+    player.open(src, most > 0 ? most : null);
   }
 
   /**

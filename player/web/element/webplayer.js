@@ -113,8 +113,12 @@ export class WebPlayer extends EventTarget {
     this.loopId = requestAnimationFrame((ms) => this.#tick(ms));
   }
 
-  /** Opens the stream whose folder is at `src`. @param {string} src */
-  open(src) {
+  /**
+   * Opens the stream whose folder is at `src`.
+   * @param {string} src
+   * @param {number | null} maxGaussians a stream of more fails; null for the default, 2^22
+   */
+  open(src, maxGaussians = null) {
     this.close();
     const base = new URL(src.endsWith("/") ? src : `${src}/`, document.baseURI).href;
     const channel = new MessageChannel();
@@ -132,7 +136,8 @@ export class WebPlayer extends EventTarget {
         message ?? "a part of it was not loaded; the browser's console says which and why";
       this.#say("failed", `The player broke: ${why}`);
     };
-    this.worker.postMessage({ kind: "open", base, port: channel.port1 }, [channel.port1]);
+    const { port1 } = channel;
+    this.worker.postMessage({ kind: "open", base, maxGaussians, port: port1 }, [port1]);
   }
 
   /** @param {boolean} playing */

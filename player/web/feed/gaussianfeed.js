@@ -29,8 +29,13 @@ export class GaussianFeed extends EventTarget {
   /** @type {import("./scene.js").SceneChange | null} */
   #change = null;
 
-  /** Opens the stream whose folder is at `src`. @param {string} src */
-  constructor(src) {
+  /**
+   * Opens the stream whose folder is at `src`.
+   * @param {string} src
+   * @param {{ maxGaussians?: number }} [options] maxGaussians: `opened` rejects for a stream of more;
+   *   2^22 by default
+   */
+  constructor(src, { maxGaussians } = {}) {
     super();
     const base = new URL(src.endsWith("/") ? src : `${src}/`, document.baseURI).href;
     const channel = new MessageChannel();
@@ -53,7 +58,8 @@ export class GaussianFeed extends EventTarget {
       worker.onerror = ({ message }) =>
         this.#say("failed", `The player broke: ${message ?? "a part of it was not loaded"}`);
     }
-    this.player.postMessage({ kind: "open", base, port: channel.port1 }, [channel.port1]);
+    const { port1 } = channel;
+    this.player.postMessage({ kind: "open", base, maxGaussians, port: port1 }, [port1]);
   }
 
   /**

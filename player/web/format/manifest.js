@@ -10,9 +10,14 @@ const { fround } = Math;
 
 const MAX_MANIFEST_BYTES = 2 ** 20;
 const MAX_NUM_GS = 2 ** 24;
+/** As in codec/stream/reader.py. */
+const DEFAULT_MAX_GAUSSIANS = 2 ** 22;
+const FLOAT_COPIES = 5;
 const MAX_SLOTS = 2 ** 20;
 const MAX_SEGMENT_SLOTS = 2 ** 28;
 const MAX_LAYERS = 16;
+const MIN_FPS = 0.001;
+const MAX_FPS = 1000;
 const MAX_POSTER_BYTES = 255;
 const MIN_STEP = 1e-6;
 
@@ -74,7 +79,7 @@ export function readManifest(bytes) {
     throw corrupt(`manifest: no camera is called ${name.slice(0, 80)}`);
   return {
     version,
-    fps: within(number(field(value, "fps"), "fps"), 1000, "fps"),
+    fps: readFps(value),
     swinSize,
     numGs,
     numLayers,
@@ -82,7 +87,7 @@ export function readManifest(bytes) {
     shDegree,
     profile,
     antialias: boolean(field(value, "antialias"), "antialias"),
-    nearM: within(number(field(value, "near_m"), "near_m"), Infinity, "near_m"),
+    nearM: positive(number(field(value, "near_m"), "near_m"), "near_m"),
     bounds: readBounds(value),
     cameras,
     defaultCamera,
@@ -94,6 +99,23 @@ export function readManifest(bytes) {
     layout,
     parts: partsOf(numLayers, version),
   };
+}
+
+/**
+ * Throws a FormatError if a stream has more Gaussians than a page should hold: a stream of a few
+ * kilobytes may have 2^24. To be called before anything is decoded, or allocated by these counts.
+ * @param {Manifest} manifest
+ * @param {number | null} maxGaussians null for the default
+ * @param {string} name
+ */
+export function checkGaussians({ numGs, shDegree }, maxGaussians, name) {
+  if (numGs <= (maxGaussians ?? DEFAULT_MAX_GAUSSIANS)) return;
+  const floats = 11 + 3 * (shDegree + 1) ** 2;
+  const memoryGb = ((FLOAT_COPIES * 4 * floats * numGs) / 1e9).toFixed(1);
+  throw unsupported(
+    `${name} has ${numGs.toLocaleString("en")} Gaussians; max-gaussians=${numGs}, as an attribute of ` +
+      `the player or in the address of its page, plays it (about ${memoryGb} GB of memory)`,
+  );
 }
 
 /**
@@ -133,7 +155,7 @@ function partsOf(numLayers, version) {
 function readShares(value) {
   const shares = list(field(value, "layers"), 1, MAX_LAYERS, "layers");
   let sum = 0;
-  for (const share of shares) sum += within(number(share, "layers"), Infinity, "a layer's share");
+  for (const share of shares) sum += positive(number(share, "layers"), "a layer's share");
   if (Math.abs(sum - 1) > 1e-6) throw corrupt(`manifest: the shares of the layers make ${sum}`);
   return shares.length;
 }
@@ -181,14 +203,20 @@ function readLattice(row) {
   };
 }
 
+/** @param {unknown} value */
+function readFps(value) {
+  const fps = number(field(value, "fps"), "fps");
+  if (!(fps >= MIN_FPS && fps <= MAX_FPS)) throw corrupt(`manifest: fps is ${fps}`);
+  return fps;
+}
+
 /**
  * A number over 0.
  * @param {number} found
- * @param {number} most
  * @param {string} what
  */
-function within(found, most, what) {
-  if (!(found > 0 && found <= most)) throw corrupt(`manifest: ${what} is ${found}`);
+function positive(found, what) {
+  if (found <= 0) throw corrupt(`manifest: ${what} is ${found}`);
   return found;
 }
 
@@ -211,7 +239,9 @@ function readPoster(value) {
   if (numBytes > MAX_POSTER_BYTES || /[\u0000-\u001f\u007f]/.test(poster)) {
     throw corrupt("manifest: poster is too long or holds a control character");
   }
-  return poster;
+  // A reader goes without one that leads out of the stream's folder: `//` would begin another host.
+  const leadsOut = poster.split("/").some((part) => part === "" || part === "..");
+  return leadsOut || !/[^/]\.(jpe?g|png|webp)$/i.test(poster) ? null : poster;
 }
 
 /** @param {unknown} value */

@@ -212,13 +212,16 @@ function fail(error) {
   if (!isOurs) throw error;
 }
 
-/** @param {string} base */
-async function open(base) {
+/**
+ * @param {string} base
+ * @param {number | null} maxGaussians
+ */
+async function open(base, maxGaussians) {
   const onTrouble = (/** @type {string | null} */ message) =>
     scope.postMessage({ kind: "trouble", message });
   const fetcher = new Fetcher({ onTrouble });
   try {
-    const stream = await openSource(base, fetcher);
+    const stream = await openSource(base, fetcher, maxGaussians);
     const { manifest, numFrames } = stream;
     const opened = { manifest: plain(manifest), numFrames, base: stream.base };
     scope.postMessage({ kind: "opened", ...opened });
@@ -246,7 +249,7 @@ scope.onmessage = ({ data }) => {
   switch (data.kind) {
     case "open":
       sorter = data.port;
-      open(data.base);
+      open(data.base, data.maxGaussians ?? null);
       return;
     case "play":
       if (player === null) return;

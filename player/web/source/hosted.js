@@ -1,7 +1,7 @@
 import { growMedia, streamMedia } from "../delivery/media.js";
 import { PlaySession } from "../delivery/session.js";
 import { corrupt } from "../format/bytes/errors.js";
-import { objectPath, readManifest } from "../format/manifest.js";
+import { checkGaussians, objectPath, readManifest } from "../format/manifest.js";
 import { GZIP, readObject } from "../format/objecttable.js";
 import { inflatePacket, limitBytes } from "../format/packet.js";
 import { SourceError } from "./fetcher.js";
@@ -36,9 +36,12 @@ export class HostedStream {
    * or a FormatError.
    * @param {string} base
    * @param {import("./fetcher.js").Fetcher} fetcher
+   * @param {number | null} maxGaussians see `checkGaussians`
    */
-  static async open(base, fetcher) {
-    const stream = new HostedStream(base, fetcher, await fetchManifest(base, fetcher));
+  static async open(base, fetcher, maxGaussians = null) {
+    const manifest = await fetchManifest(base, fetcher);
+    checkGaussians(manifest, maxGaussians, base);
+    const stream = new HostedStream(base, fetcher, manifest);
     growMedia(stream.media, stream.manifest, await stream.index.refresh());
     if (stream.numFrames > 0) return stream;
     while (stream.manifest.live && stream.numFrames === 0) {

@@ -1,5 +1,5 @@
 import { corrupt } from "../format/bytes/errors.js";
-import { readManifest } from "../format/manifest.js";
+import { checkGaussians, readManifest } from "../format/manifest.js";
 import { inflatePacket, isGzip, limitBytes } from "../format/packet.js";
 import { SourceError } from "./fetcher.js";
 import { begunPlay, GoneError, Patience } from "./playresponse.js";
@@ -52,8 +52,9 @@ export class ServedStream {
    * a SourceError or a FormatError.
    * @param {string} base URL of the stream, with a slash at its end
    * @param {import("./fetcher.js").Fetcher} fetcher
+   * @param {number | null} maxGaussians see `checkGaussians`
    */
-  static async open(base, fetcher) {
+  static async open(base, fetcher, maxGaussians = null) {
     const patience = new Patience(fetcher, base);
     for (;;) {
       // Until it is known whether it plays, it does not.
@@ -64,6 +65,12 @@ export class ServedStream {
         fetcher,
         await patience.begin(() => begunPlay(base, wish)),
       );
+      try {
+        checkGaussians(stream.manifest, maxGaussians, base);
+      } catch (error) {
+        stream.first?.close();
+        throw error;
+      }
       if (stream.numFrames > 0) return stream;
       stream.first?.close();
       if (!stream.manifest.live) throw new SourceError(`${base} ended before its first frame`);

@@ -47,9 +47,12 @@ import { servedBase, ServedStream } from "./served.js";
  * any host. Rejects with a SourceError or a FormatError.
  * @param {string} url with a slash at its end
  * @param {import("./fetcher.js").Fetcher} fetcher
+ * @param {number | null} maxGaussians most of a stream that is opened; null for the default
  * @returns {Promise<SourceStream>}
  */
-export function openSource(url, fetcher) {
+export function openSource(url, fetcher, maxGaussians = null) {
   const served = servedBase(url);
-  return served === null ? HostedStream.open(url, fetcher) : ServedStream.open(served, fetcher);
+  return served === null
+    ? HostedStream.open(url, fetcher, maxGaussians)
+    : ServedStream.open(served, fetcher, maxGaussians);
 }

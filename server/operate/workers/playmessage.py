@@ -14,8 +14,7 @@ from typing import Any
 import msgpack
 
 from codec.errors import InvalidError
-
-MAX_BODY_BYTES = 2048
+from server.abr.standing import MAX_BODY_BYTES
 
 _TOKEN = re.compile(r"(0|[1-9][0-9]{0,2})-[A-Za-z0-9_-]{16,60}", re.ASCII)
 

@@ -75,6 +75,26 @@ def test_what_the_store_says_no_to_is_one_line(server: S3Server) -> None:
     assert held.stamp("m") is None
 
 
+@pytest.mark.parametrize(
+    ("left_out", "advice"),
+    [
+        (["AWS_ALLOW_HTTP"], "set AWS_ALLOW_HTTP=true"),
+        (["AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"], "or AWS_SKIP_SIGNATURE=true"),
+    ],
+)
+def test_a_variable_that_is_missing_is_named(
+    server: S3Server, left_out: list[str], advice: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in left_out:
+        monkeypatch.delenv(name)
+    storage = open_storage(f"s3://{BUCKET}/x")
+    for ask in (storage.check, lambda: storage.read("m", 10)):
+        with pytest.raises(UnreadableError, match=advice) as caught:
+            ask()
+        assert "169.254" not in str(caught.value)
+        assert "builder" not in str(caught.value)
+
+
 @pytest.mark.parametrize("path", ["../x", "a//b", "", "a/./b"])
 def test_a_path_that_no_store_takes_is_an_error_of_ours(server: S3Server, path: str) -> None:
     with pytest.raises(CodecError):
@@ -102,5 +122,6 @@ def test_a_url_that_names_no_store_is_refused(url: str) -> None:
 def test_without_obstore_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "obstore", None)
     monkeypatch.setitem(sys.modules, "obstore.exceptions", None)
-    with pytest.raises(InvalidError, match=r"^s3://b/x: .* pip install 'swings\[s3\]'$"):
-        open_storage("s3://b/x")
+    expected = r"^s3://b/x: .* pip install '\.\[s3\]' in the folder of swings$"
+    with pytest.raises(InvalidError, match=expected):
+        open_storage("s3://name:password@b/x")

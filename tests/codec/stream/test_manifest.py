@@ -67,6 +67,9 @@ def test_its_size_does_not_depend_on_live_by_more_than_a_byte() -> None:
     "change",
     [
         {"fps": 0.0},
+        {"fps": 1e-320},
+        {"fps": 0.000999},
+        {"fps": float("inf")},
         {"fps": float("nan")},
         {"fps": 1001.0},
         {"swin_size": 0},

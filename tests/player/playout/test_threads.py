@@ -101,6 +101,7 @@ class NotingRenderer:
     name = "notes"
     uploaded_bytes = 0
     times: StepTimes | None = None
+    alpha = False
 
     def __init__(self, failure: Exception | None = None, draw_s: float = 0.0) -> None:
         self.births: list[int] = []

@@ -10,6 +10,7 @@ import { copyRows, emptyScene, Scene } from "../../../player/web/feed/scene.js";
 import { decodeChunk } from "../../../player/web/format/chunk.js";
 import { FormatError } from "../../../player/web/format/bytes/errors.js";
 import { readManifest } from "../../../player/web/format/manifest.js";
+import { openSource } from "../../../player/web/source/source.js";
 import { readObject } from "../../../player/web/format/objecttable.js";
 import { inflatePacket } from "../../../player/web/format/packet.js";
 import { RecordParser } from "../../../player/web/format/playrecord.js";
@@ -304,6 +305,12 @@ const ANSWERS = {
   sizes({ manifest, bytes }) {
     const read = readManifest(unhex(manifest));
     return streamMedia(read, readIndex(unhex(bytes), read)).segments;
+  },
+  /** Opens the stream at a URL; the memory of this process is told too, in MB. */
+  async open({ url, maxGaussians }) {
+    const stream = await openSource(url, new Fetcher(), maxGaussians);
+    if ("first" in stream) stream.first?.close();
+    return { numGs: stream.manifest.numGs, peakMb: process.resourceUsage().maxRSS / 1024 };
   },
   /** The index at a URL, as far as it has come; the same one again without a URL. */
   async refresh({ url, manifest }) {

@@ -7,6 +7,7 @@ import json
 import random
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,7 @@ from codec.stream.playrecord import (
     StartRecord,
     encode_record,
 )
+from codec.stream.poster import poster_path
 from fuzz.codec import TARGETS
 from fuzz.seed import CORPUS, made_manifest
 from tests.goldens.pinned_slots import FILE as SLOTS_FILE
@@ -114,7 +116,7 @@ def assert_same_manifest(found: dict[str, object], manifest: Manifest) -> None:
         "nearM": manifest.near_m,
         "bounds": [list(corner) for corner in manifest.bounds],
         "live": manifest.live,
-        "poster": manifest.poster,
+        "poster": poster_path(manifest),
         "objectUrl": manifest.object_url,
         "title": manifest.title,
         "captureFrame": manifest.capture_frame,
@@ -191,6 +193,47 @@ def test_play_records_in_pieces(browser: BrowserCode, piece_bytes: int) -> None:
 def test_lists_in_lists_do_not_exhaust_the_stack(browser: BrowserCode) -> None:
     body = b"\x81\xa6frames" + b"\x91" * 1_000_000
     assert not browser.takes("records", pieces=[(struct.pack("<I", len(body)) + body).hex()])
+
+
+@pytest.mark.parametrize("fps", [0.001, 1000.0])
+def test_frame_rates_within_the_bounds(browser: BrowserCode, fps: float) -> None:
+    data = replace(made_manifest(), fps=fps).to_json()
+    assert browser.ask("manifest", bytes=data.hex())["fps"] == Manifest.from_json(data).fps == fps
+
+
+@pytest.mark.parametrize("fps", [1e-320, 0.000999, 0, -1, 1000.5, 1e400])
+def test_frame_rates_out_of_the_bounds(browser: BrowserCode, fps: float) -> None:
+    value = json.loads(made_manifest().to_json())
+    data = json.dumps(value | {"fps": fps}).replace("Infinity", "1e400").encode()
+    with pytest.raises(CodecError, match="fps"):
+        Manifest.from_json(data)
+    with pytest.raises(CodecError, match="fps"):
+        browser.ask("manifest", bytes=data.hex())
+
+
+@pytest.mark.parametrize(
+    ("poster", "taken"),
+    [
+        ("poster.jpg", True),
+        ("art/still #1.PNG", True),
+        ("//evil.example/x.jpg", False),
+        ("/x.jpg", False),
+        ("a//x.jpg", False),
+        ("../x.jpg", False),
+        ("a/../x.jpg", False),
+        ("x.svg", False),
+        (".jpg", False),
+        ("art/.jpg", False),
+        ("", False),
+    ],
+)
+def test_a_poster_lies_in_the_stream_s_folder(
+    browser: BrowserCode, poster: str, taken: bool
+) -> None:
+    manifest = replace(made_manifest(), poster=poster)
+    expected = poster if taken else None
+    assert poster_path(manifest) == expected
+    assert browser.ask("manifest", bytes=manifest.to_json().hex())["poster"] == expected
 
 
 def record_is_taken(data: bytes) -> object:

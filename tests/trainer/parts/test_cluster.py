@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import sys
+from contextlib import redirect_stdout
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,7 +12,7 @@ import pytest
 from rich.console import Console
 
 from codec.errors import InvalidError
-from trainer.parts.cluster import look_for_room, num_workers
+from trainer.parts.cluster import RayOutput, look_for_room, num_workers
 from trainer.run.config import TrainConfig
 
 
@@ -52,3 +54,22 @@ def test_workers_find_room_node_by_node() -> None:
 def test_claims_are_numbers_that_can_be_had(claims: dict[str, float]) -> None:
     with pytest.raises(InvalidError, match=next(iter(claims))):
         config(**claims)
+
+
+def test_what_ray_says_of_a_dead_worker_becomes_one_line() -> None:
+    words = io.StringIO()
+    with redirect_stdout(RayOutput(Console(file=words))):
+        # As ray 2.60 prints it.
+        sys.stdout.write(
+            "\x1b[33m(raylet)\x1b[0m A worker died or was killed while executing a task by an "
+            "unexpected system error. To troubleshoot the problem, check the logs for the dead "
+            "worker. Lease ID: 00 Worker ID: a5 Worker exit type: SYSTEM_ERROR Some common causes "
+            "include: (1) the process was killed by the OOM killer due to high memory usage"
+        )
+        sys.stdout.write("Task do failed. There are infinite retries remaining. Error: \n")
+        sys.stdout.write("2 Workers (tasks / actors) killed due to memory pressure (OOM)\n")
+    told = words.getvalue().splitlines()
+    assert [line.partition(";")[0] for line in told] == [
+        "a worker died",
+        "a node ran out of memory and ended a worker",
+    ]

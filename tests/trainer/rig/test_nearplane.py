@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from codec.camera import Camera
-from tests.support.footage.checking import checked, said
+from tests.support.footage.checking import all_said, checked, said
 from tests.support.footage.rebuilt import (
     HEIGHT_PX,
     WIDTH_PX,
@@ -58,6 +58,13 @@ def near_of(capture: Capture) -> float:
     return near
 
 
+def warned_of_near(lines: list[str]) -> str:
+    """The one warning about the near plane."""
+    (found,) = [line for line in all_said(lines, "warning") if "near plane" in line]
+    assert "--near-m" in found
+    return found
+
+
 def test_a_rig_that_sees_nothing_near_keeps_what_the_rig_suggests(tmp_path: Path) -> None:
     cameras = camera_rig(12, WIDTH_PX, HEIGHT_PX, float(np.radians(200)))
     depths = rig_depths(cameras)
@@ -81,9 +88,10 @@ def test_points_that_a_camera_sees_bring_it_in(tmp_path: Path) -> None:
     lines = checked(tmp_path)
     told = f"{near:.3g} units, by what the cameras see; the rig alone would say {suggested:.3g}"
     assert said(lines, "near") == told
-    assert "of what cam10 sees" in said(lines, "near cuts")
+    assert not all_said(lines, "near cuts")
+    assert "of what cam10 sees" in warned_of_near(lines)
     assert said(checked(tmp_path, near_m=0.8 * nearest), "near cuts").startswith("at most 0.5%")
-    cut = said(checked(tmp_path, near_m=suggested), "near cuts")
+    cut = warned_of_near(checked(tmp_path, near_m=suggested))
     assert "of what cam00 sees" in cut
     assert "of what cam10 sees" in cut
     assert said(checked(tmp_path, near_m=suggested), "near").endswith("units, as given")
@@ -139,6 +147,8 @@ def test_a_rig_that_looks_one_way_keeps_what_it_declares(tmp_path: Path) -> None
 def test_new_places_are_looked_for_from_where_the_rig_suggests(tmp_path: Path) -> None:
     capture = write(tmp_path / "c", close_rig(), 6000)
     found = prepare(TrainConfig(tmp_path / "c", tmp_path / "s"))
+    (doubt,) = found.near_doubts  # which training prints
+    assert "of what cam10 sees" in doubt
     assert capture.near_m is not None
     assert found.near_m < 0.9 * capture.near_m
     assert found.search_from_m == capture.near_m

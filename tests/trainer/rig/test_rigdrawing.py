@@ -6,11 +6,14 @@ import re
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import patch
 
 import numpy as np
 import numpy.typing as npt
 import pytest
+from matplotlib.font_manager import findfont, fontManager
+from matplotlib.ft2font import FT2Font
 from matplotlib.text import Text
 from PIL import Image
 
@@ -20,6 +23,7 @@ from tests.support.footage.checking import checked, said
 from tests.support.tiny_capture import write_dynamic3dgs, write_dynerf
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
+from trainer.rig.labelfont import families_for
 from trainer.rig.rigdrawing import axis_name, draw_capture, drawn_axes
 
 
@@ -120,3 +124,45 @@ def test_a_world_that_is_tilted_is_told(tmp_path: Path) -> None:
     )
     texts = texts_of(replace(capture, cameras=cameras), tmp_path / "rig.png")
     assert re.search(r"the tops of the pictures point [2-4]\d degrees off -y", texts)
+
+
+def named(capture: Capture, names: list[str]) -> Capture:
+    cameras = tuple(
+        replace(c, camera=replace(c.camera, name=name))
+        for c, name in zip(capture.cameras, names, strict=True)
+    )
+    return replace(capture, cameras=cameras)
+
+
+NAMES = ["カメラ1", "左", "相机$x$", "cam_4"]
+
+
+@pytest.mark.filterwarnings("error")
+def test_names_that_no_font_has_become_numbers(tmp_path: Path) -> None:
+    write_dynamic3dgs(tmp_path / "c")
+    capture = named(open_capture(tmp_path / "c"), NAMES)
+    with patch("trainer.rig.labelfont.fontManager", SimpleNamespace(ttflist=[])):
+        assert not draw_capture(capture, tmp_path / "rig.png")
+        texts = texts_of(capture, tmp_path / "again.png").split("|")
+        monkey = patch("trainer.run.check.open_capture", lambda root: capture)
+        with monkey:
+            lines = checked(tmp_path / "c", check=tmp_path / "rig.png")
+    assert {"0", "1", "2", "3"} <= set(texts)
+    assert not set(texts) & set(NAMES)
+    assert "0 カメラ1, 1 左, 2 相机$x$, 3 cam_4" in said(lines, "labels")
+
+
+@pytest.mark.filterwarnings("error")
+def test_letters_that_matplotlibs_own_font_lacks_are_taken_from_another(tmp_path: Path) -> None:
+    missing = "𝕏ﷺ\N{CJK UNIFIED IDEOGRAPH-5DE6}"
+    assert families_for(["cam01", "Überblick"]) == ["DejaVu Sans"]
+    others = [entry for entry in fontManager.ttflist if entry.name == "STIXGeneral"]
+    letters = FT2Font(others[0].fname).get_charmap().keys()
+    own = FT2Font(findfont("DejaVu Sans")).get_charmap().keys()
+    only_there = chr(min(letters - own))
+    write_dynamic3dgs(tmp_path / "c")
+    capture = named(open_capture(tmp_path / "c"), [only_there, "b", "c", "$d^2"])
+    with patch("trainer.rig.labelfont.fontManager", SimpleNamespace(ttflist=others)):
+        assert families_for([only_there]) == ["DejaVu Sans", "STIXGeneral"]
+        assert families_for([missing]) is None
+        assert draw_capture(capture, tmp_path / "rig.png")

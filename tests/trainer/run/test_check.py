@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
+from codec.errors import InvalidError
 from tests.support.footage.checking import checked
 from tests.support.tiny_capture import picture_of, tiny_rig, write_dynamic3dgs, write_dynerf
 from tests.support.tiny_models import write_model, write_pictures
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError
-from trainer.run.check import describe_capture
+from trainer.run.check import check_capture, describe_capture
+from trainer.run.config import TrainConfig
 
 
 def test_description(tmp_path: Path) -> None:
@@ -68,3 +72,16 @@ def test_points_of_a_file_stand_in_for_the_captures(tmp_path: Path) -> None:
     np.savez(points, xyz=np.zeros((0, 3)), rgb=np.zeros((0, 3), np.uint8))
     with pytest.raises(CaptureError, match="holds no points"):
         checked(tmp_path / "c", points=points)
+
+
+def test_a_scale_that_cannot_be_is_refused_before_the_capture_is_read(tmp_path: Path) -> None:
+    for scale in (2.0, 0.0, float("nan")):
+        with pytest.raises(InvalidError, match=r"choose above 0, at most 1"):
+            checked(tmp_path / "there is none", scale=scale)
+
+
+def test_a_log_tells_what_is_waited_for(tmp_path: Path) -> None:
+    write_dynerf(tmp_path / "c", num_cameras=7)
+    log = io.StringIO()
+    check_capture(TrainConfig(tmp_path / "c", tmp_path / "s"), Console(file=log))
+    assert log.getvalue() == "reading the first and the last frame of 7 cameras\n"

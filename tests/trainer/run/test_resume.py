@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import signal
 import subprocess
@@ -134,18 +135,38 @@ def test_killed_at_any_moment_and_resumed_it_writes_the_same_bytes(
     assert contents(stream) == whole.contents
 
 
-def test_ctrl_c_ends_the_window_and_can_be_resumed(
-    capture: Path, uninterrupted: dict[str, bytes], tmp_path: Path
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_the_run_and_it_can_be_resumed(
+    number: signal.Signals, capture: Path, uninterrupted: dict[str, bytes], tmp_path: Path
 ) -> None:
     stream = tmp_path / "stream"
     process = start_until(capture, stream, 1)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     _, errors = process.communicate(timeout=60)
     if process.returncode == 0:
         pytest.skip("the run was over before the signal came")
-    assert process.returncode == 1
-    assert "--resume" in errors.splitlines()[-1]
+    assert process.returncode == 128 + number
+    last = errors.splitlines()[-1]
+    # A signal may come when the checkpoint is on disk and its frame not yet counted.
+    when = r"(after frame \d+|before the first frame was finished)"
+    assert re.fullmatch(rf"stopped {when}; --resume goes on from there", last)
     run_ok("swings-train", capture, stream, *SETTINGS, "--resume")
+    assert contents(stream) == uninterrupted
+
+
+def test_a_finished_run_has_nothing_to_resume_and_succeeds(
+    capture: Path, uninterrupted: dict[str, bytes], tmp_path: Path
+) -> None:
+    stream = tmp_path / "stream"
+    shutil.copytree(capture.parent / "whole lattice", stream)
+    for more in ([], ["--ray"], SETTINGS):
+        again = run("swings-train", capture, stream, "--resume", *more)
+        assert (again.returncode, again.stdout) == (0, f"{stream}\n")
+        assert again.stderr == f"{stream} is finished, {FRAMES} frames; nothing is left to train\n"
+    # Killed after its last frame, before its last poster was drawn and its checkpoint removed.
+    (stream / CHECKPOINT_NAME).write_bytes(b"of the last window")
+    (stream / POSTER_NAME).write_bytes(b"of the first segment")
+    run_ok("swings-train", capture, stream, "--resume")
     assert contents(stream) == uninterrupted
 
 
@@ -281,4 +302,5 @@ def test_the_run_that_compiles_the_kernels_writes_the_same_bytes(
     )
     assert done.returncode == 0, done.stderr
     assert any((tmp_path / "cache").rglob("*.nbc"))
+    assert done.stderr.count("kernels (half a minute once after an install)\n") == 1
     assert contents(stream) == uninterrupted

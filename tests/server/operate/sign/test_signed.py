@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import signal
+import subprocess
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
@@ -16,7 +20,7 @@ from codec.stream.playrecord import EndRecord
 from server.abr.standing import PLAY_HEADER
 from server.operate.sign.keyfile import add_key, read_keys
 from server.operate.sign.signing import Signer
-from tests.support.commands import run, run_ok, serving
+from tests.support.commands import command, environment, run, run_ok, serving
 from tests.support.hosted_streams import write_stream
 from tests.support.server.running_server import parse_records
 
@@ -115,6 +119,73 @@ def test_what_is_not_signed_for_it_is_403_in_one_line(url: str, signer: Signer) 
         assert ask(url + path)[0] == 200
     assert ask(f"{url}{STREAM}/manifest.json", "OPTIONS")[0] == 204
     assert ask(f"{url}{good}{STREAM}/play", "OPTIONS")[0] == 204
+
+
+@contextmanager
+def logging_server(log: Path, root: Path, keys: Path) -> Iterator[tuple[int, str]]:
+    """Process number and URL of a server of one process, which logs to the file `log`."""
+    with log.open("wb") as file:
+        process = subprocess.Popen(
+            command("swings-serve", root, "--port", 0, "--keys", keys),
+            env=environment(),
+            stdout=subprocess.PIPE,
+            stderr=file,
+            text=True,
+        )
+    assert process.stdout is not None
+    try:
+        yield process.pid, process.stdout.readline().split()[1]
+    finally:
+        process.terminate()
+        process.wait()
+        process.stdout.close()
+
+
+def test_a_server_of_one_process_reads_its_keys_again_on_sighup(
+    folder: Path, tmp_path: Path
+) -> None:
+    keys = tmp_path / "keys"
+    add_key(keys)
+    with logging_server(tmp_path / "log", folder / "root", keys) as (pid, url):
+        add_key(keys)
+        fresh = Signer(read_keys(keys)).sign("walk", soon())
+        assert ask(f"{url}{fresh}{STREAM}/manifest.json")[0] == 403
+        os.kill(pid, signal.SIGHUP)
+        until_s = time.monotonic() + 20
+        while ask(f"{url}{fresh}{STREAM}/manifest.json")[0] != 200:
+            assert time.monotonic() < until_s
+            time.sleep(0.05)
+    assert "keys and certificate were read again" in (tmp_path / "log").read_text()
+
+
+def test_the_log_has_no_signature(folder: Path, tmp_path: Path, signer: Signer) -> None:
+    root, keys = folder / "root", folder / "keys"
+    good, all_of_it = signer.sign("walk", soon()), signer.sign("*", soon())
+    paths = (
+        f"{good}{STREAM}/manifest.json",  # 200
+        f"{good}{STREAM}/segments/9/9",  # 404
+        f"{good}/v1/streams/other/manifest.json",  # the rest are refused
+        f"{good}/favicon.ico",
+        f"{good}/healthz",
+        f"{all_of_it}{good}/watch/walk",
+        f"/{good}/watch/walk",
+        f"/web{good}",
+        f"{good[:-1]}/watch/walk",
+        f"{good[:9]}%2E{good[9:]}/watch/walk",
+        good,
+        f"/web/watch.html?src=http%3A%2F%2Fhost{good.replace('/', '%2F')}%2Fv1%2Fstreams%2Fwalk",
+    )
+    with logging_server(tmp_path / "log", root, keys) as (_, url):
+        statuses = [ask(url + path)[0] for path in paths]
+        ask(f"{url}{good}{STREAM}/play", "OPTIONS")
+    assert statuses[:2] == [200, 404]
+    assert 200 not in statuses[2:-1]
+    text = (tmp_path / "log").read_text()
+    assert text.count("/t/***/") == 8
+    assert "path=/v1/streams/walk/manifest.json" in text
+    for prefix in (good, all_of_it):
+        signature = prefix.rpartition(".")[2]
+        assert signature[:20] not in text, text
 
 
 def test_other_machines_are_let_in_on_purpose_only(folder: Path) -> None:

@@ -1,0 +1,202 @@
+"""The name and password in a URL go to their host, and into no message, report or log."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import threading
+from base64 import b64encode
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import codec
+from codec.errors import SwingsError
+from codec.framerange import FrameRange
+from codec.storage.credentials import without_credentials
+from player.network.fetch import FetchError
+from player.network.logins import logins_of
+from player.openscene import Scene
+from player.source.opener import Opener, opened
+from tests.support.commands import run
+from tests.support.hosted_streams import served, static_host, write_stream
+
+NAME, PASSWORD = "ursula", "top:s@cret"
+LOGIN = "ursula:top%3As%40cret"
+HEADER = f"Basic {b64encode(f'{NAME}:{PASSWORD}'.encode()).decode()}"
+SECRETS = ("ursula", "cret")
+
+
+class Host(ThreadingHTTPServer):
+    """A static host that lets in who has the password."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(("127.0.0.1", 0), partial(Handler, directory=str(folder)))
+        self.headers: list[str | None] = []
+        """The Authorization of each request."""
+        self.moved_to = ""
+        """Where redirects lead, in place of any answer."""
+
+
+class Handler(SimpleHTTPRequestHandler):
+    def do_GET(self) -> None:
+        host = self.server
+        assert isinstance(host, Host)
+        sent = self.headers.get("Authorization")
+        host.headers.append(sent)
+        if host.moved_to:
+            self.send_response(302)
+            self.send_header("Location", host.moved_to + self.path)
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+        elif sent == HEADER:
+            super().do_GET()
+        else:
+            self.send_error(401)
+
+    def log_message(self, format: str, *args: object) -> None:
+        pass
+
+
+@contextmanager
+def guarded(folder: Path) -> Iterator[Host]:
+    host = Host(folder)
+    thread = threading.Thread(target=host.serve_forever, kwargs={"poll_interval": 0.02})
+    thread.start()
+    try:
+        yield host
+    finally:
+        host.shutdown()
+        thread.join()
+        host.server_close()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("host")
+    write_stream(path / "s", 6)
+    return path
+
+
+def assert_hidden(text: str) -> None:
+    for secret in SECRETS:
+        assert secret not in text, text
+
+
+def play(*words: object) -> subprocess.CompletedProcess[str]:
+    done = run("swings-play", *words, "--renderer", "cpu")
+    assert_hidden(done.stdout + done.stderr)
+    return done
+
+
+def test_a_play_with_a_password_reports_without_it(folder: Path, tmp_path: Path) -> None:
+    with guarded(folder) as host:
+        url, out = f"http://{LOGIN}@127.0.0.1:{host.server_port}/s", tmp_path / "out.mp4"
+        report = tmp_path / "report.json"
+        done = play(url, "--capture", out, "--report", report, "--verbose")
+        assert done.returncode == 0, done.stderr
+        assert set(host.headers) == {HEADER}
+        assert f"6 frames of http://127.0.0.1:{host.server_port}/s, drawn by" in done.stdout
+        assert_hidden(report.read_text())
+        assert json.loads(report.read_text())["source"].endswith(f"{host.server_port}/s")
+        still = play(url, "--capture", tmp_path / "out.png", "--still", 0)
+        assert still.returncode == 0, still.stderr
+
+
+def test_a_served_play_reports_without_it(folder: Path, tmp_path: Path) -> None:
+    with served(folder) as server:
+        url = server.url.replace("http://", f"http://{LOGIN}@")
+        report = tmp_path / "report.json"
+        more = ("--capture", tmp_path / "out.mp4", "--report", report, "--link", "50M")
+        done = play(f"{url}/watch/s", *more)
+        assert done.returncode == 0, done.stderr
+        assert_hidden(report.read_text())
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "http://{login}@127.0.0.1:1/s",
+        "http://{login}@127.0.0.1:1/s,http://{login}@127.0.0.1:2/s",
+        "http://{login}@127.0.0.1:99999/s",
+        "http://{login}@/s",
+        "http://{login}@[::1/s",
+        "ftp://{login}@127.0.0.1/s",
+        "{host}/missing",
+        "{host}",
+    ],
+)
+@pytest.mark.parametrize("option", [(), ("--still", 0)])
+def test_errors_are_without_it(
+    folder: Path, tmp_path: Path, url: str, option: tuple[object, ...]
+) -> None:
+    out = tmp_path / ("out.png" if option else "out.mp4")
+    with guarded(folder) as host:
+        source = url.format(login=LOGIN, host=f"http://{LOGIN}@127.0.0.1:{host.server_port}")
+        done = play(source, "--capture", out, "--patience", 0, *option)
+        assert done.returncode == 1
+        assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("more", [("--link", "8M"), ("--profile", "out.png")])
+def test_refused_options_are_without_it(more: tuple[object, ...]) -> None:
+    done = play(f"https://{LOGIN}@127.0.0.1/s", *more)
+    assert done.returncode == 2
+
+
+def test_in_python(folder: Path) -> None:
+    with guarded(folder) as host:
+        url = f"http://{LOGIN}@127.0.0.1:{host.server_port}/s"
+        with Scene.open(url, renderer="cpu") as scene:
+            assert scene.num_frames == 6
+            assert len(scene.splats(2)) > 0
+            assert_hidden(scene.name)
+        with closing(Opener(url)) as opener:
+            assert opener.glance() is not None
+            assert_hidden(opener.name)
+    for open_it in (codec.open_stream, Scene.open):
+        for name in (url, f"ftp://{LOGIN}@127.0.0.1/s"):
+            with pytest.raises(SwingsError) as error:
+                open_it(name)
+            assert_hidden(str(error.value))
+
+
+def test_a_store_s_url_is_shown_without_it() -> None:
+    for name in (f"ftp://{LOGIN}@bucket/s", f"s3x://{LOGIN}@bucket/s"):
+        done = run("swings-stream", "verify", name)
+        assert done.returncode == 1
+        assert_hidden(done.stderr)
+
+
+def test_it_goes_to_its_own_host_alone(folder: Path) -> None:
+    with guarded(folder) as other, guarded(folder) as host:
+        url = f"http://{LOGIN}@127.0.0.1:{host.server_port}/s"
+        host.moved_to = f"http://localhost:{other.server_port}"
+        with pytest.raises(FetchError, match="another host"), opened(url):
+            pass
+        assert set(host.headers) == {HEADER}
+        assert not other.headers
+
+
+def test_of_several_hosts_each_gets_its_own(folder: Path) -> None:
+    with guarded(folder) as host, static_host(folder) as free:
+        login = f"http://{LOGIN}@127.0.0.1:{host.server_port}/s"
+        with opened(f"{login},{free}/s", FrameRange(0)) as source:
+            assert len(list(source.packets())) > 0
+        assert set(host.headers) == {HEADER}
+        assert logins_of([login, f"{free}/s", "my-stream", "http://[/"]) == {
+            ("http", "127.0.0.1", host.server_port): HEADER
+        }
+
+
+@given(st.text("ab:@%é ,", max_size=12), st.sampled_from(["/p@th", "?q=a@b", "#a@b", ""]))
+def test_what_is_left_of_a_url(login: str, rest: str) -> None:
+    login = login.replace(" ", "")
+    assert without_credentials(f"{login}") == login
+    assert without_credentials(f"no http://{login}@host{rest} here") == f"no http://host{rest} here"

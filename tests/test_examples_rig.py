@@ -1,0 +1,112 @@
+"""examples/import_rig.py makes of an OpenCV calibration the cameras that were calibrated."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from codec.camera import Camera
+from tests.support.commands import ROOT, run_ok
+from tests.support.tiny_capture import tiny_rig, write_video
+from trainer.capture.layout import open_capture
+
+LENS = [-0.02, 0.003, 0.001, -0.002]
+
+
+def rvec_of(rotation: np.ndarray) -> list[float]:
+    """The axis times the angle, from the eigenvector of the eigenvalue 1."""
+    values, vectors = np.linalg.eig(rotation)
+    axis = np.real(vectors[:, np.argmin(abs(values - 1))])
+    angle_rad = float(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1)))
+    skew = np.array(
+        [
+            rotation[2, 1] - rotation[1, 2],
+            rotation[0, 2] - rotation[2, 0],
+            rotation[1, 0] - rotation[0, 1],
+        ]
+    )
+    found: list[float] = (axis * angle_rad * (1 if axis @ skew >= 0 else -1)).tolist()
+    return found
+
+
+def calibration_of(cameras: list[Camera], as_matrix: bool) -> dict[str, dict[str, Any]]:
+    """As caliscope has it, in millimetres, with the first pixel's middle at 0, 0."""
+    return {
+        f"cam_{number}": {
+            "name": camera.name,
+            "size": [camera.width_px, camera.height_px],
+            "matrix": [
+                [camera.fx_px, 0.0, camera.cx_px - 0.5],
+                [0.0, camera.fy_px, camera.cy_px - 0.5],
+                [0.0, 0.0, 1.0],
+            ],
+            "distortions": LENS,
+            "rotation": camera.w2c[:3, :3].tolist() if as_matrix else rvec_of(camera.w2c[:3, :3]),
+            "translation": (1000 * camera.w2c[:3, 3]).tolist(),
+        }
+        for number, camera in enumerate(cameras)
+    }
+
+
+def as_toml(tables: dict[str, dict[str, Any]]) -> str:
+    lines = []
+    for name, table in tables.items():
+        lines += [f"[{name}]", *(f"{key} = {json.dumps(value)}" for key, value in table.items())]
+    return "\n".join([*lines, "[metadata]", "adjusted = true", ""])
+
+
+def imported(*arguments: object) -> subprocess.CompletedProcess[str]:
+    script = ROOT / "examples" / "import_rig.py"
+    return subprocess.run(
+        [sys.executable, "-W", "error", str(script), *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+
+
+@pytest.mark.parametrize(("kind", "as_matrix"), [("toml", False), ("json", True)])
+def test_a_calibrated_rig_becomes_a_capture(kind: str, as_matrix: bool, tmp_path: Path) -> None:
+    cameras = tiny_rig(7)
+    (tmp_path / "c/videos").mkdir(parents=True)
+    for index, camera in enumerate(cameras):
+        write_video(tmp_path / "c/videos" / f"{camera.name}.mp4", index, 3)
+    tables = calibration_of(cameras, as_matrix)
+    rig = tmp_path / f"rig.{kind}"
+    rig.write_text(as_toml(tables) if kind == "toml" else json.dumps(tables))
+    done = imported(rig, tmp_path / "c", "--unit", "mm")
+    assert (done.returncode, done.stderr) == (0, "")
+    capture = open_capture(tmp_path / "c")
+    assert capture.num_frames == 3
+    for entry, camera in zip(capture.cameras, cameras, strict=True):
+        assert entry.camera.name == camera.name
+        np.testing.assert_allclose(entry.camera.w2c, camera.w2c, atol=1e-9)
+        np.testing.assert_allclose(entry.camera.intrinsics, camera.intrinsics, atol=1e-9)
+    frames = json.loads((tmp_path / "c/transforms.json").read_text())["frames"]
+    assert [frames[0][key] for key in ("k1", "k2", "p1", "p2", "k3")] == [*LENS, 0]
+    assert "cameras     7" in run_ok("swings-train", tmp_path / "c", "--check", tmp_path / "r.png")
+
+
+def test_what_cannot_be_imported_is_one_line(tmp_path: Path) -> None:
+    cameras = tiny_rig(2)
+    (tmp_path / "c/videos").mkdir(parents=True)
+    for index, camera in enumerate(cameras):
+        write_video(tmp_path / "c/videos" / f"{camera.name}.mp4", index, 1)
+    for change, message in (
+        ({"name": "elsewhere"}, "must have the same names"),
+        ({"fisheye": True}, "fisheye lenses are not read"),
+        ({"distortions": [0, 0, 0, 0, 0, 0.1]}, "more than k1, k2, p1, p2, k3"),
+    ):
+        tables = calibration_of(cameras, as_matrix=True)
+        tables["cam_1"] |= change
+        (tmp_path / "rig.json").write_text(json.dumps(tables))
+        done = imported(tmp_path / "rig.json", tmp_path / "c")
+        assert (done.returncode, done.stderr.count("\n")) == (1, 1), done.stderr
+        assert message in done.stderr
+    assert not (tmp_path / "c/transforms.json").exists()

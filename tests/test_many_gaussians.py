@@ -1,0 +1,169 @@
+"""A stream of a few kilobytes whose manifest asks for 2^24 Gaussians costs nothing unless its size
+is allowed."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+import codec
+from codec.errors import UnsupportedError
+from codec.framerange import FrameRange
+from codec.stream import StreamReader
+from codec.stream.manifest import MANIFEST_NAME, Manifest
+from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
+from player.openscene import Scene
+from player.source.directory import DirectorySource
+from player.source.opener import Opener
+from tests.support.commands import command, environment
+from tests.support.hosted_streams import served, static_host
+from tests.support.slots.folder import slots_manifest, write_slots
+from tests.support.slots.many import NUM_GAUSSIANS, write_many
+
+LIMIT_MB = 400
+
+REFUSAL = r"16,777,216 Gaussians; --max-gaussians 16777216 reads it \(about 4\.7 GB of memory\)"
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss is in KB on Linux")
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("library")
+    write_many(folder / "many")
+    return folder
+
+
+def run_measured(name: str, *words: object) -> tuple[int, str, float]:
+    """Exit status, stderr, and peak memory in MB of a command."""
+    process = subprocess.Popen(
+        command(name, *words),
+        env=environment(),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stderr is not None
+    told = process.stderr.read()
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    process.stderr.close()
+    return process.returncode, told, usage.ru_maxrss / 1024
+
+
+def assert_refused(name: str, *words: object) -> None:
+    status, told, peak_mb = run_measured(name, *words)
+    assert status == 1, told
+    assert re.fullmatch(rf"swings-\w+: \S+many\S* has {REFUSAL}\n", told), told
+    assert peak_mb < LIMIT_MB
+
+
+def test_it_is_small(library: Path) -> None:
+    files = [path for path in library.rglob("*") if path.is_file()]
+    assert sum(path.stat().st_size for path in files) < 10_000
+    manifest = Manifest.from_json((library / "many" / MANIFEST_NAME).read_bytes())
+    assert manifest.num_gs == NUM_GAUSSIANS == 4 * DEFAULT_MAX_GAUSSIANS
+
+
+@pytest.mark.parametrize("action", ["verify", "info"])
+def test_looking_at_it(library: Path, action: str) -> None:
+    assert_refused("swings-stream", action, library / "many")
+
+
+@pytest.mark.parametrize("more", [("--frame", 0), ("--frames", ":"), ("--static",)])
+def test_exporting_it(library: Path, tmp_path: Path, more: tuple[object, ...]) -> None:
+    out = tmp_path / "out.ply"
+    assert_refused("swings-stream", "export", library / "many", out, *more)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        ("--capture", "out.mp4", "--renderer", "cpu"),
+        ("--capture", "out.png", "--still", 0, "--renderer", "cpu"),
+        ("--profile", "out.png", "--renderer", "cpu"),
+    ],
+)
+def test_playing_it_from_a_folder(library: Path, tmp_path: Path, more: tuple[object, ...]) -> None:
+    words = [tmp_path / str(word) if str(word).startswith("out.") else word for word in more]
+    assert_refused("swings-play", library / "many", *words)
+    assert not list(tmp_path.iterdir())
+
+
+def test_playing_it_from_a_static_host(library: Path, tmp_path: Path) -> None:
+    with static_host(library) as host:
+        out = ("--capture", tmp_path / "out.mp4", "--renderer", "cpu")
+        assert_refused("swings-play", f"{host}/many", *out)
+
+
+def test_playing_it_from_a_server(library: Path, tmp_path: Path) -> None:
+    """The server decodes nothing, so it may have the stream."""
+    with served(library) as server:
+        out = ("--capture", tmp_path / "out.mp4", "--renderer", "cpu")
+        assert_refused("swings-play", f"{server.url}/watch/many", *out)
+        status = Path(f"/proc/{server.process.pid}/status").read_text()
+        (peak_kb,) = re.findall(r"VmHWM:\s+(\d+)", status)
+        assert int(peak_kb) / 1024 < LIMIT_MB
+
+
+def test_in_python(library: Path) -> None:
+    many = library / "many"
+    with pytest.raises(UnsupportedError, match=REFUSAL):
+        codec.open_stream(many)
+    with pytest.raises(UnsupportedError, match=REFUSAL):
+        Scene.open(many)
+    with closing(Opener(str(many))) as opener, pytest.raises(UnsupportedError, match=REFUSAL):
+        opener.open(FrameRange(), None)
+    with closing(Opener(str(many))) as opener, pytest.raises(UnsupportedError, match=REFUSAL):
+        opener.glance()
+    with pytest.raises(UnsupportedError, match=REFUSAL):
+        DirectorySource(many, FrameRange(), None)
+
+
+@pytest.mark.parametrize("most", [None, NUM_GAUSSIANS])
+def test_a_size_that_is_allowed_opens(library: Path, most: int | None) -> None:
+    many = library / "many"
+    with codec.open_stream(many, max_gaussians=most) as stream:
+        assert stream.manifest.num_gs == NUM_GAUSSIANS
+    with Scene.open(many, max_gaussians=most) as scene:
+        assert scene.num_frames == 1
+    with closing(Opener(str(many), max_gaussians=most)) as opener:
+        found = opener.glance()
+        assert found is not None
+        assert found.manifest.num_gs == NUM_GAUSSIANS
+        with closing(opener.open(FrameRange(), None)) as source:
+            assert source.num_frames == 1
+
+
+def test_the_bound_is_the_number_that_is_given(tmp_path: Path) -> None:
+    write_slots(tmp_path / "s", 6)
+    count = slots_manifest().num_gs
+    assert StreamReader(tmp_path / "s", count).num_frames == 6
+    with pytest.raises(UnsupportedError, match=f"has {count} Gaussians; --max-gaussians {count}"):
+        StreamReader(tmp_path / "s", count - 1)
+    status, told, _ = run_measured(
+        "swings-stream", "verify", tmp_path / "s", "--max-gaussians", count
+    )
+    assert (status, told) == (0, "")
+    status, told, _ = run_measured(
+        "swings-stream", "verify", tmp_path / "s", "--max-gaussians", count - 1
+    )
+    assert status == 1
+    assert f"has {count} Gaussians" in told
+
+
+def test_a_live_stream_that_grows_beyond_the_bound(library: Path, tmp_path: Path) -> None:
+    write_slots(tmp_path / "s", 4)
+    manifest = tmp_path / "s" / MANIFEST_NAME
+    manifest.write_bytes(slots_manifest().to_json())
+    reader = StreamReader(tmp_path / "s")
+    manifest.write_bytes((library / "many" / MANIFEST_NAME).read_bytes())
+    with pytest.raises(UnsupportedError, match=REFUSAL):
+        reader.refresh()

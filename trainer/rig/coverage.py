@@ -1,0 +1,66 @@
+"""How much of a held-out picture the training cameras look at.
+
+What no training camera sees stays black or becomes fog, and a score of such a picture says little
+about the stream.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from codec.camera import Camera
+from codec.pose import Doubles
+from trainer.capture.capture import Capture
+from trainer.capture.depths import rig_centre
+from trainer.capture.points import in_view
+
+UNSEEN_SHARE = 0.1
+"""Of a held-out picture, from which on it is warned of."""
+
+GRID = 24
+"""Columns and rows of pixels that are looked at."""
+
+NUM_DEPTHS = 8
+"""Depths at which a pixel's ray is looked at."""
+
+
+def coverage_doubts(capture: Capture) -> list[str]:
+    """A line about the held-out cameras that look where no training camera does."""
+    shares = [
+        (capture.cameras[i].camera.name, unseen_share(capture, capture.cameras[i].camera))
+        for i in capture.held_out
+    ]
+    found = [f"{share:.0%} of {name}'s picture" for name, share in shares if share > UNSEEN_SHARE]
+    if not found:
+        return []
+    return [
+        f"held out: no training camera sees {', '.join(found)} (from the middle of the rig on); "
+        "that stays empty, and its scores say little: hold out another camera"
+    ]
+
+
+def unseen_share(capture: Capture, camera: Camera) -> float:
+    """Share of the camera's pixels in whose direction no training camera sees anything, from the
+    depth of what the cameras look at on, or from the near plane where they look one way.
+
+    An estimate from the cameras alone: what stands in the way is not known. 0 where the rig tells
+    no depths.
+    """
+    cameras = [capture.cameras[i].camera for i in capture.training]
+    if capture.near_m is None or capture.far_m is None:
+        return 0.0
+    centre = rig_centre(cameras)
+    begin_m = capture.near_m
+    if centre is not None:
+        begin_m = max(begin_m, float((centre - camera.position) @ camera.forward))
+    columns, rows = np.meshgrid(
+        (np.arange(GRID) + 0.5) / GRID * camera.width_px,
+        (np.arange(GRID) + 0.5) / GRID * camera.height_px,
+    )
+    seen = np.zeros(GRID * GRID, bool)
+    for depth_m in np.geomspace(begin_m, max(begin_m, capture.far_m), NUM_DEPTHS):
+        depths = np.full(GRID * GRID, depth_m)
+        places: Doubles = camera.unproject(columns.ravel(), rows.ravel(), depths)
+        for other in cameras:
+            seen |= in_view(other, places)
+    return float(1 - seen.mean())
