@@ -1,8 +1,8 @@
-"""What README.md tells people to type works.
+"""The commands of README.md and docs/GUIDE.md work.
 
-Each command is run as it stands there, in a folder with what it names. Behind some stand further
-options, so that what takes minutes takes seconds, or needs no screen. `scripts/demo` and its
-siblings are the exception: they install and run for minutes, so here they are only parsed.
+Each command is run as it stands there, in a folder with the files that it names. Some get further
+options, so that they take seconds instead of minutes, or need no screen. Of `scripts/` only the
+syntax is checked here; test_demo.py runs the demo.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from codec.stream import StreamReader
 from codec.stream.poster import POSTER_NAME
@@ -31,28 +32,52 @@ from tests.support.tiny_stream import tiny_manifest, write_tiny
 from trainer.capture.layout import open_capture
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-WORDS = [" ".join(words.split()) for words in re.findall(r"`([^`]+)`", README)]
-COMMANDS = sorted({w for w in WORDS if re.match(r"(swings-\w+|python|pip|scripts/\w+)( |$)", w)})
+PAGES = README + (ROOT / "docs" / "GUIDE.md").read_text(encoding="utf-8")
+MOST_WORDS = 700
+IS_COMMAND = re.compile(r"(swings-\w+|python3?|pip|cp|git|scripts/\w+)( |$)")
+
+
+def written_words() -> list[str]:
+    """What stands in backticks, and every line of an indented block without its comment."""
+    lines = re.findall(r"^ {4,}(\S.*)$", PAGES, re.MULTILINE)
+    spans = re.findall(r"`([^`]+)`", PAGES)
+    return [" ".join(re.sub(r"  +#.*", "", words).split()) for words in [*lines, *spans]]
+
+
+WORDS = written_words()
+COMMANDS = sorted({words for words in WORDS if IS_COMMAND.match(words)})
 
 TINY = "--num-gs 60 --genesis-iterations 4 --settle-rounds 1 --window-iterations 1"
+TRAIN = "swings-train my-capture my-stream --frames 0:60 --scale 0.5"
+PLAYED = "--renderer cpu --size 64x36"
 BESIDES = {
     "swings-synth my-capture": "--frames 2 --cameras 5 --width-px 32 --height-px 32 --points 50",
-    "swings-train my-capture my-stream --frames 0:60 --scale 0.5": TINY,
-    "swings-play my-stream": "--capture played.mp4 --renderer cpu",
+    TRAIN: TINY,
+    "swings-play my-stream": f"--capture played.mp4 {PLAYED}",
+    "swings-play my-stream --capture out.mp4": PLAYED,
+    "swings-play my-stream --camera orbit --capture orbit.mp4": PLAYED,
+    "swings-play my-stream --still 30 --capture frame.png": PLAYED,
+    "swings-play my-stream --still 30 --turntable 4 --capture turn.mp4": PLAYED,
 }
 """Options that are added, to need neither minutes nor a screen."""
 
 MADE = {
     "swings-train my-capture --check rig.png": "rig.png",
     "swings-synth my-capture": "my-capture/poses_bounds.npy",
-    "swings-train my-capture my-stream --frames 0:60 --scale 0.5": "my-stream/index.bin",
+    TRAIN: "my-stream/index.bin",
     "swings-train my-capture my-stream --resume": "my-stream/index.bin",
     "swings-stream info my-stream --plot rate.png": "rate.png",
     "swings-stream verify my-stream": "my-stream/manifest.json",
     "swings-eval my-stream my-capture --sheet sheet.png": "sheet.png",
-    "swings-stream import model.ply my-stream": "my-stream/index.bin",
-    "swings-stream export my-stream web --static": "web/manifest.json",
+    "swings-stream import model.ply my-still": "my-still/index.bin",
+    "swings-stream import my-frames my-video --fps 30": "my-video/index.bin",
+    "swings-stream export my-stream frame.sog --frame 1": "frame.sog",
+    "swings-stream export my-stream site/stream --static": "site/stream/manifest.json",
     "swings-play my-stream": "played.mp4",
+    "swings-play my-stream --capture out.mp4": "out.mp4",
+    "swings-play my-stream --camera orbit --capture orbit.mp4": "orbit.mp4",
+    "swings-play my-stream --still 30 --capture frame.png": "frame.png",
+    "swings-play my-stream --still 30 --turntable 4 --capture turn.mp4": "turn.mp4",
     "swings-abr my-stream --traces DIR --out report": "report/index.html",
 }
 """What each of these leaves."""
@@ -60,25 +85,37 @@ MADE = {
 ELSEWHERE = {
     "swings-serve s3://BUCKET/STREAMS": "server/library/test_storelibrary.py",
     "swings-stream verify s3://BUCKET/STREAMS/NAME": "codec/storage/test_objectstore.py",
+    "python -m fuzz": "codec/test_fuzz.py",
     "python -m fuzz FOUND fuzz/corpus": "codec/test_fuzz.py",
     "python -m fuzz http FOUND": "server/http/test_fuzz.py",
+    "scripts/demo": "test_demo.py",
+    "scripts/demo --no-serve": "test_demo.py",
 }
-"""Commands whose words stand for something, and the tests that run what they start."""
+"""Commands whose words stand for something or that take long, and the tests that run what they
+start."""
 
 SERVED = {"swings-serve my-stream", "swings-play http://127.0.0.1:8080"}
+SITE = {
+    "swings-stream export my-stream site/stream --static",
+    "cp -r player/web site/player",
+    "python3 -m http.server -d site",
+}
+"""A web server without swings."""
+NOT_RUN = {"git clone <this repository> swings"}
 
 
 @pytest.fixture(scope="module")
 def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """With my-capture, my-stream, model.ply and DIR, a folder of traces."""
+    """With my-capture, my-stream, model.ply, my-frames and DIR, a folder of traces."""
     root = tmp_path_factory.mktemp("readme")
     write_dynerf(root / "my-capture", 5, 60)
     cameras = tuple(c.camera for c in open_capture(root / "my-capture").cameras)
     manifest = replace(
         tiny_manifest(), cameras=cameras, default_camera=cameras[0].name, poster=POSTER_NAME
     )
-    write_tiny(root / "my-stream", 8, manifest)
+    write_tiny(root / "my-stream", 40, manifest)
     run_words(root, "swings-stream export my-stream model.ply --frame 0")
+    run_words(root, "swings-stream export my-stream my-frames/frame.ply --frames 0:3")
     (root / "DIR").mkdir()
     (root / "DIR" / "link.json").write_text(
         '[{"duration_ms": 60000, "bandwidth_kbps": 4000, "latency_ms": 20}]'
@@ -106,24 +143,45 @@ def run_words(folder: Path, words: str) -> str:
     return done.stdout
 
 
-def test_every_command_of_the_page_has_a_test() -> None:
-    held = {*MADE, *ELSEWHERE, *SERVED}
-    bare = {w for w in COMMANDS if w.startswith(("scripts/", "pip ")) or w in ENTRY}
-    bare |= {w for w in COMMANDS if w == "swings-stream export"}
-    assert set(COMMANDS) - bare == held
-    assert len(COMMANDS) > 20
+def test_every_command_of_the_pages_has_a_test() -> None:
+    bare = {w for w in COMMANDS if w.startswith("pip ") or w in ENTRY}
+    bare |= {w for w in COMMANDS if re.fullmatch(r"scripts/(test|check|bench( NAME)?)", w)}
+    assert set(COMMANDS) - bare == {*MADE, *ELSEWHERE, *SERVED, *SITE, *NOT_RUN}
+    assert len(COMMANDS) > 30
+
+
+def test_the_readme_is_short() -> None:
+    assert len(README.split()) <= MOST_WORDS
+
+
+def test_the_readme_begins_with_a_moving_picture() -> None:
+    picture = ROOT / "docs" / "watch.webp"
+    assert f"](docs/{picture.name})" in README
+    assert picture.stat().st_size < 1_000_000
+    with Image.open(picture) as image:
+        assert getattr(image, "n_frames", 1) > 30
+
+
+def test_figures_of_the_readme_are_among_the_results() -> None:
+    results = (ROOT / "docs" / "RESULTS.md").read_text(encoding="utf-8")
+    measured = README.partition("## Measured")[2].partition("\n## ")[0]
+    figures = re.findall(r"\d+(?:,\d{3})*(?:\.\d+)?", measured)
+    assert len(figures) > 20
+    assert [
+        f for f in figures if not re.search(rf"(?<![\d.]){re.escape(f)}(?![\d])", results)
+    ] == []
 
 
 @pytest.mark.parametrize("words", MADE)
 def test_a_command_leaves_what_it_says(words: str, folder: Path) -> None:
     made = folder / MADE[words]
-    if words.startswith(("swings-synth", "swings-stream import")) or "0:60" in words:
+    if words.startswith("swings-synth") or words == TRAIN:
         shutil.rmtree(folder / made.relative_to(folder).parts[0])  # it is made anew
     if "--resume" in words:
         stop_a_run(folder)
     run_words(folder, f"{words} {BESIDES.get(words, '')}")
     assert made.stat().st_size > 0
-    if "0:60" in words or "--resume" in words:
+    if words == TRAIN or "--resume" in words:
         assert StreamReader(folder / "my-stream").num_frames == 60
 
 
@@ -162,8 +220,7 @@ def test_what_is_served_can_be_played(folder: Path) -> None:
 
 
 def test_a_plain_web_server_serves_the_export(folder: Path) -> None:
-    (block,) = re.findall(r"((?: {7}(?:swings-stream|cp|python3) .*\n)+)", README)
-    export, copy, serve = (line.split("#")[0].strip() for line in block.splitlines())
+    export, copy, serve = (words for words in WORDS if words in SITE)
     (folder / "player").mkdir()
     (folder / "player" / "web").symlink_to(ROOT / "player" / "web")
     run_words(folder, export)
@@ -207,7 +264,7 @@ def test_every_option_that_is_named_is_one() -> None:
     named = {
         option
         for words in WORDS
-        if not words.startswith(("python", "pip", "cp"))
+        if not words.startswith(("python", "pip", "cp", "scripts"))
         for option in re.findall(r"(?<![\w-])--[a-z][a-z0-9.-]*", words)
     }
     assert len(named) > 30
@@ -216,9 +273,9 @@ def test_every_option_that_is_named_is_one() -> None:
 
 def test_extras_and_scripts_that_are_named_are_there() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    for extra in re.findall(r"pip install '\.\[(\w+)\]'", README):
+    for extra in re.findall(r"pip install '\.\[(\w+)\]'", PAGES):
         assert extra in project["optional-dependencies"]
-    for script in re.findall(r"\bscripts/\w+", README):
+    for script in re.findall(r"\bscripts/\w+", PAGES):
         assert os.access(ROOT / script, os.X_OK)
         subprocess.run(["sh", "-n", ROOT / script], check=True)
     assert set(project["scripts"]) == set(ENTRY)

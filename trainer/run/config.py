@@ -100,7 +100,7 @@ class TrainConfig:
     trains with."""
     worker_gpus: float = 0
     """With --ray: GPUs that a worker claims; below 1 where several share one. Backends cuda and
-    torch need some; see docs/OPERATE.md."""
+    torch need some; see docs/SCALE.md."""
     part_frames: int = 300
     """With --ray: frames of a part, which one worker trains after another; rounded up to whole
     segments."""

@@ -14,7 +14,7 @@ from tests.support.slots.updates import small_layout
 from tests.support.web.chromium import Page
 
 ROOT = Path(__file__).parents[3]
-EXAMPLE = ROOT / "docs" / "examples" / "embed.html"
+EXAMPLE = ROOT / "examples" / "embed.html"
 EXAMPLE_HOST = "https://streams.example.com"
 NUM_FRAMES = 45
 PLAYER = "document.querySelector('swings-player')"

@@ -23,7 +23,7 @@ from tests.support.web.chromium import Page
 from tests.support.web.nodeprocess import SCRIPTS
 
 ROOT = Path(__file__).parents[3]
-EXAMPLE = ROOT / "docs" / "examples" / "spark.html"
+EXAMPLE = ROOT / "examples" / "spark.html"
 EXAMPLE_HOST = "https://streams.example.com"
 LEAST_PSNR_DB = 25.0
 NUM_FRAMES = 17
@@ -94,7 +94,7 @@ return { frame: feed.frame, centres };
 
 @pytest.mark.parametrize("sh_degree", [0, 1])
 def test_spark_draws_a_stream(page: Page, tmp_path: Path, sh_degree: int) -> None:
-    """The example of docs/examples: the same centres, and much the same picture."""
+    """examples/spark.html: the same centres, and much the same picture."""
     packages = SCRIPTS / "node_modules"
     if not (packages / "@sparkjsdev").is_dir():
         pytest.skip("needs the npm packages of the tests: scripts/setup dev")

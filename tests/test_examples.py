@@ -1,0 +1,111 @@
+"""Every script of examples/ runs as its first lines say. tests/player/web opens the pages."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import av
+import pytest
+
+import codec
+from tests.support.commands import ROOT, environment, run_ok
+from tests.support.slots.slot_streams import write_slot_stream
+from tests.support.slots.updates import small_layout
+from tests.support.tiny_capture import write_dynerf
+from tests.support.tiny_stream import tiny_manifest, write_tiny
+
+SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
+NUM_FRAMES = 40
+ELSEWHERE = {"import_rig.py": "test_examples_rig.py"}
+"""Scripts that another test runs."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """With demo/stream, which demo/ of the scripts stands for, and my-frames, a folder of PLYs."""
+    root = tmp_path_factory.mktemp("examples")
+    cameras = tuple(write_dynerf(root / "capture", num_frames=2))
+    manifest = replace(tiny_manifest(), cameras=cameras, default_camera=cameras[1].name)
+    write_tiny(root / "demo" / "stream", NUM_FRAMES, manifest)
+    export = ("swings-stream", "export", root / "demo" / "stream", root / "my-frames" / "f.ply")
+    run_ok(*export, "--frames", "0:3")
+    return root
+
+
+def run_example(name: str, folder: Path) -> str:
+    """Its output, after the command line of its docstring."""
+    script = ROOT / "examples" / name
+    (line,) = re.findall(rf"^python examples/{name} (.+)$", script.read_text(), re.MULTILINE)
+    done = subprocess.run(
+        [sys.executable, "-W", "error::ResourceWarning", script, *line.split()],
+        cwd=folder,
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout
+
+
+def test_frames(folder: Path) -> None:
+    lines = run_example("frames.py", folder).splitlines()
+    assert lines[0] == f"{NUM_FRAMES} frames at 25 per second, 2 layers"
+    assert len(lines) == 1 + NUM_FRAMES
+    count = len(codec.open_stream(folder / "demo" / "stream").frame(29))
+    assert count > 50
+    assert lines[30].startswith(f"frame 29: {count} Gaussians, ")
+
+
+def test_turntable(folder: Path) -> None:
+    run_example("turntable.py", folder)
+    with av.open(str(folder / "turntable.mp4")) as video:
+        pictures = [picture.to_ndarray(format="rgb24") for picture in video.decode(video=0)]
+    assert len(pictures) == 24
+    assert pictures[0].shape == (180, 320, 3)
+    assert abs(pictures[0].astype(int) - pictures[12]).max() > 50
+
+
+def test_importplys(folder: Path) -> None:
+    printed = run_example("importplys.py", folder)
+    assert printed.startswith("3 frames, ")
+    stream = codec.open_stream(folder / "my-stream")
+    assert (stream.num_frames, stream.num_layers, stream.fps) == (3, 3, 30)
+
+
+def test_layerbytes(folder: Path, tmp_path: Path) -> None:
+    """The numbers are those of the files."""
+    layout = small_layout(1, (40, 30, 30), 0, 5)
+    write_slot_stream(tmp_path / "demo" / "stream", 10, layout, seed=1)
+    lines = run_example("layerbytes.py", tmp_path).splitlines()
+    printed_kb = [float(found) for found in re.findall(r": ([\d.]+) kB", "\n".join(lines))]
+    segments = tmp_path / "demo" / "stream" / "segments"
+    on_disk_bytes = sum(file.stat().st_size for file in segments.rglob("*") if file.is_file())
+    assert len(lines) == 3 + 2
+    assert sum(printed_kb) == pytest.approx(on_disk_bytes / 10 / 1e3, abs=0.05)
+
+
+def test_policy(folder: Path) -> None:
+    own, ours = run_example("policy.py", folder).splitlines()
+    assert own.startswith("cautious: ")
+    assert ours.startswith("the server's: ")
+    layers = [float(found) for found in re.findall(r": ([\d.]+) layers", f"{own}\n{ours}")]
+    assert 1 <= layers[0] < layers[1] <= 2
+
+
+def test_every_script_has_a_test_and_a_row() -> None:
+    tested = Path(__file__).read_text(encoding="utf-8")
+    table = (ROOT / "examples" / "README.md").read_text(encoding="utf-8")
+    assert len(SCRIPTS) >= 5
+    for script in SCRIPTS:
+        if script.name in ELSEWHERE:
+            other = ROOT / "tests" / ELSEWHERE[script.name]
+            assert script.name in other.read_text(encoding="utf-8")
+        else:
+            assert f'run_example("{script.name}"' in tested, script
+            assert len(script.read_text(encoding="utf-8").splitlines()) <= 60, script
+        assert f"]({script.name})" in table, script
