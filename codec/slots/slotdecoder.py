@@ -7,7 +7,7 @@ layout.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from .mask import MaskHistory, decode_mask
 from .slotchange import decode_change
 from .slotchunk import BIRTH_AT, LAYER_AT
 from .slotlayout import SlotLayout
+from .slotlog import SlotLog
 from .slotstate import UNKNOWN, Delta, Rows, Slots, empty_arrays, holds
 from .snapshot import decode_snapshot
 from .update import KEPT, NEW, PREDICTED
@@ -41,33 +42,6 @@ LOG_SHARE = 6
 """The bound as a multiple of the bytes of the slots, where that is more than MIN_LOG_BYTES.
 Measured: while the snapshots of three of four layers are missing, a segment of 30 frames that
 changes 30 % of the slots in each keeps about 4 times their bytes."""
-
-
-@dataclass(slots=True)
-class _Log:
-    """A layer of a lane since something of it was missing: the slices to apply again when it
-    comes."""
-
-    before: Slots | None
-    """The slots before those slices; None if all were unknown."""
-    since: dict[int, tuple[Bytes, bytes | None]] = field(default_factory=dict)
-    """By birth the statuses and the change of every slice of the lane since then."""
-
-    @property
-    def num_bytes(self) -> int:
-        changes = sum(len(change) for _, change in self.since.values() if change is not None)
-        before = 0 if self.before is None else self.before.num_bytes
-        return before + sum(s.nbytes for s, _ in self.since.values()) + changes
-
-    @property
-    def is_waiting(self) -> bool:
-        """Whether any change is missing."""
-        return any(map(self.waits_for, self.since))
-
-    def waits_for(self, birth: int) -> bool:
-        """Whether the change of `birth` is missing, and would alter something."""
-        statuses, change = self.since.get(birth, (None, None))
-        return statuses is not None and change is None and bool((statuses >= PREDICTED).any())
 
 
 class SlotDecoder:
@@ -97,7 +71,7 @@ class SlotDecoder:
         ]
         """What the slots hold, lane after lane, layer after layer."""
         self.history = MaskHistory(layout)
-        self._logs: dict[tuple[int, int], _Log] = {}
+        self._logs: dict[tuple[int, int], SlotLog] = {}
         """By lane and layer, the oldest first."""
         self._said: dict[int, Bytes] = {}
         """By birth the statuses of this segment's slices, for a snapshot that comes late."""
@@ -164,7 +138,7 @@ class SlotDecoder:
     def _begin_anew(self, lane: int, layer: int, slots: Slots, births: range) -> None:
         """Puts `slots` in place of a layer of a lane, and applies what is known of `births`."""
         known = self._logs.pop((lane, layer), None)
-        log = _Log(slots)
+        log = SlotLog(slots)
         for birth in births:
             statuses = self._by_layer(self._said[birth])[layer]
             change = None if known is None else known.since.get(birth, (None, None))[1]
@@ -395,7 +369,7 @@ class SlotDecoder:
             is_missing = change is None and bool((statuses >= PREDICTED).any())
             if not is_missing and not slots.has_unknown:
                 return
-            self._logs[key] = _Log(slots.copy() if (slots.conditions != UNKNOWN).any() else None)
+            self._logs[key] = SlotLog(slots.copy() if (slots.conditions != UNKNOWN).any() else None)
         kept = None if change is None else bytes(change)
         self._logs[key].since[birth] = statuses, kept
         while self._logs and self._is_too_much(self.log_bytes):
@@ -410,7 +384,7 @@ class SlotDecoder:
         earlier = {birth: said for birth, said in log.since.items() if birth <= start}
         later = {birth: said for birth, said in log.since.items() if birth > start}
         if earlier and later:
-            self._logs[lane, layer] = _Log(self._replayed(log.before, layer, earlier), later)
+            self._logs[lane, layer] = SlotLog(self._replayed(log.before, layer, earlier), later)
 
     def _drop_if_complete(self, lane: int, layer: int) -> None:
         """Drops the log of a layer of a lane that nothing late can alter."""

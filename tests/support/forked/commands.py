@@ -47,13 +47,11 @@ class CommandServer:
         environment: dict[str, str],
         timeout_s: float,
     ) -> subprocess.CompletedProcess[str]:
-        """As subprocess.run with its output as text. Raises TimeoutExpired, and kills the command."""
+        """As subprocess.run with text output. Kills the command and raises TimeoutExpired."""
         assert self._process.stdin is not None
         with tempfile.TemporaryDirectory() as folder:
             out, err = Path(folder) / "out", Path(folder) / "err"
-            request = Request(
-                entry, argv, arguments, environment, os.getcwd(), str(out), str(err)
-            )
+            request = Request(entry, argv, arguments, environment, os.getcwd(), str(out), str(err))
             self._process.stdin.write(request.to_line().encode())
             self._process.stdin.flush()
             pid = self._answer(timeout_s)
