@@ -6,7 +6,10 @@ import os
 import signal
 
 import pytest
+from _pytest.runner import runtestprotocol
 from hypothesis import settings
+
+from tests.support.starved import Watch
 
 # Idle threads sleep instead of spinning: tests share few cores with the processes they start.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
@@ -22,6 +25,54 @@ if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_I
 settings.register_profile("desk", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True)
 settings.load_profile("ci" if os.environ.get("CI") else "desk")
+
+
+REALTIME = "realtime"
+"""The marker of tests that measure time, and the name of the group that they run in."""
+
+REALTIME_TRIES = 4
+"""Most runs of a test that measures time, while the machine is too busy to measure any."""
+
+
+@pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Shares the tests among processes: a file's go to one, which makes its fixtures once; those
+    that measure time go to one together, so that they do not disturb each other; and those of the
+    browser, which has one Chromium then. What takes longest begins first."""
+    slow_files = {item.path for item in items if item.get_closest_marker("slow")}
+    for item in items:
+        if item.get_closest_marker("xdist_group") is None:
+            item.add_marker(pytest.mark.xdist_group(_group(item)))
+    items.sort(key=lambda item: (_group(item) not in GROUPS_FIRST, item.path not in slow_files))
+
+
+def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
+    """Runs a test that measures time again if it failed while the machine had no time for it, and
+    only then."""
+    if item.get_closest_marker(REALTIME) is None:
+        return None
+    hooks = item.ihook
+    hooks.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
+    for left in reversed(range(REALTIME_TRIES)):
+        with Watch() as watch:
+            reports = runtestprotocol(item, log=False, nextitem=nextitem)
+        if not (left and watch.starved and any(report.failed for report in reports)):
+            break
+    for report in reports:
+        hooks.pytest_runtest_logreport(report=report)
+    hooks.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
+    return True
+
+
+GROUPS_FIRST = (REALTIME, "web")
+
+
+def _group(item: pytest.Item) -> str:
+    if item.get_closest_marker(REALTIME):
+        return REALTIME
+    if "page" in getattr(item, "fixturenames", ()):
+        return "web"
+    return item.nodeid.partition("::")[0]
 
 
 def pytest_make_parametrize_id(config: pytest.Config, val: object, argname: str) -> str | None:

@@ -14,12 +14,15 @@ from bench.serve.livelatency import measure_live
 from bench.serve.objectrate import cases_of, measure_objects
 from bench.serve.processes import two_cores
 
-pytestmark = pytest.mark.skipif(
-    not sys.platform.startswith("linux")
-    or (os.cpu_count() or 1) < 2
-    or not shutil.which("taskset"),
-    reason="it needs Linux, two cores and taskset",
-)
+pytestmark = [
+    pytest.mark.realtime,
+    pytest.mark.skipif(
+        not sys.platform.startswith("linux")
+        or (os.cpu_count() or 1) < 2
+        or not shutil.which("taskset"),
+        reason="it needs Linux, two cores and taskset",
+    ),
+]
 
 
 def nothing(pid: int) -> ExitStack:

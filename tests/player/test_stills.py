@@ -202,6 +202,7 @@ def test_a_signal_leaves_no_half_video(
     assert out.read_bytes() == b"what was there before"
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_the_wait_for_a_host_that_is_silent(
     tmp_path: Path, number: signal.Signals

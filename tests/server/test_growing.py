@@ -25,6 +25,8 @@ from tests.support.server.running_server import (
     small_manifest,
 )
 
+pytestmark = pytest.mark.realtime
+
 INDEX = "/v1/streams/live/index.bin"
 
 

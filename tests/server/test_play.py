@@ -174,6 +174,7 @@ def test_a_live_stream_may_be_joined_empty_but_a_finished_one_not() -> None:
         parse_query([("from", "1")], 0, True, 4)
 
 
+@pytest.mark.realtime
 def test_pacing_sends_no_more_than_the_lead(root: Path) -> None:
     async def check(server: Running, client: aiohttp.ClientSession) -> None:
         async with client.get("/v1/streams/long/play?layers=4") as response:
@@ -401,6 +402,7 @@ def test_a_damaged_segment_ends_the_play_with_a_reason(
     assert str(path) in caplog.text
 
 
+@pytest.mark.realtime
 def test_stopping_ends_plays_at_a_slice_boundary(root: Path) -> None:
     async def check(server: Running, client: aiohttp.ClientSession) -> None:
         task = asyncio.create_task(play(client, "long", "?layers=2"))

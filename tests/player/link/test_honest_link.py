@@ -17,8 +17,10 @@ from player.link.linkprocess import LinkProcess
 from player.link.linktext import read_link
 from server.abr.session import Decision, PlaySession
 from server.http.tcpinfo import unacked_bytes
-from tests.player.link.starved import Watch
 from tests.support.server.running_server import make_stream, quick_config, running
+from tests.support.starved import Watch
+
+pytestmark = pytest.mark.realtime
 
 SETTLED_S = 0.4
 """Seconds after which a play is looked at: the first bytes only find out how fast the link is."""

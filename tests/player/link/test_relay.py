@@ -13,7 +13,9 @@ import pytest
 
 from player.link.linkprocess import LinkProcess
 from player.link.linktext import read_link
-from tests.player.link.starved import Watch
+from tests.support.starved import Watch
+
+pytestmark = pytest.mark.realtime
 
 
 class Pouring:

@@ -191,6 +191,7 @@ def test_skips_add_up_while_the_first_of_them_is_on_its_way(stream: Path) -> Non
         assert not conductor.state().seeking
 
 
+@pytest.mark.realtime
 def test_a_rate_of_4_shows_all_frames_in_a_quarter_of_the_time(stream: Path) -> None:
     with conducted(stream, real=True) as (played, _):
         for _ in range(9):

@@ -29,6 +29,8 @@ from server.abr.playout import PlayoutConfig
 from server.abr.standing import Standing
 from tests.support.hosted_streams import SWIN_SIZE, random_slice, small_manifest
 
+pytestmark = pytest.mark.realtime
+
 CAMERA = small_manifest().camera()
 MANIFEST = small_manifest(4, 0)
 AT_ONCE = PlayoutConfig(start_lead_s=0, resume_lead_s=0)

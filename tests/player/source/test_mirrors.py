@@ -99,6 +99,7 @@ def test_pieces_of_two_contents_are_not_put_together(root: Path, tmp_path: Path)
         assert right.objects()
 
 
+@pytest.mark.realtime
 def test_a_server_that_asks_for_time_is_left_alone(root: Path, host: RangeHost) -> None:
     with opened(f"{host.url}/s", config=PATIENT) as source:
         packets = source.packets()

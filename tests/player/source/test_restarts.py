@@ -33,6 +33,8 @@ from tests.support.hosted_streams import (
     write_stream,
 )
 
+pytestmark = pytest.mark.realtime
+
 NUM_FRAMES, FPS = 300, 40.0
 """Longer than a server sends ahead."""
 

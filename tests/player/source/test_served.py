@@ -264,6 +264,7 @@ def test_an_error_keeps_its_place(records: list[Record], name: str, at: int) -> 
     assert caught.value.at == at
 
 
+@pytest.mark.realtime
 def test_waiting_for_a_slice_can_be_stopped() -> None:
     with script(answer(start(), ALL[0]) + HOLD) as host:
         source = ServedSource("S", host.url, Fetcher(), FrameRange(), None)

@@ -24,7 +24,6 @@ from player.render.cpu import CpuRenderer
 from player.source.opener import Opener, SourceConfig, opened
 from player.source.source import SlicePackets
 from server.abr.link.link import Link, LinkStep
-from tests.player.link.starved import Watch
 from tests.player.playout.test_conductor import Played, picture
 from tests.support.delivery.assembled import assembled
 from tests.support.delivery.rangehost import RangeHost, range_host
@@ -39,6 +38,9 @@ from tests.support.hosted_streams import (
 )
 from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.updates import small_layout
+from tests.support.starved import Watch
+
+pytestmark = pytest.mark.realtime
 
 NUM_FRAMES, LAYERS, FPS = 120, 3, 30.0
 NAMES = ("whole", "slots")

@@ -91,6 +91,7 @@ EARLY = records(SliceRecord(900, ALL[0].packets))
 BEGUN = answer(start(), *ALL[:2])
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize(
     ("first", "again", "every_s", "message"),
     [
@@ -120,6 +121,7 @@ def test_junk_does_not_keep_a_play_waiting(
     assert len(str(caught.value).splitlines()) == 1
 
 
+@pytest.mark.realtime
 def test_a_file_that_drips_is_given_up() -> None:
     head = b"HTTP/1.1 200 OK\r\nContent-Length: 900\r\n\r\n"
     with endless(head, lambda n: b"{", 0.05) as url, closing(Fetcher(config=QUICKLY)) as fetcher:

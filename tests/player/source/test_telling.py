@@ -33,6 +33,8 @@ from tests.support.server.running_server import (
     running,
 )
 
+pytestmark = pytest.mark.realtime
+
 FPS, LEAD_S = 20, 0.6
 
 NAMED = HEAD.replace(b"\r\n\r\n", f"\r\n{PLAY_HEADER}: abc-_1\r\n\r\n".encode())

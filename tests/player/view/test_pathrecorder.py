@@ -147,6 +147,7 @@ def test_the_file_is_a_path_of_the_command(tmp_path: Path) -> None:
     np.testing.assert_allclose(read(12).w2c, BASE.w2c, atol=1e-9)
 
 
+@pytest.mark.realtime
 def test_a_long_recording_has_an_end_and_can_be_read() -> None:
     """The worst for thinning: a hand that shakes all the time."""
     recorder, rng = PathRecorder(CENTRE), np.random.default_rng(0)

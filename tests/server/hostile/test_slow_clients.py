@@ -27,9 +27,12 @@ MEMORY_BYTES = 100 << 20
 SLOW_BPS = 10_000
 """Bytes a second of the honest one."""
 
-pytestmark = pytest.mark.skipif(
-    sys.platform != "linux", reason="clients of many loopback addresses, and /proc: Linux only"
-)
+pytestmark = [
+    pytest.mark.realtime,
+    pytest.mark.skipif(
+        sys.platform != "linux", reason="clients of many loopback addresses, and /proc: Linux only"
+    ),
+]
 
 
 @pytest.fixture(scope="module")

@@ -185,6 +185,7 @@ def test_one_bad_request_ends_the_connection_behind_the_good_ones() -> None:
     assert [exchange.status for exchange in site.done] == [200, 400]
 
 
+@pytest.mark.realtime
 def test_times_run_out() -> None:
     async def check(site: RunningSite) -> None:
         loop = asyncio.get_running_loop()
@@ -289,6 +290,7 @@ def test_a_body_that_fails_is_cut_off_so_that_it_shows() -> None:
     assert [exchange.status for exchange in site.done] == [499]
 
 
+@pytest.mark.realtime
 def test_a_flood_of_requests_is_bounded_and_others_have_their_turn(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

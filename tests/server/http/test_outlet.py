@@ -133,6 +133,7 @@ def test_a_streamed_body_waits_for_its_reader(tls: Tls) -> None:
     on_site({"/streamed": streamed, "/body": body}, check, tls=tls[0])
 
 
+@pytest.mark.realtime
 def test_large_bodies_give_others_their_turn(tls: Tls) -> None:
     """Whoever takes as fast as it can does not hold up a short response."""
 

@@ -23,6 +23,8 @@ from tests.support.server.running_server import (
     small_manifest,
 )
 
+pytestmark = pytest.mark.realtime
+
 
 @asynccontextmanager
 async def seldom_watched(root: Path) -> AsyncIterator[Library]:

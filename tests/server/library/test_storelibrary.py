@@ -96,6 +96,7 @@ def test_a_half_copied_stream_waits_for_its_objects(server: S3Server, tmp_path: 
     check_whole(library.streams["s"])
 
 
+@pytest.mark.realtime
 def test_a_live_stream_is_followed_and_may_be_waited_for(server: S3Server, tmp_path: Path) -> None:
     writer = StreamWriter.create(tmp_path / "s", small_manifest())
     server.upload(tmp_path / "s", "root/live")
@@ -126,6 +127,7 @@ def test_a_live_stream_is_followed_and_may_be_waited_for(server: S3Server, tmp_p
     asyncio.run(check())
 
 
+@pytest.mark.realtime
 def test_a_store_that_fails_keeps_what_is_served(
     server: S3Server, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

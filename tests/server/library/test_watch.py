@@ -287,6 +287,7 @@ def test_what_may_not_be_read_is_served_once_it_may(tmp_path: Path) -> None:
     asyncio.run(check())
 
 
+@pytest.mark.realtime
 def test_a_look_that_finds_nothing_new_only_looks_at_stamps(tmp_path: Path) -> None:
     """20 finished streams, one broken one: what a look costs, and that it opens nothing."""
     for number in range(20):

@@ -114,6 +114,7 @@ def test_connections_above_the_limit_wait_and_are_served(root: Path, tmp_path: P
         assert [sock.recv(12) for sock in waiting] == [b"HTTP/1.1 200"] * 8
 
 
+@pytest.mark.realtime
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of open files as on Linux")
 def test_idle_clients_beyond_all_descriptors_are_waited_out_quietly(
     root: Path, tmp_path: Path
@@ -253,6 +254,7 @@ def test_any_worker_tells_what_both_have_counted(root: Path, tmp_path: Path) -> 
         assert [counted() for _ in range(6)] == [40] * 6  # whoever is asked
 
 
+@pytest.mark.realtime
 def test_plays_that_are_stuck_do_not_keep_a_server_that_shall_end(
     root: Path, tmp_path: Path
 ) -> None:

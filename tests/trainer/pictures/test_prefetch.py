@@ -94,6 +94,7 @@ def test_pictures_read_ahead_are_the_pictures(capture: Capture) -> None:
             cache.prefetch(range(4), FRAMES, 1)
 
 
+@pytest.mark.realtime
 def test_what_finds_too_many_waiting_is_dropped_and_counted(gate: Gate) -> None:
     with FrameCache(gate.capture, range(FRAMES), max_requests=3) as cache:
         cache.prefetch([0], 0, 0)

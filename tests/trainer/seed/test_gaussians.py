@@ -194,6 +194,7 @@ def test_spacings_are_exact_where_many_places_are_almost_equally_near(seed: int)
     np.testing.assert_array_equal(spacings(points), spacings_by_all_pairs(points))
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("places", [1, 100_000, 200_000])
 def test_spacings_of_many_points_take_seconds(places: int) -> None:
     rng = np.random.default_rng(0)

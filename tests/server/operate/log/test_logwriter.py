@@ -9,8 +9,12 @@ import threading
 import time
 from pathlib import Path
 
+import pytest
+
 from server.operate.log.logwriter import FLUSH_S, LogWriter
 from tests.support.commands import ROOT
+
+pytestmark = pytest.mark.realtime
 
 
 def numbered(n: int, length: int = 20) -> bytes:

@@ -8,9 +8,10 @@ import pytest
 
 from bench.serve.killedworkers import KillConfig, measure_kills
 
-pytestmark = pytest.mark.skipif(
-    not sys.platform.startswith("linux"), reason="several workers need Linux"
-)
+pytestmark = [
+    pytest.mark.realtime,
+    pytest.mark.skipif(not sys.platform.startswith("linux"), reason="several workers need Linux"),
+]
 
 
 def test_killed_workers_cost_their_clients_a_moment_and_the_others_nothing() -> None:

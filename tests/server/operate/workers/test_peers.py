@@ -56,6 +56,7 @@ def test_far_more_questions_than_a_socket_holds_are_all_answered() -> None:
     asyncio.run(work())
 
 
+@pytest.mark.realtime
 def test_who_is_not_there_is_not_waited_for_long() -> None:
     async def work() -> None:
         async with group(2, timeout_s=0.3) as peers:
@@ -166,6 +167,7 @@ def test_questions_that_wait_at_the_end_are_given_up() -> None:
     asyncio.run(work())
 
 
+@pytest.mark.realtime
 def test_workers_ask_each_other_and_a_successor_reads_on(tmp_path: Path) -> None:
     with serving(tmp_path, "relay", workers=2) as served:
         wait_until(lambda: len(served.events("worker_ready")) == 2)

@@ -130,6 +130,7 @@ def is_alive(pid: int) -> bool:
     return state != "Z"
 
 
+@pytest.mark.realtime
 def test_fifty_killed_workers_cut_nobody_elses_connection_and_refuse_none(tmp_path: Path) -> None:
     backoff = {"first_s": 0.01, "max_s": 0.05}
     with serving(tmp_path, workers=3, backoff=backoff) as served:
@@ -201,6 +202,7 @@ def test_connections_wait_for_the_next_worker_where_there_is_one_only(tmp_path: 
         first.close()
 
 
+@pytest.mark.realtime
 def test_a_crash_loop_waits_longer_each_time(tmp_path: Path) -> None:
     with serving(tmp_path, "crash", workers=1) as served:
         wait_until(lambda: len(served.events("worker_died")) == 5)
@@ -232,6 +234,7 @@ def test_it_ends_its_workers_and_then_itself(tmp_path: Path, number: signal.Sign
         talk.close()
 
 
+@pytest.mark.realtime
 def test_workers_that_do_not_end_are_killed_in_time(tmp_path: Path) -> None:
     with serving(tmp_path, "stubborn", workers=2, shutdown_timeout_s=0.6) as served:
         wait_until(lambda: len(served.events("worker_ready")) == 2)

@@ -171,6 +171,7 @@ class Comers:
             self.longest_s = max(self.longest_s, time.monotonic() - began_s)
 
 
+@pytest.mark.realtime
 def test_renewed_workers_say_where_to_go_on_and_nobody_is_refused(
     root: Path, tmp_path: Path
 ) -> None:
@@ -218,6 +219,7 @@ def stuck_plays() -> Iterator[list[socket.socket]]:
         one.close()
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("workers", [1, 2])
 def test_it_ends_in_time_though_50_clients_read_nothing(
     root: Path, tmp_path: Path, workers: int, stuck_plays: list[socket.socket]
