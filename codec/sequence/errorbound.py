@@ -51,7 +51,8 @@ class ErrorBound:
         finest = HOLD / (MAX_OPACITY_LEVELS - 1)
         if self.of("opacity") < finest:
             raise InvalidError(
-                f"error opacity {self.of('opacity'):g}: no stream holds finer than {finest:.4f}"
+                f"error opacity {self.of('opacity'):g}: choose {finest:.4f} or more, "
+                "the finest step of a stream"
             )
 
     def of(self, kind: str) -> float:

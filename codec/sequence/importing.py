@@ -220,13 +220,14 @@ def _fps_of(source: Path, num_files: int, options: ImportOptions) -> float:
     if options.fps is None and num_files > 1:
         if not path.is_file():
             raise InvalidError(
-                f"{source}: no file says how many frames there are in a second; add --fps, as "
-                "--fps 30"
+                f"{source}: no file gives the frame rate; add --fps, for example --fps 30"
             )
         try:
             fps = float(path.read_text(encoding="utf-8"))
         except ValueError as error:
-            raise InvalidError(f"{path}: does not hold one number, frames per second") from error
+            raise InvalidError(
+                f"{path}: does not hold exactly one number, the frames per second"
+            ) from error
     if not MIN_FPS <= fps <= MAX_FPS:
         raise InvalidError(f"fps {fps:g}: choose {MIN_FPS:g} to {MAX_FPS:g}")
     return fps
@@ -331,7 +332,7 @@ def _known(rank: Rank) -> Rank:
 def _unchanged(file: Path, splats: Splats, survey: Survey) -> Splats:
     """`splats`, read of `file` again. Raises InvalidError if `survey` saw others."""
     if splats.sh_degree != survey.sh_degree or len(splats) > survey.num_gs:
-        raise InvalidError(f"{file}: has changed while it was imported")
+        raise InvalidError(f"{file}: changed while it was imported")
     return splats
 
 

@@ -160,7 +160,7 @@ def _nothing(layout: SlotLayout, layer: int, num_predicted: int, num_new: int) -
     """The change that has no packet."""
     if num_predicted or num_new:
         raise CorruptError(
-            f"change: there is none, but the mask says {num_predicted} predicted, {num_new} new"
+            f"change: it is missing, but the mask declares {num_predicted} predicted, {num_new} new"
         )
     return read_body(layout, layer, memoryview(bytes(COUNTS.size)), 0, 0, False)
 
@@ -189,7 +189,7 @@ def read_body(
     sizes = _part_sizes(layout, counts, has_start_offsets)
     ends = list(accumulate(sizes))
     if ends[-1] != len(body):
-        raise CorruptError(f"change: a body of {len(body)} bytes, its counts say {ends[-1]}")
+        raise CorruptError(f"change: a body of {len(body)} bytes, its counts require {ends[-1]}")
     parts = [body[end - size : end] for end, size in zip(ends, sizes, strict=True)]
     residuals = np.frombuffer(parts[1], np.uint8).reshape(layout.num_planes, predicted)
     longs = np.frombuffer(parts[2], INT32).astype(np.int32)

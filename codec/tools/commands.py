@@ -132,7 +132,9 @@ def _slot_lines(made: Imported) -> list[str]:
         f"turns {turn:.4f}, colours {colour:.3f}, opacities {opacity:.4f}"
     ]
     if made.num_escaped:
-        lines.append(f"exact        {made.num_escaped} Gaussians, which the errors would not hold")
+        lines.append(
+            f"exact        {made.num_escaped} Gaussians at full precision, to keep these errors"
+        )
     total = sum(made.statuses)
     if total:
         shares = [f"{100 * count / total:.1f} %" for count in made.statuses]
@@ -167,7 +169,7 @@ def export_files(config: Export) -> str:
 def _export_static(config: Export) -> str:
     chosen = (config.frame, config.frames, config.format, config.layers, config.spz_version)
     if chosen != (None,) * 5:
-        raise InvalidError("--static writes the whole stream; leave out what is for frames")
+        raise InvalidError("--static writes the whole stream; leave out the options for frames")
     made = export_static(config.stream, config.out, config.max_gaussians)
     share = 100 * made.size_bytes / made.source_bytes
     return (

@@ -152,13 +152,13 @@ class TrainConfig:
             return
         if self.raw_stream is not None:
             raise InvalidError(
-                "--raw-stream shows what a profile costs, and with lattice the trainer sees "
-                "nothing else; train with --profile compact"
+                "--raw-stream shows what a profile costs, but with lattice the trainer sees only "
+                "the coded Gaussians; train with --profile compact"
             )
         if self.rank != "contribution":
             raise InvalidError(
-                f"--rank {self.rank} orders slices that are sent whole, and with lattice slots "
-                "are ranked by contribution; leave it out, or train with --profile compact"
+                f"--rank {self.rank} orders slices that are sent whole, but lattice always "
+                "ranks slots by contribution; leave it out, or train with --profile compact"
             )
 
     @property

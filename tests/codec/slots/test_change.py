@@ -169,7 +169,7 @@ def test_what_is_refused() -> None:
     for place, message in ((5, "layer 1"), (8, "birth")):
         with pytest.raises(CorruptError, match=message):
             decode(data[:place] + b"\1" + data[place + 1 :])
-    with pytest.raises(CorruptError, match="the mask says 7"):
+    with pytest.raises(CorruptError, match="the mask declares 7"):
         decode_change(layout, 0, 7, data, 7, 5)
 
 

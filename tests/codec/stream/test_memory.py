@@ -33,7 +33,7 @@ OUTCOMES = {
     "claims too much": "248512585 bytes of content, at most 248512584",
     "claims an exabyte": "1152921504606846976 bytes of content cannot come from 8",
     "gzip": "value",
-    "gzip says less": "CorruptError: packet: more than the 1000 bytes of content it says",
+    "gzip says less": "CorruptError: packet: more content than the 1000 bytes that it declares",
     "gzip claims too much": "248512585 bytes of content, at most 248512584",
     "more than the manifest": "of content, at most 2988468",
     "higher degree than the manifest": "of content, at most 59768904",

@@ -38,7 +38,7 @@ def test_the_log_has_a_line_for_each_segment_and_means_over_all(tmp_path: Path) 
     assert [row["bytes_per_frame"] for row in rows] == [40, 30, 25]
     assert [(row["time_s"], row["left_s"]) for row in rows[:2]] == [(60, 180)] * 2
     lines = told.getvalue().splitlines()
-    assert lines[0].startswith("frame 10 of 60  25% done  1:00 gone, 3:00 left  20.00 dB")
+    assert lines[0].startswith("frame 10 of 60  25% done  1:00 elapsed, 3:00 left  20.00 dB")
     assert lines[-1].startswith("frame 40 of 60  100% done  2:00 gone")
 
 
