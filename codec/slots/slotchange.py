@@ -183,7 +183,7 @@ def read_body(
     names = "predicted", "new", "long residuals", "escapes"
     for n, (name, found, limit) in enumerate(zip(names, counts, limits, strict=False)):
         if found > limit or (n < 2 and found != limit):
-            rule = "the mask says" if n < 2 else "at most"
+            rule = "the mask declares" if n < 2 else "at most"
             raise CorruptError(f"change: {found} {name}, {rule} {limit}", 4 * n)
     levels, sh_degree = layout.lattices[layer].opacity_levels, layout.sh_degree
     sizes = _part_sizes(layout, counts, has_start_offsets)
