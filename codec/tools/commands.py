@@ -70,8 +70,8 @@ class Export:
     stream: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="STREAM")]]
     """Folder of the stream, or its URL in an object store, such as s3://BUCKET/PATH."""
     out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
-    """Output file. With --frames, each frame's number is added to its name: `name.ply` gives
-    name_0000.ply and so on. With --static, the output folder."""
+    """Output file. With --frames, one numbered file for each frame: `name.ply` gives name_0000.ply
+    and so on. With --static, the output folder."""
     frame: int | None = None
     """Number of the frame, from 0 on."""
     frames: str | None = None

@@ -143,7 +143,7 @@ def test_a_bad_folder_or_file_is_named_and_nothing_is_written(tmp_path: Path) ->
     (folder / "last.ply").rename(folder / "frame_2.ply")
     refused(r"take: no file gives the frame rate; .* --fps 30", ImportOptions())
     (folder / "fps.txt").write_text("fast")
-    refused(r"fps\.txt: does not hold one number", ImportOptions())
+    refused(r"fps\.txt: does not hold exactly one number", ImportOptions())
     data = (folder / "frame_2.ply").read_bytes()
     (folder / "frame_2.ply").write_bytes(data[:-1])
     refused(r"frame_2\.ply: PLY: ends after")
