@@ -56,7 +56,7 @@ OUTCOMES = {
     "spz 3": "value",
     "spz 4": "CorruptError: SPZ: decompression error: did not decompress full frame",
     "change, all escaped": "value",
-    "change that no mask names": "CorruptError: change: 262144 new, the mask says 7",
+    "change that no mask names": "CorruptError: change: 262144 new, the mask declares 7",
     "full snapshot": "value",
     "mask of zeros": "CorruptError: mask: a body of 1048576 bytes, of which",
     "mask of noise": "CorruptError: mask: a body of 1048576 bytes, of which",
