@@ -36,7 +36,9 @@ def run(command: Command, draw: Draw | None) -> None:
                 say(f"picture      {picture}")
         case Verify(stream=path, max_gaussians=most):
             summary = verify_stream(path, most)
-            say(f"{path}: {summary.num_frames} frames in {summary.num_segments} segments are good")
+            say(
+                f"{path}: {summary.num_frames} frames in {summary.num_segments} segments are intact"
+            )
         case Import() as config:
             say(import_files(config, draw))
         case Export() as config:
@@ -45,7 +47,7 @@ def run(command: Command, draw: Draw | None) -> None:
 
 def main(draw: Draw | None = None) -> None:
     """draw: for the poster of what is imported; `player.streamcommand` hands it in."""
-    what = "Looks at a stream; imports and exports Gaussians."
+    what = "Inspects a stream; imports and exports Gaussians."
     run_command(Command, partial(run, draw=draw), "swings-stream", what)
 
 

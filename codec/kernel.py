@@ -114,7 +114,7 @@ def _do_without_room(made: Any) -> None:
         try:
             save(key, compiled)
         except OSError as error:
-            log.info("a compiled kernel cannot be kept: %s", error)
+            log.info("a compiled kernel cannot be cached: %s", error)
             # The index is written first: it may name what an older source left in the data's place.
             Path(kept._index_path).unlink(missing_ok=True)
 

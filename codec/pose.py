@@ -37,7 +37,7 @@ def look_at(position: Doubles, target: Doubles, up: Doubles) -> Doubles:
 def _direction(vector: Doubles, longer_than: float) -> Doubles:
     length = float(np.linalg.norm(vector))
     if not length > longer_than:
-        raise InvalidError("a camera cannot look at its own place, nor straight up or down")
+        raise InvalidError("a camera cannot look at its own position, or straight up or down")
     return vector / length
 
 

@@ -28,7 +28,9 @@ from tests.support.slots.many import NUM_GAUSSIANS, write_many
 
 LIMIT_MB = 400
 
-REFUSAL = r"16,777,216 Gaussians; --max-gaussians 16777216 reads it \(about 4\.7 GB of memory\)"
+REFUSAL = (
+    r"16,777,216 Gaussians; use --max-gaussians 16777216 to read it \(about 4\.7 GB of memory\)"
+)
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss is in KB on Linux")
 
@@ -146,7 +148,9 @@ def test_the_bound_is_the_number_that_is_given(tmp_path: Path) -> None:
     write_slots(tmp_path / "s", 6)
     count = slots_manifest().num_gs
     assert StreamReader(tmp_path / "s", count).num_frames == 6
-    with pytest.raises(UnsupportedError, match=f"has {count} Gaussians; --max-gaussians {count}"):
+    with pytest.raises(
+        UnsupportedError, match=f"has {count} Gaussians; use --max-gaussians {count}"
+    ):
         StreamReader(tmp_path / "s", count - 1)
     status, told, _ = run_measured(
         "swings-stream", "verify", tmp_path / "s", "--max-gaussians", count

@@ -40,7 +40,9 @@ def _train(config: TrainConfig) -> None:
 def synth() -> None:
     from trainer.synth.film import SynthConfig, synthesise
 
-    run_command(SynthConfig, synthesise, "swings-synth", "Makes a procedural capture to try with.")
+    run_command(
+        SynthConfig, synthesise, "swings-synth", "Generates a procedural capture to try swings."
+    )
 
 
 def train() -> None:

@@ -71,7 +71,7 @@ def read_rgb(path: Path, check_size: CheckSize) -> Bytes:
             image = Image.alpha_composite(Image.new("RGBA", image.size, BLACK), whole)
         elif image.mode not in PLAIN_MODES:
             raise CaptureError(
-                f"{path}: its pixels are {image.mode}, which a picture of a capture cannot be; "
+                f"{path}: pixels of mode {image.mode} are not supported in a capture; "
                 "save it as 8-bit RGB"
             )
         return np.array(image.convert("RGB"))

@@ -86,7 +86,9 @@ def decompress(packet: bytes | memoryview, limit_bytes: int) -> bytes:
                 room = size + 1 - content.tell()
                 content.write(stream.decompress(pending, min(room, PIECE_BYTES)))
                 if content.tell() > size:
-                    raise CorruptError(f"packet: more than the {size} bytes of content it says")
+                    raise CorruptError(
+                        f"packet: more content than the {size} bytes that it declares"
+                    )
                 pending = stream.unconsumed_tail
             if stream.eof and (stream.unused_data or start + PIECE_BYTES < len(view)):
                 raise CorruptError("packet: something follows the gzip member")

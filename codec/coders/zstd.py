@@ -56,7 +56,7 @@ def content_bytes(packet: bytes | memoryview, limit_bytes: int) -> int:
         raise CorruptError("packet: is not a zstd frame") from error
     size = int(parameters.content_size)
     if parameters.content_size in (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR):
-        raise CorruptError("packet: does not say its content size")
+        raise CorruptError("packet: does not declare its content size")
     if size > MAX_EXPANSION * len(packet):
         raise CorruptError(f"packet: {size} bytes of content cannot come from {len(packet)}")
     if size > limit_bytes:

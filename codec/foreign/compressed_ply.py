@@ -102,7 +102,9 @@ def compressed_layout(
     """
     elements = read_ply_elements(head)
     if not is_compressed(elements):
-        raise UnsupportedError("PLY: not compressed; that has elements chunk and packed_position")
+        raise UnsupportedError(
+            "PLY: not compressed; a compressed PLY has elements chunk and packed_position"
+        )
     chunk, vertex, sh = elements["chunk"], elements["vertex"], elements.get("sh")
     count = check_count("PLY", vertex.count, max_gaussians)
     if chunk.count != -(-count // CHUNK_GAUSSIANS):

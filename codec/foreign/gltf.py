@@ -94,7 +94,7 @@ def _instances(root: Fields) -> Iterator[tuple[Fields, Doubles]]:
         indices, above = waiting.pop()
         for index in indices:
             if index in seen:
-                raise CorruptError(f"glTF.nodes[{index}]: hangs in two places")
+                raise CorruptError(f"glTF.nodes[{index}]: appears twice in the node tree")
             seen.add(index)
             node = root.item("nodes", index)
             with np.errstate(all="ignore"):
@@ -118,9 +118,11 @@ class _Primitive:
         about = fields.fields("extensions").fields(EXTENSION)
         kernel = about.text("kernel", "ellipse")
         if kernel != "ellipse":
-            raise UnsupportedError(f"{fields.where}: kernel {kernel[:40]!r}; this reads 'ellipse'")
+            raise UnsupportedError(
+                f"{fields.where}: kernel {kernel[:40]!r}; this program reads 'ellipse'"
+            )
         if fields.integer("mode", TRIANGLES, most=MOST) != POINTS:
-            raise CorruptError(f"{fields.where}: Gaussians must be points, mode {POINTS}")
+            raise CorruptError(f"{fields.where}: Gaussians must be points (mode {POINTS})")
         if about.text("colorSpace", COLOUR_SPACE) == LINEAR_COLOUR_SPACE:
             _log.warning("the glTF has linear colours: shown as they are, they may look too dark")
         more = about.fields("extensions").values if "extensions" in about else {}
@@ -189,7 +191,7 @@ class _Primitive:
     def _log_scales(self) -> Floats:
         scales = self._values(f"{EXTENSION}:SCALE", "VEC3")
         if (scales < 0).any():
-            _log.warning("the glTF has logarithms as SCALE, as drafts of its extension had")
+            _log.warning("the glTF stores logarithms as SCALE, as drafts of its extension did")
             return scales
         # A flat Gaussian may have a scale of exactly 0, which has no logarithm.
         return np.log(np.maximum(scales, np.float32(SMALLEST_SCALE)))

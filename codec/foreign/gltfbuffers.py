@@ -51,7 +51,7 @@ Raises a CodecError."""
 
 def nothing_beside(name: str) -> bytes:
     """For a file that has no place: it has no other beside it."""
-    raise CorruptError(f"glTF: its numbers are in another file, {name[:40]!r}, which is not here")
+    raise CorruptError(f"glTF: its buffer is in another file, {name[:40]!r}, which is not given")
 
 
 def split_glb(data: bytes) -> tuple[bytes, memoryview]:

@@ -56,7 +56,7 @@ class Fields:
         return Fields._of(self._get(key, dict, "an object"), self._place(key))
 
     def text(self, key: str, default: str | None = None) -> str:
-        return str(self._get(key, str, "a text", default))
+        return str(self._get(key, str, "a string", default))
 
     def flag(self, key: str) -> bool:
         """True or False; False if it is missing."""
@@ -78,7 +78,7 @@ class Fields:
             raise CorruptError(f"{self._place(key)}: {len(values)} numbers, not {count}")
         for value in values:
             if type(value) not in (int, float) or not abs(value) < math.inf:
-                raise CorruptError(f"{self._place(key)}: holds what is not a finite number")
+                raise CorruptError(f"{self._place(key)}: holds a value that is not a finite number")
         try:
             return [float(value) for value in values]
         except OverflowError as error:
@@ -88,7 +88,7 @@ class Fields:
         """As many texts as `count`; or any number, none if the list is missing."""
         values = self._get(key, list, "a list", [] if count is None else None)
         if any(type(value) is not str for value in values) or count not in (None, len(values)):
-            wanted = "texts" if count is None else f"{count} texts"
+            wanted = "texts" if count is None else f"{count} strings"
             raise CorruptError(f"{self._place(key)}: is not a list of {wanted}")
         return list(values)
 

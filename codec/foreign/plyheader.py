@@ -102,7 +102,7 @@ def _header_lines(data: bytes) -> tuple[list[str], int]:
 
 def _count(text: str, name: str) -> int:
     if not (text.isascii() and text.isdigit() and len(text) <= 18):
-        raise CorruptError(f"PLY: element {name[:40]} has {text[:40]!r} rows; not a count")
+        raise CorruptError(f"PLY: element {name[:40]} has {text[:40]!r} rows, which is not a count")
     return int(text)
 
 

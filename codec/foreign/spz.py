@@ -170,7 +170,7 @@ def _zstd_frame(frame: bytes, raw_bytes: int) -> bytes:
         # One that says its size is given that much memory, whatever the limit.
         said = zstandard.get_frame_parameters(frame).content_size
         if said not in (zstandard.CONTENTSIZE_UNKNOWN, raw_bytes):
-            raise CorruptError(f"SPZ: an array says {said} bytes, the table {raw_bytes}")
+            raise CorruptError(f"SPZ: an array declares {said} bytes, the table {raw_bytes}")
         content = zstandard.ZstdDecompressor().decompress(
             frame, max_output_size=raw_bytes, read_across_frames=False, allow_extra_data=False
         )

@@ -24,7 +24,7 @@ def chosen_format(out: Path, format: SplatFormat | None) -> SplatFormat:
         return SplatFormat(out.suffix.lower().removeprefix("."))
     except ValueError as error:
         names = ", ".join(SplatFormat)
-        raise InvalidError(f"{out}: say --format, one of {names}") from error
+        raise InvalidError(f"{out}: give --format, one of {names}") from error
 
 
 def numbered(out: Path, frame: int, format: SplatFormat) -> Path:
@@ -54,7 +54,7 @@ def export_stream(
     max_gaussians: see `check_gaussians`. Raises a SwingsError; the files written before it stay.
     """
     if (frame is None) == (frames is None):
-        raise InvalidError("say either --frame F or --frames A:B")
+        raise InvalidError("give either --frame F or --frames A:B")
     format = chosen_format(out, format)
     if spz_version is not None and format is not SplatFormat.SPZ:
         raise InvalidError(f"--spz-version is for spz; the files would be {format}")

@@ -160,5 +160,5 @@ def quantise_attribute(splats: Splats, attribute: str) -> Splats:
     Raises InvalidError for another name, and for a value that fp16 cannot hold.
     """
     if attribute not in ATTRIBUTES:
-        raise InvalidError(f"paper: attribute {attribute!r} is none of {', '.join(ATTRIBUTES)}")
+        raise InvalidError(f"paper: attribute {attribute!r} is not one of {', '.join(ATTRIBUTES)}")
     return ATTRIBUTES[attribute](splats)

@@ -30,7 +30,7 @@ class Profile(StrEnum):
         """What encodes and decodes the chunks of this profile. Raises InvalidError for `lattice`,
         whose slices are not chunks by themselves."""
         if self not in _CODINGS:
-            raise InvalidError(f"profile {self} has no chunks of version 1; codec/slots codes it")
+            raise InvalidError(f"profile {self} has no chunks of version 1; codec/slots encodes it")
         return _CODINGS[self]
 
 

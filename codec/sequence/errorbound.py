@@ -24,23 +24,24 @@ TOP = 127
 
 @dataclass(frozen=True, slots=True)
 class ErrorBound:
-    """How far a Gaussian of a frame may be from the one in that frame's file. What would be farther
-    off is sent as it is, at full precision."""
+    """Largest errors of a Gaussian against the same frame's file. A Gaussian that would exceed one
+    is sent at full precision."""
 
     position: float = 0.067
-    """Of each coordinate, as a share of the usual size of a Gaussian: of the geometric mean of its
-    two larger standard deviations, in the file where that is least."""
+    """Largest error of each coordinate, as a share of the usual size of a Gaussian: the geometric
+    mean of its two larger standard deviations, in the file where that is least."""
     size: float = 0.09
-    """Of each axis, of the natural logarithm of its standard deviation: 0.09 is 9 %. An axis
-    thinner than the lattice holds counts as the thinnest that it holds."""
+    """Largest error of the natural logarithm of each axis's standard deviation: 0.09 is 9 %. An
+    axis thinner than the lattice holds counts as the thinnest that it holds."""
     turn: float = 0.0125
-    """Of the components x, y, z of the unit quaternion: 0.0125 is 1.4 degrees."""
+    """Largest error of the components x, y, z of the unit quaternion: 0.0125 is 1.4 degrees."""
     colour: float = 0.042
-    """Of Y, Co, Cg of each spherical harmonic coefficient: 0.042 is 0.012 of the whole range."""
+    """Largest error of Y, Co, Cg of each spherical harmonic coefficient: 0.042 is 0.012 of the
+    whole range."""
     opacity: float = 0.02
-    """Of the opacity, which lies between 0 and 1."""
+    """Largest error of the opacity, which lies between 0 and 1."""
     finer: float = 1.0
-    """All of these are divided by it."""
+    """Divisor of all these errors: 2 halves each of them."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -50,7 +51,8 @@ class ErrorBound:
         finest = HOLD / (MAX_OPACITY_LEVELS - 1)
         if self.of("opacity") < finest:
             raise InvalidError(
-                f"error opacity {self.of('opacity'):g}: no stream holds finer than {finest:.4f}"
+                f"error opacity {self.of('opacity'):g}: choose {finest:.4f} or more, "
+                "the finest step of a stream"
             )
 
     def of(self, kind: str) -> float:

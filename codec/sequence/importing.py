@@ -65,28 +65,29 @@ long."""
 
 @dataclass(frozen=True, slots=True)
 class ImportOptions:
-    """How files become a stream."""
+    """Settings of an import."""
 
     fps: float | None = None
-    """Frames shown in a second. A sequence needs it, here or as a number in its fps.txt."""
+    """Frames per second. A sequence needs it, either here or as a number in its fps.txt."""
     frames: Annotated[FrameRange, FRAMES] = field(default_factory=FrameRange)
-    """The files to take, from 0 on: A to B - 1."""
+    """Range of files A:B, A included, B not, counted from 0."""
     profile: Profile | None = None
-    """lattice sends only what changes from file to file, within the errors below; it is the default
-    of a sequence. The others send every file whole: compact, the default of a single file, is
-    small, raw keeps every float as it is in the file."""
+    """How the stream codes its Gaussians. lattice, the default of a sequence, sends only the
+    changes from file to file, within the errors below. The other profiles send every file whole:
+    compact, the default of a single file, is small; paper uses the paper's quantisation; raw keeps
+    every float of the file."""
     layers: int = 4
-    """Layers to cut each frame into, for players on slow links."""
+    """Number of layers in each frame; players on slow links fetch only the first ones."""
     rank: Rank = Rank.COVERAGE
-    """Importance that orders Gaussians into layers: coverage, opacity, or given (as in the
+    """Importance that orders Gaussians into layers: coverage, opacity, or given (the order in the
     file)."""
     error: ErrorBound = field(default_factory=ErrorBound)
-    """How far profile lattice may be from the files."""
+    """Largest errors of profile lattice against the files."""
     sh_degree: int | None = None
-    """Highest degree of spherical harmonics to keep, 0 to 3; files with fewer stay as they are. The
-    players draw degree 1. By default all are kept, for export."""
+    """Highest degree of spherical harmonics to keep, 0 to 3; files of lower degree stay as they
+    are. By default all degrees are kept for export; players draw up to degree 1."""
     title: str | None = None
-    """A name for people; by default the name of the file or folder."""
+    """Title of the stream; by default the name of the file or folder."""
 
     def __post_init__(self) -> None:
         if self.sh_degree is not None and not 0 <= self.sh_degree <= MAX_SH_DEGREE:
@@ -219,13 +220,14 @@ def _fps_of(source: Path, num_files: int, options: ImportOptions) -> float:
     if options.fps is None and num_files > 1:
         if not path.is_file():
             raise InvalidError(
-                f"{source}: no file says how many frames there are in a second; add --fps, as "
-                "--fps 30"
+                f"{source}: no file gives the frame rate; add --fps, for example --fps 30"
             )
         try:
             fps = float(path.read_text(encoding="utf-8"))
         except ValueError as error:
-            raise InvalidError(f"{path}: does not hold one number, frames per second") from error
+            raise InvalidError(
+                f"{path}: does not hold exactly one number, the frames per second"
+            ) from error
     if not MIN_FPS <= fps <= MAX_FPS:
         raise InvalidError(f"fps {fps:g}: choose {MIN_FPS:g} to {MAX_FPS:g}")
     return fps
@@ -330,7 +332,7 @@ def _known(rank: Rank) -> Rank:
 def _unchanged(file: Path, splats: Splats, survey: Survey) -> Splats:
     """`splats`, read of `file` again. Raises InvalidError if `survey` saw others."""
     if splats.sh_degree != survey.sh_degree or len(splats) > survey.num_gs:
-        raise InvalidError(f"{file}: has changed while it was imported")
+        raise InvalidError(f"{file}: changed while it was imported")
     return splats
 
 

@@ -27,7 +27,7 @@ def find_files(source: Path) -> list[Path]:
         if not digits:
             raise InvalidError(f"{path}: its name has no number to sort a sequence by")
         if not path.is_file():
-            what = "a link to nothing" if path.is_symlink() else "not a regular file"
+            what = "a broken link" if path.is_symlink() else "not a regular file"
             raise InvalidError(f"{path} is {what}; replace or remove it")
         first = numbered.setdefault(int(digits[-1]), path)
         if first is not path:

@@ -62,9 +62,9 @@ class Survey:
         """Takes in the next file. Raises InvalidError if it does not fit those before."""
         if self.num_files and splats.sh_degree != self.sh_degree:
             raise InvalidError(
-                f"{path}: SH degree {splats.sh_degree}, where the files before have "
-                f"{self.sh_degree}; a sequence has one: "
-                f"--sh-degree {min(splats.sh_degree, self.sh_degree)} leaves out what is above"
+                f"{path}: SH degree {splats.sh_degree}, but the files before have "
+                f"{self.sh_degree}; a sequence has only one degree: "
+                f"--sh-degree {min(splats.sh_degree, self.sh_degree)} drops the higher harmonics"
             )
         keys = row_keys(splats)
         if self._keys is not None:

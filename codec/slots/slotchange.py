@@ -160,7 +160,7 @@ def _nothing(layout: SlotLayout, layer: int, num_predicted: int, num_new: int) -
     """The change that has no packet."""
     if num_predicted or num_new:
         raise CorruptError(
-            f"change: there is none, but the mask says {num_predicted} predicted, {num_new} new"
+            f"change: it is missing, but the mask declares {num_predicted} predicted, {num_new} new"
         )
     return read_body(layout, layer, memoryview(bytes(COUNTS.size)), 0, 0, False)
 
@@ -183,13 +183,13 @@ def read_body(
     names = "predicted", "new", "long residuals", "escapes"
     for n, (name, found, limit) in enumerate(zip(names, counts, limits, strict=False)):
         if found > limit or (n < 2 and found != limit):
-            rule = "the mask says" if n < 2 else "at most"
+            rule = "the mask declares" if n < 2 else "at most"
             raise CorruptError(f"change: {found} {name}, {rule} {limit}", 4 * n)
     levels, sh_degree = layout.lattices[layer].opacity_levels, layout.sh_degree
     sizes = _part_sizes(layout, counts, has_start_offsets)
     ends = list(accumulate(sizes))
     if ends[-1] != len(body):
-        raise CorruptError(f"change: a body of {len(body)} bytes, its counts say {ends[-1]}")
+        raise CorruptError(f"change: a body of {len(body)} bytes, its counts require {ends[-1]}")
     parts = [body[end - size : end] for end, size in zip(ends, sizes, strict=True)]
     residuals = np.frombuffer(parts[1], np.uint8).reshape(layout.num_planes, predicted)
     longs = np.frombuffer(parts[2], INT32).astype(np.int32)

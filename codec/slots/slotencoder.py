@@ -66,7 +66,7 @@ class SlotEncoder:
     def resumed(decoder: SlotDecoder) -> SlotEncoder:
         """An encoder that goes on after what `decoder`, which has all layers, has read."""
         if decoder.frame is None or decoder.num_layers != decoder.layout.num_layers:
-            raise InvalidError("an encoder goes on only after a decoder that has all layers")
+            raise InvalidError("an encoder can only continue from a decoder that has all layers")
         own, made = decoder.copy(), SlotEncoder(decoder.layout)
         made.lanes, made.history, made.next_birth = own.lanes, own.history, decoder.frame + 1
         return made

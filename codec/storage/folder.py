@@ -120,7 +120,7 @@ class FolderStorage:
         out of the root, or of this folder."""
         root, folder, real = map(os.path.realpath, (self._root, self._folder, path))
         if not (_is_below(folder, root) and _is_below(real, folder)):
-            raise CorruptError(f"{path} cannot be read: a link leads out of its folder")
+            raise CorruptError(f"{path} cannot be read: a link points outside its folder")
         return root, real
 
     def _open(self, path: str, flags: int) -> int:

@@ -121,5 +121,5 @@ class GrowingStore:
 
     def _not_alone(self) -> InvalidError:
         return InvalidError(
-            f"{self.name}: another writer goes on with this stream; let only one write"
+            f"{self.name}: another writer has written to this stream; run only one writer"
         )

@@ -130,7 +130,9 @@ class StorePrefix:
             path, lambda: bytes(obstore.get_range(self._store, key, start=offset, end=end))
         )
         if data is None or len(data) != size_bytes:
-            raise CorruptError(f"{self.place(path)} is not what it was; has it been replaced?")
+            raise CorruptError(
+                f"{self.place(path)} has changed since it was opened; was it replaced?"
+            )
         return data
 
     def put(self, path: str, data: bytes, over: Version | Literal["any"] | None = "any") -> Version:
@@ -154,7 +156,7 @@ class StorePrefix:
         except (*conflicts, FileNotFoundError) as error:
             if over == "any":
                 raise self._unwritable(path, error) from error
-            raise ConflictError(f"{self.place(path)} is not as it was left") from error
+            raise ConflictError(f"{self.place(path)} was changed by another writer") from error
         except (obstore.exceptions.BaseError, ValueError, OSError) as error:
             raise self._unwritable(path, error) from error
         return _version(put)

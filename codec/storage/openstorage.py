@@ -33,7 +33,7 @@ def check_url(url: str) -> None:
     if url.partition("://")[0].lower() not in SCHEMES:
         names = ", ".join(f"{name}://" for name in SCHEMES)
         name = without_credentials(url)
-        raise InvalidError(f"{name}: choose a folder of this machine, or a URL of {names}")
+        raise InvalidError(f"{name}: choose a folder on this machine, or a URL of {names}")
 
 
 def open_storage(place: Place) -> Storage:

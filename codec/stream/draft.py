@@ -104,7 +104,9 @@ class SliceDraft:
         if not isinstance(slice, Slice):
             raise InvalidError("an Update is for a stream of version 2; append a Slice")
         if slice.rows is not None:
-            raise InvalidError("a slice with rows is not whole; a stream of version 1 has such")
+            raise InvalidError(
+                "a slice with rows is not whole; a stream of version 1 needs whole slices"
+            )
         if len(slice.splats) > manifest.slice_size:
             raise InvalidError(
                 f"{len(slice.splats)} Gaussians, at most {manifest.slice_size} a slice"

@@ -91,7 +91,7 @@ def pack_record(record: SegmentRecord) -> bytes:
         if any(len(sha256) != 32 for sha256 in record.part_sha256):
             raise ValueError("a sha256 has 32 bytes")
         if any(map(math.isinf, record.psnr_db)):
-            raise ValueError("a PSNR is infinite; cap it, or say NaN where it is unknown")
+            raise ValueError("a PSNR is infinite; cap it, or use NaN if it is unknown")
         head = HEAD.pack(record.segment, record.first_frame, record.num_frames, 0)
         rows = [LAYER.pack(*layer) for layer in layers] + [SIDE.pack(*side) for side in sides]
         body = head + b"".join(rows)

@@ -147,7 +147,7 @@ class Manifest:
             raise InvalidError(f"manifest: version {self.version}, not {VERSION} or 2")
         if (self.profile is Profile.LATTICE) != (self.version == SLOTS_VERSION):
             raise InvalidError(
-                f"manifest: profile {self.profile} in version {self.version}; `lattice` is that of "
+                f"manifest: profile {self.profile} in version {self.version}; `lattice` belongs to "
                 f"version {SLOTS_VERSION}"
             )
         if bool(self.slots or self.lattice) != (self.version == SLOTS_VERSION):

@@ -65,7 +65,7 @@ def packet_content(packet: bytes | memoryview, limit_bytes: int) -> bytes:
         return b""
     content = decompress(packet, limit_bytes)
     if not content:
-        raise CorruptError("packet: holds nothing; one that says so has no bytes")
+        raise CorruptError("packet: its content is empty; an empty packet must have no bytes")
     return content
 
 

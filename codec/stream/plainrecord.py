@@ -135,7 +135,9 @@ def _add_packet(pieces: list[Piece], head: bytearray, packet: bytes) -> bytearra
     size = zstd.content_bytes(packet, MAX_WINDOW_BYTES)
     window_bytes = zstandard.get_frame_parameters(packet).window_size
     if window_bytes > MAX_WINDOW_BYTES:
-        raise InvalidError(f"packet: a browser takes no zstd frame that needs {window_bytes} bytes")
+        raise InvalidError(
+            f"packet: a browser accepts no zstd frame that needs {window_bytes} bytes"
+        )
     head += _bin_header(size)
     pieces += [(bytes(head), None), (packet, size)]
     return bytearray()

@@ -138,7 +138,7 @@ def _check(record: Record) -> None:
         case ErrorRecord():
             sound = True
     if not sound:
-        raise InvalidError(f"play: a {type(record).__name__} with a number that no reader takes")
+        raise InvalidError(f"play: a {type(record).__name__} with a number that no reader accepts")
 
 
 def _field(value: dict[str, Any], key: str, kind: type) -> Any:
@@ -214,10 +214,10 @@ def decode_record(body: bytes | memoryview) -> Record:
             packets = _packets(value, int(mask is None))
             birth: int = _field(value, "birth", int)
             if not -(1 << 31) <= birth < 1 << 31:
-                raise CorruptError(f"play: a slice born at {birth}")
+                raise CorruptError(f"play: the birth {birth} of a slice does not fit 32 bits")
             first_layer = _first_layer(value, packets) if "first" in value else 0
             if first_layer and not packets:
-                raise CorruptError(f"play: nothing of the slice born at {birth}")
+                raise CorruptError(f"play: no packet of the slice born at {birth}")
             return SliceRecord(birth, packets, None if first_layer else mask, first_layer)
         case "snapshot":
             packets = _packets(value, 1)

@@ -41,7 +41,7 @@ def check_gaussians(manifest: Manifest, max_gaussians: int | None, name: str) ->
         return
     memory_gb = FLOAT_COPIES * count * bytes_per_gaussian(manifest.sh_degree) / 1e9
     raise UnsupportedError(
-        f"{name} has {count:,} Gaussians; --max-gaussians {count} reads it "
+        f"{name} has {count:,} Gaussians; use --max-gaussians {count} to read it "
         f"(about {memory_gb:.1f} GB of memory)"
     )
 

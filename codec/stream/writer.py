@@ -130,7 +130,7 @@ class StreamWriter:
             writer._num_segments = segment
             writer.next_birth = segment * manifest.segment_frames
             if not opening or opening[-1].birth + 1 != writer.next_birth:
-                raise InvalidError(f"{place.name}: segment {segment} needs what shows before it")
+                raise InvalidError(f"{place.name}: segment {segment} needs the slices before it")
             writer._draft = SlotDraft.opened(manifest, quality, opening)
         return writer
 

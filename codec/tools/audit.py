@@ -145,9 +145,9 @@ def _mean_psnr_db(records: list[SegmentRecord], num_layers: int) -> float | None
 
 
 QUALITY_NOTE = (
-    "             bytes of the objects alone; dB as noted while it was written, of one held-out\n"
-    "             camera a frame, in turn. swings-eval adds manifest and index, and scores all of\n"
-    "             them in every frame"
+    "             Bytes count the objects only; dB was recorded in writing, from one held-out\n"
+    "             camera a frame, in turn. swings-eval adds manifest and index, and scores all\n"
+    "             held-out cameras in every frame"
 )
 """Why the figures of the layers are not quite those of swings-eval."""
 
@@ -165,7 +165,7 @@ def describe(summary: StreamSummary) -> str:
     if s.slots is not None:
         share = f"in leases of {frames}"
         snapshots_bytes = s.size_bytes - s.played_bytes
-        size += f" that is sent; {snapshots_bytes} bytes of snapshots for those who join"
+        size += f" that is sent; {snapshots_bytes} bytes of snapshots for joining players"
     lines = [
         f"title        {s.title or '-'}",
         f"state        {state}",

@@ -26,39 +26,37 @@ Stream = Annotated[str, tyro.conf.arg(metavar="STREAM")]
 
 @dataclass(frozen=True, slots=True)
 class Info:
-    """Say what a stream holds, from its manifest and index; where slots last (version 2), also
-    from its masks."""
+    """Describe a stream from its manifest and index; for version 2 also from its masks."""
 
     stream: tyro.conf.Positional[Stream]
-    """Folder of the stream, or its URL in an object store, as s3://BUCKET/PATH."""
+    """Folder of the stream, or its URL in an object store, such as s3://BUCKET/PATH."""
     json: bool = False
     """Print one JSON object instead of text."""
     plot: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
-    """Also draw bitrate per layer and quality over time, as a picture at this place."""
+    """Also draw bitrate per layer and quality over time, as a picture at this path."""
     max_gaussians: int = DEFAULT_MAX_GAUSSIANS
-    """Refuse a stream of more Gaussians a frame: a few kilobytes of file can ask for gigabytes of
-    memory."""
+    """Largest number of Gaussians a frame; a stream with more is refused, because a few kilobytes
+    of file can ask for gigabytes of memory."""
 
 
 @dataclass(frozen=True, slots=True)
 class Verify:
-    """Read, check and decode every byte of a stream; name the first file and byte that is wrong."""
+    """Read, check and decode every byte of a stream; name the first wrong file and byte."""
 
     stream: tyro.conf.Positional[Stream]
-    """Folder of the stream, or its URL in an object store, as s3://BUCKET/PATH."""
+    """Folder of the stream, or its URL in an object store, such as s3://BUCKET/PATH."""
     max_gaussians: int = DEFAULT_MAX_GAUSSIANS
-    """Refuse a stream of more Gaussians a frame: a few kilobytes of file can ask for gigabytes of
-    memory."""
+    """Largest number of Gaussians a frame; a stream with more is refused, because a few kilobytes
+    of file can ask for gigabytes of memory."""
 
 
 @dataclass(frozen=True, slots=True)
 class Import:
-    """Make a stream from a file of Gaussians, or from a folder with a numbered file for each
-    frame."""
+    """Make a stream from a file of Gaussians, or from a folder with one numbered file per frame."""
 
     input: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="INPUT")]]
-    """A .ply, compressed .ply, .spz, .splat, bundled .sog, .glb or .gltf file, or a folder of them,
-    a frame each, sorted by number."""
+    """A .ply, compressed .ply, .spz, .splat, bundled .sog, .glb or .gltf file, or a folder of such
+    files, one per frame, sorted by number."""
     stream: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="STREAM")]]
     """Folder of the new stream."""
     options: Annotated[ImportOptions, tyro.conf.arg(name="")] = field(default_factory=ImportOptions)
@@ -66,30 +64,31 @@ class Import:
 
 @dataclass(frozen=True, slots=True)
 class Export:
-    """Write what a frame shows, or a range of frames, to files that other programs read; or, with
-    --static, the whole stream to a folder for plain web servers."""
+    """Write one frame or a range of frames to files that other programs read, or, with --static,
+    the whole stream to a folder for plain web servers."""
 
     stream: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="STREAM")]]
-    """Folder of the stream, or its URL in an object store, as s3://BUCKET/PATH."""
+    """Folder of the stream, or its URL in an object store, such as s3://BUCKET/PATH."""
     out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
-    """The file; with --frames the name of the sequence, to which each frame's number is added:
-    `name.ply` gives name_0000.ply ...; with --static the folder."""
+    """Output file. With --frames, one numbered file for each frame: `name.ply` gives name_0000.ply
+    and so on. With --static, the output folder."""
     frame: int | None = None
-    """The frame, from 0 on."""
+    """Number of the frame, from 0 on."""
     frames: str | None = None
-    """Frames A to B - 1, as A:B; A: and :B go to the ends."""
+    """Range of frames A:B, A included, B not; A: runs to the last frame, :B begins at frame 0."""
     format: SplatFormat | None = None
-    """ply is exact, sog and spz small; glb and gltf are glTF with KHR_gaussian_splatting; splat is
-    for simple viewers. By default what OUT ends with. docs/FORMATS.md says what each keeps."""
+    """File format; by default the one that OUT ends with. ply is exact; sog and spz are small; glb
+    and gltf are glTF with KHR_gaussian_splatting; splat is for simple viewers. docs/FORMATS.md
+    lists what each format keeps."""
     spz_version: SpzVersion | None = None
-    """Of spz: 2 or 3 are for older programs; by default 4."""
+    """Version of the spz format; 4 by default. Older programs need 2 or 3."""
     layers: int | None = None
-    """Most important layers to write; all by default."""
+    """Number of layers to write, most important first; all by default."""
     static: bool = False
-    """Write all of the stream, coded so that browsers inflate it by themselves (gzip)."""
+    """Write the whole stream with gzip, which browsers inflate by themselves."""
     max_gaussians: int = DEFAULT_MAX_GAUSSIANS
-    """Refuse a stream of more Gaussians a frame: a few kilobytes of file can ask for gigabytes of
-    memory."""
+    """Largest number of Gaussians a frame; a stream with more is refused, because a few kilobytes
+    of file can ask for gigabytes of memory."""
 
 
 def import_files(config: Import, draw: Draw | None = None) -> str:
@@ -133,7 +132,9 @@ def _slot_lines(made: Imported) -> list[str]:
         f"turns {turn:.4f}, colours {colour:.3f}, opacities {opacity:.4f}"
     ]
     if made.num_escaped:
-        lines.append(f"exact        {made.num_escaped} Gaussians, which the errors would not hold")
+        lines.append(
+            f"exact        {made.num_escaped} Gaussians at full precision, to keep these errors"
+        )
     total = sum(made.statuses)
     if total:
         shares = [f"{100 * count / total:.1f} %" for count in made.statuses]
@@ -168,7 +169,7 @@ def export_files(config: Export) -> str:
 def _export_static(config: Export) -> str:
     chosen = (config.frame, config.frames, config.format, config.layers, config.spz_version)
     if chosen != (None,) * 5:
-        raise InvalidError("--static writes the whole stream; leave out what is for frames")
+        raise InvalidError("--static writes the whole stream; leave out the options for frames")
     made = export_static(config.stream, config.out, config.max_gaussians)
     share = 100 * made.size_bytes / made.source_bytes
     return (

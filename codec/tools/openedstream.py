@@ -45,8 +45,8 @@ class OpenedStream:
         if not isinstance(place, Path) and str(place).lower().startswith(("http://", "https://")):
             name = without_credentials(str(place))
             raise InvalidError(
-                f"{name}: codec reads folders and object stores; for this kind of URL take "
-                "player.Scene.open"
+                f"{name}: codec reads folders and object stores; use player.Scene.open "
+                "for this kind of URL"
             )
         self._reader: StreamReader | None = StreamReader(place, max_gaussians)
         self.name = self._reader.name

@@ -180,7 +180,7 @@ def _draw_rates(axes: Axes, edges_s: Doubles, reader: StreamReader, mean_mbps: f
                 color=JOIN_COLOUR,
                 linestyle=":",
                 linewidth=1.5,
-                label="snapshots, if one joins",
+                label="snapshots, for joining players",
             )
     axes.axhline(
         mean_mbps,
@@ -201,7 +201,7 @@ def _draw_slots(axes: Axes, edges_s: Doubles, reader: StreamReader) -> None:
     _draw_bands(axes, edges_s, slot_bands(reader))
     axes.set_ylabel("slots a slice")
     axes.set_title(
-        f"what becomes of the {reader.manifest.slice_size} slots of a slice; all others are kept",
+        f"changes of the {reader.manifest.slice_size} slots of a slice; all others are kept",
         fontsize=10,
         loc="left",
     )
@@ -216,7 +216,7 @@ def _draw_psnrs(axes: Axes, edges_s: Doubles, psnrs_db: Doubles, colours: list[D
         )
     axes.margins(y=0.1)
     axes.set_ylabel("PSNR (dB)")
-    axes.set_title("quality of each segment, as the index says", fontsize=10, loc="left")
+    axes.set_title("quality of each segment, from the index", fontsize=10, loc="left")
     _legend(axes)
 
 

@@ -32,7 +32,7 @@ def test_info_tells_the_same_to_people_and_programs(stream: Path) -> None:
 
 
 def test_verify_exits_with_0_and_with_1(stream: Path, tmp_path: Path) -> None:
-    assert "6 frames in 2 segments are good" in run_ok("swings-stream", "verify", stream)
+    assert "6 frames in 2 segments are intact" in run_ok("swings-stream", "verify", stream)
     done = run("swings-stream", "verify", tmp_path)
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.startswith("swings-stream: ")

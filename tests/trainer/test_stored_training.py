@@ -110,7 +110,7 @@ def test_the_commands_of_the_manual_run(
         assert time.monotonic() < deadline_s
         time.sleep(0.01)
     stopped.send_signal(signal.SIGINT)
-    assert "--resume goes on from there" in stopped.communicate()[1]
+    assert "--resume continues from there" in stopped.communicate()[1]
     run_ok(*resume)
     *read, (_, root) = others
     assert [words[0] for words in others] == ["swings-stream", "swings-eval", "swings-serve"]

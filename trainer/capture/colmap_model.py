@@ -158,7 +158,7 @@ class _Bytes:
         if self._at != len(self._data):
             raise CaptureError(
                 f"{self.path}: {len(self._data) - self._at} bytes follow the last row that it "
-                "counts; export the model again"
+                "declares; export the model again"
             )
 
     def _skip(self, size: int) -> int:

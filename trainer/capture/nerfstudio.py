@@ -125,7 +125,7 @@ def open_nerfstudio(root: Path) -> Capture:
     else:
         odd = next(e.path for e in entries if not _kind(e.path))
         raise CaptureError(
-            f"{path}: {odd} tells neither camera nor frame; expected "
+            f"{path}: {odd} names neither a camera nor a frame; expected "
             f"{IMAGES_NAME}/<camera>/<frame>.jpg, {FRAMES_NAME}/<frame>/<camera>.jpg, a video per "
             "camera, or a `time` in each entry"
         )

@@ -160,7 +160,7 @@ def _binary_columns(file: BinaryIO, vertex: PlyElement) -> Columns:
 def _text_columns(file: BinaryIO, vertex: PlyElement) -> Columns:
     width = len(vertex.properties)
     count, filled = vertex.count * width, 0
-    what = f"PLY: does not hold the {vertex.count} vertices that it counts"
+    what = f"PLY: does not hold the {vertex.count} vertices that it declares"
     if 2 * count - 1 > os.fstat(file.fileno()).st_size:  # a digit and a space for each number
         raise CorruptError(what)
     file.seek(vertex.offset)

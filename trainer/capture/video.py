@@ -91,7 +91,7 @@ def probe_video(path: Path) -> VideoFacts:
                 raise CaptureError(f"{path}: a still picture, not a video")
             rate = stream.average_rate or stream.guessed_rate
             if not rate:
-                raise CaptureError(f"{path}: the video does not tell its frame rate")
+                raise CaptureError(f"{path}: the video does not declare its frame rate")
             _check_transfer(path, stream.codec_context.color_trc)
             fps = float(rate)
             num_frames = stream.frames if "mp4" in container.format.name else 0
@@ -114,7 +114,7 @@ def _check_transfer(path: Path, transfer: int) -> None:
     if transfer in HDR_CURVES:
         raise CaptureError(
             f"{path}: is HDR ({HDR_CURVES[transfer]}), and only SDR is read: convert all cameras "
-            f"alike, as with ffmpeg -i {path.name} -vf {TO_SDR} -c:v libx264 -crf 12 OUT.mp4"
+            f"alike, e.g. with ffmpeg -i {path.name} -vf {TO_SDR} -c:v libx264 -crf 12 OUT.mp4"
         )
 
 
@@ -139,8 +139,8 @@ def turned_doubts(videos: Sequence[Path], facts: Sequence[VideoFacts]) -> list[s
         return []
     more = f" and {len(turned) - MAX_NAMED} more" if len(turned) > MAX_NAMED else ""
     return [
-        f"players turn {', '.join(turned[:MAX_NAMED])}{more}, and swings does not: where the poses "
-        f"are those of turned pictures, write these first, with {TURNING}"
+        f"video players turn {', '.join(turned[:MAX_NAMED])}{more}, but swings does not: if the "
+        f"poses are those of the turned pictures, write turned videos first, with {TURNING}"
     ]
 
 

@@ -16,59 +16,63 @@ from .optimiser import OptimiserConfig
 
 @dataclass(frozen=True)
 class FitConfig:
-    """What the sliding-window training does; times are frames, sizes Gaussians."""
+    """Settings of the sliding-window training; times are frames, sizes Gaussians."""
 
     num_gs: int = 20_000
-    """Gaussians active in a frame. Paper: 200,000 on a GPU; 20,000 suits two CPU cores."""
+    """Number of active Gaussians in a frame. Paper: 200,000 on a GPU; 20,000 suits two CPU
+    cores."""
     swin_size: int = 1
-    """Frames that a lease lasts, or a Gaussian that is sent whole lives. Leases want 1, for then
-    what moves can follow every frame; what is sent whole wants more. Paper, section 8.1: 5."""
+    """Length of the sliding window, frames: the duration of a lease, or the lifetime of a Gaussian
+    that is sent whole. Leases work best with 1, because moving Gaussians can then follow every
+    frame; Gaussians that are sent whole need more. Paper, section 8.1: 5."""
     sh_degree: int = 0
     """Degree of the colour's spherical harmonics, 0 or 1. The paper trains 1 and streams 0."""
     genesis_iterations: int = 3_000
-    """Iterations of the first window, before it settles; 0 where its Gaussians are given. Paper:
-    30,000 on a GPU."""
+    """Number of iterations of the first window (genesis), before its settling rounds; 0 if
+    --initial gives its Gaussians. Paper: 30,000 on a GPU."""
     coarse_share: float = 0.6
-    """Share of genesis, from its beginning, that sees pictures of half the size, so that shapes
-    settle where the cameras agree before detail is learned by heart; 0 switches it off."""
+    """Share of the iterations of genesis, from its beginning, that use pictures of half the size,
+    so that the cameras agree on shapes before training fits detail; 0 switches it off."""
     settle_rounds: int = 20
-    """How often the first window is trained once more after genesis, each time like a later window:
-    renewed first, and with learning rates that begin high again."""
+    """Number of settling rounds after genesis. Each trains the first window once more like a later
+    window: Gaussians are renewed first, and the learning rates start high again."""
     settle_renew_share: float = 0.1
-    """Share of the Gaussians, those that contribute least, that each such round renews."""
+    """Share of the Gaussians that each settling round renews: those with the least contribution."""
     window_iterations: int = 400
-    """Iterations of every later window. Paper: 2,000 on a GPU."""
+    """Number of iterations of every later window. Paper: 2,000 on a GPU."""
     newest_share: float = 0.5
-    """Share of a window's iterations that is spent on its newest frame, where no earlier window has
-    seen it."""
+    """Share of a window's iterations spent on its newest frame, if no earlier window has seen that
+    frame."""
     error_share: float = 0.5
-    """Share of a later window's iterations that goes to cameras by how much is wrong where they see
-    what is trained; the rest is for all alike. Only where slots are leased."""
+    """Share of a later window's iterations that is distributed over the cameras by their error
+    where they see trained Gaussians; the rest is distributed evenly. Applies only to leased slots
+    (profile lattice)."""
     dssim_weight: float = 0.2
-    """Weight of 1 - SSIM beside L1. 3DGS."""
+    """Weight of 1 - SSIM beside L1 in the loss. From 3DGS."""
     colour_lr: float = 1e-3
     """Learning rate of the per-camera colour correction; 0 switches it off."""
     calm_from: float = 0.7
-    """Share of a window's iterations after which all learning rates but the positions' fall, too;
-    1 leaves them as they are."""
+    """Share of a window's iterations after which the learning rates other than the positions' fall
+    too; 1 keeps them constant."""
     calm_end: float = 0.1
-    """What they have fallen to at the end of a window, as a share."""
+    """Factor that those learning rates have reached at the end of a window."""
     together_share: float = 0.1
-    """Share of a window's iterations in which all Gaussians of a large cell move together, and
-    again the same share for smaller cells. Only where slots are leased."""
+    """Share of a window's iterations in which all Gaussians of a large cell move together, followed
+    by the same share for smaller cells. Applies only to leased slots (profile lattice)."""
     settle_prefix_share: float = 0.25
-    """Share of the iterations in which genesis settles that render only the first layers, so that
-    these do without the others. Only where slots are leased."""
+    """Share of the iterations of the settling rounds that render only the first layers, so that
+    these look right without the others. Applies only to leased slots (profile lattice)."""
     prefix_share: float = 0.1
-    """The same of later windows."""
+    """Share of a later window's iterations that render only the first layers, for the same
+    purpose."""
     seed: int = 0
     """Seed of every random choice."""
     optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
     """Learning rates."""
     mcmc: McmcConfig = field(default_factory=McmcConfig)
-    """Relocation, noise, regularisers."""
+    """Relocation, noise and regularisers."""
     lease: LeaseConfig = field(default_factory=LeaseConfig)
-    """What is kept from slice to slice."""
+    """Share of each slice that is trained and sent."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.swin_size <= MAX_SWIN_SIZE:

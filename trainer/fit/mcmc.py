@@ -31,29 +31,32 @@ class McmcConfig:
     """Relocation, noise and the two regularisers."""
 
     relocate_period: int = 100
-    """Iterations between relocations. 3DGS-MCMC."""
+    """Iterations between relocations. From 3DGS-MCMC."""
     relocate_until: float = 0.8
-    """Share of a window's iterations after which no Gaussian is relocated, so that all settle.
+    """Share of a window's iterations after which relocation stops, so that all Gaussians settle.
     3DGS-MCMC: 25K of 30K."""
     dead_opacity: float = 0.005
-    """A Gaussian of this opacity or less is dead. 3DGS-MCMC."""
+    """Opacity at or below which a Gaussian is dead. From 3DGS-MCMC."""
     noise_lr: float = 5e5
-    """Noise of genesis, times the positions' learning rate. 3DGS-MCMC."""
+    """Noise of genesis, as a multiple of the positions' learning rate. From 3DGS-MCMC."""
     window_noise_lr: float = 5e4
-    """Noise of later windows, whose learning rate restarts higher. Paper, section 8.1."""
+    """Noise of later windows, as a multiple of the positions' learning rate, which restarts higher
+    there. Paper, section 8.1."""
     renew_share: float = 0.01
-    """Share of every slice, the Gaussians of each layer that contribute least, that may be moved at
-    a window's start to where its newest frame shows what is not rendered; 0 switches it off."""
+    """Largest share of a slice's Gaussians that are moved at a window's start to places that its
+    newest frame shows but the model does not render. The Gaussians with the least contribution in
+    each layer are moved. 0 switches it off."""
     opacity_reg: float = 1e-3
-    """Weight of the mean opacity in the loss. 3DGS-MCMC for indoor scenes; its usual 0.01 (paper,
-    8.1: 0.02) makes haze of a scene that is trained for thousands of iterations, not tens of
-    thousands."""
+    """Weight of the mean opacity in the loss. From 3DGS-MCMC for indoor scenes; its usual 0.01
+    (paper, 8.1: 0.02) makes haze of a scene that is trained for thousands of iterations instead of
+    tens of thousands."""
     scale_reg: float = 1e-3
     """Weight of the mean standard deviation (metres) in the loss. Paper, section 8.1: 0.01."""
     max_scale: float = 0.15
     """Largest standard deviation of a Gaussian of genesis, as a share of its distance from the
-    cameras (`CameraSpread`); 0 sets no bound. A larger one fits a few cameras by its middle and
-    lies across what others see by its ends. 3DGS prunes those over 0.1 of the scene's extent."""
+    cameras (root mean square over the cameras); 0 sets no bound. The middle of a larger Gaussian
+    fits a few cameras, but its ends cover what other cameras see. 3DGS prunes Gaussians over 0.1 of
+    the scene's extent."""
 
     def __post_init__(self) -> None:
         if self.relocate_period < 1:

@@ -35,31 +35,35 @@ class OptimiserConfig:
     """Learning rates, per Adam step."""
 
     means_lr: float = 1.6e-4
-    """For positions at the start of genesis, times the scene's extent (metres). 3DGS."""
+    """Learning rate of positions at the start of genesis, multiplied by the scene's extent
+    (metres). From 3DGS."""
     means_lr_end: float = 1.6e-6
-    """The same at the end of genesis, reached log-linearly. 3DGS."""
+    """Learning rate of positions at the end of genesis, in the same unit; it falls log-linearly.
+    From 3DGS."""
     settle_means_lr: float = 1e-3
-    """The same at the start of every round that genesis settles in."""
+    """Learning rate of positions at the start of every settling round, in the same unit."""
     window_means_lr: float = 4e-4
-    """The same at the start of every later window. Paper: 1.6e-4 again."""
+    """Learning rate of positions at the start of every later window, in the same unit. Paper:
+    1.6e-4, as in genesis."""
     window_means_lr_end: float = 6.4e-6
-    """The same at the end of a window."""
+    """Learning rate of positions at the end of a later window, in the same unit; settling rounds
+    fall by the same factor."""
     log_scales_lr: float = 5e-3
-    """For log-scales. 3DGS."""
+    """Learning rate of log-scales. From 3DGS."""
     quats_lr: float = 1e-3
-    """For quaternions. 3DGS."""
+    """Learning rate of quaternions. From 3DGS."""
     logit_opacities_lr: float = 5e-2
-    """For logit opacities. 3DGS."""
+    """Learning rate of logit opacities. From 3DGS."""
     sh_lr: float = 2.5e-3
-    """For the constant colour; the linear terms take a twentieth. 3DGS."""
+    """Learning rate of the constant colour; the linear terms use a twentieth of it. From 3DGS."""
     eps: float = 1e-15
-    """Adam's epsilon. 3DGS."""
+    """Adam's epsilon. From 3DGS."""
     carry_adam: bool = True
     """Keep Adam's history from window to window; if off, every window starts it afresh."""
     age_scaling: AgeScaling = "update"
-    """What 1 / (1 + windows trained) multiplies for positions: nothing, the gradient (paper, 4.5.1;
-    nearly no effect under Adam), or Adam's update, which is what the paper means by a decaying
-    rate."""
+    """Quantity of positions that is multiplied by 1 / (1 + windows trained): none (off), the
+    gradient (paper, 4.5.1; nearly no effect under Adam), or Adam's update (the decaying rate that
+    the paper intends)."""
 
 
 @kernel(fastmath=True, parallel=True)

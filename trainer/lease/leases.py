@@ -37,22 +37,22 @@ LEAST_SHOWN = 1 / 255
 
 @dataclass(frozen=True)
 class LeaseConfig:
-    """How much of a slice is trained and sent; the rest is kept."""
+    """How much of a slice is trained and sent; players keep the rest."""
 
     active_share: float = 0.3
     """Share of a slice's slots that is trained and sent; 1 sends all."""
     refresh_share: float = 0.02
-    """Share of a slice's slots, those whose lease is the oldest, that is trained in any case, so
-    that the still part of a scene goes on learning."""
+    """Share of a slice's slots that is always trained, oldest leases first, so that still parts of
+    a scene continue to learn."""
     trade_share: float = 0.001
-    """Share of a slice's slots that may change places with one of a higher layer that contributes
-    much more: both are sent anew, so it costs twice what a new Gaussian takes."""
+    """Share of a slice's slots that may swap with a slot of a higher layer that contributes much
+    more. Both slots are sent anew, so a swap costs twice as much as a new Gaussian."""
     hold: float = 0.75
-    """A value within so many steps of the one that a player has is not sent: 0.5 rounds to the
-    nearest; more makes a stream smaller and coarser."""
+    """Largest change of a value, in quantisation steps, that is not sent: 0.5 rounds to the nearest
+    step; more makes the stream smaller and coarser."""
     bytes_per_frame: float | None = None
-    """Bytes that a frame may take over time, the first one apart; active_share is then what a
-    slice may have at most."""
+    """Mean number of bytes that a frame may take, the first frame excluded; active_share is then
+    the largest share of a slice. Unlimited by default."""
 
     def __post_init__(self) -> None:
         for name in ("active_share", "refresh_share", "trade_share"):

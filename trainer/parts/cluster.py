@@ -32,7 +32,7 @@ def open_cluster(address: str, least_cpus: float, console: Console) -> Iterator[
         import ray
     except ImportError as error:
         raise InvalidError(
-            "--ray needs the extra ray: pip install '.[ray]' in the folder of swings"
+            "--ray needs the package ray: pip install '.[ray]' in the folder of swings"
         ) from error
     options: Mapping[str, Any] = {"address": address}
     if address == LOCAL:
@@ -70,7 +70,7 @@ class RayOutput(io.TextIOBase):
             log.debug("ray: %s", text.strip())
         for words, meaning in LOSSES.items():
             if words in text:
-                line = f"{meaning}; its task is done again (--verbose shows what Ray says)"
+                line = f"{meaning}; its task is run again (--verbose shows Ray's message)"
                 self._console.print(line, highlight=False, markup=False, soft_wrap=True)
                 break
         return len(text)
@@ -115,4 +115,4 @@ def _check_listens(address: str) -> None:
     try:
         socket.create_connection((host.strip("[]"), int(port)), CONNECT_S).close()
     except (OSError, OverflowError) as error:
-        raise InvalidError(f"--ray {address}: no cluster answers there: {error}") from error
+        raise InvalidError(f"--ray {address}: no cluster answers: {error}") from error

@@ -74,7 +74,7 @@ def train_in_parts(config: TrainConfig, address: str, console: Console) -> Manif
             return finished
     check_targets(config)
     afresh = replace(config, resume=False)  # as workers are told it
-    with console.status("what the cameras see"):
+    with console.status("reading what the cameras see"):
         prepared = prepare(afresh)
         run = plan(afresh, prepared)
     try:
@@ -90,7 +90,7 @@ def train_in_parts(config: TrainConfig, address: str, console: Console) -> Manif
                 return _train(run, files, resumed, ray, monitor, pictures)
     except KeyboardInterrupt:
         with suppress(OSError):  # the terminal may be gone
-            console.print("stopped; --resume goes on from there", highlight=False)
+            console.print("stopped; --resume continues from there", highlight=False)
         raise
 
 
@@ -106,9 +106,9 @@ def _begin(run: Run, files: Files, resume: bool) -> bool:
         files.put(RUN_PATH, told)
         return False
     if not files.holds(RUN_PATH):
-        raise InvalidError(f"{files.name}: no run in parts was begun there; leave --resume out")
+        raise InvalidError(f"{files.name}: no run with --ray was started there; leave --resume out")
     if files.read(RUN_PATH, len(told) + (1 << 20)) != told:
-        raise InvalidError(f"{files.name}: --resume wants the options of the run that it goes on")
+        raise InvalidError(f"{files.name}: --resume needs the options of the run that it continues")
     return True
 
 

@@ -34,8 +34,8 @@ def coverage_doubts(capture: Capture) -> list[str]:
     if not found:
         return []
     return [
-        f"held out: no training camera sees {', '.join(found)} (from the middle of the rig on); "
-        "that stays empty, and its scores say little: hold out another camera"
+        f"held out: no training camera sees {', '.join(found)} (from the middle of the rig "
+        "outward); that part stays empty and makes its scores meaningless: hold out another camera"
     ]
 
 

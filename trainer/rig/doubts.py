@@ -36,7 +36,7 @@ def rig_doubts(capture: Capture) -> list[str]:
         more = f" ({len(capture.cameras)} with an empty {HELD_OUT_NAME})"
         found.append(
             f"few cameras: {len(cameras)} to train on{more * bool(capture.held_out)}; with fewer "
-            f"than {FEW_CAMERAS}, what lies between them trains to smears"
+            f"than {FEW_CAMERAS}, the scene between them is smeared"
         )
     centre = rig_centre(cameras)
     if centre is None or len(cameras) < 2:
@@ -50,7 +50,7 @@ def rig_doubts(capture: Capture) -> list[str]:
         lonely = int(np.argmax(apart))
         found.append(
             f"distant cameras: {cameras[lonely].name} is {np.degrees(apart[lonely]):.0f} degrees "
-            f"from the nearest other; above {np.degrees(DISTANT_RAD):.0f}, surfaces train to smears"
+            f"from the nearest other; above {np.degrees(DISTANT_RAD):.0f}, surfaces are smeared"
         )
     return found
 
@@ -63,7 +63,7 @@ def picture_doubt(picture: Picture, mask: Mask | None = None) -> str | None:
     if float((pixels.min(axis=1) >= WHITE).mean()) > CLIPPED_SHARE:
         return f"clipped: over {CLIPPED_SHARE:.0%} of their pixels are white"
     if float(np.percentile(pixels.max(axis=1), 99)) < BRIGHT:
-        return f"dark: hardly a pixel is above {BRIGHT} of 255, as of 10 or 12 bits stored in 16"
+        return f"dark: hardly a pixel is above {BRIGHT} of 255, like 10 or 12 bits stored in 16"
     return None
 
 

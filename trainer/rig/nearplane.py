@@ -104,10 +104,10 @@ def near_doubts(capture: Capture, seen: Seen | None, near_m: float) -> list[str]
         return []
     named = [f"{share:.1%} of what {name} sees" for name, share in cut[:MAX_CUT_CAMERAS]]
     if len(cut) > MAX_CUT_CAMERAS:
-        named.append(f"less of {len(cut) - MAX_CUT_CAMERAS} more cameras")
+        named.append(f"smaller shares of {len(cut) - MAX_CUT_CAMERAS} more cameras")
     return [
-        f"the near plane, {near_m:.3g} units, cuts {', '.join(named)}, and what it cuts dissolves "
-        "there; a smaller --near-m keeps it, but can leave fog before held-out cameras: try both"
+        f"the near plane, {near_m:.3g} units, cuts {', '.join(named)}, which is lost in these "
+        "views; a smaller --near-m keeps it, but can leave fog before held-out cameras: try both"
     ]
 
 

@@ -59,7 +59,7 @@ def check_capture(config: TrainConfig, console: Console = SILENT) -> list[str]:
         if not by_name:
             numbers = ", ".join(f"{n} {c.camera.name}" for n, c in enumerate(capture.cameras))
             lines.append(
-                "labels      by number, as no font here has all letters of the names: " + numbers
+                "labels      numbers, as no font here has all letters of the names: " + numbers
             )
     doubts = [
         *capture.doubts,
@@ -69,7 +69,7 @@ def check_capture(config: TrainConfig, console: Console = SILENT) -> list[str]:
         *picture_doubts(doubted, len(capture.cameras)),
     ]
     if capture.fps is None:
-        doubts.append(f"no file tells the frames per second: train with --fps, or write {FPS_NAME}")
+        doubts.append(f"no file gives the frame rate: train with --fps, or write {FPS_NAME}")
     return lines + [f"warning     {doubt}" for doubt in doubts]
 
 
@@ -100,13 +100,13 @@ def describe_capture(capture: Capture) -> list[str]:
     centre = rig_centre(cameras)
     if centre is not None:
         centre = np.where(np.abs(centre) < 1e-6 * np.abs(centre).max(), 0, centre)
-    far = "the rig does not tell" if capture.far_m is None else f"{capture.far_m:.3g} units"
+    far = "unknown from the rig" if capture.far_m is None else f"{capture.far_m:.3g} units"
     if len(sizes) == 1:
         size = f"{next(iter(sizes))} px"
     else:
         size = ", ".join(f"{size} px ({count})" for size, count in sizes.most_common())
     if capture.fps is None:
-        frames = f"{capture.num_frames}, no file tells how many per second"
+        frames = f"{capture.num_frames}, no file gives the frame rate"
     else:
         seconds = capture.num_frames / capture.fps
         frames = f"{capture.num_frames} at {capture.fps:g} per second: {seconds:.1f} s"
@@ -135,11 +135,11 @@ def _describe_near(
 ) -> tuple[list[str], list[str]]:
     """Lines about where the near plane is and why, and what is doubtful about it."""
     if near_m is None:
-        near_m, reason = near_plane(capture, seen), "by the rig"
+        near_m, reason = near_plane(capture, seen), "from the rig"
         if near_m is None:
-            near_m, reason = FALLBACK_NEAR_M, "by default: the rig does not tell; give --near-m"
+            near_m, reason = FALLBACK_NEAR_M, "by default: unknown from the rig; give --near-m"
         elif capture.near_m is not None and near_m < capture.near_m:
-            reason = f"by what the cameras see; the rig alone would say {capture.near_m:.3g}"
+            reason = f"from what the cameras see; the rig alone would give {capture.near_m:.3g}"
     else:
         reason = "as given"
     lines = [f"near        {near_m:.3g} units, {reason}"]

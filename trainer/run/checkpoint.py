@@ -165,8 +165,7 @@ def _check_settings(made_with: Mapping[str, Any], wanted: Mapping[str, Any]) -> 
     ]
     if changed:
         raise InvalidError(
-            f"--resume: {', '.join(changed)}; leave such options out, and those of the first run "
-            "hold"
+            f"--resume: {', '.join(changed)}; leave these options out to use those of the first run"
         )
 
 

@@ -36,95 +36,98 @@ class TrainConfig:
     """Trains a capture into a stream."""
 
     capture: tyro.conf.Positional[Annotated[Target, target_named("CAPTURE")]]
-    """Folder of the recording, or its URL in an object store, as s3://BUCKET/PATH: Dynamic 3D
-    Gaussians, DyNeRF, COLMAP or nerfstudio layout."""
+    """Folder of the capture, or its URL in an object store, such as s3://BUCKET/PATH. Its layout is
+    that of Dynamic 3D Gaussians, DyNeRF, COLMAP or nerfstudio."""
     stream: tyro.conf.Positional[Annotated[Target | None, target_named("STREAM")]] = None
-    """Folder to write, new or empty, or a URL. Left out only with --check."""
+    """Folder to write, new or empty, or a URL. May be left out only with --check."""
     work: Path | None = None
-    """Folder for what is not for players: checkpoint, log and snapshots. By default the stream's
-    folder; for a URL NAME.work here, after its last part."""
+    """Folder for the files that players do not need: checkpoint, log and snapshots. By default the
+    stream's folder; for a URL NAME.work in the current folder, NAME being the URL's last part."""
     check: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
-    """Train nothing: read the first and the last frame of every camera, say what was understood,
-    and draw cameras and points to this PNG."""
+    """Check the capture instead of training: read the first and the last frame of every camera,
+    describe the capture, and draw its cameras and points to this PNG."""
     preset: Preset = "cpu"
-    """Defaults to start from: cpu (minutes on two cores), fast (a first look), fine (an hour or
-    two), or paper (its settings, made for a GPU); other options override them."""
+    """Set of defaults: cpu (minutes on two cores), fast (a first look), fine (an hour or two on two
+    cores), or paper (the paper's settings, made for a GPU). Other options override them."""
     frames: str = ":"
-    """Frames of the capture to train, A:B; A included, B not."""
+    """Range of frames of the capture to train, A:B, A included, B not."""
     scale: float = 1.0
-    """Size of the training pictures over the capture's, above 0 to 1."""
+    """Size of the training pictures relative to the capture's, above 0 to 1."""
     fps: float | None = None
-    """Frames per second, where no file of the capture tells them, or in place of what it tells."""
+    """Frames per second, if no file of the capture gives them, or to override them."""
     near_m: float | None = None
-    """Nearest depth drawn, in the capture's unit; by default 0.35 of the cameras' distance to what
-    they look at, or less where they see something nearer (--check says)."""
+    """Nearest depth drawn, in the capture's unit. By default 0.35 of the distance from the cameras
+    to the point that they look at, or less if they see something nearer (--check prints it)."""
     far_m: float | None = None
-    """Depth that seeding reaches to, in the capture's unit; by default from the rig."""
+    """Largest depth at which seeds are placed, in the capture's unit; by default derived from the
+    rig."""
     points: Path | None = None
-    """File of initial points, .ply or .npz, in place of the capture's own."""
+    """File of initial points, .ply or .npz, used instead of the capture's own points."""
     point_share: float | None = None
-    """Share of the first Gaussians taken from the capture's points, if it has any; seeds fill the
-    rest. By default how evenly the points lie over the pictures (0 to 1), but 0.3 at least."""
+    """Share of the first Gaussians taken from the capture's points, if it has any; seeds are used
+    for the rest. By default the evenness of the points over the pictures (0 to 1), but at least
+    0.3."""
     initial: Path | None = None
-    """Gaussians of the first frame, trained elsewhere or exported from a stream, in place of points
-    and seeds: a .ply, .splat or .spz with num_gs of them. With --genesis-iterations 0 they only
-    settle."""
+    """File of the first frame's Gaussians (.ply, .splat or .spz), trained elsewhere or exported
+    from a stream, used instead of points and seeds. It must hold num_gs Gaussians. With
+    --genesis-iterations 0 they run through the settling rounds only."""
     layers: tuple[float, ...] = (0.35, 0.15, 0.2, 0.3)
     """Share of a slice's Gaussians in each layer, most important first; the sum is 1. A smaller
     first layer leaves holes, and the last third of the Gaussians adds little."""
     rank: Literal["opacity", "coverage", "contribution"] = "contribution"
     """Importance that orders Gaussians into layers: contribution (blending weight summed over the
-    training cameras; a first layer without holes), opacity (paper, section 5.5), or coverage
+    training cameras; leaves no holes in the first layer), opacity (paper, section 5.5), or coverage
     (opacity times size)."""
     profile: Profile = Profile.LATTICE
-    """How the stream says its Gaussians: lattice (what stands still is sent once, what goes on as a
-    difference), or slices sent whole in one of three precisions: compact, paper, raw."""
+    """How the stream codes its Gaussians: lattice sends still Gaussians once and moving Gaussians
+    as differences; compact, paper and raw send whole slices at three precisions."""
     raw_stream: Annotated[Target | None, target_named("STREAM")] = None
-    """Folder or URL for a second stream, of the same Gaussians with profile raw: shows what
-    `profile` costs."""
+    """Folder or URL of a second stream with the same Gaussians and profile raw, to measure the loss
+    that `profile` causes."""
     segment_frames: int = 15
-    """Frames in a segment: what a writer can lose, and the unit of caching."""
+    """Number of frames in a segment. A segment is the most that a stopped writer can lose, and the
+    unit of caching."""
     backend: BackendName = "cpu"
-    """Where the steps of training are computed: cpu (numba), cuda (gsplat on an NVIDIA GPU), torch
+    """Backend that computes the training steps: cpu (numba), cuda (gsplat on an NVIDIA GPU), torch
     (plain torch on any of its devices), or auto, the best that works: cuda, else torch on a GPU,
-    else cpu. Ranks and scores are computed on the CPU."""
+    else cpu. Ranks and scores are always computed on the CPU."""
     torch_device: str | None = None
-    """Device of backend torch, in torch's words: cuda:1, xpu, mps, cpu; by default a GPU if torch
+    """Device of backend torch, as torch names it: cuda:1, xpu, mps, cpu; by default a GPU if torch
     has one."""
     ray: Annotated[str | None, tyro.conf.arg(metavar="[ADDRESS]")] = None
-    """Train parts of the capture side by side on the Ray cluster at ADDRESS, as auto or HOST:PORT;
-    without an address on this machine alone. Capture and stream must be where all of its nodes
-    find them: in an object store, or in a folder that they share."""
+    """Train parts of the capture in parallel on the Ray cluster at ADDRESS (auto or HOST:PORT);
+    without an address, on this machine alone. All nodes must be able to open the capture and the
+    stream: in an object store, or in a folder that the nodes share."""
     worker_cpus: float = 2
-    """With --ray: cores that a worker claims, of those that the cluster has, and threads that it
-    trains with."""
+    """With --ray: CPU cores that each worker reserves in the cluster, and its number of threads."""
     worker_gpus: float = 0
-    """With --ray: GPUs that a worker claims; below 1 where several share one. Backends cuda and
-    torch need some; see docs/SCALE.md."""
+    """With --ray: GPUs that each worker reserves; below 1 if several workers share one GPU.
+    Backends cuda and torch need more than 0; see docs/SCALE.md."""
     part_frames: int = 300
-    """With --ray: frames of a part, which one worker trains after another; rounded up to whole
-    segments."""
+    """With --ray: number of frames in a part, rounded up to whole segments. One worker trains the
+    frames of a part one after another."""
     warm_frames: int = 30
-    """With --ray: frames before a part in which it learns what has changed since the first."""
+    """With --ray: number of frames before a part in which its worker learns the changes since the
+    first frame."""
     seam_frames: int = 30
-    """With --ray: frames in which a part takes over from the one before, rounded up to whole
-    segments; they are trained twice."""
+    """With --ray: number of frames in which a part takes over from the previous part, rounded up to
+    whole segments. Both parts train these frames."""
     resume: bool = False
-    """Go on where the run that wrote STREAM was stopped or killed, with its settings. Options that
-    are given must be the same as then, but for those that change no byte of the stream."""
+    """Continue a stopped or killed run where it stopped, with its settings. Options given here must
+    equal those of that run, except options that change no byte of the stream."""
     log: Path | None = None
-    """File that gets one JSON object per frame; by default training.jsonl in the work folder."""
+    """Log file, one JSON object per frame; by default training.jsonl in the work folder."""
     tensorboard: Path | None = None
     """Also write the log's numbers as TensorBoard scalars to this folder."""
     snapshot_every: int = 30
-    """Frames between pictures of a held-out view (capture, rendered, error), in snapshots/ in the
-    work folder; 0 for none."""
+    """Frames between pictures of a held-out view (capture, rendered, error) in snapshots/ in the
+    work folder; 0 draws none."""
     title: str = ""
-    """Name of the stream for people; by default the capture folder's."""
+    """Title of the stream; by default the name of the capture's folder."""
     cache_bytes: int = DEFAULT_MAX_BYTES
-    """Bytes of decoded pictures held in memory."""
+    """Largest size of the decoded pictures held in memory, bytes."""
     fit: Annotated[FitConfig, tyro.conf.arg(name="")] = field(default_factory=FitConfig)
-    """The sliding-window training itself."""
+    """Settings of the sliding-window training."""
 
     def __post_init__(self) -> None:
         if self.stream is None and self.check is None:
@@ -149,13 +152,13 @@ class TrainConfig:
             return
         if self.raw_stream is not None:
             raise InvalidError(
-                "--raw-stream shows what a profile costs, and with lattice the trainer sees "
-                "nothing else; train with --profile compact"
+                "--raw-stream shows what a profile costs, but with lattice the trainer sees only "
+                "the coded Gaussians; train with --profile compact"
             )
         if self.rank != "contribution":
             raise InvalidError(
-                f"--rank {self.rank} orders slices that are sent whole, and with lattice slots "
-                "are ranked by contribution; leave it out, or train with --profile compact"
+                f"--rank {self.rank} orders slices that are sent whole, but lattice always "
+                "ranks slots by contribution; leave it out, or train with --profile compact"
             )
 
     @property

@@ -58,7 +58,7 @@ def telling_where_it_stopped(progress: _Progress, console: Console) -> Iterator[
             done = progress.finished_frames
             when = f"after frame {done - 1}" if done else "before the first frame was finished"
             with suppress(OSError):  # the terminal may be gone
-                line = f"stopped {when}; --resume goes on from there"
+                line = f"stopped {when}; --resume continues from there"
                 console.print(line, highlight=False, soft_wrap=True)
         raise
 
@@ -139,7 +139,7 @@ def _checked(config: TrainConfig, console: Console) -> _Start:
     if bare:
         config = replace(config, resume=False)
     targets = check_targets(config, bare)
-    with console.status("what the cameras see"):
+    with console.status("reading what the cameras see"):
         prepared = prepare(config)
     settings = shared_settings(config, prepared)
     path = config.work_folder / CHECKPOINT_NAME
@@ -153,8 +153,8 @@ def _announce(start: _Start, console: Console) -> None:
     console.print(f"backend: {prepared.picked.why}", highlight=False, markup=False, soft_wrap=True)
     if start.bare:
         log_to.warning(
-            f"{start.config.target} was stopped before its first checkpoint; it begins anew, with "
-            "the settings given now"
+            f"{start.config.target} was stopped before its first checkpoint; training starts anew, "
+            "with the settings given now"
         )
     if start.found is None:
         for doubt in prepared.doubts:
@@ -174,7 +174,7 @@ def _train(start: _Start, console: Console, observers: Sequence[Observer]) -> Ma
         log_path = config.log or config.work_folder / LOG_NAME
         log = stack.enter_context(RunLog(log_path, config.tensorboard))
         if found is None:
-            with console.status("first Gaussians"):
+            with console.status("making the first Gaussians"):
                 initial = first_gaussians(config, prepared, pictures)
             manifest = make_manifest(config, prepared, cache, initial)
         else:

@@ -95,7 +95,7 @@ def _given_gaussians(config: TrainConfig) -> Splats | None:
     path, fit = config.initial, config.fit
     if path is None:
         if not fit.genesis_iterations:
-            raise InvalidError("genesis_iterations 0 is for given Gaussians; see --initial")
+            raise InvalidError("genesis_iterations 0 needs given Gaussians; see --initial")
         return None
     splats = read_splats(path)
     if len(splats) != fit.num_gs:
@@ -109,7 +109,7 @@ def fps_of(capture: Capture, config: TrainConfig) -> float:
     fps = capture.fps if config.fps is None else config.fps
     if fps is None:
         raise CaptureError(
-            f"{capture.root}: no file tells the frames per second; give --fps, or write them to "
+            f"{capture.root}: no file gives the frame rate; give --fps, or write it to "
             f"{FPS_NAME} there"
         )
     return fps

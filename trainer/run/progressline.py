@@ -54,7 +54,7 @@ def line_of(standing: Standing, columns: int) -> str:
     parts = [
         f"frame {s.frame} of {s.num_frames}" if s.frame else f"first of {s.num_frames} frames",
         f"{s.share:.0%} done",
-        f"{clock(s.gone_s)} gone" + ("" if s.left_s is None else f", {clock(s.left_s)} left"),
+        f"{clock(s.gone_s)} elapsed" + ("" if s.left_s is None else f", {clock(s.left_s)} left"),
     ]
     if s.psnr_db is not None:
         parts.append(f"{s.psnr_db:.2f} dB")

@@ -133,7 +133,7 @@ def _train_with_slots(config: FitConfig, pictures: _Noise, initial: Splats) -> N
 def start_over_if_compiled(sh_degree: int, console: Console) -> None:
     """Does not return where a kernel had to be compiled: this program is started once more."""
     started_over = _STARTED_OVER in os.environ
-    with waiting(console, "" if started_over else "kernels (half a minute once after an install)"):
+    with waiting(console, "" if started_over else "compiling kernels (half a minute, once)"):
         compiled = compile_kernels(sh_degree)
     if compiled and not started_over:
         os.environ[_STARTED_OVER] = "1"

@@ -43,24 +43,24 @@ class EvaluateConfig:
     """Scores a stream's decoded files on the held-out cameras of its capture."""
 
     stream: tyro.conf.Positional[Annotated[Target, target_named("STREAM")]]
-    """Folder of the stream, or its URL in an object store, as s3://BUCKET/PATH."""
+    """Folder of the stream, or its URL in an object store, such as s3://BUCKET/PATH."""
     capture: tyro.conf.Positional[Annotated[Target, target_named("CAPTURE")]]
-    """Folder or URL of the capture that it was trained from."""
+    """Folder or URL of the capture that the stream was trained from."""
     json: bool = False
     """Print JSON instead of a table."""
     sheet: Path | None = None
-    """Also draw a contact sheet to this PNG: capture | rendered | error."""
+    """Also draw a contact sheet (capture | rendered | error) to this PNG."""
     every: int = 1
-    """Score every n-th frame; flicker needs 1."""
+    """Step between scored frames; flicker needs 1, every frame."""
     ablate_quantisation: bool = False
-    """Score instead a raw stream with one attribute at a time quantised as in the paper's
-    Table 6."""
+    """Score a raw stream instead, with one attribute at a time quantised as in the paper's Table
+    6."""
     compare: Annotated[tuple[str, Path] | None, tyro.conf.arg(metavar="CAMERA OUT")] = None
-    """Draw instead, for each frame, what this camera saw, what the stream shows there and the
-    error, to an .mp4 or a folder of PNGs."""
+    """Draw a comparison instead of scoring: for each frame the camera's picture, the rendered
+    picture and the error, to an .mp4 or a folder of PNGs."""
     max_gaussians: int = DEFAULT_MAX_GAUSSIANS
-    """Refuse a stream of more Gaussians a frame: a few kilobytes of file can ask for gigabytes of
-    memory."""
+    """Largest number of Gaussians a frame; a stream with more is refused, because a few kilobytes
+    of file can ask for gigabytes of memory."""
 
     def __post_init__(self) -> None:
         """Raises InvalidError for options that do not go together."""

@@ -107,7 +107,7 @@ def _find(cache: FrameCache, name: str) -> tuple[int, Camera]:
     names = [camera.camera.name for camera in cache.capture.cameras]
     if name not in names:
         raise InvalidError(
-            f"{cache.capture.root} has no camera {name!r}; there are {', '.join(names)}"
+            f"{cache.capture.root} has no camera {name!r}; it has {', '.join(names)}"
         )
     return names.index(name), cache.camera(names.index(name))
 

@@ -87,7 +87,7 @@ def stream_cameras(manifest: Manifest, capture: Capture, name: str) -> list[Came
     for index in capture.held_out:
         camera = capture.cameras[index].camera
         if camera.name not in known:
-            raise CaptureError(f"{name} does not know camera {camera.name}: another capture?")
+            raise CaptureError(f"{name} has no camera {camera.name}; is this another capture?")
         trained = known[camera.name]
         scale = trained.width_px / camera.width_px
         same_pose = np.allclose(trained.w2c, camera.w2c, atol=1e-4)

@@ -64,23 +64,23 @@ class SynthConfig:
     out: tyro.conf.Positional[Path]
     """Folder to make; must be missing or empty."""
     frames: int = 60
-    """Frames of every camera."""
+    """Number of frames of every camera."""
     fps: float = 30.0
     """Frames per second."""
     cameras: int = 16
-    """Cameras on the arc, the held-out ones among them."""
+    """Number of cameras on the arc, including the held-out ones."""
     held_out: int = 2
-    """Cameras kept out of training, evenly between the others."""
+    """Number of cameras kept out of training, spread evenly among the others."""
     width_px: int = 320
-    """Width of the pictures."""
+    """Width of the pictures, pixels."""
     height_px: int = 180
-    """Height of the pictures."""
+    """Height of the pictures, pixels."""
     arc_deg: float = 200.0
-    """Angle between the first and the last camera, seen from the middle of the room."""
+    """Angle between the first and the last camera, seen from the middle of the room, degrees."""
     points: int = 12_000
-    """Points on the surfaces that training cameras see at frame 0; 0 writes none."""
+    """Number of points on the surfaces that training cameras see at frame 0; 0 writes none."""
     seed: int = 0
-    """Of the textures, and of where the motion starts."""
+    """Seed of the textures and of the start of the motion."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

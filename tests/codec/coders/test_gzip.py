@@ -148,8 +148,8 @@ def with_name(packet: bytes) -> bytes:
         # Says more than deflate can give.
         (claiming(1 << 20, bomb(1000)), "cannot come from"),
         # Goes on beyond what it says: 16 MiB of zeros that claim to be few.
-        (claiming(0, BOMB), "more than the 0 bytes"),
-        (claiming(1000, BOMB), "more than the 1000 bytes"),
+        (claiming(0, BOMB), "more content than the 0 bytes"),
+        (claiming(1000, BOMB), "more content than the 1000 bytes"),
         # Ends before it.
         (claiming(1001, bomb(1000)), "packet: "),
         # More than one member, or something behind it.

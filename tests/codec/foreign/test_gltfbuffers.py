@@ -96,7 +96,7 @@ def test_no_other_place_is_looked_at(
 
 
 def test_bytes_without_a_place_have_no_file_beside() -> None:
-    with pytest.raises(CorruptError, match=r"another file, 'a\.bin', which is not here"):
+    with pytest.raises(CorruptError, match=r"another file, 'a\.bin', which is not given"):
         decode_any(json.dumps(outside("a.bin")).encode())
 
 

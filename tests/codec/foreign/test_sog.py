@@ -175,7 +175,7 @@ WRONG_TAG = two_rows([[0, 0, 0, 252], [0, 0, 0, 251]])
         (changed(count=(1 << 24) + 1), CorruptError, "at most 16777216"),
         (changed(scales=7), CorruptError, "scales: is not an object"),
         (changed(scales={"codebook": BOOK[1:], "files": ["s"]}), CorruptError, "255 numbers"),
-        (changed(scales={"codebook": BOOK, "files": ["s", "s"]}), CorruptError, "1 texts"),
+        (changed(scales={"codebook": BOOK, "files": ["s", "s"]}), CorruptError, "1 strings"),
         (changed(scales={"codebook": [1e300] * 256, "files": ["s"]}), CorruptError, "not finite"),
         (
             changed(sh0={"codebook": ["1"] * 256, "files": ["c"]}),

@@ -141,19 +141,19 @@ def test_a_bad_folder_or_file_is_named_and_nothing_is_written(tmp_path: Path) ->
     (folder / "frame_01.ply").rename(folder / "last.ply")
     refused(r"last\.ply: its name has no number")
     (folder / "last.ply").rename(folder / "frame_2.ply")
-    refused(r"take: no file says how many frames .* --fps 30", ImportOptions())
+    refused(r"take: no file gives the frame rate; .* --fps 30", ImportOptions())
     (folder / "fps.txt").write_text("fast")
-    refused(r"fps\.txt: does not hold one number", ImportOptions())
+    refused(r"fps\.txt: does not hold exactly one number", ImportOptions())
     data = (folder / "frame_2.ply").read_bytes()
     (folder / "frame_2.ply").write_bytes(data[:-1])
     refused(r"frame_2\.ply: PLY: ends after")
     save(folder / "frame_2.ply", trained_like_splats(3, sh_degree=1))
-    refused(r"frame_2\.ply: SH degree 1, where the files before have 0")
+    refused(r"frame_2\.ply: SH degree 1, but the files before have 0")
     (folder / "frame_2.ply").write_bytes(data)
     save(folder / "frame_4.ply", trained_like_splats(3))
     refused(r"take: number 3 is missing between frame_2\.ply and frame_4\.ply")
     (folder / "frame_3.ply").symlink_to("nowhere.ply")
-    refused(r"take/frame_3\.ply is a link to nothing; replace or remove it")
+    refused(r"take/frame_3\.ply is a broken link; replace or remove it")
     (folder / "frame_3.ply").unlink()
     os.mkfifo(folder / "frame_3.ply")
     refused(r"take/frame_3\.ply is not a regular file; replace or remove it")
@@ -165,7 +165,7 @@ def test_a_bad_folder_or_file_is_named_and_nothing_is_written(tmp_path: Path) ->
         options = replace(options, rank="beauty")  # type: ignore[arg-type]
         refused("no rank is called", options)
     for values in ({"opacity": 0.001}, {"finer": 1e9}):
-        with pytest.raises(InvalidError, match=r"error opacity .*finer than 0\.0029"):
+        with pytest.raises(InvalidError, match=r"error opacity .*choose 0\.0029 or more"):
             ErrorBound(**values)
     with pytest.raises(InvalidError, match="error size 0: choose more than 0"):
         ErrorBound(size=0)
@@ -186,7 +186,7 @@ def test_a_file_that_changes_while_it_is_imported_is_named(tmp_path: Path) -> No
         if done == 3 + WRITE_STEPS:  # the first frame is written
             save(tmp_path / "take" / "1.ply", trained_like_splats(6))
 
-    with pytest.raises(InvalidError, match=r"1\.ply: has changed while it was imported"):
+    with pytest.raises(InvalidError, match=r"1\.ply: changed while it was imported"):
         import_stream(tmp_path / "take", tmp_path / "s", LATTICE, progress=grow)
     assert [path.name for path in tmp_path.iterdir()] == ["take"]
 
@@ -286,7 +286,7 @@ def test_the_commands(tmp_path: Path) -> None:
     assert done.stderr == f"swings-stream: {tmp_path}/none.ply is missing\n"
     done = run("swings-stream", "import", folder, tmp_path / "other")
     assert done.returncode == 1
-    assert "add --fps, as --fps 30" in done.stderr
+    assert "add --fps, for example --fps 30" in done.stderr
     done = run("swings-stream", "import", folder, tmp_path / "other", "--error.turn", -1)
     assert (done.returncode, done.stdout) == (2, "")
     assert not (tmp_path / "other").exists()

@@ -169,7 +169,7 @@ def test_what_is_refused() -> None:
     for place, message in ((5, "layer 1"), (8, "birth")):
         with pytest.raises(CorruptError, match=message):
             decode(data[:place] + b"\1" + data[place + 1 :])
-    with pytest.raises(CorruptError, match="the mask says 7"):
+    with pytest.raises(CorruptError, match="the mask declares 7"):
         decode_change(layout, 0, 7, data, 7, 5)
 
 
@@ -222,7 +222,7 @@ def test_any_bytes_give_a_snapshot_or_an_error() -> None:
         (data[:8] + b"\3" + data[9:], "frame 3 is not the first"),
         (data[:8] + b"\xfc\xff\xff\xff" + data[12:], "frame -4"),
         (data[:13] + bytes([data[13] | 0x80]) + data[14:], "after the last flag"),
-        (data[:12] + bytes([data[12] ^ 1]) + data[13:], "new, the mask says"),
+        (data[:12] + bytes([data[12] ^ 1]) + data[13:], "new, the mask declares"),
     ):
         with pytest.raises(CorruptError, match=message):
             load(wrong)

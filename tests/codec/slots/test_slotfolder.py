@@ -342,7 +342,7 @@ def test_what_a_faulty_writer_would_do_is_named(stream: Path, tmp_path: Path) ->
         StreamReader(stream).window(1, 2)
     put_part(stream, 0, MASKS, masks)
     put_part(stream, 0, "1", packets_of(stream, 0, "1")[1:])
-    with pytest.raises(CorruptError, match=r"segments/0/1: .*there is none, but the mask says"):
+    with pytest.raises(CorruptError, match=r"segments/0/1: .*it is missing, but the mask declares"):
         StreamReader(stream).window(1, 2)
     put_part(stream, 0, "1", one)
     (stream / "segments" / "1" / "0").write_bytes(

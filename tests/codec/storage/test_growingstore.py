@@ -134,7 +134,7 @@ def test_of_two_writers_the_one_that_came_later_goes_on(server: S3Server, tmp_pa
         first.append(slice)
     segments = len(StreamReader(URL).records)
     second = StreamWriter.resume(URL)
-    with pytest.raises(InvalidError, match=f"^{URL}: another writer goes on with this stream; "):
+    with pytest.raises(InvalidError, match=f"^{URL}: another writer has written to this stream; "):
         append_some(first, slices[8:])
     assert verify_stream(URL).num_segments == segments
     with pytest.raises(InvalidError, match="another writer"):

@@ -43,7 +43,7 @@ def test_the_commands_take_urls(server: S3Server, tmp_path: Path) -> None:
     for name in (url, f"{url}/"):
         done = swings_stream("verify", name)
         assert (done.returncode, done.stderr) == (0, "")
-        assert "8 frames in 2 segments are good" in done.stdout
+        assert "8 frames in 2 segments are intact" in done.stdout
     told = json.loads(swings_stream("info", url, "--json").stdout)
     assert told == json.loads(swings_stream("info", str(tmp_path / "s"), "--json").stdout)
     out = tmp_path / "frame.ply"

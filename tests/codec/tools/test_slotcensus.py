@@ -88,7 +88,7 @@ def test_people_and_programs_are_told_the_same(stream: Path) -> None:
     assert "45 active, in leases of 3 frames" in text
     joins = sum(told["slots"]["join_snapshot_bytes"])
     assert f"{told['played_bytes']} bytes, " in text
-    assert f"; {joins} bytes of snapshots for those who join\n" in text
+    assert f"; {joins} bytes of snapshots for joining players\n" in text
     assert f"slots        15 a slice; as a mean {sum(told['slots']['kept']):.1f} kept, " in text
     for layer in range(2):
         assert f"{told['slots']['change_bytes'][layer]} bytes; of {LAYOUT.slots[layer]}" in text

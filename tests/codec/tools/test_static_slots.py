@@ -122,4 +122,4 @@ def test_the_command(tmp_path: Path) -> None:
     told = run_ok("swings-stream", "export", tmp_path / "a", tmp_path / "b", "--static")
     assert told.startswith(f"{tmp_path}/b: 10 frames in 3 segments for any web server, ")
     told = run_ok("swings-stream", "verify", tmp_path / "b")
-    assert told == f"{tmp_path}/b: 10 frames in 3 segments are good\n"
+    assert told == f"{tmp_path}/b: 10 frames in 3 segments are intact\n"

@@ -159,8 +159,8 @@ ODD: list[tuple[Callable[[Path, str], None], str]] = [
     (a_fifo, r"{name} cannot be read: it is not a regular file"),
     (a_folder, r"{name} cannot be read: Is a directory"),
     (a_socket, r"it cannot be read where it lies; the log of the server says why"),
-    (endless, r"{name} cannot be read: a link leads out of its folder"),
-    (a_link_out, r"{name} cannot be read: a link leads out of its folder"),
+    (endless, r"{name} cannot be read: a link points outside its folder"),
+    (a_link_out, r"{name} cannot be read: a link points outside its folder"),
     (a_link_in_a_circle, r"it cannot be read where it lies; the log of the server says why"),
     (huge, r"{name} is longer than \d+ bytes"),
     (altered, r"{name}: byte \d+: .*"),
@@ -225,7 +225,9 @@ def test_a_folder_that_links_out_of_the_root_is_not_served(tmp_path: Path) -> No
     (root / "out").symlink_to(tmp_path / "elsewhere" / "s")
     library = Library(root, 1.0)
     assert list(library.streams) == ["good", "inside"]
-    assert library.broken == {"out": "manifest.json cannot be read: a link leads out of its folder"}
+    assert library.broken == {
+        "out": "manifest.json cannot be read: a link points outside its folder"
+    }
     # The root itself may be a link.
     (tmp_path / "link").symlink_to(root)
     assert list(Library(tmp_path / "link", 1.0).streams) == ["good", "inside"]

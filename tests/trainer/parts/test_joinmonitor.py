@@ -38,8 +38,8 @@ def test_the_log_has_a_line_for_each_segment_and_means_over_all(tmp_path: Path) 
     assert [row["bytes_per_frame"] for row in rows] == [40, 30, 25]
     assert [(row["time_s"], row["left_s"]) for row in rows[:2]] == [(60, 180)] * 2
     lines = told.getvalue().splitlines()
-    assert lines[0].startswith("frame 10 of 60  25% done  1:00 gone, 3:00 left  20.00 dB")
-    assert lines[-1].startswith("frame 40 of 60  100% done  2:00 gone")
+    assert lines[0].startswith("frame 10 of 60  25% done  1:00 elapsed, 3:00 left  20.00 dB")
+    assert lines[-1].startswith("frame 40 of 60  100% done  2:00 elapsed")
 
 
 def test_nothing_is_said_of_what_is_not_known(tmp_path: Path) -> None:

@@ -135,7 +135,7 @@ def stop_at(file: str, number: signal.Signals, stream: Path, arguments: list[obj
         assert driver.returncode == -number
     else:
         assert driver.returncode == 128 + number, said
-        assert "--resume goes on from there" in said
+        assert "--resume continues from there" in said
 
 
 def test_a_run_that_is_stopped_goes_on_with_what_is_there(
@@ -148,7 +148,7 @@ def test_a_run_that_is_stopped_goes_on_with_what_is_there(
     stop_at("seam-1.records", signal.SIGKILL, stream, [*arguments, "--resume"])
     other = run("swings-train", *arguments, "--resume", "--num-gs", 300)
     assert (other.returncode, other.stderr.count("\n")) == (1, 1)
-    assert "wants the options" in other.stderr
+    assert "needs the options" in other.stderr
     run_ok("swings-train", *arguments, "--resume", "--worker-cpus", 2)  # what changes no byte
     assert contents(stream) == contents(one)
 
@@ -158,7 +158,7 @@ def test_what_no_cluster_can_train_is_one_line(capture: Path, tmp_path: Path) ->
         (["--swin-size", 5, "--num-gs", 200], "swin_size 1"),
         (["--ray", "127.0.0.1:9"], "127.0.0.1:9"),
         (["--part-frames", 3], "part_frames 3"),
-        (["--resume"], "no run in parts was begun there"),
+        (["--resume"], "no run with --ray was started there"),
     ]
     for arguments, word in cases:
         given = arguments if "--ray" in arguments else [*arguments, "--ray"]

@@ -78,6 +78,6 @@ def test_pictures_of_another_depth_are_named(tmp_path: Path) -> None:
             Image.fromarray(grey).save(path)
     dark = [line for line in all_said(checked(tmp_path), "warning") if "dark" in line]
     assert dark == [
-        "pictures of cam01, cam06 are dark: hardly a pixel is above 64 of 255, as of 10 or 12 bits "
+        "pictures of cam01, cam06 are dark: hardly a pixel is above 64 of 255, like 10 or 12 bits "
         "stored in 16"
     ]

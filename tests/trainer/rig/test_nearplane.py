@@ -72,7 +72,7 @@ def test_a_rig_that_sees_nothing_near_keeps_what_the_rig_suggests(tmp_path: Path
     for name, points in (("with", 2000), ("without", 0)):
         capture = write(tmp_path / name, cameras, points)
         assert near_of(capture) == capture.near_m == pytest.approx(depths[0])
-    assert said(checked(tmp_path / "with"), "near").endswith(", by the rig")
+    assert said(checked(tmp_path / "with"), "near").endswith(", from the rig")
     assert said(checked(tmp_path / "with"), "near cuts").startswith("at most 0.5%")
 
 
@@ -86,7 +86,7 @@ def test_points_that_a_camera_sees_bring_it_in(tmp_path: Path) -> None:
     near = near_of(capture)
     assert near == pytest.approx(LEAST_SHARE * suggested)  # and no nearer by itself
     lines = checked(tmp_path)
-    told = f"{near:.3g} units, by what the cameras see; the rig alone would say {suggested:.3g}"
+    told = f"{near:.3g} units, from what the cameras see; the rig alone would give {suggested:.3g}"
     assert said(lines, "near") == told
     assert not all_said(lines, "near cuts")
     assert "of what cam10 sees" in warned_of_near(lines)

@@ -47,7 +47,7 @@ def test_description_of_a_rig_that_tells_little(tmp_path: Path) -> None:
     assert "none: nothing to score with" in text
     assert "64x36 px (2), 32x18 px (1)" in text
     assert "looks one way" in text
-    assert "the rig does not tell" in text
+    assert "unknown from the rig" in text
 
 
 def test_a_last_frame_that_cannot_be_read_is_found(tmp_path: Path) -> None:

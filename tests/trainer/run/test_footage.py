@@ -90,13 +90,12 @@ def test_a_radial_lens_in_a_world_of_any_unit(tmp_path: Path) -> None:
     assert " m" not in said(lines, "near") + said(lines, "far") + said(lines, "rig")
     assert said(lines, "near").split()[1] == "units,"
     assert [line.split(":")[0] for line in all_said(lines, "warning")] == [
-        "no file tells the frames per second"
+        "no file gives the frame rate"
     ]
     done = run("swings-train", root, tmp_path / "s")
     assert (done.returncode, done.stdout) == (1, "")
     (line,) = done.stderr.splitlines()
-    assert line.endswith("no file tells the frames per second; give --fps, or write them to "
-                         "fps.txt there")  # fmt: skip
+    assert line.endswith("no file gives the frame rate; give --fps, or write it to fps.txt there")
     assert not (tmp_path / "s").exists()
     scores = trained(root, tmp_path / "s", "--fps", "12.5")
     assert StreamReader(tmp_path / "s").manifest.fps == 12.5

@@ -51,13 +51,13 @@ def test_a_usual_line_fits_80_columns_with_all_that_is_known() -> None:
     told = Standing(1149, 3000, 0.383, 45_296, 72_960, 28.412, 33_123, 106.5)
     assert (
         line_of(told, 80)
-        == ("frame 1149 of 3000  38% done  12:34:56 gone, 20:16:00 left  28.41 dB  33.1 kB/frame")[
-            :80
-        ].rsplit("  ", 1)[0]
+        == (
+            "frame 1149 of 3000  38% done  12:34:56 elapsed, 20:16:00 left  28.41 dB  33.1 kB/frame"
+        )[:80].rsplit("  ", 1)[0]
     )
     usual = Standing(149, 150, 0.383, 754, 1234, 28.412, 33_123, 106.5)
     assert line_of(usual, 80) == (
-        "frame 149 of 150  38% done  12:34 gone, 20:34 left  28.41 dB  33.1 kB/frame"
+        "frame 149 of 150  38% done  12:34 elapsed, 20:34 left  28.41 dB  33.1 kB/frame"
     )
 
 
@@ -77,7 +77,7 @@ def test_without_a_terminal_a_line_comes_at_intervals_and_at_the_end() -> None:
             line.tell(Standing(0, 5, second / 100, second, 100 - second))
             lines = file.getvalue().splitlines()
             assert len(lines) == 1 + second // TELL_EVERY_S
-        assert lines[1] == "first of 5 frames  30% done  0:30 gone, 1:10 left"
+        assert lines[1] == "first of 5 frames  30% done  0:30 elapsed, 1:10 left"
     assert file.getvalue().splitlines()[-1].startswith("first of 5 frames  74% done")
     assert len(file.getvalue().splitlines()) == 4
 

@@ -149,7 +149,7 @@ def test_a_signal_ends_the_run_and_it_can_be_resumed(
     last = errors.splitlines()[-1]
     # A signal may come when the checkpoint is on disk and its frame not yet counted.
     when = r"(after frame \d+|before the first frame was finished)"
-    assert re.fullmatch(rf"stopped {when}; --resume goes on from there", last)
+    assert re.fullmatch(rf"stopped {when}; --resume continues from there", last)
     run_ok("swings-train", capture, stream, *SETTINGS, "--resume")
     assert contents(stream) == uninterrupted
 
@@ -302,5 +302,5 @@ def test_the_run_that_compiles_the_kernels_writes_the_same_bytes(
     )
     assert done.returncode == 0, done.stderr
     assert any((tmp_path / "cache").rglob("*.nbc"))
-    assert done.stderr.count("kernels (half a minute once after an install)\n") == 1
+    assert done.stderr.count("compiling kernels (half a minute, once)\n") == 1
     assert contents(stream) == uninterrupted

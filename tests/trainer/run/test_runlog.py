@@ -100,7 +100,7 @@ def test_time_left_is_that_of_the_iterations_left(tmp_path: Path) -> None:
     assert (second["left_s"], second["iterations_per_s"]) == (18, 5)
     assert (second["bytes_per_frame"], second["psnr_db"]) == (2000, 25.5)
     assert told.getvalue().splitlines()[-1] == (
-        "frame 1 of 5  62% done  0:30 gone, 0:18 left  25.50 dB  2.0 kB/frame  5 it/s"
+        "frame 1 of 5  62% done  0:30 elapsed, 0:18 left  25.50 dB  2.0 kB/frame  5 it/s"
     )
 
 

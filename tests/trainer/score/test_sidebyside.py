@@ -110,7 +110,7 @@ def test_the_command_writes_a_video_and_one_line(folder: Path, tmp_path: Path) -
 def test_what_cannot_be_compared_gets_one_line_and_leaves_nothing(
     folder: Path, tmp_path: Path
 ) -> None:
-    with pytest.raises(InvalidError, match="has no camera 'nobody'; there are "):
+    with pytest.raises(InvalidError, match="has no camera 'nobody'; it has "):
         write_side_by_side(config_of(folder), "nobody", tmp_path / "out")
     arguments = (folder / "stream", folder / "capture", "--compare", "x")
     for words, message in (

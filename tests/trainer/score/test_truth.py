@@ -62,5 +62,5 @@ def test_another_capture_is_told_by_any_held_out_camera(capture: Capture, index:
         stream_cameras(replace(manifest, cameras=tuple(cameras)), capture, "stream")
     cameras[index] = replace(cameras[index], w2c=np.eye(4), name="other")
     others = replace(manifest, cameras=tuple(cameras), default_camera="other")
-    with pytest.raises(CaptureError, match="does not know camera"):
+    with pytest.raises(CaptureError, match="has no camera"):
         stream_cameras(others, capture, "stream")
