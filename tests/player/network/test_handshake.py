@@ -163,7 +163,7 @@ def test_an_alert_of_tls_in_place_of_an_answer(folder: Path) -> None:
 
         thread = threading.Thread(target=alert)
         thread.start()
-        with pytest.raises(FetchError, match="it speaks TLS at this port; https:// may be right"):
+        with pytest.raises(FetchError, match="the server speaks TLS at this port; try https://"):
             fetcher.get(f"http://127.0.0.1:{listener.getsockname()[1]}/s", 1000)
         thread.join()
 
