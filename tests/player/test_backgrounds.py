@@ -137,7 +137,7 @@ def test_opengl_covers_what_the_cpu_covers(stream: Path) -> None:
     ("options", "message"),
     [
         ({"capture": Path("turn.mp4")}, "turn.mp4: an .mp4 has no alpha channel"),
-        ({}, "name them with --capture"),
+        ({}, "name it with --capture"),
         ({"viser": 8080}, "--background cannot be combined with --viser"),
     ],
 )

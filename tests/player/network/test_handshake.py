@@ -128,7 +128,7 @@ def test_it_is_final_while_a_connection_that_breaks_is_not(
 
 def test_tls_where_plain_http_is_spoken(folder: Path) -> None:
     with static_host(folder) as url, closing(Fetcher()) as fetcher:
-        with pytest.raises(FetchError, match="does not speak TLS at this port; http:// may") as it:
+        with pytest.raises(FetchError, match="does not speak TLS at this port; try http://") as it:
             fetcher.get(url.replace("http://", "https://"), 1000)
         assert not isinstance(it.value, BrokenError)
 
@@ -138,7 +138,7 @@ def test_plain_http_where_tls_is_spoken(folder: Path, certificate: tuple[Path, P
     with closing(Fetcher()) as fetcher:
         with (
             serving(folder, "--tls-cert", cert, "--tls-key", key) as url,
-            pytest.raises(FetchError, match="without an answer; if it speaks TLS, https:// is"),
+            pytest.raises(FetchError, match="without an answer; if it speaks TLS, use https://"),
         ):
             fetcher.get(url.replace("https://", "http://"), 1000)
         with (
