@@ -299,7 +299,7 @@ class PlayConfig:
             return
         if not (math.isfinite(self.turntable) and 0 < self.turntable <= MAX_TURN_S):
             raise InvalidError(
-                f"turntable {self.turntable:g}: the time must be above 0 and at most "
+                f"turntable {self.turntable:g}: the time must be more than 0 and at most "
                 f"{MAX_TURN_S:g} seconds"
             )
         check_output(self.capture)

@@ -194,7 +194,10 @@ def test_what_breaks_a_rule_is_named(reader: StreamReader, make: Make, message: 
     ("make", "message"),
     [
         (lambda r: slice_record(r, 6, 0, 1), "the slice born at 6 arrived before a snapshot"),
-        (lambda r: snapshot_record(r, 10, 0, 1), "begins with the snapshot of layer 0 at 10, not"),
+        (
+            lambda r: snapshot_record(r, 10, 0, 1),
+            "begins with layer 0 of the snapshot of frame 10, not",
+        ),
         (
             lambda r: snapshot_record(r, 5, 1, 2),
             "layer 1 of the snapshot of frame 5, not with layer 0 of the snapshot of frame 5",
