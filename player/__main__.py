@@ -40,7 +40,9 @@ def run_profile(config: PlayConfig, path: Path) -> None:
 
 
 def main() -> None:
-    run_command(PlayConfig, run, "swings-play", "Plays a stream in a window or into files.")
+    run_command(
+        PlayConfig, run, "swings-play", "Plays a stream in a window, or writes its frames to files."
+    )
 
 
 if __name__ == "__main__":

@@ -60,7 +60,7 @@ def parse_layers(text: str) -> int | None:
     if text == "auto":
         return None
     if not (text.isdecimal() and int(text) >= 1):
-        raise InvalidError(f"layers {text!r} are neither auto nor a number from 1 on")
+        raise InvalidError(f"layers {text!r} is neither auto nor a whole number of 1 or more")
     return int(text)
 
 
@@ -69,7 +69,7 @@ def parse_loop(text: str) -> int | None:
     if text == "forever":
         return None
     if not (text.isdecimal() and len(text) <= 9 and int(text) >= 1):
-        raise InvalidError(f"loop {text!r} is neither forever nor a number from 1 on")
+        raise InvalidError(f"loop {text!r} is neither forever nor a whole number of 1 or more")
     return int(text)
 
 
@@ -107,9 +107,7 @@ def parse_port(words: list[str]) -> int:
     if not words:
         return VISER_PORT
     if len(words) > 1 or not (words[0].isdecimal() and int(words[0]) < 1 << 16):
-        raise InvalidError(
-            f"viser: {' '.join(words)!r} is not a port; what is to be played goes before --viser"
-        )
+        raise InvalidError(f"viser: {' '.join(words)!r} is not a port; put SOURCE before --viser")
     return int(words[0])
 
 
@@ -143,66 +141,69 @@ MAX_TURN_S = 3600.0
 
 @dataclass(frozen=True, slots=True)
 class PlayConfig:
-    """What to play, and how to show it."""
+    """The stream to play, and how to show it."""
 
     source: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="SOURCE")]]
     """Folder of a stream, URL of a served stream (http://HOST:PORT, .../watch/NAME), or any URL
-    under which a stream's files lie; or several such URLs of one stream, with commas between them:
-    when a host is gone the next one is asked."""
+    at which a stream's files are hosted. Several such URLs of one stream may be given, separated by
+    commas: if a host stops answering, the player switches to the next URL."""
     capture: Annotated[Path | None, tyro.conf.arg(metavar="OUT")] = None
-    """Write every frame, exactly once, to this .mp4 or folder of PNGs. Without it: a window."""
+    """Write every frame, exactly once, to this .mp4 file or folder of PNGs. Without this option,
+    the stream plays in a window."""
     layers: Annotated[int | None, LAYERS] = None
-    """Layers of each slice, 1 to all; auto goes by what the link carries in a window and over
-    --link, and takes all elsewhere."""
+    """Number of layers of each slice, 1 to all. auto adapts it to the rate of the link in a window
+    and with --link, and uses all layers otherwise."""
     camera: Annotated[CameraPathName, CAMERA] = CameraPathName("default")
-    """default, camera:NAME, orbit, orbit:DEGREES, or a .json file of key frames."""
+    """Camera path: default, camera:NAME, orbit, orbit:DEGREES, or a .json file of key frames."""
     size: Annotated[Size | None, SIZE] = None
-    """Size of the picture, as 1280x720; without it that of the camera."""
+    """Size of the picture, such as 1280x720. Without this option, it is the camera's size."""
     frames: Annotated[FrameRange, FRAMES] = field(default_factory=FrameRange)
-    """Frames to show, as 30:60 (without 60), 30: or :60."""
+    """Frames to show, such as 30:60 (frame 60 excluded), 30: or :60."""
     renderer: RendererKind = RendererKind.AUTO
-    """auto takes OpenGL where it works, and says so where it does not."""
+    """auto uses OpenGL where it works; elsewhere it logs the reason and draws on the CPU."""
     gl: GlVersion = GlVersion.AUTO
-    """The OpenGL to draw with; auto takes 4.3, which orders the Gaussians itself, on a GPU."""
+    """OpenGL version. auto uses 4.3 on a GPU that has it, and 3.3 elsewhere. With 4.3 the GPU
+    sorts the Gaussians."""
     link: Annotated[Link | None, LINK] = None
-    """Play over a slower link: a rate (8M), a rate and a latency (8M,20ms), or a trace's file."""
+    """Play over an emulated slower link: a rate (8M), a rate and a latency (8M,20ms), or a trace
+    file."""
     report: Annotated[Path | None, tyro.conf.arg(metavar="JSON")] = None
-    """Write when each packet came and each frame showed, the rates, and the totals to this JSON
-    file; also when Ctrl-C ends the play."""
+    """Write the arrival time of each packet, the display time of each frame, the rates and the
+    totals to this JSON file. The file is also written when Ctrl-C ends the play."""
     plot: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
-    """Draw link, goodput, layers and buffer over time into this picture."""
+    """Plot the link's rate, the goodput, the layers and the buffer over time to this PNG file."""
     profile: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
-    """Draw every frame of a folder as fast as it goes, without showing it; print what each stage
-    takes, and draw it into this picture."""
+    """Draw every frame of a stream in a folder as fast as possible, without showing it. Print the
+    time of each stage, and plot it to this PNG file."""
     patience: Annotated[RetryConfig, PATIENCE] = field(default_factory=RetryConfig)
-    """Seconds for which a server that fails is tried again; 0: give up at once."""
+    """Seconds for which the player retries a failing server; with 0 it gives up at once."""
     other_hosts: bool = False
-    """Let a stream lead to other hosts than the one that SOURCE names."""
+    """Allow a stream's links and redirects to lead to hosts other than the host in SOURCE."""
     cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Keep what comes from static hosts in this folder, and take it from there the next time."""
+    """Store objects from static hosts in this folder, and read them from there the next time."""
     cache_bytes: Annotated[int, tyro.conf.arg(metavar="BYTES")] = 1 << 30
-    """Most that is kept; what was used longest ago goes first."""
+    """Maximum size of the cache. The least recently used objects are deleted first."""
     max_gaussians: int = DEFAULT_MAX_GAUSSIANS
-    """Refuse a stream of more Gaussians a frame: a few kilobytes of file can ask for gigabytes of
-    memory."""
+    """Refuse a stream with more Gaussians per frame: a file of a few kilobytes can require
+    gigabytes of memory."""
     loop: Annotated[int | None, LOOP] = 1
-    """Play the frames so often, or forever; each time the stream is asked for anew."""
+    """Play the frames N times, or forever. Each repetition requests the stream again."""
     rate: float = 1.0
-    """Seconds of the stream in a second of a window, 0.25 to 4. Below 1 there are pictures between
-    the frames, where the stream says what moves."""
+    """Playback rate in a window: seconds of the stream per second, 0.25 to 4. Below 1 the window
+    also shows pictures between the frames, if the stream describes motion."""
     record: Annotated[Path | None, tyro.conf.arg(metavar="JSON")] = None
-    """Write where you moved the camera in the window to this file, for --camera."""
+    """Record your camera movements in the window to this file, for use with --camera."""
     background: Annotated[Colour | None, BACKGROUND] = BLACK
-    """What shows where the Gaussians let light through; transparent gives PNGs an alpha channel."""
+    """Colour behind the Gaussians; transparent gives PNGs an alpha channel."""
     still: Annotated[Moment | None, MOMENT] = None
-    """Draw this frame alone, or the one at a time (2.5s), with all layers unless told otherwise, to
-    the .png that --capture names."""
+    """Draw only this frame, or the frame at this time (2.5s), to the .png file of --capture. All
+    layers are drawn unless --layers is given."""
     turntable: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
-    """Go once around the still in this time, or along --camera if that moves, to an .mp4 or a
-    folder of PNGs."""
+    """Move the camera around the still once in this time, or along --camera if that path moves.
+    --capture names the .mp4 file or folder of PNGs."""
     viser: Annotated[int | None, PORT] = None
-    """Show it in a browser by viser (pip install '.[viser]' in the folder of swings), at this port
-    or the next one that is free; by default 8080."""
+    """Show the stream in a browser with viser (pip install '.[viser]' in the swings folder), at
+    this port or the next free port. Without PORT, the port is 8080."""
 
     @property
     def name(self) -> str:
@@ -216,7 +217,7 @@ class PlayConfig:
     def __post_init__(self) -> None:
         """Raises InvalidError for options that do not go together, whatever the stream is."""
         if self.link is not None and not self.source.lower().startswith("http://"):
-            raise InvalidError(f"--link slows down http:// URLs; {self.name} is not one")
+            raise InvalidError(f"--link works only with http:// URLs, not with {self.name}")
         if self.viser is not None:
             self._refuse("--viser", *self._of_plays, *self._of_pictures)
         elif self.still is not None or self.turntable is not None:
@@ -224,17 +225,17 @@ class PlayConfig:
         elif self.capture is not None:
             check_output(self.capture)
         elif self.renderer is RendererKind.CPU and self.profile is None:
-            raise InvalidError("a window is drawn by OpenGL; --renderer cpu goes with --capture")
+            raise InvalidError("--renderer cpu cannot draw in a window; add --capture")
         elif not MIN_RATE <= self.rate <= MAX_RATE:
             raise InvalidError(f"rate {self.rate} is not within {MIN_RATE:g}..{MAX_RATE:g}")
         if self.renderer is RendererKind.CPU and self.gl is not GlVersion.AUTO:
-            raise InvalidError(f"--gl {self.gl} does not go with --renderer cpu")
+            raise InvalidError(f"--gl {self.gl} cannot be combined with --renderer cpu")
         if self.link is not None and len(split_source(self.source)) > 1:
-            raise InvalidError("--link slows down one host; give one URL")
+            raise InvalidError("--link works with only one host; give one URL")
         if self.cache is not None and self.cache.exists() and not self.cache.is_dir():
-            raise InvalidError(f"cache {self.cache}: is not a folder")
+            raise InvalidError(f"cache {self.cache} is not a folder")
         if self.cache_bytes < 1:
-            raise InvalidError(f"cache-bytes {self.cache_bytes}: is not positive")
+            raise InvalidError(f"cache-bytes {self.cache_bytes} is not positive")
         if self.capture is not None:
             self._refuse("--capture", ("--loop forever", self.loop is None), *self._of_windows)
         if self.profile is not None:
@@ -285,20 +286,20 @@ class PlayConfig:
     def _refuse(self, option: str, *others: tuple[str, bool]) -> None:
         for name, given in others:
             if given:
-                raise InvalidError(f"{name} does not go with {option}")
+                raise InvalidError(f"{name} cannot be combined with {option}")
 
     def _check_still(self) -> None:
         if self.still is None:
-            raise InvalidError("--turntable goes around a still; name its frame with --still")
+            raise InvalidError("--turntable needs a still; choose its frame with --still")
         if self.capture is None:
-            raise InvalidError("--still draws into a file; name it with --capture OUT.png")
+            raise InvalidError("--still needs an output file; name it with --capture OUT.png")
         self._refuse("--still", ("--frames", self.frames != FrameRange()), *self._of_plays)
         if self.turntable is None:
             check_still(self.capture)
             return
         if not (math.isfinite(self.turntable) and 0 < self.turntable <= MAX_TURN_S):
             raise InvalidError(
-                f"turntable {self.turntable:g}: a turn takes more than 0 and at most "
+                f"turntable {self.turntable:g}: the time must be more than 0 and at most "
                 f"{MAX_TURN_S:g} seconds"
             )
         check_output(self.capture)
@@ -307,11 +308,11 @@ class PlayConfig:
         if self.background is not TRANSPARENT:
             return
         if self.capture is None:
-            raise InvalidError("--background transparent is for PNGs; name them with --capture")
+            raise InvalidError("--background transparent needs PNG output; name it with --capture")
         if self.capture.suffix.lower() == ".mp4":
             raise InvalidError(
                 f"{self.capture}: an .mp4 has no alpha channel for --background transparent; "
-                "capture to a folder of PNGs"
+                "write a folder of PNGs instead"
             )
 
     @property
@@ -322,6 +323,6 @@ class PlayConfig:
 
     def _check_profile(self) -> None:
         if "://" in self.source:
-            raise InvalidError(f"--profile measures a stream in a folder; {self.name} is not one")
+            raise InvalidError(f"--profile needs a stream in a folder; {self.name} is a URL")
         given = ("--capture", self.capture is not None), ("--background", self.background != BLACK)
         self._refuse("--profile", *given, *self._of_plays)

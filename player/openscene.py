@@ -85,7 +85,7 @@ class Scene:
         takes any. Raises a SwingsError.
         """
         kind = _chosen(RendererKind, renderer, "renderer")
-        version = _chosen(GlVersion, gl, "version of OpenGL")
+        version = _chosen(GlVersion, gl, "OpenGL version")
         web = WebStorage(str(source), delivery) if is_url(str(source)) else None
         try:
             reader = StreamReader(web or Path(source), max_gaussians)
@@ -202,7 +202,7 @@ class Scene:
             self._thread = threading.get_ident()
         elif self._thread != threading.get_ident():
             raise InvalidError(
-                f"{self.name}: another thread has begun to draw; open a scene for each thread"
+                f"{self.name}: another thread already draws this scene; open a scene per thread"
             )
         return self._renderer
 
@@ -257,7 +257,7 @@ def _chosen(kinds: type[Choice], name: str, what: str) -> Choice:
     try:
         return kinds(name)
     except ValueError as error:
-        raise InvalidError(f"{what} {name!r} is none of {', '.join(kinds)}") from error
+        raise InvalidError(f"{what} {name!r} is not one of {', '.join(kinds)}") from error
 
 
 class _Held:

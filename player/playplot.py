@@ -55,7 +55,7 @@ def draw_report(report: Json) -> matplotlib.figure.Figure:
         _mark_waits(axes, report)
         axes.grid(alpha=0.25)
         axes.spines[["top", "right"]].set_visible(False)
-    buffer.set_xlabel("seconds since the stream was asked for")
+    buffer.set_xlabel("seconds since the stream was requested")
     buffer.set_xlim(left=0)
     network.legend(
         loc="lower left", bbox_to_anchor=(0, 1), fontsize=9, ncols=4, frameon=False, borderaxespad=0

@@ -24,7 +24,7 @@ def write_stage_plot(path: Path, profile: StageProfile) -> None:
     frames = [one.frame for one in profile.frames]
     times = np.array([one.stages_ms for one in profile.frames]).T
     axes.stackplot(frames, times, labels=STAGES, colors=COLOURS)
-    axes.axhline(1000 / profile.fps, color="black", lw=0.8, ls="--", label="a frame lasts")
+    axes.axhline(1000 / profile.fps, color="black", lw=0.8, ls="--", label="frame duration")
     # The first frame brings a whole window, and may still compile something.
     top_ms = max(np.percentile(times.sum(axis=0), 98), 1000 / profile.fps)
     axes.set_ylim(0, 1.2 * top_ms)

@@ -95,8 +95,8 @@ class ViserView:
             import viser
         except ImportError as error:
             raise InvalidError(
-                "viser is not installed; install it with pip install '.[viser]' in the folder of "
-                "swings"
+                "viser is not installed; install it with pip install '.[viser]' in the "
+                "swings folder"
             ) from error
         self._scene = scene
         self._frames = scene.frames() if frames is None else frames

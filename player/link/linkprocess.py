@@ -96,7 +96,7 @@ class LinkProcess:
     def _dead(self) -> RelayError:
         status = self._process.wait()
         how = f"signal {-status}" if status < 0 else f"exit code {status}"
-        return RelayError(f"the emulated link has died ({how}); play again")
+        return RelayError(f"the process of the emulated link ended ({how}); play again")
 
     def close(self) -> None:
         """Cuts all connections and ends the process; closing twice is the same as once."""

@@ -41,7 +41,9 @@ class DiskCache:
     def __init__(self, folder: Path, max_bytes: int) -> None:
         """Makes `folder` if there is none. Files in it that are not the cache's are left alone."""
         if max_bytes < 1:
-            raise InvalidError(f"a cache of {max_bytes} bytes holds nothing; give more, or none")
+            raise InvalidError(
+                f"a cache of {max_bytes} bytes is too small; give at least 1 byte, or no cache"
+            )
         folder.mkdir(parents=True, exist_ok=True)
         self._folder, self._max_bytes = folder, max_bytes
         self._num_bytes = sum(size for _, size, _ in self._files())
@@ -84,7 +86,7 @@ class DiskCache:
                 temporary.unlink(missing_ok=True)
         except OSError as error:
             if not self.counts.failed:
-                log.warning("%s: cannot keep what was fetched: %s", self._folder, error)
+                log.warning("%s: cannot store fetched objects: %s", self._folder, error)
             self.counts.failed += 1
             return
         self._num_bytes += len(data)

@@ -132,7 +132,7 @@ class Fetcher:
             response.close()
             url = joined(url, place, self.config.other_hosts)
             if self._via is not None and urlsplit(url).scheme != "http":
-                raise FetchError(f"{url}: --link cannot slow it down")
+                raise FetchError(f"{url}: --link works only with http:// URLs")
         raise FetchError(f"{url}: more than {MAX_REDIRECTS} redirects")
 
     def post(self, url: str, body: bytes) -> Response:
@@ -227,7 +227,7 @@ def translated(url: str) -> Iterator[None]:
     except HandshakeError as error:
         raise FetchError(f"{url}: {error}") from error
     except TimeoutError as error:
-        raise BrokenError(f"{url}: no answer in time") from error
+        raise BrokenError(f"{url}: the host did not answer in time") from error
     except (GrammarError, OSError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise BrokenError(f"{url}: the connection broke: {reason}") from error

@@ -31,5 +31,5 @@ def handshake_error(error: ssl.SSLError, host: str) -> HandshakeError | None:
             hint = "; if you trust it, name a file with its certificate in SSL_CERT_FILE"
         return HandshakeError(f"its certificate is not trusted: {error.verify_message}{hint}")
     if error.reason in NOT_TLS:
-        return HandshakeError("it does not speak TLS at this port; http:// may be right")
+        return HandshakeError("the server does not speak TLS at this port; try http://")
     return None

@@ -22,14 +22,14 @@ def joined(base: str, reference: str, other_hosts: bool) -> str:
         ports = before.port or PORTS.get(before.scheme), after.port or PORTS.get(after.scheme)
         host = after.hostname
     except ValueError as error:
-        raise FetchError(f"{base}: it leads to {reference[:200]!r}, which is not a URL") from error
+        raise FetchError(f"{base} leads to {reference[:200]!r}, which is not a URL") from error
     if after.scheme not in PORTS or not host:
-        raise FetchError(f"{base}: it leads to {url[:200]!r}, which is not on the web")
+        raise FetchError(f"{base} leads to {url[:200]!r}, which is not on the web")
     if before.scheme == "https" and after.scheme == "http":
-        raise FetchError(f"{base}: it leads to {url[:200]!r}, which is not encrypted")
+        raise FetchError(f"{base} leads to {url[:200]!r}, which is not encrypted")
     upgraded = before.scheme != after.scheme
     if not other_hosts and (host != before.hostname or (ports[0] != ports[1] and not upgraded)):
         raise FetchError(
-            f"{base}: it leads to another host, {after.netloc[:200]}; --other-hosts follows"
+            f"{base} leads to another host, {after.netloc[:200]}; allow it with --other-hosts"
         )
     return url

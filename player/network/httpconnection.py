@@ -145,7 +145,7 @@ class HttpConnection:
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._reader, self._writer = reader, writer
         is_plain = writer.get_extra_info("ssl_object") is None
-        self._other_scheme = "; if it speaks TLS, https:// is right" if is_plain else ""
+        self._other_scheme = "; if it speaks TLS, use https://" if is_plain else ""
         self._http = h11.Connection(h11.CLIENT)
         self._ended = False
 
@@ -221,9 +221,9 @@ class HttpConnection:
         data = await self._reader.read(2 * BUFFER_BYTES)
         if self._http.their_state is h11.SEND_RESPONSE and not self._http.trailing_data[0]:
             if data.startswith(ALERT):
-                raise GrammarError("it speaks TLS at this port; https:// may be right")
+                raise GrammarError("the server speaks TLS at this port; try https://")
             if not data:
-                raise GrammarError("it closed without an answer" + self._other_scheme)
+                raise GrammarError("the server closed it without an answer" + self._other_scheme)
         self._http.receive_data(data)
 
     def _http_event(self) -> Any:

@@ -43,5 +43,5 @@ class IdleLimit:
         """Why it is over."""
         seconds = f"{now_s - self._since_s:.0f} s"
         if not self.num_bytes:
-            return f"nothing came for {seconds}"
-        return f"{self.num_bytes} bytes came in {seconds}, and nothing of use"
+            return f"no bytes arrived for {seconds}"
+        return f"{self.num_bytes} bytes arrived in {seconds}, but no usable data"

@@ -79,7 +79,7 @@ class Mirrors:
             if response.status == 206 and found.data:
                 if range_start(response) != len(found.data):
                     found.data.clear()
-                    raise BrokenError(f"{url}: it answers another range than was asked for")
+                    raise BrokenError(f"{url}: the host sent another range than requested")
                 found.pieced = True
             elif response.status == 200:
                 found.data.clear()
@@ -206,9 +206,9 @@ class Span:
             found.append(SpanPiece(self._at_byte, asked.pieces.popleft()))
             self._at_byte += len(found[-1].data)
         if self._at_byte > self._end_byte:
-            raise FetchError(f"{self.url}: more bytes came than were asked for")
+            raise FetchError(f"{self.url}: the host sent more bytes than requested")
         if not found and asked.ended:
-            raise asked.error or BrokenError(f"{self.url}: it ended early")
+            raise asked.error or BrokenError(f"{self.url}: the response ended early")
         return found
 
     def _check(self, response: OpenResponse) -> None:
@@ -216,7 +216,7 @@ class Span:
         if response.status == 206:
             total = range_total(response)
             if range_start(response) != self._at_byte:
-                raise BrokenError(f"{self.url}: it answers another range than was asked for")
+                raise BrokenError(f"{self.url}: the host sent another range than requested")
         elif response.status == 200:
             length = response.headers.get("Content-Length", "")
             known = length.isascii() and length.isdecimal() and len(length) <= 18
@@ -225,7 +225,7 @@ class Span:
         else:
             raise refusal(self.url, response)
         if total not in (None, self._file_bytes):
-            raise FetchError(f"{self.url}: {total} bytes, the index says {self._file_bytes}")
+            raise FetchError(f"{self.url} has {total} bytes, but the index says {self._file_bytes}")
 
     def close(self) -> None:
         """Drops what did not come, and the connection with it."""

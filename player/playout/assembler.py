@@ -66,8 +66,8 @@ class SliceAssembler:
                     continue
                 if layer >= self._num_layers:
                     raise CorruptError(
-                        f"a packet of layer {layer} of the slice born at {one.birth}; it has "
-                        f"{self._num_layers} layers"
+                        f"a packet of layer {layer} of the slice born at {one.birth} arrived; "
+                        f"this play has {self._num_layers} layers"
                     )
                 try:
                     held[layer] = self._chunk(packet, one.birth, layer, held)

@@ -344,7 +344,7 @@ class Conductor:
         except StoppedError:
             raise
         except SwingsError as error:  # such as a server that has no time for all layers
-            log.info("the picture stays as it is: %s", error)
+            log.info("the picture stays unchanged: %s", error)
             self._open_whole = None
             self._go_to(frame)
 

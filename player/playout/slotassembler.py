@@ -50,7 +50,7 @@ class SlotAssembler:
             first = decoder.layout.segment_start(self._first_frame)
             self._load(snapshots.pop(first, []))
         if decoder.frame is None:
-            raise CorruptError(f"frame {frame} is due, and no snapshot has come")
+            raise CorruptError(f"frame {frame} is due, but no snapshot has arrived")
         for early in sorted(snapshots):
             if early <= decoder.frame:
                 self._load(snapshots.pop(early))
@@ -108,7 +108,7 @@ class SlotAssembler:
     def _apply(self, birth: int, gathered: _Gathered, with_motion: bool) -> Slice:
         parts = gathered.parts
         if MASKS not in parts:
-            raise CorruptError(f"the slice born at {birth} is due, and its mask has not come")
+            raise CorruptError(f"the slice born at {birth} is due, but its mask has not arrived")
 
         def blamed(error: CodecError, layer: int | None) -> CodecError:
             part: Part = MASKS if layer is None else layer

@@ -15,10 +15,11 @@ def check_slice(slice: Slice, slice_size: int, sh_degree: int) -> None:
         )
     if slice.rows is not None and len(slice.rows) and slice.rows[-1] >= slice_size:
         raise InvalidError(
-            f"the slice born at {slice.birth} changes row {slice.rows[-1]}; a lane has {slice_size}"
+            f"the slice born at {slice.birth} changes row {slice.rows[-1]}; "
+            f"a lane has {slice_size} rows"
         )
     if slice.splats.sh_degree != sh_degree:
         raise InvalidError(
             f"the slice born at {slice.birth} has SH degree {slice.splats.sh_degree}, "
-            f"the stream {sh_degree}"
+            f"the stream has {sh_degree}"
         )

@@ -109,11 +109,11 @@ def check_drawable(manifest: Manifest) -> None:
     """Raises UnsupportedError for a stream that recipe v1 would draw wrongly."""
     if manifest.antialias:
         raise UnsupportedError(
-            "the stream was trained with opacity compensation (antialias); recipe v1 has none"
+            "the stream was trained with opacity compensation (antialias); recipe v1 lacks it"
         )
     if manifest.sh_degree > MAX_SH_DEGREE:
         log.warning(
-            "the stream has harmonics of degree %d; recipe v1 draws those up to degree %d",
+            "the stream has harmonics of degree %d; recipe v1 draws only degrees up to %d",
             manifest.sh_degree,
             MAX_SH_DEGREE,
         )

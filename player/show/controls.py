@@ -27,18 +27,18 @@ FLY_PER_S = 0.5
 """Distances to the scene's centre that one flies in a second."""
 
 HELP = (
-    "space\tpause, go on",
-    "left, right\tskip 1 s (with shift 5 s)",
-    "comma, stop\tstep a frame back, on",
-    "home, end\tfirst frame, newest frame",
-    "[  ]\tslower, faster; backspace: as filmed",
-    "L\tloop",
-    "F\tfull screen; escape leaves it, or closes",
-    "I\thow the playback stands",
-    "R\tback to the path's camera",
+    "space\tpause or play",
+    "left, right\tskip back or forward by 1 s (with shift 5 s)",
+    "comma, period\tstep one frame back or forward",
+    "home, end\tgo to the first or newest frame",
+    "[  ]\tslower, faster; backspace: normal speed",
+    "L\tloop on or off",
+    "F\tfull screen; escape: leave it, or close the window",
+    "I\tplayback statistics",
+    "R\treturn to the path's camera",
     "W A S D Q E\tfly",
-    "left drag\tturn; right drag: move; wheel: nearer",
-    "touchpad\tup and down: nearer; sideways: turn",
+    "left drag\tturn; right drag: move; wheel: nearer or farther",
+    "touchpad\tup or down: nearer or farther; sideways: turn",
     "H\tthis help",
 )
 

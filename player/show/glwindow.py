@@ -24,7 +24,7 @@ def window_system() -> Iterator[None]:
     """Makes glfw ready to open windows. Raises WindowError where there can be none."""
     glfw.ERROR_REPORTING = "ignore"  # asked for below instead of warned about
     if not glfw.init():
-        raise WindowError(f"no window can be opened here ({_reason()}); use --capture OUT.mp4")
+        raise WindowError(f"cannot open a window ({_reason()}); use --capture OUT.mp4")
     try:
         yield
     finally:
@@ -33,7 +33,7 @@ def window_system() -> Iterator[None]:
 
 def _reason() -> str:
     text: Any = glfw.get_error()[1]  # bytes or None, whatever its annotation says
-    return text.decode(errors="replace") if text else "glfw does not say why"
+    return text.decode(errors="replace") if text else "glfw reports no reason"
 
 
 class GlWindow:
@@ -75,7 +75,7 @@ def _open(size: Size, title: str, version: GlVersion) -> Any:
     glfw.window_hint(glfw.OPENGL_FORWARD_COMPAT, True)
     window = glfw.create_window(size.width_px, size.height_px, f"swings: {title}", None, None)
     if not window:
-        raise WindowError(f"no window can be opened here ({_reason()}); use --capture OUT.mp4")
+        raise WindowError(f"cannot open a window ({_reason()}); use --capture OUT.mp4")
     glfw.make_context_current(window)
     glfw.swap_interval(1)
     return window

@@ -51,10 +51,10 @@ class PlayMeter:
         layers = self._last.layers if self._last is not None else 0.0
         buffer_s = max(0, state.buffered_until - 1 - state.frame) / fps
         link = "" if rate_bps is None else f", link {rate_bps / 1e6:.1f} Mbit/s"
-        moves = "plays" if state.running else "paused"
+        moves = "playing" if state.running else "paused"
         if state.seeking:
-            moves = "seeks"
-        loop = ", loops" if state.loops else ""
+            moves = "seeking"
+        loop = ", looping" if state.loops else ""
         took = ", ".join(f"{what} {ms:.1f}" for what, ms in self._took_ms.items())
         return [
             f"frame {state.frame} of {state.end_frame}, {state.frame / fps:.2f} s, {moves}"

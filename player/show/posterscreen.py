@@ -34,10 +34,10 @@ def read_picture(content: bytes | None) -> Image.Image | None:
     try:
         with Image.open(io.BytesIO(content), formats=("JPEG", "PNG", "WEBP")) as picture:
             if max(picture.size) > MAX_SIDE_PX:
-                raise ValueError(f"{picture.width}x{picture.height} pixels")
+                raise ValueError(f"it has {picture.width}x{picture.height} pixels")
             return picture.convert("RGBA")
     except Exception as error:  # whatever Pillow makes of a stranger's bytes
-        log.info("the poster cannot be shown: %s", error)
+        log.info("cannot show the poster: %s", error)
         return None
 
 

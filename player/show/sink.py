@@ -64,4 +64,4 @@ def check_output(path: Path) -> None:
     elif path.exists() and not path.is_dir():
         raise InvalidError(f"{path} is a file; name an .mp4 file, or a folder for PNGs")
     elif path.is_dir() and any(path.glob("frame_*.png")):
-        raise InvalidError(f"{path} holds frames already; remove them or name another folder")
+        raise InvalidError(f"{path} already contains frames; remove them or name another folder")

@@ -38,7 +38,7 @@ class Bounds:
         """Raises CorruptError when `packet` is longer than one of `part` can be."""
         if len(packet) > self._packet_bytes[part]:
             raise CorruptError(
-                f"packet: {len(packet)} bytes, by the manifest {self._packet_bytes[part]} at most"
+                f"packet: {len(packet)} bytes; the manifest allows {self._packet_bytes[part]}"
             )
 
     def check_segment(self, record: SegmentRecord) -> None:
@@ -53,7 +53,7 @@ class Bounds:
             if size > limit:
                 raise CorruptError(
                     f"index: segment {record.segment} names an object of {size} bytes, "
-                    f"by the manifest it has {limit} at most"
+                    f"but the manifest allows {limit}"
                 )
         if not manifest.has_slots:
             births = len(manifest.births(record.segment, record.num_frames))
@@ -61,7 +61,7 @@ class Bounds:
         if all_bytes > all_limit:
             raise CorruptError(
                 f"index: segment {record.segment} has {all_bytes} bytes, "
-                f"by the manifest {all_limit} at most"
+                f"but the manifest allows {all_limit}"
             )
 
 

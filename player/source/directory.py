@@ -84,7 +84,9 @@ class DirectorySource:
             if self._reader.refresh():
                 return True
             if not idle.left_s(time.monotonic()):
-                log.warning("%s: no new frames for %.0f s; it ends here", self.name, self._idle_s)
+                log.warning(
+                    "%s: no new frames for %.0f s; the play ends here", self.name, self._idle_s
+                )
                 return False
             if self._stopped.wait(POLL_S):
                 raise StoppedError(f"{self.name}: stopped")

@@ -255,7 +255,7 @@ class HostedSource:
 
     def _warn(self) -> None:
         idle_s = self._fetcher.config.idle_s
-        log.warning("%s: no new frames for %.0f s; it ends here", self.name, idle_s)
+        log.warning("%s: no new frames for %.0f s; the play ends here", self.name, idle_s)
 
     def _read_manifest(self) -> None:
         found = self._mirrors.get(MANIFEST_NAME, MAX_MANIFEST_BYTES)

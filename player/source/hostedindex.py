@@ -13,7 +13,7 @@ from .bounds import Bounds
 MAX_HOSTED_INDEX_BYTES = 1 << 26
 """Longest index read: its records take about six times as much in memory."""
 
-REPLACED = "the stream was replaced by another one; play it anew"
+REPLACED = "the stream was replaced by another one; play it again"
 
 
 class HostedIndex:

@@ -234,7 +234,7 @@ class HostedPlay:
             found = self._pieces[key] = ObjectPieces(manifest, self._records[segment], part)
             kept = self._store.get(found.sha256) if self._store is not None else None
             if kept is not None:
-                found.name = f"segment {segment}, {part}, on the disk"
+                found.name = f"segment {segment}, {part}, in the cache"
                 found.all_comes()
                 found.add(0, kept)
         return found

@@ -55,7 +55,7 @@ def check_url(source: str) -> SplitResult:
     except ValueError as error:  # urlsplit leaves the port unchecked until it is asked for
         raise InvalidError(f"{without_credentials(source)} is not a URL: {error}") from error
     if not host:
-        raise InvalidError(f"{without_credentials(source)} is not a URL: it names no host")
+        raise InvalidError(f"{without_credentials(source)} is not a URL: it has no host")
     return parts
 
 
@@ -139,7 +139,7 @@ def _only_stream(source: str, fetcher: Fetcher) -> str | None:
         shown = ", ".join(sorted(names)[:20]) + (", ..." if len(names) > 20 else "")
         raise FetchError(
             f"{source} serves {len(names)} streams: {shown}; "
-            f"name one, as in {server}/watch/{names[0]}"
+            f"choose one, such as {server}/watch/{names[0]}"
         )
     return _stream_url(server, names[0])
 

@@ -158,7 +158,9 @@ class Opener:
         before = self.manifest
         # A live stream may have ended meanwhile.
         if before and before.with_live(False).to_json() != manifest.with_live(False).to_json():
-            raise CorruptError(f"{self.name}: the stream was replaced by another one; play it anew")
+            raise CorruptError(
+                f"{self.name}: the stream was replaced by another one; play it again"
+            )
         self.manifest = manifest
 
     def interrupt(self) -> None:

@@ -39,7 +39,7 @@ class ObjectPieces:
         self.num_bytes = record.part_bytes[self._number]
         self.sha256 = record.part_sha256[self._number]
         if self.num_bytes < HEAD.size:
-            message = f"object: the index says {self.num_bytes} bytes, fewer than a head has"
+            message = f"object: the index says {self.num_bytes} bytes, but its head alone is longer"
             raise CorruptError(message)
         self._table_bytes = min(self.num_bytes, HEAD.size + ENTRY.size * len(self.births))
         self._entries: dict[int, ChunkEntry] | None = None

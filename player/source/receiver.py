@@ -83,7 +83,8 @@ class Receiver:
         if end_layer > self._num_layers:
             what = "a snapshot" if isinstance(record, SnapshotRecord) else "a slice"
             raise CorruptError(
-                f"{self._name}: {what} with layer {end_layer - 1}, of {self._num_layers} layers"
+                f"{self._name}: {what} has layer {end_layer - 1}; this play has {self._num_layers} "
+                "layers"
             )
         if isinstance(record, SnapshotRecord):
             return self._snapshots(record)
@@ -92,10 +93,10 @@ class Receiver:
     def _snapshots(self, record: SnapshotRecord) -> Packets | None:
         manifest, frame = self._manifest, record.frame
         if not manifest.has_slots:
-            raise CorruptError(f"{self._name}: a snapshot in a stream of whole slices")
+            raise CorruptError(f"{self._name}: a snapshot arrived, but the stream has whole slices")
         if frame % manifest.segment_frames:
             raise CorruptError(
-                f"{self._name}: a snapshot of frame {frame}, which begins no segment"
+                f"{self._name}: a snapshot of frame {frame} arrived, which does not begin a segment"
             )
 
         def blame(error: CodecError, part: Part) -> CodecError:
@@ -108,8 +109,8 @@ class Receiver:
             first = manifest.slot_layout.segment_start(self._asked_frame)
             if record.first_layer or frame != first:
                 raise CorruptError(
-                    f"{self._name}: it begins with the snapshot of layer {record.first_layer} at "
-                    f"{frame}, not with that of layer 0 at {first}"
+                    f"{self._name}: the play begins with layer {record.first_layer} of the "
+                    f"snapshot of frame {frame}, not with layer 0 of the snapshot of frame {first}"
                 )
             self._joined = True
             self.next_birth = max(self.next_birth, frame + 1)
@@ -124,9 +125,11 @@ class Receiver:
         birth = record.birth
         what = f"the slice born at {birth}"
         if not self._joined:
-            raise CorruptError(f"{self._name}: {what} came before a snapshot")
+            raise CorruptError(f"{self._name}: {what} arrived before a snapshot")
         if self._end is not None and birth >= self._end:
-            raise CorruptError(f"{self._name}: {what} came, of {self._end} frames")
+            raise CorruptError(
+                f"{self._name}: {what} arrived, but the play ends before frame {self._end}"
+            )
 
         def blame(error: CodecError, part: Part) -> CodecError:
             place = "the mask" if part == MASKS else f"layer {part}"
@@ -144,12 +147,14 @@ class Receiver:
         num_bytes = taken.num_bytes + sum(map(len, packets)) + len(mask or b"")
         if num_bytes > self._bounds.slice_bytes:
             raise CorruptError(
-                f"{self._name}: {what} has {num_bytes} bytes, by the manifest "
-                f"{self._bounds.slice_bytes} at most"
+                f"{self._name}: {what} has {num_bytes} bytes, but the manifest allows "
+                f"{self._bounds.slice_bytes}"
             )
         if record.first_layer == 0:
             if birth > self.next_birth:
-                raise CorruptError(f"{self._name}: {what} came before {self.next_birth}")
+                raise CorruptError(
+                    f"{self._name}: {what} arrived before the slice born at {self.next_birth}"
+                )
             if self._manifest.has_slots and record.mask is None:
                 raise CorruptError(f"{self._name}: {what} has no mask")
             if not record.packets:

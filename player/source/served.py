@@ -144,7 +144,9 @@ class ServedSource:
         if response.status != 200:
             raise self._refusal(response)
         if response.content_type.partition(";")[0].strip() != CONTENT_TYPE:
-            raise FetchError(f"{self.name} is not a stream: it answers {response.content_type}")
+            raise FetchError(
+                f"{self.name} is not a stream: the server sent {response.content_type}"
+            )
         token = response.headers.get(PLAY_HEADER, "")
         self._token = token if re.fullmatch(TOKEN, token) else ""
         record = self._next_record()
@@ -213,7 +215,7 @@ class ServedSource:
                 self._idle.judged()
         record = self._waiting.pop(0)
         if isinstance(record, ErrorRecord):
-            raise BrokenError(f"{self.name}: the server says: {record.message}")
+            raise BrokenError(f"{self.name}: the server reports: {record.message}")
         return record
 
     def _piece(self) -> bytes:
@@ -266,7 +268,7 @@ class ServedSource:
                     raise CorruptError(f"{self.name}: {message}")
                 return
             if not isinstance(record, SliceRecord | SnapshotRecord):
-                raise CorruptError(f"{self.name}: a second start record")
+                raise CorruptError(f"{self.name}: a second start record arrived")
             packets = receiver.take(record)
             if packets is not None:
                 retry.progress()

@@ -171,7 +171,7 @@ def check_layers(layers: int | None, manifest: Manifest, name: str) -> int:
         return manifest.num_layers
     if not 1 <= layers <= manifest.num_layers:
         raise InvalidError(
-            f"{name} has {manifest.num_layers} layers; --layers {layers} is not within them"
+            f"{name} has {manifest.num_layers} layers; --layers {layers} is not in this range"
         )
     return layers
 

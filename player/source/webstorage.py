@@ -27,7 +27,7 @@ from .opener import SourceConfig
 
 Result = TypeVar("Result")
 
-_UNLISTED = "a web host does not tell what it has"
+_UNLISTED = "a web host cannot list its files"
 
 
 class WebStorage:

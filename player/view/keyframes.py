@@ -58,7 +58,7 @@ def read_keyframes(path: Path, camera: Camera, up: Doubles) -> Callable[[int], C
         try:
             keyframes.append(_keyframe(entry, camera, up))
             if number and keyframes[-1].frame <= keyframes[-2].frame:
-                raise InvalidError("its frame is not later than the one before")
+                raise InvalidError("its frame is not after the previous key frame")
         except SwingsError as error:
             raise InvalidError(f"camera path {path}, key frame {number}: {error}") from error
     return lambda frame: _between(keyframes, frame, camera)
@@ -80,10 +80,10 @@ def _keyframe(entry: Any, camera: Camera, up: Doubles) -> Keyframe:
         raise InvalidError("it is not a JSON object")
     unknown = set(entry) - KEYS
     if unknown:
-        raise InvalidError(f"{min(unknown)!r} is none of {', '.join(sorted(KEYS))}")
+        raise InvalidError(f"{min(unknown)!r} is not one of {', '.join(sorted(KEYS))}")
     frame = entry.get("frame")
     if type(frame) is not int or frame < 0:
-        raise InvalidError("frame is missing or not a whole number from 0 on")
+        raise InvalidError("frame is missing or not a whole number of 0 or more")
     if "w2c" in entry:
         if {"position", "look_at", "up"} & set(entry):
             raise InvalidError("give either w2c or position and look_at")

@@ -29,7 +29,9 @@ class Moment:
         """The moment in a text such as `30` or `2.5s`. Raises InvalidError."""
         match = _TEXT.fullmatch(text)
         if match is None:
-            raise InvalidError(f"{text[:40]!r} is neither a frame, such as 30, nor a time, as 2.5s")
+            raise InvalidError(
+                f"{text[:40]!r} is neither a frame, such as 30, nor a time, such as 2.5s"
+            )
         if match[1] is not None:
             return Moment(frame=int(match[1]))
         return Moment(time_s=float(match[2]))

@@ -100,7 +100,7 @@ def sane_size(camera: Camera) -> Size | None:
     scale = MAX_UNASKED_PX / longest_px
     size = Size(max(1, round(camera.width_px * scale)), max(1, round(camera.height_px * scale)))
     log.warning(
-        "the camera has %dx%d pixels; drawing %dx%d (--size gives others)",
+        "the camera has %dx%d pixels; drawing %dx%d (--size sets another size)",
         camera.width_px,
         camera.height_px,
         size.width_px,
@@ -117,7 +117,7 @@ def check_path(text: str) -> None:
     elif not (text in ("default", "orbit") or (kind == "camera" and rest)):
         if not text.endswith(".json"):
             raise InvalidError(
-                f"camera path {text!r} is none of default, camera:NAME, orbit, orbit:DEGREES "
+                f"camera path {text!r} is not one of default, camera:NAME, orbit, orbit:DEGREES "
                 "or a .json file"
             )
         if not Path(text).is_file():

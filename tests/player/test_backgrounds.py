@@ -137,8 +137,8 @@ def test_opengl_covers_what_the_cpu_covers(stream: Path) -> None:
     ("options", "message"),
     [
         ({"capture": Path("turn.mp4")}, "turn.mp4: an .mp4 has no alpha channel"),
-        ({}, "name them with --capture"),
-        ({"viser": 8080}, "--background does not go with --viser"),
+        ({}, "name it with --capture"),
+        ({"viser": 8080}, "--background cannot be combined with --viser"),
     ],
 )
 def test_transparency_is_refused_where_there_is_none(

@@ -62,11 +62,11 @@ def test_the_table_adds_up(stream: Path, tmp_path: Path) -> None:
 
 
 def test_what_does_not_go_with_a_profile_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidError, match="a stream in a folder; http://h is not one"):
+    with pytest.raises(InvalidError, match="a stream in a folder; http://h is a URL"):
         PlayConfig("http://h", profile=tmp_path / "p.png")
-    with pytest.raises(InvalidError, match="--loop does not go with --profile"):
+    with pytest.raises(InvalidError, match="--loop cannot be combined with --profile"):
         PlayConfig("s", profile=tmp_path / "p.png", loop=2)
     with pytest.raises(InvalidError, match="there is no folder"):
         PlayConfig("s", profile=tmp_path / "no" / "p.png")
-    with pytest.raises(InvalidError, match=r"--gl 4\.3 does not go with --renderer cpu"):
+    with pytest.raises(InvalidError, match=r"--gl 4\.3 cannot be combined with --renderer cpu"):
         PlayConfig("s", capture=tmp_path / "o.mp4", renderer=RendererKind.CPU, gl=GlVersion.V43)

@@ -119,27 +119,33 @@ def test_a_turntable_may_swing_and_be_a_video(library: Path, tmp_path: Path) -> 
     ("options", "message"),
     [
         (("--still", 3), "name it with --capture"),
-        (("--still=-1", "--capture", "o.png"), "neither a frame, such as 30, nor a time, as 2.5s"),
+        (
+            ("--still=-1", "--capture", "o.png"),
+            "neither a frame, such as 30, nor a time, such as 2.5s",
+        ),
         (("--still", "3m", "--capture", "o.png"), "'3m' is neither a frame"),
         (("--still", 3, "--capture", "o.mp4"), "name a .png file"),
         (("--still", 3, "--capture", "absent/o.png"), "there is no folder absent"),
-        (("--turntable", 3, "--capture", "o.mp4"), "name its frame with --still"),
+        (("--turntable", 3, "--capture", "o.mp4"), "choose its frame with --still"),
         (("--still", 3, "--turntable", 3, "--capture", "o.png"), "name an .mp4 file, or a folder"),
         (("--still", 3, "--turntable", 0, "--capture", "o.mp4"), "more than 0"),
         (("--still", 3, "--turntable", "nan", "--capture", "o.mp4"), "more than 0"),
         (("--still", 3, "--turntable", "1e9", "--capture", "o.mp4"), "at most 3600 seconds"),
         (
             ("--still", 3, "--capture", "o.png", "--frames", "3:4"),
-            "--frames does not go with --still",
+            "--frames cannot be combined with --still",
         ),
-        (("--still", 3, "--capture", "o.png", "--loop", "2"), "--loop does not go with --still"),
+        (
+            ("--still", 3, "--capture", "o.png", "--loop", "2"),
+            "--loop cannot be combined with --still",
+        ),
         (
             ("--still", 3, "--capture", "o.png", "--report", "r.json"),
-            "--report does not go with --still",
+            "--report cannot be combined with --still",
         ),
         (
             ("--still", 3, "--capture", "o.png", "--plot", "p.png"),
-            "--plot does not go with --still",
+            "--plot cannot be combined with --still",
         ),
     ],
 )

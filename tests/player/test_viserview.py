@@ -192,9 +192,7 @@ def test_the_command_shows_a_stream_until_it_is_ended(stream: Path) -> None:
 def test_one_line_says_how_to_install_it(stream: Path) -> None:
     done = run("swings-play", stream, "--viser")
     assert (done.returncode, done.stdout) == (1, "")
-    expected = (
-        "viser is not installed; install it with pip install '.[viser]' in the folder of swings"
-    )
+    expected = "viser is not installed; install it with pip install '.[viser]' in the swings folder"
     assert done.stderr == f"swings-play: {expected}\n"
     with Scene.open(stream) as scene, pytest.raises(InvalidError, match="viser is not installed"):
         ViserView(scene)
@@ -203,12 +201,12 @@ def test_one_line_says_how_to_install_it(stream: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("s", "--viser", "s"), "'s' is not a port; what is to be played goes before --viser"),
+        (("s", "--viser", "s"), "'s' is not a port; put SOURCE before --viser"),
         (("s", "--viser", "65536"), "'65536' is not a port"),
-        (("s", "--viser", "--capture", "o.mp4"), "--capture does not go with --viser"),
-        (("s", "--viser", "--still", "3"), "--still does not go with --viser"),
-        (("s", "--viser", "--loop", "2"), "--loop does not go with --viser"),
-        (("s", "--viser", "--renderer", "cpu"), "--renderer does not go with --viser"),
+        (("s", "--viser", "--capture", "o.mp4"), "--capture cannot be combined with --viser"),
+        (("s", "--viser", "--still", "3"), "--still cannot be combined with --viser"),
+        (("s", "--viser", "--loop", "2"), "--loop cannot be combined with --viser"),
+        (("s", "--viser", "--renderer", "cpu"), "--renderer cannot be combined with --viser"),
     ],
 )
 def test_options_that_do_not_go_with_viser(words: tuple[str, ...], message: str) -> None:

@@ -107,10 +107,8 @@ def _check_limits(context: moderngl.Context, num_slots: int, gaussian_bytes: int
     if num_slots * gaussian_bytes > limit_bytes:
         raise GlError(
             f"{num_slots} Gaussians need a buffer of {num_slots * gaussian_bytes} bytes; "
-            f"this OpenGL takes {limit_bytes}"
+            f"this OpenGL allows {limit_bytes}"
         )
     limit_groups = info["GL_MAX_COMPUTE_WORK_GROUP_COUNT"][0]
     if -(-num_slots // GROUP) > limit_groups:
-        raise GlError(
-            f"{num_slots} Gaussians are more than the {limit_groups * GROUP} that this OpenGL sorts"
-        )
+        raise GlError(f"this OpenGL can sort {limit_groups * GROUP} Gaussians, not {num_slots}")

@@ -68,7 +68,7 @@ def version_for(context: moderngl.Context, version: GlVersion) -> GlVersion:
         return GlVersion.V33 if software or context.version_code < 430 else GlVersion.V43
     if context.version_code < version.code:
         found = context.info["GL_VERSION"]
-        raise GlError(f"OpenGL {version} is asked for; this driver has {found}")
+        raise GlError(f"OpenGL {version} was requested, but this driver has {found}")
     return version
 
 

@@ -80,7 +80,7 @@ class GlRenderer:
             if isinstance(error, SwingsError):
                 raise
             reason = " ".join(str(error).split())
-            raise GlError(f"OpenGL refuses what the renderer needs: {reason}") from error
+            raise GlError(f"this OpenGL cannot run the renderer: {reason}") from error
 
     def _make_resident(self, asked: GlVersion) -> Resident[Any]:
         if self.version is GlVersion.V43:

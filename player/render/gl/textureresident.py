@@ -32,7 +32,7 @@ class TextureResident:
         if max(height_px, TEXTURE_WIDTH_PX) > limit_px:
             raise GlError(
                 f"{manifest.num_gs} Gaussians need a texture of {TEXTURE_WIDTH_PX}x{height_px}; "
-                f"this OpenGL takes {limit_px}"
+                f"this OpenGL allows {limit_px}"
             )
         self._near_m = manifest.near_m
         self._order = Order(manifest.swin_size, lane_slots)

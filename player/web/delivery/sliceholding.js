@@ -51,7 +51,7 @@ export class SliceHolding {
 
   /** @returns {never} */
   addSnapshots() {
-    throw new TypeError("whole slices have no snapshots");
+    throw new TypeError("a stream of whole slices has no snapshots");
   }
 
   /** Frames before `frame` are not asked for any more. @param {number} frame */

@@ -15,7 +15,7 @@ export function timeText(seconds) {
 // An emulator of headsets borrows the canvas, and gives it back to its parent if that is an element.
 export const MARKUP = /* html */ `
 <div><canvas tabindex="0" role="application"
-  aria-label="Volumetric video. Drag to look around, space plays and pauses."></canvas></div>
+  aria-label="Volumetric video. Drag to look around. Press space to play or pause."></canvas></div>
 <img class="poster" alt="" hidden>
 <div class="spinner" role="status" aria-label="Loading" hidden></div>
 <pre class="stats" hidden></pre>
@@ -35,7 +35,7 @@ export const MARKUP = /* html */ `
   <select class="quality" aria-label="Quality"><option value="0">Auto</option></select>
   <button class="share wide" aria-label="Copy a link to this moment and view" title="Copy a link (C)">${ICONS.share}</button>
   <button class="statistics wide" aria-label="Statistics" aria-pressed="false" title="Statistics (I)">${ICONS.stats}</button>
-  <button class="side-by-side wide" aria-label="Side by side, for two eyes" aria-pressed="false" title="Side by side (B)">${ICONS.sideBySide}</button>
+  <button class="side-by-side wide" aria-label="Side-by-side stereo view" aria-pressed="false" title="Side by side (B)">${ICONS.sideBySide}</button>
   <button class="headset" aria-label="Show on the VR headset" aria-pressed="false" title="VR (V)" hidden>${ICONS.headset}</button>
   <button class="full" aria-label="Full screen" title="Full screen (F)">${ICONS.full}</button>
 </div>

@@ -111,7 +111,7 @@ export class MediaInterface extends HTMLElement {
 
   set layers(most) {
     if (!(Number.isInteger(most) && most >= 0)) {
-      throw new RangeError(`layers: ${most} is neither 0 nor a count`);
+      throw new RangeError(`layers: ${most} is not a whole number of 0 or more`);
     }
     this.#layers = most;
     this.#setLayers();

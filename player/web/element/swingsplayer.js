@@ -308,10 +308,10 @@ export class SwingsPlayerElement extends MediaInterface {
     const ms = (/** @type {number} */ value) => `${value.toFixed(1)} ms`;
     const buffered = (state.endFrame - state.frame) / manifest.fps;
     const rate =
-      state.rateBps === null ? "not known yet" : `${(state.rateBps / 1e6).toFixed(1)} Mbit/s`;
+      state.rateBps === null ? "rate not known yet" : `${(state.rateBps / 1e6).toFixed(1)} Mbit/s`;
     return [
-      `frame     ${state.frame} of ${player.numFrames}, ${manifest.fps} a second`,
-      `pictures  ${timings.framesPerS.toFixed(0)} a second`,
+      `frame     ${state.frame} of ${player.numFrames}, ${manifest.fps} per second`,
+      `pictures  ${timings.framesPerS.toFixed(0)} per second`,
       `buffer    ${buffered.toFixed(1)} s, ${state.stalls} stalls`,
       `link      ${rate}, ${(state.receivedBytes / 1e6).toFixed(1)} MB so far`,
       `Gaussians ${renderer?.numDrawn ?? 0} of ${manifest.numGs}`,

@@ -63,7 +63,9 @@ export class WebPlayer extends EventTarget {
     this.canvas = canvas;
     const gl = canvas.getContext("webgl2", { antialias: false, alpha: false });
     if (gl === null) {
-      throw new RendererError("This browser has no WebGL2; try a current one, or another device");
+      throw new RendererError(
+        "This browser does not support WebGL2; use a current browser or another device",
+      );
     }
     this.gl = gl;
     /** @type {SplatRenderer | null} */
@@ -133,8 +135,8 @@ export class WebPlayer extends EventTarget {
     this.worker.onerror = ({ message }) => {
       // A worker that never began says nothing.
       const why =
-        message ?? "a part of it was not loaded; the browser's console says which and why";
-      this.#say("failed", `The player broke: ${why}`);
+        message ?? "one of its scripts was not loaded; see the errors in the browser's console";
+      this.#say("failed", `The player failed: ${why}`);
     };
     const { port1 } = channel;
     this.worker.postMessage({ kind: "open", base, maxGaussians, port: port1 }, [port1]);

@@ -56,7 +56,7 @@ export class GaussianFeed extends EventTarget {
     this.opened.catch(() => {});
     for (const worker of [this.player, this.keeper]) {
       worker.onerror = ({ message }) =>
-        this.#say("failed", `The player broke: ${message ?? "a part of it was not loaded"}`);
+        this.#say("failed", `The player failed: ${message ?? "one of its scripts was not loaded"}`);
     }
     const { port1 } = channel;
     this.player.postMessage({ kind: "open", base, maxGaussians, port: port1 }, [port1]);
@@ -132,7 +132,8 @@ export class GaussianFeed extends EventTarget {
 
   /** @param {object} message */
   #tell(message) {
-    if (this.stream === null) throw new Error("the stream is not open yet: await feed.opened");
+    if (this.stream === null)
+      throw new Error("the stream is not open yet; await feed.opened first");
     this.player.postMessage(message);
   }
 

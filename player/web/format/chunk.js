@@ -41,13 +41,14 @@ export function decodeChunk(bytes) {
   const shDegree = reader.u8();
   const reserved = reader.u16();
   const bodyBytes = reader.u32();
-  if (version !== 1) throw unsupported(`chunk: version ${version}`);
+  if (version !== 1) throw unsupported(`chunk: unknown version ${version}`);
   if (mode !== 0 || profile === undefined || flags & ~HAS_STARTS || shDegree > 3 || reserved) {
-    throw unsupported("chunk: a mode, profile, flag or SH degree that is not known");
+    throw unsupported("chunk: unknown mode, profile, flag or SH degree");
   }
-  if (count > MAX_COUNT) throw corrupt(`chunk: ${count} Gaussians, at most ${MAX_COUNT}`);
+  if (count > MAX_COUNT)
+    throw corrupt(`chunk: ${count} Gaussians, but at most ${MAX_COUNT} are allowed`);
   if (bodyBytes > MAX_BODY_BYTES || bodyBytes !== reader.left) {
-    throw corrupt(`chunk: a body of ${reader.left} bytes, its header says ${bodyBytes}`);
+    throw corrupt(`chunk: the body has ${reader.left} bytes, but the header says ${bodyBytes}`);
   }
   const offsetBytes = flags & HAS_STARTS ? count : 0;
   if (offsetBytes > bodyBytes) throw corrupt("chunk: too short for its start offsets");
@@ -98,7 +99,7 @@ function readPaper(body, count, k) {
  */
 function expectLength(body, numBytes) {
   if (body.left !== numBytes) {
-    throw corrupt(`chunk: a body of ${body.left} bytes, its count says ${numBytes}`);
+    throw corrupt(`chunk: the body has ${body.left} bytes, but its count says ${numBytes}`);
   }
 }
 

@@ -38,11 +38,11 @@ export function readCompact(body, count, k) {
   const head = readHead(body);
   const escapes = body.u32();
   const lowBitBytes = body.u32();
-  if (escapes > count) throw corrupt(`chunk: ${escapes} escapes of ${count} Gaussians`);
+  if (escapes > count) throw corrupt(`chunk: ${escapes} escapes for ${count} Gaussians`);
   const n = count - escapes;
   const expected = (8 + 3 * k) * n + lowBitBytes + 4 * (11 + 3 * k) * escapes;
   if (body.left !== expected) {
-    throw corrupt(`chunk: a body of ${body.left} bytes behind its head, which says ${expected}`);
+    throw corrupt(`chunk: ${body.left} bytes follow the head, but the head says ${expected}`);
   }
   const planes = Array.from({ length: 8 + 3 * k }, () => body.take(n));
   const lowBits = body.take(lowBitBytes);

@@ -51,19 +51,21 @@ const MIN_STEP = 1e-6;
  * @returns {Manifest}
  */
 export function readManifest(bytes) {
-  if (bytes.length > MAX_MANIFEST_BYTES) throw corrupt(`manifest: ${bytes.length} bytes`);
+  if (bytes.length > MAX_MANIFEST_BYTES)
+    throw corrupt(`manifest: ${bytes.length} bytes, but at most ${MAX_MANIFEST_BYTES} are allowed`);
   const value = parsed(bytes);
   const version = field(value, "version");
   if (!Number.isInteger(version)) throw corrupt("manifest: this is not a swings stream");
-  if (version !== 1 && version !== 2) throw unsupported(`manifest: version ${version}`);
+  if (version !== 1 && version !== 2) throw unsupported(`manifest: unknown version ${version}`);
   const profile = text(field(value, "profile"), "profile");
   /** @type {readonly string[]} */
   const known = version === 2 ? ["lattice"] : PROFILES;
-  if (!known.includes(profile)) throw unsupported(`manifest: profile ${profile.slice(0, 40)}`);
+  if (!known.includes(profile))
+    throw unsupported(`manifest: unknown profile ${profile.slice(0, 40)}`);
   const swinSize = integer(field(value, "swin_size"), 1, 255, "swin_size");
   const numGs = integer(field(value, "num_gs"), 1, MAX_NUM_GS, "num_gs");
   if (numGs % swinSize !== 0 || numGs / swinSize > MAX_COUNT) {
-    throw corrupt(`manifest: num_gs ${numGs} in slices of ${swinSize} frames`);
+    throw corrupt(`manifest: num_gs ${numGs} does not fit swin_size ${swinSize}`);
   }
   const segmentFrames = integer(field(value, "segment_frames"), 1, 4096, "segment_frames");
   const shDegree = integer(field(value, "sh_degree"), 0, 3, "sh_degree");
@@ -76,7 +78,7 @@ export function readManifest(bytes) {
   const name = text(field(value, "default_camera"), "default_camera");
   const defaultCamera = cameras.find((camera) => camera.name === name);
   if (defaultCamera === undefined)
-    throw corrupt(`manifest: no camera is called ${name.slice(0, 80)}`);
+    throw corrupt(`manifest: no camera is named ${name.slice(0, 80)}`);
   return {
     version,
     fps: readFps(value),
@@ -114,7 +116,7 @@ export function checkGaussians({ numGs, shDegree }, maxGaussians, name) {
   const memoryGb = ((FLOAT_COPIES * 4 * floats * numGs) / 1e9).toFixed(1);
   throw unsupported(
     `${name} has ${numGs.toLocaleString("en")} Gaussians; max-gaussians=${numGs}, as an attribute of ` +
-      `the player or in the address of its page, plays it (about ${memoryGb} GB of memory)`,
+      `the player or in the address of its page, allows it (about ${memoryGb} GB of memory)`,
   );
 }
 
@@ -156,7 +158,8 @@ function readShares(value) {
   const shares = list(field(value, "layers"), 1, MAX_LAYERS, "layers");
   let sum = 0;
   for (const share of shares) sum += positive(number(share, "layers"), "a layer's share");
-  if (Math.abs(sum - 1) > 1e-6) throw corrupt(`manifest: the shares of the layers make ${sum}`);
+  if (Math.abs(sum - 1) > 1e-6)
+    throw corrupt(`manifest: the shares of the layers sum to ${sum}, not to 1`);
   return shares.length;
 }
 
@@ -175,7 +178,7 @@ function readLayout(value, swinSize, segmentFrames, shDegree, numGs) {
   const layout = new SlotLayout(swinSize, segmentFrames, shDegree, slots, rows.map(readLattice));
   if (layout.numSlots * swinSize !== numGs || segmentFrames * layout.numSlots > MAX_SEGMENT_SLOTS) {
     throw corrupt(
-      `manifest: ${layout.numSlots} slots, num_gs ${numGs}, segments of ${segmentFrames}`,
+      `manifest: ${layout.numSlots} slots do not fit num_gs ${numGs} and segment_frames ${segmentFrames}`,
     );
   }
   return layout;
@@ -188,11 +191,13 @@ function readLayout(value, swinSize, segmentFrames, shDegree, numGs) {
 function readLattice(row) {
   const step = (/** @type {string} */ key) => {
     const found = number(field(row, key), key);
-    if (found < MIN_STEP || found > 1e6) throw corrupt(`manifest: ${key} ${found} of a lattice`);
+    if (found < MIN_STEP || found > 1e6)
+      throw corrupt(`manifest: ${key} of a lattice is ${found}, which is out of range`);
     return fround(found);
   };
   const base = number(field(row, "log_scale_base"), "log_scale_base");
-  if (Math.abs(base) > 1e3) throw corrupt(`manifest: log_scale_base ${base}`);
+  if (Math.abs(base) > 1e3)
+    throw corrupt(`manifest: log_scale_base is ${base}, which is out of range`);
   return {
     positionM: step("position_m"),
     logScale: step("log_scale"),
@@ -206,7 +211,8 @@ function readLattice(row) {
 /** @param {unknown} value */
 function readFps(value) {
   const fps = number(field(value, "fps"), "fps");
-  if (!(fps >= MIN_FPS && fps <= MAX_FPS)) throw corrupt(`manifest: fps is ${fps}`);
+  if (!(fps >= MIN_FPS && fps <= MAX_FPS))
+    throw corrupt(`manifest: fps is ${fps}, which is out of range`);
   return fps;
 }
 
@@ -216,7 +222,7 @@ function readFps(value) {
  * @param {string} what
  */
 function positive(found, what) {
-  if (found <= 0) throw corrupt(`manifest: ${what} is ${found}`);
+  if (found <= 0) throw corrupt(`manifest: ${what} is ${found}, which is not positive`);
   return found;
 }
 
@@ -237,7 +243,7 @@ function readPoster(value) {
   const poster = text(value, "poster");
   const numBytes = new TextEncoder().encode(poster).length;
   if (numBytes > MAX_POSTER_BYTES || /[\u0000-\u001f\u007f]/.test(poster)) {
-    throw corrupt("manifest: poster is too long or holds a control character");
+    throw corrupt("manifest: poster is too long or contains a control character");
   }
   // A reader goes without one that leads out of the stream's folder: `//` would begin another host.
   const leadsOut = poster.split("/").some((part) => part === "" || part === "..");
@@ -249,7 +255,7 @@ function readObjectUrl(value) {
   const url = text(field(value, "object_url"), "object_url");
   const names = (url.match(/\{.*?\}/g) ?? []).sort();
   if (names.length !== 2 || names[0] !== "{layer}" || names[1] !== "{segment}") {
-    throw corrupt("manifest: object_url does not hold {segment} and {layer} once each");
+    throw corrupt("manifest: object_url does not contain {segment} and {layer} once each");
   }
   return url;
 }

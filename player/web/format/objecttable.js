@@ -17,7 +17,8 @@ export const GZIP = 2;
  * @returns {{ coder: number, packets: Map<number, Uint8Array> }}
  */
 export function readObject(bytes, version) {
-  if (bytes.length > MAX_OBJECT_BYTES) throw corrupt(`object: ${bytes.length} bytes`);
+  if (bytes.length > MAX_OBJECT_BYTES)
+    throw corrupt(`object: ${bytes.length} bytes, but at most ${MAX_OBJECT_BYTES} are allowed`);
   const reader = new ByteReader(bytes, "object");
   const skippable = reader.u32();
   const following = reader.u32();
@@ -29,10 +30,11 @@ export function readObject(bytes, version) {
   if (skippable !== SKIPPABLE_MAGIC || magic !== "SWGO") {
     throw corrupt("object: does not start with a table of chunks");
   }
-  if (found !== version) throw unsupported(`object: version ${found} in a stream of ${version}`);
-  if (coder !== ZSTD && coder !== GZIP) throw unsupported(`object: coder ${coder}`);
+  if (found !== version)
+    throw unsupported(`object: version ${found} in a stream of version ${version}`);
+  if (coder !== ZSTD && coder !== GZIP) throw unsupported(`object: unknown coder ${coder}`);
   if (count > MAX_CHUNKS || (count === 0 && version === 1) || reserved !== 0) {
-    throw corrupt(`object: ${count} chunks, ${reserved} where 0 belongs`);
+    throw corrupt(`object: ${count} chunks or the reserved value ${reserved} is not valid`);
   }
   if (following !== 12 + ENTRY_BYTES * count) {
     throw corrupt(`object: a table of ${following} bytes for ${count} chunks`);
@@ -46,8 +48,9 @@ export function readObject(bytes, version) {
     const offset = table.u32();
     const size = table.u32();
     if (birth <= last) throw corrupt(`object: birth ${birth} after ${last}`);
-    if (offset !== reader.at) throw corrupt(`object: a packet at ${offset}, ${reader.at} is next`);
-    if (size === 0) throw corrupt("object: a packet of no bytes");
+    if (offset !== reader.at)
+      throw corrupt(`object: a packet at byte ${offset}, but byte ${reader.at} is next`);
+    if (size === 0) throw corrupt("object: a packet is empty");
     packets.set(birth, reader.take(size));
     last = birth;
   }

@@ -48,7 +48,7 @@ export async function inflatePacket(packet, limitBytes) {
       const { done, value } = await reader.read();
       if (done) break;
       if (at + value.length > size)
-        throw corrupt(`packet: more than the ${size} bytes that it says`);
+        throw corrupt(`packet: the content is longer than the stated ${size} bytes`);
       content.set(value, at);
       at += value.length;
     }
@@ -57,7 +57,8 @@ export async function inflatePacket(packet, limitBytes) {
     // What the browser throws is a TypeError, with words of its own.
     throw error instanceof TypeError ? corrupt(`packet: is not gzip: ${error.message}`) : error;
   }
-  if (at !== size) throw corrupt(`packet: ${at} bytes of content, it says ${size}`);
+  if (at !== size)
+    throw corrupt(`packet: the content has ${at} bytes, but the packet says ${size}`);
   return content;
 }
 
@@ -71,12 +72,14 @@ function contentBytes(packet, limitBytes) {
   const view = new DataView(packet.buffer, packet.byteOffset, packet.length);
   const magic = view.getUint32(0);
   if (magic === ZSTD_MAGIC)
-    throw unsupported("packet: of coder zstd, which a browser inflates elsewhere");
+    throw unsupported("packet: coder zstd; only gzip packets are supported here");
   if (magic !== GZIP_MAGIC) throw corrupt("packet: is not a gzip member without flags");
   const size = view.getUint32(packet.length - 4, true);
-  if (size === 0) throw corrupt("packet: holds nothing");
+  if (size === 0) throw corrupt("packet: is empty");
   if (size > MAX_EXPANSION * packet.length || size > limitBytes) {
-    throw corrupt(`packet: ${size} bytes of content, from ${packet.length}, at most ${limitBytes}`);
+    throw corrupt(
+      `packet: ${size} bytes of content are too many for ${packet.length} bytes (limit ${limitBytes})`,
+    );
   }
   return size;
 }

@@ -46,11 +46,11 @@ export function decodeRecord(body) {
       return { kind, numFrames: count(map, "num_frames") };
     case "error": {
       const message = map.get("message");
-      if (typeof message !== "string") throw corrupt("play: an error record without a message");
+      if (typeof message !== "string") throw corrupt("play: an error record has no message");
       return { kind, message: [...message].slice(0, MAX_MESSAGE_CHARS).join("") };
     }
     default:
-      throw corrupt("play: a record of a kind that is not known");
+      throw corrupt("play: a record is of an unknown kind");
   }
 }
 
@@ -68,11 +68,11 @@ function slice(map) {
     /** @type {number} */ (birth) < -INT32_END ||
     /** @type {number} */ (birth) >= INT32_END
   ) {
-    throw corrupt("play: a slice without a valid birth");
+    throw corrupt("play: a slice has no valid birth");
   }
   const first = map.has("first") ? firstLayer(map, packets) : 0;
   if (first > 0 && packets.length === 0)
-    throw corrupt(`play: nothing of the slice born at ${birth}`);
+    throw corrupt(`play: a record has no part of the slice born at ${birth}`);
   return {
     kind: "slice",
     birth: /** @type {number} */ (birth),
@@ -110,7 +110,7 @@ function bytes(found, key) {
 function packetsOf(map, least) {
   const found = map.get("frames");
   if (!Array.isArray(found) || found.length < least || found.length > MAX_LAYERS) {
-    throw corrupt("play: a record without packets of its layers");
+    throw corrupt("play: a record has no valid list of packets");
   }
   return found.map((packet) => bytes(packet, "a packet"));
 }
@@ -122,7 +122,7 @@ function packetsOf(map, least) {
 function firstLayer(map, packets) {
   const first = count(map, "first");
   if (first + packets.length > MAX_LAYERS) {
-    throw corrupt(`play: ${packets.length} packets from layer ${first} on`);
+    throw corrupt(`play: ${packets.length} packets starting at layer ${first} are too many`);
   }
   return first;
 }
@@ -148,7 +148,7 @@ export class RecordParser {
       if (this.pendingBytes < 4) break;
       const [a, b, c, d] = this.#peek(4);
       const length = (a | (b << 8) | (c << 16) | (d << 24)) >>> 0;
-      if (length > MAX_RECORD_BYTES) throw corrupt(`play: a record of ${length} bytes`);
+      if (length > MAX_RECORD_BYTES) throw corrupt(`play: a record of ${length} bytes is too long`);
       if (this.pendingBytes < 4 + length) break;
       records.push(decodeRecord(this.#take(4 + length).subarray(4)));
     }

@@ -38,7 +38,7 @@ export function readIndex(bytes, manifest, firstSegment = 0) {
   return rows.map((row, n) => {
     const record = readRecord(row, firstSegment + n, manifest);
     if (n < rows.length - 1 && record.numFrames !== manifest.segmentFrames) {
-      throw corrupt(`index: segment ${record.segment} is short, and not the last`);
+      throw corrupt(`index: segment ${record.segment} is short, but not the last`);
     }
     return record;
   });
@@ -75,6 +75,6 @@ function readRecord(row, segment, manifest) {
   if (psnrDb.some((psnr) => Math.abs(psnr) === Infinity))
     throw corrupt(`${what} has an infinite PSNR`);
   if (objectBytes.some((size) => size > MAX_OBJECT_BYTES))
-    throw corrupt(`${what} names too large an object`);
+    throw corrupt(`${what} names an object that is too large`);
   return { segment, firstFrame, numFrames, psnrDb, objectBytes, objectSha256 };
 }

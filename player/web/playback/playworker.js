@@ -208,7 +208,10 @@ let sorter = null;
 function fail(error) {
   const isOurs = error instanceof SourceError || error instanceof FormatError;
   const message = error instanceof Error ? error.message : String(error);
-  scope.postMessage({ kind: "failed", message: isOurs ? message : `The player broke: ${message}` });
+  scope.postMessage({
+    kind: "failed",
+    message: isOurs ? message : `The player failed: ${message}`,
+  });
   if (!isOurs) throw error;
 }
 

@@ -114,7 +114,7 @@ export class SlicePlay {
           chunk.shDegree !== shDegree ||
           count + chunk.count > this.sliceSize
         ) {
-          throw corrupt(`chunk: not the one of birth ${birth}, layer ${layer}`);
+          throw corrupt(`chunk: it does not belong to birth ${birth}, layer ${layer}`);
         }
         found.push(chunk);
         count += chunk.count;

@@ -30,7 +30,8 @@ export function makeProgram(gl, vertex, fragment, defines = {}) {
     [gl.FRAGMENT_SHADER, fragment],
   ])) {
     const shader = gl.createShader(type);
-    if (shader === null) throw new RendererError("WebGL2 makes no shader: the context is lost");
+    if (shader === null)
+      throw new RendererError("WebGL2 cannot create a shader: the context is lost");
     gl.shaderSource(shader, source(body, defines));
     gl.compileShader(shader);
     gl.attachShader(program, shader);

@@ -48,7 +48,7 @@ export class Resident {
     const limitPx = gl.getParameter(gl.MAX_TEXTURE_SIZE);
     if (Math.max(this.heightPx, this.widthPx) > limitPx) {
       throw new RendererError(
-        `${numSlots} Gaussians need a texture of ${this.widthPx}x${this.heightPx}; this device takes ${limitPx}`,
+        `${numSlots} Gaussians need a texture of ${this.widthPx}x${this.heightPx}; this device allows ${limitPx}`,
       );
     }
     this.texture = makeTexture(gl);

@@ -138,7 +138,7 @@ export class SplatRenderer {
     gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
     if (gl.checkFramebufferStatus(gl.FRAMEBUFFER) !== gl.FRAMEBUFFER_COMPLETE) {
-      throw new RendererError(`this device does not draw into ${widthPx}x${heightPx} pixels`);
+      throw new RendererError(`this device cannot draw a picture of ${widthPx}x${heightPx} pixels`);
     }
     this.picture = { widthPx, heightPx, texture, framebuffer };
     return this.picture;

@@ -28,7 +28,7 @@ export function delayS(tries) {
 export function refusal(url) {
   return new SourceError(
     `${new URL(url).origin} answers, but does not let pages of other hosts read ${url}; ` +
-      "it has to send the header Access-Control-Allow-Origin (docs/EMBED.md)",
+      "configure that host to send the header Access-Control-Allow-Origin (docs/EMBED.md)",
   );
 }
 
@@ -129,7 +129,7 @@ export class Fetcher {
       size += value.length;
       if (size > limitBytes) {
         await reader.cancel();
-        throw new SourceError(`${url}: more than ${limitBytes} bytes; this is not a stream`);
+        throw new SourceError(`${url} has more than ${limitBytes} bytes; this is not a stream`);
       }
       pieces.push(value);
       onBytes(value.length);

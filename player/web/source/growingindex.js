@@ -35,7 +35,7 @@ export class GrowingIndex {
     const first = isRange ? known : 0;
     const found = readIndex(bytes, manifest, first);
     if (known >= 0 && !isSame(found[known - first], records[known])) {
-      throw new SourceError(`${url} is that of another stream now; load the page again`);
+      throw new SourceError(`${url} now belongs to another stream; reload the page`);
     }
     const fresh = found.slice(known + 1 - first);
     records.push(...fresh);

@@ -45,7 +45,7 @@ export class HostedStream {
     growMedia(stream.media, stream.manifest, await stream.index.refresh());
     if (stream.numFrames > 0) return stream;
     while (stream.manifest.live && stream.numFrames === 0) {
-      fetcher.onTrouble("This stream has no frames yet; it begins when the first ones come");
+      fetcher.onTrouble("This stream has no frames yet; it starts when the first frames arrive");
       await new Promise((resolve) => setTimeout(resolve, 1000 * followPeriodS(stream.manifest)));
       await stream.refresh();
     }
@@ -98,11 +98,11 @@ export class HostedStream {
     const size = record.objectBytes[manifest.parts.indexOf(part)];
     const bytes = await this.fetcher.get(url, size, onBytes);
     if (bytes.length !== size)
-      throw corrupt(`${url}: ${bytes.length} bytes, the index says ${size}`);
+      throw corrupt(`${url} has ${bytes.length} bytes, but the index says ${size}`);
     const { coder, packets } = readObject(bytes, manifest.version);
     if (coder !== GZIP) {
       throw new SourceError(
-        "This host has the stream as it was trained; export it: swings-stream export --static",
+        "A browser cannot play this stream from a static host; export it: swings-stream export --static",
       );
     }
     return packets;

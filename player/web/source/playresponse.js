@@ -110,7 +110,7 @@ export async function begunPlay(base, wish) {
   const response = await PlayResponse.open(base, wish);
   const start = await response.next();
   if (start === null) throw new GoneError(GONE);
-  if (start.kind !== "start") throw corrupt("play: the first record does not say how it starts");
+  if (start.kind !== "start") throw corrupt("play: the first record is not a start record");
   return { response, start };
 }
 

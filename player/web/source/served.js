@@ -74,7 +74,7 @@ export class ServedStream {
       if (stream.numFrames > 0) return stream;
       stream.first?.close();
       if (!stream.manifest.live) throw new SourceError(`${base} ended before its first frame`);
-      fetcher.onTrouble("This stream has no frames yet; it begins when the first ones come");
+      fetcher.onTrouble("This stream has no frames yet; it starts when the first frames arrive");
       await new Promise((resolve) => setTimeout(resolve, 1000 * NEWS_S));
     }
   }
@@ -234,7 +234,7 @@ export class ServedPlay {
         return true;
       }
       if (record.kind === "error") {
-        this.patience.why = `The server says: ${record.message}`;
+        this.patience.why = `The server reports: ${record.message}`;
         return false;
       }
       if (record.kind !== "start") await this.#take(record);
@@ -251,14 +251,17 @@ export class ServedPlay {
     const birth = isSnapshot ? record.frame : record.birth;
     // What comes far ahead of layer 0 is of no use, and would stay.
     if (birth > this.endBirth + manifest.segmentFrames) {
-      throw corrupt(`play: the slice born at ${birth}, where ${this.endBirth} comes next`);
+      throw corrupt(`play: the slice born at ${birth} arrived, but birth ${this.endBirth} is next`);
     }
     if (!isSnapshot && record.mask !== null) {
       sink.addMask(birth, await chunkOf(record.mask, limitBytes(manifest, "masks")));
     }
     for (const [n, packet] of record.packets.entries()) {
       const layer = record.firstLayer + n;
-      if (layer >= manifest.numLayers) throw corrupt(`play: a packet of layer ${layer}`);
+      if (layer >= manifest.numLayers)
+        throw corrupt(
+          `play: a packet of layer ${layer}, but the stream has ${manifest.numLayers} layers`,
+        );
       const part = isSnapshot ? `snapshot-${layer}` : `${layer}`;
       const chunk = await chunkOf(packet, limitBytes(manifest, part));
       if (isSnapshot) sink.addSnapshot(birth, layer, chunk);
@@ -294,6 +297,6 @@ export class ServedPlay {
 async function chunkOf(packet, most) {
   if (isGzip(packet)) return inflatePacket(packet, most);
   if (packet.length > most)
-    throw corrupt(`play: a chunk of ${packet.length} bytes, at most ${most}`);
+    throw corrupt(`play: a chunk has ${packet.length} bytes, but at most ${most} are allowed`);
   return packet;
 }

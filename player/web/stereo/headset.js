@@ -39,7 +39,7 @@ export class Headset extends EventTarget {
     const { xr } = navigator;
     if (xr === undefined) {
       throw new HeadsetError(
-        "WebXR is not there: open this page in the browser of a headset, from an address with https",
+        "WebXR is not available: open this page in the browser of a headset, from an https:// address",
       );
     }
     /** @type {XRSession | undefined} */
@@ -60,7 +60,7 @@ export class Headset extends EventTarget {
       if (error instanceof HeadsetError) throw error;
       const why = error instanceof Error ? error.message : String(error);
       throw new HeadsetError(
-        `VR does not start: ${why}. Check that the headset is on and that this page may use it, then press VR again`,
+        `VR cannot start: ${why}. Check that the headset is on and that this page may use it, then press VR again`,
       );
     }
   }
@@ -154,8 +154,8 @@ async function makeCompatible(gl) {
     .finally(() => gl.canvas.removeEventListener("webglcontextlost", lose));
   if (isLost) {
     throw new HeadsetError(
-      "The headset is at another graphics device than this page. Choose that device for the browser in the " +
-        "system's settings, start the browser again, and open this page",
+      "The headset uses another graphics device than this page. Choose the headset's device for the browser in " +
+        "the system's settings, restart the browser, and open this page",
     );
   }
 }

@@ -76,7 +76,7 @@ def test_ctrl_c_is_for_the_player_alone() -> None:
 
 
 def test_one_that_dies_is_named_instead_of_what_follows() -> None:
-    message = r"the emulated link has died \(signal 9\); play again"
+    message = r"the process of the emulated link ended \(signal 9\); play again"
 
     def play(relay: LinkProcess, kill: bool) -> None:
         with relay:
@@ -100,5 +100,5 @@ def test_one_that_cannot_start_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(RelayError, match=r"the emulated link cannot start: .*No such file"):
         LinkProcess(LINK, "127.0.0.1", 9)
     monkeypatch.setattr(sys, "executable", "/bin/false")
-    with pytest.raises(RelayError, match=r"the emulated link has died \(exit code 1\)"):
+    with pytest.raises(RelayError, match=r"the process of the emulated link ended \(exit code 1\)"):
         LinkProcess(LINK, "127.0.0.1", 9)

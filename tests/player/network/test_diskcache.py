@@ -107,5 +107,5 @@ def test_what_cannot_be_written_is_counted(tmp_path: Path) -> None:
 
 
 def test_a_cache_holds_something() -> None:
-    with pytest.raises(InvalidError, match="holds nothing"):
+    with pytest.raises(InvalidError, match="is too small"):
         DiskCache(Path("x"), 0)

@@ -128,7 +128,7 @@ def test_it_is_final_while_a_connection_that_breaks_is_not(
 
 def test_tls_where_plain_http_is_spoken(folder: Path) -> None:
     with static_host(folder) as url, closing(Fetcher()) as fetcher:
-        with pytest.raises(FetchError, match="does not speak TLS at this port; http:// may") as it:
+        with pytest.raises(FetchError, match="does not speak TLS at this port; try http://") as it:
             fetcher.get(url.replace("http://", "https://"), 1000)
         assert not isinstance(it.value, BrokenError)
 
@@ -138,12 +138,12 @@ def test_plain_http_where_tls_is_spoken(folder: Path, certificate: tuple[Path, P
     with closing(Fetcher()) as fetcher:
         with (
             serving(folder, "--tls-cert", cert, "--tls-key", key) as url,
-            pytest.raises(FetchError, match="without an answer; if it speaks TLS, https:// is"),
+            pytest.raises(FetchError, match="without an answer; if it speaks TLS, use https://"),
         ):
             fetcher.get(url.replace("https://", "http://"), 1000)
         with (
             tls_host(folder, *certificate) as host,
-            pytest.raises(FetchError, match=r"TLS.* https:// (may be|is) right"),
+            pytest.raises(FetchError, match=r"TLS.* (try|use) https://"),
         ):
             fetcher.get(f"http://127.0.0.1:{host.server_port}/s", 1000)
 
@@ -163,7 +163,7 @@ def test_an_alert_of_tls_in_place_of_an_answer(folder: Path) -> None:
 
         thread = threading.Thread(target=alert)
         thread.start()
-        with pytest.raises(FetchError, match="it speaks TLS at this port; https:// may be right"):
+        with pytest.raises(FetchError, match="the server speaks TLS at this port; try https://"):
             fetcher.get(f"http://127.0.0.1:{listener.getsockname()[1]}/s", 1000)
         thread.join()
 

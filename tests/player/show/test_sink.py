@@ -129,7 +129,7 @@ def test_outputs_that_cannot_be(tmp_path: Path) -> None:
     for name, message in (
         ("x.mkv", "name an .mp4"),
         ("file", "is a file"),
-        ("frames", "holds frames already"),
+        ("frames", "already contains frames"),
         ("dir.mp4", "is a folder"),
         ("absent/x.mp4", "there is no folder"),
     ):

@@ -132,6 +132,6 @@ def test_without_a_display_one_line_says_what_to_do(tmp_path: Path) -> None:
         timeout=60,
     )
     assert done.returncode == 1
-    assert done.stderr.startswith("swings-play: no window can be opened here")
+    assert done.stderr.startswith("swings-play: cannot open a window")
     assert "--capture" in done.stderr
     assert done.stderr.count("\n") == 1

@@ -226,5 +226,5 @@ def test_a_stream_that_was_replaced_is_not_mixed_with_the_old_one(tmp_path: Path
         with pytest.raises(SwingsError) as caught:
             shown.extend(frames)
     assert isinstance(caught.value, CorruptError)
-    assert "/s: the stream was replaced by another one; play it anew" in str(caught.value)
+    assert "/s: the stream was replaced by another one; play it again" in str(caught.value)
     assert all(same(s, reader.slice(s.birth, 3)) for one in shown for s in one.slices)

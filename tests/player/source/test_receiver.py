@@ -167,11 +167,17 @@ Make = Callable[[StreamReader], Sent]
     [
         (lambda r: SliceRecord(7, (b"",)), "the slice born at 7 has no mask"),
         (lambda r: SliceRecord(7, (), b""), "the slice born at 7 has no layers"),
-        (lambda r: slice_record(r, 8, 0, 1), "the slice born at 8 came before 7"),
-        (lambda r: slice_record(r, 7, 0, 3), "a slice with layer 2, of 2 layers"),
-        (lambda r: slice_record(r, 7, 2, 3), "a slice with layer 2, of 2 layers"),
-        (lambda r: snapshot_record(r, 10, 1, 3), "a snapshot with layer 2, of 2 layers"),
-        (lambda r: SnapshotRecord(6, 0, (b"",)), "a snapshot of frame 6, which begins no segment"),
+        (
+            lambda r: slice_record(r, 8, 0, 1),
+            "the slice born at 8 arrived before the slice born at 7",
+        ),
+        (lambda r: slice_record(r, 7, 0, 3), "a slice has layer 2; this play has 2 layers"),
+        (lambda r: slice_record(r, 7, 2, 3), "a slice has layer 2; this play has 2 layers"),
+        (lambda r: snapshot_record(r, 10, 1, 3), "a snapshot has layer 2; this play has 2 layers"),
+        (
+            lambda r: SnapshotRecord(6, 0, (b"",)),
+            "a snapshot of frame 6 arrived, which does not begin a segment",
+        ),
     ],
 )
 def test_what_breaks_a_rule_is_named(reader: StreamReader, make: Make, message: str) -> None:
@@ -187,9 +193,15 @@ def test_what_breaks_a_rule_is_named(reader: StreamReader, make: Make, message: 
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda r: slice_record(r, 6, 0, 1), "the slice born at 6 came before a snapshot"),
-        (lambda r: snapshot_record(r, 10, 0, 1), "begins with the snapshot of layer 0 at 10, not"),
-        (lambda r: snapshot_record(r, 5, 1, 2), "layer 1 at 5, not with that of layer 0 at 5"),
+        (lambda r: slice_record(r, 6, 0, 1), "the slice born at 6 arrived before a snapshot"),
+        (
+            lambda r: snapshot_record(r, 10, 0, 1),
+            "begins with layer 0 of the snapshot of frame 10, not",
+        ),
+        (
+            lambda r: snapshot_record(r, 5, 1, 2),
+            "layer 1 of the snapshot of frame 5, not with layer 0 of the snapshot of frame 5",
+        ),
     ],
 )
 def test_a_play_begins_with_the_snapshot_of_its_segment(
@@ -277,7 +289,7 @@ def test_any_bytes_give_slices_or_a_codec_error(reader: StreamReader) -> None:
 
 def test_whole_slices_know_no_masks_and_no_snapshots() -> None:
     receiver = Receiver("S", small_manifest(), 3, FrameRange())
-    with pytest.raises(CorruptError, match="a snapshot in a stream of whole slices"):
+    with pytest.raises(CorruptError, match="a snapshot arrived, but the stream has whole slices"):
         take(receiver, SnapshotRecord(0, 0, (b"",)))
     birth = random_slice(-3).birth
     with pytest.raises(CorruptError, match="S: the slice born at -3 has no layers"):

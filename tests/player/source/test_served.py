@@ -185,7 +185,11 @@ def test_a_server_that_stops_is_asked_again() -> None:
         ([answer(EndRecord(3))], CorruptError, "does not begin with a start record"),
         ([answer(StartRecord(0, 3, b"{}"))], CorruptError, "S: manifest"),
         ([answer(start(), start())], CorruptError, "second start"),
-        ([answer(start(), *ALL[1:])], CorruptError, "born at -2 came before -3"),
+        (
+            [answer(start(), *ALL[1:])],
+            CorruptError,
+            "born at -2 arrived before the slice born at -3",
+        ),
         ([answer(start(), *ALL[:3], EndRecord(3))], CorruptError, "ended before frame 0"),
         (
             [answer(start(), SliceRecord(-3, ALL[1].packets), *ALL[1:])],
@@ -215,12 +219,12 @@ def test_a_server_that_stops_is_asked_again() -> None:
         (
             [answer(start(), *ALL[:2]), NO_ANSWER, NO_ANSWER, NO_ANSWER],
             BrokenError,
-            "no answer in time",
+            "did not answer in time",
         ),
         (
             [answer(start()), *[answer(ErrorRecord("it is damaged"))] * 30],
             BrokenError,
-            "the server says: it is damaged",
+            "the server reports: it is damaged",
         ),
         ([HEAD.replace(b"x-swings-play", b"json") + b"{}"], FetchError, "S is not a stream"),
         (

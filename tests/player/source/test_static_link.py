@@ -301,7 +301,7 @@ def test_a_stream_that_was_replaced_is_not_mixed_with_the_old_one(
         came = [next(packets)]
         path.rename(tmp_path / "old")
         other.rename(path)
-        with pytest.raises(CorruptError, match="was replaced by another one; play it anew"):
+        with pytest.raises(CorruptError, match="was replaced by another one; play it again"):
             came.extend(packets)
     for one in came:
         assert isinstance(one, SlicePackets)

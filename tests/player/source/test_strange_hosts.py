@@ -95,17 +95,22 @@ BEGUN = answer(start(), *ALL[:2])
 @pytest.mark.parametrize(
     ("first", "again", "every_s", "message"),
     [
-        (BEGUN, lambda n: OLD, 0.01, "bytes came in . s, and nothing of use"),
+        (BEGUN, lambda n: OLD, 0.01, "bytes arrived in . s, but no usable data"),
         (
             BEGUN,
             lambda n: records(ALL[2])[n : n + 1],
             0.05,
-            "bytes came in . s, and nothing of use",
+            "bytes arrived in . s, but no usable data",
         ),
-        (b"", lambda n: b"HTTP/1.1 100 Continue\r\n\r\n", 0.01, "no answer in time"),
-        (b"HTTP/1.1 200 OK\r\n", lambda n: b"X-%d: 1\r\n" % n, 0.05, "no answer in time"),
-        (BEGUN, lambda n: b"", 0.05, "nothing came for 0 s|no answer in time"),
-        (BEGUN, lambda n: records(record_of(n - 1)), 0.0, "the slice born at 3 came, of 3 frames"),
+        (b"", lambda n: b"HTTP/1.1 100 Continue\r\n\r\n", 0.01, "did not answer in time"),
+        (b"HTTP/1.1 200 OK\r\n", lambda n: b"X-%d: 1\r\n" % n, 0.05, "did not answer in time"),
+        (BEGUN, lambda n: b"", 0.05, "no bytes arrived for 0 s|did not answer in time"),
+        (
+            BEGUN,
+            lambda n: records(record_of(n - 1)),
+            0.0,
+            "the slice born at 3 arrived, but the play ends before frame 3",
+        ),
         (BEGUN, lambda n: b"\x02\0\0\0\x80\xc0", 0.0, "play: "),
         (b"", lambda n: b"junk", 0.0, "the connection broke"),
     ],
@@ -126,7 +131,7 @@ def test_a_file_that_drips_is_given_up() -> None:
     head = b"HTTP/1.1 200 OK\r\nContent-Length: 900\r\n\r\n"
     with endless(head, lambda n: b"{", 0.05) as url, closing(Fetcher(config=QUICKLY)) as fetcher:
         began_s = time.monotonic()
-        with pytest.raises(BrokenError, match=r"\d+ bytes came in . s, and nothing of use$"):
+        with pytest.raises(BrokenError, match=r"\d+ bytes arrived in . s, but no usable data$"):
             fetcher.get(url, 1000)
         assert time.monotonic() - began_s < 5 * IDLE_S
 
@@ -176,7 +181,7 @@ def test_the_same_host_is_followed(reference: str, url: str) -> None:
     "reference", ["http://b/x", "//b/x", "http://a:81/x", "http://a@b/x", "https://b/x"]
 )
 def test_another_host_is_followed_when_told(reference: str) -> None:
-    with pytest.raises(FetchError, match=r"leads to another host, .*; --other-hosts follows"):
+    with pytest.raises(FetchError, match=r"leads to another host, .*; allow it with --other-hosts"):
         joined("http://a/s/manifest.json", reference, other_hosts=False)
     assert joined("http://a/s/manifest.json", reference, other_hosts=True).endswith("/x")
 
@@ -186,7 +191,7 @@ def test_another_host_is_followed_when_told(reference: str) -> None:
 )
 def test_what_is_not_a_url_is_not_followed(reference: str) -> None:
     for other_hosts in (False, True):
-        with pytest.raises(FetchError, match=r"^http://a/s/m: it leads to .*, which is not"):
+        with pytest.raises(FetchError, match=r"^http://a/s/m leads to .*, which is not"):
             joined("http://a/s/m", reference if reference != "http:" else "ftp:/x", other_hosts)
 
 
@@ -213,7 +218,7 @@ def test_a_manifest_that_leads_away_is_one_line(tmp_path: Path, template: str) -
     path.write_text(json.dumps(json.loads(path.read_bytes()) | {"object_url": template}))
     with (
         static_host(tmp_path) as host,
-        pytest.raises(FetchError, match=r"s/manifest\.json: it leads to "),
+        pytest.raises(FetchError, match=r"s/manifest\.json leads to "),
         opened(f"{host}/s") as source,
     ):
         list(source.packets())
@@ -301,7 +306,9 @@ def test_an_enormous_camera_is_drawn_at_a_sane_size(tmp_path: Path) -> None:
     out = tmp_path / "out"
     done = swings_play(str(tmp_path / "s"), "--capture", str(out), "--renderer", "cpu")
     assert done.returncode == 0, done.stderr
-    assert "the camera has 16384x64 pixels; drawing 4096x16 (--size gives others)" in done.stderr
+    assert (
+        "the camera has 16384x64 pixels; drawing 4096x16 (--size sets another size)" in done.stderr
+    )
     from PIL import Image
 
     with Image.open(next(out.iterdir())) as picture:

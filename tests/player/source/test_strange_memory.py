@@ -120,9 +120,9 @@ def test_what_comes_again_counts_once_and_is_not_held() -> None:
 def test_more_bytes_than_a_slice_can_have_are_not_held() -> None:
     manifest = small_manifest(40)
     receiver = Receiver("S", manifest, 3, FrameRange())
-    with pytest.raises(CorruptError, match=r"-3: packet: 1000000 bytes, by the"):
+    with pytest.raises(CorruptError, match=r"-3: packet: 1000000 bytes; the manifest"):
         receiver.take(SliceRecord(-3, (bytes(1_000_000),)))
-    with pytest.raises(CorruptError, match=r"^S: the slice born at -3 has 21000 bytes, by the"):
+    with pytest.raises(CorruptError, match=r"^S: the slice born at -3 has 21000 bytes, but the"):
         receiver.take(SliceRecord(-3, (bytes(7_000),) * 3))
 
 
@@ -142,7 +142,9 @@ def test_slices_that_nobody_asked_for_are_not_held() -> None:
             assert receiver.take(SliceRecord(birth, (b"zz",), None, 1)) is None
             assert receiver.take(SliceRecord(-birth, (b"zz",))) is None
     receiver = Receiver("S", small_manifest(40), 3, FrameRange(0, 3))
-    with pytest.raises(CorruptError, match=r"^S: the slice born at 3 came, of 3 frames"):
+    with pytest.raises(
+        CorruptError, match=r"^S: the slice born at 3 arrived, but the play ends before frame 3"
+    ):
         receiver.take(SliceRecord(3, (b"zz",), None, 1))
 
 

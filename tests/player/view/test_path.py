@@ -127,7 +127,7 @@ def test_key_frames_must_rise(tmp_path: Path) -> None:
     key = {"frame": 5, "position": [0, 0, 0], "look_at": [0, 0, 4]}
     file = tmp_path / "path.json"
     file.write_text(json.dumps([key, key]))
-    with pytest.raises(InvalidError, match="key frame 1: its frame is not later"):
+    with pytest.raises(InvalidError, match="key frame 1: its frame is not after"):
         camera_path(str(file), MANIFEST, None, FrameRange())
 
 

@@ -24,7 +24,7 @@ export class ByteReader {
   take(count) {
     if (count > this.left) {
       throw corrupt(
-        `${this.what}: ends at byte ${this.bytes.length}, ${count - this.left} too early`,
+        `${this.what}: ends at byte ${this.bytes.length}, ${count - this.left} bytes too early`,
       );
     }
     this.at += count;

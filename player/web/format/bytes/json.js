@@ -12,7 +12,7 @@ const MAX_TEXT_CHARS = 2000;
  */
 export function field(value, key) {
   if (typeof value !== "object" || value === null || Array.isArray(value)) {
-    throw corrupt(`manifest: no object holds ${key}`);
+    throw corrupt(`manifest: ${key} is not in a JSON object`);
   }
   if (!Object.hasOwn(value, key)) throw corrupt(`manifest: ${key} is missing`);
   return /** @type {Record<string, unknown>} */ (value)[key];
@@ -37,7 +37,7 @@ export function number(value, what) {
  */
 export function integer(value, least, most, what) {
   if (typeof value !== "number" || !Number.isInteger(value) || value < least || value > most) {
-    throw corrupt(`manifest: ${what} is not an integer of ${least} .. ${most}`);
+    throw corrupt(`manifest: ${what} is not an integer from ${least} to ${most}`);
   }
   return value;
 }
@@ -76,7 +76,7 @@ export function boolean(value, what) {
  */
 export function list(value, least, most, what) {
   if (!Array.isArray(value) || value.length < least || value.length > most) {
-    throw corrupt(`manifest: ${what} is not a list of ${least} .. ${most}`);
+    throw corrupt(`manifest: ${what} is not a list of ${least} .. ${most} items`);
   }
   return value;
 }

@@ -18,7 +18,7 @@ export function readMap(reader) {
   if (type === 0xde) size = u16(reader);
   else if (type === 0xdf) size = u32(reader);
   else if (type >> 4 !== 8) throw corrupt("play: a record is not a map");
-  if (size > MAX_KEYS) throw corrupt(`play: a record of ${size} keys`);
+  if (size > MAX_KEYS) throw corrupt(`play: a record of ${size} keys is too long`);
   /** @type {Map<string, unknown>} */
   const map = new Map();
   for (let i = 0; i < size; i++) {
@@ -43,7 +43,7 @@ function readValue(reader) {
   if (type >= 0xa0 && type < 0xc0) return string(reader, type & 31);
   if (type >= 0x90 && type < 0xa0) return array(reader, type & 15);
   const read = READERS.get(type);
-  if (read === undefined) throw corrupt(`play: a value of type ${type.toString(16)}`);
+  if (read === undefined) throw corrupt(`play: a value is of unknown type 0x${type.toString(16)}`);
   return read(reader);
 }
 
@@ -103,7 +103,7 @@ function u32(reader) {
  * @param {number} size
  */
 function string(reader, size) {
-  if (size > MAX_TEXT_BYTES) throw corrupt(`play: a text of ${size} bytes`);
+  if (size > MAX_TEXT_BYTES) throw corrupt(`play: a text of ${size} bytes is too long`);
   try {
     return new TextDecoder("utf-8", { fatal: true, ignoreBOM: true }).decode(reader.take(size));
   } catch (error) {
@@ -117,12 +117,12 @@ function string(reader, size) {
  * @param {number} size
  */
 function array(reader, size) {
-  if (size > MAX_ITEMS) throw corrupt(`play: a list of ${size}`);
+  if (size > MAX_ITEMS) throw corrupt(`play: a list of ${size} items is too long`);
   const items = [];
   for (let i = 0; i < size; i++) {
     // Looked at before it is read: a list in a list could go down to any depth.
     const read = BYTES.get(reader.u8());
-    if (read === undefined) throw corrupt("play: a list holds something else than bytes");
+    if (read === undefined) throw corrupt("play: a list item is not bytes");
     items.push(read(reader));
   }
   return items;

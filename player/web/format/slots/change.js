@@ -37,7 +37,7 @@ export function decodeChange(layout, layer, birth, bytes, numPredicted, numNew) 
   if (bytes.length === 0) {
     if (numPredicted || numNew) {
       throw corrupt(
-        `change: there is none, the mask says ${numPredicted} predicted, ${numNew} new`,
+        `change: it is missing, but the mask says ${numPredicted} predicted and ${numNew} new`,
       );
     }
     const nothing = new ByteReader(new Uint8Array(COUNTS_BYTES), "change");
@@ -79,7 +79,7 @@ export function readChange(layout, layer, body, numPredicted, numNew, hasStarts)
     4 * (1 + 11 + 3 * k) * numEscapes +
     (hasStarts ? added : 0);
   if (body.left !== expected) {
-    throw corrupt(`${what}: ${body.left} bytes behind the counts, which say ${expected}`);
+    throw corrupt(`${what}: ${body.left} bytes follow the counts, but the counts say ${expected}`);
   }
   const places = body.take(3 * predicted);
   const turns = body.take(numAttributes * predicted);
@@ -92,7 +92,7 @@ export function readChange(layout, layer, body, numPredicted, numNew, hasStarts)
   const escapes = body.u32s(numEscapes);
   for (let i = 0; i < numEscapes; i++) {
     if (escapes[i] >= added || (i > 0 && escapes[i] <= escapes[i - 1])) {
-      throw corrupt(`${what}: its escapes do not rise, or are not below ${added}`);
+      throw corrupt(`${what}: its escapes do not increase, or are not below ${added}`);
     }
   }
   const floats = readGaussians(body, numEscapes, k);
@@ -133,7 +133,7 @@ function readMoves(planes, long, what) {
     }
   }
   if (used !== long.length) {
-    throw corrupt(`${what}: ${used} residuals are long, its count says ${long.length}`);
+    throw corrupt(`${what}: ${used} residuals are long, but its count says ${long.length}`);
   }
   return moves;
 }
@@ -171,7 +171,7 @@ function readPositions(lengths, lowBits, what) {
       const g = lengths[axis * count + i];
       if (g > 0) place[axis] += unzigzag((1 << (g - 1)) | bits.take(g - 1));
       if (Math.abs(place[axis]) >= LATTICE_END)
-        throw corrupt(`${what}: a position outside the lattice`);
+        throw corrupt(`${what}: a position is outside the lattice`);
       positions[3 * i + axis] = place[axis];
     }
   }

@@ -32,11 +32,12 @@ export function readSlotHead(bytes, kind) {
   const flags = body.u8();
   const reserved = body.u8();
   const birth = body.i32();
-  if (found >= NAMES.length) throw unsupported(`${name}: a chunk of kind ${found}`);
+  if (found >= NAMES.length) throw unsupported(`${name}: a chunk of unknown kind ${found}`);
   const known = found === MASK ? 0 : HAS_STARTS;
-  if (reserved !== 0 || flags & ~known) throw unsupported(`${name}: flags ${flags}, ${reserved}`);
-  if (found !== kind) throw corrupt(`${name}: a ${NAMES[found]} stands in its place`);
-  if (kind === MASK && layer !== 0) throw corrupt(`mask: of layer ${layer}`);
+  if (reserved !== 0 || flags & ~known)
+    throw unsupported(`${name}: unsupported flags ${flags} or reserved byte ${reserved}`);
+  if (found !== kind) throw corrupt(`${name}: found a ${NAMES[found]} instead`);
+  if (kind === MASK && layer !== 0) throw corrupt(`mask: has layer ${layer}, not 0`);
   return { layer, hasStarts: (flags & HAS_STARTS) !== 0, birth, body };
 }
 
@@ -49,8 +50,8 @@ export function readSlotHead(bytes, kind) {
 export function expectChunk(head, birth, layer) {
   if (head.birth !== birth || head.layer !== layer) {
     throw corrupt(
-      `${head.body.what}: of birth ${head.birth}, layer ${head.layer}, ` +
-        `where birth ${birth}, layer ${layer} belongs`,
+      `${head.body.what}: birth ${head.birth}, layer ${head.layer}; ` +
+        `expected birth ${birth}, layer ${layer}`,
     );
   }
 }

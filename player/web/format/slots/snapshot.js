@@ -22,9 +22,9 @@ import { EMPTY, Slots } from "./slots.js";
 export function decodeSnapshot(layout, bytes) {
   const { layer, birth: frame, hasStarts, body } = readSlotHead(bytes, SNAPSHOT);
   if (layer >= layout.numLayers)
-    throw corrupt(`snapshot: of layer ${layer} of ${layout.numLayers}`);
+    throw corrupt(`snapshot: layer ${layer}, but the stream has ${layout.numLayers} layers`);
   if (frame < 0 || frame !== layout.segmentStart(frame)) {
-    throw corrupt(`snapshot: frame ${frame} is not the first of a segment`);
+    throw corrupt(`snapshot: frame ${frame} is not the first frame of a segment`);
   }
   const count = layout.slots[layer];
   const numFlags = layout.swinSize * count;

@@ -314,5 +314,5 @@ def test_a_hostile_server(page: Page, root: Path, tmp_path: Path, kind: str) -> 
         page.open(f"{url}/web/watch.html?src=/v1/streams/any", WIDTH_PX, HEIGHT_PX)
         said = f"({chosen('.note:not(.soft)')}?.textContent || {chosen('.note.soft')}?.textContent)"
         page.wait(f"Boolean({said})", 30)
-        assert "broke" not in page.run(f"return {said}")
+        assert "player failed" not in page.run(f"return {said}")
         assert not page.complaints
