@@ -39,8 +39,8 @@ class SessionConfig:
     """Seconds of media that a client with a full buffer shows before the server sends more: a burst
     measures the link, a trickle does not. A server lengthens it at random, up to double."""
     told_s: float = 5.0
-    """Seconds for which a client counts as paused or busy after it reported it, unless it repeats
-    the report: the report that it continues may be lost."""
+    """Seconds for which a client's report that it is paused or busy holds, unless it repeats the
+    report: the report that this is over may be lost."""
     first_rate_bps: float = 4e6
     """Assumed rate of the link before the first estimate, bits per second."""
     first_bytes: int = 32 * 1024

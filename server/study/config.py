@@ -63,7 +63,7 @@ class StudyConfig:
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Folder of the report; it must be absent or empty."""
     traces: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Folder of throughput traces, with its subfolders: JSON as in Sabre, or text as in Mahimahi."""
+    """Folder of throughput traces, and its subfolders: JSON as in Sabre, or text as in Mahimahi."""
     generate: int = 0
     """Number of generated traces, in addition to those of the folder or instead of them."""
     policies: Annotated[tuple[str, ...], POLICY_NAMES] = tuple(POLICIES)
@@ -99,7 +99,7 @@ class StudyConfig:
         if not self.loads or len(set(self.loads)) < len(self.loads):
             raise InvalidError(f"loads are {self.loads}; give at least one, each only once")
         if not 0 < self.length_s <= MAX_LENGTH_S:
-            raise InvalidError(f"length is {self.length_s}; it must be over 0, at most {MAX_LENGTH_S:g}")
+            raise InvalidError(f"length is {self.length_s}; give over 0, at most {MAX_LENGTH_S:g}")
         for name in ("generate", "per_folder", "seed", "jobs"):
             if getattr(self, name) < 0:
                 raise InvalidError(f"{name} is {getattr(self, name)}; it must be at least 0")

@@ -42,8 +42,8 @@ class GeneratorConfig:
     num_rates: int = 8
     """Number of rates; each is the next lower rate times a constant. All are equally likely."""
     dwell_s: float = 1.0
-    """Mean seconds at a rate before the link goes to the next higher or lower rate; twice as long at
-    the lowest and the highest rate."""
+    """Mean seconds at a rate before the link goes to the next higher or lower rate; twice as long
+    at the lowest and the highest rate."""
     outages_per_minute: float = 0.0
     """Mean number of outages that begin in a minute."""
     outage_s: float = 1.0

@@ -32,8 +32,9 @@ class SignCommand:
     url: str = "http://127.0.0.1:8080"
     """URL of the server for its clients."""
     new_key: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Add a new key at the top of the key file; a missing file is created. Make the server reload the
-    file (SIGHUP) before you use URLs signed with the new key. To revoke a key, delete its line."""
+    """Add a new key at the top of the key file; a missing file is created. Make the server reload
+    the file (SIGHUP) before you use URLs signed with the new key. To revoke a key, delete its
+    line."""
 
     def __post_init__(self) -> None:
         if not (self.stream or self.new_key):

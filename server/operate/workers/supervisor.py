@@ -307,7 +307,7 @@ class Supervisor:
             self._tell("worker_ended", **who)
         elif not self._was_ready:
             lane.child = None
-            self._failure = child.trouble or f"a worker ended during start-up, status {who['status']}"
+            self._failure = child.trouble or f"a worker ended at start-up, status {who['status']}"
             self._stop()
         else:
             lane.child = None

@@ -135,7 +135,7 @@ CASES: list[tuple[list[str], int, str]] = [
     (["--traces", "{tmp}/absent"], 1, "absent is not a folder"),
     (["--traces", "{tmp}/empty"], 1, "empty holds no traces"),
     (["--traces", "{tmp}/wrong"], 1, "notes.txt"),
-    (["--generate", "1", "--half", "report"], 1, "none is in 'report'"),
+    (["--generate", "1", "--half", "report"], 1, "is in half 'report'"),
     (["--generate", "1", "--policies", "bola,mine"], 2, "mine"),
     (["--generate", "1", "--as-bitrate", "fast"], 2, "36M"),
     (["--generate", "1", "--loads", "0"], 1, "load is 0"),
