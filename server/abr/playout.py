@@ -20,7 +20,7 @@ class PlayoutConfig:
     """Seconds of media, first frame included, that must arrive before the first frame shows: a link
     that just carries layer 0 delivers it unevenly."""
     resume_lead_s: float = 0.1
-    """The same after a stall: otherwise, on a link too slow for layer 0, each frame would show as it
+    """The same after a stall: otherwise a link too slow for layer 0 would show each frame as it
     arrives."""
     conceal_s: float = 0.0
     """Seconds that the picture may freeze while the media time runs on. If the late frame arrives

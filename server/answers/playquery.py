@@ -44,7 +44,7 @@ def parse_query(
         if key not in ("from", "until", "layers", "plain", "paused") or key in values:
             raise RequestError(
                 400,
-                f"{key[:40]!r}: give only from, until, layers, plain and paused, each at most once",
+                f"{key[:40]!r}: play accepts only from, until, layers, plain and paused, each once",
             )
         values[key] = value
     plain, paused = (_flag(key, values.get(key, "0")) for key in ("plain", "paused"))

@@ -150,9 +150,7 @@ class HeadParser:
         if "transfer-encoding" in fields:
             if "content-length" in fields:
                 raise RequestError(400, "the head has both a length and a transfer coding")
-            raise RequestError(
-                411, "send the body with a Content-Length, without Transfer-Encoding"
-            )
+            raise RequestError(411, "send a Content-Length, not a Transfer-Encoding")
         if fields.get("expect", "100-continue").lower() != "100-continue":
             raise RequestError(417, "100-continue is the only supported expectation")
         text = fields.get("content-length", "0")

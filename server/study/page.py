@@ -66,8 +66,8 @@ def make_page(
     parts += [
         "<h2>Distributions over the plays</h2>",
         "<p>Share of the plays with at most this value. For QoE and PSNR, a line farther to the "
-        "right is better; for rebuffering, a line farther to the left. The axes omit the few plays that "
-        "lie far from all others.</p>",
+        "right is better; for rebuffering, a line farther to the left. The axes omit the few "
+        "plays that lie far from all others.</p>",
         to_svg(draw_distributions(outcomes), "c", "distributions of QoE, PSNR and rebuffering"),
         "<h2>One play over time</h2>",
         "<p>Red: the player has nothing to show.</p>",

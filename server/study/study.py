@@ -68,7 +68,8 @@ def _traces(config: StudyConfig) -> list[Trace]:
         )
     if not traces:
         raise InvalidError(
-            f"none of {config.generate} generated traces is in half {config.half!r}; raise --generate"
+            f"none of {config.generate} generated traces is in half {config.half!r}; "
+            "raise --generate"
         )
     return traces
 

@@ -44,7 +44,8 @@ class Link:
             values = (step.duration_s, step.rate_bps, step.latency_s)
             if not all(math.isfinite(x) and x >= 0 for x in values) or not step.duration_s:
                 raise InvalidError(
-                    f"link: step {number} has duration, rate, latency {values}; give 0 or more, duration over 0"
+                    f"link: step {number} is {values}, in s, bit/s, s; "
+                    "give 0 or more, and a duration over 0"
                 )
         self.steps = tuple(steps)
         self._last = len(steps) - 1

@@ -147,7 +147,7 @@ def test_a_bad_setting_names_the_file(tmp_path: Path, toml: str, message: str) -
             "5",
             "unknown setting 'SWINGS_SERVE_MAX_PLAYZ'; did you mean SWINGS_SERVE_MAX_PLAYS?",
         ),
-        ("CHECK_CONFIG", "1", "no setting 'SWINGS_SERVE_CHECK_CONFIG'"),
+        ("CHECK_CONFIG", "1", "unknown setting 'SWINGS_SERVE_CHECK_CONFIG'"),
         ("MAX_PLAYS", "many", "SWINGS_SERVE_MAX_PLAYS: 'many' is not a whole number"),
         ("MAX_PLAYS", "", "SWINGS_SERVE_MAX_PLAYS: '' is not a whole number"),
         ("MAX_PLAYS", "0", "SWINGS_SERVE_MAX_PLAYS: max_plays is 0; it must be positive"),

@@ -139,7 +139,7 @@ CASES: list[tuple[list[str], int, str]] = [
     (["--generate", "1", "--policies", "bola,mine"], 2, "mine"),
     (["--generate", "1", "--as-bitrate", "fast"], 2, "36M"),
     (["--generate", "1", "--loads", "0"], 1, "load is 0"),
-    (["--generate", "1", "--loads", "1", "1"], 2, "each once"),
+    (["--generate", "1", "--loads", "1", "1"], 2, "each only once"),
     (["--generate", "1", "--length", "0"], 2, "length is 0"),
     (["--generate", "1", "--timeline", "x@1"], 1, "generated/000000@0.6"),
     (["--generate", "1", "--out", "{tmp}/full"], 1, "full is not empty"),

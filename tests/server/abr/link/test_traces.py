@@ -89,7 +89,7 @@ def test_a_trace_of_scaled_rates(times_ms: list[int], factor: float, at_s: float
 
 @pytest.mark.parametrize("factor", [0.0, -1.0, math.nan, math.inf])
 def test_factors_that_scale_nothing(factor: float) -> None:
-    with pytest.raises(InvalidError, match="a number over 0"):
+    with pytest.raises(InvalidError, match="give a number over 0"):
         scaled(Link([LinkStep(1, 8e3, 0)]), factor)
 
 
