@@ -116,7 +116,7 @@ STEP = b'[{"duration_ms": %b, "bandwidth_kbps": %b, "latency_ms": %b}]'
         (STEP % (b"5", b"NaN", b"5"), "link: step 0 is"),
         (STEP % (b"5", b"5", b"-5"), "link: step 0 is"),
         (STEP % (b"5", b"1" * 400, b"5"), "step 0: bandwidth_kbps is too large"),
-        (STEP % (b"5", b"0", b"5"), "nothing ever passes"),
+        (STEP % (b"5", b"0", b"5"), "every rate is 0"),
         (STEP % (b"1e300", b"1e300", b"5"), "too large"),
         (b"0\n0\n", "the last line is 0 ms"),
         (b"5\n3\n", "line 2 is 3 ms, after 5 ms"),
