@@ -83,7 +83,7 @@ def test_the_page_needs_nothing_but_itself(report: Path) -> None:
         assert used <= own
         ids += own
     assert len(ids) == len(set(ids))
-    assert all(name in page for name in (*POLICIES, "lte/slow.json", "guessed from the sizes"))
+    assert all(name in page for name in (*POLICIES, "lte/slow.json", "estimated from the sizes"))
 
 
 def test_equal_settings_give_equal_bytes(
