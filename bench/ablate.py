@@ -74,18 +74,18 @@ class TrialsConfig:
 
 @dataclass(frozen=True)
 class AblateConfig(TrialsConfig):
-    """Trains a capture with one choice changed at a time; tabulates and draws what it gives."""
+    """Trains a capture with one choice changed at a time; tabulates and draws the results."""
 
     out: Path = Path("docs/ablate.png")
     """The plot to write."""
     age_num_gs: int = 10_000
-    """Gaussians active in a frame while age scaling is compared."""
+    """Gaussians active in a frame in the comparison of age scaling."""
     age_swin_size: int = 5
-    """Frames a Gaussian lives while age scaling is compared."""
+    """Lifetime of a Gaussian in the comparison of age scaling, frames."""
     swin_sizes: tuple[int, ...] = (1, 2, 3, 5)
-    """Frames a Gaussian lives, to compare at equal bandwidth."""
+    """Lifetimes of a Gaussian to compare at equal bandwidth, frames."""
     slice_size: int = 5_000
-    """Gaussians sent per frame while swin_size is compared; num_gs is swin_size times this."""
+    """Gaussians sent per frame in the comparison of swin_size; num_gs is swin_size times this."""
 
 
 AGE, SIZE = "age scaling", "swin_size"
@@ -331,7 +331,7 @@ def draw(outcomes: Outcomes, config: AblateConfig) -> None:
         draw_points(ages, x, found, COLOURS[carried], f"Adam's history {CARRIED[carried]}")
     ages.set_xticks(range(len(AGE_SCALINGS)), AGE_SCALINGS)
     ages.set_xlim(-0.5, len(AGE_SCALINGS) - 0.5)
-    ages.set_xlabel("age scaling of positions: what 1 / (1 + age) multiplies")
+    ages.set_xlabel("age scaling of positions: factor of 1 / (1 + age)")
     ages.set_title(
         f"{config.age_num_gs:,} Gaussians, swin_size {config.age_swin_size}", fontsize=10
     )
@@ -365,7 +365,7 @@ def draw(outcomes: Outcomes, config: AblateConfig) -> None:
 
 def run(config: AblateConfig) -> None:
     if config.seeds < 1 or not config.swin_sizes:
-        raise InvalidError("name at least one seed and one of swin_sizes")
+        raise InvalidError("give at least one seed and one of swin_sizes")
     outcomes = measure(config, settings(config))
     Console(width=130).print(table_of(outcomes))
     draw(outcomes, config)

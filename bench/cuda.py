@@ -51,17 +51,17 @@ class CudaConfig:
     capture: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="CAPTURE")]
     """Folder of the capture."""
     frames: tuple[int, ...] = (30, 75, 150)
-    """Lengths to train."""
+    """Lengths to train, in frames."""
     backends: tuple[DeviceBackendName, ...] = ("cuda", "torch")
-    """What to train with: cuda (gsplat), torch (plain torch)."""
+    """Training backends: cuda (gsplat), torch (plain torch)."""
     ray_workers: int = 0
-    """Workers of Ray that train the longest side by side; 0 for none."""
+    """Ray workers that train the longest video in parallel; 0 for none."""
     worker_cpus: float = 4
-    """Cores that each of them claims."""
+    """Cores that each Ray worker claims."""
     torch_device: str | None = None
     """Device of backend torch, as in swings-train."""
     scale: float = 1.0
-    """Size of the training pictures over the capture's."""
+    """Scale of the training pictures relative to the capture."""
     num_gs: int = 200_000
     """Gaussians. Paper, section 8.1."""
     genesis_iterations: int = 30_000

@@ -92,7 +92,7 @@ class CurveConfig:
     work: Path = field(default_factory=lambda: Path(tempfile.gettempdir()) / "swings-curve")
     """Folder that keeps the scores."""
     published: tuple[Annotated[Published, PUBLISHED], ...] = ()
-    """Points of others to draw beside the streams."""
+    """Published points to draw beside the streams."""
     every: int = 1
     """Score every n-th frame; flicker needs 1."""
 
@@ -206,8 +206,8 @@ def draw_rates(
     axes.xaxis.set_major_locator(matplotlib.ticker.LogLocator(subs=subs))
     axes.xaxis.set_major_formatter(matplotlib.ticker.FormatStrFormatter("%g"))
     axes.xaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
-    axes.set_xlabel("kB a frame, logarithmic; all that one who plays from frame 0 fetches")
-    axes.set_title("a point for each number of layers", fontsize=10)
+    axes.set_xlabel("kB per frame, logarithmic; all bytes of a play from frame 0")
+    axes.set_title("one point per number of layers", fontsize=10)
 
 
 def draw_frames(axes: matplotlib.axes.Axes, curves: Sequence[Curve]) -> None:
@@ -242,7 +242,7 @@ def draw(curves: Sequence[Curve], config: CurveConfig) -> None:
 
 def run(config: CurveConfig) -> None:
     if not config.streams:
-        raise InvalidError("name at least one stream")
+        raise InvalidError("give at least one stream")
     curves = measure(config)
     Console(width=110).print(table_of(curves))
     draw(curves, config)

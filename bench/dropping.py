@@ -62,7 +62,7 @@ JPEG_QUALITY = 85
 
 @dataclass(frozen=True, slots=True)
 class DroppingConfig:
-    """Draws what a stream looks like with a share of its Gaussians, beside its own layers."""
+    """Draws a stream with a share of its Gaussians, beside the stream's own layers."""
 
     stream: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="STREAM")]
     """Folder of the stream, of version 1 or 2."""
@@ -77,9 +77,9 @@ class DroppingConfig:
     every: int = 10
     """Score every n-th frame. Bytes and ranks are always those of all frames."""
     views: int = 6
-    """Training cameras in which the contributions of a frame are counted; all take their turns."""
+    """Training cameras per frame in which contributions are counted; all cameras take turns."""
     frame: int | None = None
-    """Frame on the contact sheet; None: the middle one of those that are scored."""
+    """Frame on the contact sheet; None: the middle one of the scored frames."""
     camera: str | None = None
     """Held-out camera on the contact sheet; None: the first."""
 
@@ -184,7 +184,7 @@ def candidates(held_out: HeldOut, config: DroppingConfig, folder: Path) -> list[
     shares = sorted(set(config.shares), reverse=True)
     chosen = [(how, share) for how in ranks for share in shares]
     drops = {(how, share): Drop(share, ranks[how]) for how, share in chosen if share < 1}
-    log.print(f"writing {len(drops)} streams of what is kept", highlight=False)
+    log.print(f"writing {len(drops)} streams of the kept Gaussians", highlight=False)
     paths = dict(zip(drops, write_kept(reader, lives, list(drops.values()), folder), strict=True))
     sources = [Source(reader, layers) for layers in range(1, manifest.num_layers + 1)]
     found = []
@@ -203,7 +203,7 @@ def picked(held_out: HeldOut, config: DroppingConfig) -> tuple[int, int]:
     """Frame and held-out camera of the contact sheet. Raises InvalidError if there are none such,
     or if another option is out of its bounds."""
     if not config.shares or not all(0 < share <= 1 for share in config.shares):
-        raise InvalidError("name at least one of shares, each above 0 and at most 1")
+        raise InvalidError("give at least one share, each above 0 and at most 1")
     if config.views < 1:
         raise InvalidError(f"views {config.views}: choose 1 or more")
     scored, names = held_out.every(config.every), [camera.name for camera in held_out.cameras]
@@ -290,9 +290,9 @@ def draw(found: Comparison, path: Path) -> None:
     shares.set_xlabel("share of the Gaussians of every slice, %")
     shares.set_ylabel("PSNR, dB, held-out cameras")
     names = ", ".join(outcome.name for outcome in found.of(BY_OPACITY))
-    shares.set_title(f"dropped: a point each at {names}", fontsize=10)
-    rates.set_xlabel("kB a frame; all that one who plays from frame 0 fetches")
-    rates.set_title("the same points; what is kept is coded anew as a stream", fontsize=10)
+    shares.set_title(f"dropped: one point each at {names}", fontsize=10)
+    rates.set_xlabel("kB per frame; all bytes of a play from frame 0")
+    rates.set_title("the same points; the kept Gaussians are coded again as a stream", fontsize=10)
     figure.suptitle(found.title, fontsize=11)
     handles, labels = shares.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=9)

@@ -36,10 +36,10 @@ REPEATS = 5
 
 @dataclass(frozen=True, slots=True)
 class EncodeConfig:
-    """Measures what Gaussians cost, in bytes and in time."""
+    """Measures the cost of Gaussians, in bytes and in time."""
 
     stream: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="[STREAM]")] = None
-    """Folder of a stream of profile raw: tells only what each attribute of one slice costs."""
+    """Folder of a stream of profile raw; measures only the bits of each attribute of one slice."""
 
 
 def median_ms(work: Callable[[], object]) -> float:
@@ -137,4 +137,4 @@ def run(config: EncodeConfig) -> None:
 
 
 if __name__ == "__main__":
-    run_command(EncodeConfig, run, "scripts/bench encode", "Measures what a Gaussian costs.")
+    run_command(EncodeConfig, run, "scripts/bench encode", "Measures the cost of a Gaussian.")

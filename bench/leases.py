@@ -48,17 +48,17 @@ NO_LEASES = ", no leases"
 
 @dataclass(frozen=True)
 class LeasesConfig(TrialsConfig):
-    """Trains a capture with one choice of version 2 changed at a time; tabulates and draws what it
-    gives."""
+    """Trains a capture with one choice of version 2 changed at a time; tabulates and draws the
+    results."""
 
     seeds: int = 1
-    """Runs of each setting, by seed; their spread tells which differences mean something."""
+    """Runs of each setting, by seed; their spread shows which differences are significant."""
     out: Path = Path("docs/leases.png")
     """The plot to write."""
     num_gs: int = 10_000
-    """Gaussians active in a frame, if nothing else is said."""
+    """Gaussians active in a frame, unless that is the changed choice."""
     settle_rounds: int = 6
-    """How often genesis settles, if nothing else is said."""
+    """Settle rounds of genesis, unless that is the changed choice."""
     active_shares: tuple[float, ...] = (1.0, 0.5, 0.15)
     """Share of a slice that is trained and sent; 1 switches leases off."""
     swin_sizes: tuple[int, ...] = (2, 5)
@@ -66,7 +66,7 @@ class LeasesConfig(TrialsConfig):
     sizes: tuple[int, ...] = (5_000, 20_000)
     """Gaussians active in a frame."""
     settlings: tuple[int, ...] = (0, 12)
-    """How often genesis settles."""
+    """Settle rounds of genesis."""
     together_shares: tuple[float, ...] = (0.0,)
     """Share of a window in which all Gaussians of a large cell move as one."""
     prefix_shares: tuple[float, ...] = (0.0, 0.3)
@@ -74,7 +74,7 @@ class LeasesConfig(TrialsConfig):
     settle_prefix_shares: tuple[float, ...] = (0.0, 0.5)
     """The same while genesis settles."""
     holds: tuple[float, ...] = (0.5, 1.5)
-    """Steps that a value may be off before it is sent."""
+    """Error of a value, in quantisation steps, from which it is sent."""
 
 
 def settings(config: LeasesConfig) -> list[Setting]:
@@ -224,7 +224,7 @@ def draw_rates(axes: matplotlib.axes.Axes, outcomes: Outcomes) -> None:
                 xytext=(5, 4), textcoords="offset points", fontsize=8, color=colour,
             )  # fmt: skip
     axes.set_xlabel("kB a frame after frame 0")
-    axes.set_title("a point for each setting", fontsize=10)
+    axes.set_title("one point per setting", fontsize=10)
 
 
 def draw_layers(axes: matplotlib.axes.Axes, outcomes: Outcomes) -> None:
@@ -243,7 +243,7 @@ def draw_layers(axes: matplotlib.axes.Axes, outcomes: Outcomes) -> None:
 
 def run(config: LeasesConfig) -> None:
     if config.seeds < 1:
-        raise InvalidError("name at least one seed")
+        raise InvalidError("give at least one seed")
     outcomes = measure(config, settings(config), examine)
     Console(width=150).print(table_of(outcomes))
     draw(outcomes, config)

@@ -63,9 +63,9 @@ class LengthConfig:
     num_gs: int = 300
     """Gaussians active in a frame."""
     swin_size: int = 3
-    """Frames a Gaussian lives."""
+    """Lifetime of a Gaussian, frames."""
     window_iterations: int = 20
-    """Iterations of a window; the first one takes five times as many."""
+    """Iterations of a window; the first window has five times as many."""
     cameras: int = 6
     """Cameras, one of them held out."""
     width_px: int = 64
@@ -294,7 +294,7 @@ def complaints(tracks: Sequence[Track]) -> list[str]:
 
 def run(config: LengthConfig) -> None:
     if not config.frames or min(config.frames) < 2:
-        raise SwingsError("frames: name lengths of at least 2")
+        raise SwingsError("frames: give lengths of at least 2")
     tracks = measure(config)
     console = Console(width=120)
     console.print(table_of(tracks))

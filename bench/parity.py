@@ -26,7 +26,7 @@ FRAMES = 5
 
 @dataclass(frozen=True, slots=True)
 class ParityConfig:
-    """What to compare."""
+    """The stream to compare."""
 
     stream: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="STREAM")]]
     """Folder of a stream."""

@@ -46,7 +46,7 @@ WORKER, HOLDER = b"-m trainer.parts", b"ray::do"
 
 @dataclass(frozen=True)
 class PartsConfig:
-    """Trains a capture on clusters of several sizes, and where workers die."""
+    """Trains a capture on clusters of several sizes, and on a cluster whose workers are killed."""
 
     capture: tyro.conf.Positional[Path]
     """Folder of the recording."""
@@ -55,23 +55,23 @@ class PartsConfig:
     frames: str = ":"
     """Frames of the capture to train, A:B."""
     workers: tuple[int, ...] = (1, 2, 4)
-    """Workers of each cluster; the first is what others are compared with."""
+    """Workers of each cluster; the first cluster is the reference."""
     kills: int = 20
     """Workers to kill in one more run, on the second cluster."""
     parts: tuple[int, int, int] = (60, 30, 30)
-    """Frames of a part, of its seam, and before it to learn from."""
+    """Frames of a part, frames of its seam, and warm-up frames before it."""
     many_parts: tuple[int, int, int] = (6, 2, 4)
-    """The same where there are to be many."""
+    """The same for the run with many parts."""
     num_gs: int = 3_000
     """Gaussians active in a frame."""
     genesis_iterations: int = 600
     """Iterations of the first window."""
     settle_rounds: int = 2
-    """How often it is trained once more."""
+    """Settle rounds of the first window."""
     window_iterations: int = 60
     """Iterations of every later window."""
     seed: int = 1
-    """Of the moments at which workers are killed."""
+    """Seed of the times at which workers are killed."""
 
 
 @dataclass(frozen=True, slots=True)

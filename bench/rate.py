@@ -150,7 +150,7 @@ def draw(curves: Sequence[Curve], title: str, path: Path) -> None:
     axes.grid(alpha=0.3)
     figure.legend(
         loc="outside lower center", ncols=len(LINES), fontsize=9,
-        title="profile, rank; a point for each number of layers",
+        title="profile, rank; one point per number of layers",
     )  # fmt: skip
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=120, metadata={"Software": None})

@@ -46,7 +46,7 @@ AFTER_FRAMES = 5
 
 @dataclass(frozen=True)
 class SeamsConfig:
-    """Trains a capture in one go and in parts, and compares what is seen."""
+    """Trains a capture in one go and in parts, and compares the pictures."""
 
     capture: tyro.conf.Positional[Path]
     """Folder of the recording."""
@@ -57,15 +57,15 @@ class SeamsConfig:
     part_frames: int = 45
     """Frames of a part."""
     warm_frames: int = 30
-    """Frames before a part in which it learns what has changed."""
+    """Warm-up frames before a part."""
     seam_frames: int = 30
-    """Frames in which a part takes over."""
+    """Frames of the seam, in which a part takes over."""
     num_gs: int = 5_000
     """Gaussians active in a frame."""
     genesis_iterations: int = 1_200
     """Iterations of the first window."""
     settle_rounds: int = 6
-    """How often it is trained once more."""
+    """Settle rounds of the first window."""
     window_iterations: int = 200
     """Iterations of every later window."""
 
@@ -150,7 +150,7 @@ def compare(config: SeamsConfig) -> None:
         train_parts(run, console)
     found = []
     for stream in (one, many):
-        with console.status(f"looking at {stream}"), open_held_out(stream, config.capture) as seen:
+        with console.status(f"rendering {stream}"), open_held_out(stream, config.capture) as seen:
             found.append(seen_of(seen))
     show(console, run, *found)
     sizes = [sum(r.played_bytes for r in StreamReader(s).records) / 1000 for s in (one, many)]

@@ -42,16 +42,16 @@ Sequence = Callable[[int], Splats]
 
 @dataclass(frozen=True, slots=True)
 class SequencesConfig:
-    """Imports sequences that are made here, and tabulates bytes, errors and time."""
+    """Imports synthetic sequences, and tabulates bytes, errors and time."""
 
     still_gs: int = 90_000
     """Gaussians of the still model."""
     still_frames: int = 300
-    """Files that it is in, all the same."""
+    """Number of identical files of the still model."""
     moving_gs: int = 20_000
-    """Gaussians of the sequences that move."""
+    """Gaussians of the moving sequences."""
     frames: int = 60
-    """Files of those."""
+    """Files of a moving sequence."""
 
     def __post_init__(self) -> None:
         if min(self.still_gs, self.still_frames, self.moving_gs, self.frames) < 1:

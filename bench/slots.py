@@ -33,7 +33,7 @@ class SlotsConfig:
     num_slots: int = 30_000
     """Slots in a lane."""
     active: float = 0.3
-    """Share of the slots that a slice changes: nine tenths of them predicted, the rest new or
+    """Share of the slots that a slice changes: nine tenths of them predicted, the others new or
     ended."""
 
 
@@ -107,4 +107,4 @@ def run(config: SlotsConfig) -> None:
 
 
 if __name__ == "__main__":
-    run_command(SlotsConfig, run, "scripts/bench slots", "Measures slots that last.")
+    run_command(SlotsConfig, run, "scripts/bench slots", "Measures slots of format version 2.")

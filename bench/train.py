@@ -42,7 +42,7 @@ TRAINED_AROUND_M = (0.8, 0.3, 1.5)
 NEAR_M = 0.2
 DSSIM_WEIGHT = 0.2
 MEANS_LR_M = 1e-4
-NO_TORCH = "no torch here, so no comparison with it: it is in the extra torch"
+NO_TORCH = "torch is missing, so there is no comparison; install the extra torch"
 
 
 def median_ms(work: Callable[[], object], repeats: int = REPEATS) -> float:
@@ -284,7 +284,7 @@ def torch_table() -> Table:
 def share_table() -> Table:
     count, width_px, height_px = SHARE_CASE
     table = Table(
-        title=f"loss and gradients of {count} Gaussians at {width_px}x{height_px} where some are "
+        title=f"loss and gradients of {count} Gaussians at {width_px}x{height_px}, some of them "
         f"trained, in turns, ms (medians of {REPEATS})"
     )
     for name in ("trained", "active tiles", "whole picture", "what matters", "ratio"):
@@ -303,7 +303,7 @@ class TrainBenchConfig:
     """Times a training step stage by stage."""
 
     torch: bool = True
-    """Also time loss and gradients beside those of plain torch."""
+    """Also time loss and gradients, compared with plain torch."""
 
 
 def run(config: TrainBenchConfig) -> None:

@@ -20,15 +20,15 @@ class ServeCommand:
     """Serve one stream, or a folder of streams."""
 
     root: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="ROOT")]]
-    """Folder of a stream, or of streams; or their URL in an object store, as s3://BUCKET/PATH."""
+    """Folder of one stream or of several streams, or its URL in an object store: s3://BUCKET/PATH."""
     host: str = "127.0.0.1"
-    """Address to listen on; 0.0.0.0 for all of IPv4, :: for all of both."""
+    """Address to listen on; 0.0.0.0 for all IPv4 addresses, :: for all IPv4 and IPv6 addresses."""
     port: int = 8080
-    """TCP port; 0 for any free one."""
+    """TCP port; 0 for any free port."""
     settings: tyro.conf.OmitArgPrefixes[SettingsConfig] = field(default_factory=SettingsConfig)
-    """Where settings come from."""
+    """Settings file."""
     server: tyro.conf.OmitArgPrefixes[ServerConfig] = field(default_factory=ServerConfig)
-    """The server itself."""
+    """Limits, access, log and cache of the server."""
 
 
 def run(command: ServeCommand) -> None:

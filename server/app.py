@@ -107,7 +107,7 @@ class Application(Site):
         self._report(exchange, error)
         if isinstance(error, SwingsError | OSError):
             return error_response(500, "this stream is damaged on the server", {})
-        return error_response(500, "the server has a bug; its log says more", {})
+        return error_response(500, "internal server error; see the server's log", {})
 
     def _report(self, exchange: Exchange, error: Exception) -> None:
         path = ""
@@ -185,17 +185,17 @@ def _granted_path(path: str, signer: Signer) -> str:
         grant = signer.verify(path, time.time())
         if isinstance(grant, Grant):
             return grant.path
-        raise RequestError(403, f"this URL does not open anything: {_REASONS[grant]}")
+        raise RequestError(403, f"access denied: {_REASONS[grant]}")
     if needs_signature(path):
-        raise RequestError(403, f"this URL does not open anything: {_REASONS[Reason.UNSIGNED]}")
+        raise RequestError(403, f"access denied: {_REASONS[Reason.UNSIGNED]}")
     return path
 
 
 _REASONS = {
-    Reason.UNSIGNED: "it is not signed",
-    Reason.KEY: "its key is not known here any more",
-    Reason.SIGNATURE: "its signature is for something else",
-    Reason.EXPIRED: "its time is over",
+    Reason.UNSIGNED: "the URL is not signed",
+    Reason.KEY: "the key of the URL is not valid on this server",
+    Reason.SIGNATURE: "the signature does not match the URL",
+    Reason.EXPIRED: "the URL has expired",
 }
 
 

@@ -23,7 +23,7 @@ def bind(host: str, port: int) -> socket.socket:
             host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
         )[0]
     except (socket.gaierror, UnicodeError) as error:
-        raise ServerError(f"no address is known for host {host!r}") from error
+        raise ServerError(f"host {host!r} has no known address; check --host") from error
     listener = socket.socket(family, socket.SOCK_STREAM)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -34,7 +34,7 @@ def bind(host: str, port: int) -> socket.socket:
         listener.close()
         raise ServerError(
             f"cannot listen on {host} port {port}: {error.strerror}; "
-            f"choose another --port, or 0 for any free one"
+            f"choose another --port, or 0 for any free port"
         ) from error
     return listener
 

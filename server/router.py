@@ -86,6 +86,6 @@ def find_route(method: str, path: str) -> tuple[Route, dict[str, str]]:
         if match is not None:
             if method not in route.methods:
                 allowed = ",".join(route.methods)
-                raise RequestError(405, f"this URL takes {allowed}", {"Allow": allowed})
+                raise RequestError(405, f"this URL accepts only {allowed}", {"Allow": allowed})
             return route, match.groupdict()
-    raise RequestError(404, "there is nothing at this URL; /v1/streams lists the streams")
+    raise RequestError(404, "nothing is served at this URL; /v1/streams lists the streams")

@@ -104,9 +104,9 @@ class RunningServer:
             if self._tls is not None and config.tls_cert is not None and config.tls_key is not None:
                 load_certificate(self._tls, config.tls_cert, config.tls_key)
         except (SwingsError, OSError) as error:
-            log.error("not renewed: %s", error)
+            log.error("keys and certificate were not reloaded: %s", error)
         else:
-            log.info("keys and certificate were read again")
+            log.info("keys and certificate were reloaded")
 
     async def stop(self) -> None:
         """Lets plays end at their next slice and answers what was asked, within
@@ -130,7 +130,7 @@ def load_certificate(context: ssl.SSLContext, cert: Path, key: Path) -> None:
     try:
         context.load_cert_chain(cert, key)
     except (OSError, ssl.SSLError) as error:
-        raise ServerError(f"{cert} and {key} do not make a certificate: {error}") from error
+        raise ServerError(f"{cert} and {key} are no valid certificate and key: {error}") from error
 
 
 async def run_until_stopped(

@@ -106,6 +106,6 @@ def check_public(config: ServerConfig, listener: socket.socket) -> None:
     """Raises ServerError where everybody would see what nobody said that everybody may see."""
     if config.keys is None and not config.public and not is_loopback(listener):
         raise ServerError(
-            "other machines could see all streams; give --public if they may, "
-            "or --keys FILE to have URLs signed (swings-sign)"
+            "other machines could access all streams; give --public to allow this, "
+            "or --keys FILE to require signed URLs (swings-sign)"
         )

@@ -107,5 +107,5 @@ sys.modules["server.__main__"].main()
 def test_several_workers_are_refused_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "win32")
     assert SupervisorConfig(1).workers == 1
-    with pytest.raises(InvalidError, match="several need Linux, so give 1"):
+    with pytest.raises(InvalidError, match="more than 1 needs Linux; give 1"):
         SupervisorConfig(2)

@@ -40,14 +40,14 @@ SLOTS = SegmentSizes(
 
 @dataclass(frozen=True, slots=True)
 class AbrBenchConfig:
-    """What to simulate."""
+    """Simulated plays."""
 
     length_s: float = 60.0
     """Seconds of each play."""
     repeats: int = 3
-    """The least time of so many counts."""
+    """Number of repeats; the shortest time counts."""
     load: float = 1.0
-    """What the link carries over what the stream needs with all layers."""
+    """Ratio of the link's rate to the rate of the stream with all layers."""
 
 
 def least_s(config: AbrBenchConfig, run: Callable[[], object]) -> float:
@@ -95,7 +95,7 @@ def run(config: AbrBenchConfig) -> None:
 
 
 def main() -> None:
-    run_command(AbrBenchConfig, run, "scripts/bench abr", "Measures how fast plays are simulated.")
+    run_command(AbrBenchConfig, run, "scripts/bench abr", "Measures the speed of simulated plays.")
 
 
 if __name__ == "__main__":

@@ -52,16 +52,16 @@ LATENCY_S = 0.02
 
 @dataclass(frozen=True, slots=True)
 class DeliveryConfig:
-    """What to play."""
+    """Plays to compare."""
 
     stream: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="STREAM")]]
     """Folder of a finished stream."""
     traces: Path
     """Folder of folders of traces."""
     loads: tuple[float, ...] = (1.0,)
-    """Mean rates of the links, over what the stream needs."""
+    """Ratios of the links' mean rate to the rate of the stream."""
     capture: Path | None = None
-    """The capture that it was trained from."""
+    """The capture that the stream was trained from."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -50,25 +50,25 @@ SIZE = Size(640, 360)
 
 @dataclass(frozen=True, slots=True)
 class SeekConfig:
-    """Seeks to frames by chance while a stream plays over a slow link: from a server, and from
+    """Seeks to random frames while a stream plays over a slow link: from a server, and from
     static hosts."""
 
     stream: Path | None = None
-    """A stream to play; without it one is made that is like a trained one."""
+    """A stream to play; by default a synthetic stream that resembles a trained stream."""
     link: Annotated[Link, option("RATE|TRACE", read_link)] = field(
         default_factory=lambda: read_link(LINK)
     )
     """The link, as for swings-play."""
     seeks: int = 30
-    """How many."""
+    """Number of seeks."""
     num_gs: int = 40_000
-    """Gaussians of the stream that is made."""
+    """Gaussians of the synthetic stream."""
     active: float = 0.3
-    """Share of its slots that a slice changes."""
+    """Share of the slots that a slice of the synthetic stream changes."""
     num_frames: int = 300
-    """Its frames."""
+    """Frames of the synthetic stream."""
     renderer: RendererKind = RendererKind.AUTO
-    """What draws it."""
+    """Renderer of the player."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +164,7 @@ def run(config: SeekConfig) -> None:
             url = f"http://127.0.0.1:{port}"
             hosts = {
                 "a server": url,
-                "a host of files": f"{url}/v1/streams/{stream.name}/{MANIFEST_NAME}",
+                "a static host": f"{url}/v1/streams/{stream.name}/{MANIFEST_NAME}",
                 "a host without ranges": plain_url,
             }
             found = {name: measure(config, url) for name, url in hosts.items()}

@@ -40,12 +40,12 @@ from trainer.score.truth import HeldOut, open_held_out
 
 @dataclass(frozen=True, slots=True)
 class ShownConfig:
-    """What was played."""
+    """The play to score."""
 
     stream: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="STREAM")]]
     """Folder of the stream."""
     report: Path
-    """What `swings-play --report` wrote of it."""
+    """Report of the play, written by `swings-play --report`."""
     capture: Path
     """The capture that the stream was trained from."""
     every: int = 1
@@ -91,7 +91,7 @@ def shown_scores(held_out: HeldOut, report: dict[str, Any], every: int) -> Itera
     frames = [frame for frame in report["frames"] if frame["play"] == 0]
     arrivals = [arrival for arrival in report["arrivals"] if arrival["play"] == 0]
     if not frames or any(report["dropped"].values()):
-        raise InvalidError("the report does not hold all of a play; play less at a time")
+        raise InvalidError("the report lacks part of the play; play a shorter time")
     first = frames[0]["frame"]
     media = open_media(Path(reader.name), reader.num_frames / manifest.fps)
     holding = open_holding(media, first)
@@ -143,7 +143,9 @@ def run(config: ShownConfig) -> None:
 
 
 def main() -> None:
-    run_command(ShownConfig, run, "scripts/bench shown", "Scores what a player really showed.")
+    run_command(
+        ShownConfig, run, "scripts/bench shown", "Scores the frames that a player really showed."
+    )
 
 
 if __name__ == "__main__":

@@ -47,14 +47,14 @@ Drawing = CpuRenderer | GlRenderer
 
 @dataclass(frozen=True, slots=True)
 class PlayBenchConfig:
-    """What to measure."""
+    """Sizes and rounds to measure."""
 
     gaussians: tuple[int, ...] = (10_000, 50_000, 200_000, 1_000_000)
     """Gaussians of a frame, multiples of 5."""
     sizes: tuple[Annotated[Size, SIZE], ...] = (Size(640, 360), Size(1352, 1014))
-    """Pictures."""
+    """Sizes of the pictures."""
     rounds: int = 7
-    """Pictures and slices that each median is of."""
+    """Number of pictures and slices in each median."""
 
     def __post_init__(self) -> None:
         """Raises InvalidError for counts that cannot be measured."""

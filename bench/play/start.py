@@ -56,14 +56,14 @@ main()
 
 @dataclass(frozen=True, slots=True)
 class StartConfig:
-    """A window is opened on a served stream, again and again."""
+    """Opens a window on a served stream repeatedly."""
 
     stream: Path | None = None
-    """A stream with a poster; without it one is made that is like a trained one."""
+    """A stream with a poster; by default a synthetic stream that resembles a trained stream."""
     num_gs: int = 40_000
-    """Gaussians of the stream that is made."""
+    """Gaussians of the synthetic stream."""
     rounds: int = 9
-    """Windows that are opened; one more, before them, warms the caches."""
+    """Number of windows to open; one more window before them warms the caches."""
 
 
 @contextmanager
@@ -122,7 +122,7 @@ def run(config: StartConfig) -> None:
 
 
 def main() -> None:
-    run_command(StartConfig, run, "start", "Measures how soon a window shows something.")
+    run_command(StartConfig, run, "start", "Measures the start-up time of the player's window.")
 
 
 if __name__ == "__main__":

@@ -93,6 +93,8 @@ def show_plays(figures: PlayFigures) -> None:
         soft_wrap=True,
     )
     if figures.load_share > 0.9:
-        console.print("The clients used up their core: this measures them, not the server.")
+        console.print(
+            "The clients used up their core: the figures describe the clients, not the server."
+        )
     if figures.others_share > 0.1:
-        console.print("Something else ran beside it: measure again when the machine is quiet.")
+        console.print("Other processes used the CPU: measure again when the machine is idle.")

@@ -70,5 +70,5 @@ def sampled(pid: int, into: Path, rate_hz: int = 200) -> Iterator[None]:
         process.send_signal(2)  # at SIGINT it writes what it has
         _, errors = process.communicate(timeout=60)
     if not into.exists():
-        lines = errors.strip().splitlines() or ["it says nothing"]
+        lines = errors.strip().splitlines() or ["no message"]
         raise SwingsError(f"py-spy could not sample the server: {lines[-1]}")

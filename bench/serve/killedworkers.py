@@ -111,7 +111,7 @@ def _kill_again_and_again(config: KillConfig, log: Path) -> list[Kill]:
         for line in _events(log, "worker_died"):
             living.pop(line["pid"], None)
         if not living:
-            raise SwingsError("no worker was started again: kill them more seldom")
+            raise SwingsError("no worker was restarted: kill workers less often")
         pid = rng.choice(sorted(living))
         kills.append(Kill(time.monotonic(), living[pid]))
         os.kill(pid, signal.SIGKILL)
@@ -147,7 +147,7 @@ def show_kills(figures: ResumeFigures) -> None:
         f"{figures.broken} of them broken; missing {figures.missing}, double {figures.double}; "
         f"{figures.before:.2f} layers a slice before, {figures.after:.2f} after; "
         f"stalls {figures.stalls}, refused {figures.refused}, "
-        f"answered otherwise {figures.answered}; news {figures.news}, "
+        f"other responses {figures.answered}; status reports {figures.news}, "
         f"{figures.slowest_news_ms:.0f} ms at most",
         soft_wrap=True,
     )

@@ -74,7 +74,7 @@ def measure_live(
         seen = Seen.read(out)
         first_s, last_s = live_latency_s(seen, segments, began_s + SETTLE_S)
         if not len(first_s):
-            raise SwingsError("no client got a segment that was born while it followed")
+            raise SwingsError("no client received a segment written during its play")
         spreads = Spread.of(1000 * first_s), Spread.of(1000 * last_s)
         return LiveFigures(clients, len(first_s), *spreads, seen.known["server_share"])
 
@@ -84,7 +84,7 @@ def wait_for_lines(path: Path, count: int) -> None:
         if path.read_text().count("\n") >= count:
             return
         time.sleep(0.01)
-    raise SwingsError("the writer of the live stream does not write")
+    raise SwingsError("the writer of the live stream wrote nothing")
 
 
 def show_live(figures: LiveFigures) -> None:

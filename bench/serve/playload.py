@@ -210,7 +210,7 @@ class Load:
                     self._ready(self._clients[number], event)
             self.longest_s = max(self.longest_s, time.monotonic() - woke_s)
         ended_s = time.monotonic()
-        assert before is not None, "it ends before it is steady"
+        assert before is not None, "the plays end before they are steady"
         steady = ended_s - before[0]
         server_s, load_s = cpu_s(config.server_pid) - before[1], own_cpu_s() - before[2]
         others_s = machine_cpu_s() - before[3] - server_s - load_s

@@ -26,7 +26,7 @@ PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 def pinned(core: int) -> list[str]:
     """What a command begins with to run on one core only. Raises SwingsError where it cannot."""
     if shutil.which("taskset") is None:
-        raise SwingsError("there is no taskset, which util-linux has; install it")
+        raise SwingsError("taskset is missing; install util-linux")
     return ["taskset", "-c", str(core)]
 
 
@@ -95,7 +95,7 @@ def cpu_s(pid: int) -> float:
         fields = _text(Path(f"/proc/{member}/stat")).rsplit(")", 1)[-1].split()
         total += int(fields[11]) + int(fields[12]) if fields else 0
     if not total and not Path("/proc/self/stat").exists():
-        raise SwingsError("this bench reads CPU times from /proc: run it on Linux")
+        raise SwingsError("this benchmark reads CPU times from /proc; run it on Linux")
     return total / TICKS
 
 

@@ -39,36 +39,36 @@ class Part(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class BenchConfig:
-    """What to measure."""
+    """Measurements and their sizes."""
 
     parts: tuple[Part, ...] = (Part.OBJECTS, Part.PLAYS, Part.LIVE)
-    """Which measurements; 100 kills take five minutes."""
+    """Measurements to run; 100 kills take five minutes."""
     quick: bool = False
-    """Fewer and shorter rounds: to see that it works, not to report."""
+    """Fewer and shorter rounds, as a smoke test; do not report their figures."""
     json: Path | None = None
-    """File that gets all figures."""
+    """File for all figures."""
     profile: bool = False
-    """Also sample where the server's CPU goes, by py-spy; its figures are then not to report."""
+    """Also profile the server's CPU time with py-spy; do not report the figures of such a run."""
     object_kb: tuple[int, ...] = (40, 100, 300, 1000)
     """Sizes of the objects, in thousands of bytes."""
     rounds: int = 5
-    """Rounds of which the median counts."""
+    """Number of rounds; the median counts."""
     round_s: float = 2.0
     """Seconds of each server in each round."""
     clients: int = 500
-    """Plays that are held."""
+    """Number of concurrent plays."""
     frame_kb: float = 12.0
     """Size of a frame in plays, all its layers together, in thousands of bytes."""
     arrive_s: float = 10.0
     """Seconds over which the plays begin."""
     plays_s: float = 30.0
-    """Seconds from the first play's beginning to the end of all."""
+    """Seconds from the start of the first play to the end of all plays."""
     live_clients: int = 20
     """Plays that follow a live stream."""
     live_s: float = 15.0
-    """Seconds that they follow it."""
+    """Seconds for which these plays follow the live stream."""
     kills: int = 100
-    """Workers that are killed."""
+    """Number of workers to kill."""
     options: tuple[str, ...] = ()
     """Options for swings-serve, one word each; give them as `--options=--workers --options=1`."""
 
@@ -125,7 +125,7 @@ def show_hotspots(stacks: Path, count: int = 25) -> None:
 
 
 def main() -> None:
-    about = "Measures what serving costs, over loopback, beside nginx and aiohttp."
+    about = "Measures the cost of serving over loopback, compared with nginx and aiohttp."
     run_command(BenchConfig, run, "scripts/bench serve", about)
 
 

@@ -26,7 +26,7 @@ TURN_RAD, TILT_RAD, ZOOM = 0.55, 0.10, 0.85
 
 @dataclass(frozen=True, slots=True)
 class MovingConfig:
-    """What is filmed."""
+    """The film and its stream."""
 
     stream: tyro.conf.Positional[Path]
     """Folder of a stream, such as demo/stream."""
@@ -39,7 +39,7 @@ class MovingConfig:
     picture_ms: int = 67
     """How long each picture is shown."""
     quality: int = 60
-    """Of the WebP, 0 to 100: lower for a smaller file."""
+    """Quality of the WebP, 0 to 100; a lower value makes a smaller file."""
 
 
 def film(page: Page, config: MovingConfig, folder: Path) -> list[Path]:

@@ -66,12 +66,12 @@ SIZES = (5_000, 50_000, 200_000)
 
 @dataclass(frozen=True, slots=True)
 class WebConfig:
-    """Measures the player of player/web."""
+    """Measures the browser player in player/web."""
 
     quick: bool = False
     """Measure the smallest size only."""
     rate: float = 1.0
-    """Frames that are due in a second, as a share of the streams' 30."""
+    """Playback rate as a share of the streams' 30 frames per second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +89,7 @@ class Measured:
     def of(found: dict[str, Any]) -> Measured:
         """What meter.js says. Raises InvalidError if it saw nothing."""
         if not found["pictures"]:
-            raise InvalidError("this machine makes too few pictures; choose a lower --rate")
+            raise InvalidError("this machine renders too few pictures; give a lower --rate")
         names = "pictures", "picturesPerS", "stalls", "drawMs", "device"
         return Measured(*(found[name] for name in names))
 
@@ -208,4 +208,4 @@ def run(config: WebConfig) -> None:
 
 
 if __name__ == "__main__":
-    run_command(WebConfig, run, "scripts/bench web", "Measures the player of the browser.")
+    run_command(WebConfig, run, "scripts/bench web", "Measures the browser player.")

@@ -17,15 +17,15 @@ MANY_WINDOWS = 20
 
 @dataclass(frozen=True, slots=True)
 class EstimatorConfig:
-    """What a `RateEstimator` takes for a sample and how long it keeps one."""
+    """Samples and window of the rate estimate."""
 
     window_s: float = 0.4
-    """Seconds that the estimate looks back, more where they hold less than min_bytes: what a link
-    did before says little of a link that changed."""
+    """Window of the estimate in seconds; longer if it holds less than min_bytes. Old samples say
+    little about a link that has changed."""
     sample_s: float = 0.02
-    """Busy seconds gathered into one sample, unless min_bytes come sooner."""
+    """Busy seconds in one sample; fewer if min_bytes are acknowledged sooner."""
     min_bytes: int = 16 * 1024
-    """Bytes that an estimate goes by at least; fewer say more of buffers than of the link."""
+    """Minimum bytes in an estimate; fewer bytes measure buffers rather than the link."""
 
     def __post_init__(self) -> None:
         for name in ("window_s", "sample_s", "min_bytes"):

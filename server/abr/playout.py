@@ -14,16 +14,17 @@ from codec.errors import InvalidError
 
 @dataclass(frozen=True, slots=True)
 class PlayoutConfig:
-    """What a playback waits for."""
+    """Buffering before frames show."""
 
     start_lead_s: float = 0.1
-    """Seconds of media, first frame included, that are there before the first frame shows: a link
+    """Seconds of media, first frame included, that must arrive before the first frame shows: a link
     that just carries layer 0 delivers it unevenly."""
     resume_lead_s: float = 0.1
-    """The same after a stall: a link below layer 0 would show frame by frame, each as it comes."""
+    """The same after a stall: otherwise a link too slow for layer 0 would show each frame as it
+    arrives."""
     conceal_s: float = 0.0
-    """Seconds that the picture may stand still while the time goes on: what comes by then is
-    caught up with, and nothing is put off. What comes later is a stall."""
+    """Seconds that the picture may freeze while the media time runs on. If the late frame arrives
+    in that time, playback skips to the current frame without delay. If not, playback stalls."""
 
     def __post_init__(self) -> None:
         for name in ("start_lead_s", "resume_lead_s", "conceal_s"):

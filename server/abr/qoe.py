@@ -18,18 +18,18 @@ from codec.errors import InvalidError
 
 @dataclass(frozen=True, slots=True)
 class QoeConfig:
-    """What waiting and unrest cost."""
+    """Costs of waiting and of quality changes."""
 
     stall_db: float = 33.0
-    """What it would cost to wait for as long as one watches, dB: 1 % of waiting costs 0.33 dB."""
+    """Cost of waiting for as long as the time shown, in dB: 1 % of waiting costs 0.33 dB."""
     switch_db: float = 1.0
-    """What a mean step of 1 dB from one stretch to the next costs, dB."""
+    """Cost of a mean step of 1 dB from one stretch to the next, in dB."""
     stretch_s: float = 0.5
-    """Seconds over which PSNR is averaged before steps are taken."""
+    """Length of a stretch: seconds over which PSNR is averaged before steps are computed."""
 
     def __post_init__(self) -> None:
         if not (self.stall_db >= 0 and self.switch_db >= 0 and self.stretch_s > 0):
-            raise InvalidError(f"{self}: costs are at least 0, and stretch_s is over 0")
+            raise InvalidError(f"{self}: give costs of at least 0 and stretch_s over 0")
 
 
 @dataclass(frozen=True, slots=True)

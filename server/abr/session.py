@@ -27,26 +27,26 @@ of it anyway: such news says nothing new."""
 
 @dataclass(frozen=True, slots=True)
 class SessionConfig:
-    """How far ahead of the client a play is kept."""
+    """Pacing of a play."""
 
     max_lead_s: float = 6.0
-    """Seconds of media sent ahead of what the client shows, at most."""
+    """Maximum seconds of media sent ahead of the frame that the client shows."""
     queue_s: float = 0.1
-    """Seconds of the link that may be unacknowledged, beyond its latency."""
+    """Maximum unacknowledged data beyond the link's latency, in seconds at the estimated rate."""
     run_s: float = 0.02
-    """Seconds of the link that one decision fills, at most; one packet in any case."""
+    """Maximum data of one decision, in seconds at the link's rate; always at least one packet."""
     rest_s: float = 0.1
-    """Seconds of media that a full client shows before it is sent more: a burst measures the link,
-    a trickle does not. A server makes it up to twice as long, by chance."""
+    """Seconds of media that a client with a full buffer shows before the server sends more: a burst
+    measures the link, a trickle does not. A server lengthens it at random, up to double."""
     told_s: float = 5.0
-    """Seconds for which a client that said so counts as paused or busy, unless it says so again:
-    the news that it is not may be lost."""
+    """Seconds for which a client's report that it is paused or busy holds, unless it repeats the
+    report: the report that this is over may be lost."""
     first_rate_bps: float = 4e6
-    """What the link is taken to carry before anything is known of it."""
+    """Assumed rate of the link before the first estimate, bits per second."""
     first_bytes: int = 32 * 1024
-    """Bytes that may be unacknowledged at first; as many more as were acknowledged since."""
+    """Maximum unacknowledged bytes at the start; it grows with each acknowledged byte."""
     playout: PlayoutConfig = field(default_factory=PlayoutConfig)
-    """What the client is taken to wait for."""
+    """Assumed buffering of the client before it shows frames."""
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
 
     def __post_init__(self) -> None:

@@ -68,7 +68,7 @@ class Standing:
     def __post_init__(self) -> None:
         frame, buffer_s = self.frame, self.buffer_s
         if frame is None and buffer_s is None:
-            raise InvalidError("neither frame nor buffer_s says where the client is")
+            raise InvalidError("frame and buffer_s are both missing; give one of them")
         # A bool is an int, and NaN is within no limits.
         if frame is not None and not (type(frame) is int and 0 <= frame <= MAX_FRAME):
             raise InvalidError(f"frame is not a whole number from 0 to {MAX_FRAME}")
@@ -88,16 +88,16 @@ class Standing:
     def from_json(cls, data: bytes) -> Standing:
         """What `data` says. Raises InvalidError with one line that says what is wrong."""
         if len(data) > MAX_BODY_BYTES:
-            raise InvalidError(f"the text has more than {MAX_BODY_BYTES} bytes")
+            raise InvalidError(f"the body has more than {MAX_BODY_BYTES} bytes")
         try:
             value = json.loads(data.decode())
         except (ValueError, RecursionError) as error:
-            raise InvalidError("the text is not JSON in UTF-8") from error
+            raise InvalidError("the body is not JSON in UTF-8") from error
         if not isinstance(value, dict):
-            raise InvalidError('the text is not a JSON object such as {"frame": 70}')
+            raise InvalidError('the body is not a JSON object such as {"frame": 70}')
         for key in value:
             if key not in _KEYS:
-                raise InvalidError(f"the keys are {', '.join(_KEYS)}, not {key[:40]!a}")
+                raise InvalidError(f"unknown key {key[:40]!a}; the keys are {', '.join(_KEYS)}")
             if value[key] is None:
                 raise InvalidError(f"{key} is null; leave it out")
         return cls(**value)

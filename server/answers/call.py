@@ -39,5 +39,5 @@ class Call:
         name = self.name("stream")
         stream = self.state.library.streams.get(name)
         if stream is None:
-            raise RequestError(404, f"no stream is called {name[:80]!a}; /v1/streams lists them")
+            raise RequestError(404, f"no stream is named {name[:80]!a}; /v1/streams lists all")
         return stream

@@ -70,9 +70,9 @@ def _tell(state: ServerState, token: str, stream: str, body: bytes) -> PlayAnswe
 def _response(call: Call, answer: PlayAnswer) -> Response:
     call.state.metrics.play_news.add(1, answer.outcome)
     if answer.outcome == NewsOutcome.REFUSED:
-        raise RequestError(400, f"news of a play: {answer.problem}")
+        raise RequestError(400, f"client status of a play: {answer.problem}")
     if answer.outcome == NewsOutcome.UNKNOWN:
-        raise RequestError(404, "there is no such play, or it is over")
+        raise RequestError(404, "no such play, or it has ended")
     fields = {"Cache-Control": "no-store"}
     if answer.rate_bps is not None:
         fields[RATE_HEADER] = str(round(answer.rate_bps))

@@ -128,7 +128,7 @@ def readyz(call: Call) -> Response:
     if state.stopping.is_set():
         raise RequestError(503, "the server is stopping")
     if not state.overload.accepts_plays(len(state.plays)):
-        raise RequestError(503, "the server has no room for another play")
+        raise RequestError(503, "the server cannot accept another play")
     return _text("ready\n")
 
 

@@ -80,7 +80,7 @@ BUSY_LAG_S = 0.005
 BUSY_FILL = 0.5
 """How many seconds of media more than it shows who has enough is then sent in a second."""
 
-REPLACED = "the stream was replaced or taken away"
+REPLACED = "the stream was replaced or removed"
 
 MAX_LOOK_S = 2.0
 """Longest time in which a play that cannot go on waits for the reason."""
@@ -113,7 +113,7 @@ async def play(call: Call) -> StreamedResponse:
     token = fields.get(PLAY_HEADER.lower(), "")
     if not state.overload.accepts_plays(len(state.plays), bool(re.fullmatch(TOKEN, token))):
         state.metrics.refused.add(1, "play_load")
-        message = f"the server has no room beside {len(state.plays)} plays; try again later"
+        message = f"the server is full, with {len(state.plays)} plays; try again later"
         after_s = max(RETRY_AFTER_S, state.overload.retry_after_s)
         raise RequestError(503, message, {"Retry-After": str(after_s)})
     rate_bps = state.plays.rate_bps(token, now_s)
@@ -122,7 +122,7 @@ async def play(call: Call) -> StreamedResponse:
     refusal = state.play_admission.admit(call.address)
     if refusal is not None:
         state.metrics.refused.add(1, f"play_{refusal}")
-        message = "there are too many plays from this address; try again later"
+        message = "too many plays from this address; try again later"
         raise RequestError(429, message, {"Retry-After": str(RETRY_AFTER_S)})
     # From here on nothing may wait before the body is made: its end gives the place free.
     running = _Play(call, stream, query, rate_bps)
@@ -261,7 +261,7 @@ class _Play:
                 case WaitForFrames():
                     waiting_since_s = now_s if waiting_since_s is None else waiting_since_s
                     if now_s - waiting_since_s > config.live_idle_s:
-                        return "idle", self._broken_off("no new frames have come for a long time")
+                        return "idle", self._broken_off("no new frames arrived for a long time")
                     await self._wait_for_frames()
                 case Finished():
                     return "complete", EndRecord(self._stream.num_frames)

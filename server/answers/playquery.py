@@ -43,7 +43,8 @@ def parse_query(
     for key, value in pairs:
         if key not in ("from", "until", "layers", "plain", "paused") or key in values:
             raise RequestError(
-                400, f"play takes from, until, layers, plain and paused once each, not {key[:40]!r}"
+                400,
+                f"{key[:40]!r}: play accepts only from, until, layers, plain and paused, each once",
             )
         values[key] = value
     plain, paused = (_flag(key, values.get(key, "0")) for key in ("plain", "paused"))
@@ -51,7 +52,9 @@ def parse_query(
     from_frame = edge_frame if text == LIVE else _number("from", text)
     # A live stream may be joined before it has its first segment.
     if from_frame >= (num_frames or int(live)):
-        raise RequestError(400, f"from={from_frame}: the stream has {num_frames} frames, from 0 on")
+        raise RequestError(
+            400, f"from={from_frame}: the stream has {num_frames} frames; count from 0"
+        )
     until_frame = _number("until", values["until"]) if "until" in values else None
     if until_frame is not None and until_frame <= from_frame:
         raise RequestError(400, f"until={until_frame} must be greater than from={from_frame}")

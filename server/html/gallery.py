@@ -22,13 +22,13 @@ _FRONT = """<h1>Streams</h1>
 <ul class="streams">
 {cards}
 </ul>
-<footer>On a desktop, <code>swings-play {origin}/watch/NAME</code> plays one too.</footer>"""
+<footer>On a desktop, <code>swings-play {origin}/watch/NAME</code> also plays a stream.</footer>"""
 
-_NONE = """<h1>There are no streams here yet</h1>
-<p>Put one into the folder that is served, with <code>swings-train</code> or
-<code>swings-stream import</code>; it shows here within a second.</p>"""
+_NONE = """<h1>No streams yet</h1>
+<p>Add a stream to the served folder with <code>swings-train</code> or
+<code>swings-stream import</code>; it appears here within a second.</p>"""
 
-_MISSING = """<h1>There is no such stream</h1>
+_MISSING = """<h1>Stream not found</h1>
 <p>See <a href="{front}">all streams</a>.</p>"""
 
 

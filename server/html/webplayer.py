@@ -46,7 +46,7 @@ class WebPlayer:
         page = self.assets.get(_PAGE)
         self._page = page.data.decode() if page is not None else ""
         if any(self._page.count(mark) != 1 for mark in (_HEAD, _TITLE, _BODY)):
-            raise InvalidError(f"{folder} does not hold the browser player; install swings again")
+            raise InvalidError(f"{folder} does not hold the browser player; reinstall swings")
 
     def watch_page(self, title: str, base: str, hint: str) -> str:
         """The page of one stream. title, hint: plain text, the second for who has no scripts;
@@ -60,7 +60,7 @@ def _installed() -> Path:
     # By its name: the server does not import the player.
     spec = find_spec("player")
     if spec is None or not spec.submodule_search_locations:
-        raise InvalidError("the browser player is not installed; install swings again")
+        raise InvalidError("the browser player is not installed; reinstall swings")
     return Path(spec.submodule_search_locations[0]) / "web"
 
 

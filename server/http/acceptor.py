@@ -100,7 +100,7 @@ class Acceptor:
                 if error.errno not in _SHORT_OF:
                     raise
                 if not self._short:
-                    log.error("no new clients for now: %s", error.strerror)
+                    log.error("no new connections are accepted for now: %s", error.strerror)
                 self._short = True
                 self._pause()
                 return

@@ -170,7 +170,7 @@ class HttpConnection(asyncio.BufferedProtocol):
             while buffer.startswith(b"\r\n"):  # RFC 9112, section 2.2
                 del buffer[:2]
             if buffer and not _BEGIN.match(buffer):
-                raise RequestError(400, "this is not HTTP")
+                raise RequestError(400, "the request is not HTTP")
             end = buffer.find(HEAD_END, self._searched)
             if end < 0 or end > MAX_HEAD_BYTES:
                 if len(buffer) > MAX_HEAD_BYTES:
@@ -321,7 +321,7 @@ class HttpConnection(asyncio.BufferedProtocol):
             self._keep_alive = False
             self._exchange = exchange = Exchange(self.address, now_s)
             self._buffer.clear()
-            message = "the request did not come whole in time"
+            message = "the request was not complete in time"
             exchange.note = message
             self._send(error_response(HTTPStatus.REQUEST_TIMEOUT, message, {}))
         else:

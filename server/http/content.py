@@ -56,12 +56,12 @@ def respond(request: Request, content: Content) -> Response:
         fields["Content-Encoding"] = coding
     start, stop, status = 0, content.size, 200
     if "if-match" in asked and not _lists(asked["if-match"], etag, weakly=False):
-        raise RequestError(412, "the content is not what If-Match names", {"ETag": etag})
+        raise RequestError(412, "If-Match does not match the content", {"ETag": etag})
     if "if-none-match" in asked and _lists(asked["if-none-match"], etag, weakly=True):
         return Response(304, fields)
     wanted = _wanted(request, content.size, etag)
     if isinstance(wanted, Unsatisfiable):
-        message = f"the range holds none of {content.size} bytes"
+        message = f"the range is outside the {content.size} bytes of the content"
         raise RequestError(416, message, {"Content-Range": f"bytes */{content.size}"})
     if wanted is not None:
         start, stop, status = wanted.start, wanted.stop, 206

@@ -108,7 +108,7 @@ class HeadParser:
         method, authority, path, query, minor = match.groups()
         modern = minor != "0"
         if modern and not self._host:
-            raise RequestError(400, "HTTP/1.1 needs a Host")
+            raise RequestError(400, "HTTP/1.1 requires the field Host")
         return Request(
             method,
             path,
@@ -134,7 +134,7 @@ class HeadParser:
             if name not in fields:
                 fields[name] = value
             elif name in ("host", "content-length", "transfer-encoding"):
-                raise RequestError(400, f"the head has two fields {name}")
+                raise RequestError(400, f"the head has the field {name} twice")
             else:
                 fields[name] += ", " + value
         self._length = self._body_length(fields)
@@ -149,15 +149,15 @@ class HeadParser:
     def _body_length(self, fields: Fields) -> int:
         if "transfer-encoding" in fields:
             if "content-length" in fields:
-                raise RequestError(400, "the head has a length and a transfer coding")
-            raise RequestError(411, "send the body whole, with a Content-Length")
+                raise RequestError(400, "the head has both a length and a transfer coding")
+            raise RequestError(411, "send a Content-Length, not a Transfer-Encoding")
         if fields.get("expect", "100-continue").lower() != "100-continue":
-            raise RequestError(417, "this server knows no expectation but 100-continue")
+            raise RequestError(417, "100-continue is the only supported expectation")
         text = fields.get("content-length", "0")
         if not _LENGTH.fullmatch(text):
             raise RequestError(400, "Content-Length is not a number")
         if int(text) > self._max_body_bytes:
-            raise RequestError(413, f"a body has {self._max_body_bytes} bytes at most here")
+            raise RequestError(413, f"the body may have at most {self._max_body_bytes} bytes here")
         return int(text)
 
 
@@ -166,7 +166,7 @@ def _wrong_line(line: bytes) -> RequestError:
     if match is None:
         return RequestError(400, "the request line is not METHOD TARGET HTTP/1.1")
     if match["major"] != "1":
-        return RequestError(505, "this server speaks HTTP/1.1")
+        return RequestError(505, "this server supports only HTTP/1.1 and HTTP/1.0")
     return RequestError(400, "the target is not a path, such as /v1/streams")
 
 

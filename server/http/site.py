@@ -15,16 +15,16 @@ from .response import AnyResponse, Facts, HeadWriter
 
 @dataclass(frozen=True, slots=True)
 class PatienceConfig:
-    """How long clients may take."""
+    """Timeouts for clients."""
 
     request_timeout_s: float = 8.0
-    """Seconds in which a request must come whole, from the connection or its first byte on."""
+    """Seconds for a complete request, counted from the connection or from its first byte."""
     keepalive_timeout_s: float = 15.0
-    """Seconds that a connection is kept between two requests."""
+    """Seconds that an idle connection is kept open between two requests."""
     write_timeout_s: float = 8.0
-    """Seconds in which a client must take `least_rate` of what it is sent, or is cut off."""
+    """Seconds over which a client must average `least_rate_bytes`; otherwise it is disconnected."""
     least_rate_bytes: float = 1000.0
-    """Bytes per second that a client must take at least, while there is something to take."""
+    """Minimum bytes per second that a client must receive while data waits for it."""
 
     @property
     def least_s(self) -> float:
@@ -34,7 +34,7 @@ class PatienceConfig:
     def __post_init__(self) -> None:
         for name in ("request_timeout_s", "keepalive_timeout_s", "write_timeout_s"):
             if not 0 < getattr(self, name) <= 86400:
-                raise InvalidError(f"{name} is {getattr(self, name)}; give 86400 or less, over 0")
+                raise InvalidError(f"{name} is {getattr(self, name)}; give over 0, at most 86400")
         if not 0 <= self.least_rate_bytes <= 1e9:
             raise InvalidError(f"least_rate_bytes is {self.least_rate_bytes}; give 0 to 1e9")
 

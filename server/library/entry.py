@@ -27,8 +27,8 @@ FILES = (MANIFEST_NAME, INDEX_NAME)
 
 MAX_REASON_CHARS = 300
 
-UNREADABLE = "it cannot be read where it lies; the log of the server says why"
-BUG = "the server has a bug; its log says more"
+UNREADABLE = "the stream cannot be read; see the server's log"
+BUG = "internal server error; see the server's log"
 
 Stamps = tuple[Stamp | None, ...]
 
@@ -95,7 +95,7 @@ class Entry:
             if self.stream is None:
                 self._drop(UNREADABLE, str(error))
             else:
-                self._say(logging.WARNING, "stays as it was known", str(error), UNREADABLE)
+                self._say(logging.WARNING, "keeps its last readable state", str(error), UNREADABLE)
         except CodecError as error:
             reason = str(error).removeprefix(f"{self._storage.name}/")
             self._drop(reason, reason)
@@ -128,7 +128,7 @@ class Entry:
         self._lacking = first_lacking(self._storage, view)
         if self._lacking is not None:
             if not view.manifest.live:
-                raise CorruptError(f"{self._lacking}; is it half copied?")
+                raise CorruptError(f"{self._lacking}; is the copy incomplete?")
             view = view_of(manifest_json, index_of(view, self._lacking.segment))
         known = self.stream is not None
         self.stream = ServedStream(self._name, self._storage, view, *self._open_arguments)
@@ -142,7 +142,7 @@ class Entry:
             view = continued(before, manifest_json, index)
         except CodecError as error:
             # What was there before it broke can still be served.
-            self._say(logging.WARNING, "grows no more", str(error))
+            self._say(logging.WARNING, "no longer grows", str(error))
             return
         self._lacking = first_lacking(self._storage, view, before.num_segments)
         if self._lacking is not None:
@@ -159,7 +159,7 @@ class Entry:
 
     def leave(self) -> None:
         """Says that there is nothing under this name any more."""
-        self._say(logging.INFO, "is gone", "")
+        self._say(logging.INFO, "was removed", "")
 
     def _say(self, level: int, what: str, more: str, same: object = None) -> None:
         """A line in the log, but not the one that was said last. same: what to know it by, if

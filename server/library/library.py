@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 STREAM_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
 """What a stream may be called: it needs no quoting in a URL, a metric or a page."""
 
-MISNAMED = "a stream's folder is called by letters, digits, '.', '_' and '-'; rename it"
+MISNAMED = "the name of a stream's folder has only letters, digits, '.', '_' and '-'; rename it"
 
 
 class Library:
@@ -64,7 +64,7 @@ class Library:
             try:
                 await self.look()
             except Exception:
-                log.exception("looking at %s failed", one_line(self._storage.name))
+                log.exception("scanning %s failed", one_line(self._storage.name))
             await asyncio.sleep(self._refresh_s)
 
     async def look(self) -> None:
@@ -74,7 +74,7 @@ class Library:
                 await asyncio.to_thread(self._scan)
             except (SwingsError, OSError) as error:
                 if not self._in_trouble:
-                    log.warning("what is served stays as it is: %s", one_line(str(error)))
+                    log.warning("the list of streams stays unchanged: %s", one_line(str(error)))
                 self._in_trouble = True
                 return
             if self._in_trouble:

@@ -26,12 +26,12 @@ class AdmissionConfig:
     """Limits on what clients hold at the same time, in one worker."""
 
     max_connections: int = 4096
-    """Connections at the same time, if the limit of open files allows as many."""
+    """Maximum concurrent connections, if the open-file limit allows that many."""
     max_address_connections: int = 256
-    """Connections from one address (IPv6: one /64), at the same time. A school or a mobile network
-    may be one address."""
+    """Maximum concurrent connections from one address (IPv6: one /64). A school or a mobile network
+    may use one address."""
     max_address_plays: int = 64
-    """Plays for one address (IPv6: one /64), at the same time."""
+    """Maximum concurrent plays for one address (IPv6: one /64)."""
 
     def __post_init__(self) -> None:
         for name in ("max_connections", "max_address_connections", "max_address_plays"):

@@ -20,28 +20,28 @@ MAX_SAMPLE_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class OverloadConfig:
-    """When a worker gives less, and when it gives more again."""
+    """Thresholds and recovery of load shedding in a worker."""
 
     shed_from: float = 0.8
-    """Load from which plays get fewer layers, 1 for all that a core can do."""
+    """Load from which plays get fewer layers; 1 is the full capacity of one core."""
     refuse_from: float = 0.95
-    """Load from which plays get one layer, and new ones are answered 503."""
+    """Load from which plays get one layer and new plays are answered with 503."""
     recover_margin: float = 0.05
-    """How far the load must fall below what was acted on before plays get more again."""
+    """How far the average load must fall below the effective load before plays get more layers."""
     recover_per_s: float = 0.05
-    """Load that is given back in a second of recovery."""
+    """Decrease of the effective load per second during recovery."""
     smooth_s: float = 1.0
-    """Time constant of the average that is acted on, seconds."""
+    """Time constant of the average load, in seconds."""
     max_late_s: float = 0.2
-    """Lateness of the event loop that counts as a load of 1, seconds."""
+    """Event-loop lateness that counts as a load of 1, in seconds."""
     max_egress_bps: float = 0.0
-    """Bits per second that all connections of a worker may take; 0 for no limit."""
+    """Maximum bits per second over all connections of a worker; 0 for no limit."""
 
     def __post_init__(self) -> None:
         if not 0 < self.shed_from < self.refuse_from <= 1:
             raise InvalidError(
                 f"shed_from is {self.shed_from} and refuse_from {self.refuse_from}; "
-                "give them rising, over 0 and not over 1"
+                "give 0 < shed_from < refuse_from <= 1"
             )
         if not 0 <= self.recover_margin < self.shed_from:
             raise InvalidError(

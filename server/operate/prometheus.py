@@ -113,7 +113,7 @@ class Metrics:
         )
         self.layer_bytes = counter(
             "swings_layer_bytes_total",
-            "Bytes of objects or packets sent, by layer, mask or snapshot, and by how they went.",
+            "Bytes of objects or packets sent, by layer, mask or snapshot, and by request type.",
             "via",
             "layer",
         )
@@ -122,12 +122,10 @@ class Metrics:
             "Packets sent by plays, by layer, mask or snapshot.",
             "layer",
         )
-        self.plays = counter(
-            "swings_plays_total", "Plays that are over, by how they ended.", "outcome"
-        )
+        self.plays = counter("swings_plays_total", "Finished plays, by outcome.", "outcome")
         self.play_news = counter(
             "swings_play_news_total",
-            "What clients told of their plays, by what became of it.",
+            "Client status reports of plays, by outcome.",
             "outcome",
         )
         self.cache_hits = counter("swings_cache_hits_total", "Objects found in memory.")
@@ -136,24 +134,24 @@ class Metrics:
             "swings_refused_total", "Connections, plays and requests refused, by reason.", "reason"
         )
         self.accept_pauses = counter(
-            "swings_accept_pauses_total", "Times that no connection could be accepted for a while."
+            "swings_accept_pauses_total", "Pauses during which no connection could be accepted."
         )
         self.timeouts = counter(
-            "swings_timeouts_total", "Connections cut because they took too long, by kind.", "kind"
+            "swings_timeouts_total", "Connections closed by a timeout, by kind.", "kind"
         )
         self.peer_messages = counter(
             "swings_peer_messages_total",
-            "Questions between workers, by what became of them.",
+            "Messages between workers, by outcome.",
             "outcome",
         )
         self.log_dropped = counter(
-            "swings_log_dropped_total", "Lines of the log that its sink did not take."
+            "swings_log_dropped_total", "Log lines dropped because the sink did not accept them."
         )
         self.active_plays = GaugeSeries(
             registry, "livesum", "swings_active_plays", "Plays in progress."
         )
         self.open_connections = GaugeSeries(
-            registry, "livesum", "swings_open_connections", "Connections that are open."
+            registry, "livesum", "swings_open_connections", "Open connections."
         )
         self.cache_bytes = GaugeSeries(
             registry, "livesum", "swings_cache_bytes", "Bytes of objects held in memory."
@@ -162,21 +160,21 @@ class Metrics:
             registry,
             "livemax",
             "swings_shed_layers",
-            "Layers that plays go without because of load, in the worker with the most.",
+            "Layers withheld from plays because of load, highest of all workers.",
         )
         # Every worker looks at the same streams.
         self.streams = GaugeSeries(
-            registry, "livemax", "swings_streams", "Streams, by what they are in.", "state"
+            registry, "livemax", "swings_streams", "Streams, by state.", "state"
         )
         self.ttfb = prometheus_client.Histogram(
             "swings_ttfb_seconds",
-            "Time from a whole request to the first byte of its response, where it had to wait.",
+            "Time from a complete request to the first byte of its response, if it had to wait.",
             registry=registry,
             buckets=TTFB_BUCKETS_S,
         )
         self.loop_late = prometheus_client.Histogram(
             "swings_loop_late_seconds",
-            "How late the event loop was, sample by sample.",
+            "Lateness of the event loop, per sample.",
             registry=registry,
             buckets=LATE_BUCKETS_S,
         )

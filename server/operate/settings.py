@@ -30,13 +30,13 @@ MAX_FILE_BYTES = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class SettingsConfig:
-    """Where settings come from. Every option can also stand in a file and in the environment."""
+    """Sources of settings. Every option can also be set in a file and in the environment."""
 
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """TOML file of options, by their names with _ for -: max_plays = 500. What the environment and
-    the command line say goes before it."""
+    """TOML file of options, named with _ instead of -, such as max_plays = 500. Environment
+    variables and command-line options override it."""
     check_config: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print the settings that would be used, as such a file, and exit."""
+    """Print the effective settings as a TOML file, and exit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +117,7 @@ def _of_file(path: Path, known: Sequence[SettingField]) -> dict[tuple[str, ...],
         found, name = by_keys.get(keys), ".".join(keys)
         if found is None:
             names = [".".join(one) for one in by_keys]
-            raise InvalidError(f"{path}: there is no setting {name[:80]!a}{_hint(name, names)}")
+            raise InvalidError(f"{path}: unknown setting {name[:80]!a}{_hint(name, names)}")
         try:
             given[found.path] = _Given(found, found.from_toml(value), f"{path}: {name}")
         except InvalidError as error:
@@ -144,7 +144,7 @@ def _of_environment(
         found = by_variable.get(variable)
         if found is None:
             hint = _hint(variable, list(by_variable))
-            raise InvalidError(f"environment: there is no setting {variable[:80]!a}{hint}")
+            raise InvalidError(f"environment: unknown setting {variable[:80]!a}{hint}")
         try:
             given[found.path] = _Given(found, found.from_text(text), variable)
         except InvalidError as error:
@@ -154,7 +154,7 @@ def _of_environment(
 
 def _hint(name: str, names: list[str]) -> str:
     near = difflib.get_close_matches(name, names, n=1)
-    return f"; is it {near[0]}?" if near else "; --help lists them"
+    return f"; did you mean {near[0]}?" if near else "; --help lists all settings"
 
 
 def _instance(

@@ -22,45 +22,45 @@ class ServerConfig:
     session: SessionConfig = field(default_factory=SessionConfig)
     """Pacing of plays."""
     patience: PatienceConfig = field(default_factory=PatienceConfig)
-    """How long clients may take."""
+    """Timeouts for clients."""
     admission: AdmissionConfig = field(default_factory=AdmissionConfig)
-    """What clients may hold at the same time."""
+    """Limits on concurrent connections and plays."""
     overload: OverloadConfig = field(default_factory=OverloadConfig)
-    """When plays get less."""
+    """Load shedding."""
     supervisor: SupervisorConfig = field(default_factory=SupervisorConfig)
     """The worker processes."""
     max_plays: int = 512
-    """Plays at the same time; one more is answered 503."""
+    """Maximum concurrent plays; the server answers a further play with 503."""
     trusted_proxies: str = "127.0.0.0/8,::1/128"
-    """Networks, between commas, whose X-Forwarded-For and X-Forwarded-Proto are believed."""
+    """Comma-separated networks whose X-Forwarded-For and X-Forwarded-Proto are trusted."""
     keys: Path | None = None
-    """File of the keys with which URLs must be signed (see swings-sign); none for open streams."""
+    """Key file; URLs must be signed with one of its keys (see swings-sign). None: open streams."""
     public: bool = False
-    """Serve streams without signed URLs to other machines too."""
+    """Allow other machines to access streams without signed URLs."""
     tls_cert: Path | None = None
-    """Certificate chain in PEM, for https."""
+    """Certificate chain in PEM, for HTTPS."""
     tls_key: Path | None = None
-    """Its private key in PEM."""
+    """Private key of the certificate in PEM."""
     log: LogStyle = LogStyle.PLAIN
-    """How lines of the log look, which goes to standard error."""
+    """Format of the log, which goes to standard error."""
     log_requests: bool = True
-    """Whether each request is a line of the log."""
+    """Log one line for each request."""
     send_queue_bytes: int = 64 * 1024
-    """Bytes that may wait unsent for one play: the longer the queue, the staler the choice."""
+    """Maximum unsent bytes queued for one play. A longer queue delays each choice of layers."""
     cache_bytes: int = 256 * 1024 * 1024
-    """Bytes of objects kept in memory: what all plays need of their segments should fit."""
+    """Bytes of objects cached in memory. The current segments of all plays should fit."""
     poll_s: float = 0.005
-    """Seconds between two looks at what a client has acknowledged."""
+    """Seconds between two checks of the bytes that a client has acknowledged."""
     refresh_s: float = 0.5
-    """Seconds between two looks at the streams below the root."""
+    """Seconds between two scans of the streams below the root."""
     live_idle_s: float = 60.0
     """Seconds that a play waits for new slices of a live stream before it ends."""
     remember_plays: int = 1024
-    """Plays whose last estimates are kept when they are over, for clients that come back."""
+    """Number of finished plays whose last rate estimate is kept, for returning clients."""
     remember_s: float = 60.0
-    """Seconds that such an estimate is kept."""
+    """Seconds that the estimate of a finished play is kept."""
     cors_origin: str = "*"
-    """Web origin that may read the streams; empty for none."""
+    """Web origin whose pages may read the streams; empty for none."""
 
     def __post_init__(self) -> None:
         for name in ("max_plays", "send_queue_bytes", "poll_s", "refresh_s", "live_idle_s"):

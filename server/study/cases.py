@@ -39,13 +39,13 @@ class Case:
 def at_load(trace: Trace, load: float, media: LoopedMedia) -> Case:
     """The case of `trace` at `load`. Raises InvalidError where nothing passes in time."""
     if not LEAST_LOAD <= load <= MOST_LOAD:
-        raise InvalidError(f"a load is {load:g}; it must be {LEAST_LOAD:g} to {MOST_LOAD:g}")
+        raise InvalidError(f"load is {load:g}; it must be {LEAST_LOAD:g} to {MOST_LOAD:g}")
     window_s = min(trace.link.round_s, LOAD_WINDOW * media.length_s)
     mean_bps = 8 * trace.link.capacity_bytes(0.0, window_s) / window_s
     factor = load * media.need_bps / mean_bps if mean_bps else math.inf
     if not math.isfinite(factor):
         raise InvalidError(
-            f"trace {trace.name}: nothing passes in its first {window_s:g} s; leave it out"
+            f"trace {trace.name}: no data passes in its first {window_s:g} s; leave it out"
         )
     return Case(trace.name, load, scaled(trace.link, factor))
 

@@ -33,7 +33,7 @@ def parse_policies(text: str) -> tuple[str, ...]:
     for name in names:
         if name not in POLICIES:
             raise InvalidError(
-                f"policy {name!r} is not known; there are {', '.join(POLICIES)}, and all"
+                f"policy {name!r} is unknown; choose from {', '.join(POLICIES)}, or all"
             )
     return tuple(name for name in POLICIES if name in names)
 
@@ -56,56 +56,56 @@ BITRATE = option(
 
 @dataclass(frozen=True, slots=True)
 class StudyConfig:
-    """What to play over what, and where the report goes."""
+    """The plays to simulate, and the folder of the report."""
 
     stream: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="STREAM")]]
     """Folder of a stream; only its manifest and index are read."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
-    """Folder of the report, absent or empty."""
+    """Folder of the report; it must be absent or empty."""
     traces: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Folder of throughput traces, searched through: JSON as Sabre's, or Mahimahi's text."""
+    """Folder of throughput traces, and its subfolders: JSON as in Sabre, or text as in Mahimahi."""
     generate: int = 0
-    """Made-up traces, besides those of the folder or in their place."""
+    """Number of generated traces, in addition to those of the folder or instead of them."""
     policies: Annotated[tuple[str, ...], POLICY_NAMES] = tuple(POLICIES)
-    """Policies to compare, with commas between them."""
+    """Policies to compare, separated by commas."""
     loads: tuple[float, ...] = LOADS
-    """What the links carry over what the stream needs with all layers: the mean rate of each trace
-    is scaled to these."""
+    """Ratios of the link's rate to the rate of the stream with all layers. The mean rate of each
+    trace is scaled to each ratio."""
     half: Half = "all"
-    """Which traces: tune for the first, third, ... of each folder, by name; report for the
-    others."""
+    """Traces to use: tune for the first, third, ... of each folder, by name; report for the other
+    half."""
     per_folder: int = 0
-    """Traces of each folder at most, evenly spread; 0 for all."""
+    """Maximum traces from each folder, evenly spread; 0 for all."""
     length_s: Annotated[float, tyro.conf.arg(name="length")] = 60.0
     """Seconds of each play; a shorter stream is repeated."""
     as_bitrate: Annotated[float | None, BITRATE] = None
-    """What the stream shall need with all layers, its sizes scaled, such as 36M."""
+    """Scale the sizes so that the stream with all layers has this bitrate, such as 36M."""
     timeline: Annotated[str, tyro.conf.arg(metavar="TRACE@LOAD")] = ""
-    """The case that is drawn over time; else one in the middle."""
+    """The case to draw over time; if empty, a case in the middle."""
     seed: int = 0
-    """Of made-up traces and of the bootstrap."""
+    """Seed of the generated traces and of the bootstrap."""
     jobs: int = 0
-    """Processes that play; 0 for one on each core. The report does not depend on it."""
+    """Worker processes; 0 for one per core. The report does not depend on their number."""
     latency_s: float = 0.02
-    """Latency of traces that say none, as Mahimahi's, seconds."""
+    """Latency of traces without one, such as Mahimahi's, seconds."""
     session: SessionConfig = field(default_factory=SessionConfig)
     """Pacing of plays."""
     qoe: QoeConfig = field(default_factory=QoeConfig)
-    """What waiting and unrest cost."""
+    """Costs of waiting and of quality changes."""
     generator: GeneratorConfig = field(default_factory=GeneratorConfig)
-    """What made-up traces are like."""
+    """Properties of the generated traces."""
 
     def __post_init__(self) -> None:
         if not self.loads or len(set(self.loads)) < len(self.loads):
-            raise InvalidError(f"loads are {self.loads}; give one or more, each once")
+            raise InvalidError(f"loads are {self.loads}; give at least one, each only once")
         if not 0 < self.length_s <= MAX_LENGTH_S:
-            raise InvalidError(f"length is {self.length_s}; it must be over 0, to {MAX_LENGTH_S:g}")
+            raise InvalidError(f"length is {self.length_s}; give over 0, at most {MAX_LENGTH_S:g}")
         for name in ("generate", "per_folder", "seed", "jobs"):
             if getattr(self, name) < 0:
                 raise InvalidError(f"{name} is {getattr(self, name)}; it must be at least 0")
         if self.generate > MAX_GENERATED:
             raise InvalidError(f"generate is {self.generate}; it must be at most {MAX_GENERATED}")
         if self.traces is None and not self.generate:
-            raise InvalidError("there is nothing to play over; give --traces DIR or --generate N")
+            raise InvalidError("no traces are given; give --traces DIR or --generate N")
         if not (math.isfinite(self.latency_s) and self.latency_s >= 0):
             raise InvalidError(f"latency_s is {self.latency_s}; it must be at least 0")

@@ -57,7 +57,7 @@ _Drawn = tuple[str, Callable[[Play, Oracle], float], Callable[[Oracle], float]]
 _DRAWN: tuple[_Drawn, ...] = (
     ("QoE (dB)", lambda play, _: play.quality_db, lambda oracle: oracle.quality_db),
     (
-        "QoE less the oracle's (dB)",
+        "QoE minus oracle QoE (dB)",
         lambda play, oracle: play.quality_db - oracle.quality_db,
         lambda _: 0.0,
     ),
@@ -92,7 +92,7 @@ def draw_distributions(outcomes: Sequence[Outcome]) -> matplotlib.figure.Figure:
             axes.xaxis.set_major_locator(MaxNLocator(6))
             axes.set_ylim(0, 1.02)
             _plain(axes)
-        row[0].set_ylabel("share of plays, up to here")
+        row[0].set_ylabel("cumulative share of plays")
     for axes, load in zip(panels[0], loads, strict=True):
         axes.set_title(load_title(load), fontsize=11)
     handles, labels = panels[0, 0].get_legend_handles_labels()
@@ -139,7 +139,7 @@ def draw_differences(summaries: Sequence[LoadSummary]) -> matplotlib.figure.Figu
         axes.set_yticks(range(len(rows)), [policy for policy, _ in reversed(rows)])
         axes.set_ylim(-0.6, len(rows) - 0.4)
         axes.set_title(load_title(summary.load), fontsize=11)
-        axes.set_xlabel(f"QoE of {OWN} less theirs (dB)")
+        axes.set_xlabel(f"QoE of {OWN} minus the other's (dB)")
         _plain(axes)
     return figure
 

@@ -52,25 +52,25 @@ def make_page(
         "</dl>",
         "<h2>Means over the traces</h2>",
         *_table(summaries),
-        "<h2>What the columns say</h2>",
+        "<h2>Columns</h2>",
         *_columns(rules),
     ]
     if differences is not None:
         parts += [
-            "<h2>How far ours is ahead</h2>",
-            f"<p>QoE of {OWN} less that of another policy on the same trace at the same load: the "
-            "mean, and the interval that holds it with 95 % (bootstrap over the traces).</p>",
+            "<h2>Lead of our policy</h2>",
+            f"<p>QoE of {OWN} minus the QoE of another policy on the same trace at the same load: "
+            "the mean and its 95 % confidence interval (bootstrap over the traces).</p>",
             to_svg(differences, "d", "paired differences of QoE with their intervals"),
         ]
     names = list(dict.fromkeys(outcome.trace for outcome in outcomes))
     parts += [
-        "<h2>Play by play</h2>",
-        "<p>The share of the plays that are worth so much or less. A line farther to the right is "
-        "better for QoE and PSNR, one farther to the left for rebuffering. The axes leave out the "
-        "few plays that lie far from all others.</p>",
+        "<h2>Distributions over the plays</h2>",
+        "<p>Share of the plays with at most this value. For QoE and PSNR, a line farther to the "
+        "right is better; for rebuffering, a line farther to the left. The axes omit the few "
+        "plays that lie far from all others.</p>",
         to_svg(draw_distributions(outcomes), "c", "distributions of QoE, PSNR and rebuffering"),
         "<h2>One play over time</h2>",
-        "<p>Red: there is nothing to show.</p>",
+        "<p>Red: the player has nothing to show.</p>",
         to_svg(draw_time_lines(lines), "t", "link, estimate, layers and buffer over time"),
         f"<h2>The {len(names)} traces</h2>",
         '<ul class="names">',
@@ -97,22 +97,22 @@ def _table(summaries: Sequence[LoadSummary]) -> Iterator[str]:
 def _columns(rules: Rules) -> Iterator[str]:
     qoe = rules.qoe
     told = {
-        "load": "What the link carries over what the stream needs with all layers; each trace is "
-        f"scaled so that the mean of its first {LOAD_WINDOW:g} lengths of the play is that.",
-        "QoE": f"Mean PSNR, less {qoe.stall_db:g} dB times the seconds of waiting (start and "
-        f"stalls) for each second shown, less {qoe.switch_db:g} times the mean step between "
+        "load": "Ratio of the link's rate to the rate of the stream with all layers. Each trace is "
+        f"scaled so that its mean rate over the first {LOAD_WINDOW:g} play lengths has this ratio.",
+        "QoE": f"Mean PSNR, minus {qoe.stall_db:g} dB times the seconds of waiting (start and "
+        f"stalls) per second shown, minus {qoe.switch_db:g} times the mean step between "
         f"stretches of {qoe.stretch_s:g} s.",
-        "oracle": "No play is worth more than its QoE, even one that knows the link beforehand; "
-        "its PSNR is that of the same solution. Its rebuffering and start-up are those of layer 0 "
-        "alone: all waiting together is the least there is.",
-        "normalised": "Where the mean QoE lies between that of layer 0 alone, 0, and the "
-        "oracle's, 1. A ratio of means, not a mean of ratios.",
-        "5th percentile": "Of the PSNR of a play's frames.",
-        "rebuffering": "Seconds of stalls for each second shown; the start is apart.",
-        "step": "Mean difference of PSNR between stretches: how much a policy switches.",
-        "layers": "As they show, mean over the frames; a part of a layer counts as that part.",
-        "wasted": "Share of the bytes that came which no frame showed: too late, without what is "
-        "under them, or twice.",
+        "oracle": "Upper bound of QoE: no play reaches more, even if it knows the link beforehand. "
+        "Its PSNR is that of the same solution. Its rebuffering and start-up are those of layer 0 "
+        "alone, which has the least total waiting.",
+        "normalised": "Position of the mean QoE between that of layer 0 alone (0) and the "
+        "oracle's (1). It is a ratio of means, not a mean of ratios.",
+        "5th percentile": "5th percentile of the PSNR of a play's frames.",
+        "rebuffering": "Seconds of stalls per second shown, without the start-up.",
+        "step": "Mean PSNR difference between stretches: it shows how much a policy switches.",
+        "layers": "Mean number of layers shown per frame; a part of a layer counts as a fraction.",
+        "wasted": "Share of the received bytes that no frame showed: they came too late, without "
+        "the layers below, or twice.",
     }
     yield "<dl>"
     for name, text in told.items():

@@ -67,7 +67,10 @@ def _traces(config: StudyConfig) -> list[Trace]:
             config.generate, config.generator, config.seed, config.half, config.per_folder
         )
     if not traces:
-        raise InvalidError(f"of {config.generate} made-up traces none is in {config.half!r}")
+        raise InvalidError(
+            f"none of {config.generate} generated traces is in half {config.half!r}; "
+            "raise --generate"
+        )
     return traces
 
 
@@ -79,7 +82,7 @@ def _chosen_case(text: str, cases: Sequence[Case]) -> Case | None:
     if found is None:
         first = cases[0]
         raise InvalidError(
-            f"timeline {text!r} is not a trace and load that is played, such as "
+            f"timeline {text!r} is not a simulated trace and load, such as "
             f"{first.trace}@{first.load:g}"
         )
     return found
@@ -102,7 +105,7 @@ def _outcomes(
         try:
             yield from pool.map(play, cases)
         except BrokenProcessPool as error:
-            raise SwingsError("a process that played was killed; ask for fewer --jobs") from error
+            raise SwingsError("a worker process was killed; give a lower --jobs") from error
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
@@ -110,10 +113,10 @@ def _outcomes(
 
 def _told(config: StudyConfig, media: LoopedMedia) -> list[tuple[str, str]]:
     """What was played, for people."""
-    kind = "slots that last (format version 2)" if media.has_slots else "whole slices (version 1)"
-    quality = "as the index says" if media.knows_psnr else "guessed from the sizes"
-    scaled = "" if config.as_bitrate is None else ", its sizes scaled to that"
-    traces = "all" if config.half == "all" else f"the half {config.half!r} of each folder"
+    kind = "slots (format version 2)" if media.has_slots else "whole slices (format version 1)"
+    quality = "from the index" if media.knows_psnr else "estimated from the sizes"
+    scaled = "" if config.as_bitrate is None else " after scaling the sizes"
+    traces = "all" if config.half == "all" else f"half {config.half!r} of each folder"
     return [
         (
             "Stream",
@@ -126,7 +129,7 @@ def _told(config: StudyConfig, media: LoopedMedia) -> list[tuple[str, str]]:
 
 
 def _per_folder(config: StudyConfig) -> str:
-    return f"{config.per_folder} of each folder at most; " if config.per_folder else ""
+    return f"at most {config.per_folder} of each folder; " if config.per_folder else ""
 
 
 def _facts(

@@ -61,7 +61,7 @@ def read_traces(folder: Path, half: Half, per_folder: int, latency_s: float) -> 
         raise InvalidError(f"{folder} is not a folder; name the folder of the traces")
     names = chosen_names(list(_file_names(folder)), half, per_folder)
     if not names:
-        of_half = "" if half == "all" else f" of the half {half!r}"
+        of_half = "" if half == "all" else f" in half {half!r}"
         raise InvalidError(f"{folder} holds no traces{of_half}")
     return [
         Trace(name, parse_trace(read_bounded(folder / name, MAX_TRACE_BYTES), name, latency_s))
@@ -75,7 +75,7 @@ def _file_names(folder: Path) -> Iterator[str]:
         hidden = any(part.startswith(".") for part in name.parts)
         if path.is_file() and not hidden and path.suffix not in NOT_TRACES:
             if not str(name).isprintable():
-                raise InvalidError(f"{str(path)!a}: a report cannot print this name; rename it")
+                raise InvalidError(f"{str(path)!a}: the name has unprintable characters; rename it")
             yield name.as_posix()
 
 

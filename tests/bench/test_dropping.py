@@ -96,7 +96,7 @@ def test_what_as_many_bytes_give_lies_between_the_points() -> None:
 def test_options_out_of_their_bounds_are_refused(tmp_path: Path) -> None:
     config = written(tmp_path, 2)
     for wrong, message in (
-        (replace(config, shares=()), "at least one of shares"),
+        (replace(config, shares=()), "at least one share"),
         (replace(config, shares=(0.5, 1.1)), "at most 1"),
         (replace(config, views=0), "views 0"),
         (replace(config, every=0), "every 0"),

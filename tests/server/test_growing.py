@@ -166,7 +166,7 @@ def test_a_replaced_stream_ends_its_plays_and_no_tag_has_two_contents(tmp_path: 
         records = await asyncio.wait_for(playing, 10)
         last = records[-1]
         assert isinstance(last, ErrorRecord)
-        assert "replaced or taken away; play again from frame" in last.message
+        assert "replaced or removed; play again from frame" in last.message
         await eventually(lambda: len(seen) == 2)
         stopped.set()
         await looking

@@ -64,7 +64,7 @@ def test_news_is_taken_or_refused_in_one_line(root: Path, caplog: pytest.LogCapt
             for body in NONSENSE:
                 status, text = await post(url, body)
                 assert status == 400, body
-                assert text.startswith('{"error": "news of a play: '), text
+                assert text.startswith('{"error": "client status of a play: '), text
                 assert "\n" not in text
             assert (await post(url, b" " * 1024))[0] == 400
             assert (await post(url, b" " * 1025))[0] == 413

@@ -193,7 +193,7 @@ def test_what_pages_allow(
 def test_where_the_player_is_not_whole_no_server_starts(tmp_path: Path) -> None:
     (tmp_path / "watch.html").write_text("<html></html>")
     for folder in (tmp_path, tmp_path / "nothing"):
-        with pytest.raises(InvalidError, match="does not hold the browser player; install"):
+        with pytest.raises(InvalidError, match="does not hold the browser player; reinstall"):
             WebPlayer(folder)
 
 

@@ -33,23 +33,23 @@ _MOST_VARIATION = 0.6
 
 @dataclass(frozen=True, slots=True)
 class GeneratorConfig:
-    """What links are made up like; each holds in the long run, not in every link."""
+    """Properties of generated links; each holds in the long run, not in every link."""
 
     mean_bps: float = 20e6
     """Mean rate outside outages, bits per second."""
     variation: float = 0.5
     """Coefficient of variation of the rate outside outages: standard deviation over mean."""
     num_rates: int = 8
-    """Rates there are; each is the one below it times a constant, and all are equally likely."""
+    """Number of rates; each is the next lower rate times a constant. All are equally likely."""
     dwell_s: float = 1.0
-    """Mean time at a rate before the link goes to the next one up or down, seconds; at the lowest
-    and the highest it is twice as long."""
+    """Mean seconds at a rate before the link goes to the next higher or lower rate; twice as long
+    at the lowest and the highest rate."""
     outages_per_minute: float = 0.0
-    """How often an outage begins."""
+    """Mean number of outages that begin in a minute."""
     outage_s: float = 1.0
     """Mean length of an outage, seconds."""
     latency_s: float = 0.02
-    """Latency, always the same, seconds."""
+    """Constant latency, seconds."""
     length_s: float = 300.0
     """Length of the link before it repeats, seconds."""
 

@@ -43,7 +43,10 @@ class Link:
         for number, step in enumerate(steps):
             values = (step.duration_s, step.rate_bps, step.latency_s)
             if not all(math.isfinite(x) and x >= 0 for x in values) or not step.duration_s:
-                raise InvalidError(f"link: step {number} is {values}, in s, bit/s, s")
+                raise InvalidError(
+                    f"link: step {number} is {values}, in s, bit/s, s; "
+                    "give 0 or more, and a duration over 0"
+                )
         self.steps = tuple(steps)
         self._last = len(steps) - 1
         self._rates_bps = [step.rate_bps for step in steps]
@@ -59,9 +62,9 @@ class Link:
         if math.inf in (self._round_bits, self.round_s):
             raise InvalidError("link: the rates and durations are too large")
         if self._round_bits == 0:
-            raise InvalidError("link: nothing ever passes; every rate is 0")
+            raise InvalidError("link: every rate is 0; raise at least one")
         if self._round_bits < 1:
-            raise InvalidError("link: less than one bit passes in all steps; raise the rates")
+            raise InvalidError("link: all steps together carry less than one bit; raise the rates")
         self.mean_bps = self._round_bits / self.round_s
         """What passes on average, outages and all, bits per second."""
 

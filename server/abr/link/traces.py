@@ -37,7 +37,7 @@ def parse_trace(data: bytes, name: str, latency_s: float = 0.0) -> Link:
     """
     try:
         if len(data) > MAX_TRACE_BYTES:
-            raise InvalidError(f"it holds more than {MAX_TRACE_BYTES >> 20} MiB; cut it")
+            raise InvalidError(f"the file has more than {MAX_TRACE_BYTES >> 20} MiB; shorten it")
         if re.match(rb"\s*[0-9]", data):
             return Link(_text_steps(data, latency_s))
         return Link(_json_steps(data))
@@ -48,7 +48,7 @@ def parse_trace(data: bytes, name: str, latency_s: float = 0.0) -> Link:
 def scaled(link: Link, factor: float) -> Link:
     """`link` with all rates times `factor`; when it changes and its latency stay as they are."""
     if not (math.isfinite(factor) and factor > 0):
-        raise InvalidError(f"a link is scaled by a number over 0, not by {factor}")
+        raise InvalidError(f"scale factor is {factor}; give a number over 0")
     return Link(
         [LinkStep(step.duration_s, step.rate_bps * factor, step.latency_s) for step in link.steps]
     )
@@ -58,9 +58,9 @@ def _json_steps(data: bytes) -> list[LinkStep]:
     try:
         value = json.loads(data)
     except (ValueError, RecursionError) as error:
-        raise InvalidError(f"it is neither JSON nor lines of milliseconds: {error}") from error
+        raise InvalidError(f"the file is not JSON nor lines of milliseconds: {error}") from error
     if not isinstance(value, list) or not value:
-        raise InvalidError("it is not a list of steps")
+        raise InvalidError("the file is not a list of steps")
     return [_json_step(entry, number) for number, entry in enumerate(value)]
 
 
@@ -69,7 +69,7 @@ def _json_step(entry: Any, number: int) -> LinkStep:
     for key in _KEYS:
         value: Any = entry.get(key) if isinstance(entry, dict) else None
         if type(value) not in (int, float):
-            raise InvalidError(f"step {number} does not hold the numbers {', '.join(_KEYS)}")
+            raise InvalidError(f"step {number} must have the numbers {', '.join(_KEYS)}")
         try:
             values.append(float(value))
         except OverflowError as error:
@@ -94,7 +94,7 @@ def _text_steps(data: bytes, latency_s: float) -> list[LinkStep]:
         place = max(0, time_ms - 1) // STEP_MS
         chances[place] = chances.get(place, 0) + 1
     if last_ms == 0:
-        raise InvalidError("it ends at 0 ms; its last line must be later")
+        raise InvalidError("the last line is 0 ms; it must be later")
     steps: list[LinkStep] = []
     end_ms = 0
     for place, count in chances.items():

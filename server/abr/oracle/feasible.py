@@ -52,14 +52,14 @@ def open_play(
     """Raises InvalidError for frames that are not there, or a play that never begins."""
     if not 0 <= first_frame < until_frame <= media.num_frames:
         frames = f"{first_frame}..{until_frame - 1} of {media.num_frames}"
-        raise InvalidError(f"a play of the frames {frames}: there must be one, and all there")
+        raise InvalidError(f"frames {frames}: give at least one frame, all of the stream")
     num_frames = until_frame - first_frame
     lead_frames = max(1, round(config.max_lead_s * media.fps))
     start_frames = min(num_frames, config.playout.start_frames(media.fps))
     if start_frames > lead_frames:
         raise InvalidError(
-            f"no play begins: the first frame waits for {start_frames} frames, "
-            f"and {lead_frames} are sent ahead"
+            f"the play cannot start: the first frame waits for {start_frames} frames, "
+            f"but only {lead_frames} are sent ahead"
         )
     base_bytes = (
         _first_bytes(media, first_frame),

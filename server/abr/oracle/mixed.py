@@ -57,7 +57,7 @@ class Mixed:
         for column, offer in zip(relaxation.columns.bought.tolist(), offers, strict=True):
             self._sort(column, offer)
         if len(self._whole) > MOST_DECISIONS:
-            raise InvalidError(f"{len(self._whole)} decisions; {MOST_DECISIONS} are the most")
+            raise InvalidError(f"{len(self._whole)} decisions; the maximum is {MOST_DECISIONS}")
         for layer, number in self._whole:
             self._add_rules(layer, number)
         self._matrix = self._rows.matrix(relaxation.columns.count)

@@ -106,7 +106,9 @@ class _Programme:
                 count += 1 - sum(new.beats(old) for old in same)
                 same[:] = [old for old in same if not new.beats(old)] + [new]
                 if count > MOST_LABELS:
-                    raise InvalidError(f"more than {MOST_LABELS} plays to tell apart; ask for less")
+                    raise InvalidError(
+                        f"more than {MOST_LABELS} different plays; use a shorter play"
+                    )
         return [label for same in kept.values() for label in same]
 
     def _advance(self, label: _Label, number: int, num_layers: int) -> _Label | None:

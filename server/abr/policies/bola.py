@@ -48,9 +48,13 @@ class BolaConfig:
 
     def __post_init__(self) -> None:
         if not 0 <= self.low_lead < self.high_lead <= 1:
-            raise InvalidError(f"low_lead {self.low_lead}, high_lead {self.high_lead} rise in 0..1")
+            raise InvalidError(
+                f"low_lead is {self.low_lead}, high_lead {self.high_lead}; give them rising in 0..1"
+            )
         if not (self.enough_s >= 0 and self.most_wait > 0):
-            raise InvalidError(f"enough_s {self.enough_s} or most_wait {self.most_wait} is off")
+            raise InvalidError(
+                f"enough_s is {self.enough_s}, most_wait {self.most_wait}; give >= 0 and > 0"
+            )
 
 
 @dataclass(frozen=True, slots=True)

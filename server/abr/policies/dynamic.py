@@ -28,7 +28,8 @@ class DynamicConfig:
     def __post_init__(self) -> None:
         if not 0 <= self.to_throughput <= self.to_bola <= 1:
             raise InvalidError(
-                f"to_throughput {self.to_throughput} and to_bola {self.to_bola} rise in 0..1"
+                f"to_throughput is {self.to_throughput} and to_bola {self.to_bola}; "
+                "give them rising in 0..1"
             )
 
 

@@ -21,7 +21,7 @@ class FixedRule:
 
     def __post_init__(self) -> None:
         if self.num_layers < 1:
-            raise InvalidError(f"layers: {self.num_layers}; a play has 1 at least")
+            raise InvalidError(f"layers is {self.num_layers}; give at least 1")
 
     def choose_layers(self, situation: Situation) -> int:
         return min(self.num_layers, situation.most_layers)

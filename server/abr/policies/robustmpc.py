@@ -41,7 +41,9 @@ class RobustMpcConfig:
 
     def __post_init__(self) -> None:
         if not (1 <= self.horizon <= 16 and self.past >= 1):
-            raise InvalidError(f"horizon {self.horizon} is in 1..16, past {self.past} at least 1")
+            raise InvalidError(
+                f"horizon is {self.horizon}, past {self.past}; give 1..16, and at least 1"
+            )
 
 
 @dataclass(frozen=True, slots=True)

@@ -69,7 +69,10 @@ class SweepConfig:
             if not getattr(self, name) > 0:
                 raise InvalidError(f"{name} is {getattr(self, name)}; it must be positive")
         if not (0 < self.safety <= 2 and 0 <= self.least_life <= 1):
-            raise InvalidError(f"safety {self.safety} or least_life {self.least_life} is off")
+            raise InvalidError(
+                f"safety is {self.safety} and least_life {self.least_life}; "
+                "give over 0, at most 2, and 0 to 1"
+            )
 
 
 class Patience:

@@ -97,7 +97,7 @@ class RecordHandler(logging.Handler):
         try:
             message = record.getMessage()
         except Exception:
-            message = f"{record.msg} (with other arguments than it takes)"
+            message = f"{record.msg} (with the wrong arguments)"
         error = record.exc_info[1] if record.exc_info else None
         fields: dict[str, Value] = {"logger": record.name, "message": message}
         if error is not None and not isinstance(error, self._expected):

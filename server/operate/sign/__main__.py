@@ -21,27 +21,28 @@ MAX_HOURS = 10 * 366 * 24
 
 @dataclass(frozen=True, slots=True)
 class SignCommand:
-    """Sign a stream's URLs, with the keys that swings-serve verifies them with."""
+    """Sign the URLs of a stream with the keys that swings-serve verifies."""
 
     keys: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="KEYS")]]
-    """File of the keys; nobody else may be able to read it."""
+    """Key file; other users must not be able to read it."""
     stream: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="NAME")]] = ""
     """Name of the stream; "*" for all streams and the list of them."""
     hours: float = 24.0
-    """How long the URLs hold."""
+    """Hours for which the URLs are valid."""
     url: str = "http://127.0.0.1:8080"
-    """Where the server is for its clients."""
+    """URL of the server for its clients."""
     new_key: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Put a new key first in the file, which is made where there is none; have the server read it
-    again (SIGHUP) before you use what it signs. A key is withdrawn by deleting its line."""
+    """Add a new key at the top of the key file; a missing file is created. Make the server reload
+    the file (SIGHUP) before you use URLs signed with the new key. To revoke a key, delete its
+    line."""
 
     def __post_init__(self) -> None:
         if not (self.stream or self.new_key):
             raise InvalidError("name a stream to sign for, or give --new-key")
         if not 0 < self.hours <= MAX_HOURS:
-            raise InvalidError(f"hours is {self.hours}; give {MAX_HOURS} or less, over 0")
+            raise InvalidError(f"hours is {self.hours}; give over 0, at most {MAX_HOURS}")
         if not re.fullmatch(r"https?://[!-~]+", self.url):
-            raise InvalidError(f"url {self.url!a} does not look like https://HOST")
+            raise InvalidError(f"url {self.url!a} is not of the form https://HOST")
 
 
 def run(command: SignCommand) -> None:

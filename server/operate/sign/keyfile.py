@@ -34,7 +34,7 @@ def read_keys(path: Path) -> dict[str, bytes]:
         if match is None:
             raise InvalidError(f"{path}: line {number} is not NAME:SECRET, 16 bytes or more in hex")
         if match[1] in keys:
-            raise InvalidError(f"{path}: line {number} names the key {match[1]} again")
+            raise InvalidError(f"{path}: line {number} repeats the key name {match[1]}")
         keys[match[1]] = bytes.fromhex(match[2])
     if not keys:
         raise InvalidError(f"{path} holds no key; swings-sign --new-key adds one")
@@ -75,13 +75,12 @@ def _read(path: Path) -> str:
             raise InvalidError(f"{path} is not a regular file")
         if status.st_mode & 0o077:
             raise InvalidError(
-                f"{path} holds secrets and others may read it; make it yours alone: "
-                f"chmod 600 {path}"
+                f"{path} holds secrets and other users can read it; run chmod 600 {path}"
             )
         data = file.read(MAX_BYTES + 1)
     if len(data) > MAX_BYTES:
-        raise InvalidError(f"{path} has more than {MAX_BYTES} bytes; it is not a file of keys")
+        raise InvalidError(f"{path} has more than {MAX_BYTES} bytes; it is not a key file")
     try:
         return data.decode("ascii")
     except UnicodeDecodeError as error:
-        raise InvalidError(f"{path} is not a file of keys: it is not ASCII text") from error
+        raise InvalidError(f"{path} is not a key file: it is not ASCII text") from error

@@ -84,7 +84,9 @@ class Signer:
         stream: a name, or ALL. Raises InvalidError for what is neither, or a time that is none.
         """
         if stream != ALL and not _STREAM.fullmatch(stream):
-            raise InvalidError(f"{stream[:90]!a} is not the name of a stream, nor {ALL} for all")
+            raise InvalidError(
+                f"{stream[:90]!a} is not the name of a stream, and not {ALL} for all"
+            )
         if not 0 < expiry_s < 10**12:
             raise InvalidError(f"expiry {expiry_s} is not a time in Unix seconds")
         expiry = str(expiry_s)

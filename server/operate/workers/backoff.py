@@ -10,19 +10,19 @@ from codec.errors import InvalidError
 
 @dataclass(frozen=True, slots=True)
 class BackoffConfig:
-    """How patient the supervisor is with workers that die."""
+    """Delays before the supervisor restarts workers that died."""
 
     first_s: float = 0.1
-    """Seconds before the second restart in a row; each further one waits twice as long."""
+    """Seconds before the second restart in a row; each further restart doubles the delay."""
     max_s: float = 10.0
-    """Seconds that a restart waits at most."""
+    """Maximum delay of a restart, in seconds."""
     settle_s: float = 5.0
-    """Seconds that a worker must live for its death to be the first in a row again."""
+    """Seconds of life after which the death of a worker counts as the first in a row again."""
 
     def __post_init__(self) -> None:
         if not 0 < self.first_s <= self.max_s < float("inf"):
             raise InvalidError(
-                f"first_s is {self.first_s} and max_s {self.max_s}; give them rising, over 0"
+                f"first_s is {self.first_s} and max_s {self.max_s}; give 0 < first_s <= max_s"
             )
         if not 0 < self.settle_s < float("inf"):
             raise InvalidError(f"settle_s is {self.settle_s}; it must be positive")

@@ -35,7 +35,7 @@ def fork_worker(
     When the parent dies it gets a SIGTERM.
     """
     if not sys.platform.startswith("linux"):
-        raise SwingsError("several workers need Linux; serve with one, without a supervisor")
+        raise SwingsError("several workers need Linux; use one worker, without a supervisor")
     if threading.active_count() > 1:
         raise RuntimeError("a process with threads cannot be forked safely")
     # The first call compiles nothing and loads nothing in the child.
@@ -89,7 +89,7 @@ def _do(work: Callable[[Callable[[], None]], None], writer: int) -> int:
     except SystemExit as error:
         status = error.code if isinstance(error.code, int) else 1
     except BaseException:
-        log.exception("a worker has a bug")
+        log.exception("internal error in a worker")
         status = BUG_STATUS
     sys.stdout.flush()
     sys.stderr.flush()

@@ -131,7 +131,7 @@ class Peers:
             try:
                 answer = self.on_request(message)
             except Exception:
-                log.exception("a question of another worker was not answered")
+                log.exception("answering a request from another worker failed")
                 return
             assert len(answer) <= MAX_MESSAGE_BYTES
             self._send(asker, _HEAD.pack(_REPLY, self._number, question) + answer)

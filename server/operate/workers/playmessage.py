@@ -50,7 +50,7 @@ class PlayQuestion:
                 body is None or len(body) <= MAX_BODY_BYTES
             ):
                 return cls(token, stream, body)
-        raise InvalidError("a question of another worker makes no sense")
+        raise InvalidError("a request from another worker is malformed")
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,11 +76,11 @@ class PlayAnswer:
                 rate_bps is None or (math.isfinite(rate_bps) and rate_bps >= 0)
             ):
                 return cls(outcome, rate_bps, problem)
-        raise InvalidError("an answer of another worker makes no sense")
+        raise InvalidError("a response from another worker is malformed")
 
 
 def _unpack(data: bytes) -> Any:
     try:
         return msgpack.unpackb(data)
     except (ValueError, msgpack.UnpackException) as error:
-        raise InvalidError("a message of another worker cannot be read") from error
+        raise InvalidError("a message from another worker cannot be decoded") from error

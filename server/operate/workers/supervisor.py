@@ -46,20 +46,20 @@ if sys.platform != "win32":
 
 @dataclass(frozen=True, slots=True)
 class SupervisorConfig:
-    """How many workers there are, and how they end."""
+    """Number, shutdown and restart of the worker processes."""
 
     workers: int = 1
-    """Processes that serve; as many as the machine has cores that are to serve."""
+    """Number of worker processes; use one for each core that is to serve."""
     shutdown_timeout_s: float = 10.0
-    """Seconds that workers get to end before they are killed."""
+    """Seconds that workers have to shut down before they are killed."""
     backoff: BackoffConfig = field(default_factory=BackoffConfig)
-    """How soon workers that die are started again."""
+    """Delays before workers that died are restarted."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.workers <= MAX_WORKERS:
             raise InvalidError(f"workers is {self.workers}; give 1 to {MAX_WORKERS}")
         if self.workers > 1 and not sys.platform.startswith("linux"):
-            raise InvalidError(f"workers is {self.workers}; several need Linux, so give 1 here")
+            raise InvalidError(f"workers is {self.workers}; more than 1 needs Linux; give 1")
         if not 0 < self.shutdown_timeout_s < math.inf:
             raise InvalidError(
                 f"shutdown_timeout_s is {self.shutdown_timeout_s}; it must be positive"
@@ -307,7 +307,7 @@ class Supervisor:
             self._tell("worker_ended", **who)
         elif not self._was_ready:
             lane.child = None
-            self._failure = child.trouble or f"a worker ended at its start, status {who['status']}"
+            self._failure = child.trouble or f"a worker ended at start-up, status {who['status']}"
             self._stop()
         else:
             lane.child = None

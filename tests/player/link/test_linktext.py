@@ -43,7 +43,7 @@ def test_trace_files_have_any_name(tmp_path: Path) -> None:
         ("nowhere.json", "No such file"),
         (".", "nor a trace: Is a directory"),
         ("a\0b", "nor a trace: embedded null"),
-        ("0", "nothing ever passes"),
+        ("0", "every rate is 0"),
         ("9" * 400, "step 0 is"),
     ],
 )

@@ -142,7 +142,7 @@ def test_a_server_of_many_streams_names_them(library: Path, tmp_path: Path) -> N
     with served(tmp_path) as server:
         with pytest.raises(FetchError, match="2 streams: first, second; choose one"):
             read_all(server.url)
-        with pytest.raises(FetchError, match="is not a stream: HTTP 404, no stream is called"):
+        with pytest.raises(FetchError, match="is not a stream: HTTP 404, no stream is named"):
             read_all(f"{server.url}/watch/third")
 
 

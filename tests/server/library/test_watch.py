@@ -123,7 +123,7 @@ def test_streams_come_go_break_and_are_repaired(
     asyncio.run(check())
     lines = [r.getMessage().rpartition("/")[2].partition(":")[0] for r in caplog.records]
     assert lines[:3] == ["one is served", "one is not served", "one is served"]
-    assert lines[-1] == "one is gone"
+    assert lines[-1] == "one was removed"
     assert len(lines) <= 5
     assert all(first != second for first, second in pairwise(lines))
 

@@ -129,7 +129,7 @@ def test_cases_are_all_traces_at_each_load() -> None:
 
 def test_a_silent_trace_and_a_load_out_of_reach_are_refused() -> None:
     silent = Trace("silent.json", link_of((60, 0), (1, 1e6)))
-    with pytest.raises(InvalidError, match=r"silent\.json: nothing passes in its first 15 s"):
+    with pytest.raises(InvalidError, match=r"silent\.json: no data passes in its first 15 s"):
         at_load(silent, 1.0, MEDIA)
-    with pytest.raises(InvalidError, match="a load is 0"):
+    with pytest.raises(InvalidError, match="load is 0"):
         at_load(Trace("t", link_of((9, 1e6))), 0.0, MEDIA)

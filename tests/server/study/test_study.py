@@ -83,7 +83,7 @@ def test_the_page_needs_nothing_but_itself(report: Path) -> None:
         assert used <= own
         ids += own
     assert len(ids) == len(set(ids))
-    assert all(name in page for name in (*POLICIES, "lte/slow.json", "guessed from the sizes"))
+    assert all(name in page for name in (*POLICIES, "lte/slow.json", "estimated from the sizes"))
 
 
 def test_equal_settings_give_equal_bytes(
@@ -135,11 +135,11 @@ CASES: list[tuple[list[str], int, str]] = [
     (["--traces", "{tmp}/absent"], 1, "absent is not a folder"),
     (["--traces", "{tmp}/empty"], 1, "empty holds no traces"),
     (["--traces", "{tmp}/wrong"], 1, "notes.txt"),
-    (["--generate", "1", "--half", "report"], 1, "none is in 'report'"),
+    (["--generate", "1", "--half", "report"], 1, "is in half 'report'"),
     (["--generate", "1", "--policies", "bola,mine"], 2, "mine"),
     (["--generate", "1", "--as-bitrate", "fast"], 2, "36M"),
     (["--generate", "1", "--loads", "0"], 1, "load is 0"),
-    (["--generate", "1", "--loads", "1", "1"], 2, "each once"),
+    (["--generate", "1", "--loads", "1", "1"], 2, "each only once"),
     (["--generate", "1", "--length", "0"], 2, "length is 0"),
     (["--generate", "1", "--timeline", "x@1"], 1, "generated/000000@0.6"),
     (["--generate", "1", "--out", "{tmp}/full"], 1, "full is not empty"),

@@ -132,8 +132,8 @@ def test_a_step_holds_from_its_beginning_to_before_its_end() -> None:
 @pytest.mark.parametrize(
     ("steps", "message"),
     [
-        ([], "nothing ever passes"),
-        ([(1, 0, 0)], "nothing ever passes"),
+        ([], "every rate is 0"),
+        ([(1, 0, 0)], "every rate is 0"),
         ([(1, 1e-3, 0)], "less than one bit"),
         ([(1, 8, 0), (0, 8, 0)], "step 1 is"),
         ([(-1, 8, 0)], "step 0 is"),

@@ -89,7 +89,7 @@ def test_a_trace_of_scaled_rates(times_ms: list[int], factor: float, at_s: float
 
 @pytest.mark.parametrize("factor", [0.0, -1.0, math.nan, math.inf])
 def test_factors_that_scale_nothing(factor: float) -> None:
-    with pytest.raises(InvalidError, match="a number over 0"):
+    with pytest.raises(InvalidError, match="give a number over 0"):
         scaled(Link([LinkStep(1, 8e3, 0)]), factor)
 
 
@@ -99,26 +99,26 @@ STEP = b'[{"duration_ms": %b, "bandwidth_kbps": %b, "latency_ms": %b}]'
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (b"", "it is neither JSON nor lines of milliseconds"),
-        (b"hello", "it is neither JSON nor lines of milliseconds"),
-        (b"[", "it is neither JSON nor lines of milliseconds"),
-        (b"[" * 100_000, "it is neither JSON"),
-        (b"\xff\xfe\x00", "it is neither JSON"),
-        (b"[" + b"1" * 5000 + b"]", "it is neither JSON"),
-        (b"-5\n", "it is not a list of steps"),
-        (b"{}", "it is not a list of steps"),
-        (b"[]", "it is not a list of steps"),
-        (b"[5]", "step 0 does not hold the numbers duration_ms, bandwidth_kbps, latency_ms"),
-        (b'[{"duration_ms": 5}]', "step 0 does not hold"),
-        (STEP % (b'"5"', b"5", b"5"), "step 0 does not hold"),
-        (STEP % (b"true", b"5", b"5"), "step 0 does not hold"),
+        (b"", "the file is not JSON nor lines of milliseconds"),
+        (b"hello", "the file is not JSON nor lines of milliseconds"),
+        (b"[", "the file is not JSON nor lines of milliseconds"),
+        (b"[" * 100_000, "the file is not JSON"),
+        (b"\xff\xfe\x00", "the file is not JSON"),
+        (b"[" + b"1" * 5000 + b"]", "the file is not JSON"),
+        (b"-5\n", "the file is not a list of steps"),
+        (b"{}", "the file is not a list of steps"),
+        (b"[]", "the file is not a list of steps"),
+        (b"[5]", "step 0 must have the numbers duration_ms, bandwidth_kbps, latency_ms"),
+        (b'[{"duration_ms": 5}]', "step 0 must have"),
+        (STEP % (b'"5"', b"5", b"5"), "step 0 must have"),
+        (STEP % (b"true", b"5", b"5"), "step 0 must have"),
         (STEP % (b"0", b"5", b"5"), "link: step 0 is"),
         (STEP % (b"5", b"NaN", b"5"), "link: step 0 is"),
         (STEP % (b"5", b"5", b"-5"), "link: step 0 is"),
         (STEP % (b"5", b"1" * 400, b"5"), "step 0: bandwidth_kbps is too large"),
-        (STEP % (b"5", b"0", b"5"), "nothing ever passes"),
+        (STEP % (b"5", b"0", b"5"), "every rate is 0"),
         (STEP % (b"1e300", b"1e300", b"5"), "too large"),
-        (b"0\n0\n", "it ends at 0 ms"),
+        (b"0\n0\n", "the last line is 0 ms"),
         (b"5\n3\n", "line 2 is 3 ms, after 5 ms"),
         (b"5\n\n7\n", "line 2 is '', not a whole number"),
         (b"5.5\n7\n", r"line 1 is '5\.5', not a whole number"),
@@ -136,7 +136,7 @@ def test_bad_traces(data: bytes, message: str) -> None:
 
 
 def test_a_trace_that_is_too_large() -> None:
-    with pytest.raises(InvalidError, match="trace t: it holds more than 64 MiB"):
+    with pytest.raises(InvalidError, match="trace t: the file has more than 64 MiB"):
         parse_trace(bytes(MAX_TRACE_BYTES + 1), "t")
 
 

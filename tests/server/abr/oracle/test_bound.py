@@ -148,7 +148,7 @@ def test_waiting_that_costs_nothing_brings_all(seed: int) -> None:
         ((-1, 5), 0.1, 0.5, "frames"),
         ((5, 5), 0.1, 0.5, "frames"),
         ((0, 21), 0.1, 0.5, "frames"),
-        ((0, 20), 1.5, 0.5, "no play begins"),
+        ((0, 20), 1.5, 0.5, "the play cannot start"),
         ((0, 20), 0.1, 0.0, "group_s"),
     ],
 )

@@ -91,7 +91,7 @@ def test_a_group_may_not_eat_up_the_lead() -> None:
 
 
 def test_its_numbers_are_checked() -> None:
-    with pytest.raises(InvalidError, match="rise in"):
+    with pytest.raises(InvalidError, match="give them rising"):
         BolaConfig(low_lead=0.5, high_lead=0.5)
     with pytest.raises(InvalidError, match="most_wait 0"):
         BolaConfig(most_wait=0)

@@ -54,7 +54,7 @@ def test_a_file_that_others_may_read_is_refused(tmp_path: Path, mode: int) -> No
     [
         ("", "holds no key"),
         ("# nothing\n", "holds no key"),
-        (f"a:{SECRET}\na:{SECRET}\n", "line 2 names the key a again"),
+        (f"a:{SECRET}\na:{SECRET}\n", "line 2 repeats the key name a"),
         (f"a:{SECRET}\nb {SECRET}\n", "line 2 is not"),
         ("a:0123\n", "line 1 is not"),
         (f"a:{SECRET}0\n", "line 1 is not"),

@@ -155,7 +155,7 @@ def test_a_server_of_one_process_reads_its_keys_again_on_sighup(
         while ask(f"{url}{fresh}{STREAM}/manifest.json")[0] != 200:
             assert time.monotonic() < until_s
             time.sleep(0.05)
-    assert "keys and certificate were read again" in (tmp_path / "log").read_text()
+    assert "keys and certificate were reloaded" in (tmp_path / "log").read_text()
 
 
 def test_the_log_has_no_signature(folder: Path, tmp_path: Path, signer: Signer) -> None:
