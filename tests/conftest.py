@@ -9,7 +9,7 @@ import pytest
 from _pytest.runner import runtestprotocol
 from hypothesis import settings
 
-from tests.support.starved import Watch
+from tests.support.suite.starved import Watch
 
 # Idle threads sleep instead of spinning: tests share few cores with the processes they start.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")

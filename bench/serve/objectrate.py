@@ -34,6 +34,8 @@ from codec.errors import SwingsError
 from .material import write_objects
 from .processes import cpu_s, pinned, running, serving
 
+TRIES = 4
+"""Most times that wrk asks in one round."""
 LAST = "aiohttp"
 """The last of the servers in a table: aiohttp's FileResponse."""
 SCRIPT = """
@@ -183,7 +185,18 @@ def header_of(case: Case, port: int) -> str:
 def ask(
     pid: int, port: int, case: Case, header: str, seconds: float, core: int, script: Path
 ) -> _Round:
-    """wrk asks for `seconds`. Raises SwingsError if anything went wrong in it."""
+    """wrk asks for `seconds`, and again for twice as long while a busy machine lets nothing be
+    answered. Raises SwingsError if anything went wrong in it."""
+    for longer in range(TRIES):
+        one = _asked(pid, port, case, header, seconds * 2**longer, core, script)
+        if one.requests:
+            return one
+    raise SwingsError(f"{case.what}: no request was answered in {seconds * 2 ** (TRIES - 1):.0f} s")
+
+
+def _asked(
+    pid: int, port: int, case: Case, header: str, seconds: float, core: int, script: Path
+) -> _Round:
     command = [*pinned(core), need("wrk", "wrk"), "-t1", "-c32", f"-d{max(1, round(seconds))}s"]
     command += ["-s", str(script), *(["-H", header] if header else [])]
     before_s = cpu_s(pid)

@@ -18,7 +18,7 @@ from player.link.linktext import read_link
 from server.abr.session import Decision, PlaySession
 from server.http.tcpinfo import unacked_bytes
 from tests.support.server.running_server import make_stream, quick_config, running
-from tests.support.starved import Watch
+from tests.support.suite.starved import Watch
 
 pytestmark = pytest.mark.realtime
 

@@ -13,7 +13,7 @@ import pytest
 
 from player.link.linkprocess import LinkProcess
 from player.link.linktext import read_link
-from tests.support.starved import Watch
+from tests.support.suite.starved import Watch
 
 pytestmark = pytest.mark.realtime
 

@@ -38,7 +38,7 @@ from tests.support.hosted_streams import (
 )
 from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.updates import small_layout
-from tests.support.starved import Watch
+from tests.support.suite.starved import Watch
 
 pytestmark = pytest.mark.realtime
 

@@ -2,6 +2,7 @@
  * Answers questions with the code of player/web, for the tests: one JSON object a line in, one out.
  * Bytes and floats travel as hexadecimal.
  */
+import { readFileSync } from "node:fs";
 import { createInterface } from "node:readline";
 
 import { makeSizes, Media, streamMedia } from "../../../player/web/delivery/media.js";
@@ -310,7 +311,9 @@ const ANSWERS = {
   async open({ url, maxGaussians }) {
     const stream = await openSource(url, new Fetcher(), maxGaussians);
     if ("first" in stream) stream.first?.close();
-    return { numGs: stream.manifest.numGs, peakMb: process.resourceUsage().maxRSS / 1024 };
+    // Not resourceUsage(), which counts what the parent had when it forked.
+    const found = /VmHWM:\s+(\d+)/.exec(readFileSync("/proc/self/status", "utf8"));
+    return { numGs: stream.manifest.numGs, peakMb: Number(found?.[1]) / 1024 };
   },
   /** The index at a URL, as far as it has come; the same one again without a URL. */
   async refresh({ url, manifest }) {

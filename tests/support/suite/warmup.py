@@ -1,6 +1,6 @@
 """Compiles the kernels that the tests run, before several processes would each compile them.
 
-`python -m tests.support.warmup`. Numba keeps what it compiles beside the sources, so a second run
+`python -m tests.support.suite.warmup`. Numba keeps what it compiles beside the sources, so a second run
 takes a few seconds.
 """
 
@@ -40,7 +40,7 @@ def main() -> None:
     if sys.argv[1:]:
         return next(job for job in JOBS if job.__name__ == sys.argv[1])()
     sys.stderr.write("compiling kernels (a minute on two cores, once after a clone)\n")
-    command = [sys.executable, "-m", "tests.support.warmup"]
+    command = [sys.executable, "-m", "tests.support.suite.warmup"]
     processes = [subprocess.Popen([*command, job.__name__], cwd=ROOT) for job in JOBS]
     sys.exit(max(process.wait() for process in processes))
 
