@@ -34,16 +34,23 @@ REALTIME_TRIES = 4
 """Most runs of a test that measures time, while the machine is too busy to measure any."""
 
 
-@pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_itemcollected(item: pytest.Item) -> None:
     """Shares the tests among processes: a file's go to one, which makes its fixtures once; those
-    that measure time go to one together, so that they do not disturb each other; and those of the
-    browser, which has one Chromium then. What takes longest begins first."""
+    of the browser go to one, which has the one Chromium; and those that measure time go to one, so
+    that they do not disturb each other."""
+    item.add_marker(pytest.mark.xdist_group(_group(item)))
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What takes longest begins first."""
     slow_files = {item.path for item in items if item.get_closest_marker("slow")}
-    for item in items:
-        if item.get_closest_marker("xdist_group") is None:
-            item.add_marker(pytest.mark.xdist_group(_group(item)))
     items.sort(key=lambda item: (_group(item) not in GROUPS_FIRST, item.path not in slow_files))
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """pytest-xdist writes the group into the name; not with every pytest."""
+    if getattr(session.config.option, "loadgroup", False):
+        assert all("@" in item.nodeid for item in session.items), "the tests are in no groups"
 
 
 def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
@@ -68,10 +75,10 @@ GROUPS_FIRST = (REALTIME, "web")
 
 
 def _group(item: pytest.Item) -> str:
-    if item.get_closest_marker(REALTIME):
-        return REALTIME
     if "page" in getattr(item, "fixturenames", ()):
         return "web"
+    if item.get_closest_marker(REALTIME):
+        return REALTIME
     return item.nodeid.partition("::")[0]
 
 
