@@ -19,10 +19,17 @@ def browser() -> Iterator[BrowserCode]:
 
 
 @pytest.fixture(scope="session")
-def page() -> Iterator[Page]:
-    """A page in Chromium."""
+def chromium() -> Iterator[Page]:
+    """Chromium, with one page at a time."""
     reason = why_not()
     if reason is not None:
         pytest.skip(reason)
     with running_chromium() as running:
         yield running
+
+
+@pytest.fixture(scope="module")
+def page(chromium: Page) -> Iterator[Page]:
+    """A page in Chromium."""
+    yield chromium
+    chromium.close()  # a page that plays on would take time from all other tests

@@ -22,7 +22,7 @@ const ACTIONS = {
   /** `scripts` (paths) run in the page before its own. */
   async open({ url, widthPx, heightPx, touch, scripts }) {
     const viewport = { width: widthPx, height: heightPx };
-    await page?.context().close();
+    await ACTIONS.close({});
     const context = await browser.newContext({ viewport, hasTouch: touch });
     for (const path of scripts) await context.addInitScript({ path });
     page = await context.newPage();
@@ -36,6 +36,9 @@ const ACTIONS = {
     });
     await page.goto(url);
     scene = page;
+  },
+  async close() {
+    await page?.context().close();
   },
   /** Goes into the frame whose URL holds `part`. */
   async enter({ part }) {

@@ -44,6 +44,9 @@ class Page:
         size = {"widthPx": width_px, "heightPx": height_px}
         self._do("open", url=url, **size, touch=touch, scripts=[str(path) for path in scripts])
 
+    def close(self) -> None:
+        self._do("close")
+
     def enter(self, part: str) -> None:
         """Goes into the frame whose URL holds `part`: runs, waits and clicks are meant there."""
         self._do("enter", part=part)
