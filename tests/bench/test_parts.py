@@ -25,7 +25,8 @@ def test_processes_are_those_that_this_one_has_started() -> None:
         deadline_s = time.monotonic() + 10
         while child.pid not in processes(b"-m trainer.parts"):
             assert time.monotonic() < deadline_s
-        assert peak_bytes(child.pid) > 1_000_000
+        while peak_bytes(child.pid) <= 1_000_000:  # an interpreter, once it has begun
+            assert time.monotonic() < deadline_s
         assert os.getppid() not in processes(b"")
         assert os.getpid() in processes(b"")
         killer = Killer(1, 0.0, 1)

@@ -123,7 +123,7 @@ def test_mistakes_are_one_clear_line(tmp_path: Path) -> None:
             ([str(tmp_path / "absent")], "is not a folder"),
             ([str(good / "manifest.json")], "is not a folder"),
             (["s3://"], "s3://"),
-            (["ftp://host/streams"], "choose a folder of this machine, or a URL of s3://"),
+            (["ftp://host/streams"], "choose a folder on this machine, or a URL of s3://"),
             ([str(good), "--port", port], f"port {port}"),
             ([str(good), "--port", "70000"], "70000"),
             ([str(good), "--host", "no.such.host.invalid"], "no.such.host.invalid"),

@@ -53,7 +53,7 @@ def test_a_format_may_come_without_a_version() -> None:
     [
         ("ply", "plY", "does not start with a line `ply`"),
         ("caf\u00e9", "\udce9", "the header is not text"),
-        ("vertex 7", "vertex 7e", "has '7e0000000' rows; not a count"),
+        ("vertex 7", "vertex 7e", "has '7e0000000' rows, which is not a count"),
         ("double x", "quad x", "header line 'property quad x'"),
         ("double x", "double x y", "header line 'property double x y'"),
         ("uchar red", "uchar x", "element vertex names a property twice"),

@@ -212,7 +212,7 @@ def test_one_attribute_at_a_time(attribute: str, sh_degree: int) -> None:
 
 def test_the_columns_are_those_of_table_6() -> None:
     assert list(ATTRIBUTES) == ["means", "rotation", "scale", "feat", "opacity"]
-    with pytest.raises(InvalidError, match="'colour' is none of means, rotation"):
+    with pytest.raises(InvalidError, match="'colour' is not one of means, rotation"):
         quantise_attribute(Splats.empty(), "colour")
 
 

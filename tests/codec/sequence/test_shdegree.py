@@ -99,7 +99,7 @@ def test_a_degree_is_a_most_and_makes_files_of_several_degrees_one_sequence(tmp_
     folder = tmp_path / "seq"
     for number, sh_degree in enumerate((3, 1, 2)):
         save(folder / f"{number}.ply", trained_like_splats(50, sh_degree=sh_degree))
-    with pytest.raises(InvalidError, match=r"1\.ply: SH degree 1, where .* 3; .*--sh-degree 1 "):
+    with pytest.raises(InvalidError, match=r"1\.ply: SH degree 1, but .* 3; .*--sh-degree 1 "):
         imported(folder, tmp_path / "s")
     made = imported(folder, tmp_path / "s", sh_degree=1)
     assert (made.manifest.sh_degree, made.source_sh_degree) == (1, 3)

@@ -109,7 +109,9 @@ def test_a_turned_video_of_the_declared_size_is_warned_of(
 ) -> None:
     film(tmp_path / "cam02.mp4", turned_deg=turned_deg)
     (doubt,) = open_capture(tmp_path).doubts
-    assert doubt.startswith(f"players turn cam02.mp4 ({turned_deg} degrees), and swings does not")
+    assert doubt.startswith(
+        f"video players turn cam02.mp4 ({turned_deg} degrees), but swings does not"
+    )
     assert doubt in all_said(checked(tmp_path, fps=30.0), "warning")
 
 

@@ -106,7 +106,7 @@ def test_bounds_lie_above_plans_and_plans_above_plays(seed: int, has_slots: bool
 def test_a_small_case_is_told_from_one_that_is_not() -> None:
     media = make_stream(np.random.default_rng(0), False, seconds=40, fps=5, num_layers=4)
     link = make_link(np.random.default_rng(0), media.need_bps)
-    with pytest.raises(InvalidError, match="plays to tell apart"):
+    with pytest.raises(InvalidError, match="different plays"):
         best_plan(media, link, SessionConfig(), QoeConfig(), 0, 200)
     with pytest.raises(InvalidError, match="decisions"):
         mixed_bound(media, link, SessionConfig(), QoeConfig(), 0, 200)

@@ -140,7 +140,7 @@ def test_a_live_stream_has_as_much_lead_as_there_is() -> None:
 def test_its_numbers_are_checked() -> None:
     with pytest.raises(InvalidError, match="group_s is 0"):
         InOrder(FixedRule(1), 0.0)
-    with pytest.raises(InvalidError, match="layers: 0"):
+    with pytest.raises(InvalidError, match="layers is 0"):
         FixedRule(0)
 
 

@@ -92,5 +92,5 @@ def test_before_anything_is_measured_there_is_one_layer() -> None:
 
 
 def test_its_numbers_are_checked() -> None:
-    with pytest.raises(InvalidError, match="horizon 0"):
+    with pytest.raises(InvalidError, match="horizon is 0"):
         RobustMpcConfig(horizon=0)
