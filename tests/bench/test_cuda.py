@@ -46,6 +46,7 @@ def test_the_table_is_one_call(
     assert hows(printed) == ["slices"]
 
 
+@pytest.mark.slow
 def test_parts_are_trained_beside_the_same_in_one_go(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -127,6 +127,7 @@ def test_kernels_work_on_a_full_disk_and_leave_nothing_broken(tmp_path: Path) ->
     assert (again, loaded) == (compiled, 0)
 
 
+@pytest.mark.slow
 def test_a_capture_is_made_where_nothing_can_be_kept(tmp_path: Path) -> None:
     """At import, every module of the trainer's commands makes its kernels."""
     assert output_of(NO_PLACE + SYNTH, str(tmp_path / "made")) == [2]

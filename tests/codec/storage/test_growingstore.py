@@ -85,6 +85,7 @@ def test_a_segment_takes_a_request_for_each_object_and_one_for_the_index(
     assert keys == ["index.bin", "manifest.json", *inner, "index.bin", "manifest.json"]
 
 
+@pytest.mark.slow
 def test_many_kills(server: S3Server, tmp_path: Path) -> None:
     write(tmp_path / "whole", forked_slices())
     whole = files(tmp_path / "whole")

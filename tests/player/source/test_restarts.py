@@ -78,7 +78,7 @@ def played_through(
         (signal.SIGTERM, 0.0),
         (signal.SIGKILL, 3.0),
         (signal.SIGTERM, 3.0),
-        (signal.SIGKILL, 30.0),
+        pytest.param(signal.SIGKILL, 30.0, marks=pytest.mark.slow),
     ],
 )
 def test_a_server_that_is_started_again_is_played_on(

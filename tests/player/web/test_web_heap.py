@@ -64,6 +64,7 @@ def growth_bytes(page: Page, frames: tuple[int, int], lead_frames: int) -> int:
     return max(b - a for a, b in zip(before, after, strict=True))
 
 
+@pytest.mark.slow
 def test_ten_thousand_frames(page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One after another, as fast as they come: what is kept of each frame, picture or object would
     show. It takes 16 bytes a frame for a leak; what V8 itself gathers is half of that.
@@ -75,6 +76,7 @@ def test_ten_thousand_frames(page: Page, tmp_path: Path, monkeypatch: pytest.Mon
         assert growth_bytes(playing, (2000, 10_000), 170) < 16 * 8000
 
 
+@pytest.mark.slow
 def test_a_loop(page: Page, tmp_path: Path) -> None:
     """Forty times from the beginning: a play that is kept takes 38 kB. What has come ahead when
     the heaps are looked at makes 300 kB more or less."""

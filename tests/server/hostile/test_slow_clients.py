@@ -145,6 +145,7 @@ def test_a_thousand_slow_clients_are_cut_and_the_others_hardly_feel_them(
     assert len(lines) <= 50 + len(alone_s) + len(with_s) + 2 * count, "more than a line each"
 
 
+@pytest.mark.slow
 def test_a_reader_of_10_kb_a_second_gets_its_whole_object(
     server: ServerProcess, root: Path
 ) -> None:

@@ -1,7 +1,7 @@
 """Compiles the kernels that the tests run, before several processes would each compile them.
 
-`python -m tests.support.suite.warmup`. Numba keeps what it compiles beside the sources, so a second run
-takes a few seconds.
+`python -m tests.support.suite.warmup`. Numba keeps what it compiles beside the sources, so a second
+run takes a few seconds.
 """
 
 from __future__ import annotations

@@ -66,6 +66,7 @@ def killer(words: list[bytes], seed: int) -> Iterator[list[int]]:
         thread.join()
 
 
+@pytest.mark.slow
 def test_a_cluster_with_killed_workers_makes_the_stream_that_one_process_makes(
     capture: Path, one: Path, tmp_path: Path
 ) -> None:
@@ -88,6 +89,7 @@ def test_a_cluster_with_killed_workers_makes_the_stream_that_one_process_makes(
     assert [path.name for path in pictures] == [f"{n:06d}.png" for n in range(0, FRAMES, 5)]
 
 
+@pytest.mark.slow
 def test_two_captures_share_a_cluster_of_four_workers(
     capture: Path, one: Path, tmp_path: Path
 ) -> None:
@@ -138,6 +140,7 @@ def stop_at(file: str, number: signal.Signals, stream: Path, arguments: list[obj
         assert "--resume continues from there" in said
 
 
+@pytest.mark.slow
 def test_a_run_that_is_stopped_goes_on_with_what_is_there(
     capture: Path, one: Path, tmp_path: Path
 ) -> None:

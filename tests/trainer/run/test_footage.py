@@ -79,6 +79,7 @@ def test_videos_of_cameras_with_lenses_of_their_own_one_of_them_upright(tmp_path
     assert min(scores.values()) > 17
 
 
+@pytest.mark.slow
 def test_a_radial_lens_in_a_world_of_any_unit(tmp_path: Path) -> None:
     root = tmp_path / "c"
     footage = write_radial(root)

@@ -289,6 +289,7 @@ def arrays_of(part: Slice | Update) -> list[npt.NDArray[Any]]:
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_run_that_compiles_the_kernels_writes_the_same_bytes(
     capture: Path, uninterrupted: dict[str, bytes], tmp_path: Path
 ) -> None:

@@ -14,6 +14,7 @@ pytestmark = [
 ]
 
 
+@pytest.mark.slow
 def test_killed_workers_cost_their_clients_a_moment_and_the_others_nothing() -> None:
     """`scripts/bench serve --parts kills` kills 100."""
     # So each restart is the first in a row, as with workers that die seldom.
