@@ -26,7 +26,7 @@ from PIL import Image
 
 from codec.stream import StreamReader
 from codec.stream.poster import POSTER_NAME
-from tests.support.commands import ENTRY, ROOT, command, environment, serving
+from tests.support.commands import ENTRY, ROOT, command, environment, run_ok, serving
 from tests.support.tiny_capture import write_dynerf
 from tests.support.tiny_stream import tiny_manifest, write_tiny
 from trainer.capture.layout import open_capture
@@ -131,16 +131,7 @@ def folder(stock: Path, tmp_path: Path) -> Path:
 
 def run_words(folder: Path, words: str) -> str:
     name, *arguments = shlex.split(words)
-    done = subprocess.run(
-        command(name, *arguments),
-        cwd=folder,
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=200,
-    )
-    assert done.returncode == 0, f"{words}: {done.stderr}"
-    return done.stdout
+    return run_ok(name, *arguments, folder=folder)
 
 
 def test_every_command_of_the_pages_has_a_test() -> None:
@@ -253,10 +244,7 @@ def all_options() -> frozenset[str]:
     told = ""
     subcommands = [["swings-stream", name] for name in ("info", "verify", "import", "export")]
     for name, *words in [*([name] for name in ENTRY), *subcommands]:
-        done = subprocess.run(
-            command(name, *words, "--help"), env=environment(), capture_output=True, text=True
-        )
-        told += done.stdout
+        told += run_ok(name, *words, "--help")
     return frozenset(re.findall(r"--[a-z][a-z0-9.-]*", told))
 
 

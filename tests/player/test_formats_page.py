@@ -21,7 +21,7 @@ from codec.sequence.importing import facing_camera
 from codec.sequence.survey import Survey
 from codec.splats import SH_C0, Splats
 from player.render.cpu import render_splats
-from tests.support.commands import ROOT, command, environment
+from tests.support.commands import ROOT, command, environment, run, run_ok
 from tests.support.drawn import angles_rad
 from tests.support.tiny_stream import write_tiny
 from tests.support.trained_like import trained_like_splats
@@ -184,15 +184,7 @@ def test_the_page_is_understood() -> None:
 def test_the_commands_run_in_their_order(folder: Path) -> None:
     for line in COMMANDS:
         name, *words = line.split()
-        done = subprocess.run(
-            command(name, *words),
-            cwd=folder,
-            env=environment(),
-            capture_output=True,
-            text=True,
-            timeout=120,
-        )
-        assert done.returncode == 0, done.stderr
+        run_ok(name, *words, folder=folder)
     assert len(read_splats(folder / "frame.ply")) == 60
     assert 0 < len(read_splats(folder / "frame.sog")) < 60
     names = sorted(path.name for path in (folder / "out").iterdir())
@@ -213,27 +205,14 @@ def test_the_help_numbers_files_as_they_are_numbered(tmp_path: Path) -> None:
     for format in SplatFormat:
         assert format in told
     words = ["export", str(tmp_path / "stream"), str(tmp_path / "out" / pattern), "--frames", ":"]
-    done = subprocess.run(
-        command("swings-stream", *words),
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert done.returncode == 0, done.stderr
+    run_ok("swings-stream", *words)
     assert sorted(path.name for path in (tmp_path / "out").iterdir())[0] == first
 
 
 def test_the_version_of_spz_is_for_spz(tmp_path: Path) -> None:
     write_tiny(tmp_path / "stream", 3)
     words = ["export", str(tmp_path / "stream"), str(tmp_path / "a.ply"), "--frame", "0"]
-    done = subprocess.run(
-        command("swings-stream", *words, "--spz-version", "3"),
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    done = run("swings-stream", *words, "--spz-version", "3")
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr == textwrap.dedent(
         """\

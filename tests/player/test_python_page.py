@@ -17,7 +17,7 @@ from PIL import Image
 
 import codec
 from player import Scene
-from tests.support.commands import ENTRY, ROOT, command, environment
+from tests.support.commands import ENTRY, ROOT, environment, run_ok
 from tests.support.tiny_capture import write_dynerf
 from tests.support.tiny_stream import tiny_manifest, write_tiny
 
@@ -149,15 +149,7 @@ def test_a_command_runs(folder: Path, line: str) -> None:
     assert name in ENTRY
     if "--viser" in words:
         pytest.skip("runs until it is ended; test_viserview.py runs it")
-    done = subprocess.run(
-        command(name, *words),
-        cwd=folder,
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert done.returncode == 0, done.stderr
+    run_ok(name, *words, folder=folder)
     written = [word for word in words if word.endswith((".png", ".mp4"))]
     assert len(written) == 1
     assert (folder / written[0]).stat().st_size > 100

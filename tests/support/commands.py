@@ -36,19 +36,26 @@ def environment() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "160"}
 
 
-def run(name: str, *arguments: object, timeout_s: float = 240) -> subprocess.CompletedProcess[str]:
-    """The command as a process of its own, forked from one that has imported all commands."""
+def run(
+    name: str, *arguments: object, timeout_s: float = 240, folder: Path | None = None
+) -> subprocess.CompletedProcess[str]:
+    """The command as a process of its own, forked from one that has imported all commands. It runs
+    in `folder`, or where the test does."""
     variables = environment()
     server = command_server(os.getpid())
     argv, words = command(name, *arguments), [*map(str, arguments)]
     if server.suits(variables):
-        return server.run(ENTRY[name], argv, words, variables, timeout_s)
-    return subprocess.run(argv, env=variables, capture_output=True, text=True, timeout=timeout_s)
+        return server.run(ENTRY[name], argv, words, variables, timeout_s, folder)
+    return subprocess.run(
+        argv, cwd=folder, env=variables, capture_output=True, text=True, timeout=timeout_s
+    )
 
 
-def run_ok(name: str, *arguments: object, timeout_s: float = 240) -> str:
+def run_ok(
+    name: str, *arguments: object, timeout_s: float = 240, folder: Path | None = None
+) -> str:
     """Its standard output; fails the test unless it exits with 0."""
-    done = run(name, *arguments, timeout_s=timeout_s)
+    done = run(name, *arguments, timeout_s=timeout_s, folder=folder)
     assert done.returncode == 0, f"{name} {arguments}: {done.stderr[-2000:]}"
     return done.stdout
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
 from dataclasses import fields
 from pathlib import Path
 
@@ -12,7 +11,7 @@ import pytest
 from codec.interop.formats import SplatFormat, write_splats
 from codec.sequence.errorbound import ErrorBound
 from codec.stream import StreamReader
-from tests.support.commands import ENTRY, ROOT, command, environment
+from tests.support.commands import ENTRY, ROOT, run_ok
 from tests.support.slots.rotating import figure, turned
 from tests.support.slots.slot_streams import gaussians
 
@@ -31,15 +30,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         write_splats(path, turned(splats, 0.02 * number), SplatFormat.PLY)
     for line in COMMANDS:
         name, *words = line.split()
-        done = subprocess.run(
-            command(name, *words),
-            cwd=root,
-            env=environment(),
-            capture_output=True,
-            text=True,
-            timeout=120,
-        )
-        assert done.returncode == 0, f"{line}: {done.stderr}"
+        run_ok(name, *words, folder=root)
     return root
 
 

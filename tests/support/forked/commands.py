@@ -46,12 +46,14 @@ class CommandServer:
         arguments: list[str],
         environment: dict[str, str],
         timeout_s: float,
+        folder: Path | None = None,
     ) -> subprocess.CompletedProcess[str]:
         """As subprocess.run with text output. Kills the command and raises TimeoutExpired."""
         assert self._process.stdin is not None
-        with tempfile.TemporaryDirectory() as folder:
-            out, err = Path(folder) / "out", Path(folder) / "err"
-            request = Request(entry, argv, arguments, environment, os.getcwd(), str(out), str(err))
+        with tempfile.TemporaryDirectory() as made:
+            out, err = Path(made) / "out", Path(made) / "err"
+            where = str(folder or os.getcwd())
+            request = Request(entry, argv, arguments, environment, where, str(out), str(err))
             self._process.stdin.write(request.to_line().encode())
             self._process.stdin.flush()
             pid = self._answer(timeout_s)

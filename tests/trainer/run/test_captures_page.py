@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support.commands import ENTRY, ROOT, command, environment
+from tests.support.commands import ENTRY, ROOT, environment, run_ok
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
 
@@ -33,7 +33,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("page")
     for block in BLOCKS:
         if is_script(block):
-            run_in(root, [sys.executable, "-W", "error", "-c", block])
+            run_script(root, block)
             continue
         for line in block.splitlines():
             name, *words = line.split()
@@ -41,18 +41,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
             pictures = [root / word for word in words if word.endswith(".png")]
             for picture in pictures:
                 picture.unlink(missing_ok=True)
-            told = run_in(root, command(name, *words))
+            told = run_ok(name, *words, folder=root)
             assert "warning" not in told, f"{line}: {told}"
             assert all(picture.stat().st_size > 10_000 for picture in pictures)
     return root
 
 
-def run_in(folder: Path, words: list[str]) -> str:
+def run_script(folder: Path, script: str) -> None:
+    words = [sys.executable, "-W", "error", "-c", script]
     done = subprocess.run(
         words, cwd=folder, env=environment(), capture_output=True, text=True, timeout=240
     )
     assert done.returncode == 0, done.stderr
-    return done.stdout
 
 
 def test_the_page_is_understood() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import http.client
+import itertools
 import json
 import os
 import re
@@ -125,7 +126,9 @@ def test_news_of_a_play_may_come_to_any_worker(root: Path, tmp_path: Path) -> No
             play = stack.enter_context(closing(Play(server)))
             places.add(play.place)
             for place in to_both:
-                wait_until(lambda p=place, t=play.token: tell(p, t, b'{"frame": 1}')[1])
+                # It plays on, so that it is sent more until the link is measured.
+                at = map(b'{"frame": %d}'.__mod__, itertools.count(1))
+                wait_until(lambda p=place, t=play.token, a=at: tell(p, t, next(a))[1])
                 status, rate = tell(place, play.token, b'{"frame": 1}')
                 assert status == 204
                 assert rate is not None
