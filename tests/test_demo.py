@@ -47,6 +47,7 @@ def checkout(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_without_serving_it_ends_and_leaves_everything(checkout: Path) -> None:
     done = subprocess.run(
         ["sh", "scripts/demo", "--no-serve"],

@@ -162,6 +162,7 @@ def test_abr_is_pure() -> None:
         assert not tops & NO_IO, f"{file.relative_to(ROOT)} imports {tops & NO_IO}"
 
 
+@pytest.mark.slow
 def test_there_is_no_circle_and_every_module_imports_alone() -> None:
     modules = [
         ".".join(f.relative_to(ROOT).with_suffix("").parts)

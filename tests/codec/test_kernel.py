@@ -89,7 +89,11 @@ def output_of(program: str, *arguments: str, **environment: str) -> list[int]:
 
 
 @pytest.mark.parametrize(
-    ("mode", "count"), [("NUMBA_BOUNDSCHECK", 6000), ("NUMBA_DISABLE_JIT", 1000)]
+    ("mode", "count"),
+    [
+        pytest.param("NUMBA_BOUNDSCHECK", 6000, marks=pytest.mark.slow),
+        ("NUMBA_DISABLE_JIT", 1000),
+    ],
 )
 def test_hostile_chunks_never_lead_a_kernel_out_of_bounds(
     mode: str, count: int, tmp_path: Path
@@ -119,6 +123,7 @@ def test_kernels_work_where_nothing_can_be_kept() -> None:
     assert loaded == 0
 
 
+@pytest.mark.slow
 def test_kernels_work_on_a_full_disk_and_leave_nothing_broken(tmp_path: Path) -> None:
     _, compiled, _ = output_of(NO_ROOM + KERNELS, NUMBA_CACHE_DIR=str(tmp_path))
     assert compiled > 0

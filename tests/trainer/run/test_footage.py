@@ -103,6 +103,7 @@ def test_a_radial_lens_in_a_world_of_any_unit(tmp_path: Path) -> None:
     assert min(scores.values()) > 17
 
 
+@pytest.mark.slow
 def test_the_unit_of_the_world_does_not_matter(tmp_path: Path) -> None:
     found = []
     for scale in (1.0, 40.0):

@@ -251,6 +251,7 @@ def test_a_start_that_is_asked_for_is_where_it_starts(
     page.wait(f"{BADGE}.classList.contains('behind')" if first == 0 else f"{BADGE}.matches('.on')")
 
 
+@pytest.mark.slow
 def test_a_stream_of_version_1_grows_too(page: Page, tmp_path: Path) -> None:
     write_stream(tmp_path / "stream", 40)
     export_static(tmp_path / "stream", tmp_path / "static")

@@ -75,7 +75,7 @@ def chosen(part: str) -> str:
     return f"{ROOT_NODE}.querySelector('{part}')"
 
 
-@pytest.mark.parametrize("name", ["slices", "slots"])
+@pytest.mark.parametrize("name", [pytest.param("slices", marks=pytest.mark.slow), "slots"])
 def test_it_plays_as_a_person_drives_it(page: Page, server: ServerProcess, name: str) -> None:
     with watching(page, server.url, name, "?autoplay=0"):
         assert page.run("return document.title") == name
@@ -122,7 +122,7 @@ def test_the_picture_is_the_cpu_renderer_s_with_all_layers_though_it_is_paused(
         raise AssertionError(f"{found_db} dB")
 
 
-@pytest.mark.parametrize("name", ["slices", "slots"])
+@pytest.mark.parametrize("name", [pytest.param("slices", marks=pytest.mark.slow), "slots"])
 def test_another_number_of_layers_does_not_begin_anew(
     page: Page, server: ServerProcess, name: str
 ) -> None:
