@@ -143,6 +143,17 @@ class Manifest:
     """The lattice of each layer (version 2; else none)."""
 
     def __post_init__(self) -> None:
+        self._check_version()
+        if self.slots:
+            # Before the division by their sum.
+            self._check_slots()
+            shares = tuple(count / sum(self.slots) for count in self.slots)
+            object.__setattr__(self, "layers", shares)
+        self._check_sizes()
+        self._check_cameras()
+        self._check_texts()
+
+    def _check_version(self) -> None:
         if self.version not in (VERSION, SLOTS_VERSION):
             raise InvalidError(f"manifest: version {self.version}, not {VERSION} or 2")
         if (self.profile is Profile.LATTICE) != (self.version == SLOTS_VERSION):
@@ -155,11 +166,8 @@ class Manifest:
                 f"manifest: {len(self.slots)} layers of slots in version {self.version}; version "
                 f"{SLOTS_VERSION} has them, and no other"
             )
-        if self.slots:
-            # Before the division by their sum.
-            self._check_slots()
-            shares = tuple(count / sum(self.slots) for count in self.slots)
-            object.__setattr__(self, "layers", shares)
+
+    def _check_sizes(self) -> None:
         if not MIN_FPS <= self.fps <= MAX_FPS:
             raise InvalidError(f"manifest: fps {self.fps} is not in {MIN_FPS}..{MAX_FPS}")
         if not 1 <= self.swin_size <= MAX_SWIN_SIZE:
@@ -180,6 +188,10 @@ class Manifest:
             )
         if not 0 <= self.sh_degree <= MAX_SH_DEGREE:
             raise InvalidError(f"manifest: sh_degree {self.sh_degree} not in 0..{MAX_SH_DEGREE}")
+        if not 0 <= self.capture_frame < 1 << 31:
+            raise InvalidError(f"manifest: capture_frame {self.capture_frame} is out of range")
+
+    def _check_cameras(self) -> None:
         if not (math.isfinite(self.near_m) and self.near_m > 0):
             raise InvalidError(f"manifest: near_m {self.near_m} is not positive")
         corners = np.array(self.bounds, np.float64)
@@ -194,8 +206,9 @@ class Manifest:
             raise InvalidError("manifest: two cameras have the same name")
         if self.default_camera not in names:
             raise InvalidError(f"manifest: no camera is called {self.default_camera[:80]!r}")
-        if not 0 <= self.capture_frame < 1 << 31:
-            raise InvalidError(f"manifest: capture_frame {self.capture_frame} is out of range")
+
+    def _check_texts(self) -> None:
+        names = (camera.name for camera in self.cameras)
         for text in (self.poster or "", self.object_url, self.title, *names):
             if len(text) > MAX_TEXT_CHARS:
                 raise InvalidError(f"manifest: a text of {len(text)} characters")

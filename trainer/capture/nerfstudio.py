@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -113,43 +113,14 @@ def open_nerfstudio(root: Path) -> Capture:
     path = root / TRANSFORMS_NAME
     value = _read_object(path)
     entries = _read_entries(path, value)
-    are_videos = {entry.path.suffix.lower() in VIDEO_SUFFIXES for entry in entries}
-    if are_videos == {True}:
-        found = _videos(root, entries)
-    elif True in are_videos:
-        raise CaptureError(f"{path}: some file_path are videos, some are not")
-    elif all(_kind(entry.path) for entry in entries):
-        found = _numbered(root, entries)
-    elif all(entry.time is not None for entry in entries):
-        found = _timed(root, entries)
-    else:
-        odd = next(e.path for e in entries if not _kind(e.path))
-        raise CaptureError(
-            f"{path}: {odd} names neither a camera nor a frame; expected "
-            f"{IMAGES_NAME}/<camera>/<frame>.jpg, {FRAMES_NAME}/<frame>/<camera>.jpg, a video per "
-            "camera, or a `time` in each entry"
-        )
+    found = _by_camera(root, entries)
     names = sorted(found, key=natural_order)
     rig = [found[name] for name in names]
     cameras = [replace(p.entry.camera, name=name) for p, name in zip(rig, names, strict=True)]
     fps = None if value.get("fps") is None else _number(path, value, "fps")
     if fps is not None:
         check_fps(fps, path)
-    if True in are_videos:
-        videos = [p.files[0] for p in rig]
-        facts = [probe_video(video) for video in videos]
-        check_synchronised(videos, facts)
-        doubts = tuple(turned_doubts(videos, facts))
-        for p, camera, fact in zip(rig, cameras, facts, strict=True):
-            check_video_size(p.files[0], fact, camera, path)
-        num_frames, fps = facts[0].num_frames, fps or facts[0].fps
-        check_fps(fps, rig[0].files[0])
-    else:
-        num_frames, fps, doubts = len(rig[0].files), fps or read_fps(root), ()
-        sources = [
-            picture_source(camera, p.entry.lens, p.files, path)
-            for p, camera in zip(rig, cameras, strict=True)
-        ]
+    footage = (_filmed if _is_video(entries[0]) else _photographed)(path, rig, cameras, fps)
     require_files([p.masks for p in rig], f"a mask_path of {TRANSFORMS_NAME} names it")
     masks = [
         mask_source(camera, p.entry.lens, p.masks) for p, camera in zip(rig, cameras, strict=True)
@@ -157,13 +128,6 @@ def open_nerfstudio(root: Path) -> Capture:
     held_out = _held_out(root, value, cameras, rig)
     points = _read_points(root, value)
     depths = rig_depths(cameras, points_depths(points, cameras) if points else None)
-
-    def open_images(camera_index: int) -> PictureSource:
-        if True not in are_videos:
-            return sources[camera_index]
-        p, camera = rig[camera_index], cameras[camera_index]
-        return straight_source(VideoSource(p.files[0], camera, num_frames), camera, p.entry.lens)
-
     return Capture(
         root=root,
         layout="nerfstudio",
@@ -171,14 +135,79 @@ def open_nerfstudio(root: Path) -> Capture:
             CaptureCamera(camera, camera.name in held_out, of_camera)
             for camera, of_camera in zip(cameras, masks, strict=True)
         ),
-        num_frames=num_frames,
-        fps=fps,
+        num_frames=footage.num_frames,
+        fps=footage.fps,
         points=points,
         near_m=depths[0] if depths else None,
         far_m=depths[1] if depths else None,
-        opener=open_images,
-        doubts=doubts,
+        opener=footage.open,
+        doubts=footage.doubts,
     )
+
+
+def _is_video(entry: Entry) -> bool:
+    return entry.path.suffix.lower() in VIDEO_SUFFIXES
+
+
+def _by_camera(root: Path, entries: list[Entry]) -> dict[str, CameraFiles]:
+    """What the entries name, by camera."""
+    path = root / TRANSFORMS_NAME
+    are_videos = {_is_video(entry) for entry in entries}
+    if are_videos == {True}:
+        return _videos(root, entries)
+    if True in are_videos:
+        raise CaptureError(f"{path}: some file_path are videos, some are not")
+    if all(_kind(entry.path) for entry in entries):
+        return _numbered(root, entries)
+    if all(entry.time is not None for entry in entries):
+        return _timed(root, entries)
+    odd = next(e.path for e in entries if not _kind(e.path))
+    raise CaptureError(
+        f"{path}: {odd} names neither a camera nor a frame; expected "
+        f"{IMAGES_NAME}/<camera>/<frame>.jpg, {FRAMES_NAME}/<frame>/<camera>.jpg, a video per "
+        "camera, or a `time` in each entry"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Footage:
+    """The pictures of all cameras."""
+
+    num_frames: int
+    fps: float | None
+    open: Callable[[int], PictureSource]
+    """Of the camera of this index."""
+    doubts: tuple[str, ...] = ()
+
+
+def _filmed(
+    path: Path, rig: list[CameraFiles], cameras: list[Camera], fps: float | None
+) -> _Footage:
+    """A video of each camera."""
+    videos = [p.files[0] for p in rig]
+    facts = [probe_video(video) for video in videos]
+    check_synchronised(videos, facts)
+    for video, camera, fact in zip(videos, cameras, facts, strict=True):
+        check_video_size(video, fact, camera, path)
+    num_frames, fps = facts[0].num_frames, fps or facts[0].fps
+    check_fps(fps, videos[0])
+
+    def open_video(index: int) -> PictureSource:
+        source = VideoSource(videos[index], cameras[index], num_frames)
+        return straight_source(source, cameras[index], rig[index].entry.lens)
+
+    return _Footage(num_frames, fps, open_video, tuple(turned_doubts(videos, facts)))
+
+
+def _photographed(
+    path: Path, rig: list[CameraFiles], cameras: list[Camera], fps: float | None
+) -> _Footage:
+    """A picture of each frame and camera."""
+    sources = [
+        picture_source(camera, p.entry.lens, p.files, path)
+        for p, camera in zip(rig, cameras, strict=True)
+    ]
+    return _Footage(len(rig[0].files), fps or read_fps(path.parent), sources.__getitem__)
 
 
 def _read_object(path: Path) -> dict[str, Any]:
