@@ -63,7 +63,7 @@ def test_a_signal_writes_the_report_and_no_half_video(
     assert summary["totals"]["link_bytes"] > summary["totals"]["bytes"]
     assert {one["link_bps"] for one in summary["rates"]} == {20e6}
     if capture == "pictures":
-        assert len(summary["frames"]) >= 3
+        assert summary["totals"]["frames"] >= 3
 
 
 def drawn_too_late(summary: dict[str, dict[str, int]]) -> int:
