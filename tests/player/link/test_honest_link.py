@@ -138,6 +138,7 @@ class Play:
                 self._came.append((time.monotonic(), len(piece)))
 
 
+@pytest.mark.quiet
 def test_twelve_megabits_read_as_twelve(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     starved = False
     for _ in range(5):  # other work on the machine takes from what passes
@@ -151,6 +152,7 @@ def test_twelve_megabits_read_as_twelve(root: Path, monkeypatch: pytest.MonkeyPa
     pytest.fail(f"12 Mbit/s read as {told}")
 
 
+@pytest.mark.quiet
 @pytest.mark.parametrize("megabits", [4, 12, 40, 100])
 def test_no_more_than_a_quarter_second_is_unacknowledged(
     root: Path, monkeypatch: pytest.MonkeyPatch, megabits: int

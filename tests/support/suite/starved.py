@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from types import TracebackType
@@ -9,19 +10,28 @@ from types import TracebackType
 LATE_S = 0.01
 """A sleep that ends so much too late, in seconds, waited for a processor."""
 
+BUSY_SHARE = 0.85
+"""Share of the processors' time, of all processes together, from which on a machine is busy."""
+
 STARVED_SHARE = 0.02
 """Share of the time lost in such waits from which on times say nothing."""
 
 
 class Watch:
-    """Sleeps again and again beside what is measured, and sees how late it wakes."""
+    """Sleeps again and again beside what is measured, and sees how late it wakes.
+
+    `starved`: this process did not get its time. `busy`: the machine had none to spare, so that
+    other processes may not have got theirs.
+    """
 
     def __init__(self) -> None:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run)
         self._began_s = time.monotonic()
         self._lost_s = 0.0
+        self._idle_s = _idle_s()
         self.starved = False
+        self.busy = False
 
     def _run(self) -> None:
         while not self._stop.is_set():
@@ -42,4 +52,17 @@ class Watch:
     ) -> None:
         self._stop.set()
         self._thread.join()
-        self.starved = self._lost_s > STARVED_SHARE * (time.monotonic() - self._began_s)
+        took_s = time.monotonic() - self._began_s
+        self.starved = self._lost_s > STARVED_SHARE * took_s
+        most_s = took_s * (os.cpu_count() or 1)
+        self.busy = self._idle_s >= 0 and _idle_s() - self._idle_s < (1 - BUSY_SHARE) * most_s
+
+
+def _idle_s() -> float:
+    """Time that all processors together had nothing to do, in seconds; -1 where nobody says."""
+    try:
+        with open("/proc/stat") as file:
+            fields = file.readline().split()
+    except OSError:
+        return -1
+    return (int(fields[4]) + int(fields[5])) / os.sysconf("SC_CLK_TCK")
