@@ -35,7 +35,6 @@ from codec.console import run_command
 from codec.errors import InvalidError
 from codec.files import write_atomic
 from codec.framerange import FrameRange
-from codec.profiles.profile import Profile
 from codec.stream import StreamReader
 from trainer.capture.layout import open_capture
 from trainer.fit.config import FitConfig
@@ -100,7 +99,7 @@ class Setting:
     """The comparison that it belongs to; the first of each is what others are compared with."""
     name: str
     fit: FitConfig
-    profile: Profile
+    whole_slices: bool = False
 
     @property
     def carried(self) -> bool:
@@ -153,11 +152,11 @@ def settings(config: AblateConfig) -> list[Setting]:
             optimiser = replace(base.optimiser, age_scaling=age_scaling, carry_adam=carried)
             fit = replace(base, optimiser=optimiser)
             name = f"age scaling {age_scaling}, Adam {told}"
-            found.append(Setting(AGE, name, fit, Profile.COMPACT))
+            found.append(Setting(AGE, name, fit, whole_slices=True))
     for swin_size in config.swin_sizes:
         fit = replace(base, swin_size=swin_size, num_gs=swin_size * config.slice_size)
         name = f"swin_size {swin_size}, {fit.num_gs:,} Gaussians"
-        found.append(Setting(SIZE, name, fit, Profile.COMPACT))
+        found.append(Setting(SIZE, name, fit, whole_slices=True))
     return found
 
 
@@ -168,19 +167,18 @@ def training(config: TrialsConfig, setting: Setting, stream: Path) -> TrainConfi
         frames=config.frames,
         fps=config.fps,
         scale=config.scale,
-        profile=setting.profile,
+        whole_slices=setting.whole_slices,
         fit=setting.fit,
     )
 
 
 def slice_bytes(reader: StreamReader) -> float:
-    """What a slice takes on average. In version 2 the first says nothing, and is not counted."""
+    """What a slice takes on average: mask and changes. The one of frame 0 is empty, and not
+    counted."""
     records = reader.records
-    masks = sum(sum(record.side_bytes[:1]) for record in records)
-    slices = reader.num_frames - 1
-    if not reader.manifest.has_slots:
-        slices += reader.manifest.swin_size
-    return (masks + sum(sum(record.object_bytes) for record in records)) / max(slices, 1)
+    masks = sum(record.side_bytes[0] for record in records)
+    changes = sum(sum(record.object_bytes) for record in records)
+    return (masks + changes) / max(reader.num_frames - 1, 1)
 
 
 def measure_once(config: TrialsConfig, setting: Setting, examine: Examine) -> Outcome:

@@ -6,7 +6,7 @@ Usage: scripts/bench cuda CAPTURE [--frames 30 75 150] [--backends cuda torch] [
 Needs a GPU: an NVIDIA one and the extra `cuda`, or one that torch knows and `--backends torch`.
 Preset paper, from the first frame on, scored from the decoded files; each training is in a process
 of its own. With `--ray-workers`, and the extra `ray`, the longest is trained twice more with slots
-that last a frame (profile lattice, swin_size 1), as parts need them: in one go, and in a part for
+that last a frame (swin_size 1), as parts need them: in one go, and in a part for
 each of so many workers, which share the GPUs of this machine.
 """
 
@@ -29,7 +29,6 @@ from rich.console import Console
 from rich.table import Table
 
 from codec.console import run_command
-from codec.profiles.profile import Profile
 from trainer.parts.raydriver import train_in_parts
 from trainer.run.config import LOCAL, TrainConfig
 from trainer.run.job import train_stream
@@ -117,7 +116,7 @@ def training(
 def with_slots(job: TrainConfig) -> TrainConfig:
     """The same with slots that last a frame."""
     fit = replace(job.fit, swin_size=1)
-    return replace(job, profile=Profile.LATTICE, rank="contribution", fit=fit)
+    return replace(job, whole_slices=False, rank="contribution", fit=fit)
 
 
 def in_parts(job: TrainConfig, config: CudaConfig, num_frames: int) -> TrainConfig:

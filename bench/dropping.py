@@ -6,10 +6,9 @@ Usage: scripts/bench dropping STREAM --capture CAPTURE --out docs/dropping.png
 Gaussians are ranked for their life; of every slice the share that ranks highest is kept.
 Contribution is the trainer's: blending weight in pictures of training cameras.
 
-The bytes are real. What is kept is written as a stream of its own, by the stream's writer, with its
-profile and number of layers, and these files are scored and counted: all that one who plays from
-frame 0 fetches. In version 2 that costs no precision; in version 1 what is kept is quantised a
-second time. With 100 % the files are those of the stream.
+The bytes are real. What is kept is written as a stream of its own, with the same lattices and
+layers, which costs no precision, and these files are scored and counted: all that a player that
+starts at frame 0 fetches. With 100 % the files are those of the stream.
 """
 
 from __future__ import annotations
@@ -37,13 +36,13 @@ from codec.camera import Camera
 from codec.console import run_command
 from codec.errors import InvalidError
 from codec.files import replacing
-from codec.slots.lattice import Bytes
+from codec.lattice.lattice import Bytes
 from codec.stream import StreamReader
 from trainer.pictures.shot import Shot
 from trainer.score.dropped import Drop, contributions, lives_of, opacities, places, write_kept
 from trainer.score.picture import Floats, captured, displayed
 from trainer.score.traffic import traffic
-from trainer.score.truth import HeldOut, open_held_out
+from trainer.score.truth import ScoredCameras, open_held_out
 from trainer.step.loss import psnr_db
 from trainer.step.raster import View
 
@@ -65,7 +64,7 @@ class DroppingConfig:
     """Draws a stream with a share of its Gaussians, beside the stream's own layers."""
 
     stream: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="STREAM")]
-    """Folder of the stream, of version 1 or 2."""
+    """Folder of the stream."""
     capture: Path
     """Folder of the capture that it was trained from."""
     out: Path = Path("docs/dropping.png")
@@ -115,7 +114,7 @@ class Comparison:
         return [outcome for outcome in self.outcomes if outcome.chosen == chosen]
 
 
-def training_views(held_out: HeldOut) -> list[View]:
+def training_views(held_out: ScoredCameras) -> list[View]:
     """The training cameras at the size of the stream, prepared."""
     manifest, capture = held_out.reader.manifest, held_out.cache.capture
     names = [capture.cameras[i].camera.name for i in capture.training]
@@ -131,7 +130,7 @@ class Source:
     psnr_db: list[list[float]] = field(default_factory=list)
     """For each scored frame, of each camera."""
 
-    def score(self, held_out: HeldOut, frame: int, truths: Sequence[Floats]) -> None:
+    def score(self, held_out: ScoredCameras, frame: int, truths: Sequence[Floats]) -> None:
         """Adds the scores of `frame`; truths: what the cameras saw."""
         splats = self.reader.active_splats(frame, self.layers)
         near_m, shots = self.reader.manifest.near_m, held_out.shots(frame)
@@ -170,7 +169,7 @@ class Candidate:
         )
 
 
-def candidates(held_out: HeldOut, config: DroppingConfig, folder: Path) -> list[Candidate]:
+def candidates(held_out: ScoredCameras, config: DroppingConfig, folder: Path) -> list[Candidate]:
     """All that is to be scored; streams that are written for it lie in `folder`."""
     log = Console(stderr=True)
     reader, manifest = held_out.reader, held_out.reader.manifest
@@ -199,7 +198,7 @@ def candidates(held_out: HeldOut, config: DroppingConfig, folder: Path) -> list[
     return found
 
 
-def picked(held_out: HeldOut, config: DroppingConfig) -> tuple[int, int]:
+def picked(held_out: ScoredCameras, config: DroppingConfig) -> tuple[int, int]:
     """Frame and held-out camera of the contact sheet. Raises InvalidError if there are none such,
     or if another option is out of its bounds."""
     if not config.shares or not all(0 < share <= 1 for share in config.shares):

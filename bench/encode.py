@@ -1,7 +1,7 @@
-"""What a Gaussian costs in each profile, in bytes and in time.
+"""What a Gaussian of a slice sent whole costs, in bytes and in time; `scripts/bench slots` measures
+slots that last.
 
-Usage: scripts/bench encode [STREAM]. With the folder of a `raw` stream it tells only what each
-attribute of the slice born in frame 0 costs.
+Usage: scripts/bench encode
 """
 
 from __future__ import annotations
@@ -10,22 +10,22 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-from typing import Annotated, TypeVar
 
 import numpy as np
-import tyro
 from rich.console import Console
 from rich.table import Table
 
 from codec.coders.coder import EncodedChunk, compress
 from codec.console import run_command
-from codec.profiles.profile import CHUNK_PROFILES, Profile
+from codec.lattice.lattice import Lattice
 from codec.slice import Slice
-from codec.stream import StreamReader
-from codec.stream.chunk import decode_chunk, encode_chunk
-from codec.stream.layers import opacity_rank, split_layers
-from codec.stream.object import decode_packet, encode_packet
+from codec.slots.slotdecoder import SlotDecoder
+from codec.slots.slotencoder import SlotEncoder
+from codec.slots.slotlayout import SlotLayout
+from codec.slots.update import Update
+from codec.stream.layers import opacity_rank, split_counts
+from codec.stream.object import encode_packet, packet_content
+from codec.stream.wholeslice import whole_update
 from tests.support.trained_like import trained_like_splats
 
 NUM_GS = 40_000
@@ -38,9 +38,6 @@ REPEATS = 5
 class EncodeConfig:
     """Measures the cost of Gaussians, in bytes and in time."""
 
-    stream: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="[STREAM]")] = None
-    """Folder of a stream of profile raw; measures only the bits of each attribute of one slice."""
-
 
 def median_ms(work: Callable[[], object]) -> float:
     times = []
@@ -51,87 +48,97 @@ def median_ms(work: Callable[[], object]) -> float:
     return 1e3 * float(np.median(times))
 
 
-Part = TypeVar("Part")
-
-
-def each(work: Callable[[Part], object], parts: list[Part]) -> None:
-    for part in parts:
-        work(part)
-
-
 def synthetic_slices(count: int) -> list[Slice]:
-    """`count` slices of a trained-like scene of NUM_GS Gaussians, dealt at random as slots are."""
+    """`count` slices of a trained-like scene of NUM_GS Gaussians, dealt at random as slots are, to
+    be sent at frame 1."""
     splats = trained_like_splats(NUM_GS)
     deal = np.random.default_rng(0).permutation(NUM_GS)
     parts = np.array_split(deal, count)
-    return [
-        Slice(n, splats.take(rows), np.zeros(len(rows), np.uint8)) for n, rows in enumerate(parts)
-    ]
+    return [Slice(1, splats.take(rows), np.zeros(len(rows), np.uint8)) for rows in parts]
 
 
-def encode_slice(slice: Slice, shares: tuple[float, ...], profile: Profile) -> list[EncodedChunk]:
-    """The chunks of the layers of `slice`, as the writer makes them."""
-    parts = split_layers(slice, shares, opacity_rank)
-    steps = profile.coding.layer_steps([part.splats for part in parts])
-    return [encode_chunk(part, n, profile, steps[n]) for n, part in enumerate(parts)]
+def encode_slice(slice: Slice, layout: SlotLayout, exact: bool) -> list[EncodedChunk]:
+    """The mask of `slice` and its change of each layer, as the writer makes them."""
+    encoder = SlotEncoder(layout)
+    encoder.append(Update.keeping(0, layout))
+    made = encoder.append(whole_update(slice, layout, opacity_rank, exact))
+    assert made is not None
+    return [made.mask, *made.changes]
+
+
+def decode_slice(parts: list[bytes], layout: SlotLayout) -> Slice:
+    decoder, empty = SlotDecoder(layout), SlotEncoder(layout)
+    empty.append(Update.keeping(0, layout))
+    for chunk in empty.snapshots():
+        decoder.load(chunk.data)
+    decoder.apply(1, parts[0], parts[1:])
+    return decoder.whole(1)
+
+
+def pack(chunks: list[EncodedChunk]) -> list[bytes]:
+    return [encode_packet(chunk) for chunk in chunks]
+
+
+def inflate_and_decode(packets: list[bytes], layout: SlotLayout) -> Slice:
+    limits = [layout.max_mask_bytes, *map(layout.max_change_bytes, range(layout.num_layers))]
+    parts = [packet_content(data, limit) for data, limit in zip(packets, limits, strict=True)]
+    return decode_slice(parts, layout)
 
 
 def table_of_cases() -> Table:
     table = Table(title=f"{NUM_GS} trained-like Gaussians")
-    for name in ("profile", "slices", "layers", "bytes/Gaussian"):
+    for name in ("as", "slices", "layers", "bytes/Gaussian"):
         table.add_column(name, justify="right")
     for name in ("quantise", "entropy code", "decode", "inflate + decode"):
         table.add_column(f"{name} ms/slice", justify="right")
-    for profile in CHUNK_PROFILES:
+    for exact in (True, False):
         for count, shares in CASES:
             slices = synthetic_slices(count)
-            chunks = [c for s in slices for c in encode_slice(s, shares, profile)]
-            packets = [encode_packet(chunk) for chunk in chunks]
-            one, coded = chunks[: len(shares)], packets[: len(shares)]
-            total = sum(len(s.splats) for s in slices)
+            lattice = Lattice.suiting(slices[0].splats)
+            slots = split_counts(-(-NUM_GS // count), shares)
+            layout = SlotLayout(1, slots, 0, (lattice,) * len(slots), 2)
+            chunks = [encode_slice(one, layout, exact) for one in slices]
+            packets = list(map(pack, chunks))
+            parts = [chunk.data for chunk in chunks[0]]
             times = (
-                median_ms(partial(encode_slice, slices[0], shares, profile)),
-                median_ms(partial(each, encode_packet, one)),
-                median_ms(partial(each, decode_chunk, [chunk.data for chunk in one])),
-                median_ms(partial(each, decode_packet, coded)),
+                median_ms(partial(encode_slice, slices[0], layout, exact)),
+                median_ms(partial(pack, chunks[0])),
+                median_ms(partial(decode_slice, parts, layout)),
+                median_ms(partial(inflate_and_decode, packets[0], layout)),
             )
-            size = sum(map(len, packets)) / total
-            row = (profile.value, str(len(slices)), str(len(shares)), f"{size:.2f}")
+            size = sum(len(packet) for of_slice in packets for packet in of_slice) / NUM_GS
+            name = "float32" if exact else "lattice"
+            row = (name, str(count), str(len(shares)), f"{size:.2f}")
             table.add_row(*row, *(f"{ms:.2f}" for ms in times))
     return table
 
 
 def table_of_attributes(slice: Slice) -> Table:
-    """What each attribute of profile `compact` costs, each in zstd blocks of its own."""
-    groups = {"head": 1, "position (gaps)": 1, "scales": 3, "rotation": 3, "opacity": 1}
-    coefficients = slice.splats.sh.shape[1]
-    groups |= {"luma": coefficients, "chroma": 2 * coefficients, "position (low bits)": 1}
-    sizes = dict.fromkeys([*groups, "escapes, offsets"], 0)
-    for chunk in encode_slice(slice, (0.25,) * 4, Profile.COMPACT):
-        edges, at = chunk.edges, 0
-        empty_bytes = len(compress(b"\0", [0, 1]))
-        for name, planes in groups.items():
-            last = min(at + planes, len(edges) - 1)
-            start, end = edges[at], edges[last]
-            inner = [edge - start for edge in edges[at : last + 1]]
-            sizes[name] += len(compress(chunk.data[start:end], inner)) - empty_bytes + 4
-            at = last
-        sizes["escapes, offsets"] += edges[-1] - edges[at]
-    table = Table(title=f"compact, {len(slice.splats)} Gaussians in 4 layers: bits a Gaussian")
+    """What each attribute on the lattice costs, each in zstd blocks of its own."""
+    count = len(slice.splats)
+    layout = SlotLayout(1, (count,), 0, (Lattice.suiting(slice.splats),), 2)
+    _, change = encode_slice(slice, layout, exact=False)
+    groups = {"counts": 1, "position": 3, "scales": 3, "rotation": 3, "luma": 1, "chroma": 2}
+    groups |= {"opacity": 1, "position (low bits)": 1}
+    empty_bytes, edges, at = len(compress(b"\0", [0, 1])), change.edges, 0
+    table = Table(title=f"{count} Gaussians on the lattice: bits a Gaussian")
     table.add_column("attribute")
     table.add_column("bits", justify="right")
-    for name, size in sizes.items():
-        table.add_row(name, f"{8 * size / len(slice.splats):.2f}")
-    table.add_row("sum", f"{8 * sum(sizes.values()) / len(slice.splats):.2f}")
+    total = 0.0
+    for name, planes in groups.items():
+        last = at + planes
+        inner = [edge - edges[at] for edge in edges[at : last + 1]]
+        size = len(compress(change.data[edges[at] : edges[last]], inner)) - empty_bytes + 4
+        table.add_row(name, f"{8 * size / count:.2f}")
+        total, at = total + size, last
+    total += edges[-1] - edges[at]
+    table.add_row("escapes", f"{8 * (edges[-1] - edges[at]) / count:.2f}")
+    table.add_row("sum", f"{8 * total / count:.2f}")
     return table
 
 
 def run(config: EncodeConfig) -> None:
     console = Console(width=150)
-    if config.stream is not None:
-        reader = StreamReader(config.stream)
-        console.print(table_of_attributes(reader.slice(0, reader.manifest.num_layers)))
-        return
     console.print(table_of_cases())
     console.print(table_of_attributes(synthetic_slices(5)[0]))
 

@@ -30,13 +30,12 @@ from rich.table import Table
 from bench.ablate import Outcomes, Setting, TrialsConfig, mean, measure, spread
 from codec.console import run_command
 from codec.errors import InvalidError
-from codec.profiles.profile import Profile
 from codec.slots.slotencoder import SlotEncoder
 from codec.slots.update import NEW, PREDICTED
 from codec.stream import StreamReader
 from codec.stream.manifest import MASKS
 from codec.stream.object import encode_packet
-from codec.tools.retold import told_update
+from codec.tools.recordedupdates import recorded_update
 from trainer.fit.config import FitConfig
 
 COLOURS = ("#1f5fbf", "#d9480f", "#2b8a3e", "#862e9c", "#0b7285", "#a61e4d", "#5c940d", "#b8860b")
@@ -48,7 +47,7 @@ NO_LEASES = ", no leases"
 
 @dataclass(frozen=True)
 class LeasesConfig(TrialsConfig):
-    """Trains a capture with one choice of version 2 changed at a time; tabulates and draws the
+    """Trains a capture with one choice changed at a time; tabulates and draws the
     results."""
 
     seeds: int = 1
@@ -101,14 +100,14 @@ def settings(config: LeasesConfig) -> list[Setting]:
         },
         "hold": {steps: lease(hold=steps) for steps in config.holds},
     }
-    found = [Setting(CHOSEN, CHOSEN, base, Profile.LATTICE)]
+    found = [Setting(CHOSEN, CHOSEN, base)]
     for choice, values in choices.items():
         for value, fit in values.items():
             name = f"{choice} {value:,g}"
             if fit.lease.active_share == 1:
                 name += NO_LEASES
             if all(fit != other.fit for other in found):
-                found.append(Setting(choice, name, fit, Profile.LATTICE))
+                found.append(Setting(choice, name, fit))
     return found
 
 
@@ -125,7 +124,7 @@ def recoded(reader: StreamReader, predicts: bool = False) -> Iterator[list[bytes
         encoder = SlotEncoder.resumed(decoder)
         statuses = decoder.statuses(birth, mask, changes)
         decoder.apply(birth, mask, changes)
-        update = told_update(decoder, birth, statuses)
+        update = recorded_update(decoder, birth, statuses)
         if not predicts:
             statuses = np.where(statuses == PREDICTED, NEW, statuses).astype(np.uint8)
             update = replace(update, statuses=statuses)
@@ -250,4 +249,6 @@ def run(config: LeasesConfig) -> None:
 
 
 if __name__ == "__main__":
-    run_command(LeasesConfig, run, "scripts/bench leases", "Compares the choices of version 2.")
+    run_command(
+        LeasesConfig, run, "scripts/bench leases", "Compares the choices for slots that last."
+    )

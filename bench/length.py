@@ -162,7 +162,7 @@ class Recorder(Observer):
         self.times_s: list[float] = []
         self.memory_bytes: list[int] = []
 
-    def window_begun(self, first_frame: int) -> None:
+    def window_begun(self, first_frame: int, done: int) -> None:
         if not self.times_s:
             self.times_s.append(time.perf_counter())
 

@@ -4,9 +4,9 @@ Usage: scripts/bench parts CAPTURE --work FOLDER [--workers 1 2 4] [--kills 20] 
 
 Every worker has one core of the cluster and one thread; a cluster that has more of them than this
 machine has cores is said to be oversubscribed. "over perfect" is the time over that of one worker
-divided by the workers. In the row with kills a worker, or the process that trains for it, is killed
-by SIGKILL at random moments. The row with many parts has the same frames in shorter ones. Memory is
-the most that a process has had resident: of the driver, and of whichever worker had most.
+divided by the workers. In the row with kills a worker is killed by SIGKILL at random moments. The
+row with many parts has the same frames in shorter ones. Memory is the most that a process has had
+resident: of the driver, and of whichever worker had most.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ from trainer.run.runlog import LOG_NAME
 LOOK_S = 0.1
 """How often processes are looked at, seconds."""
 
-WORKER, HOLDER = b"-m trainer.parts", b"ray::do"
-"""In the command lines of a process that trains, and of the worker of Ray that waits for it."""
+WORKER = b"ray::do_task"
+"""In the command line of a worker of Ray that trains."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ class Killer:
         """Kills one when it is time."""
         if not self._left or time.monotonic() < self._next_s:
             return
-        found = processes(self._rng.choice([WORKER, HOLDER]))
+        found = processes(WORKER)
         if found:
             os.kill(self._rng.choice(found), signal.SIGKILL)
             self._left -= 1

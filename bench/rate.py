@@ -1,9 +1,9 @@
-"""Rate and distortion: bytes per frame against PSNR, for each profile and rank at every number of
-layers.
+"""Rate and distortion of slices sent whole: bytes per frame against PSNR, as float32 and on the
+lattice, for each rank at every number of layers.
 
-Usage: scripts/bench rate RAW_STREAM CAPTURE --out docs/rate.png
+Usage: scripts/bench rate STREAM CAPTURE --out docs/rate.png
 
-Every curve is a stream written anew from the Gaussians of the raw one and scored from its decoded
+Every curve is a stream written anew from the Gaussians of the given one and scored from its decoded
 files on the held-out cameras. Rank `contribution` orders a slice by the blending weight of its
 Gaussians, summed over all frames that they show in and over all training cameras.
 """
@@ -24,8 +24,6 @@ from rich.console import Console
 from rich.table import Table
 
 from codec.console import run_command
-from codec.errors import InvalidError
-from codec.profiles.profile import CHUNK_PROFILES, Profile
 from codec.slice import Slice
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import Manifest
@@ -34,17 +32,18 @@ from trainer.run.rank import CONTRIBUTION, slices_by_contribution, writer_rank
 from trainer.score.evaluate import EvaluateConfig, Evaluation, LayerScore, evaluate_stream
 from trainer.step.raster import View
 
-COLOURS = {Profile.RAW: "#6b7280", Profile.PAPER: "#d9480f", Profile.COMPACT: "#1f5fbf"}
+COLOURS = {"float32": "#6b7280", "lattice": "#1f5fbf"}
+"""Of each way to code the Gaussians."""
 LINES = {"opacity": ("--", "s"), CONTRIBUTION: ("-", "o")}
 """Of each rank: line and marker."""
 
 
 @dataclass(frozen=True, slots=True)
 class RateConfig:
-    """Draws bytes per frame against PSNR for every profile, rank and number of layers."""
+    """Draws bytes per frame against PSNR for every coding, rank and number of layers."""
 
-    stream: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RAW_STREAM")]
-    """Folder of a stream of profile raw."""
+    stream: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="STREAM")]
+    """Folder of a stream, best one that keeps every float32."""
     capture: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="CAPTURE")]
     """Folder of the capture that it was trained from."""
     out: Path = Path("docs/rate.png")
@@ -55,9 +54,9 @@ class RateConfig:
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """One profile and rank; scores by number of layers, fewest first."""
+    """One coding and rank; scores by number of layers, fewest first."""
 
-    profile: Profile
+    coding: str
     rank: str
     scores: list[LayerScore]
 
@@ -73,11 +72,14 @@ def ranked_slices(reader: StreamReader, config: RateConfig) -> dict[str, list[Sl
     }
 
 
-def score(manifest: Manifest, rank: str, slices: Sequence[Slice], config: RateConfig) -> Evaluation:
+def score(
+    manifest: Manifest, coding: str, rank: str, slices: Sequence[Slice], config: RateConfig
+) -> Evaluation:
     """Writes `slices` to a temporary stream of `manifest` and scores its files."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "stream"
-        with StreamWriter.create(path, manifest, writer_rank(rank)) as writer:
+        exact = coding == "float32"
+        with StreamWriter.create(path, manifest, writer_rank(rank), exact=exact) as writer:
             for part in slices:
                 writer.append(part)
         return evaluate_stream(EvaluateConfig(path, config.capture, every=config.every))
@@ -85,29 +87,26 @@ def score(manifest: Manifest, rank: str, slices: Sequence[Slice], config: RateCo
 
 def measure(config: RateConfig) -> list[Curve]:
     reader = StreamReader(config.stream)
-    manifest = reader.manifest
-    if manifest.profile is not Profile.RAW:
-        raise InvalidError(f"{config.stream} has profile {manifest.profile}, not raw")
     log = Console(stderr=True)
     curves = []
     for rank, slices in ranked_slices(reader, config).items():
-        for profile in CHUNK_PROFILES:
-            log.print(f"{profile}, {rank}")
-            found = score(manifest.with_profile(profile), rank, slices, config)
-            curves.append(Curve(profile, rank, found.layers))
+        for coding in COLOURS:
+            log.print(f"{coding}, {rank}")
+            found = score(reader.manifest, coding, rank, slices, config)
+            curves.append(Curve(coding, rank, found.layers))
     return curves
 
 
 def table_of(curves: Sequence[Curve], shares: Sequence[float]) -> Table:
     table = Table(box=box.MARKDOWN)
-    table.add_column("profile")
+    table.add_column("as")
     table.add_column("rank")
     for name in ("layers", "Gaussians", "kB/frame", "bytes/Gaussian", "PSNR dB", "SSIM"):
         table.add_column(name, justify="right")
     for curve in curves:
         for row in curve.scores:
             table.add_row(
-                curve.profile.value,
+                curve.coding,
                 curve.rank,
                 f"{row.layers}",
                 f"{sum(shares[: row.layers]):.0%}",
@@ -125,12 +124,12 @@ def draw(curves: Sequence[Curve], title: str, path: Path) -> None:
     axes = figure.subplots()
     for curve in curves:
         line, marker = LINES[curve.rank]
-        colour = COLOURS[curve.profile]
+        colour = COLOURS[curve.coding]
         x_kb = [row.bytes_per_frame / 1e3 for row in curve.scores]
         y_db = [row.psnr_db for row in curve.scores]
         axes.plot(
             x_kb, y_db, line, marker=marker, color=colour, markersize=5,
-            label=f"{curve.profile}, {curve.rank}",
+            label=f"{curve.coding}, {curve.rank}",
         )  # fmt: skip
         above = curve.rank == CONTRIBUTION
         for row, x, y in zip(curve.scores, x_kb, y_db, strict=True):
@@ -150,7 +149,7 @@ def draw(curves: Sequence[Curve], title: str, path: Path) -> None:
     axes.grid(alpha=0.3)
     figure.legend(
         loc="outside lower center", ncols=len(LINES), fontsize=9,
-        title="profile, rank; one point per number of layers",
+        title="coding, rank; one point per number of layers",
     )  # fmt: skip
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=120, metadata={"Software": None})

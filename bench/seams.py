@@ -24,21 +24,20 @@ from rich.console import Console
 from rich.table import Table
 
 from codec.console import run_command
-from codec.errors import InvalidError
-from codec.storage.openfiles import FilesFolder
 from codec.stream import StreamReader
 from trainer.parts.joiner import Joiner
 from trainer.parts.raydriver import plan
 from trainer.parts.task import Kind, Run
-from trainer.parts.taskprocess import run_task
 from trainer.parts.taskqueue import TaskQueue
+from trainer.parts.worker import opened_worker
 from trainer.run.config import TrainConfig
 from trainer.run.job import train_stream
 from trainer.run.prepare import prepare
 from trainer.run.preset import PRESETS
-from trainer.score.evaluate import STILL
+from trainer.run.warm import start_over_if_compiled
 from trainer.score.picture import captured, displayed, score_picture
-from trainer.score.truth import HeldOut, open_held_out
+from trainer.score.scores import STILL
+from trainer.score.truth import ScoredCameras, open_held_out
 
 AFTER_FRAMES = 5
 """Frames of a part that are looked at by themselves."""
@@ -98,7 +97,7 @@ class Seen:
     flicker: npt.NDArray[np.float64]  # (F,) change of still pixels since the frame before, of 100
 
 
-def seen_of(held_out: HeldOut) -> Seen:
+def seen_of(held_out: ScoredCameras) -> Seen:
     """What the pictures of a stream are like."""
     manifest, psnr_db, flicker = held_out.reader.manifest, [], [np.nan]
     before: dict[int, tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]] = {}
@@ -123,13 +122,10 @@ def seen_of(held_out: HeldOut) -> Seen:
 
 def train_parts(run: Run, console: Console) -> None:
     """Trains all parts, one after the other."""
-    files = FilesFolder(Path(run.config.target))
-    joiner, queue = Joiner(run, files), TaskQueue(run, lambda task: False)
+    joiner, queue = Joiner(run), TaskQueue(run, lambda task: False)
     while (task := queue.take()) is not None:
-        with console.status(task.name):
-            status, words = run_task(task, lambda iterations: None)
-        if status:
-            raise InvalidError(f"{task.name}: {words}")
+        with console.status(task.name), opened_worker(task, lambda iterations: None) as worker:
+            worker.work()
         queue.done(task)
         if task.kind is Kind.GENESIS:
             joiner.begin(resumed=False)
@@ -140,8 +136,9 @@ def train_parts(run: Run, console: Console) -> None:
 
 def compare(config: SeamsConfig) -> None:
     console = Console()
-    config.work.mkdir(parents=True, exist_ok=True)
     one, many = config.work / "one", config.work / "many"
+    start_over_if_compiled(config.training(one).fit.sh_degree, console)
+    config.work.mkdir(parents=True, exist_ok=True)
     if not one.exists():
         train_stream(config.training(one), Console(stderr=True))
     training = config.training(many)

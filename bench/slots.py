@@ -1,4 +1,4 @@
-"""What slots that last cost: a slice of version 2 in bytes and in time, encoded and decoded.
+"""What slots that last cost: a slice in bytes and in time, encoded and decoded.
 
 Usage: scripts/bench slots [--num-slots N] [--active SHARE]
 """
@@ -107,4 +107,4 @@ def run(config: SlotsConfig) -> None:
 
 
 if __name__ == "__main__":
-    run_command(SlotsConfig, run, "scripts/bench slots", "Measures slots of format version 2.")
+    run_command(SlotsConfig, run, "scripts/bench slots", "Measures slots that last.")

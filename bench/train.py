@@ -25,7 +25,7 @@ from player.render.tiles import list_tiles
 from trainer.fit.optimiser import GATE_STEEPNESS, Adam, OptimiserConfig, add_noise
 from trainer.pictures.shot import Shot
 from trainer.step.active import trained_ends
-from trainer.step.backend import Backend, CpuBackend
+from trainer.step.backend import Backend, CpuBackend, StepInput
 from trainer.step.blend_backward import PAIR_GRADIENT, blend_tiles_backward
 from trainer.step.loss import Workspace, photometric_loss
 from trainer.step.raster import Parameters, Scratch, View, backward, render
@@ -191,9 +191,11 @@ def against_torch(
     shot, gradients = bench_shot(width_px, height_px), Parameters.zeros(count, 0)
     gain, bias = np.ones(3, np.float32), np.zeros(3, np.float32)
 
+    given = StepInput(values, rows, view, shot, gain, bias, count)
+
     def step_s(backend: Backend) -> float:
         start = time.perf_counter()
-        backend.step(values, rows, view, shot, gain, bias, count, gradients)
+        backend.step(given, gradients)
         return time.perf_counter() - start
 
     ours, theirs = CpuBackend(DSSIM_WEIGHT, 0, 0), TorchBackend(DSSIM_WEIGHT, 0, 0, "cpu")
@@ -235,10 +237,9 @@ def step_at(
     for _ in range(repeats + 1):
         both = []
         for whole in (True, False):
+            given = StepInput(values, rows, view, shot, gain, bias, trainable, whole)
             start = time.perf_counter()
-            loss = backend.step(
-                values, rows, view, shot, gain, bias, trainable, gradients, whole=whole
-            )
+            loss = backend.step(given, gradients)
             both.append(1e3 * (time.perf_counter() - start))
             covered = loss.covered
         times.append(both)

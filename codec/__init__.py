@@ -16,7 +16,7 @@ __all__ = ["OpenedStream", "SwingsError", "open_stream"]
 
 
 def __getattr__(name: str) -> Any:
-    # Most who import something from here need no decoder, which loads slowly.
+    # Most importers need no decoder, which loads slowly.
     if name == "SwingsError":
         from . import errors
 

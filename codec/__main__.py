@@ -9,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from codec.stream.poster import Draw
+from codec.stream.pictures import Draw
 from codec.tools.audit import describe, summarise, verify_stream
 from codec.tools.commands import Export, Import, Info, Verify, export_files, import_files
 

@@ -101,7 +101,8 @@ class _PrintableFormatter(logging.Formatter):
 OUTPUT = "standard output"
 
 OUTPUT_CLOSED = 128 + 13
-"""Exit code where nobody reads what is printed, as after `head -1`: that of SIGPIPE in a shell."""
+"""Exit code where the reader of the output has gone, as after `head -1`: that of SIGPIPE in a
+shell."""
 
 
 @contextmanager
@@ -116,7 +117,7 @@ def printing() -> Iterator[None]:
 
 
 def say(text: str) -> None:
-    """Prints `text`, whoever wrote it."""
+    """Prints `text`, which may come from a stranger."""
     with printing():
         sys.stdout.write(printable(text) + "\n")
 

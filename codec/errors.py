@@ -1,4 +1,4 @@
-"""The errors of swings, split by who must act.
+"""The errors of swings, split by who must act on them.
 
 Every error that a user can meet derives from `SwingsError`; its message is one line that says what
 is wrong, where, and what to do. Foreign exceptions are translated at the seam where they rise.
@@ -18,7 +18,7 @@ class CodecError(SwingsError):
     """Bytes or files of a stream cannot be used.
 
     `at` is the offset of the first byte that may be wrong, in the bytes that were parsed; None
-    where the format does not tell.
+    where it is not known.
     """
 
     def __init__(self, message: str, at: int | None = None) -> None:

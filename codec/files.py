@@ -142,7 +142,7 @@ def append_durably(path: Path, size_bytes: int, data: bytes) -> None:
 
 
 def open_without_waiting(path: str, flags: int) -> int:
-    """An `Opener` for files of strangers: nobody has to open the other end of a pipe."""
+    """An `Opener` for files of strangers, which does not wait for the other end of a pipe."""
     if sys.platform == "win32":  # where pipes have no paths among files
         return os.open(path, flags)
     return os.open(path, flags | os.O_NONBLOCK)
@@ -153,7 +153,7 @@ def opened_regular(
     path: Path, opener: Opener | None = None, if_missing: str | None = None
 ) -> Iterator[BinaryIO]:
     """The regular file at `path`, to be read. Raises CorruptError if it cannot be; never waits for
-    who might write into a pipe."""
+    the writer of a pipe."""
     try:
         with open(path, "rb", opener=opener or open_without_waiting) as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
@@ -179,10 +179,10 @@ def read_bounded(
     """The regular file at `path` from `offset` on.
 
     Raises CorruptError if it cannot be read, or if that is more than `limit_bytes`. `if_missing`
-    tells the user what it means that there is no such file.
+    explains to the user what a missing file means.
     """
     with opened_regular(path, opener, if_missing) as file:
-        # Python takes at once what it is told to read, however short the file is.
+        # Python allocates as much as it is asked to read, however short the file is.
         size = max(os.fstat(file.fileno()).st_size - offset, 0)
         file.seek(offset)
         data = file.read(size + 1) if size <= limit_bytes else None

@@ -122,7 +122,7 @@ def _do_without_room(made: Any) -> None:
 
 
 def _fingerprint(function: Callable[..., Any]) -> str:
-    """Of a kernel's code, and of all kernels and constants that it uses, however far."""
+    """Hash of a kernel's code, and of all kernels and constants that it uses, however far."""
     code = function.__code__
     values = [value for value in code.co_consts if not isinstance(value, CodeType)]
     parts = [code.co_code.hex(), repr(values), repr(code.co_names)]

@@ -1,4 +1,5 @@
-"""What the poses of several cameras say together: where they look, and which way is up."""
+"""What the poses of several cameras say together: where they look, which way is up, and how deep
+the scene is."""
 
 from __future__ import annotations
 
@@ -8,6 +9,19 @@ import numpy as np
 
 from .camera import Camera
 from .pose import Doubles
+
+FORWARD_FACING_RAD = np.radians(30)
+"""Axes that all lie within this angle of their mean belong to a forward-facing rig: they hardly
+cross, so their crossing says nothing about the scene."""
+
+LEAST_SPREAD = 1e-6
+"""See `closest_point`. Forward-facing rigs are out before it counts; what it still stops is a rig
+whose cameras face each other along one line."""
+
+NEAR_FRACTION = 0.35
+"""Near plane of an inward rig, in distances from its nearest camera to the centre. Cameras of a
+dome sit in its wall, so Gaussians of the wall would stand right before a held-out camera and hide
+the scene."""
 
 
 def closest_point(cameras: Sequence[Camera], least_spread: float) -> Doubles | None:
@@ -36,7 +50,7 @@ def closest_point(cameras: Sequence[Camera], least_spread: float) -> Doubles | N
 def mean_up(cameras: Sequence[Camera]) -> Doubles:
     """(3,) unit vector in the world: where the tops of the cameras' pictures point on average.
 
-    Where they point everywhere and cancel out, the first camera tells.
+    Where they cancel out, it is the direction of the first camera.
     """
     tops = -np.array([camera.down for camera in cameras])
     up: Doubles = tops.mean(axis=0)
@@ -44,3 +58,34 @@ def mean_up(cameras: Sequence[Camera]) -> Doubles:
         up = tops[0]
     unit: Doubles = up / np.linalg.norm(up)
     return unit
+
+
+def rig_centre(cameras: Sequence[Camera]) -> Doubles | None:
+    """(3,) the point closest to all viewing axes, metres; None for a forward-facing rig, and where
+    that point is not in front of every camera."""
+    if not cameras:
+        return None
+    axes = np.array([camera.forward for camera in cameras])  # (C, 3)
+    mean = axes.mean(axis=0)
+    norm = float(np.linalg.norm(mean))
+    if norm > 0 and float((axes @ mean).min()) >= norm * np.cos(FORWARD_FACING_RAD):
+        return None
+    return closest_point(cameras, LEAST_SPREAD)
+
+
+def rig_depths(
+    cameras: Sequence[Camera], bounds_m: tuple[float, float] | None = None
+) -> tuple[float, float] | None:
+    """(near, far) in metres that suit every camera of the rig.
+
+    An inward rig is measured: near is 0.35 of the least distance from a camera to the rig's centre;
+    far is 1.2 of the largest distance between two cameras, but at least 2 of the largest distance
+    to the centre. Any other rig gets `bounds_m`, what the capture itself declares, or None.
+    """
+    centre = rig_centre(cameras)
+    if centre is None:
+        return bounds_m
+    positions = np.array([camera.position for camera in cameras])
+    distances = np.linalg.norm(positions - centre, axis=1)
+    span = float(np.linalg.norm(positions[:, None] - positions[None], axis=2).max())
+    return NEAR_FRACTION * float(distances.min()), max(1.2 * span, 2 * float(distances.max()))

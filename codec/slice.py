@@ -89,36 +89,8 @@ class Slice:
         )
 
     def corrects(self, last_birth: int | None) -> bool:
-        """Whether it only tells anew what rows of its lane hold, where that has it already."""
+        """Whether it corrects rows of the slice that its lane holds already."""
         return self.rows is not None and last_birth == self.birth
-
-    def onto(self, before: Slice, swin_size: int) -> Slice:
-        """The whole slice that the lane holds from `birth` on, where it held `before` until then.
-
-        before: a whole slice, born `swin_size` earlier if this one has rows. A row beyond its end
-        makes the lane longer; what lies between is hidden.
-        Raises InvalidError when `before` does not fit.
-        """
-        rows = self.rows
-        if rows is None:
-            return self
-        self.check_follows(before.birth, swin_size)
-        if before.rows is not None:
-            raise InvalidError(f"the slice born at {before.birth} has rows; a whole one is needed")
-        degree = before.splats.sh_degree
-        if self.splats.sh_degree != degree:
-            raise InvalidError(
-                f"the slice born at {self.birth} has SH degree {self.splats.sh_degree}, "
-                f"the one before {degree}"
-            )
-        missing = max(int(rows[-1]) + 1 - len(before.splats), 0) if len(rows) else 0
-        whole = Splats.concatenate([before.splats, blank_splats(missing, degree)])
-        for array, changed in zip(whole.arrays, self.splats.arrays, strict=True):
-            array[rows] = changed
-        start_offsets = np.full(len(whole), HIDDEN, np.uint8)
-        start_offsets[: len(before.splats)] = kept_offsets(before.start_offsets)
-        start_offsets[rows] = self.start_offsets
-        return Slice(self.birth, whole, start_offsets)
 
 
 def kept_offsets(start_offsets: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
@@ -142,7 +114,7 @@ def window_births(frame: int, swin_size: int) -> range:
 def active_splats(slices: Iterable[Slice], frame: int, swin_size: int) -> Splats:
     """All Gaussians of `slices` (at least one) that show at `frame`, in the slices' order.
 
-    Raises InvalidError for a slice with rows, of which `Slice.onto` makes a whole one.
+    Raises InvalidError for a slice with rows, which is not whole.
     """
     parts = []
     for part in slices:

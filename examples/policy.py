@@ -7,13 +7,13 @@ import sys
 from pathlib import Path
 
 from server.abr.link.link import Link, LinkStep
-from server.abr.policies.choice import own_policy
-from server.abr.policies.inorder import InOrder
-from server.abr.policies.situation import Situation
-from server.abr.qoe import score
 from server.abr.session import SessionConfig
-from server.abr.simulate.simulator import play_out, simulate
+from server.abr.sweep import Sweep
 from server.study.looped import open_media
+from server.study.policies.inorder import InOrder
+from server.study.policies.situation import Situation
+from server.study.simulate.qoe import score
+from server.study.simulate.simulator import play_out, simulate
 
 
 class Cautious:
@@ -29,7 +29,7 @@ media = open_media(Path(sys.argv[1]), length_s=30.0)
 good, bad = 1.5 * media.need_bps, 0.2 * media.need_bps
 link = Link([LinkStep(6.0, good, 0.02), LinkStep(3.0, bad, 0.04)])
 config = SessionConfig()
-for name, policy in (("cautious", InOrder(Cautious())), ("the server's", own_policy(media))):
+for name, policy in (("cautious", InOrder(Cautious())), ("the server's", Sweep())):
     result = simulate(media, policy, link, config)
     shown, clock = play_out(media, result, config, 0, media.num_frames)
     psnr_db = [frame.psnr_db for frame in shown]

@@ -4,6 +4,7 @@ and fuzz/http.py say how."""
 from __future__ import annotations
 
 import logging
+import os
 import sys
 import warnings
 
@@ -16,6 +17,7 @@ def main() -> None:
         with atheris.instrument_imports(include=["server"]):
             from .http import test_one_input
     else:
+        os.environ["NUMBA_DISABLE_JIT"] = "1"
         with atheris.instrument_imports(include=["codec"]):
             from .codec import accepts
 

@@ -11,15 +11,14 @@ How to run it, from the root of the repository, in an environment of its own:
     mkdir -p /tmp/found
     /tmp/fuzz/bin/python -m fuzz /tmp/found fuzz/corpus -max_total_time=600 -max_len=8192
 
-Atheris instruments Python, not compiled kernels (codec/kernel.py): it does not see which way they
-go, and what they read out of bounds goes unnoticed. With NUMBA_DISABLE_JIT=1 in front they are
-Python too: slower, seen, and an index out of bounds is an IndexError. The law holds either way.
+The kernels (codec/kernel.py) run as Python, too: numba cannot compile what atheris has
+instrumented. So it is seen which way they go, and an index out of bounds is an IndexError.
 
 New inputs go to the first folder, what breaks the law to ./crash-*. `python -m fuzz FILE...` runs
 single files again; `tests/codec/test_fuzz.py` does so with the whole corpus, without atheris. What
 was found and mended is kept in fuzz/corpus as `found-*`; `python -m fuzz.seed` writes the corpus
-anew. A new parser gets a function and a place at the end of TARGETS here, and a seed there; those
-of version 2 are in fuzz/slots.py and fuzz/slotseed.py, those of other programs' containers in
+anew. A new parser gets a function and a place at the end of TARGETS here, and a seed there; masks,
+changes and snapshots are in fuzz/slots.py and fuzz/slotseed.py, other programs' containers in
 fuzz/foreign.py and fuzz/foreignseed.py.
 """
 
@@ -33,86 +32,56 @@ from contextlib import suppress
 
 import zstandard
 
-from codec.coders.coder import decompress
 from codec.errors import CodecError
 from codec.foreign.spz import ENTRY, HEADER_V4, decode_spz
 from codec.interop.formats import decode_any
-from codec.profiles.profile import Profile
 from codec.slots.slotlayout import MAX_LAYERS
-from codec.splats import Splats
-from codec.stream.chunk import decode_chunk, encode_chunk
 from codec.stream.index import CHECKSUM, pack_record, parse_index, record_bytes
-from codec.stream.manifest import SLOTS_VERSION, Manifest
-from codec.stream.object import decode_object, decode_packet, object_packets, read_object_table
+from codec.stream.manifest import Manifest
+from codec.stream.object import (
+    entry_packet,
+    packet_content,
+    read_object_table,
+)
 from codec.stream.playrecord import RecordParser, encode_record
 
 from .foreign import fuzz_bundle, fuzz_inflated_glb, fuzz_inflated_sog, fuzz_webp
 from .slots import fuzz_change, fuzz_mask, fuzz_slots, fuzz_snapshot
 
-
-def same(a: Splats, b: Splats) -> bool:
-    """Whether two sets of Gaussians have the same bits."""
-    return all(x.tobytes() == y.tobytes() for x, y in zip(a.arrays, b.arrays, strict=True))
-
-
-def fuzz_chunk(data: bytes) -> None:
-    """A chunk as it is before the entropy coder; what it holds goes through `raw` unchanged."""
-    chunk = decode_chunk(data)
-    again = decode_chunk(encode_chunk(chunk.slice, chunk.layer, Profile.RAW).data)
-    assert same(again.slice.splats, chunk.slice.splats)
-    assert (again.slice.start_offsets == chunk.slice.start_offsets).all()
+MAX_PACKET_BYTES = 1 << 20
+"""Content of a packet that is inflated."""
 
 
 def fuzz_packet(data: bytes) -> None:
     """One packet, of either coder."""
-    decode_packet(data)
+    packet_content(data, MAX_PACKET_BYTES)
 
 
 def fuzz_object(data: bytes) -> None:
-    """An object: its table, its packets, its chunks."""
+    """An object: its table and its packets."""
     entries = read_object_table(data)
-    assert [birth for birth, _ in object_packets(data)] == [entry.birth for entry in entries]
-    assert [chunk.birth for chunk in decode_object(data)] == [entry.birth for entry in entries]
+    for entry in entries:
+        packet_content(entry_packet(data, entry), MAX_PACKET_BYTES)
 
 
-def fuzz_slot_object(data: bytes) -> None:
-    """The table of an object of version 2, and its packets."""
-    entries = read_object_table(data, SLOTS_VERSION)
-    packets = object_packets(data, SLOTS_VERSION)
-    assert [birth for birth, _ in packets] == [entry.birth for entry in entries]
-    for _, packet in packets:
-        decompress(packet, 1 << 20)
-
-
-def fuzz_index(data: bytes, has_slots: bool = False) -> None:
+def fuzz_index(data: bytes) -> None:
     """Records of the index; the first byte says of how many layers."""
     layers, data = data[0] % MAX_LAYERS + 1, data[1:]
-    records = parse_index(data, layers, has_slots=has_slots)
+    records = parse_index(data, layers)
     packed = b"".join(map(pack_record, records))
-    assert len(packed) == len(records) * record_bytes(layers, has_slots) <= len(data)
+    assert len(packed) == len(records) * record_bytes(layers) <= len(data)
     # By their bytes, for a NaN does not equal itself.
-    again = parse_index(packed, layers, has_slots=has_slots)
-    assert b"".join(map(pack_record, again)) == packed
+    assert b"".join(map(pack_record, parse_index(packed, layers))) == packed
 
 
-def fuzz_slot_index(data: bytes) -> None:
-    """Records of the index of version 2."""
-    fuzz_index(data, has_slots=True)
-
-
-def fuzz_sealed_slot_index(data: bytes) -> None:
-    """Records of version 2 whose checksums are right."""
-    fuzz_sealed_index(data, has_slots=True)
-
-
-def fuzz_sealed_index(data: bytes, has_slots: bool = False) -> None:
+def fuzz_sealed_index(data: bytes) -> None:
     """Records of the index whose checksums are right, so that what is behind them is reached."""
-    size = record_bytes(data[0] % MAX_LAYERS + 1, has_slots)
+    size = record_bytes(data[0] % MAX_LAYERS + 1)
     sealed = data[:1]
     for start in range(1, len(data) - size + 1, size):
         body = data[start : start + size - CHECKSUM.size]
         sealed += body + CHECKSUM.pack(zlib.crc32(body))
-    fuzz_index(sealed, has_slots)
+    fuzz_index(sealed)
 
 
 def fuzz_manifest(data: bytes) -> None:
@@ -121,7 +90,7 @@ def fuzz_manifest(data: bytes) -> None:
     assert Manifest.from_json(manifest.to_json()).to_json() == manifest.to_json()
     assert manifest.object_path(3, 1)
     assert manifest.camera().name == manifest.default_camera
-    assert len(manifest.births(0, 1)) == (1 if manifest.has_slots else manifest.swin_size)
+    assert manifest.births(0, 1) == range(1)
     assert all(manifest.max_content_bytes(part) > 0 for part in manifest.parts)
 
 
@@ -176,11 +145,10 @@ def fuzz_sealed_gzip(data: bytes) -> None:
     stream = zlib.compressobj(1, zlib.DEFLATED, -zlib.MAX_WBITS)
     body = stream.compress(data[4:]) + stream.flush()
     trailer = struct.pack("<I", zlib.crc32(data[4:])) + data[:4]
-    decode_packet(gzip.compress(b"")[:4] + bytes(4) + b"\x02\xff" + body + trailer)
+    fuzz_packet(gzip.compress(b"")[:4] + bytes(4) + b"\x02\xff" + body + trailer)
 
 
 TARGETS: dict[str, Callable[[bytes], None]] = {
-    "chunk": fuzz_chunk,
     "packet": fuzz_packet,
     "object": fuzz_object,
     "index": fuzz_index,
@@ -197,9 +165,6 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
     "change": fuzz_change,
     "snapshot": fuzz_snapshot,
     "slots": fuzz_slots,
-    "slot_object": fuzz_slot_object,
-    "slot_index": fuzz_slot_index,
-    "sealed_slot_index": fuzz_sealed_slot_index,
     "bundle": fuzz_bundle,
     "webp": fuzz_webp,
     "inflated_sog": fuzz_inflated_sog,

@@ -10,7 +10,7 @@ How to run it, in an environment as fuzz/codec.py says, with what the server nee
     /tmp/fuzz/bin/python -m fuzz.httpseed /tmp/requests
     /tmp/fuzz/bin/python -m fuzz http /tmp/found /tmp/requests -max_total_time=600 -max_len=4096
 
-`tests/server/http/test_fuzz.py` sends the same requests, and some that are near them.
+`tests/server/clients/test_fuzz.py` sends the same requests, and some that are near them.
 """
 
 from __future__ import annotations
@@ -21,21 +21,24 @@ import socket
 import tempfile
 from pathlib import Path
 
+import numpy as np
+
+from codec.slice import Slice
 from codec.stream import StreamWriter
 from server.app import Application
-from server.http.connection import CLIENT_GONE, HttpConnection
-from server.http.site import Exchange
+from server.clients.connection import READ_BYTES, ClientConnection
+from server.exchange.exchange import CLIENT_GONE, Exchange
 from server.library import Library
 from server.state.config import ServerConfig
 from server.state.serverstate import ServerState
 
-from .seed import made_manifest, made_slice
+from .seed import made_manifest, made_splats
 
 SECRET = b"not for you: 9c41e7"
 """What files hold that lie around the stream."""
 
-PIECE_BYTES = 32 * 1024
-"""Bytes that come in one read."""
+QUIET_TURNS = 8
+"""Turns of the event loop after which no further request begins."""
 
 LEAVE_S = 0.5
 """A client goes away then: a play that is paused has no end."""
@@ -43,7 +46,7 @@ LEAVE_S = 0.5
 GO_ON = b"HTTP/1.1 100 Continue\r\n\r\n"
 
 _HEAD = re.compile(
-    rb"HTTP/1\.1 ([1-5][0-9]{2}) [A-Za-z -]+\r\n((?:[A-Za-z-]+: [\x20-\x7e]*\r\n)*)\r\n"
+    rb"HTTP/1\.[01] ([1-5][0-9]{2}) [A-Za-z -]+\r\n((?:[A-Za-z-]+: [\x20-\x7e]*\r\n)*)\r\n"
 )
 _CHUNK = re.compile(rb"([0-9a-f]{1,8})\r\n")
 
@@ -56,6 +59,14 @@ class MemoryTransport(asyncio.Transport):
         super().__init__({"socket": sock})
         self.sent = bytearray()
         self._closing = False
+        self._protocol: asyncio.BaseProtocol | None = None
+
+    def set_protocol(self, protocol: asyncio.BaseProtocol) -> None:
+        self._protocol = protocol
+
+    def get_protocol(self) -> asyncio.BaseProtocol:
+        assert self._protocol is not None
+        return self._protocol
 
     def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
         pass
@@ -103,7 +114,8 @@ class Served:
         manifest = made_manifest()
         with StreamWriter.create(stream, manifest) as writer:
             for birth in range(1 - manifest.swin_size, 6):
-                writer.append(made_slice(birth, manifest.num_gs // manifest.swin_size, 0))
+                splats = made_splats(manifest.slice_size, manifest.sh_degree)
+                writer.append(Slice(birth, splats, np.zeros(len(splats), np.uint8)))
         for place in (folder, root, stream, stream / "segments"):
             (place / "secret.png").write_bytes(SECRET)
         self._runner = asyncio.Runner()
@@ -129,26 +141,32 @@ class Served:
         return check_responses(data, self.app.done)
 
     async def _talk(self, pieces: tuple[bytes, ...]) -> bytes:
-        transport = MemoryTransport(self._socket)
-        connection = HttpConnection(self.app, None, "127.0.0.1")
-        assert self.app.admit("127.0.0.1") is None
+        transport, app = MemoryTransport(self._socket), self.app
+        connection = ClientConnection(app.clients, "127.0.0.1", lambda _: None)
+        transport.set_protocol(connection)
         connection.connection_made(transport)
         loop = asyncio.get_running_loop()
         until_s = loop.time() + LEAVE_S
         for piece in pieces:
-            for start in range(0, len(piece), PIECE_BYTES):
+            for start in range(0, len(piece), READ_BYTES):
                 if not transport.is_closing():
-                    part = piece[start : start + PIECE_BYTES]
+                    part = piece[start : start + READ_BYTES]
                     connection.get_buffer(-1)[: len(part)] = part
                     connection.buffer_updated(len(part))
             # Objects are read in threads, and plays look at the clock.
-            while (connection._exchange or connection._due) and loop.time() < until_s:  # noqa: ASYNC110
-                await asyncio.sleep(0.0002)
+            await asyncio.sleep(0)
+            quiet = 0
+            while quiet < QUIET_TURNS and loop.time() < until_s:
+                quiet = 0 if connection.is_answering else quiet + 1
+                await asyncio.sleep(0.0002 if connection.is_answering else 0)
+        for _ in range(QUIET_TURNS):  # for what is refused, also where the time is over
+            await asyncio.sleep(0)
         sent = bytes(transport.sent)
         connection.eof_received()
         connection.connection_lost(None)
-        if connection._task is not None:
-            await asyncio.wait([connection._task])
+        await asyncio.gather(
+            *asyncio.all_tasks() - {asyncio.current_task()}, return_exceptions=True
+        )
         return sent
 
 
@@ -169,8 +187,7 @@ def check_responses(data: bytes, done: list[Exchange]) -> list[int]:
         assert status != 500, exchange
         assert exchange.status in (status, CLIENT_GONE), exchange
         statuses.append(status)
-        method = exchange.request.method if exchange.request is not None else ""
-        whole, data = _body(head, data, status, method)
+        whole, data = _body(head, data, status, exchange.method)
         assert whole or (exchange.status == CLIENT_GONE and exchange is done[-1]), exchange
     # Who was told to go on may still leave.
     assert data in (b"", GO_ON), data[:200]
@@ -186,7 +203,7 @@ def _body(head: re.Match[bytes], data: bytes, status: int, method: str) -> tuple
         return True, data
     if b"transfer-encoding" not in fields:
         if b"content-length" not in fields:  # HTTP/1.0: to the end of the connection
-            assert fields[b"connection"] == b"close"
+            assert head[0].startswith(b"HTTP/1.0 ")
             return True, b""
         length = int(fields[b"content-length"])
         return len(data) >= length, data[length:]

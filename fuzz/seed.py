@@ -3,26 +3,19 @@
 from __future__ import annotations
 
 import gzip
-import math
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import zstandard
 
 from codec.camera import Camera
-from codec.coders.coder import Coder
+from codec.coders.coder import compress
 from codec.foreign.ply import encode_ply
 from codec.foreign.splat import encode_splat
 from codec.foreign.spz import ENTRY, HEADER_V4, MAGIC, encode_spz
-from codec.profiles.profile import CHUNK_PROFILES, Profile
-from codec.slice import Slice
 from codec.splats import Floats, Splats, sh_count
-from codec.stream.chunk import encode_chunk
-from codec.stream.index import SegmentRecord, pack_record
-from codec.stream.manifest import SLOTS_VERSION, Manifest
-from codec.stream.object import encode_object, encode_packet
+from codec.stream.manifest import Manifest
 from codec.stream.playrecord import (
     EndRecord,
     ErrorRecord,
@@ -59,20 +52,15 @@ def made_splats(count: int, sh_degree: int) -> Splats:
     )
 
 
-def made_slice(birth: int, count: int, sh_degree: int, late: bool = False) -> Slice:
-    offsets = np.arange(count) % 3 if late else np.zeros(count)
-    return Slice(birth, made_splats(count, sh_degree), offsets.astype(np.uint8))
-
-
 def made_manifest() -> Manifest:
+    layout = LAYOUTS[0]
     return Manifest(
         fps=30.0,
-        swin_size=3,
-        num_gs=30,
-        layers=(0.5, 0.5),
-        segment_frames=4,
-        sh_degree=0,
-        profile=Profile.COMPACT,
+        swin_size=layout.swin_size,
+        slots=layout.slots,
+        lattice=layout.lattices,
+        segment_frames=layout.segment_frames,
+        sh_degree=layout.sh_degree,
         antialias=False,
         near_m=0.1,
         bounds=((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)),
@@ -80,28 +68,6 @@ def made_manifest() -> Manifest:
         default_camera="front",
         live=True,
     )
-
-
-def made_slots_manifest() -> Manifest:
-    layout = LAYOUTS[0]
-    return replace(
-        made_manifest(),
-        version=SLOTS_VERSION,
-        profile=Profile.LATTICE,
-        swin_size=layout.swin_size,
-        num_gs=layout.swin_size * layout.num_slots,
-        slots=layout.slots,
-        lattice=layout.lattices,
-    )
-
-
-def made_index() -> bytes:
-    """Two records of two layers, after the byte that says how many layers."""
-    records = [
-        SegmentRecord(n, 4 * n, 4 - n, (9, 7), (bytes(32), b"\1" * 32), (30.5, math.nan))
-        for n in range(2)
-    ]
-    return b"\1" + b"".join(map(pack_record, records))
 
 
 def compressed_ply(count: int, rest: int) -> bytes:
@@ -145,10 +111,12 @@ def inflated_spz_4(count: int, sh_degree: int) -> bytes:
 
 
 def records() -> bytes:
-    packet = encode_packet(encode_chunk(made_slice(-2, 3, 0), 0, Profile.COMPACT))
+    packet = compress(bytes(range(99)))
     sent: list[Record] = [
         StartRecord(0, 8, made_manifest().to_json()),
-        SliceRecord(-2, (packet, b"")),
+        SnapshotRecord(0, 0, (packet,)),
+        SliceRecord(1, (packet, b""), packet),
+        SliceRecord(2, (packet,), None, 1),
         ErrorRecord("the disk is gone"),
         EndRecord(8),
     ]
@@ -157,21 +125,9 @@ def records() -> bytes:
 
 def seeds() -> Iterator[tuple[str, str, bytes]]:
     """(target, what it is, food) of every file; each gives a value."""
-    for profile in CHUNK_PROFILES:
-        for degree in (0, 1, 3):
-            made = made_slice(degree - 2, 9, degree, late=degree == 1)
-            yield "chunk", f"{profile}-{degree}", encode_chunk(made, 1, profile).data
-        yield "chunk", f"{profile}-empty", encode_chunk(made_slice(0, 0, 0), 0, profile).data
-        chunks = [encode_chunk(made_slice(birth, 5, 0), 0, profile) for birth in (-1, 0, 4)]
-        for coder in Coder:
-            name = f"{profile}-{coder.name.lower()}"
-            yield "packet", name, encode_packet(chunks[0], coder)
-            yield "object", name, encode_object(chunks, coder)
-    yield "index", "two", made_index()
-    yield "sealed_index", "two", made_index()
     yield "manifest", "plain", made_manifest().to_json()
     yield "record", "all", records()
-    yield "sealed_record", "slice", encode_record(SliceRecord(7, (b"ab", b"c")))[4:]
+    yield "sealed_record", "slice", encode_record(SliceRecord(7, (b"ab", b"c"), None, 1))[4:]
     yield "sealed_record", "masked", encode_record(SliceRecord(7, (b"ab",), b"mask"))[4:]
     yield "sealed_record", "mask-only", encode_record(SliceRecord(7, (), b"mask"))[4:]
     yield "sealed_record", "snapshot", encode_record(SnapshotRecord(8, 1, (b"ab", b"c")))[4:]
@@ -188,10 +144,7 @@ def seeds() -> Iterator[tuple[str, str, bytes]]:
         content = inflated_spz(version, 3, version // 3)
         yield "import", f"spz-v{version}", gzip.compress(content, mtime=0)
         yield "inflated_spz", str(version), content
-    chunk = encode_chunk(made_slice(3, 5, 0), 0, Profile.COMPACT).data
-    yield "sealed_gzip", "compact", len(chunk).to_bytes(4, "little") + chunk
     yield "splat", "six", encode_splat(made_splats(6, 0))
-    yield "manifest", "slots", made_slots_manifest().to_json()
     yield from slot_seeds()
     yield from foreign_seeds(made_splats(5, 0), made_splats(3, 1))
 

@@ -1,5 +1,5 @@
-"""The parsers of version 2 under the law of fuzz/codec.py: masks, changes, snapshots, and a reader
-to which they happen.
+"""The parsers of chunks under the law of fuzz/codec.py: masks, changes, snapshots, and a reader to
+which they happen.
 
 The first byte of the food chooses the layout (`LAYOUTS`).
 """
@@ -11,7 +11,7 @@ import struct
 import numpy as np
 
 from codec.errors import CodecError, CorruptError
-from codec.slots.lattice import Lattice, States
+from codec.lattice.lattice import Lattice, States
 from codec.slots.mask import decode_mask, encode_mask
 from codec.slots.slotchange import decode_change, encode_change
 from codec.slots.slotchunk import SLOT_HEADER, Kind, SlotHeader

@@ -1,4 +1,4 @@
-"""Food for the parsers of version 2, from the project's own encoder."""
+"""Food for the parsers of objects and chunks, from the project's own encoder."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from codec.coders.coder import Coder, EncodedChunk
-from codec.slots.lattice import States
+from codec.lattice.lattice import States
 from codec.slots.slotencoder import SlotEncoder
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.slotstate import ON_LATTICE
@@ -86,7 +86,7 @@ def _scripts(number: int) -> Iterator[tuple[str, bytes]]:
 
 
 def made_index() -> bytes:
-    """Two records of two layers of version 2, after the byte that says how many layers."""
+    """Two records of two layers, after the byte that says how many layers."""
     hashes = bytes(32), b"\1" * 32, b"\2" * 32
     records = [
         SegmentRecord(n, 4 * n, 4 - n, (9, 7), hashes[:2], (30.5, math.nan), (5, 4, 3), hashes)
@@ -104,7 +104,8 @@ def slot_seeds() -> Iterator[tuple[str, str, bytes]]:
         history = bytes(layout.num_slots)
         first = 1 if layout.segment_frames > 1 else 0
         yield "mask", str(number), head + history + masks[first].data
-        yield "change", str(number), head + changes[-1][-1].data
+        told = [change.data for of_layers in changes for change in of_layers if change.data]
+        yield "change", str(number), head + told[-1]
         last = snapshots[max(snapshots)]
         yield "snapshot", str(number), head + last[0].data
         for what, food in _scripts(number):
@@ -112,6 +113,9 @@ def slot_seeds() -> Iterator[tuple[str, str, bytes]]:
         for coder in Coder:
             packets = [(mask.birth, encode_packet(mask, coder)) for mask in masks]
             name = f"{number}-{coder.name.lower()}"
-            yield "slot_object", name, join_packets(packets, coder, 2)
-    yield "slot_index", "two", made_index()
-    yield "sealed_slot_index", "two", made_index()
+            yield "object", name, join_packets(packets, coder)
+            yield "packet", name, packets[-1][1]
+        mask = masks[-1].data
+        yield "sealed_gzip", str(number), len(mask).to_bytes(4, "little") + mask
+    yield "index", "two", made_index()
+    yield "sealed_index", "two", made_index()

@@ -1,22 +1,24 @@
 """Playing a stream: from a folder, a server or a static host to a window or to files.
 
-In a script or a notebook: `from player import Scene`.
+In a script or a notebook: `from player import Scene`, and `ViserView` to see one in viser.
 """
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .openscene import Scene
+    from .script.openscene import Scene
+    from .script.viserview import ViserView
 
-__all__ = ["Scene"]
+__all__ = ["Scene", "ViserView"]
+
+_MODULES = {"Scene": "player.script.openscene", "ViserView": "player.script.viserview"}
 
 
 def __getattr__(name: str) -> Any:
-    # What decodes and draws loads slowly, and most who import something from here need none of it.
-    if name != "Scene":
+    # The code that decodes and draws loads slowly, and most importers of this package need none.
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from .openscene import Scene
-
-    return Scene
+    return getattr(import_module(_MODULES[name]), name)

@@ -12,17 +12,17 @@ from .config import PlayConfig
 def run(config: PlayConfig) -> None:
     # What most plays have no use for loads slowly.
     if config.viser is not None:
-        from .viserview import show_in_viser
+        from .script.viserview import show_in_viser
 
         show_in_viser(config)
     elif config.still is not None:
-        from .stills import draw_still
+        from .run.stills import draw_still
 
         say(draw_still(config))
     elif config.profile is not None:
         run_profile(config, config.profile)
     else:
-        from .playback import play
+        from .run.playback import play
 
         for line in play(config).lines():
             say(line)
@@ -31,8 +31,8 @@ def run(config: PlayConfig) -> None:
 def run_profile(config: PlayConfig, path: Path) -> None:
     from rich.console import Console
 
-    from .stageplot import write_stage_plot
-    from .stages import profile
+    from .report.stageplot import write_stage_plot
+    from .report.stages import profile
 
     found = profile(config)
     Console(width=100).print(found.table())

@@ -1,4 +1,4 @@
-"""What to play and how to show it, parsed once from the command line."""
+"""The options of a playback, parsed once from the command line."""
 
 from __future__ import annotations
 

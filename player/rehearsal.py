@@ -14,15 +14,15 @@ from rich.console import Console
 
 from codec.framerange import FrameRange
 from codec.kernel import load_without_blas
-from player.playout.assembler import open_assembler
+from player.playout.assembler import Assembler
 from player.render.gl import GlError, create_renderer
 from player.render.renderer import GlVersion, RendererKind
 from player.source.directory import DirectorySource
 
 log = logging.getLogger(__name__)
 
-STREAMS = Path(__file__).with_name("rehearsed")
-"""A small stream of each version of the format; tests/goldens/rehearsed_streams.py writes them."""
+STREAM = Path(__file__).with_name("rehearsed")
+"""A small stream; tests/goldens/rehearsed_stream.py writes it."""
 
 
 def rehearse(kind: RendererKind, version: GlVersion = GlVersion.AUTO) -> RendererKind:
@@ -46,14 +46,13 @@ def rehearse(kind: RendererKind, version: GlVersion = GlVersion.AUTO) -> Rendere
 
 def _play(kind: RendererKind, version: GlVersion) -> RendererKind:
     load_without_blas()
-    for folder in sorted(STREAMS.iterdir()):
-        source = DirectorySource(folder, FrameRange(), None)
-        manifest, packets = source.manifest, list(source.packets())
-        with closing(create_renderer(kind, manifest, version)) as renderer:
-            assembler = open_assembler(manifest, source.num_layers, 0)
-            for frame in range(source.num_frames):
-                due = [one for one in packets if max(0, one.first_frame) == frame]
-                for slice in assembler.take(frame, due):
-                    renderer.put(slice)
-                renderer.render(frame, manifest.cameras[0])
+    source = DirectorySource(STREAM, FrameRange(), None)
+    manifest, packets = source.manifest, list(source.packets())
+    with closing(create_renderer(kind, manifest, version)) as renderer:
+        assembler = Assembler(manifest, source.num_layers, 0)
+        for frame in range(source.num_frames):
+            due = [one for one in packets if one.first_frame == frame]
+            for slice in assembler.assemble(frame, due):
+                renderer.put(slice)
+            renderer.render(frame, manifest.cameras[0])
     return kind

@@ -15,7 +15,7 @@ def main() -> None:
 
 
 def draw_poster(splats: Splats, camera: Camera, near_m: float) -> npt.NDArray[np.float32]:
-    """See `codec.stream.poster.Draw`."""
+    """See `codec.stream.pictures.Draw`."""
     # Here, because it loads slowly and few of the subcommands draw.
     from player.render.cpu import render_splats
 

@@ -10,7 +10,7 @@ import tyro
 from codec.console import run_command
 
 from .listener import bind, url_of
-from .operate.settings import SettingsConfig, settings_parser
+from .operate.settings import settings_parser
 from .serving import Service
 from .state.config import ServerConfig
 
@@ -25,8 +25,9 @@ class ServeCommand:
     """Address to listen on; 0.0.0.0 for all IPv4 addresses, :: for all IPv4 and IPv6 addresses."""
     port: int = 8080
     """TCP port; 0 for any free port."""
-    settings: tyro.conf.OmitArgPrefixes[SettingsConfig] = field(default_factory=SettingsConfig)
-    """Settings file."""
+    check_config: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print the settings that would be used as lines of an environment file, and exit. Every option
+    can also be set by an environment variable: --max-plays by SWINGS_SERVE_MAX_PLAYS."""
     server: tyro.conf.OmitArgPrefixes[ServerConfig] = field(default_factory=ServerConfig)
     """Limits, access, log and cache of the server."""
 

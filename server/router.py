@@ -11,13 +11,13 @@ from dataclasses import dataclass, field
 
 from codec.stream.index import INDEX_NAME
 from codec.stream.manifest import MANIFEST_NAME, MASKS
-from server.abr.standing import TOKEN
+from server.abr.clientstatus import TOKEN
 
 from .answers import objects, pages
 from .answers.call import Answer, Call
-from .answers.news import take_news
 from .answers.play import play
-from .http.errors import RequestError
+from .answers.statusreport import answer_status
+from .exchange.errors import RequestError
 
 _NUMBER = "0|[1-9][0-9]{0,8}"
 
@@ -28,9 +28,9 @@ _NAMES = {
     "layer": f"{_NUMBER}|{MASKS}|snapshot-(?:{_NUMBER})",
     "play": TOKEN,
     "asset": r".+",
-    "poster": r".+\.[A-Za-z]{3,4}",
+    "picture": r".+\.[A-Za-z]{3,4}",
 }
-"""What may stand in a path for each name."""
+"""Regular expression of each placeholder of a path."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,10 +59,11 @@ OBJECT_ROUTE = f"{_STREAM}/segments/{{segment}}/{{layer}}"
 
 ROUTES: Sequence[Route] = (
     Route(OBJECT_ROUTE, _READ, objects.segment_object),
-    Route(f"{_STREAM}/play/{{play}}", ("POST",), take_news),
+    Route(f"{_STREAM}/play/{{play}}", ("POST",), answer_status),
     Route(f"{_STREAM}/play", ("GET",), play),
     Route(f"{_STREAM}/{MANIFEST_NAME}", _READ, objects.manifest),
     Route(f"{_STREAM}/{INDEX_NAME}", _READ, objects.index),
+    Route(f"{_STREAM}/oembed.json", _READ, pages.oembed),
     Route("/", _READ, pages.front),
     Route("/watch/{stream}", _READ, pages.watch),
     Route("/web/{asset}", _READ, objects.web_asset),
@@ -71,7 +72,7 @@ ROUTES: Sequence[Route] = (
     Route("/metrics", _READ, pages.metrics),
     Route("/v1/streams", _READ, pages.streams),
     # Last: its name may hold anything but for its end.
-    Route(f"{_STREAM}/{{poster}}", _READ, objects.poster),
+    Route(f"{_STREAM}/{{picture}}", _READ, objects.picture),
 )
 """All URLs of the server, the most used first."""
 

@@ -7,16 +7,19 @@ import logging
 import signal
 import socket
 import ssl
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import asdict
 from pathlib import Path
 
 from codec.errors import SwingsError
 
 from .app import Application
+from .clients.acceptor import Acceptor
+from .clients.connection import ClientConnection
 from .errors import ServerError
-from .http.acceptor import Acceptor
 from .listener import bound_connections
+from .operate.admission import Admission
+from .operate.descriptors import connection_limit
 from .operate.loadmeter import measure_load
 from .operate.log.eventlog import EventLog
 from .operate.overload import LoadSample
@@ -28,7 +31,7 @@ LAG_EVERY_S = 0.02
 log = logging.getLogger(__name__)
 
 SHUTDOWN_SHARE = 0.9
-"""Of the time in which a server ends, the part that responses get; the rest is for what is left."""
+"""Share of the shutdown time that responses get; the rest is for the remaining cleanup."""
 
 
 class RunningServer:
@@ -49,11 +52,19 @@ class RunningServer:
             self._tls.minimum_version = ssl.TLSVersion.TLSv1_2
             self._tls.set_alpn_protocols(["http/1.1"])
             load_certificate(self._tls, config.tls_cert, config.tls_key)
-        self._acceptor = Acceptor(self.app, listener, self._tls)
+        admission = config.admission
+        most = connection_limit(admission.max_connections)
+        allowed = Admission(most, admission.max_address_connections, state.proxies)
+        self._acceptor = Acceptor(self.app.clients, listener, allowed, self._tls)
         self._log = log
         self._log_dropped = 0  # lines of it, counted so far
         self._peer_counts: dict[str, int] = {}  # likewise
         self._tasks: list[asyncio.Task[None]] = []
+
+    @property
+    def connections(self) -> Collection[ClientConnection]:
+        """The open connections."""
+        return self._acceptor.connections
 
     async def start(self) -> None:
         """Begins to serve, what is in the library by then."""
@@ -82,22 +93,22 @@ class RunningServer:
         most = max((stream.num_layers for stream in state.library.streams.values()), default=1)
         metrics.shed_layers.set(most - state.overload.max_layers(most))
         metrics.loop_late.observe(sample.late_s)
-        metrics.open_connections.set(len(self.app.connections))
-        metrics.streams.set(len(state.library.streams), "served")
-        metrics.streams.set(len(state.library.broken), "broken")
+        metrics.open_connections.set(len(self.connections))
+        metrics.streams.labels("served").set(len(state.library.streams))
+        metrics.streams.labels("broken").set(len(state.library.broken))
         if state.peers is not None:
             for outcome, count in asdict(state.peers.counts).items():
                 metrics.peer_messages.add(count - self._peer_counts.get(outcome, 0), outcome)
                 self._peer_counts[outcome] = count
         metrics.flush()
         if self._log is not None:
-            dropped = self._log.writer.num_dropped
+            dropped = self._log.num_dropped
             metrics.log_dropped.add(dropped - self._log_dropped)
             self._log_dropped = dropped
 
     def renew(self) -> None:
-        """Reads keys and certificate again. What cannot be used is told in the log, and what was
-        known stays."""
+        """Reads keys and certificate again. Those that cannot be used are logged, and the previous
+        ones stay in use."""
         config = self._state.config
         try:
             self._state.read_keys()

@@ -3,38 +3,51 @@
 from __future__ import annotations
 
 import asyncio
+import gc
+import logging
+import secrets
 import signal
 import socket
+import ssl
 import sys
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from .answers.news import answer_peer
+from .answers.statusreport import answer_peer
 from .errors import ServerError
 from .library import Library
 from .listener import is_loopback
-from .operate.log.eventlog import EventLog, RecordHandler, take_over_logging
+from .operate.log.eventlog import EventLog, take_over_logging
+from .operate.log.logline import EventRecord
 from .operate.prometheus import Metrics, forget_worker
+from .operate.sign.keyfile import read_keys
+from .operate.watchdog import Watchdog
 from .operate.workers.peers import Peers
-from .operate.workers.supervisor import Supervisor, Worker
-from .runningserver import RunningServer, run_until_stopped
+from .runningserver import RunningServer, load_certificate, run_until_stopped
 from .state.config import ServerConfig
 from .state.serverstate import ServerState
+
+if TYPE_CHECKING:
+    from .operate.workers.workerprocess import StreamWorker
 
 STDERR = 2
 
 
 @dataclass(frozen=True, slots=True)
 class Service:
-    """What is served, and how."""
+    """The streams to serve, and how to serve them."""
 
     root: str
     """Folder or URL of a stream, or of streams."""
     config: ServerConfig
     listener: socket.socket
+    play_secret: bytes = field(default_factory=partial(secrets.token_bytes, 32), repr=False)
+    """Authenticates the tokens of plays. Made before the workers are forked, so that the workers of
+    a renewal accept the tokens of their predecessors."""
 
     def run(self, ready: Callable[[], None]) -> None:
         """Serves until a signal. ready: called once, when connections are accepted.
@@ -43,34 +56,57 @@ class Service:
         """
         check_public(self.config, self.listener)
         log = EventLog(STDERR, self.config.log)
-        if self.config.supervisor.workers == 1:
-            with log.writer:
-                take_over_logging(RecordHandler(log))
-                # The default on Windows is another one, which cannot watch the listener.
-                with asyncio.Runner(loop_factory=asyncio.SelectorEventLoop) as runner:
-                    runner.run(self._serve(log, ready))
-            return
-        with tempfile.TemporaryDirectory(prefix="swings-serve-") as folder:
-            supervisor = Supervisor(
-                self.listener,
-                partial(self._work, log, Path(folder)),
-                self.config.supervisor,
-                log.event,
-                partial(forget_worker, Path(folder)),
-            )
-            supervisor.run(ready)
+        watchdog = Watchdog()
+        take_over_logging(log)
 
-    def _work(self, log: EventLog, folder: Path, worker: Worker) -> None:
-        """What a worker process does."""
-        with log.writer:
-            take_over_logging(RecordHandler(log))
-            asyncio.run(self._serve(log, worker.ready, worker, folder))
+        def started() -> None:
+            ready()
+            watchdog.ready()
+
+        if self.config.supervisor.workers == 1:
+
+            def started_alone() -> None:
+                started()
+                watchdog.ping_from_loop()
+
+            # The default on Windows is another one, which cannot watch the listener.
+            with log, asyncio.Runner(loop_factory=asyncio.SelectorEventLoop) as runner:
+                runner.run(self._serve(log, self.listener, started_alone))
+            return
+        # gunicorn can be neither imported nor installed on Windows.
+        from .operate.workers.arbiter import WorkerHooks, run_workers
+
+        with tempfile.TemporaryDirectory(prefix="swings-serve-") as folder:
+            hooks = WorkerHooks(
+                serve=partial(self._work, log, Path(folder)),
+                event=log.event,
+                ready=started,
+                forget=partial(forget_worker, Path(folder)),
+                check=self.check_files,
+                ping=watchdog.ping,
+            )
+            run_workers(self.listener, self.config.supervisor, hooks)
+
+    def check_files(self) -> None:
+        """Reads keys and certificate. Raises a SwingsError or OSError if they cannot be used."""
+        config = self.config
+        if config.keys is not None:
+            read_keys(config.keys)
+        if config.tls_cert is not None and config.tls_key is not None:
+            context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+            load_certificate(context, config.tls_cert, config.tls_key)
+
+    async def _work(self, log: EventLog, folder: Path, worker: StreamWorker) -> None:
+        """Serves in a worker process."""
+        with log:
+            await self._serve(log, worker.listener, worker.ready, worker, folder)
 
     async def _serve(
         self,
         log: EventLog,
+        listener: socket.socket,
         ready: Callable[[], None],
-        worker: Worker | None = None,
+        worker: StreamWorker | None = None,
         folder: Path | None = None,
     ) -> None:
         number = 0 if worker is None else worker.number
@@ -78,14 +114,18 @@ class Service:
         metrics = Metrics(folder, number)
         library = Library(self.root, self.config.refresh_s)
         if not (library.streams or library.broken):
-            log.trouble("no_stream_yet", "warning", root=self.root)
-        state = ServerState(library, self.config, metrics, number, peers)
+            log.handle(EventRecord("no_stream_yet", logging.WARNING, {"root": self.root}))
+        state = ServerState(library, self.config, metrics, number, peers, self.play_secret)
         if peers is not None:
             clock = asyncio.get_running_loop().time
             peers.on_request = lambda question: answer_peer(state, question, clock())
             peers.start()
+        # The objects of now stay. Unless frozen, they cost each full collection 30 ms in which no
+        # request is answered.
+        gc.collect()
+        gc.freeze()
         try:
-            server = RunningServer(state, self.listener, log)
+            server = RunningServer(state, listener, log)
             await run_until_stopped(server, ready, *handled_signals(worker is not None))
         finally:
             if peers is not None:
@@ -103,7 +143,8 @@ def handled_signals(is_worker: bool) -> tuple[list[signal.Signals], list[signal.
 
 
 def check_public(config: ServerConfig, listener: socket.socket) -> None:
-    """Raises ServerError where everybody would see what nobody said that everybody may see."""
+    """Raises ServerError if other machines could reach the streams without a key, and the operator
+    did not allow that."""
     if config.keys is None and not config.public and not is_loopback(listener):
         raise ServerError(
             "other machines could access all streams; give --public to allow this, "

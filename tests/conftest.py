@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
+import sys
+import warnings
 
 import pytest
 from _pytest.runner import runtestprotocol
@@ -13,6 +16,10 @@ from tests.support.suite.starved import Watch
 
 # Idle threads sleep instead of spinning: tests share few cores with the processes they start.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
+# Hosts of the tests are on this machine, and a proxy that it may need for others is none for them.
+for _name in ("no_proxy", "NO_PROXY"):
+    os.environ[_name] = ",".join([os.environ.get(_name, ""), "localhost,127.0.0.1,::1"]).strip(",")
 
 # A background job ignores Ctrl-C and one started by nohup SIGHUP, and so would every process that a
 # test starts.
@@ -66,10 +73,23 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
         failed = any(report.failed for report in reports)
         if not (failed and left and (watch.starved or watch.busy)):
             break
+        _release(reports)
     for report in reports:
         hooks.pytest_runtest_logreport(report=report)
     hooks.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
     return True
+
+
+def _release(reports: list[pytest.TestReport]) -> None:
+    """Frees the sockets and files that the traceback of a failed run holds. Otherwise the collector
+    would find them unclosed in the middle of another test, which would fail."""
+    reports.clear()
+    for name in ("last_type", "last_value", "last_traceback"):
+        if hasattr(sys, name):
+            delattr(sys, name)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)
+        gc.collect()
 
 
 GROUPS_FIRST = (REALTIME, "web")

@@ -40,7 +40,7 @@ FLOORS: dict[str, tuple[tuple[str, ...], ...]] = {
     ),
     "codec": (
         ("codec",),
-        ("codec/coders", "codec/profiles", "codec/storage"),
+        ("codec/coders", "codec/lattice", "codec/storage"),
         ("codec/slots",),
         ("codec/stream",),
         ("codec/foreign",),
@@ -51,12 +51,17 @@ FLOORS: dict[str, tuple[tuple[str, ...], ...]] = {
     "server": (
         ("server/abr/link",),
         ("server/abr",),
-        ("server/abr/policies",),
-        ("server/abr/simulate",),
-        ("server/abr/oracle",),
-        ("server/operate/log",),
-        ("server/operate/sign", "server/operate/workers"),
-        ("server/study", "server/html", "server/http", "server/library", "server/operate"),
+        ("server/study/simulate", "server/operate/log"),
+        ("server/study/policies", "server/study/oracle"),
+        ("server/study", "server/operate/sign", "server/operate/workers"),
+        (
+            "server/study/report",
+            "server/html",
+            "server/exchange",
+            "server/library",
+            "server/operate",
+        ),
+        ("server/clients",),
         ("server/state",),
         ("server/answers",),
         ("server",),
@@ -67,6 +72,8 @@ FLOORS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("player/render/gl", "player/playout"),
         ("player/show",),
         ("player",),
+        ("player/report", "player/script"),
+        ("player/run",),
     ),
 }
 """The folders of each package on floors, from the ground up: a folder imports only from the floors

@@ -11,6 +11,7 @@ from tests.support.commands import ROOT
 
 PAGES = [
     ROOT / "README.md",
+    ROOT / "SECURITY.md",
     ROOT / "codec" / "FORMAT.md",
     ROOT / "examples" / "README.md",
     *sorted((ROOT / "docs").glob("*.md")),

@@ -21,9 +21,8 @@ from codec.stream import StreamReader
 from codec.stream.poster import POSTER_NAME
 from codec.tools.audit import verify_stream
 from tests.support.commands import command, environment
-from tests.support.tiny_capture import write_dynamic3dgs
+from tests.support.tiny_capture import seen_by, write_dynamic3dgs
 from tests.support.tiny_stream import tiny_manifest, write_tiny
-from trainer.capture.layout import open_capture
 from trainer.run.runlog import RunLog
 
 FRAMES = 6
@@ -38,10 +37,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """With a capture, a stream of it, and a file of Gaussians."""
     root = tmp_path_factory.mktemp("full")
     write_dynamic3dgs(root / "capture", num_cameras=4, num_frames=FRAMES)
-    cameras = tuple(c.camera for c in open_capture(root / "capture").cameras)
-    manifest = replace(
-        tiny_manifest(), cameras=cameras, default_camera=cameras[0].name, poster=POSTER_NAME
-    )
+    manifest = replace(seen_by(tiny_manifest(), root / "capture"), poster=POSTER_NAME)
     write_tiny(root / "stream", FRAMES, manifest)
     roomy = 1 << 30
     done = limited(root, roomy, "swings-stream", "export", "stream", "frame.ply", "--frame", 0)

@@ -18,7 +18,7 @@ from codec.framerange import FrameRange
 from codec.stream import StreamReader
 from codec.stream.manifest import MANIFEST_NAME, Manifest
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
-from player.openscene import Scene
+from player.script.openscene import Scene
 from player.source.directory import DirectorySource
 from player.source.opener import Opener
 from tests.support.commands import command, environment
@@ -134,7 +134,7 @@ def test_in_python(library: Path) -> None:
     with closing(Opener(str(many))) as opener, pytest.raises(UnsupportedError, match=REFUSAL):
         opener.open(FrameRange(), None)
     with closing(Opener(str(many))) as opener, pytest.raises(UnsupportedError, match=REFUSAL):
-        opener.glance()
+        opener.preview()
     with pytest.raises(UnsupportedError, match=REFUSAL):
         DirectorySource(many, FrameRange(), None)
 
@@ -147,7 +147,7 @@ def test_a_size_that_is_allowed_opens(library: Path, most: int | None) -> None:
     with Scene.open(many, max_gaussians=most) as scene:
         assert scene.num_frames == 1
     with closing(Opener(str(many), max_gaussians=most)) as opener:
-        found = opener.glance()
+        found = opener.preview()
         assert found is not None
         assert found.manifest.num_gs == NUM_GAUSSIANS
         with closing(opener.open(FrameRange(), None)) as source:

@@ -27,9 +27,8 @@ from PIL import Image
 from codec.stream import StreamReader
 from codec.stream.poster import POSTER_NAME
 from tests.support.commands import ENTRY, ROOT, command, environment, run_ok, serving
-from tests.support.tiny_capture import write_dynerf
+from tests.support.tiny_capture import seen_by, write_dynerf
 from tests.support.tiny_stream import tiny_manifest, write_tiny
-from trainer.capture.layout import open_capture
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 PAGES = README + (ROOT / "docs" / "GUIDE.md").read_text(encoding="utf-8")
@@ -87,7 +86,7 @@ ELSEWHERE = {
     "swings-stream verify s3://BUCKET/STREAMS/NAME": "codec/storage/test_objectstore.py",
     "python -m fuzz": "codec/test_fuzz.py",
     "python -m fuzz FOUND fuzz/corpus": "codec/test_fuzz.py",
-    "python -m fuzz http FOUND": "server/http/test_fuzz.py",
+    "python -m fuzz http FOUND": "server/clients/test_fuzz.py",
     "scripts/demo": "test_demo.py",
     "scripts/demo --no-serve": "test_demo.py",
 }
@@ -109,10 +108,7 @@ def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """With my-capture, my-stream, model.ply, my-frames and DIR, a folder of traces."""
     root = tmp_path_factory.mktemp("readme")
     write_dynerf(root / "my-capture", 5, 60)
-    cameras = tuple(c.camera for c in open_capture(root / "my-capture").cameras)
-    manifest = replace(
-        tiny_manifest(), cameras=cameras, default_camera=cameras[0].name, poster=POSTER_NAME
-    )
+    manifest = replace(seen_by(tiny_manifest(), root / "my-capture"), poster=POSTER_NAME)
     write_tiny(root / "my-stream", 40, manifest)
     run_words(root, "swings-stream export my-stream model.ply --frame 0")
     run_words(root, "swings-stream export my-stream my-frames/frame.ply --frames 0:3")

@@ -21,8 +21,8 @@ CheckSize = Callable[[Path, tuple[int, int]], None]
 """Raises CaptureError for a file whose (width, height) in pixels is wrong, before it is decoded."""
 
 PLAIN_MODES = {"1", "L", "P", "RGB"}
-"""Of Pillow: 8 bits a channel at most. A colour PNG of 16 bits is one of them, too: Pillow gives
-the upper 8."""
+"""Modes of Pillow with 8 bits a channel at most. A colour PNG of 16 bits is one of them, too:
+Pillow gives the upper 8."""
 
 BLACK = (0, 0, 0, 255)
 

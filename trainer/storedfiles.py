@@ -14,18 +14,17 @@ import atexit
 import io
 import shutil
 import tempfile
-from collections import OrderedDict
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from codec.errors import CodecError
 from codec.files import opened_regular
 from codec.storage.objectstore import REQUESTS, StorePrefix, open_store
-from codec.storage.openstorage import Target, check_url, is_url
+from codec.storage.openstorage import Target, is_url
 
 from .errors import CaptureError
 
@@ -33,19 +32,16 @@ COPIED_SUFFIXES = frozenset({".json", ".txt", ".npy", ".npz", ".ply", ".bin"})
 """What is neither picture nor video and is read whole as a capture is opened."""
 
 MAX_COPIED_BYTES = 1 << 30
-"""Of all of them."""
+"""Largest size of all of them together."""
 
 MAX_FILES = 1 << 22
-"""In a capture: more than ten hours of 30 cameras."""
+"""Most files of a capture: more than ten hours of 30 cameras."""
 
 MAX_PICTURE_BYTES = 1 << 28
-"""Of one picture's file."""
+"""Largest size of one picture's file."""
 
 BLOCK_BYTES = 1 << 20
-"""Of a video that are asked for at once."""
-
-KEPT_BLOCKS = 4
-"""Of each open video: what its demuxer goes back and forth between."""
+"""Size of the blocks in which a video is read, one of which is held."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +76,6 @@ def local_folder(target: Target) -> Path:
     capture that no folder can hold."""
     if not is_url(target):
         return Path(target)
-    check_url(str(target))
     store = open_store(str(target), patient=True)
     sizes: dict[str, int] = {}
     for path, size_bytes in store.sizes(""):
@@ -131,9 +126,19 @@ def _fill(stored: StoredFiles, copied: list[str]) -> None:
 
 
 def _found(path: Path) -> StoredFiles | None:
-    if not _OPENED:  # as good as always
+    if not _OPENED:  # the usual case: no capture of a store is open
         return None
     return next((_OPENED[folder] for folder in (path, *path.parents) if folder in _OPENED), None)
+
+
+def _stored_name(path: Path) -> tuple[StorePrefix, str, int] | None:
+    """The store that holds the bytes of the file at `path`, the file's path there and its size;
+    None if they lie on this machine."""
+    stored = _found(path)
+    if stored is None:
+        return None
+    name = path.relative_to(stored.folder).as_posix()
+    return (stored.store, name, stored.sizes[name]) if name in stored.sizes else None
 
 
 @contextmanager
@@ -151,24 +156,20 @@ def by_its_name(path: Path) -> Iterator[None]:
 @contextmanager
 def opened_file(path: Path) -> Iterator[BinaryIO]:
     """The regular file at `path`, to be read. Raises CorruptError if it cannot be."""
-    stored = _found(path)
-    name = None if stored is None else path.relative_to(stored.folder).as_posix()
-    if stored is None or name not in stored.sizes:
+    if stored := _stored_name(path):
+        store, name, _ = stored
+        yield io.BytesIO(store.read(name, MAX_PICTURE_BYTES))
+    else:
         with opened_regular(path) as file:
             yield file
-    else:
-        yield io.BytesIO(stored.store.read(name, MAX_PICTURE_BYTES))
 
 
-class BlockFile(io.RawIOBase):
-    """A file of a store, read block by block; holds KEPT_BLOCKS of them."""
+class StoredFile(io.RawIOBase):
+    """A file of a store: each read is a request."""
 
     def __init__(self, store: StorePrefix, path: str, size_bytes: int) -> None:
-        self._store = store
-        self._path = path
-        self._size_bytes = size_bytes
+        self._store, self._path, self._size_bytes = store, path, size_bytes
         self._at = 0
-        self._blocks: OrderedDict[int, bytes] = OrderedDict()
 
     def readable(self) -> bool:
         return True
@@ -181,38 +182,21 @@ class BlockFile(io.RawIOBase):
         self._at = max(0, begin + offset)
         return self._at
 
-    def tell(self) -> int:
-        return self._at
-
-    def read(self, size: int = -1) -> bytes:
-        """At most `size` bytes, perhaps fewer; none at the end. Raises CorruptError."""
-        if size < 0:
-            size = self._size_bytes
-        if self._at >= self._size_bytes:
-            return b""
-        number, offset = divmod(self._at, BLOCK_BYTES)
-        data = self._block(number)[offset : offset + size]
-        self._at += len(data)
-        return data
-
-    def _block(self, number: int) -> bytes:
-        if number not in self._blocks:
-            begin = number * BLOCK_BYTES
-            size = min(BLOCK_BYTES, self._size_bytes - begin)
-            while len(self._blocks) >= KEPT_BLOCKS:
-                self._blocks.popitem(last=False)
-            self._blocks[number] = self._store.read_range(self._path, begin, size)
-        self._blocks.move_to_end(number)
-        return self._blocks[number]
+    def readinto(self, buffer: Any) -> int:
+        """Raises CorruptError."""
+        size = min(len(buffer), max(0, self._size_bytes - self._at))
+        if size:
+            buffer[:size] = self._store.read_range(self._path, self._at, size)
+            self._at += size
+        return size
 
 
-def block_file(path: Path) -> BlockFile | None:
-    """The file at `path` if it lies in a store; None if it is a file of this machine."""
-    stored = _found(path)
-    name = None if stored is None else path.relative_to(stored.folder).as_posix()
-    if stored is None or name not in stored.sizes:
-        return None
-    return BlockFile(stored.store, name, stored.sizes[name])
+def block_file(path: Path) -> io.BufferedReader | None:
+    """The file at `path`, read in blocks, if it lies in a store; None if it is a file of this
+    machine."""
+    # The reader of obstore forgets its block at each seek, and even when asked where it stands.
+    stored = _stored_name(path)
+    return io.BufferedReader(StoredFile(*stored), BLOCK_BYTES) if stored else None
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""How many times faster than real time plays are simulated, by policy and version of the format.
+"""How many times faster than real time plays are simulated, by policy.
 
 Usage: scripts/bench abr [--length-s 60] [--repeats 3]
 
@@ -17,25 +17,23 @@ from rich.console import Console
 from rich.table import Table
 
 from codec.console import run_command
-from server.abr.link.generate import GeneratorConfig, generate
 from server.abr.media import SegmentSizes
-from server.abr.policies.choice import POLICIES
-from server.abr.simulate.simulator import simulate
 from server.study.cases import Case, at_load
 from server.study.looped import LoopedMedia
 from server.study.plays import Rules, judge, score_play
+from server.study.policies.choice import POLICIES
+from server.study.simulate.generate import GeneratorConfig, generate
+from server.study.simulate.simulator import simulate
 from server.study.tracefolder import Trace
 
 FPS = 30.0
-SLICES = SegmentSizes((9.9e3, 4.7e3, 6.1e3, 8.1e3), (25.5, 28.0, 29.1, 29.7))
-"""The demo's stream in version 1."""
-SLOTS = SegmentSizes(
+SIZES = SegmentSizes(
     (17.7e3, 4.3e3, 5.1e3, 7.0e3),
     (27.82, 28.78, 29.25, 29.69),
     (150e3, 75e3, 85e3, 120e3),
     (0.3, 0.15, 0.15, 0.15),
 )
-"""The basketball in version 2, docs/RESULTS.md."""
+"""The basketball, docs/RESULTS.md."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,17 +58,15 @@ def least_s(config: AbrBenchConfig, run: Callable[[], object]) -> float:
     return min(times_s)
 
 
-def make_media(sizes: SegmentSizes, length_s: float) -> LoopedMedia:
-    has_slots = bool(sizes.snapshot_bytes)
-    return LoopedMedia((sizes,), round(FPS * length_s), FPS, 1 if has_slots else 5, 30, has_slots)
-
-
 def play_only(media: LoopedMedia, case: Case, policy: str, rules: Rules) -> None:
     simulate(media, POLICIES[policy](media), case.link, rules.session)
 
 
-def add_rows(table: Table, config: AbrBenchConfig, name: str, sizes: SegmentSizes) -> None:
-    media, rules = make_media(sizes, config.length_s), Rules()
+def run(config: AbrBenchConfig) -> None:
+    table = Table("policy", "play", "scored", title="times faster than real time")
+    for column in table.columns[1:]:
+        column.justify = "right"
+    media, rules = LoopedMedia((SIZES,), round(FPS * config.length_s), FPS, 30), Rules()
     link = generate(GeneratorConfig(outages_per_minute=1.0), seed=1)
     case = at_load(Trace("made up", link), config.load, media)
     oracle = judge(media, case, rules)
@@ -80,17 +76,9 @@ def add_rows(table: Table, config: AbrBenchConfig, name: str, sizes: SegmentSize
             partial(score_play, media, case, policy, oracle, rules),
         )
         times = (f"{config.length_s / least_s(config, play):.0f}" for play in plays)
-        table.add_row(name, policy, *times)
+        table.add_row(policy, *times)
     bound_s = least_s(config, partial(judge, media, case, rules))
-    table.add_row(name, "oracle", "", f"{config.length_s / bound_s:.0f}")
-
-
-def run(config: AbrBenchConfig) -> None:
-    table = Table("stream", "policy", "play", "scored", title="times faster than real time")
-    for column in table.columns[2:]:
-        column.justify = "right"
-    add_rows(table, config, "slices", SLICES)
-    add_rows(table, config, "slots", SLOTS)
+    table.add_row("oracle", "", f"{config.length_s / bound_s:.0f}")
     Console().print(table)
 
 

@@ -38,7 +38,7 @@ from server.abr.link.link import Link, LinkStep
 from server.study.cases import Case, at_load
 from server.study.looped import LoopedMedia, open_media
 from server.study.plays import Rules, run_play
-from server.study.summary import OWN
+from server.study.report.summary import OWN
 from server.study.tracefolder import read_traces
 from tests.support.delivery.shaped import TCP_SHARE, shaped_link, why_not
 from trainer.score.truth import open_held_out

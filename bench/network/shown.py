@@ -29,13 +29,13 @@ from codec.console import run_command
 from codec.errors import CodecError, InvalidError
 from codec.stream import StreamReader
 from codec.stream.manifest import MASKS, Part, snapshot_part
-from player.playout.assembler import open_assembler
+from player.playout.assembler import Assembler
 from player.render.cpu import CpuRenderer
 from player.source.source import Packets, SlicePackets, SnapshotPackets
-from server.abr.slotholding import open_holding
+from server.abr.holding import Holding
 from server.study.looped import open_media
 from trainer.score.picture import captured, on_screen, score_picture
-from trainer.score.truth import HeldOut, open_held_out
+from trainer.score.truth import ScoredCameras, open_held_out
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,14 +78,15 @@ def packets_of(reader: StreamReader, arrival: dict[str, Any]) -> Packets:
     if birth is None:
         snapshots = tuple(packet(frame, snapshot_part(layer)) for layer in layers)
         return SnapshotPackets(frame, layers.start, snapshots, blame)
-    masked = reader.manifest.has_slots and not layers.start
-    mask = packet(birth, MASKS) if masked else None
+    mask = None if layers.start else packet(birth, MASKS)
     return SlicePackets(
         birth, layers.start, tuple(packet(birth, layer) for layer in layers), mask, blame
     )
 
 
-def shown_scores(held_out: HeldOut, report: dict[str, Any], every: int) -> Iterator[ShownScore]:
+def shown_scores(
+    held_out: ScoredCameras, report: dict[str, Any], every: int
+) -> Iterator[ShownScore]:
     """The frames of the first play of a report, scored."""
     reader, manifest = held_out.reader, held_out.reader.manifest
     frames = [frame for frame in report["frames"] if frame["play"] == 0]
@@ -94,8 +95,8 @@ def shown_scores(held_out: HeldOut, report: dict[str, Any], every: int) -> Itera
         raise InvalidError("the report lacks part of the play; play a shorter time")
     first = frames[0]["frame"]
     media = open_media(Path(reader.name), reader.num_frames / manifest.fps)
-    holding = open_holding(media, first)
-    assembler = open_assembler(manifest, manifest.num_layers, first)
+    holding = Holding(media, first)
+    assembler = Assembler(manifest, manifest.num_layers, first)
     renderer = CpuRenderer(manifest)
     waiting = [(arrival["came_s"], packets_of(reader, arrival)) for arrival in arrivals]
     for shown in frames:
@@ -106,7 +107,7 @@ def shown_scores(held_out: HeldOut, report: dict[str, Any], every: int) -> Itera
         ]
         for one in used:
             one.add_to(holding)
-        for part in assembler.take(frame, used):
+        for part in assembler.assemble(frame, used):
             renderer.put(part)
         if (frame - first) % every == 0:
             scores = []

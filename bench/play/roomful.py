@@ -1,4 +1,4 @@
-"""A room full of random Gaussians: what the player's benches draw."""
+"""A room full of random Gaussians for the player's benches."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.camera import Camera
-from codec.profiles.profile import Profile
+from codec.lattice.lattice import Lattice
 from codec.slice import Slice
 from codec.splats import Splats
 from codec.stream.manifest import Manifest
@@ -19,17 +19,16 @@ RUN_ROWS = 500
 
 
 def manifest_of(num_gs: int, width_px: int, height_px: int) -> Manifest:
-    """Of a stream of `num_gs` Gaussians a frame, without harmonics."""
+    """The manifest of a stream of `num_gs` Gaussians a frame, without harmonics."""
     focal_px = 0.9 * width_px
     size = (width_px, height_px, focal_px, focal_px, width_px / 2, height_px / 2)
     return Manifest(
         fps=30.0,
         swin_size=SWIN_SIZE,
-        num_gs=num_gs,
-        layers=(1.0,),
+        slots=(num_gs // SWIN_SIZE,),
+        lattice=(Lattice(0.01, 1 / 8, 1 / 60, 1 / 20, 41),),
         segment_frames=30,
         sh_degree=0,
-        profile=Profile.RAW,
         antialias=False,
         near_m=0.2,
         bounds=((-3.0, -2.0, 0.0), (3.0, 2.0, 6.0)),

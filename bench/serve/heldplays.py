@@ -17,7 +17,7 @@ from rich.table import Table
 
 from codec.errors import SwingsError
 
-from .material import FPS, NUM_LAYERS, SWIN_SIZE, write_noise
+from .material import FPS, NUM_LAYERS, write_noise
 from .playfigures import PlayFigures, Seen, Shape, Spread, figures_of
 from .playload import LoadConfig, load_command
 from .processes import pinned, serving
@@ -55,7 +55,7 @@ def measure_plays(
         config = LoadConfig(port, path, clients, arrive_s, settle_s, seconds, pid, str(out))
         run_load(config, cores[1])
         max_rest_s = REST_S * (2 + clients / PLAYS_PER_REST)
-        shape = Shape(FPS, SWIN_SIZE, NUM_LAYERS, REST_S, max_rest_s)
+        shape = Shape(FPS, NUM_LAYERS, REST_S, max_rest_s)
         return figures_of(Seen.read(out), shape, frame_bytes)
 
 

@@ -1,9 +1,9 @@
 """Workers of swings-serve that are killed under its clients; `resumefigures` says what is measured.
 
-Every `every_s` seconds one of the workers that live, by chance, gets a SIGKILL. As it has settled
-by then, it is started again at once. With a `settle_s` above `every_s` these are crash loops: most
-restarts wait up to ten seconds, the other worker serves all alone, and does what it does under too
-much load, fewer layers first and then 503 to whoever comes back.
+Every `every_s` seconds a living worker, chosen at random, gets a SIGKILL and is started again at
+once. With an `every_s` of less than a second these are crash loops: most restarts wait up to ten
+seconds, and the other worker serves alone, under too much load: fewer layers first, and then 503 to
+returning clients.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from rich.table import Table
 
 from codec.errors import SwingsError
 
-from .material import FPS, SWIN_SIZE, write_noise
+from .material import FPS, write_noise
 from .playfigures import Spread
 from .processes import ROOT, serving
 from .resumefigures import Kill, ResumeFigures, resume_figures
@@ -48,8 +48,6 @@ class KillConfig:
     """Size of a frame, all its layers together."""
     max_lead_s: float = 6.0
     """What a client is sent ahead, and all at once when it comes back. See --max-lead-s."""
-    settle_s: float = 2.5
-    """See --settle-s of swings-serve."""
     arrive_s: float = 3.0
     """Seconds over which the clients arrive; as many later the killing begins."""
     tells_rate: bool = True
@@ -68,7 +66,7 @@ def measure_kills(config: KillConfig, options: tuple[str, ...] = ()) -> ResumeFi
         log, out = folder / "serve.log", folder / "seen.npz"
         words = ["--log", "json", "--no-log-requests", "--workers", str(config.workers)]
         words += ["--max-lead-s", str(config.max_lead_s)]
-        words += ["--settle-s", str(config.settle_s), "--max-plays", str(config.clients + 16)]
+        words += ["--max-plays", str(config.clients + 16)]
         with serving(folder / "streams", *words, *options, log=log) as (_, port):
             load = ResumeConfig(
                 port=port,
@@ -76,7 +74,6 @@ def measure_kills(config: KillConfig, options: tuple[str, ...] = ()) -> ResumeFi
                 clients=config.clients,
                 arrive_s=config.arrive_s,
                 fps=FPS,
-                swin_size=SWIN_SIZE,
                 out=str(out),
                 tells_rate=config.tells_rate,
             )
@@ -147,7 +144,7 @@ def show_kills(figures: ResumeFigures) -> None:
         f"{figures.broken} of them broken; missing {figures.missing}, double {figures.double}; "
         f"{figures.before:.2f} layers a slice before, {figures.after:.2f} after; "
         f"stalls {figures.stalls}, refused {figures.refused}, "
-        f"other responses {figures.answered}; status reports {figures.news}, "
-        f"{figures.slowest_news_ms:.0f} ms at most",
+        f"other responses {figures.answered}; status reports {figures.reports}, "
+        f"{figures.slowest_report_ms:.0f} ms at most",
         soft_wrap=True,
     )

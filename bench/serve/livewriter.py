@@ -25,19 +25,19 @@ def main() -> None:
     path, slice_size, seconds = Path(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])
     manifest = noise_manifest(slice_size, SEGMENT_FRAMES, live=True)
     num_frames = LEAD_FRAMES + round(seconds * FPS)
-    slices = {b: noise_slice(b, slice_size) for b in range(manifest.first_birth, num_frames)}
+    slices = [noise_slice(birth, slice_size) for birth in range(num_frames)]
     began_s = None
-    with StreamWriter.create(path, manifest) as writer:
-        for birth, one in slices.items():
+    with StreamWriter.create(path, manifest, exact=True) as writer:
+        for birth, one in enumerate(slices):
             if birth >= LEAD_FRAMES:
                 began_s = time.monotonic() if began_s is None else began_s
                 due_s = began_s + (birth - LEAD_FRAMES) / FPS
                 time.sleep(max(0.0, due_s - time.monotonic()))
             before = writer.durable_birth
             writer.append(one)
-            if writer.durable_birth > max(before, 0):
+            if writer.durable_birth > before:
                 at_s = (path / INDEX_NAME).stat().st_mtime_ns / 1e9
-                told = {"birth": max(before, 0), "end_birth": writer.durable_birth, "at_s": at_s}
+                told = {"birth": before, "end_birth": writer.durable_birth, "at_s": at_s}
                 print(json.dumps(told), flush=True)
 
 

@@ -7,31 +7,32 @@ from pathlib import Path
 import numpy as np
 
 from codec.camera import Camera
-from codec.profiles.profile import Profile
+from codec.lattice.lattice import Lattice
 from codec.slice import Slice
 from codec.splats import Splats
 from codec.stream import StreamWriter
+from codec.stream.layers import split_counts
 from codec.stream.manifest import Manifest
 
-SWIN_SIZE = 5
 NUM_LAYERS = 4
 FPS = 30.0
-GAUSSIAN_BYTES = 56
-"""Bytes of a raw Gaussian."""
+GAUSSIAN_BYTES = 54
+"""Bytes of a Gaussian with every float, as a packet holds it."""
+LATTICE = Lattice(0.01, 1 / 8, 1 / 60, 1 / 20, 41)
+"""Not used, as every Gaussian escapes it."""
 OBJECT_FRAMES = 15
 """Frames of a segment of a stream that is there for its objects."""
 
 
 def noise_manifest(slice_size: int, segment_frames: int, live: bool = False) -> Manifest:
-    """Of a stream with slices of `slice_size` Gaussians in four layers."""
+    """Of a stream with whole slices of `slice_size` Gaussians in four layers."""
     return Manifest(
         fps=FPS,
-        swin_size=SWIN_SIZE,
-        num_gs=SWIN_SIZE * slice_size,
-        layers=(1 / NUM_LAYERS,) * NUM_LAYERS,
+        swin_size=1,
+        slots=split_counts(slice_size, (1 / NUM_LAYERS,) * NUM_LAYERS),
+        lattice=(LATTICE,) * NUM_LAYERS,
         segment_frames=segment_frames,
         sh_degree=0,
-        profile=Profile.RAW,
         antialias=False,
         near_m=0.01,
         bounds=((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)),
@@ -60,8 +61,8 @@ def write_noise(path: Path, frame_bytes: int, num_frames: int, segment_frames: i
     """A finished stream of about `frame_bytes` a frame, all layers together."""
     slice_size = slice_size_of(frame_bytes)
     manifest = noise_manifest(slice_size, segment_frames)
-    with StreamWriter.create(path, manifest) as writer:
-        for birth in range(manifest.first_birth, num_frames):
+    with StreamWriter.create(path, manifest, exact=True) as writer:
+        for birth in range(num_frames):
             writer.append(noise_slice(birth, slice_size))
 
 

@@ -1,8 +1,9 @@
-"""The same immutable objects from swings-serve, nginx and aiohttp's FileResponse.
+"""The same immutable objects from swings-serve, nginx, deploy/nginx.conf at signed URLs, and
+aiohttp's bare web.Response.
 
 Each row is an object and a kind of request; in every round each server answers it for some seconds,
 one after the other, so that a machine that gets slower does so for all. A figure is the median of
-its rounds. wrk asks over 32 connections that are kept, from a core that the server is not on.
+its rounds. wrk asks over connections that are kept, from a core that the server is not on.
 
 CPU seconds are user and system time of the server's processes over what wrk read, heads included.
 `to nginx` is bytes per CPU second as a share of nginx's; for 304, requests per CPU second. Of
@@ -14,6 +15,7 @@ from __future__ import annotations
 
 import http.client
 import os
+import re
 import shutil
 import socket
 import subprocess
@@ -23,6 +25,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from statistics import median
 
@@ -30,14 +33,32 @@ from rich.console import Console
 from rich.table import Table
 
 from codec.errors import SwingsError
+from server.operate.sign.nginxlink import nginx_secrets, sign_for_nginx
 
 from .material import write_objects
-from .processes import cpu_s, pinned, running, serving
+from .processes import ROOT, cpu_s, pinned, running, serving
 
 TRIES = 4
 """Most times that wrk asks in one round."""
-LAST = "aiohttp"
-"""The last of the servers in a table: aiohttp's FileResponse."""
+BARE, SIGNED = "aiohttp", "nginx, signed"
+"""The names of aiohttp's bare web.Response and of deploy/nginx.conf in a table."""
+SHIPPED = {
+    r"^user .*;": "{user}",
+    r"^worker_processes auto;": "worker_processes 1; daemon off;",
+    r"^pid .*;": "pid {folder}/nginx.pid;",
+    r"/var/log/nginx": "{folder}",
+    r"/var/cache/nginx/swings": "{folder}/cache",
+    r"listen 80;": "listen unix:{folder}/plain.sock;",
+    r"listen 443 ssl http2;": "listen 127.0.0.1:{port};",
+    r"^ *ssl_.*;$": "",
+    r"/etc/nginx/swings-secrets": "{folder}/swings-secrets",
+    r"/srv/swings": "{root}",
+    r"default_type .*;": "default_type application/octet-stream; proxy_temp_path {folder}/proxy;"
+    " client_body_temp_path {folder}/body; fastcgi_temp_path {folder}/fastcgi;"
+    " uwsgi_temp_path {folder}/uwsgi; scgi_temp_path {folder}/scgi;",
+}
+"""Changes to deploy/nginx.conf: names, ports, folders, one worker, and no TLS."""
+KEYS = {"bench": bytes(32)}
 SCRIPT = """
 done = function(summary)
   local e = summary.errors
@@ -47,7 +68,7 @@ done = function(summary)
 end
 """
 NGINX = """
-{user}daemon off;
+{user} daemon off;
 worker_processes 1;
 pid {folder}/nginx.pid;
 error_log {folder}/error.log;
@@ -128,12 +149,25 @@ def need(program: str, package: str) -> str:
 
 
 @contextmanager
-def nginx(root: Path, folder: Path, core: int) -> Iterator[tuple[int, int]]:
-    """An nginx of the objects below `root`: its process id and port."""
+def nginx(root: Path, folder: Path, core: int, shipped: bool = False) -> Iterator[tuple[int, int]]:
+    """An nginx of the objects below `root`: its process id and port. shipped: with
+    deploy/nginx.conf, which sends them from disk at URLs signed with KEYS."""
+    folder.mkdir()
     port = free_port()
     config = folder / "nginx.conf"
-    user = "user root;\n" if os.getuid() == 0 else ""  # its worker must read a temporary folder
-    config.write_text(NGINX.format(user=user, folder=folder, port=port, root=root))
+    user = "user root;" if os.getuid() == 0 else ""  # its worker must read a temporary folder
+    values = {"user": user, "folder": folder, "port": port, "root": root}
+    if shipped:
+        text = (ROOT / "deploy" / "nginx.conf").read_text()
+        for pattern, new in SHIPPED.items():
+            text, count = re.subn(pattern, new.format(**values), text, flags=re.MULTILINE)
+            if not count:
+                raise SwingsError(f"deploy/nginx.conf has no {pattern} any more; see {__name__}")
+        config.write_text(text)
+        secrets = [f"key={kid} {secret};\n" for kid, secret in nginx_secrets(KEYS).items()]
+        (folder / "swings-secrets.map").write_text("".join(secrets))
+    else:
+        config.write_text(NGINX.format(**values))
     command = [*pinned(core), need("nginx", "nginx"), "-c", config, "-e", folder / "error.log"]
     with running(command) as process:
         for _ in range(500):
@@ -147,10 +181,18 @@ def nginx(root: Path, folder: Path, core: int) -> Iterator[tuple[int, int]]:
         yield process.pid, port
 
 
+def path_at(server: str, case: Case) -> str:
+    """The path of a case at this server."""
+    if server != SIGNED:
+        return case.path
+    stream = case.path.split("/")[3]
+    return sign_for_nginx(KEYS, stream, int(time.time()) + 3600) + case.path
+
+
 @contextmanager
-def file_response(root: Path, core: int) -> Iterator[tuple[int, int]]:
-    """aiohttp's FileResponse: its process id and port."""
-    command = [*pinned(core), sys.executable, Path(__file__).with_name("fileresponse.py"), root]
+def bare_response(root: Path, core: int) -> Iterator[tuple[int, int]]:
+    """aiohttp's bare web.Response: its process id and port."""
+    command = [*pinned(core), sys.executable, Path(__file__).with_name("bareresponse.py"), root]
     with running(command, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
         yield process.pid, int(process.stdout.readline())
@@ -161,18 +203,18 @@ def free_port() -> int:
         return int(sock.getsockname()[1])
 
 
-def header_of(case: Case, port: int) -> str:
+def header_of(case: Case, port: int, path: str) -> str:
     """The header for this server. Raises SwingsError unless it answers as the case expects."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
     header = case.header
     try:
         if "ETAG" in header:
-            connection.request("GET", case.path)
+            connection.request("GET", path)
             response = connection.getresponse()
             response.read()
             header = header.replace("ETAG", response.headers["ETag"] or "")
         name, _, value = header.partition(": ")
-        connection.request("GET", case.path, headers={name: value} if name else {})
+        connection.request("GET", path, headers={name: value} if name else {})
         response = connection.getresponse()
         response.read()
     finally:
@@ -183,33 +225,31 @@ def header_of(case: Case, port: int) -> str:
 
 
 def ask(
-    pid: int, port: int, case: Case, header: str, seconds: float, core: int, script: Path
+    pid: int, url: str, wanted: tuple[str, ...], seconds: float, core: int, script: Path
 ) -> _Round:
     """wrk asks for `seconds`, and again for twice as long while a busy machine lets nothing be
-    answered. Raises SwingsError if anything went wrong in it."""
+    answered. wanted: its further options. Raises SwingsError if anything went wrong in it."""
     for longer in range(TRIES):
-        one = _asked(pid, port, case, header, seconds * 2**longer, core, script)
+        one = _asked(pid, url, wanted, seconds * 2**longer, core, script)
         if one.requests:
             return one
-    raise SwingsError(f"{case.what}: no request was answered in {seconds * 2 ** (TRIES - 1):.0f} s")
+    raise SwingsError(f"{url}: no request was answered in {seconds * 2 ** (TRIES - 1):.0f} s")
 
 
 def _asked(
-    pid: int, port: int, case: Case, header: str, seconds: float, core: int, script: Path
+    pid: int, url: str, wanted: tuple[str, ...], seconds: float, core: int, script: Path
 ) -> _Round:
-    command = [*pinned(core), need("wrk", "wrk"), "-t1", "-c32", f"-d{max(1, round(seconds))}s"]
-    command += ["-s", str(script), *(["-H", header] if header else [])]
+    command = [*pinned(core), need("wrk", "wrk"), "-t1", f"-d{max(1, round(seconds))}s"]
+    command += ["-s", str(script), *wanted, url]
     before_s = cpu_s(pid)
-    done = subprocess.run(
-        [*command, f"http://127.0.0.1:{port}{case.path}"], capture_output=True, text=True
-    )
+    done = subprocess.run(command, capture_output=True, text=True)
     used_s = cpu_s(pid) - before_s
     found = [line.split()[1:] for line in done.stdout.splitlines() if line.startswith("SUM ")]
     if done.returncode or not found:
         raise SwingsError(f"wrk failed: {(done.stderr or done.stdout).strip()[-300:]}")
     requests, num_bytes, took_us, bad = map(int, found[0])
     if bad:
-        raise SwingsError(f"{case.what}: {bad} of {requests} requests failed")
+        raise SwingsError(f"{url}: {bad} of {requests} requests failed")
     return _Round(requests, num_bytes, took_us / 1e6, used_s)
 
 
@@ -217,6 +257,7 @@ def measure_objects(
     sizes_kb: tuple[int, ...],
     rounds: int,
     seconds: float,
+    connections: int,
     cores: tuple[int, int],
     options: tuple[str, ...],
     around: Callable[[int], ExitStack],
@@ -233,17 +274,28 @@ def measure_objects(
         own = serving(root, *options, prefix=pinned(cores[0]), log=folder / "serve.log")
         servers = {
             "swings": stack.enter_context(own),
-            "nginx": stack.enter_context(nginx(root, folder, cores[0])),
-            "aiohttp": stack.enter_context(file_response(root, cores[0])),
+            "nginx": stack.enter_context(nginx(root, folder / "plain", cores[0])),
+            SIGNED: stack.enter_context(nginx(root, folder / "signed", cores[0], shipped=True)),
+            BARE: stack.enter_context(bare_response(root, cores[0])),
         }
         stack.enter_context(around(servers["swings"][0]))
         rates: list[Rate] = []
         for case in cases_of(sizes_kb):
-            headers = {server: header_of(case, port) for server, (_, port) in servers.items()}
-            taken: dict[str, list[_Round]] = {server: [] for server in servers}
+            # A bare answer knows neither ranges nor conditions.
+            asked = {name: at for name, at in servers.items() if name != BARE or case.status == 200}
+            paths = {server: path_at(server, case) for server in asked}
+            headers = {
+                server: header_of(case, port, paths[server]) for server, (_, port) in asked.items()
+            }
+            taken: dict[str, list[_Round]] = {server: [] for server in asked}
             for _ in range(rounds):
-                for server, (pid, port) in servers.items():
-                    one = ask(pid, port, case, headers[server], seconds, cores[1], script)
+                for server, (pid, port) in asked.items():
+                    at = f"http://127.0.0.1:{port}{paths[server]}"
+                    wanted = (
+                        f"-c{connections}",
+                        *(("-H", headers[server]) if headers[server] else ()),
+                    )
+                    one = ask(pid, at, wanted, seconds, cores[1], script)
                     taken[server].append(one)
             rates += rates_of(case, taken)
         return rates
@@ -275,7 +327,7 @@ def rates_of(case: Case, taken: dict[str, list[_Round]]) -> list[Rate]:
 
 def show_objects(rates: list[Rate]) -> None:
     table = Table("object", "server", "requests/s", "MB/s", "CPU s/GB", "us each", "to nginx")
-    for rate in rates:
+    for rate, following in zip_longest(rates, rates[1:]):
         table.add_row(
             rate.case,
             rate.server,
@@ -284,6 +336,6 @@ def show_objects(rates: list[Rate]) -> None:
             f"{rate.cpu_s_per_gb:.3f}" if "304" not in rate.case else "-",
             f"{rate.cpu_us_per_request:.1f}",
             f"{rate.to_nginx:.2f}",
-            end_section=rate.server == LAST,
+            end_section=following is None or following.case != rate.case,
         )
     Console().print(table)

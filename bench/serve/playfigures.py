@@ -4,8 +4,9 @@ The words of its figures, exactly:
 
 * head: from when a client's request was written to the first byte of the response. The connection
   stood already, so waiting to be accepted counts.
-* record: the same to the end of the first record. picture: to the last packet of layer 0 of those
-  slices that show in the first frame asked for.
+* record: the same to the end of the first record. picture: to the last packet of layer 0 that the
+  first frame asked for needs: a snapshot, and the slices from there to that frame. A snapshot
+  counts as the slice of its frame.
 * due: a player that began to show at that moment, its first picture, and showed 30 frames a second
   since, needs layer 0 of the slice born at f by the time that it shows frame f. late: how long
   after that it came, 0 if before; a slice that was due and had not come at the end counts as
@@ -102,7 +103,6 @@ class Shape:
     """What must be known of the stream and of the server's pacing."""
 
     fps: float
-    swin_size: int
     num_layers: int
     rest_s: float
     """What the server calls so: the least rest between two bursts."""
@@ -133,9 +133,9 @@ def late_of(births: NDArray[np.int32], came_s: Doubles, shape: Shape, ended_s: f
 
 def picture_at(births: NDArray[np.int32], came_s: Doubles, shape: Shape) -> float:
     """When the first picture could show; NaN if never."""
-    first = shape.from_frame - shape.swin_size + 1
-    of_it = (births >= first) & (births <= shape.from_frame)
-    return float(came_s[of_it].max()) if of_it.sum() == shape.swin_size else np.nan
+    of_it = births <= shape.from_frame
+    needed = shape.from_frame - births[0] + 1 if of_it.any() else 1
+    return float(came_s[of_it].max()) if of_it.sum() == needed else np.nan
 
 
 def beyond_of(

@@ -175,9 +175,9 @@ class Load:
             client.record_s = now_s if np.isnan(client.record_s) else client.record_s
             with memoryview(pending) as view, view[at + 4 : end] as record:
                 value = msgpack.unpackb(record)
-            if value["kind"] == "slice":
+            if value["kind"] in ("slice", "snapshot"):
                 self.who.append(client.number)
-                self.birth.append(value["birth"])
+                self.birth.append(value["birth"] if value["kind"] == "slice" else value["frame"])
                 self.first.append(value.get("first", 0))
                 self.layers.append(len(value["frames"]))
                 self.at_s.append(now_s)

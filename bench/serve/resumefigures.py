@@ -3,7 +3,7 @@
 The words of its figures, exactly:
 
 * victim: a client whose play ran in the worker when it was killed; the others are bystanders.
-* resume: from the kill to the first slice of the victim's next play. The time until the client
+* resume: from the kill to the first new slice of the victim's next play. The time until the client
   notices, which is at once, and its wait before a new try, 0.1 s at first, are in it.
 * layers before, after: how many layers had come by the end of the NEAR slices before the first one
   of the victim's next play, and of as many from it on. lost: before less after, by victim.
@@ -76,9 +76,9 @@ class ResumeFigures:
     """How often plays were answered with which status other than 200."""
     said: dict[str, int]
     """How often responses ended with which word of the server."""
-    news: dict[str, int]
-    """How often news was answered with which status; 0 for not at all."""
-    slowest_news_ms: float
+    reports: dict[str, int]
+    """Number of status reports by HTTP status; 0 for no answer."""
+    slowest_report_ms: float
 
 
 def resume_figures(path: Path, kills: list[Kill], fps: float, max_lead_s: float) -> ResumeFigures:
@@ -135,8 +135,8 @@ def resume_figures(path: Path, kills: list[Kill], fps: float, max_lead_s: float)
         refused=known["refused"],
         answered=known["answered"],
         said=known["said"],
-        news=known["news"],
-        slowest_news_ms=1e3 * known["slowest_news_s"],
+        reports=known["reports"],
+        slowest_report_ms=1e3 * known["slowest_report_s"],
     )
 
 

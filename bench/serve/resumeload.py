@@ -19,12 +19,18 @@ from pathlib import Path
 import aiohttp
 import numpy as np
 
-from codec.stream.playrecord import EndRecord, ErrorRecord, RecordParser, SliceRecord
+from codec.stream.playrecord import (
+    EndRecord,
+    ErrorRecord,
+    RecordParser,
+    SliceRecord,
+    SnapshotRecord,
+)
 from player.network.retry import RetryConfig
 from player.source.source import LastPlay
-from server.abr.standing import FRAME_HEADER, PLAY_HEADER, RATE_HEADER, Standing, parse_rate
+from server.abr.clientstatus import FRAME_HEADER, PLAY_HEADER, RATE_HEADER, ClientStatus, parse_rate
 
-NEWS_S = 1.0
+REPORT_S = 1.0
 """Seconds between two words to the server."""
 
 FIRST_FRAMES = 15
@@ -42,7 +48,6 @@ class ResumeConfig:
     arrive_s: float
     """Seconds over which the clients arrive, evenly."""
     fps: float
-    swin_size: int
     out: str
     """File that gets what was seen, as numpy's npz. The process ends when its stdin does."""
     tells_rate: bool = True
@@ -70,9 +75,9 @@ class ResumeLoad:
         no time for one more."""
         self.said: dict[str, int] = {}
         """How often responses ended with which word of the server."""
-        self.news: dict[int, int] = {}
-        """How often news was answered with which status; 0 for not at all."""
-        self.slowest_news_s = 0.0
+        self.reports: dict[int, int] = {}
+        """Number of status reports by HTTP status; 0 for no answer."""
+        self.slowest_report_s = 0.0
         self.over_s: dict[int, float] = {}
         """When clients had the whole stream."""
 
@@ -80,7 +85,7 @@ class ResumeLoad:
         """Until the end of stdin."""
         config = self.config
         timeout = aiohttp.ClientTimeout(total=None, sock_connect=10, sock_read=30)
-        # A play gets a connection of its own; news goes over whichever is there.
+        # A play gets a connection of its own; reports use any other connection.
         plays = aiohttp.TCPConnector(limit=0, force_close=True)
         async with (
             aiohttp.ClientSession(connector=plays, timeout=timeout) as session,
@@ -103,7 +108,11 @@ class ResumeLoad:
             "answered": self.answered,
             "said": self.said,
         }
-        known |= {"news": self.news, "slowest_news_s": self.slowest_news_s, "over_s": self.over_s}
+        known |= {
+            "reports": self.reports,
+            "slowest_report_s": self.slowest_report_s,
+            "over_s": self.over_s,
+        }
         np.savez(
             self.config.out,
             who=np.frombuffer(self.who, np.int32),
@@ -133,12 +142,13 @@ class _Client:
         self._number = number
         self._session = session
         self._teller = teller
-        self._next_birth = 1 - load.config.swin_size
+        self._next_birth = 0
+        self._asked_birth = 0  # what came before was there when the play was asked for
         self._last = LastPlay()
         self._frame = 0.0  # shown next
         self._looked_s: float | None = None  # when that was so; None before the first picture
         self._over = False
-        self._begun = asyncio.Event()  # a response that has had no news
+        self._begun = asyncio.Event()  # set when a response begins
 
     async def run(self, wait_s: float) -> None:
         await asyncio.sleep(wait_s)
@@ -160,7 +170,7 @@ class _Client:
     async def _play(self) -> None:
         """One response, to its end."""
         load, number, asked_s = self._load, self._number, time.monotonic()
-        frame = self._next_birth + load.config.swin_size - 1
+        frame = self._asked_birth = self._next_birth
         headers = self._last.headers()
         if not load.config.tells_rate:
             headers.pop(RATE_HEADER, None)
@@ -170,7 +180,7 @@ class _Client:
             if response.status != 200:
                 load.answered[response.status] = load.answered.get(response.status, 0) + 1
                 if response.status == 400:
-                    # Only slices of the last window lack: no frame begins with the first of them.
+                    # All slices had come: no frame is left to ask for.
                     self._over = True
                     load.over_s[number] = time.monotonic()
                 return
@@ -186,23 +196,29 @@ class _Client:
                 now_s = time.monotonic()
                 for record in parser.feed(piece):
                     if isinstance(record, SliceRecord):
-                        self._take(record, now_s)
+                        self._take(record.birth, record, now_s)
+                    elif isinstance(record, SnapshotRecord):
+                        self._take(record.frame, record, now_s)
                     elif isinstance(record, ErrorRecord):
                         load.said[record.message] = load.said.get(record.message, 0) + 1
                     elif isinstance(record, EndRecord):
                         self._over = True
                         load.over_s[number] = now_s
 
-    def _take(self, record: SliceRecord, now_s: float) -> None:
+    def _take(self, birth: int, record: SliceRecord | SnapshotRecord, now_s: float) -> None:
+        """Notes a slice, or a snapshot as the slice of its frame. What a play repeats, from a
+        snapshot up to the frame asked for, is not noted."""
+        if birth < self._asked_birth:
+            return
         load = self._load
         load.who.append(self._number)
-        load.birth.append(record.birth)
+        load.birth.append(birth)
         load.at_s.append(now_s)
         load.first.append(record.first_layer)
         load.layers.append(len(record.packets))
         if not record.first_layer:
             self._show(now_s)
-            self._next_birth = max(self._next_birth, record.birth + 1)
+            self._next_birth = max(self._next_birth, birth + 1)
             if self._looked_s is None and self._next_birth >= FIRST_FRAMES:
                 self._looked_s = now_s
 
@@ -221,7 +237,7 @@ class _Client:
         while True:
             # A new response hears at once where its client is, and later once a second.
             with suppress(TimeoutError):
-                async with asyncio.timeout(NEWS_S):
+                async with asyncio.timeout(REPORT_S):
                     await self._begun.wait()
             self._begun.clear()
             began_s = time.monotonic()
@@ -229,7 +245,7 @@ class _Client:
             if self._last.token:
                 status = 0
                 try:
-                    body = Standing(int(self._frame)).to_json()
+                    body = ClientStatus(int(self._frame)).to_json()
                     url = f"{load.base}/{self._last.token}"
                     async with self._teller.post(url, data=body) as answer:
                         status = answer.status
@@ -238,8 +254,8 @@ class _Client:
                         self._last = LastPlay(self._last.token, rate_bps)
                 except (aiohttp.ClientError, OSError, TimeoutError):
                     pass  # it is lost; the next says more
-                load.news[status] = load.news.get(status, 0) + 1
-                load.slowest_news_s = max(load.slowest_news_s, time.monotonic() - began_s)
+                load.reports[status] = load.reports.get(status, 0) + 1
+                load.slowest_report_s = max(load.slowest_report_s, time.monotonic() - began_s)
 
 
 def resume_command(config: ResumeConfig) -> list[str]:

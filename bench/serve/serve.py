@@ -1,5 +1,5 @@
-"""What serving costs: objects beside nginx and aiohttp's FileResponse, held plays, live latency;
-and what clients feel of workers that are killed.
+"""The cost of serving: objects beside nginx and a bare web.Response of aiohttp, held plays, live
+latency; and what clients feel of workers that are killed.
 
 Usage: scripts/bench serve [--parts objects plays live kills] [--quick] [--json FILE] [--profile]
 
@@ -51,6 +51,8 @@ class BenchConfig:
     """Also profile the server's CPU time with py-spy; do not report the figures of such a run."""
     object_kb: tuple[int, ...] = (40, 100, 300, 1000)
     """Sizes of the objects, in thousands of bytes."""
+    connections: int = 8
+    """Connections of wrk: viewers that fetch objects from one worker at the same time."""
     rounds: int = 5
     """Number of rounds; the median counts."""
     round_s: float = 2.0
@@ -88,7 +90,9 @@ def run(config: BenchConfig) -> None:
 
         if Part.OBJECTS in config.parts:
             rounds = (1, 1.0) if quick else (config.rounds, config.round_s)
-            rates = measure_objects(config.object_kb, *rounds, cores, config.options, around)
+            rates = measure_objects(
+                config.object_kb, *rounds, config.connections, cores, config.options, around
+            )
             show_objects(rates)
             figures["objects"] = [asdict(rate) for rate in rates]
             show_hotspots(stacks)

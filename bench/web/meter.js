@@ -3,6 +3,7 @@
  * calls. Counted is what the callbacks of the page's thread take, less the call that draws.
  */
 
+import { Painter } from "/player/web/renderer/painter.js";
 import { SplatRenderer } from "/player/web/renderer/splatrenderer.js";
 
 /** Pictures that are not counted: programs are compiled, and all that shows is uploaded. */
@@ -70,9 +71,10 @@ for (const name of ["bufferData", "bufferSubData", "texImage2D", "texSubImage2D"
   };
 }
 
-const { draw, update } = SplatRenderer.prototype;
+const { draw } = Painter.prototype;
+const { update } = SplatRenderer.prototype;
 
-SplatRenderer.prototype.draw = function (...given) {
+Painter.prototype.draw = function (...given) {
   if (!draws) return;
   const beganMs = performance.now();
   draw.apply(this, given);

@@ -33,19 +33,14 @@ from codec.camera import Camera
 from codec.console import run_command
 from codec.errors import InvalidError
 from codec.pose import look_at
-from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.slots.update import Update
 from codec.stream import StreamWriter
 from codec.stream.manifest import Manifest
 from codec.tools.static import export_static
-from tests.support.hosted_streams import small_manifest, static_host
+from tests.support.hosted_streams import static_host
 from tests.support.slots.slot_streams import slot_manifest
-from tests.support.slots.trained_updates import (
-    SHARES,
-    trained_like_layout,
-    trained_like_updates,
-)
+from tests.support.slots.trained_updates import trained_like_layout, trained_like_updates
 from tests.support.trained_like import ROOM_M, trained_like_slice
 from tests.support.web.chromium import CHROMIUM, Page, running_chromium, why_not
 
@@ -103,7 +98,7 @@ class Measured:
         return fmean(picture["uploadBytes"] for picture in self.pictures)
 
 
-def scene(**changes: object) -> dict[str, object]:
+def scene() -> dict[str, object]:
     """Of a manifest: a camera in the room of the trained-like Gaussians."""
     place = np.array([0.7 * ROOM_M, 0.4 * ROOM_M, 0.7 * ROOM_M])
     pose = look_at(place, np.array([0.0, 0.7, 0.0]), np.array([0.0, 1.0, 0.0]))
@@ -111,7 +106,7 @@ def scene(**changes: object) -> dict[str, object]:
     size = (WIDTH_PX, HEIGHT_PX, focal_px, focal_px, WIDTH_PX / 2, HEIGHT_PX / 2)
     bounds = ((-ROOM_M,) * 3, (ROOM_M,) * 3)
     cameras = (Camera("c0", *size, pose),)
-    return {"bounds": bounds, "near_m": 0.1, "cameras": cameras, **changes}
+    return {"bounds": bounds, "near_m": 0.1, "cameras": cameras}
 
 
 def write(path: Path, manifest: Manifest, said: Iterable[Slice | Update]) -> Path:
@@ -125,29 +120,23 @@ def write(path: Path, manifest: Manifest, said: Iterable[Slice | Update]) -> Pat
 
 def write_slots(path: Path, num_gs: int) -> Path:
     layout = trained_like_layout(num_gs, 1, SEGMENT_FRAMES)
-    manifest = slot_manifest(layout, **scene(layers=SHARES))
+    manifest = slot_manifest(layout, **scene())
     return write(path, manifest, trained_like_updates(layout, NUM_FRAMES, ACTIVE))
 
 
 def write_slices(path: Path, num_gs: int) -> Path:
     slice_size = num_gs // PAPER_SWIN_SIZE
-    changes = scene(
-        swin_size=PAPER_SWIN_SIZE,
-        num_gs=num_gs,
-        layers=SHARES,
-        profile=Profile.COMPACT,
-        segment_frames=SEGMENT_FRAMES,
-    )
-    manifest = small_manifest(slice_size, 0, **changes)  # type: ignore[arg-type]
+    layout = trained_like_layout(slice_size, PAPER_SWIN_SIZE, SEGMENT_FRAMES)
+    manifest = slot_manifest(layout, **scene())
     births = range(1 - PAPER_SWIN_SIZE, NUM_FRAMES)
     return write(path, manifest, (trained_like_slice(birth, slice_size) for birth in births))
 
 
 KINDS = {
-    f"2, {ACTIVE:.0%} active": write_slots,
-    f"1, swin_size {PAPER_SWIN_SIZE}": write_slices,
+    f"{ACTIVE:.0%} of slots": write_slots,
+    f"whole slices, swin_size {PAPER_SWIN_SIZE}": write_slices,
 }
-"""By format version and what of the Gaussians is new in a frame."""
+"""By what of the Gaussians is sent in a frame."""
 
 
 def play(page: Page, url: str, rate: float, is_moving: bool, uploads_all: bool) -> Measured:
@@ -183,7 +172,7 @@ def run(config: WebConfig) -> None:
     reason = why_not()
     if reason is not None:
         raise InvalidError(reason)
-    names = ["version", "Gaussians", "camera", "main ms", "95 %", "upload ms", "decode ms"]
+    names = ["sent", "Gaussians", "camera", "main ms", "95 %", "upload ms", "decode ms"]
     names += ["sort ms", "pictures/s", "stalls", "kB", "all kB", "ratio", "paper's", "draw ms"]
     table = Table(*names, box=box.MARKDOWN)
     device = ""

@@ -14,11 +14,11 @@ MAGIC = b"PK\3\4"
 END = struct.Struct("<4s4H2IH")
 END_MAGIC, LONG_MAGIC = b"PK\5\6", b"PK\6\7"
 LONG_BYTES = 20
-"""Of the record before the end that says that there is a longer one, for more than 4 GB."""
+"""Size of the record before the end that points to a longer one, for more than 4 GB."""
 MAX_COMMENT_BYTES = 0xFFFF
 MAX_DIRECTORY_BYTES = 1 << 16
-"""Of the table of contents. One of a few files has less than a kilobyte; a Python object is made of
-every 46 bytes."""
+"""Largest table of contents. That of a few files has less than a kilobyte; every 46 bytes become a
+Python object."""
 FILE_SLACK_BYTES = 1 << 20
 """By how much a file may be longer than the archive: only text shrinks much."""
 _BROKEN = (

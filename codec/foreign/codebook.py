@@ -14,7 +14,7 @@ from .levels import Bytes
 
 CODES = 256
 MAX_ROUNDS = 60
-"""Of Lloyd's iteration, which moves little after twenty."""
+"""Rounds of Lloyd's iteration, which moves little after twenty."""
 
 Labels = npt.NDArray[np.int64]
 

@@ -52,9 +52,9 @@ MAX_SETS = 4096
 """Sets of Gaussians among them: each costs time, however small it is."""
 MAX_GLB_BYTES = (1 << 32) - 1
 PLAIN_BYTES = 56
-"""Of a Gaussian of SH degree 0 in memory."""
+"""Size of a Gaussian of SH degree 0 in memory."""
 SPZ_HEAD_BYTES = 1 << 12
-"""Of an SPZ file, enough for its header."""
+"""Bytes read of an SPZ file for its header."""
 
 _log = logging.getLogger(__name__)
 
@@ -77,7 +77,7 @@ def _children(node: Fields) -> list[int]:
 
 
 def _roots(root: Fields) -> list[int]:
-    """The nodes to begin with: those of the scene, or all that are nobody's child."""
+    """The nodes to begin with: those of the scene, or all that have no parent."""
     if root.size("scenes"):
         return root.item("scenes", root.integer("scene", 0, most=MOST)).integers("nodes", most=MOST)
     children = {child for node in root.items("nodes") for child in _children(node)}

@@ -111,7 +111,7 @@ class Document:
     root: Fields
     _chunk: memoryview
     _payloads: list[bytes]
-    """Of data URIs, in base64, taken out before the JSON is parsed: it is short then."""
+    """The base64 of data URIs, taken out before the JSON is parsed: it is short then."""
     _beside: Beside
     _loaded: dict[int, memoryview] = field(default_factory=dict)
 

@@ -77,7 +77,8 @@ class PlyHeader:
     """The elements before the first with a list, by name and in order. Where they begin is right
     for binary rows, and for the first of all in any layout."""
     has_list: bool
-    """Whether there is a list. Only its rows tell how long they are, and so what begins where."""
+    """Whether there is a list. Its rows have lengths of their own, so nothing behind it has a fixed
+    place."""
 
 
 def _header_lines(data: bytes) -> tuple[list[str], int]:

@@ -26,8 +26,8 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.errors import CorruptError, UnsupportedError
+from codec.lattice.morton import interleave
 from codec.pose import Doubles
-from codec.profiles.morton import interleave
 from codec.splats import MAX_SH_DEGREE, Floats, Splats, sh_count
 
 from .bundle import Bundle, encode_bundle
@@ -53,7 +53,7 @@ LEVELS = 65535
 MAX_PALETTE = 1 << 16
 PALETTE_COLUMNS = 64
 PIXEL_BYTES = 20
-"""Of a Gaussian in the five pictures that there always are, as they are decoded."""
+"""Size of a Gaussian in the five decoded pictures that are always there."""
 SPARE_PIXELS = 1 << 16
 
 _log = logging.getLogger(__name__)

@@ -1,6 +1,6 @@
 """Pictures as tables of bytes: WebP without loss, of which the header is read before all else.
 
-Source: RFC 9649. A file is a RIFF container whose first chunk tells the size: VP8L (lossless) by
+Source: RFC 9649. A file is a RIFF container whose first chunk holds the size: VP8L (lossless) by
 itself, or VP8X (the extended layout).
 """
 
@@ -24,7 +24,7 @@ ANIMATED = 2
 """Flag of the extended layout."""
 MAX_SIDE_PX = 1 << 14
 EFFORT = 4
-"""Of 6: the last two take three times as long for 1 %."""
+"""Pillow's method, of 0 to 6: the last two take three times as long for 1 %."""
 
 
 def webp_size(data: bytes, what: str) -> tuple[int, int]:

@@ -62,7 +62,7 @@ class _Reading:
 
     check: Callable[[bytes, int, int], object]
     """Given the first bytes of a file, its size, and the most Gaussians: raises for a file that
-    `decode` would not take, as far as they tell."""
+    `decode` would refuse, as far as these show."""
     decode: Callable[[bytes, int], Splats]
 
 

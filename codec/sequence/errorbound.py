@@ -8,9 +8,9 @@ from itertools import pairwise
 import numpy as np
 
 from codec.errors import InvalidError
+from codec.lattice.lattice import COLOURS, SCALES, TURNS, Lattice
+from codec.lattice.quantise import MAX_OPACITY_LEVELS
 from codec.pose import Doubles
-from codec.profiles.quantise import MAX_OPACITY_LEVELS
-from codec.slots.lattice import COLOURS, SCALES, TURNS, Lattice
 
 HOLD = 0.75
 """Steps that a value may be off before it is sent again; a new one is rounded, so half a step off.

@@ -1,4 +1,4 @@
-"""The lattice that Gaussians lie on already, as those do that a stream of version 2 gave.
+"""The lattice that Gaussians lie on already, as those of another stream do.
 
 Taking it again loses nothing, where another one of the same fineness would round every number once
 more.
@@ -9,9 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from codec.errors import InvalidError
-from codec.pose import Doubles
-from codec.profiles.quantise import MAX_OPACITY_LEVELS, opacity_logits, to_luma
-from codec.slots.lattice import (
+from codec.lattice.lattice import (
     COLOURS,
     POSITION_LIMIT,
     SCALES,
@@ -22,19 +20,21 @@ from codec.slots.lattice import (
     dequantise,
     num_attributes,
 )
+from codec.lattice.quantise import MAX_OPACITY_LEVELS, opacity_logits, to_luma
+from codec.pose import Doubles
 from codec.splats import Floats, Splats
 
 ENOUGH = 0.9
 """Share of the Gaussians that lie on a lattice that is taken; the others escaped from it."""
 
 MAX_SAMPLES = 1 << 14
-"""Gaussians looked at: they tell as much as all."""
+"""Gaussians looked at: as good as all of them."""
 
 OFTEN = 0.8
 """Share of the numbers that must occur again and again for the others not to count."""
 
 MANY = 2000
-"""Of so many numbers, two may be equal by chance."""
+"""Among this many numbers, two may be equal by chance."""
 
 CANDIDATES = 8
 """Differences tried as a step: the most frequent ones, and the smallest."""
@@ -68,7 +68,7 @@ def as_given(splats: Splats, lattice: Lattice) -> tuple[States, Flags]:
 
 
 def find_lattice(splats: Splats) -> Lattice | None:
-    """The lattice of `splats`; None if there is none, or too few Gaussians tell of it."""
+    """The lattice of `splats`; None if there is none, or too few Gaussians show it."""
     if not len(splats):
         return None
     splats = splats.take(slice(None, None, 1 + len(splats) // MAX_SAMPLES))
@@ -130,19 +130,20 @@ def _exact(values: Floats, step: np.float32) -> float:
 
 
 def _refined(numbers: Doubles, step: float) -> float:
-    """`step` as the multiples of it tell, farther and farther away: the farther, the better."""
+    """`step` fitted to its multiples, first the near ones, then ever farther ones, which are more
+    exact."""
     reaches = 16.0 * 4.0 ** np.arange(1 + max(0, int(np.log2(numbers[-1] / step) / 2)))
     for reach, near in *((reach, 0.1) for reach in reaches), (np.inf, NEAR), (np.inf, NEAR / 20):
-        told = numbers[(numbers < reach * step) & _is_on(numbers, step, near)]
-        multiples = np.rint(told / step)
+        used = numbers[(numbers < reach * step) & _is_on(numbers, step, near)]
+        multiples = np.rint(used / step)
         total = (multiples**2).sum()
         if total > 0:
-            step = float((told * multiples).sum() / total)
+            step = float((used * multiples).sum() / total)
     return step
 
 
 def _is_on(numbers: Doubles, step: float, near: float = NEAR) -> Flags:
-    """(N,) which of `numbers` are multiples of `step` to `near` steps, as far as f32 tells."""
+    """(N,) which of `numbers` are multiples of `step` to `near` steps, as far as f32 is precise."""
     multiples = numbers / step
     slack = near + multiples * 2.0**-23
     on: Flags = (abs(multiples - np.rint(multiples)) < slack) & (slack < 0.25)

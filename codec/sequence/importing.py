@@ -1,9 +1,7 @@
 """A stream made of files of Gaussians: one still model, or a numbered sequence.
 
-With the profile lattice a slice sends only what changes from file to file. With the others every
-file becomes a slice that lives for one frame (swin_size 1), so that each frame stands by itself. A
-still model is a stream of one frame; nothing in it ever expires, so a player may hold or repeat it
-for as long as it likes.
+A slice sends only what changes from file to file. A still model is a stream of one frame; nothing
+in it ever expires, so a player may hold or repeat it for as long as it likes.
 """
 
 from __future__ import annotations
@@ -16,24 +14,28 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+import tyro
 
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.files import making_folder
 from codec.framerange import FRAMES, FrameRange
+from codec.lattice.lattice import Lattice
+from codec.lattice.quantise import layer_coarseness
 from codec.pose import Doubles
-from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.slots.slotlayout import MAX_LAYERS, MAX_SEGMENT_SLOTS
-from codec.slots.update import Update
 from codec.splats import DRAWN_SH_DEGREE, MAX_SH_DEGREE, Splats
-from codec.stream.layers import RANKS, Rank, split_counts
-from codec.stream.manifest import MAX_FPS, MIN_FPS, SLOTS_VERSION, Manifest, Point
-from codec.stream.poster import POSTER_NAME, Draw, write_poster
+from codec.stream.layers import RANKS, Rank, RankFunction, split_counts, split_layers
+from codec.stream.manifest import MAX_FPS, MIN_FPS, Manifest, Point
+from codec.stream.pictures import Draw
+from codec.stream.poster import POSTER_NAME, write_poster
 from codec.stream.reader import StreamReader
+from codec.stream.storyboard import STORYBOARD_NAME, write_storyboard
+from codec.stream.wholeslice import whole_update
 from codec.stream.writer import StreamWriter
 
-from .errorbound import KINDS, ErrorBound
+from .errorbound import HOLD, KINDS, ErrorBound, steps_of
 from .importscore import ImportScore, cameras_around
 from .numberedfiles import find_files
 from .slotfiller import SlotFiller, SlotPlan
@@ -46,11 +48,11 @@ VERTICAL_FOV_RAD = math.radians(50)
 NEAR_SHARE = 0.01
 """Nearest depth drawn, as a share of the bounds' half diagonal: one may walk into the model."""
 SHARES = (0.35, 0.15, 0.2, 0.3)
-"""Of the layers, where there are as many; else they are equal."""
+"""Shares of four layers; another number of layers has equal shares."""
 SEGMENT_FRAMES = 15
 LONGEST_SEGMENT_S = 10.0
 STILL_FPS = 30.0
-"""Of a single file: nothing moves."""
+"""Frame rate of a single file, in which nothing moves."""
 FPS_NAME = "fps.txt"
 """A file in the folder with the frames per second, a number, as captures may have."""
 
@@ -71,18 +73,15 @@ class ImportOptions:
     """Frames per second. A sequence needs it, either here or as a number in its fps.txt."""
     frames: Annotated[FrameRange, FRAMES] = field(default_factory=FrameRange)
     """Range of files A:B, A included, B not, counted from 0."""
-    profile: Profile | None = None
-    """How the stream codes its Gaussians. lattice, the default of a sequence, sends only the
-    changes from file to file, within the errors below. The other profiles send every file whole:
-    compact, the default of a single file, is small; paper uses the paper's quantisation; raw keeps
-    every float of the file."""
     layers: int = 4
     """Number of layers in each frame; players on slow links fetch only the first ones."""
     rank: Rank = Rank.COVERAGE
     """Importance that orders Gaussians into layers: coverage, opacity, or given (the order in the
     file)."""
+    exact: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Keep every float of the files; every frame is then sent whole."""
     error: ErrorBound = field(default_factory=ErrorBound)
-    """Largest errors of profile lattice against the files."""
+    """Largest errors against the files."""
     sh_degree: int | None = None
     """Highest degree of spherical harmonics to keep, 0 to 3; files of lower degree stay as they
     are. By default all degrees are kept for export; players draw up to degree 1."""
@@ -97,7 +96,7 @@ class ImportOptions:
 
     @property
     def shares(self) -> tuple[float, ...]:
-        """Of the layers."""
+        """Share of the Gaussians in each layer."""
         return SHARES if self.layers == len(SHARES) else (1 / self.layers,) * self.layers
 
     def kept(self, splats: Splats) -> Splats:
@@ -114,17 +113,17 @@ class Imported:
     manifest: Manifest
     num_frames: int
     num_bytes: int
-    """Of all objects."""
+    """Size of all objects."""
     played_bytes: int
-    """Of what one fetches who plays from frame 0."""
+    """Size of the objects that a player from frame 0 on fetches."""
     first_bytes: int
-    """Of that, what comes before anything shows: the snapshots of frame 0, or its slice."""
-    errors: dict[str, float] | None
-    """The most that each of KINDS was off; of positions in metres. None if frames are whole."""
+    """Size of the part that comes before anything shows: the snapshots of frame 0."""
+    errors: dict[str, float]
+    """The most that each of KINDS was off; of positions in metres."""
     num_escaped: int
     """Gaussians that were sent at full precision, so that the errors held."""
     statuses: tuple[int, ...]
-    """How many slots were kept, ended, predicted, new; empty if frames are whole."""
+    """How many slots were kept, ended, predicted, new after the first frame."""
     scores_db: tuple[tuple[float, ...], ...]
     """PSNR of some frames with 1, 2, ... layers, against the files, if there was something to draw
     with. The files are drawn at `source_sh_degree`, the stream as players draw it."""
@@ -146,19 +145,24 @@ def facing_camera(lower: Doubles, upper: Doubles) -> Camera:
     )
 
 
-def make_manifest(survey: Survey, options: ImportOptions, title: str) -> Manifest:
-    """The manifest of a stream of what `survey` found, each frame by itself (version 1,
-    profile compact)."""
+def make_manifest(
+    survey: Survey,
+    options: ImportOptions,
+    title: str,
+    slots: tuple[int, ...],
+    lattices: tuple[Lattice, ...],
+) -> Manifest:
+    """The manifest of a stream of what `survey` found."""
     lower, upper = survey.box
     camera = facing_camera(lower, upper)
+    fps = STILL_FPS if options.fps is None else options.fps
     return Manifest(
-        fps=STILL_FPS if options.fps is None else options.fps,
+        fps=fps,
         swin_size=1,
-        num_gs=max(1, survey.num_gs),
-        layers=options.shares,
-        segment_frames=SEGMENT_FRAMES,
+        slots=slots,
+        lattice=lattices,
+        segment_frames=_segment_frames(survey, fps),
         sh_degree=survey.sh_degree,
-        profile=Profile.COMPACT,
         antialias=False,
         near_m=NEAR_SHARE * float(np.linalg.norm(upper - lower)) / 2,
         bounds=(_point(lower), _point(upper)),
@@ -176,8 +180,8 @@ def _point(values: Doubles) -> Point:
 
 
 def _segment_frames(survey: Survey, fps: float) -> int:
-    """Frames in a segment such that its changes are about as large as its snapshot, which who joins
-    fetches too: the less moves, the longer."""
+    """Frames in a segment such that its changes are about as large as its snapshot, which a joining
+    player fetches, too: the less moves, the longer."""
     most = max(SEGMENT_FRAMES, round(LONGEST_SEGMENT_S * fps))
     fitting = min(most, MAX_SEGMENT_SLOTS // max(1, survey.num_gs))
     return int(np.clip(round(1 / max(survey.moved_share, 1e-6)), SEGMENT_FRAMES, fitting))
@@ -199,18 +203,12 @@ def make_plan(survey: Survey, options: ImportOptions) -> SlotPlan:
     return SlotPlan(slots, shares, survey.sh_degree, lattice, bounds, *survey.box)
 
 
-def with_slots(plain: Manifest, plan: SlotPlan, survey: Survey) -> Manifest:
-    """`plain`, which is of version 1, as the manifest of a stream of the slots of `plan`."""
-    return replace(
-        plain,
-        version=SLOTS_VERSION,
-        num_gs=sum(plan.slots),
-        profile=Profile.LATTICE,
-        layers=(),
-        slots=plan.slots,
-        lattice=(plan.lattice,) * len(plan.slots),
-        segment_frames=_segment_frames(survey, plain.fps),
-    )
+def still_lattices(splats: Splats, plan: SlotPlan, rank: RankFunction) -> tuple[Lattice, ...]:
+    """The lattice of each layer of a single file: the less its Gaussians paint, the coarser, as far
+    as the bounds allow. Such a value is rounded, so half a step off, where one of a sequence may be
+    held HOLD steps off."""
+    layers = [splats.take(rows) for rows in split_layers(splats, plan.slots, rank)]
+    return tuple(plan.lattice.coarser(min(f, HOLD / 0.5)) for f in layer_coarseness(layers))
 
 
 def _fps_of(source: Path, num_files: int, options: ImportOptions) -> float:
@@ -245,7 +243,7 @@ def import_stream(
     progress: Progress = _nothing,
 ) -> Imported:
     """Writes a finished stream at `stream`, absent or an empty folder, of the file or numbered
-    folder `source`; with PSNR and a poster if there is something to draw them with.
+    folder `source`; with PSNR, a poster and a storyboard if there is something to draw them with.
 
     Each file of a sequence is read twice: the manifest comes first and describes them all, and two
     at most are in memory at a time. The stream appears whole or not at all. Raises a SwingsError
@@ -256,7 +254,7 @@ def import_stream(
     options = replace(options, fps=_fps_of(source, len(files), options))
     with making_folder(stream) as folder:
         num_steps = (1 + WRITE_STEPS) * len(files)
-        survey, source_sh_degree = Survey(), 0
+        survey, source_sh_degree, num_escaped = Survey(), 0, 0
         for number, file in enumerate(files):
             splats = read_frame(file)
             source_sh_degree = max(source_sh_degree, splats.sh_degree)
@@ -265,47 +263,49 @@ def import_stream(
                 _warn_of_undrawn(survey.sh_degree)
             progress(number + 1, num_steps)
         title = source.resolve().name if options.title is None else options.title
-        manifest = make_manifest(survey, options, title)
-        filler = None
-        profile = options.profile
-        if profile is None:
-            profile = Profile.LATTICE if len(files) > 1 else Profile.COMPACT
-        if profile is not Profile.LATTICE:
-            manifest = replace(manifest, profile=profile)
-        else:
-            plan = make_plan(survey, options)
-            manifest = with_slots(manifest, plan, survey)
-            filler = SlotFiller(plan, RANKS[_known(options.rank)])
+        rank = RANKS[_known(options.rank)]
+        plan = make_plan(survey, options)
+        filler, lattices = SlotFiller(plan, rank), (plan.lattice,) * len(plan.slots)
+        is_still = len(files) == 1 and survey.lattice is None
+        if is_still and not options.exact:
+            lattices = still_lattices(options.kept(splats), plan, rank)
+        manifest = make_manifest(survey, options, title, plan.slots, lattices)
         score = None
         if draw is not None:
-            manifest = replace(manifest, poster=POSTER_NAME)
+            manifest = replace(manifest, poster=POSTER_NAME, storyboard=STORYBOARD_NAME)
             lower, upper = survey.box
             cameras = cameras_around(manifest.camera(), (lower + upper) / 2)
             score = ImportScore(draw, cameras, manifest.near_m, SEGMENT_FRAMES)
-        with StreamWriter.create(folder, manifest, options.rank, score) as writer:
+        with StreamWriter.create(folder, manifest, quality=score) as writer:
             for birth, file in enumerate(files):
                 splats = read_frame(file)
                 if score is not None:
                     score.source = splats
                 kept = _unchanged(file, options.kept(splats), survey)
-                writer.append(_slice_of(birth, kept, filler))
-                if not birth:
-                    first_bytes = writer.slice_bytes
+                if is_still or options.exact:
+                    whole = Slice(birth, kept, np.zeros(len(kept), np.uint8))
+                    update = whole_update(whole, manifest.slot_layout, rank, options.exact)
+                else:
+                    update = filler.update(birth, kept)
+                num_escaped += int(np.count_nonzero(update.escaped))
+                writer.append(update)
                 progress(len(files) + WRITE_STEPS * (birth + 1), num_steps)
-        if manifest.has_slots:
-            first_bytes = sum(StreamReader(folder, max_gaussians=None).records[0].side_bytes[1:])
+        first_bytes = sum(StreamReader(folder, max_gaussians=None).records[0].side_bytes[1:])
         if draw is not None:
             write_poster(folder, draw)
-    errors = None if filler is None else dict(zip(KINDS, filler.errors.tolist(), strict=True))
+            write_storyboard(folder, draw)
+    errors = filler.errors
+    if is_still and survey.num_gs and not options.exact:
+        errors = np.max([steps_of(lattice) for lattice in lattices], axis=0) / 2
     return Imported(
         writer.manifest,
         len(files),
         writer.bytes_written,
         writer.played_bytes,
         first_bytes,
-        errors,
-        0 if filler is None else filler.num_escaped,
-        () if filler is None else tuple(filler.statuses.tolist()),
+        dict(zip(KINDS, errors.tolist(), strict=True)),
+        num_escaped,
+        tuple(filler.statuses.tolist()),
         () if score is None else tuple(score.scores_db),
         source_sh_degree,
     )
@@ -324,7 +324,7 @@ def _warn_of_undrawn(sh_degree: int) -> None:
 
 
 def _known(rank: Rank) -> Rank:
-    if rank not in RANKS:  # a string of a caller whose types nobody checks
+    if rank not in RANKS:  # callers without a type checker pass any string
         raise InvalidError(f"no rank is called {rank!r}; there are {', '.join(RANKS)}")
     return rank
 
@@ -334,9 +334,3 @@ def _unchanged(file: Path, splats: Splats, survey: Survey) -> Splats:
     if splats.sh_degree != survey.sh_degree or len(splats) > survey.num_gs:
         raise InvalidError(f"{file}: changed while it was imported")
     return splats
-
-
-def _slice_of(birth: int, splats: Splats, filler: SlotFiller | None) -> Slice | Update:
-    if filler is not None:
-        return filler.update(birth, splats)
-    return Slice(birth, splats, np.zeros(len(splats), np.uint8))

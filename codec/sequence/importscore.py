@@ -12,7 +12,7 @@ from codec.pose import Doubles, rotation_about
 from codec.similarity import harmonics
 from codec.slice import Slice
 from codec.splats import DRAWN_SH_DEGREE, SH_C0, Splats
-from codec.stream.poster import Draw
+from codec.stream.pictures import Draw
 
 NUM_VIEWS = 3
 """Cameras on a circle about the model, the default camera first."""
@@ -65,8 +65,8 @@ def with_seen_colours(splats: Splats, position: Doubles) -> Splats:
 
 
 class ImportScore:
-    """A Quality (codec.stream.draft) that compares with `source`, the file of the frame, which
-    whoever appends it has set.
+    """A Quality (codec.stream.draft) that compares with `source`: the caller sets it to the file of
+    the frame before it appends that frame.
 
     The stream is drawn as players draw it, the file with its harmonics of every degree: what
     players leave out counts as an error.
@@ -77,7 +77,7 @@ class ImportScore:
         self._draw, self._cameras, self._near_m, self._every = draw, cameras, near_m, every
         self.source: Splats | None = None
         self.scores_db: list[tuple[float, ...]] = []
-        """Of each frame that was scored, with 1, 2, ... layers."""
+        """PSNR in dB of each scored frame with 1, 2, ... layers."""
 
     def __call__(self, birth: int, slices: Sequence[Slice]) -> Sequence[float] | None:
         if birth < 0 or birth % self._every or self.source is None:

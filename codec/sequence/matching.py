@@ -23,20 +23,21 @@ ALIKE = (0.5, 0.5, 0.3, 0.15, 0.15, 0.15)
 standard deviations, its opacity, its colour."""
 
 ORDER_SHARE = 0.5
-"""Of the Gaussians at the same place in two files, the share that must be alike for the order of
-the files to mean something."""
+"""Share of the Gaussians at equal places in two files that must be alike for the order of the files
+to identify them."""
 
 ORDER_REACH = 0.1
-"""How far a Gaussian may go in a frame where the order tells, as a share of the scene's extent."""
+"""Largest motion in a frame where the order identifies Gaussians, as a share of the scene's
+extent."""
 
 REACH = 4.0
-"""How far a Gaussian may go in a frame where it does not, as a multiple of its size."""
+"""Largest motion in a frame where it does not, as a multiple of the Gaussian's size."""
 
 NEIGHBOURS = 4
-"""Nearest Gaussians that are looked at."""
+"""Nearest Gaussians that are candidates for a match."""
 
 FLOW_ROUNDS, FLOW_NEIGHBOURS = 2, 8
-"""How often it is looked where a Gaussian's neighbours go, and how many of them tell."""
+"""Rounds in which a Gaussian follows its neighbours' motion, and neighbours that it follows."""
 
 FLOW_SAMPLES = 1 << 13
 """Gaussians that are looked at for that."""
@@ -46,7 +47,7 @@ ROUNDS = 3
 
 
 def row_keys(splats: Splats) -> Keys:
-    """(N,) uint64 that tell Gaussians apart: equal for equal bits, hardly ever for others."""
+    """(N,) uint64 that identify Gaussians: equal for equal bits, hardly ever for others."""
     count = len(splats)
     keys = np.zeros(count, np.uint64)
     for array in splats.arrays:
@@ -148,9 +149,9 @@ def _pair_by_place(before: Splats, after: Splats, left: Rows, right: Rows, conti
     """Fills `continued` with pairs each of which is the other's nearest, in place and looks, once
     what goes one way with its neighbours is carried along."""
     old, new = _Cloud.of(before.take(left)), _Cloud.of(after.take(right))
-    told = np.arange(0, len(left), 1 + len(left) // FLOW_SAMPLES)
+    sampled = np.arange(0, len(left), 1 + len(left) // FLOW_SAMPLES)
     for _ in range(FLOW_ROUNDS):
-        a, b = _mutual(old, new, told)
+        a, b = _mutual(old, new, sampled)
         if len(a) < FLOW_NEIGHBOURS:
             break
         moves_m = new.means_m[b] - old.means_m[a]

@@ -15,9 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from codec.pose import Doubles
-from codec.profiles.morton import interleave
-from codec.slots.lattice import (
+from codec.lattice.lattice import (
     SCALES,
     TURNS,
     Bytes,
@@ -27,6 +25,8 @@ from codec.slots.lattice import (
     lattice_values,
     round_values,
 )
+from codec.lattice.morton import interleave
+from codec.pose import Doubles
 from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
 from codec.stream.layers import RankFunction, split_counts
@@ -36,7 +36,7 @@ from .findlattice import as_given
 from .matching import Rows, match
 
 SLACK = 1e-6
-"""Of a step, for the rounding of the steps themselves."""
+"""Share of a step that allows for the rounding of the steps themselves."""
 
 BLOCK = 1 << 16
 """Gaussians that become integers at a time."""
@@ -52,9 +52,9 @@ class SlotPlan:
     """What must be known of all files before the first one becomes slots."""
 
     slots: tuple[int, ...]
-    """Of each layer; all together as many as the fullest file has Gaussians, or more."""
+    """Slots of each layer; their sum is the Gaussian count of the fullest file, or more."""
     shares: tuple[float, ...]
-    """Of the Gaussians of a file, by importance, that belong into each layer."""
+    """Share of a file's Gaussians, by importance, in each layer."""
     sh_degree: int
     lattice: Lattice
     bounds: Doubles  # (5,) most that each of KINDS may be off; of positions in metres
@@ -79,8 +79,6 @@ class SlotFiller:
         self.statuses: Counts = np.zeros(4, np.int64)
         """How many slots were kept, ended, predicted, new so far, after the first file; empty ones
         count as kept."""
-        self.num_escaped = 0
-        """Gaussians sent at full precision so far."""
 
     @property
     def errors(self) -> Doubles:
@@ -113,7 +111,7 @@ class SlotFiller:
         self._before, self._slot_of_row = splats, slots
         if birth:
             self.statuses += np.bincount(statuses, minlength=4)
-        return self._told(birth, statuses, splats, slots)
+        return self._update_of(birth, statuses, splats, slots)
 
     def _empty(self, slots: Rows) -> None:
         self._is_full[slots] = self._has_escaped[slots] = False
@@ -195,13 +193,12 @@ class SlotFiller:
             places.append(slots[:count])
         return np.concatenate(rows), np.concatenate(places)
 
-    def _told(self, birth: int, statuses: Bytes, splats: Splats, slots: Rows) -> Update:
+    def _update_of(self, birth: int, statuses: Bytes, splats: Splats, slots: Rows) -> Update:
         """The Update of what the slots hold now."""
         coded = np.flatnonzero(statuses >= PREDICTED)
         escaped = self._has_escaped[coded]
         row_of_slot = np.zeros(len(statuses), np.int64)
         row_of_slot[slots] = np.arange(len(slots))
-        self.num_escaped += int(np.count_nonzero(escaped))
         return Update(
             birth,
             statuses,

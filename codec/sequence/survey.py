@@ -9,11 +9,11 @@ import numpy as np
 
 from codec.errors import InvalidError
 from codec.interop.formats import read_splats
+from codec.lattice.lattice import Lattice
+from codec.lattice.quantise import POSITION_PER_SIZE, position_step_m
 from codec.pose import Doubles
-from codec.profiles.quantise import POSITION_PER_SIZE, choose_steps
-from codec.slots.lattice import Lattice
+from codec.slots.slotlayout import MAX_SLOTS
 from codec.splats import Splats
-from codec.stream.chunk import MAX_SPLATS_PER_CHUNK
 
 from .findlattice import find_lattice
 from .matching import Keys, row_keys
@@ -28,7 +28,7 @@ FAR = 2.0
 
 def read_frame(path: Path) -> Splats:
     """The Gaussians of one file of a sequence. Raises a CodecError that names the file."""
-    return read_splats(path, MAX_SPLATS_PER_CHUNK)
+    return read_splats(path, MAX_SLOTS)
 
 
 def _nowhere(sign: float) -> Doubles:
@@ -37,11 +37,11 @@ def _nowhere(sign: float) -> Doubles:
 
 @dataclass
 class Survey:
-    """Of the files taken in so far."""
+    """Counts and bounds of the files taken in so far."""
 
     num_files: int = 0
     num_gs: int = 0
-    """Of the fullest file."""
+    """Gaussians of the fullest file."""
     sh_degree: int = 0
     lower: Doubles = field(default_factory=lambda: _nowhere(1))  # (3,) metres
     upper: Doubles = field(default_factory=lambda: _nowhere(-1))  # (3,) metres
@@ -87,7 +87,7 @@ class Survey:
         self.lowest, self.highest = min(self.lowest, lowest), max(self.highest, highest)
         self.lower = np.minimum(self.lower, lower)
         self.upper = np.maximum(self.upper, upper)
-        self.size_m = min(self.size_m, choose_steps(splats).position_m / POSITION_PER_SIZE)
+        self.size_m = min(self.size_m, position_step_m(splats) / POSITION_PER_SIZE)
         self.num_gs = max(self.num_gs, len(splats))
 
     @property

@@ -1,1 +1,1 @@
-"""Slots that last (format version 2): a Gaussian as integers, and what a slice changes of them."""
+"""Slots that last: a Gaussian as integers, and what a slice changes of them."""

@@ -1,4 +1,4 @@
-"""The mask of a slice: what becomes of each slot of its lane (codec/FORMAT.md, section 15)."""
+"""The mask of a slice: what becomes of each slot of its lane (codec/FORMAT.md, section 9)."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy.typing as npt
 from codec.coders.coder import EncodedChunk
 from codec.errors import CorruptError
 from codec.kernel import kernel
+from codec.lattice.lattice import Bytes
 
-from .lattice import Bytes
 from .rangecoder import (
     WHOLE,
     decode_bit,

@@ -1,4 +1,4 @@
-"""The adaptive binary arithmetic coder of masks (codec/FORMAT.md, section 15).
+"""The adaptive binary arithmetic coder of masks (codec/FORMAT.md, section 9).
 
 Rule: what the encoder writes is, byte for byte, what the decoder reads, so that the end of a body
 is known. All numbers are int64, in which nothing here can overflow.
@@ -18,7 +18,7 @@ LEAST = 1 << 24
 """A range below this one is scaled up by a byte."""
 
 FIRST_PROBABILITY = 1 << 15
-"""Of a 0, in 65536ths, before anything was coded."""
+"""Probability of a 0, in 65536ths, before anything was coded."""
 
 MOST_COUNTED = 127
 """Bits of a context that count: a probability moves by half of the way after the first, and by a

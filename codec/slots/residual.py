@@ -1,5 +1,5 @@
 """The Gaussians of a change as byte planes: predicted ones as differences to what they were, new
-ones one after another (codec/FORMAT.md, sections 16.1 and 16.2).
+ones one after another (codec/FORMAT.md, sections 10.1 and 10.2).
 """
 
 from __future__ import annotations
@@ -8,8 +8,7 @@ import numpy as np
 
 from codec.errors import CorruptError
 from codec.kernel import kernel
-
-from .lattice import POSITION_LIMIT, Bytes, Flags, Ints, States, num_attributes
+from codec.lattice.lattice import POSITION_LIMIT, Bytes, Flags, Ints, States, num_attributes
 
 LONG = 255
 """The byte of a difference that stands among the long residuals."""

@@ -1,4 +1,4 @@
-"""A change: what a slice brings to one layer (codec/FORMAT.md, section 16).
+"""A change: what a slice brings to one layer (codec/FORMAT.md, section 10).
 
 Rule: nothing is allocated before the counts in the bytes are those that the mask says, and no state
 is touched: a `Change` is what the bytes say, and `Slots` says what becomes of it.
@@ -15,10 +15,10 @@ import numpy as np
 
 from codec.coders.coder import EncodedChunk
 from codec.errors import CodecError, CorruptError, InvalidError
-from codec.profiles.raw import bytes_per_gaussian, pack_arrays, read_arrays
+from codec.lattice.floats import bytes_per_gaussian, pack_arrays, read_arrays
+from codec.lattice.lattice import Bytes, Flags, Ints, States
 from codec.splats import Splats
 
-from .lattice import Bytes, Flags, Ints, States
 from .residual import decode_new, decode_predicted, encode_new, encode_predicted
 from .slotchunk import Kind, SlotHeader
 from .slotlayout import COUNTS_BYTES, HEADER_BYTES, MAX_SLOT_CHUNK_BYTES, SlotLayout

@@ -1,4 +1,4 @@
-"""The head of the chunks of version 2 (codec/FORMAT.md, section 15): mask, change or snapshot."""
+"""The head of a chunk (codec/FORMAT.md, section 9): mask, change or snapshot."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class SlotHeader:
     kind: Kind
     layer: int
     birth: int
-    """Of the slice; of a snapshot the first frame of its segment."""
+    """Birth of the slice; in a snapshot the first frame of its segment."""
     has_start_offsets: bool = False
 
     def pack(self) -> bytes:

@@ -1,4 +1,4 @@
-"""Masks, changes and snapshots to Gaussians (codec/FORMAT.md, section 13).
+"""Masks, changes and snapshots to Gaussians (codec/FORMAT.md, section 7).
 
 Rule: any bytes give a value or a CodecError that leaves everything as it was; memory goes by the
 layout.
@@ -13,10 +13,10 @@ import numpy as np
 
 from codec.errors import CodecError, CorruptError, InvalidError
 from codec.halfway import Motion
+from codec.lattice.lattice import Bytes, Flags, Ints
 from codec.slice import Slice, window_births
 from codec.splats import Splats
 
-from .lattice import Bytes, Flags, Ints
 from .mask import MaskHistory, decode_mask
 from .slotchange import decode_change
 from .slotchunk import BIRTH_AT, LAYER_AT

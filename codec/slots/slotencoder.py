@@ -9,9 +9,9 @@ import numpy as np
 
 from codec.coders.coder import EncodedChunk
 from codec.errors import InvalidError
+from codec.lattice.lattice import Bytes, States
 from codec.slice import HIDDEN, window_births
 
-from .lattice import Bytes, States
 from .mask import MaskHistory, encode_mask
 from .slotchange import Newcomers, encode_change
 from .slotdecoder import SlotDecoder
@@ -28,7 +28,7 @@ class EncodedSlice:
     birth: int
     mask: EncodedChunk
     changes: tuple[EncodedChunk, ...]
-    """Of each layer."""
+    """The change of each layer."""
 
 
 @dataclass(frozen=True, slots=True)

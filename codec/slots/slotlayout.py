@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from itertools import accumulate
 
 from codec.errors import InvalidError
-from codec.profiles.raw import bytes_per_gaussian
+from codec.lattice.floats import bytes_per_gaussian
+from codec.lattice.lattice import Lattice, num_attributes
 from codec.slice import MAX_SWIN_SIZE
 from codec.splats import MAX_SH_DEGREE
 
-from .lattice import Lattice, num_attributes
 from .rangecoder import CODE_BYTES
 
 MAX_SLOTS = 1 << 20
@@ -31,13 +31,13 @@ MAX_LAYERS = 16
 MAX_SEGMENT_FRAMES = 4096
 
 HEADER_BYTES = 12
-"""In front of every chunk of version 2."""
+"""In front of every chunk."""
 
 COUNTS_BYTES = 20
 """In front of every change, and behind the flags of a snapshot."""
 
 MAX_SLOT_CHUNK_BYTES = 64 + 248_512_560
-"""The largest chunk of version 2, whatever the layout."""
+"""The largest chunk, whatever the layout."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class SlotLayout:
     """Slots of a lane in each layer."""
     sh_degree: int
     lattices: tuple[Lattice, ...]
-    """Of each layer."""
+    """The lattice of each layer."""
     segment_frames: int
     """Frames in a segment: masks and snapshots begin anew with each."""
 
@@ -134,6 +134,6 @@ class SlotLayout:
 
     @property
     def _max_slot_bytes(self) -> int:
-        """Of a new Gaussian: its planes, 24 low bits for each axis, the number and the floats of
-        an escape, the start offset. A predicted one takes less."""
+        """Largest size of a new Gaussian: its planes, 24 low bits for each axis, the number and the
+        floats of an escape, the start offset. A predicted one takes less."""
         return self.num_planes + 9 + 4 + bytes_per_gaussian(self.sh_degree) + 1

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from .lattice import Bytes
+from codec.lattice.lattice import Bytes
+
 from .slotstate import Slots
 from .update import PREDICTED
 

@@ -1,5 +1,5 @@
 """What a reader or a writer holds of slots, and what a slice makes of it (codec/FORMAT.md,
-section 13).
+section 7).
 
 Rule: what a change would make is found out first, as a `Delta`; so bytes that break a rule leave
 everything as it was.
@@ -13,11 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.errors import CorruptError
-from codec.profiles.quantise import opacity_logits
+from codec.lattice.lattice import Bytes, Lattice, States, dequantise_into
+from codec.lattice.quantise import opacity_logits
 from codec.slice import HIDDEN
 from codec.splats import Floats, Splats, array_shapes
 
-from .lattice import Bytes, Lattice, States, dequantise_into
 from .slotchange import Change, Newcomers
 from .update import ENDED, NEW, PREDICTED
 

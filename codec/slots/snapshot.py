@@ -1,4 +1,4 @@
-"""A snapshot: all slots of one layer at a segment's first frame (codec/FORMAT.md, section 17)."""
+"""A snapshot: all slots of one layer at a segment's first frame (codec/FORMAT.md, section 11)."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 
 from codec.coders.coder import EncodedChunk
 from codec.errors import CodecError, CorruptError, InvalidError
+from codec.lattice.lattice import States
 from codec.slice import window_births
 from codec.splats import Splats
 
-from .lattice import States
 from .slotchange import Newcomers, encode_body, finish_chunk, read_body
 from .slotchunk import BIRTH_AT, LAYER_AT, Kind, SlotHeader
 from .slotlayout import HEADER_BYTES, SlotLayout

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from codec.errors import InvalidError
+from codec.lattice.lattice import POSITION_LIMIT, Bytes, Flags, States
 from codec.splats import Splats
 
-from .lattice import POSITION_LIMIT, Bytes, Flags, States
 from .slotlayout import SlotLayout
 
 KEPT, ENDED, PREDICTED, NEW = range(4)

@@ -6,25 +6,24 @@ Rule: a file is whole on disk (temporary name, fsync, rename) before the log nam
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Mapping
 from pathlib import Path
 
 from codec.errors import InvalidError
 from codec.files import append_durably, sync_folder, temporary_beside, write_atomic
 
+from .folder import FolderStorage
 from .growingplace import Shape
 
 
-class GrowingFolder:
-    """A folder, which need not be there yet. That there is one writer, the user sees to."""
+class GrowingFolder(FolderStorage):
+    """A folder of this machine, or one that several machines share, which need not be there yet.
+    The user sees to it that there is one writer."""
 
     def __init__(self, folder: Path, shape: Shape) -> None:
-        self._folder = folder
+        super().__init__(folder)
         self._shape = shape
-
-    @property
-    def name(self) -> str:
-        return str(self._folder)
 
     def check_unused(self) -> None:
         path = self._folder
@@ -44,8 +43,17 @@ class GrowingFolder:
     def names(self) -> set[str]:
         return {entry.name for entry in self._folder.iterdir()} if self._folder.is_dir() else set()
 
-    def remove(self, name: str) -> None:
-        (self._folder / name).unlink(missing_ok=True)
+    def put(self, path: str, data: bytes) -> None:
+        file = self._folder / path
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_atomic(file, data)
+
+    def delete(self, path: str) -> None:
+        found = self._folder / path
+        if found.is_dir():
+            shutil.rmtree(found)
+        else:
+            found.unlink(missing_ok=True)
 
     def begin(self, head: bytes, others_began: bool = False) -> None:
         if not others_began:
@@ -73,9 +81,6 @@ class GrowingFolder:
 
     def append(self, log_bytes: int, records: bytes) -> None:
         append_durably(self._folder / self._shape.log, log_bytes, records)
-
-    def put(self, path: str, data: bytes) -> None:
-        write_atomic(self._folder / path, data)
 
     def finish(self, head: bytes) -> None:
         write_atomic(self._folder / self._shape.head, head)

@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
+from .storage import Storage
+
 
 @dataclass(frozen=True, slots=True)
 class Shape:
@@ -19,25 +21,43 @@ class Shape:
     head: str
     """The file without which the place is nothing: written when it begins and when it ends."""
     folder: str
-    """Of the entries: the files of entry n lie in its folder n."""
+    """Parent of the entries' folders: the files of entry n lie in its folder n."""
 
 
 class GrowingPlace(Protocol):
-    """A place that one writer fills. Where it can tell, a second writer gets an InvalidError."""
+    """A place that one writer fills, entry by entry."""
 
     @property
     def name(self) -> str:
-        """What people call the place."""
+        """Name of the place in messages."""
+
+    def add(self, entry: int, files: Mapping[str, bytes]) -> None:
+        """Puts the files of an entry, by their names in its folder."""
+
+    def append(self, log_bytes: int, records: bytes) -> None:
+        """Appends to the log, which has `log_bytes`: all of it, or it raises."""
+
+    def finish(self, head: bytes) -> None:
+        """Replaces the head; nothing is appended after it."""
+
+
+class GrowingStorage(Storage, GrowingPlace, Protocol):
+    """A storage that grows, with its log. Where it can tell, a second writer of the log gets an
+    InvalidError. Each file is there whole or not at all."""
+
+    def names(self) -> set[str]:
+        """Names of the files and folders directly in the place."""
+
+    def put(self, path: str, data: bytes) -> object:
+        """Puts or replaces the file at `path`. Several writers may do so at a time if they put the
+        same. Raises OSError, UnwritableError."""
+
+    def delete(self, path: str) -> None:
+        """Deletes the file or the folder at `path`, if there is one."""
 
     def check_unused(self) -> None:
         """Raises InvalidError if there is more than what a writer may have left that was killed
         while it began."""
-
-    def names(self) -> set[str]:
-        """Of the files and folders directly in the place."""
-
-    def remove(self, name: str) -> None:
-        """Removes the file called `name` beside the log."""
 
     def begin(self, head: bytes, others_began: bool = False) -> None:
         """Takes an unused place: the log is empty. others_began: pieces of it may be there (see
@@ -48,14 +68,26 @@ class GrowingPlace(Protocol):
         `log_bytes`, and what is not finished goes. Raises InvalidError if the log has a record
         more by now."""
 
+
+class GrowingPiece:
+    """Puts the files of some entries of a place; keeps their records for the writer of the log.
+
+    Several pieces of one place may grow at a time. What a killed writer left is written again.
+    """
+
+    def __init__(self, storage: GrowingStorage, shape: Shape) -> None:
+        self._storage = storage
+        self._shape = shape
+        self.name = storage.name
+        self.records: list[bytes] = []
+        """Records of the entries that are there, in order."""
+
     def add(self, entry: int, files: Mapping[str, bytes]) -> None:
-        """Puts the files of an entry, by their names in its folder."""
+        for name, data in files.items():
+            self._storage.put(f"{self._shape.folder}/{entry}/{name}", data)
 
     def append(self, log_bytes: int, records: bytes) -> None:
-        """Appends to the log, which has `log_bytes`: all of it, or it raises."""
-
-    def put(self, path: str, data: bytes) -> None:
-        """Puts or replaces a file beside the log, whole."""
+        self.records.append(records)
 
     def finish(self, head: bytes) -> None:
-        """Replaces the head; nothing is appended after it."""
+        """The writer of the log replaces the head."""

@@ -14,69 +14,59 @@ from collections.abc import Mapping
 from codec.errors import ConflictError, InvalidError
 
 from .growingplace import Shape
-from .objectstore import StorePrefix, Version
+from .objectstore import StorePrefix, Version, connect
 
 TOKEN_BYTES = 8
 """Shorter than any record."""
 
 
-class GrowingStore:
+class GrowingStore(StorePrefix):
     """A prefix of an object store; holds the log."""
 
-    def __init__(self, store: StorePrefix, shape: Shape) -> None:
-        self._store = store
+    def __init__(self, url: str, shape: Shape) -> None:
+        super().__init__(url, *connect(url, patient=True))
         self._shape = shape
         self._log = b""  # whole records
         self._version: Version | None = None  # of the log in the store; None: there is none
         self._own: dict[str, Version] = {}
         """What was put for an entry that the log does not name yet."""
 
-    @property
-    def name(self) -> str:
-        return self._store.name
-
     def check_unused(self) -> None:
         names = self.names()
-        stamp = self._store.stamp(self._shape.log) if self._shape.log in names else None
+        stamp = self.stamp(self._shape.log) if self._shape.log in names else None
         if stamp is not None and stamp.size_bytes <= TOKEN_BYTES:
             names.remove(self._shape.log)
         if names:
             raise InvalidError(f"{self.name} is not empty; delete it or name another place")
 
-    def names(self) -> set[str]:
-        return set(self._store.names())
-
-    def remove(self, name: str) -> None:
-        self._store.delete(name)
-
     def begin(self, head: bytes, others_began: bool = False) -> None:
         if not others_began:
             self.check_unused()
-        found = self._store.read_version(self._shape.log, TOKEN_BYTES)
+        found = self.read_version(self._shape.log, TOKEN_BYTES)
         self._version = None if found is None else found[1]
         self._swap(os.urandom(TOKEN_BYTES))
         try:
             # Last, because a place is a stream from the moment that it has its head.
-            self._store.put(self._shape.head, head, None)
+            self.put(self._shape.head, head, None)
         except ConflictError as error:
             self._check_same(self._shape.head, head, error)
 
     def take_over(self, log_bytes: int, record_bytes: int, num_entries: int) -> None:
-        stamp = self._store.stamp(self._shape.log)
+        stamp = self.stamp(self._shape.log)
         if stamp is None or not log_bytes <= stamp.size_bytes < log_bytes + record_bytes:
             raise self._not_alone()
-        found = self._store.read_version(self._shape.log, log_bytes + record_bytes)
+        found = self.read_version(self._shape.log, log_bytes + record_bytes)
         if found is None or not log_bytes <= len(found[0]) < log_bytes + record_bytes:
             raise self._not_alone()
         self._log, self._version = found[0][:log_bytes], found[1]
         self._swap(self._log + os.urandom(TOKEN_BYTES))
-        self._store.delete(f"{self._shape.folder}/{num_entries}")
+        self.delete(f"{self._shape.folder}/{num_entries}")
 
     def add(self, entry: int, files: Mapping[str, bytes]) -> None:
         for name, data in files.items():
             path = f"{self._shape.folder}/{entry}/{name}"
             try:
-                self._own[path] = self._store.put(path, data, self._own.get(path))
+                self._own[path] = self.put(path, data, self._own.get(path))
             except ConflictError:
                 self._own[path] = self._replace(path, data)
 
@@ -86,17 +76,14 @@ class GrowingStore:
         self._log = log
         self._own.clear()
 
-    def put(self, path: str, data: bytes) -> None:
-        self._store.put(path, data)
-
     def finish(self, head: bytes) -> None:
         self._swap(self._log)
-        self._store.put(self._shape.head, head)
+        self.put(self._shape.head, head)
 
     def _swap(self, log: bytes) -> None:
         """Replaces the log, if nobody else has done so since this writer did."""
         try:
-            self._version = self._store.put(self._shape.log, log, self._version)
+            self._version = self.put(self._shape.log, log, self._version)
         except ConflictError as error:
             self._version = self._check_same(self._shape.log, log, error)
 
@@ -105,16 +92,16 @@ class GrowingStore:
         yet; or this writer itself, and only the answer was lost."""
         self._swap(self._log + os.urandom(TOKEN_BYTES))  # raises if it is the other way round
         try:
-            return self._store.put(path, data, self._store.version(path))
+            return self.put(path, data, self.version(path))
         except ConflictError as error:
             raise self._not_alone() from error
 
     def _check_same(self, path: str, data: bytes, error: ConflictError) -> Version:
         """Raises InvalidError unless `data` is what lies at `path`: then it was this writer who put
         it there, and only the answer was lost. Gives the version."""
-        stamp = self._store.stamp(path)
+        stamp = self.stamp(path)
         if stamp is not None and stamp.size_bytes == len(data):
-            found = self._store.read_version(path, len(data))
+            found = self.read_version(path, len(data))
             if found is not None and found[0] == data:
                 return found[1]
         raise self._not_alone() from error

@@ -5,9 +5,11 @@ Credentials, region and endpoint come from the environment, as obstore reads the
 
 from __future__ import annotations
 
-import re
+import os
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from datetime import timedelta
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast
 
@@ -21,31 +23,56 @@ from codec.errors import (
 
 from .credentials import without_credentials
 from .storage import Stamp
+from .storeendpoint import names_credentials, settle_endpoints
+from .storeerror import describe, is_lost_response, lacks_credentials
 
 if TYPE_CHECKING:
     from obstore import GetOptions, ObjectMeta, PutMode
-    from obstore.store import ObjectStore
+    from obstore.store import ObjectStore, RetryConfig
 
 SCHEMES = ("s3", "s3a", "gs", "az", "azure", "abfs", "abfss")
-"""Of the URLs that name an object store."""
+"""Schemes of the URLs that name an object store."""
 
-MAX_RETRIES = 2
-RETRY_S = 10.0
-"""How long a request is tried again when the store fails, seconds."""
 
-PATIENT_RETRIES = 10
-PATIENT_RETRY_S = 180.0
-"""The same where hours of work depend on it; a minute in all, as obstore waits between them."""
+@dataclass(frozen=True)
+class RetryPolicy:
+    """How long a request is repeated when the store fails or cannot be reached."""
+
+    duration_s: float
+    """An attempt that fails later than this after the first one is the last, seconds."""
+
+    shortest_pause_s: float
+    """Least time between two attempts, seconds."""
+
+    longest_pause_s: float
+    """Most time between two attempts, seconds."""
+
+    max_retries: int
+    """Attempts after the first one, at most."""
+
+    def for_obstore(self) -> RetryConfig:
+        return {
+            "max_retries": self.max_retries,
+            "retry_timeout": timedelta(seconds=self.duration_s),
+            "backoff": {
+                # obstore draws each pause between the shortest and `base` times the last one. With
+                # a base below e the pauses get shorter on average, not longer.
+                "base": 3,
+                "init_backoff": timedelta(seconds=self.shortest_pause_s),
+                "max_backoff": timedelta(seconds=self.longest_pause_s),
+            },
+        }
+
+
+BRIEF = RetryPolicy(10.0, 0.1, 1.0, max_retries=2)
+"""Where a viewer or a user waits for the answer."""
+
+# The time decides, not the number of attempts.
+PATIENT = RetryPolicy(60.0, 0.5, 5.0, max_retries=10_000)
+"""Where hours of work depend on the store."""
 
 REQUESTS = 16
 """Requests at the same time when many files are looked at."""
-
-MAX_REASON_CHARS = 200
-
-_ANSWER = re.compile("<Code>(.*?)</Code>.*?<Message>(.*?)</Message>", re.DOTALL)
-"""In the error of an S3 server."""
-
-_PLAIN_ENDPOINT = re.compile(r"\bhttp://")
 
 Value = TypeVar("Value")
 
@@ -56,10 +83,11 @@ Version = dict[str, str]
 class StorePrefix:
     """What lies below a URL such as `s3://bucket/streams`."""
 
-    def __init__(self, url: str, store: ObjectStore, prefix: str = "") -> None:
+    def __init__(self, url: str, store: ObjectStore, retry: RetryPolicy, prefix: str = "") -> None:
         """Use `open_store`. prefix: in `store`, of every path; empty, or with '/' at its end."""
         self._url = without_credentials(url).rstrip("/")
         self._store = store
+        self._retry = retry
         self._prefix = prefix
 
     @property
@@ -77,20 +105,23 @@ class StorePrefix:
         self._folders()
 
     def below(self, folder: str) -> StorePrefix:
-        return StorePrefix(self.place(folder), self._store, f"{self._prefix}{folder}/")
+        return StorePrefix(self.place(folder), self._store, self._retry, f"{self._prefix}{folder}/")
 
     def read(
         self, path: str, limit_bytes: int, offset: int = 0, *, if_missing: str | None = None
     ) -> bytes:
-        data = self._asked(path, lambda: self._get(path, limit_bytes, offset))
-        if data is None:
+        found = self.read_version(path, limit_bytes, offset)
+        if found is None:
             meaning = "" if if_missing is None else f"; {if_missing}"
             raise CorruptError(f"{self.place(path)} is missing{meaning}")
-        return data
+        return found[0]
 
-    def read_version(self, path: str, limit_bytes: int) -> tuple[bytes, Version] | None:
-        """The object at `path` and its version; None if there is none. Raises CorruptError."""
-        return self._asked(path, lambda: self._got(path, limit_bytes, 0))
+    def read_version(
+        self, path: str, limit_bytes: int, offset: int = 0
+    ) -> tuple[bytes, Version] | None:
+        """The object at `path` from `offset` on, and its version; None if there is none. Raises
+        CorruptError."""
+        return self._asked(path, lambda: self._get(path, limit_bytes, offset))
 
     def version(self, path: str) -> Version | None:
         """Of the object at `path`; None if there is none. Raises UnreadableError."""
@@ -99,10 +130,7 @@ class StorePrefix:
         found = self._asked(path, lambda: obstore.head(self._store, self._prefix + path))
         return None if found is None else _version(found)
 
-    def _get(self, path: str, limit_bytes: int, offset: int) -> bytes:
-        return self._got(path, limit_bytes, offset)[0]
-
-    def _got(self, path: str, limit_bytes: int, offset: int) -> tuple[bytes, Version]:
+    def _get(self, path: str, limit_bytes: int, offset: int) -> tuple[bytes, Version]:
         import obstore
 
         key = self._prefix + path
@@ -148,21 +176,28 @@ class StorePrefix:
         mode: PutMode = "overwrite" if over == "any" else "create"
         if isinstance(over, dict):
             mode = cast("PutMode", over)
-        try:
-            # In one request: what is given up half way leaves nothing that has to be paid for.
-            put = obstore.put(
-                self._store, self._prefix + path, data, mode=mode, use_multipart=False
-            )
-        except (*conflicts, FileNotFoundError) as error:
-            if over == "any":
-                raise self._unwritable(path, error) from error
-            raise ConflictError(f"{self.place(path)} was changed by another writer") from error
-        except (obstore.exceptions.BaseError, ValueError, OSError) as error:
-            raise self._unwritable(path, error) from error
-        return _version(put)
+        last_attempt_s = time.monotonic() + self._retry.duration_s
+        while True:
+            try:
+                # In one request: what is given up half way leaves nothing that has to be paid for.
+                put = obstore.put(
+                    self._store, self._prefix + path, data, mode=mode, use_multipart=False
+                )
+                return _version(put)
+            except (*conflicts, FileNotFoundError) as error:
+                if over == "any":
+                    raise self._unwritable(path, error) from error
+                raise ConflictError(f"{self.place(path)} was changed by another writer") from error
+            except (obstore.exceptions.BaseError, ValueError, OSError) as error:
+                # obstore does not repeat a conditional request whose response was lost, because the
+                # store may have done it. The caller finds that out by the ConflictError.
+                lost = over != "any" and is_lost_response(error)
+                if not lost or time.monotonic() > last_attempt_s:
+                    raise self._unwritable(path, error) from error
+            time.sleep(self._retry.shortest_pause_s)
 
     def _unwritable(self, path: str, error: Exception) -> UnwritableError:
-        return UnwritableError(f"{self.place(path)} cannot be written: {_said(error)}")
+        return UnwritableError(f"{self.place(path)} cannot be written: {describe(error)}")
 
     def delete(self, path: str) -> None:
         """Deletes the object at `path`, and what lies below it. Raises UnwritableError."""
@@ -180,10 +215,10 @@ class StorePrefix:
         except (obstore.exceptions.BaseError, ValueError, OSError) as error:
             raise self._unwritable(path, error) from error
 
-    def names(self) -> list[str]:
-        """Of the files and folders one level below. Raises UnreadableError."""
+    def names(self) -> set[str]:
+        """Names of the files and folders one level below. Raises UnreadableError."""
         files, folders = self._level()
-        return files + folders
+        return {*files, *folders}
 
     def stamp(self, path: str) -> Stamp | None:
         import obstore
@@ -237,35 +272,9 @@ class StorePrefix:
         except FileNotFoundError:
             return None
         except (obstore.exceptions.BaseError, ValueError, OSError) as error:
-            raise UnreadableError(f"{self.place(path)} cannot be read: {_said(error)}") from error
-
-
-def _said(error: Exception) -> str:
-    """What the store said, in a line."""
-    answer = _ANSWER.search(str(error))
-    # What follows in the text is for those who develop obstore.
-    text = ": ".join(answer.groups()) if answer else str(error).partition("Debug source")[0]
-    advice = "" if answer else _advice(text)
-    return advice or without_credentials(" ".join(text.split()))[:MAX_REASON_CHARS]
-
-
-METADATA_ADDRESS = "http://169.254.169.254/"
-"""Where the machines of a cloud get credentials: obstore asks there when it is given none."""
-
-
-def _advice(text: str) -> str:
-    """What to set where obstore's own words name a symptom; empty for another error."""
-    if METADATA_ADDRESS in text:
-        return (
-            "no credentials: set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or "
-            "AWS_SKIP_SIGNATURE=true for a public bucket"
-        )
-    if "builder error" in text and _PLAIN_ENDPOINT.search(text):
-        return (
-            "the endpoint is http://, without encryption; set AWS_ALLOW_HTTP=true to allow that, "
-            "or use an https:// endpoint"
-        )
-    return ""
+            raise UnreadableError(
+                f"{self.place(path)} cannot be read: {describe(error)}"
+            ) from error
 
 
 def _stamp(found: ObjectMeta) -> Stamp:
@@ -278,28 +287,47 @@ def _version(found: Mapping[str, Any]) -> Version:
 
 
 def open_store(url: str, *, patient: bool = False) -> StorePrefix:
-    """The object store at `url`. patient: a store that is gone is waited for, for a minute.
+    """What lies below `url`, see `connect`."""
+    return StorePrefix(url, *connect(url, patient=patient))
 
-    Raises InvalidError if it cannot be one, or if obstore is not there; whether the store answers
-    shows when it is asked.
+
+def connect(url: str, *, patient: bool) -> tuple[ObjectStore, RetryPolicy]:
+    """The object store at `url`. patient: requests are repeated for a minute, see PATIENT.
+
+    Raises InvalidError if it cannot be one, if obstore is not there or, if patient, if S3 needs
+    credentials and there are none; whether the store answers shows when it is asked.
     """
+    name = without_credentials(url)
+    if url.partition("://")[0].lower() not in SCHEMES:
+        names = ", ".join(f"{scheme}://" for scheme in SCHEMES)
+        raise InvalidError(f"{name}: choose a folder on this machine, or a URL of {names}")
     try:
         import obstore.exceptions
         from obstore.store import from_url
     except ImportError as error:
         raise InvalidError(
-            f"{without_credentials(url)}: object stores need obstore; install it with "
+            f"{name}: object stores need obstore; install it with "
             "pip install '.[s3]' in the folder of swings"
         ) from error
+    settle_endpoints(os.environ)
+    retry = PATIENT if patient else BRIEF
     try:
-        store = from_url(
-            url,
-            retry_config={
-                "max_retries": PATIENT_RETRIES if patient else MAX_RETRIES,
-                "retry_timeout": timedelta(seconds=PATIENT_RETRY_S if patient else RETRY_S),
-            },
-        )
+        store = from_url(url, retry_config=retry.for_obstore())
     except (obstore.exceptions.BaseError, ValueError) as error:
-        name = without_credentials(url)
-        raise InvalidError(f"{name} does not name an object store: {_said(error)}") from error
-    return StorePrefix(url, store)
+        raise InvalidError(f"{name} does not name an object store: {describe(error)}") from error
+    if patient and url.lower().startswith("s3") and not names_credentials(os.environ):
+        _check_credentials(url)
+    return store, retry
+
+
+def _check_credentials(url: str) -> None:
+    """Raises InvalidError if the cloud's service gives none: not to repeat that for a minute."""
+    import obstore
+    import obstore.exceptions
+    from obstore.store import from_url
+
+    try:
+        obstore.head(from_url(url, retry_config=BRIEF.for_obstore()), "manifest.json")
+    except (obstore.exceptions.BaseError, ValueError, OSError) as error:
+        if lacks_credentials(error):
+            raise InvalidError(f"{without_credentials(url)}: {describe(error)}") from error

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from codec.errors import InvalidError
-
-from .credentials import without_credentials
 from .folder import FolderStorage
-from .objectstore import SCHEMES, open_store
+from .growingfolder import GrowingFolder
+from .growingplace import GrowingStorage, Shape
+from .growingstore import GrowingStore
+from .objectstore import open_store
 from .storage import Storage
 
 Target = str | Path
@@ -28,19 +28,16 @@ def parse_target(text: str) -> Target:
     return text if is_url(text) else Path(text)
 
 
-def check_url(url: str) -> None:
-    """Raises InvalidError for a URL of no object store."""
-    if url.partition("://")[0].lower() not in SCHEMES:
-        names = ", ".join(f"{name}://" for name in SCHEMES)
-        name = without_credentials(url)
-        raise InvalidError(f"{name}: choose a folder on this machine, or a URL of {names}")
-
-
 def open_storage(place: Place) -> Storage:
     """The storage at `place`. Raises InvalidError for a URL that cannot be one."""
     if isinstance(place, Storage):
         return place
-    if not is_url(place):
-        return FolderStorage(Path(place))
-    check_url(str(place))
-    return open_store(str(place))
+    return open_store(str(place)) if is_url(place) else FolderStorage(Path(place))
+
+
+def open_growing(target: Target, shape: Shape) -> GrowingStorage:
+    """The storage at `target`, to be written to; nothing is written yet. Raises InvalidError for a
+    URL that cannot be one."""
+    return (
+        GrowingStore(str(target), shape) if is_url(target) else GrowingFolder(Path(target), shape)
+    )

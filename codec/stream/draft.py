@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 from codec.coders.coder import EncodedChunk
 from codec.errors import InvalidError
@@ -18,49 +17,21 @@ from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.slotencoder import SlotEncoder
 from codec.slots.update import Update
 
-from .chunk import encode_chunk
-from .layers import RankFunction, merge_layers, split_layers
-from .manifest import MASKS, SLOTS_VERSION, Manifest, Part, snapshot_part
-from .object import decode_packet, encode_packet, join_packets, packet_content
+from .manifest import MASKS, Manifest, Part, snapshot_part
+from .object import encode_packet, join_packets, packet_content
 
 Quality = Callable[[int, Sequence[Slice]], Sequence[float] | None]
 """Takes a birth and, for 1, 2, ... layers, the whole decoded slice. Gives the PSNR in dB of the
 frame that the slice is born in, with 1, 2, ... layers; None for a slice born before frame 0."""
+
+Whole = Callable[[Slice], Update]
+"""Makes of a slice the update that sends it whole. Raises InvalidError."""
 
 Packets = tuple[tuple[int, bytes], ...]
 """(birth, packet) of one part of a segment, in order of birth."""
 
 Scores = tuple[tuple[float, ...], ...]
 """PSNR in dB of each frame with 1, 2, ... layers."""
-
-
-class Draft(Protocol):
-    """What a writer holds between two segments."""
-
-    @property
-    def num_packets(self) -> int:
-        """Packets that wait for the segment to be whole."""
-        ...
-
-    @property
-    def scores_db(self) -> Scores: ...
-
-    @property
-    def slice_bytes(self) -> int:
-        """What the last slice takes: the packets that whoever plays on fetches."""
-        ...
-
-    def after(self, slice: Slice | Update) -> Draft:
-        """The draft that has `slice`, too, which is the next one. Raises InvalidError."""
-        ...
-
-    def objects(self) -> dict[Part, bytes]:
-        """The objects of the segment."""
-        ...
-
-    def emptied(self) -> Draft:
-        """The draft of the segment that follows."""
-        ...
 
 
 def _measured(
@@ -81,70 +52,8 @@ def _measured(
 
 
 @dataclass(frozen=True, slots=True)
-class SliceDraft:
-    """Of version 1: whole slices, each cut into layers by a rank."""
-
-    manifest: Manifest
-    rank: RankFunction
-    quality: Quality | None
-    packets: tuple[Packets, ...]
-    """Of each layer."""
-    scores_db: Scores = ()
-
-    @staticmethod
-    def first(manifest: Manifest, rank: RankFunction, quality: Quality | None) -> SliceDraft:
-        return SliceDraft(manifest, rank, quality, ((),) * manifest.num_layers)
-
-    @property
-    def num_packets(self) -> int:
-        return sum(map(len, self.packets))
-
-    def after(self, slice: Slice | Update) -> SliceDraft:
-        manifest = self.manifest
-        if not isinstance(slice, Slice):
-            raise InvalidError("an Update is for a stream of version 2; append a Slice")
-        if slice.rows is not None:
-            raise InvalidError(
-                "a slice with rows is not whole; a stream of version 1 needs whole slices"
-            )
-        if len(slice.splats) > manifest.slice_size:
-            raise InvalidError(
-                f"{len(slice.splats)} Gaussians, at most {manifest.slice_size} a slice"
-            )
-        if slice.splats.sh_degree != manifest.sh_degree:
-            raise InvalidError(f"SH degree {slice.splats.sh_degree}, not {manifest.sh_degree}")
-        parts = split_layers(slice, manifest.layers, self.rank)
-        steps = manifest.profile.coding.layer_steps([part.splats for part in parts])
-        encoded = [
-            encode_packet(encode_chunk(part, layer, manifest.profile, steps[layer]))
-            for layer, part in enumerate(parts)
-        ]
-        scores_db = self.scores_db
-        if self.quality is not None:
-            # Of the bytes as they are, not of what was given.
-            chunks = [decode_packet(packet) for packet in encoded]
-            slices = [merge_layers(chunks[:n]) for n in range(1, len(chunks) + 1)]
-            scores_db += _measured(self.quality, slice.birth, slices)
-        packets = tuple(
-            (*kept, (slice.birth, packet))
-            for kept, packet in zip(self.packets, encoded, strict=True)
-        )
-        return replace(self, packets=packets, scores_db=scores_db)
-
-    @property
-    def slice_bytes(self) -> int:
-        return sum(len(packets[-1][1]) for packets in self.packets)
-
-    def objects(self) -> dict[Part, bytes]:
-        return {layer: join_packets(packets) for layer, packets in enumerate(self.packets)}
-
-    def emptied(self) -> SliceDraft:
-        return self.first(self.manifest, self.rank, self.quality)
-
-
-@dataclass(frozen=True, slots=True)
-class SlotDraft:
-    """Of version 2: what changes in slots that last."""
+class Draft:
+    """What a writer holds between two segments."""
 
     manifest: Manifest
     quality: Quality | None
@@ -153,36 +62,44 @@ class SlotDraft:
     decoder: SlotDecoder | None
     """What a reader has by now; only for the quality, and from frame 0 on."""
     packets: dict[Part, Packets]
+    whole: Whole
+    """Makes an update of a slice that is sent whole."""
     scores_db: Scores = ()
 
     @staticmethod
     def first(
-        manifest: Manifest, quality: Quality | None, read: SlotDecoder | None = None
-    ) -> SlotDraft:
+        manifest: Manifest,
+        whole: Whole,
+        quality: Quality | None,
+        read: SlotDecoder | None = None,
+    ) -> Draft:
         """The draft of the first segment, or of the one after what `read` has read."""
         encoder = SlotEncoder(manifest.slot_layout) if read is None else SlotEncoder.resumed(read)
         packets: dict[Part, Packets] = dict.fromkeys(manifest.parts, ())
-        return SlotDraft(manifest, quality, encoder, read if quality else None, packets)
+        return Draft(manifest, quality, encoder, read if quality else None, packets, whole)
 
     @staticmethod
-    def opened(manifest: Manifest, quality: Quality | None, opening: Sequence[Update]) -> SlotDraft:
+    def opened(
+        manifest: Manifest, whole: Whole, quality: Quality | None, opening: Sequence[Update]
+    ) -> Draft:
         """The draft of the segment after the updates `opening`, see `SlotEncoder.opened`."""
         encoder = SlotEncoder.opened(manifest.slot_layout, opening)
         packets: dict[Part, Packets] = dict.fromkeys(manifest.parts, ())
-        return SlotDraft(manifest, quality, encoder, None, packets)
+        return Draft(manifest, quality, encoder, None, packets, whole)
 
     @property
     def num_packets(self) -> int:
+        """Packets that wait for the segment to be whole."""
         return sum(map(len, self.packets.values()))
 
-    def after(self, slice: Slice | Update) -> SlotDraft:
-        if not isinstance(slice, Update):
-            raise InvalidError("a Slice is for a stream of version 1; append an Update")
+    def after(self, slice: Slice | Update) -> Draft:
+        """The draft that has `slice`, too, which is the next one. Raises InvalidError."""
+        update = slice if isinstance(slice, Update) else self.whole(slice)
         encoder = self.encoder.copy()
-        encoded = encoder.append(slice)
+        encoded = encoder.append(update)
         if encoded is None:
             return replace(self, encoder=encoder)
-        birth, packets = slice.birth, dict(self.packets)
+        birth, packets = update.birth, dict(self.packets)
         parts: list[tuple[Part, EncodedChunk]] = [
             (MASKS, encoded.mask),
             *enumerate(encoded.changes),
@@ -195,7 +112,7 @@ class SlotDraft:
         after = replace(self, encoder=encoder, packets=packets)
         return after if self.quality is None else after._scored(birth)
 
-    def _scored(self, birth: int) -> SlotDraft:
+    def _scored(self, birth: int) -> Draft:
         """The draft with the scores of the slice of `birth`, its last one: of the bytes as they
         are, not of what was given."""
         manifest, layers = self.manifest, range(1, self.manifest.num_layers + 1)
@@ -217,6 +134,7 @@ class SlotDraft:
 
     @property
     def slice_bytes(self) -> int:
+        """Size of the last slice's packets, without snapshots."""
         parts = (MASKS, *range(self.manifest.num_layers))
         return sum(len(packet) for part in parts for _, packet in self.packets[part][-1:])
 
@@ -225,11 +143,10 @@ class SlotDraft:
         return packet_content(self.packets[part][-1][1], self.manifest.max_content_bytes(part))
 
     def objects(self) -> dict[Part, bytes]:
-        return {
-            part: join_packets(packets, version=SLOTS_VERSION)
-            for part, packets in self.packets.items()
-        }
+        """The objects of the segment."""
+        return {part: join_packets(packets) for part, packets in self.packets.items()}
 
-    def emptied(self) -> SlotDraft:
+    def emptied(self) -> Draft:
+        """The draft of the segment that follows."""
         packets: dict[Part, Packets] = dict.fromkeys(self.packets, ())
         return replace(self, packets=packets, scores_db=())

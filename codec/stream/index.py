@@ -19,7 +19,7 @@ INDEX_NAME = "index.bin"
 HEAD = struct.Struct("<IIII")
 # object bytes, object sha256, PSNR in dB of layers 0..this (NaN: unknown)
 LAYER = struct.Struct("<Q32sf")
-# object bytes, object sha256: of the masks, then of each snapshot (version 2)
+# object bytes, object sha256: of the masks, then of each snapshot
 SIDE = struct.Struct("<Q32s")
 CHECKSUM = struct.Struct("<I")
 assert HEAD.size == 16
@@ -38,8 +38,8 @@ class SegmentRecord:
     object_bytes: tuple[int, ...]
     object_sha256: tuple[bytes, ...]
     psnr_db: tuple[float, ...]  # of layers 0..n together, float32; NaN where unknown
-    side_bytes: tuple[int, ...] = ()  # of the masks, then of each snapshot (version 2; else none)
-    side_sha256: tuple[bytes, ...] = ()
+    side_bytes: tuple[int, ...]  # of the masks, then of each snapshot
+    side_sha256: tuple[bytes, ...]
 
     @property
     def part_bytes(self) -> tuple[int, ...]:
@@ -48,7 +48,7 @@ class SegmentRecord:
 
     @property
     def played_bytes(self) -> int:
-        """What of them one fetches who plays all layers from frame 0: no snapshot but the first."""
+        """Bytes that a player of all layers from frame 0 on fetches: no snapshot but the first."""
         masks_end = len(self.object_bytes) + 1
         return sum(self.part_bytes if self.segment == 0 else self.part_bytes[:masks_end])
 
@@ -58,11 +58,11 @@ class SegmentRecord:
         return self.object_sha256 + self.side_sha256
 
 
-def record_bytes(num_layers: int, has_slots: bool = False) -> int:
-    """The size of a record in a stream of `num_layers` layers, of version 2 if it has slots."""
+def record_bytes(num_layers: int) -> int:
+    """The size of a record in a stream of `num_layers` layers."""
     if not 1 <= num_layers <= MAX_LAYERS:
         raise InvalidError(f"index: {num_layers} layers, expected 1 to {MAX_LAYERS}")
-    return size_offset(num_layers) + (SIDE.size * (num_layers + 1) if has_slots else 0) + 4
+    return size_offset(num_layers) + SIDE.size * (num_layers + 1) + CHECKSUM.size
 
 
 def size_offset(layer: int) -> int:
@@ -71,8 +71,7 @@ def size_offset(layer: int) -> int:
 
 
 def side_offset(number: int, num_layers: int) -> int:
-    """Where in a record of version 2 the size of the masks (0) or of a snapshot (1 + layer)
-    lies."""
+    """Where in a record the size of the masks (0) or of a snapshot (1 + layer) lies."""
     return size_offset(num_layers) + SIDE.size * number
 
 
@@ -86,7 +85,7 @@ def pack_record(record: SegmentRecord) -> bytes:
     try:
         layers = list(zip(record.object_bytes, record.object_sha256, record.psnr_db, strict=True))
         sides = list(zip(record.side_bytes, record.side_sha256, strict=True))
-        if sides and len(sides) != len(layers) + 1:
+        if len(sides) != len(layers) + 1:
             raise ValueError(f"{len(sides)} objects of masks and snapshots")
         if any(len(sha256) != 32 for sha256 in record.part_sha256):
             raise ValueError("a sha256 has 32 bytes")
@@ -108,7 +107,7 @@ def _unpack(data: memoryview, segment: int, num_layers: int) -> SegmentRecord:
     number, first_frame, num_frames, zero = HEAD.unpack_from(body)
     layers_end = size_offset(num_layers)
     sizes, hashes, psnrs = zip(*LAYER.iter_unpack(body[HEAD.size : layers_end]), strict=True)
-    sides = tuple(zip(*SIDE.iter_unpack(body[layers_end:]), strict=True)) or ((), ())
+    sides = tuple(zip(*SIDE.iter_unpack(body[layers_end:]), strict=True))
     if number != segment:
         raise CorruptError(f"{what} describes {number}", at=0)
     if num_frames < 1:
@@ -121,16 +120,14 @@ def _unpack(data: memoryview, segment: int, num_layers: int) -> SegmentRecord:
     return SegmentRecord(segment, first_frame, num_frames, sizes, hashes, psnrs, *sides)
 
 
-def parse_index(
-    data: bytes, num_layers: int, first_segment: int = 0, has_slots: bool = False
-) -> list[SegmentRecord]:
+def parse_index(data: bytes, num_layers: int, first_segment: int = 0) -> list[SegmentRecord]:
     """The records in `data`, of which the first is that of `first_segment`.
 
     A torn last record (cut short, or all zeros as a file system may leave it after a power cut) is
     left out; a record that is wrong by itself raises CorruptError with its place in `data`. Whether
     records follow each other and fit the manifest, `integrity.read_index` checks.
     """
-    size = record_bytes(num_layers, has_slots)
+    size = record_bytes(num_layers)
     view = memoryview(data)
     count = len(data) // size
     if count and not any(view[(count - 1) * size : count * size]):

@@ -2,36 +2,24 @@
 
 Rule: every reader of a stream, wherever it comes from, checks it with these functions and with
 nothing else. They take bytes and give values or a CodecError, whose place is one in those bytes, as
-exactly as the format tells.
+exactly as the format allows.
 """
 
 from __future__ import annotations
 
 import hashlib
 from bisect import bisect_left
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from codec.errors import CodecError, CorruptError
-from codec.slice import Slice
 
-from .chunk import (
-    BIRTH_OFFSET,
-    LAYER_OFFSET,
-    PROFILE_OFFSET,
-    SH_DEGREE_OFFSET,
-    Chunk,
-    ChunkBounds,
-)
 from .index import SegmentRecord, parse_index, record_bytes, side_offset, size_offset
-from .layers import merge_layers
 from .manifest import Manifest, Part, is_snapshot
 from .object import (
     MAX_OBJECT_BYTES,
     NUM_CHUNKS_OFFSET,
     ChunkEntry,
-    decode_object_chunk,
-    decode_packet,
     entry_offset,
     entry_packet,
     error_in_object,
@@ -52,11 +40,11 @@ def read_index(
     A torn last record is left out, see `parse_index`.
     """
     num_layers = manifest.num_layers
-    records = parse_index(data, num_layers, len(before), manifest.has_slots)
+    records = parse_index(data, num_layers, len(before))
     length = manifest.segment_frames
     previous = before[-1] if before else None
     for n, record in enumerate(records):
-        at = n * record_bytes(num_layers, manifest.has_slots)
+        at = n * record_bytes(num_layers)
         if previous is not None and previous.num_frames != length:
             raise CorruptError("index: a segment follows a short one", at)
         if record.first_frame != record.segment * length or record.num_frames > length:
@@ -79,7 +67,7 @@ def check_index_end(index_bytes: int, manifest: Manifest, num_records: int) -> N
     A reader leaves out what follows: a writer may have been cut off there, or may still be at it,
     but only as long as the stream is live.
     """
-    whole_bytes = num_records * record_bytes(manifest.num_layers, manifest.has_slots)
+    whole_bytes = num_records * record_bytes(manifest.num_layers)
     if not manifest.live and index_bytes != whole_bytes:
         raise CorruptError(
             f"index: {index_bytes - whole_bytes} bytes after the last whole record "
@@ -106,15 +94,15 @@ def object_table(
 ) -> tuple[ChunkEntry, ...]:
     """The table of the object `data`, of which the packets may be cut short.
 
-    Its births are those of the segment, where version 2 may leave some out, and it ends where
-    `record` says that the object ends.
+    Its births are of the segment; what changes nothing has none. It ends where `record` says that
+    the object ends.
     """
-    entries = read_object_table(data, manifest.version)
+    entries = read_object_table(data)
     births = manifest.part_births(record.segment, record.num_frames, part)
-    if manifest.has_slots and not is_snapshot(part):
-        _check_some_births(entries, births)
-    else:
+    if is_snapshot(part):
         _check_all_births(entries, births)
+    else:
+        _check_some_births(entries, births)
     end = object_end(entries)
     size = record.part_bytes[manifest.part_number(part)]
     if end != size:
@@ -139,77 +127,14 @@ def _check_some_births(entries: Sequence[ChunkEntry], births: range) -> None:
             raise CorruptError(message, entry_offset(n))
 
 
-def check_chunk(chunk: Chunk, manifest: Manifest, birth: int, layer: int) -> None:
-    """Raises CorruptError, with its place in the chunk, unless `chunk` is that of `birth` and
-    `layer` in a stream with `manifest`."""
-    for what, at, found, expected in (
-        ("birth", BIRTH_OFFSET, chunk.birth, birth),
-        ("layer", LAYER_OFFSET, chunk.layer, layer),
-        ("profile", PROFILE_OFFSET, chunk.profile, manifest.profile),
-        ("SH degree", SH_DEGREE_OFFSET, chunk.slice.splats.sh_degree, manifest.sh_degree),
-    ):
-        if found != expected:
-            raise CorruptError(f"chunk: {what} {found} where {what} {expected} belongs", at)
-
-
-def decode_fitting_packet(
-    packet: bytes | memoryview, manifest: Manifest, birth: int, layer: int, taken: int = 0
-) -> Chunk:
-    """The chunk in a packet that travelled alone; places are those in the decompressed chunk.
-
-    taken: Gaussians of its slice that are there already: no more is decoded than has room beside
-    them.
-    """
-    bounds = manifest.chunk_bounds
-    bounds = ChunkBounds(bounds.max_splats - taken, bounds.max_sh_degree)
+def entry_content(data: bytes, entry: ChunkEntry, limit_bytes: int) -> bytes:
+    """The chunk in the packet of `entry` in the object `data`, at most `limit_bytes`. The place of
+    a CodecError is one in the object."""
+    packet = entry_packet(data, entry)
     try:
-        chunk = decode_packet(packet, bounds)
-    except CodecError as error:
-        if not taken:
-            raise
-        room = f"{taken} of the slice's {manifest.slice_size} Gaussians are there already"
-        raise error.reworded(f"{error} ({room})", error.at) from error
-    check_chunk(chunk, manifest, birth, layer)
-    return chunk
-
-
-def decode_fitting_chunk(data: bytes, entry: ChunkEntry, manifest: Manifest, layer: int) -> Chunk:
-    """The chunk of an entry of the object `data`; a CodecError says where its packet begins."""
-    chunk = decode_object_chunk(data, entry, manifest.chunk_bounds)
-    try:
-        check_chunk(chunk, manifest, entry.birth, layer)
+        return packet_content(packet, limit_bytes)
     except CodecError as error:
         raise error_in_object(error, entry) from error
-    return chunk
-
-
-def check_slice_size(birth: int, count: int, manifest: Manifest) -> None:
-    """Raises CorruptError if the slice born at `birth` has too many Gaussians with `count`."""
-    if count > manifest.slice_size:
-        raise CorruptError(
-            f"the slice born at {birth} has {count} Gaussians, "
-            f"the manifest allows {manifest.slice_size}"
-        )
-
-
-def fitting_slice(
-    chunks: Iterable[Chunk], manifest: Manifest, name_of: Callable[[int], object]
-) -> Slice:
-    """The slice that `chunks` make together: its layers 0, 1, ..., which `check_chunk` passes.
-
-    They are taken one by one, so that no more are decoded than the manifest has room for. name_of:
-    where a layer came from, for an error.
-    """
-    taken: list[Chunk] = []
-    count = 0
-    for layer, chunk in enumerate(chunks):
-        taken.append(chunk)
-        count += len(chunk.slice.splats)
-        try:
-            check_slice_size(chunk.birth, count, manifest)
-        except CodecError as error:
-            raise error.within(name_of(layer)) from error
-    return merge_layers(taken)
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,7 +148,7 @@ class CheckedObject:
     manifest: Manifest
     part: Part
     births: range
-    """Of the slices that it is of; version 2 has no entry for one that changes nothing in it."""
+    """Births of the segment's slices; one that changes nothing here has no entry."""
 
     @staticmethod
     def check(
@@ -252,28 +177,14 @@ class CheckedObject:
         entry = self.entry(birth)
         return self.data[entry.offset : entry.offset + entry.size] if entry else b""
 
-    def chunk(self, birth: int) -> Chunk:
-        """The chunk of the slice born at `birth` (version 1). Raises a CodecError that names the
-        object."""
-        entry = self.entry(birth)
-        assert entry is not None, "version 1 has one of every birth"
-        try:
-            return decode_fitting_chunk(self.data, entry, self.manifest, int(self.part))
-        except CodecError as error:
-            raise error.within(self.name) from error
-
     def content(self, birth: int) -> bytes:
-        """The chunk of `birth` as bytes: a mask, a change or a snapshot (version 2), or none.
+        """The chunk of `birth` as bytes: a mask, a change or a snapshot, or none.
         Raises a CodecError that names the object."""
         entry = self.entry(birth)
         if entry is None:
             return b""
         try:
-            packet = entry_packet(self.data, entry)
-            try:
-                return packet_content(packet, self.manifest.max_content_bytes(self.part))
-            except CodecError as error:
-                raise error_in_object(error, entry) from error
+            return entry_content(self.data, entry, self.manifest.max_content_bytes(self.part))
         except CodecError as error:
             raise error.within(self.name) from error
 

@@ -17,14 +17,10 @@ import numpy as np
 
 from codec.camera import MAX_NAME_CHARS, Camera
 from codec.errors import CorruptError, InvalidError, UnsupportedError
-from codec.profiles.profile import Profile
-from codec.slice import MAX_SWIN_SIZE, window_births
-from codec.slots.lattice import Lattice
-from codec.slots.slotlayout import MAX_LAYERS, MAX_SEGMENT_FRAMES, SlotLayout
-from codec.splats import MAX_SH_DEGREE
+from codec.lattice.lattice import Lattice
+from codec.slice import window_births
+from codec.slots.slotlayout import MAX_LAYERS, SlotLayout
 
-from .chunk import MAX_SPLATS_PER_CHUNK, ChunkBounds
-from .layers import check_shares
 from .manifestjson import (
     lattice_of,
     lattice_to_json,
@@ -33,11 +29,8 @@ from .manifestjson import (
     typed,
 )
 
-VERSION = 1
-"""Of streams whose slices are sent whole."""
-
-SLOTS_VERSION = 2
-"""Of streams whose slots last."""
+VERSION = 2
+"""1 was a draft that no released program wrote."""
 
 MANIFEST_NAME = "manifest.json"
 SEGMENTS_NAME = "segments"
@@ -50,29 +43,26 @@ MAX_MANIFEST_BYTES = 1 << 20
 """Longest manifest.json read, in bytes; 256 cameras need about 200 KB."""
 
 MAX_CAMERAS = 256
-MAX_NUM_GS = 1 << 24
-"""Most active Gaussians: far above what any player can draw."""
-
 MIN_FPS, MAX_FPS = 0.001, 1000
 """Frames shown in a second: at the least one in 1000 seconds."""
 
 MAX_TEXT_CHARS = MAX_NAME_CHARS
 
 MAX_POSTER_BYTES = 255
-"""Longest path of a poster, in UTF-8: what file systems take as one name."""
+"""Longest path of a poster or storyboard, in UTF-8: what file systems take as one name."""
 
 Point = tuple[float, float, float]
 
 
 MASKS = "masks"
-"""The part of a segment that holds the masks of its slices (version 2)."""
+"""The part of a segment that holds the masks of its slices."""
 
 Part = int | str
 """What an object holds of a segment: the number of a layer, MASKS, or `snapshot_part`."""
 
 
 def snapshot_part(layer: int) -> str:
-    """The part of a segment that is the snapshot of `layer` (version 2)."""
+    """The part of a segment that is the snapshot of `layer`."""
     return f"snapshot-{layer}"
 
 
@@ -84,7 +74,7 @@ def is_snapshot(part: Part) -> bool:
 def object_name(segment: int, part: Part) -> str:
     """Where the object of (segment, part) lies in a stream's folder.
 
-    Always there: the `object_url` of a manifest is only for those who fetch by URL.
+    Always there: the `object_url` of a manifest is only for fetching by URL.
     """
     return f"{SEGMENTS_NAME}/{segment}/{part}"
 
@@ -104,18 +94,15 @@ class Manifest:
     fps: float
     """Frames shown in a second, MIN_FPS to MAX_FPS."""
     swin_size: int
-    """Frames a Gaussian lives, and the slices in a window."""
-    num_gs: int
-    """Gaussians active in a frame, at most: a multiple of swin_size."""
-    layers: tuple[float, ...]
-    """Share of a slice's Gaussians in each layer; their sum is 1. With slots it follows from them,
-    whatever is given here."""
+    """Lanes, and the slices in a window: every so many frames a slot of a lane may change."""
+    slots: tuple[int, ...]
+    """Slots of a lane in each layer."""
+    lattice: tuple[Lattice, ...]
+    """The lattice of each layer."""
     segment_frames: int
     """Frames in a segment; the last one may have fewer."""
     sh_degree: int
     """Degree of the spherical harmonics, 0 to 3."""
-    profile: Profile
-    """Precision of every chunk."""
     antialias: bool
     """Whether the renderer compensates opacity for its low-pass filter."""
     near_m: float
@@ -130,64 +117,24 @@ class Manifest:
     """Whether more segments may still come."""
     poster: str | None = None
     """Relative path of a still picture, if there is one."""
+    storyboard: str | None = None
+    """Relative path of a picture of small pictures, if there is one."""
     object_url: str = OBJECT_URL
-    """Where an object lies for those who fetch it, relative to the manifest."""
+    """Where an object is fetched, relative to the manifest."""
     title: str = ""
     """A name for people."""
     capture_frame: int = 0
     """Frame of the capture that frame 0 shows."""
-    version: int = VERSION
-    slots: tuple[int, ...] = ()
-    """Slots of a lane in each layer (version 2; else none)."""
-    lattice: tuple[Lattice, ...] = ()
-    """The lattice of each layer (version 2; else none)."""
 
     def __post_init__(self) -> None:
-        self._check_version()
-        if self.slots:
-            # Before the division by their sum.
-            self._check_slots()
-            shares = tuple(count / sum(self.slots) for count in self.slots)
-            object.__setattr__(self, "layers", shares)
+        _ = self.slot_layout  # has rules of its own
         self._check_sizes()
         self._check_cameras()
         self._check_texts()
 
-    def _check_version(self) -> None:
-        if self.version not in (VERSION, SLOTS_VERSION):
-            raise InvalidError(f"manifest: version {self.version}, not {VERSION} or 2")
-        if (self.profile is Profile.LATTICE) != (self.version == SLOTS_VERSION):
-            raise InvalidError(
-                f"manifest: profile {self.profile} in version {self.version}; `lattice` belongs to "
-                f"version {SLOTS_VERSION}"
-            )
-        if bool(self.slots or self.lattice) != (self.version == SLOTS_VERSION):
-            raise InvalidError(
-                f"manifest: {len(self.slots)} layers of slots in version {self.version}; version "
-                f"{SLOTS_VERSION} has them, and no other"
-            )
-
     def _check_sizes(self) -> None:
         if not MIN_FPS <= self.fps <= MAX_FPS:
             raise InvalidError(f"manifest: fps {self.fps} is not in {MIN_FPS}..{MAX_FPS}")
-        if not 1 <= self.swin_size <= MAX_SWIN_SIZE:
-            raise InvalidError(f"manifest: swin_size {self.swin_size} not in 1..{MAX_SWIN_SIZE}")
-        if not 0 < self.num_gs <= MAX_NUM_GS or self.num_gs % self.swin_size:
-            raise InvalidError(
-                f"manifest: num_gs {self.num_gs} is not a multiple of swin_size {self.swin_size} "
-                f"in 1..{MAX_NUM_GS}"
-            )
-        if self.slice_size > MAX_SPLATS_PER_CHUNK:
-            raise InvalidError(
-                f"manifest: {self.slice_size} Gaussians a slice, at most {MAX_SPLATS_PER_CHUNK}"
-            )
-        check_shares(self.layers)
-        if not 1 <= self.segment_frames <= MAX_SEGMENT_FRAMES:
-            raise InvalidError(
-                f"manifest: segment_frames {self.segment_frames} not in 1..{MAX_SEGMENT_FRAMES}"
-            )
-        if not 0 <= self.sh_degree <= MAX_SH_DEGREE:
-            raise InvalidError(f"manifest: sh_degree {self.sh_degree} not in 0..{MAX_SH_DEGREE}")
         if not 0 <= self.capture_frame < 1 << 31:
             raise InvalidError(f"manifest: capture_frame {self.capture_frame} is out of range")
 
@@ -209,33 +156,26 @@ class Manifest:
 
     def _check_texts(self) -> None:
         names = (camera.name for camera in self.cameras)
-        for text in (self.poster or "", self.object_url, self.title, *names):
+        pictures = {"poster": self.poster or "", "storyboard": self.storyboard or ""}
+        for text in (*pictures.values(), self.object_url, self.title, *names):
             if len(text) > MAX_TEXT_CHARS:
                 raise InvalidError(f"manifest: a text of {len(text)} characters")
             if not _is_unicode(text):
                 raise InvalidError(f"manifest: {text[:40]!a} holds half a surrogate pair")
-        poster = self.poster or ""
-        if len(poster.encode()) > MAX_POSTER_BYTES or any(c < " " or c == "\x7f" for c in poster):
-            raise InvalidError(
-                f"manifest: poster {poster[:40]!a} is longer than {MAX_POSTER_BYTES} bytes or "
-                "holds a control character"
-            )
+        for key, path in pictures.items():
+            if len(path.encode()) > MAX_POSTER_BYTES or any(c < " " or c == "\x7f" for c in path):
+                raise InvalidError(
+                    f"manifest: {key} {path[:40]!a} is longer than {MAX_POSTER_BYTES} bytes or "
+                    "holds a control character"
+                )
         if sorted(re.findall(r"\{.*?\}", self.object_url)) != ["{layer}", "{segment}"]:
             raise InvalidError(
                 f"manifest: object_url {self.object_url!r} does not hold {{segment}} and {{layer}}"
             )
 
-    def _check_slots(self) -> None:
-        layout = self.slot_layout
-        if self.num_gs != self.swin_size * layout.num_slots:
-            raise InvalidError(
-                f"manifest: num_gs {self.num_gs} is not swin_size {self.swin_size} times "
-                f"{layout.num_slots} slots"
-            )
-
     @property
     def slot_layout(self) -> SlotLayout:
-        """What masks, changes and snapshots are coded with. Raises InvalidError in version 1."""
+        """What masks, changes and snapshots are coded with."""
         try:
             return SlotLayout(
                 self.swin_size, self.slots, self.sh_degree, self.lattice, self.segment_frames
@@ -244,16 +184,9 @@ class Manifest:
             raise InvalidError(f"manifest: {error}") from error
 
     @property
-    def has_slots(self) -> bool:
-        """Whether slots last: version 2."""
-        return self.version == SLOTS_VERSION
-
-    @property
     def parts(self) -> tuple[Part, ...]:
         """What each segment has an object of, in the order of the index."""
         layers = range(self.num_layers)
-        if not self.has_slots:
-            return tuple(layers)
         return (*layers, MASKS, *map(snapshot_part, layers))
 
     def part_number(self, part: Part) -> int:
@@ -264,8 +197,6 @@ class Manifest:
 
     def max_content_bytes(self, part: Part) -> int:
         """Bytes of the largest chunk that a packet of `part` can hold."""
-        if not self.has_slots:
-            return self.chunk_bounds.max_bytes
         layout, number = self.slot_layout, self.part_number(part)
         if part == MASKS:
             return layout.max_mask_bytes
@@ -276,16 +207,21 @@ class Manifest:
     @property
     def slice_size(self) -> int:
         """Gaussians in a slice, at most."""
-        return self.num_gs // self.swin_size
+        return sum(self.slots)
 
     @property
-    def chunk_bounds(self) -> ChunkBounds:
-        """What a chunk of this stream may hold."""
-        return ChunkBounds(self.slice_size, self.sh_degree)
+    def num_gs(self) -> int:
+        """Gaussians active in a frame, at most."""
+        return self.swin_size * self.slice_size
+
+    @property
+    def layers(self) -> tuple[float, ...]:
+        """Share of a slice's Gaussians in each layer; their sum is 1."""
+        return tuple(count / self.slice_size for count in self.slots)
 
     @property
     def num_layers(self) -> int:
-        return len(self.layers)
+        return len(self.slots)
 
     @property
     def first_birth(self) -> int:
@@ -312,11 +248,10 @@ class Manifest:
         return max(birth, 0) // self.segment_frames
 
     def births(self, segment: int, num_frames: int) -> range:
-        """The births that the objects of `segment` hold, which shows `num_frames` frames. In
-        version 2 the slices before frame 0 are in the snapshots."""
+        """The births that the objects of `segment` hold, which shows `num_frames` frames. The
+        slices before frame 0 are in its snapshots."""
         first = segment * self.segment_frames
-        begin = first if segment or self.has_slots else self.first_birth
-        return range(begin, first + num_frames)
+        return range(first, first + num_frames)
 
     def part_births(self, segment: int, num_frames: int, part: Part) -> range:
         """The births that the object of `part` may have packets of, see `births`."""
@@ -326,20 +261,17 @@ class Manifest:
     def with_live(self, live: bool) -> Manifest:
         return replace(self, live=live)
 
-    def with_profile(self, profile: Profile) -> Manifest:
-        return replace(self, profile=profile)
-
     def to_json(self) -> bytes:
         """manifest.json, UTF-8, one key a line. Raises InvalidError if no reader would take it."""
         value = {
-            "version": self.version,
+            "version": VERSION,
             "fps": self.fps,
             "swin_size": self.swin_size,
             "num_gs": self.num_gs,
-            **self._layers_to_json(),
+            "slots": list(self.slots),
+            "lattice": [lattice_to_json(lattice) for lattice in self.lattice],
             "segment_frames": self.segment_frames,
             "sh_degree": self.sh_degree,
-            "profile": self.profile.value,
             "antialias": self.antialias,
             "near_m": self.near_m,
             "bounds": [list(corner) for corner in self.bounds],
@@ -347,6 +279,7 @@ class Manifest:
             "default_camera": self.default_camera,
             "live": self.live,
             "poster": self.poster,
+            **({} if self.storyboard is None else {"storyboard": self.storyboard}),
             "object_url": self.object_url,
             "title": self.title,
             "capture_frame": self.capture_frame,
@@ -360,14 +293,6 @@ class Manifest:
             )
         return data
 
-    def _layers_to_json(self) -> dict[str, Any]:
-        if not self.has_slots:
-            return {"layers": list(self.layers)}
-        return {
-            "slots": list(self.slots),
-            "lattice": [lattice_to_json(lattice) for lattice in self.lattice],
-        }
-
     @staticmethod
     def from_json(data: bytes) -> Manifest:
         """The manifest in `data`. Raises CorruptError, or UnsupportedError for a later version."""
@@ -377,10 +302,8 @@ class Manifest:
         version = value.get("version")
         if type(version) is not int:
             raise CorruptError("manifest: has no version; this is not a swings stream")
-        if version not in (VERSION, SLOTS_VERSION):
-            raise UnsupportedError(
-                f"manifest: version {version}; this program reads {VERSION} and {SLOTS_VERSION}"
-            )
+        if version != VERSION:
+            raise UnsupportedError(f"manifest: version {version}; this program reads {VERSION}")
         try:
             with np.errstate(all="ignore"):
                 return _from_value(value)
@@ -397,30 +320,12 @@ def _is_unicode(text: str) -> bool:
     return True
 
 
-def _slots(value: Mapping[str, Any]) -> dict[str, Any]:
-    """What version 2 says of layers."""
+def _from_value(value: Mapping[str, Any]) -> Manifest:
     slots, lattices = typed(value, "slots", list), typed(value, "lattice", list)
     if any(type(count) is not int for count in slots):
         raise CorruptError("manifest: slots holds something that is not an integer")
     if len(slots) != len(lattices):
         raise CorruptError(f"manifest: {len(lattices)} lattices for {len(slots)} layers")
-    return {"slots": tuple(slots), "lattice": tuple(map(lattice_of, lattices[:MAX_LAYERS]))}
-
-
-def _from_value(value: Mapping[str, Any]) -> Manifest:
-    version = value["version"]
-    try:
-        profile = Profile(typed(value, "profile", str))
-        if (profile is Profile.LATTICE) != (version == SLOTS_VERSION):
-            raise ValueError("of another version")
-    except ValueError as error:
-        raise UnsupportedError(
-            f"manifest: profile {str(value['profile'])[:40]!r} in version {version}"
-        ) from error
-    layers: dict[str, Any] = {}
-    if version == SLOTS_VERSION:
-        layers = _slots(value)
-    shares = typed(value, "layers", list) if version == VERSION else []
     corners = []
     for corner in typed(value, "bounds", list):
         if type(corner) is not list or len(corner) != 3:
@@ -432,14 +337,13 @@ def _from_value(value: Mapping[str, Any]) -> Manifest:
     cameras = typed(value, "cameras", list)
     if len(cameras) > MAX_CAMERAS or any(type(camera) is not dict for camera in cameras):
         raise CorruptError(f"manifest: cameras are not at most {MAX_CAMERAS} objects")
-    return Manifest(
+    manifest = Manifest(
         fps=number(typed(value, "fps", int, float), "fps"),
         swin_size=typed(value, "swin_size", int),
-        num_gs=typed(value, "num_gs", int),
-        layers=tuple(number(x, "layers") for x in shares),
+        slots=tuple(slots),
+        lattice=tuple(map(lattice_of, lattices[:MAX_LAYERS])),
         segment_frames=typed(value, "segment_frames", int),
         sh_degree=typed(value, "sh_degree", int),
-        profile=profile,
         antialias=typed(value, "antialias", bool),
         near_m=number(typed(value, "near_m", int, float), "near_m"),
         bounds=(corners[0], corners[1]),
@@ -447,9 +351,15 @@ def _from_value(value: Mapping[str, Any]) -> Manifest:
         default_camera=typed(value, "default_camera", str),
         live=typed(value, "live", bool),
         poster=typed(value, "poster", str, type(None)),
+        storyboard=typed({"storyboard": None, **value}, "storyboard", str, type(None)),
         object_url=typed(value, "object_url", str),
         title=typed(value, "title", str),
         capture_frame=typed(value, "capture_frame", int),
-        version=version,
-        **layers,
     )
+    num_gs = typed(value, "num_gs", int)
+    if num_gs != manifest.num_gs:
+        raise CorruptError(
+            f"manifest: num_gs {num_gs} is not swin_size {manifest.swin_size} times "
+            f"{manifest.slice_size} slots"
+        )
+    return manifest

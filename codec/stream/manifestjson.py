@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from codec.errors import CorruptError
-from codec.slots.lattice import MIN_STEP, Lattice
+from codec.lattice.lattice import MIN_STEP, Lattice
 
 
 def parse_manifest(data: bytes) -> dict[str, Any]:

@@ -15,11 +15,10 @@ from itertools import pairwise
 from codec.coders.coder import Coder, EncodedChunk, coder_of, compress, decompress
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
 
-from .chunk import ANY_CHUNK, Chunk, ChunkBounds, decode_chunk
-
 SKIPPABLE_MAGIC = 0x184D2A50
 TABLE_MAGIC = b"SWGO"
-VERSION = 1
+VERSION = 2
+"""1 was a draft that no released program wrote."""
 
 # skippable magic, bytes that follow, table magic, version, coder, zero, number of chunks
 HEAD = struct.Struct("<II4sBBHI")
@@ -35,13 +34,10 @@ NUM_CHUNKS_OFFSET = 16
 """Where in an object the number of its chunks lies."""
 
 MAX_CHUNKS_PER_OBJECT = 1 << 14
-"""Chunks in an object; a segment has at most 4096 frames and the genesis window in front."""
+"""Chunks in an object; a segment has at most 4096 frames."""
 
 MAX_OBJECT_BYTES = 1 << 30
 """Size of an object as it lies on disk."""
-
-MAX_DECODED_BYTES = 1 << 30
-"""float32 that `decode_object` gives at most: about 18 million Gaussians of SH degree 0."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,8 +55,8 @@ def encode_packet(chunk: EncodedChunk, coder: Coder = Coder.ZSTD) -> bytes:
 
 
 def packet_content(packet: bytes | memoryview, limit_bytes: int) -> bytes:
-    """The bytes of the chunk in `packet`, at most `limit_bytes`: in version 2 none if the packet
-    has none. Raises CorruptError."""
+    """The bytes of the chunk in `packet`, at most `limit_bytes`: none if the packet has none.
+    Raises CorruptError."""
     if not packet:
         return b""
     content = decompress(packet, limit_bytes)
@@ -69,30 +65,19 @@ def packet_content(packet: bytes | memoryview, limit_bytes: int) -> bytes:
     return content
 
 
-def decode_packet(data: bytes | memoryview, bounds: ChunkBounds = ANY_CHUNK) -> Chunk:
-    """The chunk in one packet of either coder, which `data` holds exactly; memory goes by `bounds`.
-
-    The place that a CodecError says is one in the decompressed chunk.
-    """
-    return decode_chunk(decompress(data, bounds.max_bytes), bounds)
-
-
-def join_packets(
-    packets: Sequence[tuple[int, bytes]], coder: Coder = Coder.ZSTD, version: int = VERSION
-) -> bytes:
-    """The object of (birth, packet) pairs in order of birth; `coder` is that of all the packets,
-    `version` that of the stream. Version 2 leaves out packets of no bytes."""
-    if version != VERSION:
-        packets = [(birth, packet) for birth, packet in packets if packet]
-    if not _least_chunks(version) <= len(packets) <= MAX_CHUNKS_PER_OBJECT:
-        raise InvalidError(f"object: {len(packets)} chunks, expected 1 to {MAX_CHUNKS_PER_OBJECT}")
+def join_packets(packets: Sequence[tuple[int, bytes]], coder: Coder = Coder.ZSTD) -> bytes:
+    """The object of (birth, packet) pairs in order of birth, without those of no bytes; `coder` is
+    that of all the packets."""
+    packets = [(birth, packet) for birth, packet in packets if packet]
+    if len(packets) > MAX_CHUNKS_PER_OBJECT:
+        raise InvalidError(f"object: {len(packets)} chunks, at most {MAX_CHUNKS_PER_OBJECT}")
     births = [birth for birth, _ in packets]
     if any(b <= a for a, b in pairwise(births)):
         raise InvalidError("object: the births do not rise")
     offset = HEAD.size + ENTRY.size * len(packets)
     if offset + sum(len(packet) for _, packet in packets) > MAX_OBJECT_BYTES:
         raise InvalidError(f"object: over {MAX_OBJECT_BYTES} bytes; use shorter segments")
-    head = HEAD.pack(SKIPPABLE_MAGIC, offset - 8, TABLE_MAGIC, version, coder, 0, len(packets))
+    head = HEAD.pack(SKIPPABLE_MAGIC, offset - 8, TABLE_MAGIC, VERSION, coder, 0, len(packets))
     parts = [head]
     for birth, packet in packets:
         parts.append(ENTRY.pack(birth, offset, len(packet)))
@@ -100,25 +85,13 @@ def join_packets(
     return b"".join((*parts, *(packet for _, packet in packets)))
 
 
-def _least_chunks(version: int) -> int:
-    """Chunks in an object of a stream of `version`; from 2 on what changes nothing has none."""
-    return 1 if version == VERSION else 0
-
-
-def encode_object(chunks: Sequence[EncodedChunk], coder: Coder = Coder.ZSTD) -> bytes:
-    """The object of `chunks`, which come in order of birth."""
-    return join_packets([(chunk.birth, encode_packet(chunk, coder)) for chunk in chunks], coder)
-
-
 def entry_offset(number: int) -> int:
     """Where in an object the entry of its chunk `number` lies."""
     return HEAD.size + ENTRY.size * number
 
 
-def read_object_table(data: bytes | memoryview, version: int = VERSION) -> list[ChunkEntry]:
+def read_object_table(data: bytes | memoryview) -> list[ChunkEntry]:
     """The entries of an object of which `data` holds at least the table.
-
-    version: that of the stream.
 
     Births rise and the packets lie one after another, from the end of the table on. A CodecError
     says the place of the field that is wrong, or of the first of two that contradict each other.
@@ -131,14 +104,14 @@ def read_object_table(data: bytes | memoryview, version: int = VERSION) -> list[
     if skippable != SKIPPABLE_MAGIC or magic != TABLE_MAGIC:
         at = 0 if skippable != SKIPPABLE_MAGIC else 8
         raise CorruptError("object: does not start with a table of chunks", at)
-    if found != version:
-        raise UnsupportedError(f"object: version {found}; this program reads {version}", 12)
+    if found != VERSION:
+        raise UnsupportedError(f"object: version {found}; this program reads {VERSION}", 12)
     if coder not in set(Coder):
         known = " and ".join(f"{known.value} ({known.name.lower()})" for known in Coder)
         raise UnsupportedError(f"object: coder {coder}; this program reads {known}", CODER_OFFSET)
     if zero:
         raise CorruptError(f"object: {zero} where 0 belongs", 14)
-    if not _least_chunks(version) <= count <= MAX_CHUNKS_PER_OBJECT:
+    if count > MAX_CHUNKS_PER_OBJECT:
         raise CorruptError(f"object: a table of {count} chunks", NUM_CHUNKS_OFFSET)
     end = HEAD.size + ENTRY.size * count
     if following + 8 != end:
@@ -183,52 +156,8 @@ def object_end(entries: Sequence[ChunkEntry]) -> int:
     return entries[-1].offset + entries[-1].size
 
 
-def _whole_table(data: bytes | memoryview, version: int = VERSION) -> list[ChunkEntry]:
-    entries = read_object_table(data, version)
-    end = object_end(entries)
-    if len(data) != end:
-        raise CorruptError(f"object: {len(data)} bytes, its table says {end}", min(len(data), end))
-    return entries
-
-
 def error_in_object(error: CodecError, entry: ChunkEntry) -> CodecError:
     """`error`, whose place is one in the decompressed chunk of `entry`, as one of the object."""
     place = "" if error.at is None else f", byte {error.at} in it"
     message = f"{error} (chunk of birth {entry.birth}, {entry.size} bytes{place})"
     return error.reworded(message, entry.offset)
-
-
-def decode_object_chunk(
-    data: bytes | memoryview, entry: ChunkEntry, bounds: ChunkBounds = ANY_CHUNK
-) -> Chunk:
-    """The chunk of one entry of the object `data`. A CodecError says where its packet begins."""
-    packet = entry_packet(data, entry)
-    try:
-        chunk = decode_packet(packet, bounds)
-    except CodecError as error:
-        raise error_in_object(error, entry) from error
-    if chunk.birth != entry.birth:
-        raise CorruptError(
-            f"object: birth {chunk.birth} where the table says {entry.birth}", entry.offset
-        )
-    return chunk
-
-
-def decode_object(data: bytes | memoryview) -> list[Chunk]:
-    """All chunks of the object `data`, in order of birth."""
-    chunks: list[Chunk] = []
-    total = 0
-    for entry in _whole_table(data):
-        chunks.append(decode_object_chunk(data, entry))
-        total += chunks[-1].slice.splats.num_bytes
-        if total > MAX_DECODED_BYTES:
-            raise CorruptError(f"object: over {MAX_DECODED_BYTES} bytes of Gaussians", entry.offset)
-    return chunks
-
-
-def object_packets(data: bytes | memoryview, version: int = VERSION) -> list[tuple[int, bytes]]:
-    """(birth, packet) of every chunk of the object `data`, in order."""
-    view = memoryview(data)
-    return [
-        (e.birth, bytes(view[e.offset : e.offset + e.size])) for e in _whole_table(data, version)
-    ]

@@ -89,7 +89,7 @@ def inflates_whole(data: bytes, entries: Sequence[ChunkEntry]) -> bool:
     for entry in entries:
         packet = memoryview(data)[entry.offset : entry.offset + entry.size]
         if not packet:
-            continue  # a chunk of nothing, in version 2
+            continue  # a chunk of nothing
         if coder_of(packet) is not Coder.ZSTD:
             return False
         if zstandard.get_frame_parameters(packet).window_size > MAX_WINDOW_BYTES:

@@ -17,7 +17,7 @@ from codec.slots.slotlayout import MAX_LAYERS
 LENGTH = struct.Struct("<I")
 
 CONTENT_TYPE = "application/x-swings-play"
-"""Of a response that is made of these records."""
+"""Content type of a response that is made of these records."""
 
 PACKETS_KEY = "frames"
 """The key of the packets on the wire; it is older than the word packet."""
@@ -50,16 +50,16 @@ class SliceRecord:
 
     birth: int
     packets: tuple[bytes, ...]
-    """Of the layers first_layer, first_layer + 1, ..., at least one unless there is a mask. Of no
-    bytes where nothing changes (version 2)."""
+    """Packets of the layers first_layer, first_layer + 1, ..., at least one unless it has a mask. A
+    packet has no bytes where nothing changes."""
     mask: bytes | None = None
-    """The packet of its mask, which comes once (version 2; else none)."""
+    """The packet of its mask, which comes with layer 0 and no other."""
     first_layer: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class SnapshotRecord:
-    """Layers as they are after the slice of `frame`, the first of a segment (version 2)."""
+    """Layers as they are after the slice of `frame`, the first of a segment."""
 
     frame: int
     first_layer: int
@@ -126,8 +126,8 @@ def _check(record: Record) -> None:
         case StartRecord():
             sound = 0 <= record.from_frame < 1 << 31 and 0 <= record.num_frames < 1 << 31
         case SliceRecord():
-            least = int(record.mask is None)
-            sound = record.first_layer >= 0 and not (record.first_layer and record.mask is not None)
+            sound = record.first_layer >= 0 and (record.mask is None) == (record.first_layer > 0)
+            least = int(record.first_layer > 0)
             sound &= least <= len(record.packets) <= MAX_LAYERS - record.first_layer
             sound &= -(1 << 31) <= record.birth < 1 << 31
         case SnapshotRecord():
@@ -162,14 +162,12 @@ def _packets(value: dict[str, Any], least: int) -> tuple[bytes, ...]:
     return tuple(packets)
 
 
-def _first_layer(value: dict[str, Any], packets: tuple[bytes, ...]) -> int:
-    first_layer = _count(value, "first")
+def _check_layers(first_layer: int, packets: tuple[bytes, ...]) -> None:
     if first_layer + len(packets) > MAX_LAYERS:
         raise CorruptError(
             f"play: {len(packets)} packets from layer {first_layer} on, of {MAX_LAYERS} layers at "
             "most"
         )
-    return first_layer
 
 
 def _flat_list(items: list[Any]) -> list[Any]:
@@ -209,19 +207,18 @@ def decode_record(body: bytes | memoryview) -> Record:
                 _count(value, "from"), _count(value, "num_frames"), _field(value, "manifest", bytes)
             )
         case "slice":
-            # Version 1 has no masks, and ignores what is called so.
-            mask = value.get("mask") if type(value.get("mask")) is bytes else None
-            packets = _packets(value, int(mask is None))
             birth: int = _field(value, "birth", int)
             if not -(1 << 31) <= birth < 1 << 31:
                 raise CorruptError(f"play: the birth {birth} of a slice does not fit 32 bits")
-            first_layer = _first_layer(value, packets) if "first" in value else 0
-            if first_layer and not packets:
-                raise CorruptError(f"play: no packet of the slice born at {birth}")
-            return SliceRecord(birth, packets, None if first_layer else mask, first_layer)
+            first_layer = _count(value, "first") if "first" in value else 0
+            packets = _packets(value, int(first_layer > 0))
+            _check_layers(first_layer, packets)
+            mask = None if first_layer else _field(value, "mask", bytes)
+            return SliceRecord(birth, packets, mask, first_layer)
         case "snapshot":
-            packets = _packets(value, 1)
-            return SnapshotRecord(_count(value, "frame"), _first_layer(value, packets), packets)
+            packets, first_layer = _packets(value, 1), _count(value, "first")
+            _check_layers(first_layer, packets)
+            return SnapshotRecord(_count(value, "frame"), first_layer, packets)
         case "end":
             return EndRecord(_count(value, "num_frames"))
         case "error":
@@ -237,7 +234,7 @@ class RecordParser:
     def __init__(self) -> None:
         self._pending = bytearray()
         self.limit_bytes = MAX_RECORD_BYTES
-        """Longest record that is taken; who knows the stream may lower it."""
+        """Longest record that is taken; a reader that knows the stream may lower it."""
 
     @property
     def pending_bytes(self) -> int:

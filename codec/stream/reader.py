@@ -9,18 +9,17 @@ from collections import OrderedDict
 from collections.abc import Iterator
 
 from codec.errors import CodecError, InvalidError, UnsupportedError
-from codec.profiles.raw import bytes_per_gaussian
-from codec.slice import Slice, active_splats, window_births
+from codec.lattice.floats import bytes_per_gaussian
+from codec.slice import Slice, active_splats
 from codec.slots.slotdecoder import SlotDecoder
 from codec.splats import Splats
 from codec.storage.openstorage import Place, open_storage
 from codec.storage.storage import Storage
 
-from .chunk import Chunk
 from .index import INDEX_NAME, SegmentRecord, record_bytes
-from .integrity import MAX_INDEX_BYTES, CheckedObject, fitting_slice, read_index
+from .integrity import MAX_INDEX_BYTES, CheckedObject, read_index
 from .manifest import MANIFEST_NAME, MAX_MANIFEST_BYTES, Manifest, Part, object_name
-from .seeker import SlotSeeker, join
+from .seeker import Seeker, join
 
 DEFAULT_MAX_GAUSSIANS = 1 << 22
 """Gaussians of a stream that is opened unless more are allowed: at SH degree 0 about 1 GB."""
@@ -63,10 +62,8 @@ class StreamReader:
         self.records: list[SegmentRecord] = []
         """One record for each finished segment."""
         self._objects: OrderedDict[tuple[int, Part], CheckedObject] = OrderedDict()
-        self._chunks: OrderedDict[tuple[int, int], Chunk] = OrderedDict()
-        self._chunk_splats = 0  # in all of _chunks
         self._read_manifest()
-        self._seeker = SlotSeeker(self._object, self.manifest) if self.manifest.has_slots else None
+        self._seeker = Seeker(self._object, self.manifest)
         self.refresh()
 
     def _read_manifest(self) -> None:
@@ -98,7 +95,7 @@ class StreamReader:
     @property
     def index_bytes(self) -> int:
         """Size of the index's whole records."""
-        return len(self.records) * record_bytes(self.manifest.num_layers, self.manifest.has_slots)
+        return len(self.records) * record_bytes(self.manifest.num_layers)
 
     def refresh(self) -> int:
         """Takes in what was appended since; gives how many segments are new."""
@@ -143,53 +140,22 @@ class StreamReader:
         self._objects.move_to_end(key)
         return self._objects[key]
 
-    def chunk(self, birth: int, layer: int) -> Chunk:
-        """The chunk of one layer of the slice born at `birth`; version 1 alone has such chunks."""
-        key = (birth, layer)
-        if key not in self._chunks:
-            self._keep(key, self._decode(birth, layer))
-        self._chunks.move_to_end(key)
-        return self._chunks[key]
-
-    def _keep(self, key: tuple[int, int], chunk: Chunk) -> None:
-        """Puts `chunk` into the cache, which holds a window and a slice, however layers fill."""
-        manifest = self.manifest
-        slices = manifest.swin_size + 1
-        room = slices * manifest.slice_size - len(chunk.slice.splats)
-        while self._chunks and (
-            self._chunk_splats > room or len(self._chunks) >= slices * manifest.num_layers
-        ):
-            _, dropped = self._chunks.popitem(last=False)
-            self._chunk_splats -= len(dropped.slice.splats)
-        self._chunks[key] = chunk
-        self._chunk_splats += len(chunk.slice.splats)
-
-    def _decode(self, birth: int, layer: int) -> Chunk:
-        return self._object(self.manifest.segment_of(birth), layer).chunk(birth)
-
     def slice(self, birth: int, num_layers: int) -> Slice:
-        """The slice born at `birth`, of its layers 0..num_layers-1: whole, in version 2 too."""
+        """The slice born at `birth`, of its layers 0..num_layers-1, whole."""
         self._check_layers(num_layers)
         if birth not in self.births:
             raise InvalidError(
                 f"{self.name} has no slice born at {birth}; it has {len(self.births)} slices "
                 f"from {self.manifest.first_birth} on"
             )
-        if self._seeker is not None:
-            return self._seeker.slice(birth, num_layers)
-        segment = self.manifest.segment_of(birth)
-        return fitting_slice(
-            (self.chunk(birth, layer) for layer in range(num_layers)),
-            self.manifest,
-            lambda layer: self.object_place(segment, layer),
-        )
+        return self._seeker.slice(birth, num_layers)
 
     def _check_layers(self, num_layers: int) -> None:
         if not 1 <= num_layers <= self.manifest.num_layers:
             raise InvalidError(f"{num_layers} layers of {self.manifest.num_layers}")
 
     def decoder_at(self, frame: int, num_layers: int) -> SlotDecoder:
-        """A decoder of the caller's own that stands at `frame` (version 2)."""
+        """A decoder of the caller's own that stands at `frame`."""
         self._check_layers(num_layers)
         if not 0 <= frame < self.num_frames:
             raise InvalidError(f"{self.name} has no frame {frame}; it has {self.num_frames} frames")
@@ -210,11 +176,8 @@ class StreamReader:
         """The swin_size slices that show at `frame`, oldest first."""
         if not 0 <= frame < self.num_frames:
             raise InvalidError(f"{self.name} has no frame {frame}; it has {self.num_frames} frames")
-        if self._seeker is not None:
-            self._check_layers(num_layers)
-            return self._seeker.window(frame, num_layers)
-        births = window_births(frame, self.manifest.swin_size)
-        return [self.slice(birth, num_layers) for birth in births]
+        self._check_layers(num_layers)
+        return self._seeker.window(frame, num_layers)
 
     def active_splats(self, frame: int, num_layers: int) -> Splats:
         """All Gaussians that show at `frame`, oldest slice first."""

@@ -1,4 +1,4 @@
-"""What a stream of version 2 shows at any frame: decoders that go on, or begin at a snapshot."""
+"""What a stream shows at any frame: decoders that go on, or begin at a snapshot."""
 
 from __future__ import annotations
 
@@ -57,9 +57,8 @@ def roll(find: FindObject, manifest: Manifest, frame: int, decoder: SlotDecoder)
         decoder.apply(birth, masks.content(birth), changes, blamed)
 
 
-class SlotSeeker:
-    """Any slice and any window of a stream of version 2; keeps a decoder for each number of
-    layers."""
+class Seeker:
+    """Any slice and any window of a stream; keeps a decoder for each number of layers."""
 
     def __init__(self, find: FindObject, manifest: Manifest) -> None:
         self._find = find

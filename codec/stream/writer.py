@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Sequence
+from functools import partial
 from types import TracebackType
 
 from codec.errors import InvalidError
@@ -17,21 +18,21 @@ from codec.slice import Slice
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.update import Update
 from codec.storage.growingplace import GrowingPlace, Shape
-from codec.storage.opengrowing import open_growing
-from codec.storage.openstorage import Target
+from codec.storage.openstorage import Target, open_growing
 
-from .draft import Draft, Quality, Scores, SliceDraft, SlotDraft
+from .draft import Draft, Quality, Scores
 from .index import INDEX_NAME, SegmentRecord, pack_record, record_bytes
 from .layers import RANKS, Rank
 from .manifest import MANIFEST_NAME, SEGMENTS_NAME, Manifest
 from .reader import StreamReader
+from .wholeslice import whole_update
 
 SHAPE = Shape(log=INDEX_NAME, head=MANIFEST_NAME, folder=SEGMENTS_NAME)
 
 
 class StreamWriter:
-    """Appends slices to a stream; holds the compressed chunks of one segment at most, and, if slots
-    last, what they hold.
+    """Appends slices to a stream; holds the compressed chunks of one segment at most, and what the
+    slots hold.
 
     Use it with `with`: leaving normally closes the stream, leaving by an exception aborts it, which
     keeps the finished segments and leaves the stream live for `resume`.
@@ -46,19 +47,19 @@ class StreamWriter:
         rank: Rank,
         quality: Quality | None,
         read: SlotDecoder | None = None,
+        exact: bool = False,
     ) -> None:
-        """Use `create` or `resume`. read: what a reader has at the end of `records` (version 2)."""
-        if rank not in RANKS:  # a string of a caller whose types nobody checks
+        """Use `create` or `resume`. read: what a reader has at the end of `records`."""
+        if rank not in RANKS:  # callers without a type checker pass any string
             raise InvalidError(f"no rank is called {rank!r}; there are {', '.join(RANKS)}")
         self.target = target
         self._place = place
         self.manifest = manifest
         self._num_segments = len(records)
-        self._draft: Draft
-        if not manifest.has_slots:
-            self._draft = SliceDraft.first(manifest, RANKS[rank], quality)
-        else:
-            self._draft = SlotDraft.first(manifest, quality, read)
+        self._whole = partial(
+            whole_update, layout=manifest.slot_layout, rank=RANKS[rank], exact=exact
+        )
+        self._draft = Draft.first(manifest, self._whole, quality, read)
         self._closed = False
         self.next_birth = (
             records[-1].first_frame + records[-1].num_frames if records else manifest.first_birth
@@ -67,10 +68,9 @@ class StreamWriter:
         self.bytes_written = sum(sum(record.part_bytes) for record in records)
         """Bytes of the finished segments' objects."""
         self.played_bytes = sum(record.played_bytes for record in records)
-        """Those that one fetches who plays from frame 0."""
+        """Bytes of those that a player from frame 0 on fetches."""
         self.slice_bytes = 0
-        """Bytes of the packets of the slice that was appended last, as one who plays on fetches
-        them."""
+        """Bytes of the last slice's packets, without snapshots."""
 
     @classmethod
     def create(
@@ -79,16 +79,19 @@ class StreamWriter:
         manifest: Manifest,
         rank: Rank = Rank.OPACITY,
         quality: Quality | None = None,
+        exact: bool = False,
+        in_use: bool = False,
     ) -> StreamWriter:
         """A writer of a new stream at `target`, which is absent, empty, or a place where a
         writer was killed before it was a stream.
 
-        `rank` orders the Gaussians of each slice into layers. `quality` scores every frame; the
-        index holds its mean over each segment, or NaN without it.
+        `rank` orders the Gaussians of each Slice into layers; `exact` keeps every float32 of it.
+        `quality` scores every frame; the index holds its mean over each segment, or NaN without it.
+        in_use: the caller has checked the place, and keeps files of its own there.
         """
         place = open_growing(target, SHAPE)
-        writer = cls(target, place, manifest.with_live(True), [], rank, quality)
-        place.begin(writer.manifest.to_json())
+        writer = cls(target, place, manifest.with_live(True), [], rank, quality, None, exact)
+        place.begin(writer.manifest.to_json(), others_began=in_use)
         return writer
 
     @classmethod
@@ -97,6 +100,7 @@ class StreamWriter:
         target: Target,
         rank: Rank = Rank.OPACITY,
         quality: Quality | None = None,
+        exact: bool = False,
     ) -> StreamWriter:
         """A writer that goes on after `target`'s last finished segment; `next_birth` says where."""
         reader = StreamReader(target, max_gaussians=None)
@@ -104,12 +108,12 @@ class StreamWriter:
         if not manifest.live:
             raise InvalidError(f"{target} is finished; write to another folder")
         place = open_growing(target, SHAPE)
-        record_size = record_bytes(manifest.num_layers, manifest.has_slots)
+        record_size = record_bytes(manifest.num_layers)
         place.take_over(reader.index_bytes, record_size, len(records))
         read = None
-        if manifest.has_slots and records:
+        if records:
             read = reader.decoder_at(reader.num_frames - 1, manifest.num_layers)
-        return cls(target, place, manifest, records, rank, quality, read)
+        return cls(target, place, manifest, records, rank, quality, read, exact)
 
     @classmethod
     def piece(
@@ -120,10 +124,10 @@ class StreamWriter:
         opening: Sequence[Update],
         quality: Quality | None = None,
     ) -> StreamWriter:
-        """A writer of the segments from `segment` on, for one who puts pieces together.
+        """A writer of the segments from `segment` on, of a stream that is put together of
+        pieces.
 
         opening: what shows in the frame before, see `SlotEncoder.opened`; none before segment 0.
-        Slots last.
         """
         writer = cls(place.name, place, manifest.with_live(True), [], Rank.OPACITY, quality)
         if segment:
@@ -131,7 +135,7 @@ class StreamWriter:
             writer.next_birth = segment * manifest.segment_frames
             if not opening or opening[-1].birth + 1 != writer.next_birth:
                 raise InvalidError(f"{place.name}: segment {segment} needs the slices before it")
-            writer._draft = SlotDraft.opened(manifest, quality, opening)
+            writer._draft = Draft.opened(manifest, writer._whole, quality, opening)
         return writer
 
     @property
@@ -152,8 +156,8 @@ class StreamWriter:
         return self._draft.num_packets
 
     def append(self, slice: Slice | Update) -> None:
-        """Takes the slice born at `next_birth`; writes the segment that it completes. In version 2
-        it is an Update.
+        """Takes the slice born at `next_birth`; writes the segment that it completes. A Slice is
+        sent whole, an Update as what changes.
 
         If it raises, nothing of the slice is kept: the same one, or another, may be tried again.
         """
@@ -197,7 +201,7 @@ class StreamWriter:
             sizes[num_layers:],
             hashes[num_layers:],
         )
-        index_bytes = segment * record_bytes(num_layers, self.manifest.has_slots)
+        index_bytes = segment * record_bytes(num_layers)
         self._place.append(index_bytes, pack_record(record))
         self._num_segments += 1
         self.next_birth = next_birth

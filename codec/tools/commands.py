@@ -13,12 +13,12 @@ from codec.errors import InvalidError
 from codec.foreign.spz import SpzVersion
 from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat
+from codec.progressline import counted
 from codec.sequence.importing import Imported, ImportOptions, import_stream
 from codec.splats import DRAWN_SH_DEGREE
-from codec.stream.poster import Draw
+from codec.stream.pictures import Draw
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 
-from .fileprogress import told
 from .static import export_static
 
 Stream = Annotated[str, tyro.conf.arg(metavar="STREAM")]
@@ -26,7 +26,7 @@ Stream = Annotated[str, tyro.conf.arg(metavar="STREAM")]
 
 @dataclass(frozen=True, slots=True)
 class Info:
-    """Describe a stream from its manifest and index; for version 2 also from its masks."""
+    """Describe a stream from its manifest, index and masks."""
 
     stream: tyro.conf.Positional[Stream]
     """Folder of the stream, or its URL in an object store, such as s3://BUCKET/PATH."""
@@ -93,13 +93,13 @@ class Export:
 
 def import_files(config: Import, draw: Draw | None = None) -> str:
     """Does what `config` says; gives lines about it. draw: for the poster and PSNR."""
-    with told(f"importing {config.input.name}") as progress:
+    with counted(f"importing {config.input.name}") as progress:
         made = import_stream(config.input, config.stream, config.options, draw, progress)
     manifest = made.manifest
     a_frame = made.played_bytes / made.num_frames
     lines = [
         f"{config.stream}: {manifest.title}, up to {manifest.num_gs} Gaussians a frame, "
-        f"SH degree {manifest.sh_degree}, {manifest.profile}"
+        f"SH degree {manifest.sh_degree}"
     ]
     lines.append(
         f"frames       {made.num_frames} at {manifest.fps:g} a second; {made.num_bytes} bytes, "
@@ -124,17 +124,13 @@ def import_files(config: Import, draw: Draw | None = None) -> str:
 
 def _slot_lines(made: Imported) -> list[str]:
     """What was sent of slots, and how far they are from the files."""
-    if made.errors is None:
-        return []
     position_m, size, turn, colour, opacity = made.errors.values()
     lines = [
         f"errors       at most: positions {position_m:.3g} m, sizes {100 * size:.1f} %, "
         f"turns {turn:.4f}, colours {colour:.3f}, opacities {opacity:.4f}"
     ]
     if made.num_escaped:
-        lines.append(
-            f"exact        {made.num_escaped} Gaussians at full precision, to keep these errors"
-        )
+        lines.append(f"exact        {made.num_escaped} Gaussians at full precision")
     total = sum(made.statuses)
     if total:
         shares = [f"{100 * count / total:.1f} %" for count in made.statuses]

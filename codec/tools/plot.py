@@ -23,7 +23,7 @@ from codec.stream.reader import StreamReader
 from .slotcensus import count_slots
 
 LAYER_COLOURS = ("#33307a", "#2a78b5", "#2fa58a", "#e3a72f")
-"""Of layers 0, 1, ...: the most important is the darkest. More layers take steps between."""
+"""Colours of layers 0, 1, ..., the darkest first. More layers take steps between."""
 MEAN_COLOUR = "#b3411b"
 MASKS_COLOUR = "#7d7d7d"
 FIRST_COLOUR = "#d5b9cd"
@@ -53,8 +53,8 @@ class Band:
 
 
 def played_bands(reader: StreamReader) -> list[Band]:
-    """The bitrates, in Mbit/s, of all that one fetches who plays from frame 0: layer after layer;
-    in version 2 the masks first, and last the snapshots of frame 0."""
+    """The bitrates, in Mbit/s, of all that a player from frame 0 on fetches: the masks, layer after
+    layer, and the snapshots of frame 0."""
     records, manifest = reader.records, reader.manifest
     rates_mbps = bitrates_bps(records, manifest.fps).T / 1e6
     colours = _layer_colours(manifest.num_layers)
@@ -62,23 +62,21 @@ def played_bands(reader: StreamReader) -> list[Band]:
         Band(f"layer {layer}", *of_layer)
         for layer, of_layer in enumerate(zip(colours, rates_mbps, strict=True))
     ]
-    if manifest.has_slots:
-        sides_mbps = _sides_mbps(reader)
-        first = np.where(np.arange(len(records)) == 0, sides_mbps[:, 1:].sum(axis=1), 0.0)
-        bands.insert(0, Band("masks", MASKS_COLOUR, sides_mbps[:, 0]))
-        bands.append(Band("snapshots of frame 0", FIRST_COLOUR, first))
-    return bands
+    sides_mbps = _sides_mbps(reader)
+    first = np.where(np.arange(len(records)) == 0, sides_mbps[:, 1:].sum(axis=1), 0.0)
+    masks = Band("masks", MASKS_COLOUR, sides_mbps[:, 0])
+    return [masks, *bands, Band("snapshots of frame 0", FIRST_COLOUR, first)]
 
 
 def _sides_mbps(reader: StreamReader) -> Doubles:
-    """(segments, 1 + layers) the bitrates of the masks, then of each snapshot (version 2)."""
+    """(segments, 1 + layers) the bitrates of the masks, then of each snapshot."""
     seconds = np.array([record.num_frames for record in reader.records]) / reader.manifest.fps
     sizes = np.array([record.side_bytes for record in reader.records], np.float64)
     return np.asarray(8e-6 * sizes / seconds[:, None])
 
 
 def slot_bands(reader: StreamReader) -> list[Band]:
-    """How many slots a slice does not keep, as a mean of each segment (version 2)."""
+    """How many slots a slice does not keep, as a mean of each segment."""
     counts = count_slots(reader).statuses.sum(axis=1)
     counts[0] = 0  # in the snapshots
     starts = [record.first_frame for record in reader.records]
@@ -91,8 +89,8 @@ def slot_bands(reader: StreamReader) -> list[Band]:
 
 
 def draw_stream(stream: Place, picture: Path) -> None:
-    """Draws the bitrate of each layer, where the index knows it the PSNR, and in version 2 what
-    becomes of the slots, over time, as a PNG at `picture` that appears at once and whole. Raises a
+    """Draws the bitrate of each layer, where the index knows it the PSNR, and what becomes of the
+    slots, over time, as a PNG at `picture` that appears at once and whole. Raises a
     SwingsError."""
     reader = StreamReader(stream, max_gaussians=None)
     records, manifest = reader.records, reader.manifest
@@ -101,7 +99,7 @@ def draw_stream(stream: Place, picture: Path) -> None:
     edges_s = np.array([r.first_frame for r in records] + [reader.num_frames]) / manifest.fps
     psnrs_db = np.array([record.psnr_db for record in records], np.float64)
     scored = not np.isnan(psnrs_db).all()
-    num_panels = 1 + scored + manifest.has_slots
+    num_panels = 2 + scored
     figure = matplotlib.figure.Figure(
         figsize=(11, 2.5 + 2.5 * num_panels), dpi=110, facecolor="white", layout="constrained"
     )
@@ -112,8 +110,7 @@ def draw_stream(stream: Place, picture: Path) -> None:
     _draw_rates(panels[0], edges_s, reader, mean_mbps)
     if scored:
         _draw_psnrs(panels[1], edges_s, psnrs_db, _layer_colours(manifest.num_layers))
-    if manifest.has_slots:
-        _draw_slots(panels[-1], edges_s, reader)
+    _draw_slots(panels[-1], edges_s, reader)
     panels[-1].set_xlabel("time (s)")
     for axes in panels:
         axes.set_xlim(edges_s[0], edges_s[-1])
@@ -124,8 +121,7 @@ def draw_stream(stream: Place, picture: Path) -> None:
     # A title is anybody's text: nothing in it is mathematics.
     title = " ".join((manifest.title or reader.storage.last_name).split())[:MAX_TITLE_CHARS]
     figure.suptitle(
-        f"{title}: {reader.num_frames} frames, {manifest.num_gs} Gaussians, "
-        f"profile {manifest.profile}",
+        f"{title}: {reader.num_frames} frames, {manifest.num_gs} Gaussians",
         parse_math=False,
     )
     drawn = io.BytesIO()
@@ -169,19 +165,16 @@ def _draw_bands(axes: Axes, edges_s: Doubles, bands: Sequence[Band]) -> None:
 
 def _draw_rates(axes: Axes, edges_s: Doubles, reader: StreamReader, mean_mbps: float) -> None:
     _draw_bands(axes, edges_s, played_bands(reader))
-    carried = "the window of frame 0"
-    if reader.manifest.has_slots:
-        carried = "the snapshots of frame 0"
-        if len(reader.records) > 1:
-            axes.stairs(
-                _sides_mbps(reader)[1:, 1:].sum(axis=1),
-                edges_s[1:],
-                baseline=None,
-                color=JOIN_COLOUR,
-                linestyle=":",
-                linewidth=1.5,
-                label="snapshots, for joining players",
-            )
+    if len(reader.records) > 1:
+        axes.stairs(
+            _sides_mbps(reader)[1:, 1:].sum(axis=1),
+            edges_s[1:],
+            baseline=None,
+            color=JOIN_COLOUR,
+            linestyle=":",
+            linewidth=1.5,
+            label="snapshots, for joining players",
+        )
     axes.axhline(
         mean_mbps,
         color=MEAN_COLOUR,
@@ -192,7 +185,9 @@ def _draw_rates(axes: Axes, edges_s: Doubles, reader: StreamReader, mean_mbps: f
     axes.set_ylim(bottom=0)
     axes.set_ylabel("bitrate (Mbit/s)")
     axes.set_title(
-        f"bitrate of each segment; the first also carries {carried}", fontsize=10, loc="left"
+        "bitrate of each segment; the first also carries the snapshots of frame 0",
+        fontsize=10,
+        loc="left",
     )
     _legend(axes)
 

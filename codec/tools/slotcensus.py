@@ -1,4 +1,4 @@
-"""What the slices of a stream of version 2 say of its slots, counted, and what that costs."""
+"""What the slices of a stream say of its slots, counted, and what that costs."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ class SlotCensus:
 
     @property
     def brought(self) -> Counts:
-        """(L,) Gaussians that are sent to one who plays from frame 0: those of the first snapshots,
-        and all that a slice changes or brings."""
+        """(L,) Gaussians sent to a player from frame 0 on: those of the first snapshots, and all
+        that a slice changes or adds."""
         sent: Counts = self.statuses[:, :, [PREDICTED, NEW]].sum(axis=(0, 2))
         return self.first + sent
 
 
 def count_slots(reader: StreamReader) -> SlotCensus:
-    """The census of a stream of version 2, from its masks and its first snapshots. Raises a
+    """The census of a stream, from its masks and its first snapshots. Raises a
     CodecError that names the object at fault."""
     layout = reader.manifest.slot_layout
     history = MaskHistory(layout)
@@ -78,7 +78,7 @@ class SlotSummary:
     """
 
     slots: tuple[int, ...]
-    """Of a lane."""
+    """Slots of a lane."""
     kept: tuple[float, ...]
     """Slots of a slice, as a mean; the same of the next three."""
     predicted: tuple[float, ...]
@@ -87,9 +87,9 @@ class SlotSummary:
     mask_bytes: int
     change_bytes: tuple[int, ...]
     first_snapshot_bytes: tuple[int, ...]
-    """Of frame 0: what one fetches who plays from there."""
+    """Snapshots of frame 0, which a player from there on fetches."""
     join_snapshot_bytes: tuple[int, ...]
-    """Of all later segments: only who joins there fetches one."""
+    """Snapshots of all later segments, which players fetch that join there."""
 
 
 def summarise_slots(reader: StreamReader, census: SlotCensus) -> SlotSummary:

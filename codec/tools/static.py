@@ -12,18 +12,17 @@ from pathlib import Path
 from codec.coders.coder import Coder
 from codec.errors import InvalidError
 from codec.files import making_folder, write_atomic
-from codec.slots.slotchange import encoded_elsewhere as slots_encoded_elsewhere
+from codec.slots.slotchange import encoded_elsewhere
 from codec.slots.slotchunk import Kind
 from codec.storage.openstorage import Place
-from codec.stream.chunk import encoded_elsewhere
 from codec.stream.index import INDEX_NAME, SegmentRecord, pack_record
-from codec.stream.integrity import CheckedObject, fitting_slice
+from codec.stream.integrity import CheckedObject
 from codec.stream.manifest import MANIFEST_NAME, MASKS, OBJECT_URL, object_file
 from codec.stream.object import encode_packet, join_packets
-from codec.stream.poster import read_poster
+from codec.stream.pictures import read_picture
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
 
-from .slotaudit import verify_slots
+from .objectaudit import verify_objects
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,9 +61,8 @@ def export_static(
 
 
 def _write(reader: StreamReader, folder: Path) -> int:
-    """Writes all files; gives their bytes, less those of a poster."""
-    if reader.manifest.has_slots:
-        verify_slots(reader)
+    """Writes all files; gives their bytes, less those of the pictures."""
+    verify_objects(reader)
     # The objects lie here now, whatever other place the manifest of the source names.
     manifest = replace(reader.manifest, live=False, object_url=OBJECT_URL)
     records = [_write_segment(reader, record, folder) for record in reader.records]
@@ -72,7 +70,7 @@ def _write(reader: StreamReader, folder: Path) -> int:
     write_atomic(folder / INDEX_NAME, index)
     described = manifest.to_json()
     write_atomic(folder / MANIFEST_NAME, described)
-    _copy_poster(reader, folder)
+    _copy_pictures(reader, folder)
     return len(described) + len(index) + sum(sum(record.part_bytes) for record in records)
 
 
@@ -80,16 +78,11 @@ def _write_segment(reader: StreamReader, record: SegmentRecord, folder: Path) ->
     """Writes the objects of a segment; gives its record in the new index."""
     manifest, segment = reader.manifest, record.segment
     sources = [reader.read_object(segment, part) for part in manifest.parts]
-    if not manifest.has_slots:
-        for birth in manifest.births(segment, record.num_frames):  # only to refuse what is wrong
-            chunks = (source.chunk(birth) for source in sources)
-            fitting_slice(chunks, manifest, lambda layer: sources[layer].name)
     sizes, hashes = [], []
     for source in sources:
         data = join_packets(
             [(entry.birth, _recoded(source, entry.birth)) for entry in source.entries],
             Coder.GZIP,
-            manifest.version,
         )
         path = object_file(folder, segment, source.part)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -109,18 +102,17 @@ def _write_segment(reader: StreamReader, record: SegmentRecord, folder: Path) ->
 def _recoded(source: CheckedObject, birth: int) -> bytes:
     """The packet of `birth`, coded with gzip."""
     data, manifest, part = source.content(birth), source.manifest, source.part
-    if not manifest.has_slots:
-        return encode_packet(encoded_elsewhere(data), Coder.GZIP)
     kind = Kind.CHANGE if type(part) is int else Kind.SNAPSHOT
     if part == MASKS:
         kind = Kind.MASK
-    return encode_packet(slots_encoded_elsewhere(manifest.slot_layout, kind, data), Coder.GZIP)
+    return encode_packet(encoded_elsewhere(manifest.slot_layout, kind, data), Coder.GZIP)
 
 
-def _copy_poster(reader: StreamReader, folder: Path) -> None:
-    """Takes the picture along, if it lies in the stream's folder."""
-    content = read_poster(reader.storage, reader.manifest)
-    if content is not None and reader.manifest.poster is not None:
-        copy = folder / reader.manifest.poster
-        copy.parent.mkdir(parents=True, exist_ok=True)
-        write_atomic(copy, content)
+def _copy_pictures(reader: StreamReader, folder: Path) -> None:
+    """Takes the poster and the storyboard along, if they lie in the stream's folder."""
+    for path in (reader.manifest.poster, reader.manifest.storyboard):
+        content = read_picture(reader.storage, path)
+        if content is not None and path is not None:
+            copy = folder / path
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            write_atomic(copy, content)

@@ -15,7 +15,7 @@ from server.abr.link.link import Link, LinkStep
 from .relay import SEND_BUFFER_BYTES, Relay
 
 
-def tell(**values: object) -> None:
+def write_line(**values: object) -> None:
     print(json.dumps(values), flush=True)
 
 
@@ -27,12 +27,12 @@ async def run(order: dict[str, Any]) -> None:
         # Inherited by accepted connections.
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
         serving = asyncio.create_task(relay.serve(listener))
-        tell(port=listener.getsockname()[1])
+        write_line(port=listener.getsockname()[1])
         loop = asyncio.get_running_loop()
 
         def answer() -> None:
             for _ in sys.stdin:
-                tell(down_bytes=relay.down_bytes, began_s=relay.began_s)
+                write_line(down_bytes=relay.down_bytes, began_s=relay.began_s)
             loop.call_soon_threadsafe(serving.cancel)  # whoever started this has gone
 
         threading.Thread(target=answer, daemon=True).start()
@@ -45,7 +45,7 @@ def main() -> None:
     try:
         asyncio.run(run(json.loads(sys.stdin.readline())))
     except OSError as error:
-        tell(error=str(error))
+        write_line(error=str(error))
         sys.exit(1)
 
 

@@ -13,7 +13,7 @@ from server.abr.link.traces import MAX_TRACE_BYTES, parse_trace
 _LINK = re.compile(RATE_PATTERN + r"(?:,(\d+(?:\.\d+)?)ms)?")
 
 _ROUND_S = 3600.0
-"""Of a link that never changes: any length would do, seconds."""
+"""Step length of a link that never changes, seconds; any would do."""
 
 
 def read_link(text: str) -> Link:

@@ -29,13 +29,13 @@ log = logging.getLogger(__name__)
 
 MIN_BUFFER_BYTES = 4 << 10
 BUFFER_S = 0.001
-"""What the kernel is asked to hold of the server's bytes: seconds of the link at its fastest, but
-no less than MIN_BUFFER_BYTES. It holds half as much again. These bytes are acknowledged before
+"""Receive buffer asked of the kernel for the server: seconds of the link at its fastest, but at
+least MIN_BUFFER_BYTES. It holds half as much again. These bytes are acknowledged before
 their time: 6 KiB are 16 ms of a link of 3 Mbit/s, 1.5 ms one of 100 Mbit/s."""
 
 SEND_BUFFER_BYTES = 256 << 10
-"""Of connections to the player: they hold what has passed the link, as a player's kernel does.
-What is longer in coming to read is a player that holds the server back."""
+"""Send buffer of connections to the player: it holds bytes that have passed the link, as a player's
+kernel does. Behind a player that reads more slowly the server waits."""
 
 PIECE_S = 0.004
 """Time on the link of what is moved in one go, at most, seconds."""
@@ -156,7 +156,7 @@ class Relay:
         return connection
 
     def _path_bytes(self, connection: socket.socket) -> int:
-        """What is on its way to the server and back when the link is at its fastest."""
+        """Bytes on their way to the server and back when the link is at its fastest."""
         if sys.platform != "linux":
             return 0
         info = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _TCP_INFO_RTT + 4)

@@ -23,7 +23,7 @@ FILL_AFTER = 0.9
 
 @dataclass(slots=True)
 class CacheCounts:
-    """What became of what was asked for and kept."""
+    """Counts of objects that were found, missing or damaged."""
 
     hits: int = 0
     misses: int = 0

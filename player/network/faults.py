@@ -1,4 +1,4 @@
-"""What can go wrong between the player and a host."""
+"""Errors between the player and a host."""
 
 from __future__ import annotations
 
@@ -25,4 +25,15 @@ class MissingError(FetchError):
 
 
 class StoppedError(SwingsError):
-    """Whoever waited was told to stop."""
+    """The wait was interrupted."""
+
+
+class HostError(Exception):
+    """A host, or the proxy before it, gives no answer; the message names no URL.
+
+    `is_final`: asking again would not help.
+    """
+
+    def __init__(self, message: str, is_final: bool = False) -> None:
+        super().__init__(message)
+        self.is_final = is_final

@@ -19,13 +19,11 @@ from urllib.parse import urlsplit
 
 from .faults import BrokenError as BrokenError
 from .faults import FetchError as FetchError
+from .faults import HostError
 from .faults import StoppedError as StoppedError
-from .handshake import HandshakeError
-from .hosts import joined
-from .httpconnection import CannotConnectError, GrammarError, Target
 from .httppool import Answer, HttpPool
 from .idle import IdleLimit
-from .logins import Origin
+from .requesttarget import Origin, Target, joined
 
 Result = TypeVar("Result")
 
@@ -39,28 +37,12 @@ class FetchConfig:
     """Patience with a server, and where it may lead."""
 
     connect_timeout_s: float = 10.0
-    """Seconds to wait for a connection."""
+    """Seconds to wait for a connection, and as many for TLS over it."""
     idle_s: float = 75.0
     """Seconds to wait for an answer, and for anything of use in it: longer than a server of a live
     stream waits for a segment."""
     other_hosts: bool = False
     """Whether redirects to other hosts are followed."""
-
-
-@dataclass(frozen=True, slots=True)
-class Response:
-    """A whole answer."""
-
-    url: str
-    """Where redirects led."""
-    status: int
-    headers: Mapping[str, str]
-    body: bytes
-
-    @property
-    def retry_after_s(self) -> float | None:
-        """How long the server asks to be left alone, seconds; None if it does not."""
-        return parse_retry_after(self.headers.get("Retry-After", ""), time.time())
 
 
 class Fetcher:
@@ -84,7 +66,7 @@ class Fetcher:
         self.config = config or FetchConfig()
         self._logins = logins or {}
         self._owns = pool is None
-        self._pool = pool or HttpPool(self.config.connect_timeout_s)
+        self._pool = pool or HttpPool(self.config.connect_timeout_s, via)
         self._loop = self._pool.loop
         self._lock = threading.Lock()
         self._waiting: asyncio.Task[Any] | None = None
@@ -101,17 +83,17 @@ class Fetcher:
         come whole.
         """
         with closing(self.open(url)) as response:
-            body = response.rest(limit_bytes)
-            return Response(response.url, response.status, response.headers, body)
+            response.body = response.rest(limit_bytes)
+        return response
 
-    def open(self, url: str, headers: Mapping[str, str] | None = None) -> OpenResponse:
+    def open(self, url: str, headers: Mapping[str, str] | None = None) -> Response:
         """The answer to a GET, its body yet to be read. Close it."""
         return self._run(self._open(url, headers), url)
 
     def ask(self, url: str, headers: Mapping[str, str], limit_bytes: int) -> Asked:
         """A GET whose answer is read whenever somebody waits, see `wait`: it may be that of several
         at a time. Close it."""
-        return Asked(self, url, headers, limit_bytes, self._news)
+        return Asked(self, url, headers, limit_bytes)
 
     def wait(self, timeout_s: float) -> None:
         """Returns when something of what was asked for has come, or after `timeout_s`."""
@@ -123,13 +105,13 @@ class Fetcher:
                 await self._news.wait()
         self._news.clear()
 
-    async def _open(self, url: str, headers: Mapping[str, str] | None) -> OpenResponse:
+    async def _open(self, url: str, headers: Mapping[str, str] | None) -> Response:
         for _ in range(MAX_REDIRECTS):
-            response = await self._request(url, headers=headers)
-            place = response.headers.get("Location")
-            if response.status not in REDIRECTS or place is None:
-                return OpenResponse(self, url, response, self.config.idle_s)
-            response.close()
+            answer = await self._request(url, headers=headers)
+            place = answer.headers.get("Location")
+            if answer.status not in REDIRECTS or place is None:
+                return Response(self, url, answer)
+            await answer.close()
             url = joined(url, place, self.config.other_hosts)
             if self._via is not None and urlsplit(url).scheme != "http":
                 raise FetchError(f"{url}: --link works only with http:// URLs")
@@ -204,17 +186,15 @@ class Fetcher:
         except ValueError as error:
             raise FetchError(f"{url} is not a URL") from error
         if target.authorization is None:
-            target = replace(target, authorization=self._logins.get(target.place))
-        if self._via is not None:
-            target = replace(target, host=self._via[0], port=self._via[1])
+            target = replace(target, authorization=self._logins.get(target.origin))
         # Also bounds an answer that begins again and again, or byte by byte.
         async with asyncio.timeout(self.config.idle_s):
             return await self._pool.request(method, target, headers or {}, body)
 
     async def _post(self, url: str, body: bytes) -> Response:
         answer = await self._request(url, "POST", body)
-        answer.close()
-        return Response(url, answer.status, answer.headers, b"")
+        await answer.close()
+        return Response(self, url, answer)
 
 
 @contextmanager
@@ -222,63 +202,40 @@ def translated(url: str) -> Iterator[None]:
     """Makes what goes wrong on the way to `url` one of our errors."""
     try:
         yield
-    except CannotConnectError as error:
-        raise BrokenError(f"{url}: cannot connect: {error}") from error
-    except HandshakeError as error:
-        raise FetchError(f"{url}: {error}") from error
+    except HostError as error:
+        kind = FetchError if error.is_final else BrokenError
+        raise kind(f"{url}: {error}") from error
     except TimeoutError as error:
         raise BrokenError(f"{url}: the host did not answer in time") from error
-    except (GrammarError, OSError) as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise BrokenError(f"{url}: the connection broke: {reason}") from error
 
 
 class Asked:
-    """A GET whose answer is read while its asker does other things, as far as he waits for
-    something at all."""
+    """A GET whose answer is read in the background whenever its fetcher waits for something."""
 
     def __init__(
-        self,
-        fetcher: Fetcher,
-        url: str,
-        headers: Mapping[str, str],
-        limit_bytes: int,
-        news: asyncio.Event,
+        self, fetcher: Fetcher, url: str, headers: Mapping[str, str], limit_bytes: int
     ) -> None:
-        self._fetcher, self.url = fetcher, url
-        self._limit_bytes, self._news = limit_bytes, news
-        self.response: OpenResponse | None = None
+        self.url = url
+        self.response: Response | None = None
         """None until it has begun."""
         self.pieces: deque[bytes] = deque()
-        """Of the body, as they came; whoever takes them removes them."""
-        self._task = fetcher._loop.create_task(self._fetch(headers))
+        """Pieces of the body, in order of arrival; the caller removes them."""
+        work = self._fetch(fetcher, headers, limit_bytes)
+        self._task = fetcher._loop.create_task(work)
 
-    async def _fetch(self, headers: Mapping[str, str]) -> None:
-        fetcher = self._fetcher
+    async def _fetch(self, fetcher: Fetcher, headers: Mapping[str, str], limit_bytes: int) -> None:
+        num_bytes = 0
         try:
             with translated(self.url):
                 self.response = response = await fetcher._open(self.url, headers)
-                if response.status in (200, 206):
-                    await self._read(response)
+                idle = response._idle()
+                while response.status in (200, 206) and (piece := await response._next(idle)):
+                    num_bytes += len(piece)
+                    response._check_length(num_bytes, limit_bytes)
+                    self.pieces.append(piece)
+                    fetcher._news.set()
         finally:
-            self._news.set()
-
-    async def _read(self, response: OpenResponse) -> None:
-        loop, num_bytes = self._fetcher._loop, 0
-        idle = IdleLimit(self._fetcher.config.idle_s, loop.time())
-        while (left_s := idle.left_s(loop.time())) > 0:
-            piece = await response._read(left_s)
-            if piece == b"":
-                return
-            if piece:
-                num_bytes += len(piece)
-                if num_bytes > self._limit_bytes:
-                    raise FetchError(f"{self.url} is longer than {self._limit_bytes} bytes")
-                idle.received(len(piece))
-                self._fetcher.count(len(piece))
-                self.pieces.append(piece)
-                self._news.set()
-        raise BrokenError(f"{self.url}: {idle.reason(loop.time())}")
+            fetcher._news.set()
 
     @property
     def ended(self) -> bool:
@@ -305,43 +262,44 @@ class Asked:
             self.response.close()
 
 
-class OpenResponse:
+class Response:
     """An answer whose body is read piece by piece."""
 
-    def __init__(self, fetcher: Fetcher, url: str, response: Answer, idle_s: float) -> None:
+    def __init__(self, fetcher: Fetcher, url: str, answer: Answer) -> None:
         self._fetcher = fetcher
+        self._answer = answer
         self.url = url
-        self._idle_s = idle_s
-        self._response = response
-        self.status = response.status
-        self.headers: Mapping[str, str] = response.headers
+        """Where redirects led."""
+        self.status = answer.status
+        self.headers = answer.headers
         self.content_type = self.headers.get("Content-Type", "")
+        self.body = b""
+        """The whole body, where `get` has read it."""
 
     def read(self, timeout_s: float) -> bytes | None:
         """The next piece of the body, empty at its end; None if nothing came in time. Raises
         BrokenError when it is cut off."""
-        work = self._read(timeout_s)
-        piece = self._fetcher._run(work, self.url)
+        piece = self._fetcher._run(self._answer.piece(timeout_s), self.url)
         self._fetcher.count(len(piece or b""))
         return piece
 
-    async def _read(self, timeout_s: float) -> bytes | None:
-        try:
-            async with asyncio.timeout(timeout_s):
-                return await self._response.piece()
-        except TimeoutError:
-            return None
-
     def pieces(self) -> Iterator[bytes]:
-        """What is left of the body. Raises BrokenError when it comes too slowly."""
-        idle = IdleLimit(self._idle_s, time.monotonic())
+        """The rest of the body. Raises BrokenError when it comes too slowly."""
+        idle = self._idle()
+        while piece := self._fetcher._run(self._next(idle), self.url):
+            yield piece
+
+    def _idle(self) -> IdleLimit:
+        return IdleLimit(self._fetcher.config.idle_s, time.monotonic())
+
+    async def _next(self, idle: IdleLimit) -> bytes:
+        """The next piece of the body, empty at its end. Raises BrokenError when `idle` is over."""
         while (left_s := idle.left_s(time.monotonic())) > 0:
-            piece = self.read(left_s)
-            if piece == b"":
-                return
-            idle.received(len(piece or b""))
-            if piece:
-                yield piece
+            piece = await self._answer.piece(left_s)
+            if piece is not None:
+                idle.received(len(piece))
+                self._fetcher.count(len(piece))
+                return piece
         raise BrokenError(f"{self.url}: {idle.reason(time.monotonic())}")
 
     def rest(self, limit_bytes: int) -> bytes:
@@ -349,9 +307,12 @@ class OpenResponse:
         body = bytearray()
         for piece in self.pieces():
             body += piece
-            if len(body) > limit_bytes:
-                raise FetchError(f"{self.url} is longer than {limit_bytes} bytes")
+            self._check_length(len(body), limit_bytes)
         return bytes(body)
+
+    def _check_length(self, num_bytes: int, limit_bytes: int) -> None:
+        if num_bytes > limit_bytes:
+            raise FetchError(f"{self.url} is longer than {limit_bytes} bytes")
 
     @property
     def retry_after_s(self) -> float | None:
@@ -360,7 +321,7 @@ class OpenResponse:
 
     def close(self) -> None:
         """Drops what was not read, and the connection with it."""
-        self._response.close()
+        self._fetcher._loop.run_until_complete(self._answer.close())
 
 
 def parse_retry_after(text: str, unix_s: float) -> float | None:

@@ -1,83 +1,123 @@
-"""Connections that are kept between requests, on a loop that runs only while somebody waits."""
+"""HTTP by httpcore, on a loop that runs only while somebody waits, directly or through a proxy.
+
+httpcore loads at the first request, because many a play needs no network.
+"""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
+import os
+import ssl
+from collections.abc import AsyncIterator, Iterator, Mapping
+from contextlib import aclosing, contextmanager
+from functools import cache, partial
+from typing import TYPE_CHECKING, Any
+from wsgiref.headers import Headers
 
-from .httpconnection import GrammarError, Head, Headers, HttpConnection, Target
+from .faults import HostError
+from .proxies import Proxy, proxy_for
+from .requesttarget import Origin, Target, bracketed
+
+if TYPE_CHECKING:
+    import httpcore
 
 MAX_IDLE = 4
 """Idle connections kept for a host: so many requests there are at a time."""
+
+WRONG_HOST = (62, 64)
+"""OpenSSL's codes for a certificate of another name, and of another address."""
+
+UNKNOWN_ISSUER = (18, 19, 20, 21)
+"""OpenSSL's codes for a certificate that is signed by itself, or by an issuer that is not known."""
+
+NOT_TLS = ("WRONG_VERSION_NUMBER", "HTTP_REQUEST", "RECORD_LAYER_FAILURE")
+"""OpenSSL's reasons where what answers does not speak TLS."""
+
+
+@cache
+def _tls() -> ssl.SSLContext:
+    return ssl.create_default_context()
 
 
 class HttpPool:
     """Requests may run side by side, each over a connection of its own."""
 
-    def __init__(self, connect_timeout_s: float) -> None:
-        self._connect_timeout_s = connect_timeout_s
+    def __init__(self, connect_timeout_s: float, via: tuple[str, int] | None = None) -> None:
+        """via: address that every request goes to, without proxies, in place of its host's."""
+        self._timeouts = {"connect": connect_timeout_s}
+        self._via = via
         self.loop = asyncio.new_event_loop()
-        self._idle: dict[tuple[str, str, int], list[HttpConnection]] = {}
+        self._routes: dict[Origin, tuple[httpcore.AsyncConnectionPool, Proxy | None]] = {}
 
     async def request(
-        self,
-        method: str,
-        target: Target,
-        fields: Mapping[str, str],
-        body: bytes | None = None,
+        self, method: str, target: Target, fields: Mapping[str, str], body: bytes | None = None
     ) -> Answer:
-        """An answer whose body is yet to be read. Raises CannotConnectError, GrammarError, OSError
-        and TimeoutError."""
-        idle = self._idle.setdefault(target.place, [])
-        if idle:
-            await asyncio.sleep(0)  # a host may have closed some while the loop stood
-        while idle:
-            kept = idle.pop()
-            if not kept.is_open():
-                kept.close()
-                continue
+        """An answer whose body is yet to be read. Raises HostError, TimeoutError."""
+        import httpcore
+
+        headers = {"Host": target.host_field, "User-Agent": "swings", "Accept": "*/*"}
+        headers["Accept-Encoding"] = "identity"  # objects are compressed already
+        if target.authorization is not None:
+            headers["Authorization"] = target.authorization
+        if body is not None:
+            headers["Content-Length"] = str(len(body))
+            headers["Content-Type"] = "application/octet-stream"
+        headers |= fields
+        pool, proxy = self._route(target.origin)
+        scheme, host, port = target.origin
+        if proxy is not None:
+            host = bracketed(host)  # as it stands in the request
+        elif self._via is not None:
+            host, port = self._via
+        hint = "; if the server speaks TLS, use https://" if scheme == "http" else ""
+        while True:
+            opened: list[Any] = []  # the connection that this try opens
+            request = httpcore.Request(
+                method,
+                httpcore.URL(scheme=scheme, host=host, port=port, target=target.path),
+                headers=list(headers.items()),
+                content=body,
+                extensions={"timeout": self._timeouts, "trace": partial(_record, opened)},
+            )
             try:
-                return await self._ask(kept, method, target, fields, body)
-            except (GrammarError, ConnectionError):
-                # A host may close what is idle just as it is used again.
-                if body is not None:
+                with _named(target.origin[1], proxy, hint):
+                    response = await pool.handle_async_request(request)
+                break
+            except BaseException as error:
+                for stream in filter(None, opened):  # httpcore may leave it open when cancelled
+                    await stream.aclose()
+                # A host may close an idle connection just as it is used again: ask once more.
+                if opened or body is not None or not isinstance(error, HostError):
                     raise
-        opened = await HttpConnection.open(target, self._connect_timeout_s)
-        return await self._ask(opened, method, target, fields, body)
+        if proxy is not None and response.status == 407:
+            await response.aclose()
+            raise proxy.refusal(407)
+        return Answer(response)
 
-    async def _ask(
-        self,
-        connection: HttpConnection,
-        method: str,
-        target: Target,
-        fields: Mapping[str, str],
-        body: bytes | None,
-    ) -> Answer:
-        try:
-            head = await connection.request(method, target, fields, body)
-        except BaseException:
-            connection.close()
-            raise
-        return Answer(self, target, connection, head)
+    def _route(self, origin: Origin) -> tuple[httpcore.AsyncConnectionPool, Proxy | None]:
+        if origin not in self._routes:
+            import httpcore
 
-    def keep(self, target: Target, connection: HttpConnection) -> None:
-        """Takes back a connection whose answer was read to its end."""
-        idle = self._idle.setdefault(target.place, [])
-        if connection.is_reusable() and len(idle) < MAX_IDLE:
-            idle.append(connection)
-        else:
-            connection.close()
+            proxy, through = None if self._via else proxy_for(origin), None
+            if proxy is not None:
+                login = proxy.target.authorization
+                fields = [] if login is None else [("Proxy-Authorization", login)]
+                through = httpcore.Proxy(f"http://{proxy.target.host_field}", headers=fields)
+            pool = httpcore.AsyncConnectionPool(
+                ssl_context=_tls() if origin[0] == "https" else None,
+                proxy=through,
+                max_connections=None,  # the sources bound their requests
+                max_keepalive_connections=MAX_IDLE,
+            )
+            self._routes[origin] = pool, proxy
+        return self._routes[origin]
 
     def close(self) -> None:
-        """Closes what is idle, and the loop."""
+        """Closes all connections, and the loop."""
         if self.loop.is_closed():
             return
-        for idle in self._idle.values():
-            for connection in idle:
-                connection.close()
-        self._idle.clear()
-        # In one turn the loop lets go of what was closed.
-        self.loop.run_until_complete(asyncio.sleep(0))
+        for pool, _ in self._routes.values():
+            self.loop.run_until_complete(pool.aclose())
         self.loop.run_until_complete(self.loop.shutdown_asyncgens())
         self.loop.close()
 
@@ -85,26 +125,93 @@ class HttpPool:
 class Answer:
     """An answer whose body is read piece by piece. Close it."""
 
-    def __init__(
-        self, pool: HttpPool, target: Target, connection: HttpConnection, head: Head
-    ) -> None:
-        self._pool, self._target = pool, target
-        self._connection: HttpConnection | None = connection
-        self.status: int = head.status
-        self.headers: Headers = head.headers
+    def __init__(self, response: httpcore.Response) -> None:
+        self._response = response
+        self._pieces = _pieces(response)
+        self._reading: asyncio.Future[bytes] | None = None
+        self.status = response.status
+        fields = [(name.decode(), text.decode("latin-1")) for name, text in response.headers]
+        self.headers = Headers(fields)
 
-    async def piece(self) -> bytes:
-        """The next piece of the body, empty at its end. Raises GrammarError, OSError."""
-        if self._connection is None:
-            return b""
-        piece = await self._connection.piece()
-        if not piece:
-            self._pool.keep(self._target, self._connection)
-            self._connection = None
-        return piece
+    async def piece(self, timeout_s: float) -> bytes | None:
+        """The next piece of the body, empty at its end; None if nothing came in time, and the next
+        call waits on. Raises HostError, TimeoutError."""
+        if self._reading is None:
+            self._reading = asyncio.ensure_future(anext(self._pieces, b""))
+        done, _ = await asyncio.wait([self._reading], timeout=timeout_s)
+        if not done:
+            return None
+        self._reading = None
+        return done.pop().result()
 
-    def close(self) -> None:
+    async def close(self) -> None:
         """Drops what was not read, and the connection with it."""
-        if self._connection is not None:
-            self._connection.close()
-            self._connection = None
+        if self._reading is not None:
+            self._reading.cancel()
+            await asyncio.gather(self._reading, return_exceptions=True)
+            self._reading = None
+        await self._response.aclose()
+
+
+async def _pieces(response: httpcore.Response) -> AsyncIterator[bytes]:
+    with _named("", None, ""):
+        async with aclosing(response):
+            async for piece in response.aiter_stream():
+                yield piece
+
+
+async def _record(opened: list[Any], event: str, details: dict[str, Any]) -> None:
+    """An httpcore trace that keeps the connection which a request opens."""
+    if event.startswith("connection.connect_tcp"):
+        opened.append(details.get("return_value"))
+
+
+@contextmanager
+def _named(host: str, proxy: Proxy | None, hint: str) -> Iterator[None]:
+    """Makes an error of httpcore a HostError. host: whose TLS it is. hint: of what else the host
+    may speak."""
+    import httpcore
+
+    try:
+        yield
+    except httpcore.TimeoutException as error:
+        raise TimeoutError from error
+    except httpcore.ProxyError as error:  # its text begins with the status
+        assert proxy is not None
+        raise proxy.refusal(int(str(error)[:3])) from error
+    except (httpcore.ProtocolError, httpcore.NetworkError, OSError) as error:
+        cause = _cause(error) if isinstance(error, httpcore.NetworkError) else error
+        if isinstance(cause, ssl.SSLError):
+            raise _handshake_error(cause, host) from error
+        code = cause.errno or 0 if isinstance(cause, OSError) else 0
+        # The name service's codes are below 1, and it has words of its own.
+        text = os.strerror(code) if code > 0 else " ".join(str(cause).split())
+        text = text.rstrip(".") or "the host closed the connection"
+        if isinstance(error, httpcore.ConnectError):
+            to_proxy = f" to {proxy}" if proxy is not None else ""
+            raise HostError(f"cannot connect{to_proxy}: {text}") from error
+        raise HostError(f"the connection broke: {text}{hint}") from error
+
+
+def _cause(error: BaseException) -> BaseException:
+    """The first of what led to `error`, whose cause httpcore's pool hides, but not the context."""
+    cause = error.__context__
+    while cause is not None:
+        error, cause = cause, cause.__cause__
+        if isinstance(error, ExceptionGroup):  # of several addresses
+            cause = error.exceptions[0]
+    return error
+
+
+def _handshake_error(error: ssl.SSLError, host: str) -> HostError:
+    """`error` of a handshake with `host`, as an error that says what it means."""
+    if isinstance(error, ssl.SSLCertVerificationError):
+        if error.verify_code in WRONG_HOST:
+            return HostError(f"its certificate is for another host, not for {host}", True)
+        hint = ""
+        if error.verify_code in UNKNOWN_ISSUER:
+            hint = "; if you trust it, name a file with its certificate in SSL_CERT_FILE"
+        return HostError(f"its certificate is not trusted: {error.verify_message}{hint}", True)
+    if error.reason in NOT_TLS:
+        return HostError("the server does not speak TLS at this port; try http://", True)
+    return HostError(f"TLS failed: {error.reason or ' '.join(str(error).split())}")

@@ -19,7 +19,7 @@ class IdleLimit:
         self.num_bytes = 0
         """Bytes that came since something of use did."""
         self._open_bytes = 0
-        """Those of them whose use is not known yet."""
+        """Bytes among them whose use is not known yet."""
 
     def useful(self, now_s: float) -> None:
         """Something of use came, or nothing was wanted until now."""

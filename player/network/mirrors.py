@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from codec.stream.manifest import MANIFEST_NAME
 
 from .faults import BrokenError, FetchError, MissingError
-from .fetch import Fetcher, OpenResponse, Response
-from .hosts import joined
+from .fetch import Fetcher, Response
+from .requesttarget import joined
 from .retry import Retry, RetryConfig
 
 PROGRESS_BYTES = 4096
@@ -29,7 +29,7 @@ class Found:
     url: str = ""
     data: bytearray = field(default_factory=bytearray)
     tag: str = ""
-    """What the host at `url` calls this content; empty if it does not say."""
+    """The host's tag of the content at `url`; empty if it does not say."""
     pieced: bool = False
     """Whether it came in several answers: they may be of different contents."""
 
@@ -94,7 +94,7 @@ class Mirrors:
                     raise FetchError(f"{url} is longer than {limit_bytes} bytes")
 
     def tail(self, reference: str, first_byte: int, limit_bytes: int) -> bytes:
-        """What the file has from `first_byte` on, which may be nothing. Raises FetchError."""
+        """The file from `first_byte` on, which may be empty. Raises FetchError."""
         retry = Retry(self._retry)
         while True:
             url = self.url(reference)
@@ -115,7 +115,7 @@ class Mirrors:
 
 
 class _Tries:
-    """What fails while one file is fetched, and who is asked for it next."""
+    """Failures while one file is fetched, and the choice of the next host."""
 
     def __init__(self, mirrors: Mirrors, retry: RetryConfig) -> None:
         self._mirrors = mirrors
@@ -183,20 +183,21 @@ class Span:
 
     @property
     def ended(self) -> bool:
-        """Whether all of it was taken."""
+        """Whether all of it was collected."""
         return self._at_byte == self._end_byte
 
-    def take(self) -> list[SpanPiece]:
-        """What has come, see `Fetcher.wait`. Waits only where all hosts fail. Raises FetchError."""
+    def collect(self) -> list[SpanPiece]:
+        """Pieces that have arrived, see `Fetcher.wait`. Waits only where all hosts fail. Raises
+        FetchError."""
         try:
-            return self._take()
+            return self._collect()
         except FetchError as error:
             self.close()
             self._tries.failed(error, self._host, self._at_byte - self._reached_byte)
             self._ask()
             return []
 
-    def _take(self) -> list[SpanPiece]:
+    def _collect(self) -> list[SpanPiece]:
         asked = self._asked
         if asked.response is not None and not self._is_checked:
             self._check(asked.response)
@@ -211,7 +212,7 @@ class Span:
             raise asked.error or BrokenError(f"{self.url}: the response ended early")
         return found
 
-    def _check(self, response: OpenResponse) -> None:
+    def _check(self, response: Response) -> None:
         """Looks whether it is an answer to what was asked for."""
         if response.status == 206:
             total = range_total(response)
@@ -232,7 +233,7 @@ class Span:
         self._asked.close()
 
 
-def refusal(url: str, response: Response | OpenResponse) -> FetchError:
+def refusal(url: str, response: Response) -> FetchError:
     """The error for an answer that is not the file."""
     message = f"{url}: HTTP {response.status}"
     if response.status >= 500 or response.status in (408, 416, 429):
@@ -242,20 +243,20 @@ def refusal(url: str, response: Response | OpenResponse) -> FetchError:
     return FetchError(message)
 
 
-def range_start(response: OpenResponse) -> int | None:
+def range_start(response: Response) -> int | None:
     """The byte that an answer of 206 begins with; None if it does not say."""
     found = re.match(r"bytes (\d{1,18})-", response.headers.get("Content-Range", ""))
     return int(found[1]) if found else None
 
 
-def range_total(response: OpenResponse) -> int | None:
+def range_total(response: Response) -> int | None:
     """The size of the file that an answer of 206 is a range of; None if it does not say."""
     found = re.fullmatch(r"bytes [\d-]{1,40}/(\d{1,18})", response.headers.get("Content-Range", ""))
     return int(found[1]) if found else None
 
 
-def strong_tag(response: OpenResponse) -> str:
-    """What If-Range takes; empty if the answer has none."""
+def strong_tag(response: Response) -> str:
+    """The value for If-Range; empty if the answer has none."""
     tag = response.headers.get("ETag", "")
     if tag and not tag.startswith("W/"):
         return tag

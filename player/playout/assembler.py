@@ -1,90 +1,123 @@
-"""Packets to the slices that a renderer takes, frame after frame (version 1).
+"""Turns packets, as they arrive, into the slices that a renderer takes, frame after frame.
 
-Rule: pure. Packets come in compressed, when they are due; what does not belong is a CodecError that
-names where it came from.
+Rule: pure. Late packets are put in where they belong; a lane shows them with its next slice. A
+broken packet is a CodecError that names where it came from.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Protocol
+from dataclasses import dataclass, field
 
 from codec.errors import CodecError, CorruptError
 from codec.slice import Slice
-from codec.stream.chunk import Chunk
-from codec.stream.integrity import decode_fitting_packet
-from codec.stream.layers import merge_layers
-from codec.stream.manifest import Manifest
-from player.source.source import Packets, SnapshotPackets
-
-from .slotassembler import SlotAssembler
+from codec.slots.slotdecoder import SlotDecoder
+from codec.stream.manifest import MASKS, Manifest, Part, snapshot_part
+from codec.stream.object import packet_content
+from player.source.source import Blame, Packets, SlicePackets, SnapshotPackets
 
 
-class Assembler(Protocol):
-    """What one version makes of packets."""
+@dataclass(slots=True)
+class _Gathered:
+    """The parts of one slice that have come so far, decompressed, and who is to blame for each."""
 
-    def take(
-        self, frame: int, packets: Iterable[Packets], with_motion: bool = False
-    ) -> list[Slice]:
-        """The slices to put before `frame` is drawn, with `packets`, which came into use with it:
-        of slices born at or before it. Raises a CodecError.
-
-        with_motion: whether slices say what they move, where the version knows.
-
-        Call it for every frame of a playback in order.
-        """
-        ...
+    parts: dict[Part, bytes] = field(default_factory=dict)
+    blames: dict[Part, Blame] = field(default_factory=dict)
 
 
-def open_assembler(manifest: Manifest, num_layers: int, first_frame: int) -> Assembler:
-    """What assembles a stream from `first_frame` on, of which `num_layers` layers come at most."""
-    if manifest.has_slots:
-        return SlotAssembler(manifest, num_layers, first_frame)
-    return SliceAssembler(manifest, num_layers)
+class Assembler:
+    """The slots of a playback: first the whole slices of its first window, then slices that change
+    rows. Layers that are missing are hidden."""
 
-
-class SliceAssembler:
-    """Version 1: a slice is whole with the layers that have come, and again when more come."""
-
-    def __init__(self, manifest: Manifest, num_layers: int) -> None:
+    def __init__(self, manifest: Manifest, num_layers: int, first_frame: int) -> None:
+        """num_layers: the most that arrive."""
         self._manifest = manifest
-        self._num_layers = num_layers
-        self._chunks: dict[int, dict[int, Chunk]] = {}  # by birth, by layer
+        self._decoder = SlotDecoder(manifest.slot_layout, num_layers)
+        self._first_frame = first_frame
 
-    def take(
+    def assemble(
         self, frame: int, packets: Iterable[Packets], with_motion: bool = False
     ) -> list[Slice]:
-        oldest = frame - self._manifest.swin_size + 1
-        altered: set[int] = set()
-        for one in packets:
-            assert not isinstance(one, SnapshotPackets), "version 1 has none"
-            if one.birth < oldest:
-                continue
-            held = self._chunks.setdefault(one.birth, {})
-            for layer, packet in enumerate(one.packets, one.first_layer):
-                if layer in held:
-                    continue
-                if layer >= self._num_layers:
-                    raise CorruptError(
-                        f"a packet of layer {layer} of the slice born at {one.birth} arrived; "
-                        f"this play has {self._num_layers} layers"
-                    )
-                try:
-                    held[layer] = self._chunk(packet, one.birth, layer, held)
-                except CodecError as error:
-                    raise one.blame(error, layer) from error
-                altered.add(one.birth)
-        slices = []
-        for birth in sorted(altered):
-            held = self._chunks[birth]
-            usable = next(n for n in range(len(held) + 1) if n not in held)
-            if usable:
-                slices.append(merge_layers([held[layer] for layer in range(usable)]))
-        for birth in [birth for birth in self._chunks if birth < oldest]:
-            del self._chunks[birth]
-        return slices
+        """Slices to put before `frame` is drawn. Call it for every frame of a playback, in order.
 
-    def _chunk(self, packet: bytes, birth: int, layer: int, held: dict[int, Chunk]) -> Chunk:
-        # The packets of a slice share what the manifest declares: all are bounded by it together.
-        taken = sum(len(other.slice.splats) for other in held.values())
-        return decode_fitting_packet(packet, self._manifest, birth, layer, taken)
+        packets: those that came into use with the frame, of slices born at or before it.
+        with_motion: whether the slices say which Gaussians they move. Raises a CodecError.
+        """
+        decoder = self._decoder
+        snapshots: dict[int, list[SnapshotPackets]] = {}
+        slices: dict[int, _Gathered] = {}
+        for one in packets:
+            if isinstance(one, SnapshotPackets):
+                snapshots.setdefault(one.frame, []).append(one)
+            else:
+                self._gather(slices.setdefault(one.birth, _Gathered()), one)
+        if decoder.frame is None:
+            first = decoder.layout.segment_start(self._first_frame)
+            self._load(snapshots.pop(first, []))
+        if decoder.frame is None:
+            raise CorruptError(f"frame {frame} is due, but no snapshot has arrived")
+        for early in sorted(snapshots):
+            if early <= decoder.frame:
+                self._load(snapshots.pop(early))
+        for birth in sorted(slices):
+            if birth <= decoder.frame:
+                self._late(birth, slices[birth])
+        made = []
+        for birth in range(decoder.frame + 1, frame + 1):
+            gathered, whole = slices.get(birth, _Gathered()), snapshots.get(birth, [])
+            if MASKS not in gathered.parts and any(one.first_layer == 0 for one in whole):
+                # After a break the stream begins anew: nothing says what became of the slots.
+                decoder.clear()
+                self._load(whole)
+                made = decoder.hand_out(birth)
+                continue
+            made.append(self._apply(birth, gathered, with_motion))
+            self._load(whole)
+        return decoder.hand_out(frame) if frame == self._first_frame else made
+
+    def _gather(self, gathered: _Gathered, one: SlicePackets) -> None:
+        parts: list[tuple[Part, bytes]] = [*enumerate(one.packets, one.first_layer)]
+        if one.mask is not None:
+            parts.append((MASKS, one.mask))
+        for part, packet in parts:
+            if part not in gathered.parts:
+                gathered.parts[part] = self._content(packet, part, one.blame)
+                gathered.blames[part] = one.blame
+
+    def _content(self, packet: bytes, part: Part, blame: Blame) -> bytes:
+        try:
+            return packet_content(packet, self._manifest.max_content_bytes(part))
+        except CodecError as error:
+            raise blame(error, part) from error
+
+    def _load(self, snapshots: Iterable[SnapshotPackets]) -> None:
+        for one in snapshots:
+            for layer, packet in enumerate(one.packets, one.first_layer):
+                part = snapshot_part(layer)
+                content = self._content(packet, part, one.blame)
+                try:
+                    self._decoder.load(content, layer, one.frame)
+                except CodecError as error:
+                    raise one.blame(error, part) from error
+
+    def _late(self, birth: int, gathered: _Gathered) -> None:
+        for layer in range(self._decoder.num_layers):
+            change = gathered.parts.get(layer)
+            if change is None:
+                continue
+            try:
+                self._decoder.late(birth, layer, change)
+            except CodecError as error:
+                raise gathered.blames[layer](error, layer) from error
+
+    def _apply(self, birth: int, gathered: _Gathered, with_motion: bool) -> Slice:
+        parts = gathered.parts
+        if MASKS not in parts:
+            raise CorruptError(f"the slice born at {birth} is due, but its mask has not arrived")
+
+        def blamed(error: CodecError, layer: int | None) -> CodecError:
+            part: Part = MASKS if layer is None else layer
+            return gathered.blames[part](error, part)
+
+        changes = [parts.get(layer) for layer in range(self._decoder.num_layers)]
+        return self._decoder.apply(birth, parts[MASKS], changes, blamed, with_motion)

@@ -1,4 +1,4 @@
-"""Plays a stream from wherever it is told to: one play after another, on one clock.
+"""Plays a stream from any frame on, one play after another, on one clock.
 
 A play is a request for the stream from a frame on, and the threads that carry it. A seek ends the
 one that runs and begins another; at the end of a loop the next one is asked for as soon as all of
@@ -116,12 +116,12 @@ class Conductor:
         self._stopped = False
         self._failure: BaseException | None = None
         self.received_bytes = 0
-        """Of the plays that have ended."""
+        """Bytes received by the plays that have ended."""
         self._thread = threading.Thread(target=self._conduct, name="conduct")
 
     def __enter__(self) -> Conductor:
         """Asks for the stream."""
-        play = self._begin(self._first_frame, 0.0)
+        play = self._start_play(self._first_frame, 0.0)
         frames = play.source.frames
         self.transport = Transport(frames.first, frames.end, play.source.manifest.fps, self._plays)
         self._current, self._target = play, frames.first
@@ -129,8 +129,8 @@ class Conductor:
 
     @property
     def source(self) -> Source:
-        """That of the newest play, for its manifest and what is known of its frames; during a seek
-        that of the play before."""
+        """Source of the newest play, for its manifest and known frames; during a seek that of the
+        play before."""
         assert self._source is not None
         return self._source
 
@@ -153,7 +153,7 @@ class Conductor:
             self._thread.join()
         for ended in (self._current, self._following):
             if ended is not None:
-                self._end(ended)
+                self._end_play(ended)
 
     # What a person wants.
 
@@ -331,7 +331,7 @@ class Conductor:
             and current is not None
             and newest.play == current.number
             and current.source.adaptive
-            and newest.fewest_layers < current.source.num_layers
+            and newest.layers < current.source.num_layers
         )
 
     def _is_to_sharpen(self) -> bool:
@@ -348,7 +348,7 @@ class Conductor:
             self._open_whole = None
             self._go_to(frame)
 
-    def _begin(self, frame: int, not_before_s: float, whole: bool = False) -> _Play:
+    def _start_play(self, frame: int, not_before_s: float, whole: bool = False) -> _Play:
         open_at = self._open_whole if whole else None
         source = (open_at or self._open_at)(frame)
         try:
@@ -362,7 +362,7 @@ class Conductor:
         self._source = source
         return play
 
-    def _end(self, play: _Play) -> None:
+    def _end_play(self, play: _Play) -> None:
         play.close()
         self.received_bytes += play.source.received_bytes
 
@@ -376,10 +376,10 @@ class Conductor:
             ended = [play for play in (self._current, self._following) if play is not None]
             self._current = self._following = None
         for play in ended:
-            self._end(play)
+            self._end_play(play)
         assert self._renderer is not None
         self._renderer.forget_waiting()
-        play = self._begin(frame, 0.0, whole)
+        play = self._start_play(frame, 0.0, whole)
         play.update(self._renderer)
         with self._changed:
             self._current = play
@@ -388,7 +388,7 @@ class Conductor:
 
     def _follow(self, current: _Play) -> None:
         """Asks for the next play of a loop, whose frames show behind those of `current`."""
-        following = self._begin(self.transport.first_frame, current.events.end_s or 0.0)
+        following = self._start_play(self.transport.first_frame, current.events.end_s or 0.0)
         with self._changed:
             self._following = following
 
@@ -396,11 +396,11 @@ class Conductor:
         """It does not begin anew after all."""
         with self._changed:
             self._following = None
-        self._end(following)
+        self._end_play(following)
 
     def _go_on(self, current: _Play, following: _Play) -> None:
         """The next play of a loop takes its turn."""
-        self._end(current)
+        self._end_play(current)
         assert self._renderer is not None
         following.update(self._renderer)
         with self._changed:

@@ -1,4 +1,4 @@
-"""What the player's threads wait on: bounded queues, where whoever fills one waits for room."""
+"""Bounded queues between the player's threads: the thread that fills one waits for room."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Callable
 from codec.errors import SwingsError
 from player.network.fetch import StoppedError
 from player.source.source import Packets
-from server.abr.standing import MAX_BUFFER_S, Standing
+from server.abr.clientstatus import MAX_BUFFER_S, ClientStatus
 
 from .clock import Clock
 from .timeline import DueFrame, FrameRecord, Playout, PlayoutTotals
@@ -31,7 +31,7 @@ class Events:
         clock: Clock,
         arrived: Callable[[Packets, float], None] | None = None,
     ) -> None:
-        """arrived: is told of all packets and when they came, before they wait for room."""
+        """arrived: is called with all packets and when they came, before they wait for room."""
         self._playout = playout
         self._clock = clock
         self._arrived = arrived
@@ -40,7 +40,7 @@ class Events:
         self._stopped = False
         self._failure: BaseException | None = None
         self._full = False
-        self._has_news = False  # whether something worth telling the sender has changed
+        self._status_due = False  # whether the sender should get a status
 
     @property
     def totals(self) -> PlayoutTotals:
@@ -86,16 +86,16 @@ class Events:
 
     def _note_full(self, full: bool) -> None:
         self._full = full
-        self._has_news = True
+        self._status_due = True
         self._changed.notify_all()
 
     def reconnected(self) -> None:
-        """What follows comes from somebody who does not know yet how the playback stands."""
+        """A new connection follows, whose server does not know the state of the playback yet."""
         with self._changed:
-            self._has_news = True
+            self._status_due = True
             self._changed.notify_all()
 
-    def standing(self, least_s: float, most_s: float) -> Standing | None:
+    def client_status(self, least_s: float, most_s: float) -> ClientStatus | None:
         """How the playback stands, `most_s` seconds from now, or sooner (`least_s` at least) when
         something has changed that who sends should know. None once nothing more will come."""
         with self._changed:
@@ -104,12 +104,12 @@ class Events:
                 return self._stopped or self._finished or self._failure is not None
 
             self._changed.wait_for(over, least_s)
-            self._changed.wait_for(lambda: self._has_news or over(), most_s - least_s)
+            self._changed.wait_for(lambda: self._status_due or over(), most_s - least_s)
             if over():
                 return None
-            self._has_news = False
+            self._status_due = False
             frame, buffer_s = self._playout.place(self._clock.now_s())
-            return Standing(
+            return ClientStatus(
                 frame,
                 min(buffer_s, MAX_BUFFER_S),
                 # A clock that is not real stands while the queue is full: nobody has paused.
@@ -125,7 +125,7 @@ class Events:
             self._changed.notify_all()
 
     def fail(self, error: BaseException) -> None:
-        """The stream broke: `take` raises `error`."""
+        """The stream broke: `wait_for_frame` raises `error`."""
         with self._changed:
             self._failure = error
             self._changed.notify_all()
@@ -139,7 +139,7 @@ class Events:
     def time_changed(self) -> None:
         """Somebody has stopped or started the clock, or changed its rate."""
         with self._changed:
-            self._has_news = True
+            self._status_due = True
             self._changed.notify_all()
 
     @property
@@ -157,7 +157,7 @@ class Events:
             self._changed.notify_all()
             return True
 
-    def take(self) -> DueFrame | None:
+    def wait_for_frame(self) -> DueFrame | None:
         """The next frame, once it is due; None after the last one. Raises StoppedError."""
         with self._changed:
             while True:
@@ -173,10 +173,10 @@ class Events:
                 # None: until something changes, as where the clock stands.
                 wait_s = None if shown_s is None else self._clock.until_s(shown_s)
                 if shown_s is not None and wait_s == 0:
-                    due = self._playout.take()
+                    due = self._playout.pop_due()
                     assert due is not None
                     # Only here is it known when the picture began, or that it stood still.
-                    self._has_news |= due.record.late or self.totals.frames == 1
+                    self._status_due |= due.record.late or self.totals.frames == 1
                     self._changed.notify_all()
                     return due
                 self._changed.wait(wait_s)

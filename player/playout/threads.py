@@ -4,8 +4,8 @@ receive_thread puts the packets that the stream brings into the events queue, an
 while a socket is not read a server sees a slow link. update_thread waits until a frame is due,
 decodes what came into use with it and puts it into the renderer; render_thread draws. Each stage is
 bounded and waits for the next one. An error travels down the line and rises in render_thread, which
-runs in the caller's thread, as windows and OpenGL want it. tell_thread stands beside the line: it
-tells who sends how the playback stands, and nothing waits for it.
+runs in the caller's thread, as windows and OpenGL want it. status_thread stands beside the line: it
+sends the server the state of the playback, and nothing waits for it.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from player.render.renderer import Renderer
 from player.source.source import Source
 from player.view.path import CameraPath
 
-from .assembler import Assembler, open_assembler
+from .assembler import Assembler
 from .queues import Events, Handoff
 from .timeline import FrameRecord
 
 Floats = npt.NDArray[np.float32]
 
-TELL_LEAST_S, TELL_MOST_S = 0.1, 1.0
-"""Seconds between two news to who sends: when something has changed, and in any case."""
+STATUS_LEAST_S, STATUS_MOST_S = 0.1, 1.0
+"""Seconds between two status reports: at least, after a change; and at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,11 +65,11 @@ def update_thread(
     try:
         while True:
             handoff.wait_for_room()
-            due = events.take()
+            due = events.wait_for_frame()
             if due is None:
                 break
             began_s = time.perf_counter()
-            for slice in assembler.take(due.record.frame, due.packets, events.is_slow):
+            for slice in assembler.assemble(due.record.frame, due.packets, events.is_slow):
                 renderer.put(slice)
             handoff.put(replace(due.record, decode_s=time.perf_counter() - began_s))
         handoff.finish()
@@ -90,17 +90,17 @@ def render_thread(
         show(record, renderer.render(record.frame, path(record.frame)))
 
 
-def tell_thread(source: Source, events: Events) -> None:
-    """Tells who sends how the playback stands, as long as somebody listens."""
-    while (standing := events.standing(TELL_LEAST_S, TELL_MOST_S)) is not None:
-        if not source.tell(standing):
+def status_thread(source: Source, events: Events) -> None:
+    """Sends the server the state of the playback, as long as it listens."""
+    while (status := events.client_status(STATUS_LEAST_S, STATUS_MOST_S)) is not None:
+        if not source.send_status(status):
             break
 
 
 class Threads:
     """All threads but the caller's; leaving the `with` block ends them, whatever happened.
 
-    receive_thread and tell_thread start at once, so that the stream arrives while a renderer is
+    receive_thread and status_thread start at once, so that the stream arrives while a renderer is
     made.
     """
 
@@ -114,13 +114,13 @@ class Threads:
 
     def __enter__(self) -> Threads:
         self._start("receive", self._then_ended(receive_thread), self._source, self._events)
-        self._start("tell", tell_thread, self._source, self._events)
+        self._start("status", status_thread, self._source, self._events)
         return self
 
     def update(self, renderer: Renderer) -> Handoff:
         """Starts update_thread; gives where it hands over its frames. Call it once."""
         source = self._source
-        assembler = open_assembler(source.manifest, source.num_layers, source.frames.first)
+        assembler = Assembler(source.manifest, source.num_layers, source.frames.first)
         self._start(
             "update",
             self._then_ended(update_thread),

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from codec.errors import InvalidError
 from codec.stream.manifest import Manifest
 from player.source.source import Packets
+from server.abr.holding import Holding
 from server.abr.media import SegmentSizes
 from server.abr.playout import PlayoutClock, PlayoutConfig
-from server.abr.slotholding import open_holding
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,11 +29,11 @@ class QueueConfig:
 
 @dataclass(frozen=True, slots=True)
 class FrameRecord:
-    """What became of one frame, in seconds since the player started."""
+    """How one frame was shown; times are seconds since the player started."""
 
     frame: int
-    layers: float
-    """Layers that show in it: the mean over its slices, or those that are whole in version 2."""
+    layers: int
+    """Layers that show in it: those of which nothing is missing."""
     wire_bytes: int
     """Bytes of the packets that came into use with this frame."""
     due_s: float
@@ -45,10 +45,7 @@ class FrameRecord:
     play: int = 0
     """Which play it is of: each seek and each loop begins one."""
     decode_s: float = 0.0
-    """What it took to decode and to pack what came into use with it."""
-    fewest_layers: int = 0
-    """Layers that every slice of its window has: one slice that came with fewer is seen for as long
-    as it shows, whatever the mean is."""
+    """Time it took to decode and to pack what came into use with it, seconds."""
 
     @property
     def late(self) -> bool:
@@ -75,10 +72,10 @@ class PlayoutTotals:
     stalled_s: float = 0.0
     concealed: int = 0
     """Frames that came after they were due, and put nothing off."""
-    layers: float = 0.0
+    layers: int = 0
     """Sum over the frames of the layers that show."""
     fewest_layers: int | None = None
-    """Of any frame, as FrameRecord says; None before the first."""
+    """The fewest layers that showed in any frame; None before the first frame."""
     wire_bytes: int = 0
     late_packets: int = 0
     """Packets that came after the first frame that they could show in."""
@@ -90,7 +87,7 @@ class PlayoutTotals:
         return self.layers / self.frames if self.frames else 0.0
 
     def note_fewest(self, layers: int) -> None:
-        """A frame shows `layers` whole."""
+        """A frame shows `layers`."""
         known = self.fewest_layers
         self.fewest_layers = layers if known is None else min(known, layers)
 
@@ -116,10 +113,8 @@ class PlayedMedia:
 
     def __init__(self, manifest: Manifest) -> None:
         self.fps = manifest.fps
-        self.swin_size = manifest.swin_size
         self.segment_frames = manifest.segment_frames
         self.num_layers = manifest.num_layers
-        self.has_slots = manifest.has_slots
         self.num_frames = 0
         self.live = manifest.live
         nothing = (0.0,) * self.num_layers
@@ -164,8 +159,8 @@ class Playout:
         self._queue = queue or QueueConfig()
         self._play = play
         self._clock = PlayoutClock(first_frame, media.fps, config, until_frame, not_before_s)
-        self._here = open_holding(media, first_frame, needed)
-        self._shown = open_holding(media, first_frame)
+        self._here = Holding(media, first_frame, needed)
+        self._shown = Holding(media, first_frame)
         self._waiting: dict[int, deque[_Waiting]] = {}
         self._queue_bytes = 0
         self._next_frame = first_frame
@@ -231,7 +226,7 @@ class Playout:
         """When the next frame shows; None while a slice of it has not arrived."""
         return self._clock.times_s(self._next_frame)[1] if self._ready else None
 
-    def take(self, now_s: float = float("inf")) -> DueFrame | None:
+    def pop_due(self, now_s: float = float("inf")) -> DueFrame | None:
         """The next frame if it shows at or before `now_s`, else None."""
         if not self._ready:
             return None
@@ -247,13 +242,12 @@ class Playout:
         self._queue_bytes -= wire_bytes
         record = FrameRecord(
             frame,
-            self._shown.layers(frame),
+            self._shown.whole_layers(frame),
             wire_bytes,
             due_s,
             shown_s,
             concealed=concealed,
             play=self._play,
-            fewest_layers=self._shown.whole_layers(frame),
         )
         totals = self.totals
         totals.concealed = self._clock.concealed_frames
@@ -264,7 +258,7 @@ class Playout:
             totals.stalled_s += shown_s - due_s
         totals.frames += 1
         totals.layers += record.layers
-        totals.note_fewest(record.fewest_layers)
+        totals.note_fewest(record.layers)
         totals.wire_bytes += wire_bytes
         self._next_frame += 1
         self._clock.forget(self._next_frame)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from codec.errors import InvalidError
 
 RATES = (0.25, 0.5, 1.0, 1.5, 2.0, 4.0)
-"""What a key goes through, seconds of media in a second."""
+"""Rates that the keys step through, seconds of media per second."""
 
 
 LIVE_LEAD_S = 1.0

@@ -20,21 +20,20 @@ class Arrivals(Generic[Item]):
     """Holds each slice until a frame at or after its birth is uploaded.
 
     Until then its lane belongs to a slice that still shows. None is left out, as a later one may
-    change only some of its rows. One that was put before may come again, with more layers. Whoever
-    puts must keep the queue short: the update thread waits for the render thread when it is a few
-    frames ahead.
+    change only some of its rows. The caller must keep the queue short: the update thread waits for
+    the render thread when it is a few frames ahead.
     """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._waiting: deque[tuple[int, Item]] = deque()
 
-    def put(self, birth: int, item: Item) -> None:
+    def append(self, birth: int, item: Item) -> None:
         """Adds the slice born at `birth`."""
         with self._lock:
             self._waiting.append((birth, item))
 
-    def take(self, frame: int) -> list[Item]:
+    def pop_until(self, frame: int) -> list[Item]:
         """The slices born at or before `frame`, in order."""
         taken = []
         with self._lock:
@@ -57,7 +56,7 @@ class Glide:
         self._moving: list[tuple[int, Motion]] = []
         self._share = 1.0
 
-    def begin(self, frame: int, uploaded: Iterable[tuple[int, Motion | None]]) -> None:
+    def start(self, frame: int, uploaded: Iterable[tuple[int, Motion | None]]) -> None:
         """All that was uploaded, by birth, is where it belongs; what the slice born at `frame`
         moves may be drawn on its way."""
         self._share = 1.0
@@ -66,8 +65,8 @@ class Glide:
         ]
 
     def to(self, share: float) -> list[Slice]:
-        """What puts them at `share` of their way, 0 to 1, from where they were: slices that correct
-        those of their lanes. Nothing if they are there."""
+        """Slices that put them at `share` of their way, 0 to 1, from where they were: they correct
+        those of their lanes. None if they are there."""
         if share == self._share or not self._moving:
             return []
         self._share = share

@@ -36,7 +36,7 @@ class CpuRenderer:
         self.alpha = False
 
     def put(self, slice: Slice) -> None:
-        self._arrivals.put(slice.birth, slice)
+        self._arrivals.append(slice.birth, slice)
 
     def forget_waiting(self) -> None:
         self._arrivals.drop()
@@ -44,11 +44,11 @@ class CpuRenderer:
     def upload(self, frame: int) -> None:
         with step(self.times, "upload_ms", _nothing):
             self.glide(1.0)
-            taken = self._arrivals.take(frame)
+            taken = self._arrivals.pop_until(frame)
             for slice in taken:
                 self._ring.put(slice)
                 self.uploaded_bytes += slice.num_bytes
-            self._glide.begin(frame, [(slice.birth, slice.motion) for slice in taken])
+            self._glide.start(frame, [(slice.birth, slice.motion) for slice in taken])
 
     def glide(self, share: float) -> bool:
         moved = self._glide.to(share)

@@ -1,4 +1,4 @@
-"""What fits a lane, the place of slice_size Gaussians that slice after slice takes or changes."""
+"""The check that a slice fits its lane, the place of slice_size Gaussians."""
 
 from __future__ import annotations
 

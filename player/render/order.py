@@ -52,7 +52,7 @@ class Order:
         self._slots = (np.empty(total, np.int32), np.empty(total, np.int32))
         self._depths = (np.empty(total, np.float32), np.empty(total, np.float32))
 
-    def put(
+    def update_lane(
         self, lane: int, expire: int, means: Floats, starts: Ints, rows: Ints | None = None
     ) -> None:
         """Replaces the Gaussians of `lane`, which show in frames starts <= frame < expire.

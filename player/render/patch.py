@@ -1,4 +1,4 @@
-"""What of the resident texture a slice changes, as few rectangles of texels.
+"""The changes of a slice to the resident texture, as few rectangles of texels.
 
 Rule: a write costs about as much as some tens of Gaussians, so neighbours are written together with
 the unchanged ones between them; that is why the texels of all lanes are kept here, too.
@@ -103,7 +103,7 @@ class PackedLanes:
         """columns: Gaussians in a row of the texture."""
         self._swin_size = swin_size
         self.texels = texels_per_gaussian(sh_degree)
-        """Of one Gaussian."""
+        """Texels of one Gaussian."""
         self.columns = columns
         self.lane_rows = -(-slice_size // self.columns)
         """Rows of the texture that a lane takes."""
@@ -135,7 +135,7 @@ class PackedLanes:
         return PackedSlice(lane, expire, rows, means, starts, patches)
 
     def forget(self, lane: int) -> None:
-        """What was packed for `lane` may never be uploaded: only a whole slice can follow."""
+        """Packed slices of `lane` may never be uploaded: only a whole slice can follow."""
         self._births[lane] = None
 
     def _replace(self, lane: int, slice: Slice, starts: Ints) -> tuple[Patch, ...]:

@@ -1,4 +1,4 @@
-"""What every renderer does.
+"""The interface of every renderer.
 
 `put` and `forget_waiting` may be called from other threads; everything else belongs to the thread
 that made the renderer.
@@ -37,7 +37,7 @@ class GlVersion(StrEnum):
     AUTO = "auto"
     """4.3 where there is one on a GPU, else 3.3."""
     V33 = "3.3"
-    """What macOS, Mesa's software renderer and old integrated GPUs all have."""
+    """The version that macOS, Mesa's software renderer and old integrated GPUs all have."""
     V43 = "4.3"
     """With compute shaders, which order the Gaussians on the GPU."""
 
@@ -52,7 +52,7 @@ class Renderer(Protocol):
 
     @property
     def name(self) -> str:
-        """What draws, for people."""
+        """Name of the renderer, for people."""
         ...
 
     @property

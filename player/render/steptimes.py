@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 @dataclass(slots=True)
 class StepTimes:
-    """What each step took when it was done last, milliseconds, until it was finished."""
+    """Time of each step when it ran last, until it was finished, milliseconds."""
 
     upload_ms: float = 0.0
     """New slices to where they are drawn from; 0 where there was none."""

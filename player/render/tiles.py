@@ -30,7 +30,7 @@ Ints = npt.NDArray[np.int32]
 Flags = npt.NDArray[np.bool_]
 
 MARGIN_PX = np.float32(0.01)
-"""What the exact tile test leaves for rounding."""
+"""Margin of the exact tile test, for rounding."""
 
 
 @dataclass(frozen=True, slots=True)

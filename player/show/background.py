@@ -1,4 +1,4 @@
-"""What shows where the Gaussians let light through."""
+"""The background, where the Gaussians let light through."""
 
 from __future__ import annotations
 

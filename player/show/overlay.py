@@ -1,4 +1,4 @@
-"""What is written over the picture: lines of text, and the bar that one seeks with. Pure.
+"""The overlay of the picture: lines of text, and the seek bar. Pure.
 
 Rule: an overlay is an array of pixels, (H, W, 4) uint8, RGBA, row 0 on top, straight alpha.
 """

@@ -27,7 +27,7 @@ class Overlays:
     def now(
         self, conductor: Conductor, controls: Controls, size: tuple[int, int], now_s: float
     ) -> list[Placed]:
-        """Those that show on a picture of `size`."""
+        """Overlays of a picture of `size`."""
         state = conductor.state()
         shown, top_px = [], MARGIN_PX
         if controls.shows_info:

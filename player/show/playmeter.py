@@ -31,7 +31,7 @@ class PlayMeter:
         self._smooth("decode", 1e3 * record.decode_s)
 
     def took(self, times: StepTimes) -> None:
-        """What the steps of a picture took."""
+        """Times of the steps of a picture."""
         if times.upload_ms:
             self._smooth("upload", times.upload_ms)
         self._smooth("sort", times.sort_ms)
@@ -44,7 +44,7 @@ class PlayMeter:
     def lines(
         self, state: PlayState, num_layers: int, fps: float, rate_bps: float | None, now_s: float
     ) -> list[str]:
-        """What the overlay says. rate_bps: what the link is taken to carry, if that is known."""
+        """Lines of the overlay. rate_bps: the estimated rate of the link, if it is known."""
         while self._frames and self._frames[0][0] < now_s - WINDOW_S:
             self._frames.popleft()
         drawn = sum(one for _, one in self._frames)

@@ -1,4 +1,4 @@
-"""What a window shows until the stream's first picture: its poster, as large as fits."""
+"""The window before the stream's first picture: its poster, as large as fits."""
 
 from __future__ import annotations
 

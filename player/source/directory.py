@@ -16,10 +16,10 @@ from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 from player.network.faults import StoppedError
 from player.network.fetch import FetchConfig
 from player.network.idle import IdleLimit
-from server.abr.standing import Standing
+from server.abr.clientstatus import ClientStatus
 
-from .bounds import Bounds
-from .segments import SegmentPlay
+from .segmentreader import SegmentReader
+from .sizelimits import SizeLimits
 from .source import NO_PLAY, Packets, check_frames, check_layers
 
 log = logging.getLogger(__name__)
@@ -62,15 +62,15 @@ class DirectorySource:
 
     def packets(self) -> Iterator[Packets]:
         reader = self._reader
-        play = SegmentPlay(self.manifest, self.num_layers, self.frames)
-        bounds = Bounds(self.manifest)
+        play = SegmentReader(self.manifest, self.num_layers, self.frames)
+        limits = SizeLimits(self.manifest)
         while (segment := play.segment) is not None:
             if segment >= len(reader.records):
                 if not self._follow():
                     return
                 continue
             try:
-                bounds.check_segment(reader.records[segment])
+                limits.check_segment(reader.records[segment])
             except CodecError as error:
                 raise error.within(self.name) from error
             objects = {part: reader.read_object(segment, part) for part in play.parts}
@@ -92,7 +92,7 @@ class DirectorySource:
                 raise StoppedError(f"{self.name}: stopped")
         return False
 
-    def tell(self, standing: Standing) -> bool:
+    def send_status(self, status: ClientStatus) -> bool:
         return False
 
     def interrupt(self) -> None:

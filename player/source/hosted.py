@@ -21,12 +21,12 @@ from player.network.fetch import Fetcher
 from player.network.idle import IdleLimit
 from player.network.mirrors import Mirrors, Span, refusal
 from player.network.retry import RetryConfig
+from server.abr.clientstatus import ClientStatus
 from server.abr.session import Finished, WaitForFrames, WaitUntil
-from server.abr.standing import Standing
 
 from .hostedindex import REPLACED, HostedIndex
 from .hostedplay import Ask, HostedPlay, Wait
-from .segments import SegmentPlay
+from .segmentreader import SegmentReader
 from .source import LastPlay, Packets, check_frames, check_layers
 
 log = logging.getLogger(__name__)
@@ -96,7 +96,7 @@ class HostedSource:
         self.adaptive = adaptive
         self._rate_bps = rate_bps
         self._play: HostedPlay | None = None
-        self._news: Standing | None = None
+        self._status: ClientStatus | None = None
         self.num_layers = check_layers(layers, self.manifest, name)
         if not self._index.records:
             self._index.grow(self._mirrors)
@@ -143,7 +143,7 @@ class HostedSource:
 
     def _all(self) -> Iterator[Packets]:
         """All layers, segment by segment."""
-        play = SegmentPlay(self.manifest, self.num_layers, self.frames)
+        play = SegmentReader(self.manifest, self.num_layers, self.frames)
         while (segment := play.segment) is not None:
             if segment >= len(self._index.records) and not self._follow():
                 return
@@ -169,7 +169,7 @@ class HostedSource:
                     return
                 until_s = wait.time_s if isinstance(wait, WaitUntil) else math.inf
                 self._fetcher.wait(min(max(until_s - time.monotonic(), 0.0), LOOK_S))
-                self._take(play, open_spans)
+                self._read_spans(play, open_spans)
                 now_s = time.monotonic()
                 if not isinstance(wait, WaitForFrames):
                     idle.useful(now_s)
@@ -190,9 +190,9 @@ class HostedSource:
                 span.close()
 
     def _hear(self, play: HostedPlay) -> None:
-        news, self._news = self._news, None
-        if news is not None:
-            play.session.told(time.monotonic(), news)
+        status, self._status = self._status, None
+        if status is not None:
+            play.session.on_status(time.monotonic(), status)
 
     def _ask(self, play: HostedPlay, open_spans: dict[Ask, Span]) -> Wait:
         """Sends the requests that are worth it now."""
@@ -204,10 +204,10 @@ class HostedSource:
             open_spans[ask] = span
         return ask
 
-    def _take(self, play: HostedPlay, open_spans: dict[Ask, Span]) -> None:
+    def _read_spans(self, play: HostedPlay, open_spans: dict[Ask, Span]) -> None:
         """Takes in what has come."""
         for ask, span in list(open_spans.items()):
-            pieces = span.take()
+            pieces = span.collect()
             if pieces and span.is_whole:
                 play.comes_whole(ask, time.monotonic())
             for piece in pieces:
@@ -267,8 +267,8 @@ class HostedSource:
             raise CorruptError(f"{self.name}: {REPLACED}")
         self.manifest = manifest
 
-    def tell(self, standing: Standing) -> bool:
-        self._news = standing
+    def send_status(self, status: ClientStatus) -> bool:
+        self._status = status
         return self.adaptive
 
     def interrupt(self) -> None:

@@ -8,7 +8,7 @@ from codec.stream.integrity import read_index
 from codec.stream.manifest import Manifest
 from player.network.mirrors import Mirrors
 
-from .bounds import Bounds
+from .sizelimits import SizeLimits
 
 MAX_HOSTED_INDEX_BYTES = 1 << 26
 """Longest index read: its records take about six times as much in memory."""
@@ -21,8 +21,8 @@ class HostedIndex:
 
     def __init__(self, manifest: Manifest) -> None:
         self._manifest = manifest
-        self._bounds = Bounds(manifest)
-        self._record_bytes = record_bytes(manifest.num_layers, manifest.has_slots)
+        self._limits = SizeLimits(manifest)
+        self._record_bytes = record_bytes(manifest.num_layers)
         self._last = b""
         self.records: list[SegmentRecord] = []
 
@@ -50,7 +50,7 @@ class HostedIndex:
         try:
             records = read_index(new, self._manifest, self.records)
             for record in records:
-                self._bounds.check_segment(record)
+                self._limits.check_segment(record)
         except CodecError as error:
             raise error.within(url, known) from error
         if records:

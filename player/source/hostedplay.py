@@ -1,4 +1,4 @@
-"""What of a stream of files is asked for next, and what came of it: a server's part, played here.
+"""Requests and packets of an adaptive play from a static host: the server's part, done here.
 
 Rule: pure. Times and bytes come in; runs of bytes to ask for, and packets, go out. A request is
 made before the one before it has been answered: the link has no time to rest.
@@ -15,19 +15,19 @@ from codec.errors import CodecError
 from codec.framerange import FrameRange
 from codec.stream.index import SegmentRecord
 from codec.stream.manifest import MASKS, Manifest, Part, is_snapshot, snapshot_part
+from server.abr.decisioncontext import Send, SendSlices, SendSnapshots
 from server.abr.media import RecordedMedia
-from server.abr.outlook import Send, SendSlices, SendSnapshots
-from server.abr.policies.choice import own_policy
 from server.abr.session import (
     Finished,
     PlaySession,
     SessionConfig,
+    WaitForAck,
     WaitForFrames,
-    WaitForNews,
     WaitUntil,
 )
+from server.abr.sweep import Sweep
 
-from .pieces import ObjectPieces
+from .partialobject import PartialObject
 from .source import Blame, Packets, SlicePackets, SnapshotPackets
 
 SESSION = SessionConfig(run_s=0.1, queue_s=0.04, first_bytes=16 << 10)
@@ -64,12 +64,12 @@ class Ask:
         return self.end_byte - self.first_byte
 
 
-Wait = WaitForNews | WaitUntil | WaitForFrames | Finished
+Wait = WaitForAck | WaitUntil | WaitForFrames | Finished
 
 
 @dataclass(slots=True, eq=False)
 class _Wanted:
-    """What was chosen of one layer of one segment, on its way."""
+    """Chosen packets of one layer of one segment, on their way."""
 
     send: Send
     segment: int
@@ -77,9 +77,9 @@ class _Wanted:
     """All that one of its slices, or snapshots, needs."""
     layer: int
     births: range
-    """That have not been handed over; of snapshots their frame."""
+    """Births that have not been handed over; of snapshots their frame."""
     asks: list[Ask] = field(default_factory=list)
-    """Those of which not all has come."""
+    """Requests that are not fully answered."""
 
 
 class HostedPlay:
@@ -100,7 +100,7 @@ class HostedPlay:
         self.media = RecordedMedia(manifest, records, self._is_stored)
         self.session = PlaySession(
             self.media,
-            own_policy(self.media),
+            Sweep(),
             config,
             now_s,
             frames.first,
@@ -109,16 +109,16 @@ class HostedPlay:
         )
         self.knows_ranges = True
         """Whether the host sends less than the whole of an object; False once it did not."""
-        self._pieces: dict[tuple[int, Part], ObjectPieces] = {}
+        self._pieces: dict[tuple[int, Part], PartialObject] = {}
         self._given: dict[tuple[int, Part], set[int]] = {}
         """Births that were chosen, by segment and part: none is handed over twice."""
         self._wanted: list[_Wanted] = []
         """In the order in which it was chosen."""
         self._chosen: list[Send] = []
-        """What the session has chosen, of one segment each, and was not asked for yet."""
+        """Decisions of the session, of one segment each, that were not requested yet."""
         self._unsent: deque[Ask] = deque()
         self._ended_bytes = 0
-        """Of requests that were answered whole."""
+        """Bytes of requests that were answered whole."""
 
     def _is_stored(self, record: SegmentRecord, number: int) -> bool:
         return self._store is not None and self._store.has(record.part_sha256[number])
@@ -128,7 +128,7 @@ class HostedPlay:
         return [ask for wanted in self._wanted for ask in wanted.asks]
 
     def next(self, now_s: float) -> Ask | Wait:
-        """What to ask for now, or what to wait for: WaitForNews is for what was asked for. Raises a
+        """The next request, or what to wait for: WaitForAck means an open request. Raises a
         CodecError."""
         session = self.session
         come_bytes = sum(ask.come_bytes for ask in self._open_asks)
@@ -141,7 +141,7 @@ class HostedPlay:
                 return self._unsent.popleft()
             # Nor is more chosen before it is known where all lies that was.
             if len(self._open_asks) >= MOST_ASKS or any(map(self._lacks, self._wanted)):
-                return WaitForNews()
+                return WaitForAck()
             if not self._chosen:
                 decision = session.decide(now_s)
                 if not isinstance(decision, SendSlices | SendSnapshots):
@@ -159,7 +159,7 @@ class HostedPlay:
             parts: tuple[Part, ...] = (layer,)
             if isinstance(send, SendSnapshots):
                 parts = (snapshot_part(layer),)
-            elif layer == 0 and manifest.has_slots:
+            elif layer == 0:
                 parts = (MASKS, layer)
             for run in self._fresh(segment, parts[-1], births):
                 wanted = _Wanted(send, segment, parts, layer, run)
@@ -169,8 +169,8 @@ class HostedPlay:
         self.session.sent(send, num_bytes, now_s)
 
     def _by_segment(self, send: Send) -> list[Send]:
-        """What was chosen, segment by segment: requests that are made together share the link, and
-        what is due later can wait."""
+        """The decision, segment by segment: simultaneous requests share the link, and later
+        segments can wait."""
         if not isinstance(send, SendSlices):
             return [send]
         found: list[Send] = []
@@ -187,7 +187,7 @@ class HostedPlay:
         return found
 
     def _fresh(self, segment: int, part: Part, births: range) -> list[range]:
-        """Those of `births` in the segment that were not chosen before, in runs."""
+        """Runs of `births` in the segment that were not chosen before."""
         record = self._records[segment]
         own = self.media.manifest.part_births(segment, record.num_frames, part)
         given = self._given.setdefault((segment, part), set())
@@ -226,12 +226,12 @@ class HostedPlay:
                 num_bytes += ask.num_bytes
         return num_bytes
 
-    def _object(self, segment: int, part: Part) -> ObjectPieces:
+    def _object(self, segment: int, part: Part) -> PartialObject:
         key = segment, part
         found = self._pieces.get(key)
         if found is None:
             manifest = self.media.manifest
-            found = self._pieces[key] = ObjectPieces(manifest, self._records[segment], part)
+            found = self._pieces[key] = PartialObject(manifest, self._records[segment], part)
             kept = self._store.get(found.sha256) if self._store is not None else None
             if kept is not None:
                 found.name = f"segment {segment}, {part}, in the cache"
@@ -240,7 +240,7 @@ class HostedPlay:
         return found
 
     def comes_whole(self, ask: Ask, now_s: float) -> None:
-        """Whoever was asked sends the whole object."""
+        """The host answers `ask` with the whole object."""
         pieces = self._object(ask.segment, ask.part)
         more_bytes = pieces.num_bytes - ask.num_bytes
         if not more_bytes:
@@ -271,8 +271,8 @@ class HostedPlay:
             self._store.put(pieces.sha256, whole)
 
     def packets(self) -> Iterator[Packets]:
-        """What is here and was not handed over: of each layer in the order in which it was chosen,
-        as a snapshot comes before what it is followed by."""
+        """Packets that have arrived and were not handed over: of each layer in the order of choice,
+        as a snapshot comes before its changes."""
         behind: set[int] = set()  # layers of which something is to come first
         for wanted in list(self._wanted):
             if wanted.layer not in behind:
@@ -283,7 +283,7 @@ class HostedPlay:
                 self._wanted.remove(wanted)
 
     def _complete(self, wanted: _Wanted) -> Iterator[Packets]:
-        """What of it is here."""
+        """Packets of `wanted` that have arrived."""
         objects = {part: self._object(wanted.segment, part) for part in wanted.parts}
         while wanted.births:
             birth = wanted.births[0]
@@ -301,7 +301,7 @@ class HostedPlay:
 
     def _forget(self) -> None:
         """Drops what is here of segments of which nothing shows any more."""
-        oldest = self.session.next_frame - self.media.swin_size + 1
+        oldest = self.session.next_frame - self.media.manifest.swin_size + 1
         segment = self.media.manifest.segment_of(oldest)
         segment = min([segment, *(wanted.segment for wanted in self._wanted)])
         for key in [key for key in self._pieces if key[0] < segment]:
@@ -310,7 +310,7 @@ class HostedPlay:
             del self._given[key]
 
 
-def _blame(objects: dict[Part, ObjectPieces], birth: int) -> Blame:
+def _blame(objects: dict[Part, PartialObject], birth: int) -> Blame:
     """Makes an error name the object of a segment that is at fault."""
 
     def blame(error: CodecError, part: Part) -> CodecError:

@@ -1,4 +1,4 @@
-"""From what the user typed to where it is: a folder, a served stream, or a hosted one."""
+"""The place of the stream that the user named: a folder, a served stream, or a hosted one."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MAX_LIST_BYTES = 16 << 20
 """Longest list of streams read, bytes."""
 
 SERVED = ("/v1/streams/", "/watch/")
-"""What stands before a stream's name in the addresses of a swings server."""
+"""Prefixes of a stream's name in the addresses of a swings server."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class ServedPlace:
     """A stream that swings servers play."""
 
     urls: tuple[str, ...]
-    """Of the stream on each of them; to one of them /play is added."""
+    """URL of the stream on each server; /play is added to one of them."""
 
 
 Place = Path | ServedPlace | HostedPlace

@@ -22,13 +22,13 @@ from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, check_gaussians
 from player.network.diskcache import DiskCache
 from player.network.faults import BrokenError, StoppedError
 from player.network.fetch import FetchConfig, Fetcher
-from player.network.logins import logins_of
+from player.network.requesttarget import logins_of
 from player.network.retry import Retry, RetryConfig
 
 from .directory import DirectorySource
-from .glance import Glance, glance
 from .hosted import HostedSource
 from .locate import Place, ServedPlace, locate, split_source
+from .preview import Preview, load_preview
 from .served import ServedSource
 from .source import NO_PLAY, Source
 
@@ -102,10 +102,10 @@ class Opener:
         self._last = source
         return source
 
-    def glance(self) -> Glance | None:
-        """What is seen of the stream at once, while what plays it is made ready; see `glance`."""
+    def preview(self) -> Preview | None:
+        """Manifest and poster, to be shown while the player starts; see `load_preview`."""
         with closing(self._use()) as fetcher:
-            found = glance(self._find(fetcher), fetcher)
+            found = load_preview(self._find(fetcher), fetcher)
         if found is not None:
             check_gaussians(found.manifest, self._max_gaussians, self.name)
         return found
@@ -164,7 +164,7 @@ class Opener:
         self.manifest = manifest
 
     def interrupt(self) -> None:
-        """Makes whoever opens or waits for packets, now or later, raise StoppedError soon."""
+        """Makes a thread that opens or waits for packets, now or later, raise StoppedError soon."""
         with self._lock:
             self._stopped = True
             if self._using is not None:

@@ -31,23 +31,23 @@ from player.network.fetch import (
     FetchConfig,
     Fetcher,
     FetchError,
-    OpenResponse,
+    Response,
     StoppedError,
 )
 from player.network.idle import IdleLimit
 from player.network.retry import Retry, RetryConfig
-from server.abr.standing import (
+from server.abr.clientstatus import (
     FRAME_HEADER,
     PLAY_HEADER,
     RATE_HEADER,
     TOKEN,
-    Standing,
+    ClientStatus,
     parse_rate,
 )
 
-from .bounds import Bounds
 from .hostedindex import REPLACED
-from .receiver import Receiver
+from .playreceiver import PlayReceiver
+from .sizelimits import SizeLimits
 from .source import NO_PLAY, LastPlay, Packets, check_frames, check_layers
 
 LOOK_S = 5.0
@@ -56,8 +56,8 @@ LOOK_S = 5.0
 MAX_REFUSAL_BYTES = 1 << 16
 """Longest body of an answer that is not a play, bytes."""
 
-TELL_CONFIG = FetchConfig(connect_timeout_s=5.0, idle_s=5.0)
-"""News that is older is not worth waiting for."""
+STATUS_FETCH = FetchConfig(connect_timeout_s=5.0, idle_s=5.0)
+"""Limits of a status report: an older one is not worth waiting for."""
 
 
 class ServedSource:
@@ -87,14 +87,14 @@ class ServedSource:
         self.adaptive = adaptive and layers is None
         self._asked_layers = "auto" if self.adaptive else layers or "all"
         self._asked = frames
-        self._response: OpenResponse | None = None
+        self._response: Response | None = None
         self._token = last_play.token  # an older server gives none
-        self._rate_bps = last_play.rate_bps  # only `tell` changes it
+        self._rate_bps = last_play.rate_bps  # only `send_status` changes it
         self._ended_play = ""
-        self._told_frame: int | None = None  # the next one to show, when it was told last
-        self._identity = b""  # only `tell` changes it
+        self._reported_frame: int | None = None  # the next one to show, as last reported
+        self._identity = b""  # only `send_status` changes it
         self._idle = IdleLimit(fetcher.config.idle_s, time.monotonic())
-        self._paused = False  # only `tell` changes it
+        self._paused = False  # only `send_status` changes it
         self._parser = RecordParser()
         self._waiting: list[Record] = []
         try:
@@ -103,10 +103,10 @@ class ServedSource:
             self.num_layers = check_layers(layers, self.manifest, name)
             self._num_frames = start.num_frames
             self.frames = check_frames(frames, self.manifest, self._num_frames, name)
-            self._bounds = Bounds(self.manifest)
-            self._parser.limit_bytes = self._bounds.record_bytes
-            self._receiver = Receiver(name, self.manifest, self.num_layers, self.frames)
-            self._teller = fetcher.another(TELL_CONFIG)
+            self._limits = SizeLimits(self.manifest)
+            self._parser.limit_bytes = self._limits.record_bytes
+            self._receiver = PlayReceiver(name, self.manifest, self.num_layers, self.frames)
+            self._status_fetcher = fetcher.another(STATUS_FETCH)
         except BaseException:
             self._disconnect()
             raise
@@ -125,7 +125,7 @@ class ServedSource:
 
     @property
     def _url(self) -> str:
-        """Of the server that is asked now."""
+        """URL of the stream on the current server."""
         return self._urls[0]
 
     def _connect(self, frame: int) -> StartRecord:
@@ -135,9 +135,9 @@ class ServedSource:
             url += f"&until={self._asked.end}"
         self._disconnect()
         headers = self.play.headers()
-        if self._told_frame is not None:
+        if self._reported_frame is not None:
             # Else the server would send a whole lead beyond the one that is here.
-            headers[FRAME_HEADER] = str(self._told_frame)
+            headers[FRAME_HEADER] = str(self._reported_frame)
         self._response = response = self._fetcher.open(url, headers)
         self._parser, self._waiting = RecordParser(), []
         self._idle.useful(time.monotonic())
@@ -164,7 +164,7 @@ class ServedSource:
                 self._urls.append(self._urls.pop(0))
         return self._connect(frame)
 
-    def _refusal(self, response: OpenResponse) -> FetchError:
+    def _refusal(self, response: Response) -> FetchError:
         """The error for an answer that is not 200, with the server's own words if it has some."""
         reason = f"HTTP {response.status}"
         try:
@@ -181,7 +181,7 @@ class ServedSource:
 
     def _first_record(self, fetcher: Fetcher) -> bytes:
         """The index's record of segment 0, which no other stream has; none if it is not known."""
-        num_bytes = record_bytes(self.manifest.num_layers, self.manifest.has_slots)
+        num_bytes = record_bytes(self.manifest.num_layers)
         asked = {"Range": f"bytes=0-{num_bytes - 1}"}
         found = b""
         with closing(fetcher.open(f"{self._url}/{INDEX_NAME}", asked)) as response:
@@ -269,7 +269,7 @@ class ServedSource:
                 return
             if not isinstance(record, SliceRecord | SnapshotRecord):
                 raise CorruptError(f"{self.name}: a second start record arrived")
-            packets = receiver.take(record)
+            packets = receiver.ingest(record)
             if packets is not None:
                 retry.progress()
                 yield packets
@@ -288,7 +288,7 @@ class ServedSource:
         manifest = self._manifest_of(start)
         if manifest.with_live(False).to_json() != self.manifest.with_live(False).to_json():
             raise CorruptError(f"{self.name}: {REPLACED}")
-        self._parser.limit_bytes = self._bounds.record_bytes
+        self._parser.limit_bytes = self._limits.record_bytes
         self._num_frames = max(self._num_frames, start.num_frames)
 
     def _disconnect(self) -> None:
@@ -296,20 +296,20 @@ class ServedSource:
             self._response.close()
             self._response = None
 
-    def tell(self, standing: Standing) -> bool:
+    def send_status(self, status: ClientStatus) -> bool:
         token = self._token
-        if standing.frame is not None:
-            self._told_frame = standing.frame
-        self._paused = standing.paused
+        if status.frame is not None:
+            self._reported_frame = status.frame
+        self._paused = status.paused
         if token and token != self._ended_play:
             try:
-                answer = self._teller.post(f"{self._url}/play/{token}", standing.to_json())
+                answer = self._status_fetcher.post(f"{self._url}/play/{token}", status.to_json())
                 if answer.status == 204 and not self._identity:
-                    self._identity = self._first_record(self._teller)
+                    self._identity = self._first_record(self._status_fetcher)
             except StoppedError:
                 return False
             except FetchError:
-                return True  # lost; the next news says more than this
+                return True  # lost; the next report supersedes it
             rate_bps = parse_rate(answer.headers.get(RATE_HEADER, ""))
             self._rate_bps = rate_bps or self._rate_bps
             if answer.status == 404:
@@ -320,9 +320,9 @@ class ServedSource:
 
     def interrupt(self) -> None:
         self._fetcher.interrupt()
-        self._teller.interrupt()
+        self._status_fetcher.interrupt()
 
     def close(self) -> None:
         self._disconnect()
         self._fetcher.close()
-        self._teller.close()
+        self._status_fetcher.close()

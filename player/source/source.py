@@ -1,4 +1,4 @@
-"""What a source of packets is: a folder, a server, or a static host.
+"""The interface of a source of packets: a folder, a server, or a static host.
 
 Every source gives a manifest at once, and then packets of slices and snapshots, each once: in
 whatever layers and order they come, layer 0 in order of birth.
@@ -13,8 +13,8 @@ from typing import Protocol
 from codec.errors import CodecError, InvalidError
 from codec.framerange import FrameRange
 from codec.stream.manifest import Manifest, Part
+from server.abr.clientstatus import PLAY_HEADER, RATE_HEADER, ClientStatus
 from server.abr.holding import Holding
-from server.abr.standing import PLAY_HEADER, RATE_HEADER, Standing
 
 Blame = Callable[[CodecError, Part], CodecError]
 """Makes an error name where the packet of a part came from."""
@@ -27,14 +27,14 @@ class SlicePackets:
     birth: int
     first_layer: int
     packets: tuple[bytes, ...]
-    """Of the layers first_layer, first_layer + 1, ..."""
+    """One packet for each of the layers first_layer, first_layer + 1, ..."""
     mask: bytes | None
-    """The packet of its mask, beside that of layer 0 (version 2; else none)."""
+    """The packet of its mask, beside that of layer 0; None without it."""
     blame: Blame
 
     @property
     def wire_bytes(self) -> int:
-        """What they took on the wire or on disk."""
+        """Bytes on the wire or on disk."""
         return sum(map(len, self.packets)) + len(self.mask or b"")
 
     @property
@@ -43,7 +43,7 @@ class SlicePackets:
 
     @property
     def first_frame(self) -> int:
-        """The first frame that they can show in; below 0 in the first window."""
+        """The first frame that they can show in."""
         return self.birth
 
     def add_to(self, holding: Holding) -> None:
@@ -53,17 +53,17 @@ class SlicePackets:
 
 @dataclass(frozen=True, slots=True)
 class SnapshotPackets:
-    """Snapshots of some layers at the first frame of a segment (version 2)."""
+    """Snapshots of some layers at the first frame of a segment."""
 
     frame: int
     first_layer: int
     packets: tuple[bytes, ...]
-    """Of the layers first_layer, first_layer + 1, ..."""
+    """One packet for each of the layers first_layer, first_layer + 1, ..."""
     blame: Blame
 
     @property
     def wire_bytes(self) -> int:
-        """What they took on the wire or on disk."""
+        """Bytes on the wire or on disk."""
         return sum(map(len, self.packets))
 
     @property
@@ -85,13 +85,13 @@ Packets = SlicePackets | SnapshotPackets
 
 @dataclass(frozen=True, slots=True)
 class LastPlay:
-    """What a server, or the link, said of a play: the next one is asked for with it."""
+    """Name and link rate of a play, to be sent with the request of the next one."""
 
     token: str = ""
-    """What the server called it; empty where it gave no name."""
+    """The server's name of the play; empty without one."""
     rate_bps: float | None = None
-    """What it took the link to carry, bits per second, when it last said so: a server that does
-    not know the play, as it was started again since, goes by this."""
+    """The server's last estimate of the link, bits per second: a server that does not know the
+    play, as it was started again since, uses it."""
 
     def headers(self) -> dict[str, str]:
         """For the request of the next play."""
@@ -105,7 +105,7 @@ NO_PLAY = LastPlay()
 
 
 class Source(Protocol):
-    """A stream from one frame on. One thread iterates; `tell` and `interrupt` may come from
+    """A stream from one frame on. One thread iterates; `send_status` and `interrupt` may come from
     others.
 
     A source gives these properties as plain attributes where they do not change.
@@ -141,7 +141,7 @@ class Source(Protocol):
 
     @property
     def play(self) -> LastPlay:
-        """What the server said of this play, for the one after it; empty where it said nothing."""
+        """The server's name and link rate of this play; empty without any."""
         ...
 
     @property
@@ -153,13 +153,13 @@ class Source(Protocol):
         """All that shows in `frames`, and nothing else."""
         ...
 
-    def tell(self, standing: Standing) -> bool:
-        """Tells whoever sends how the playback stands, from another thread; gives whether it
+    def send_status(self, status: ClientStatus) -> bool:
+        """Sends the state of the playback to the server, from another thread; gives whether it
         listens. May wait for the network."""
         ...
 
     def interrupt(self) -> None:
-        """Makes whoever waits for packets raise StoppedError soon."""
+        """Makes a thread that waits for packets raise StoppedError soon."""
         ...
 
     def close(self) -> None: ...

@@ -17,9 +17,8 @@ from codec.storage.storage import Stamp
 from codec.stream.manifest import MANIFEST_NAME, OBJECT_URL, SEGMENTS_NAME
 from player.network.faults import MissingError
 from player.network.fetch import FetchConfig, Fetcher
-from player.network.hosts import joined
-from player.network.logins import logins_of
 from player.network.mirrors import Mirrors
+from player.network.requesttarget import joined, logins_of
 
 from .hosted import HostedPlace
 from .locate import ServedPlace, locate, split_source

@@ -22,7 +22,7 @@ ZOOM_PER_STEP = 0.9
 
 @dataclass(slots=True)
 class View:
-    """What is done to the path's camera before a frame is drawn."""
+    """The user's change to the path's camera before a frame is drawn."""
 
     centre: Doubles  # (3,) what the view turns around, metres
     up: Doubles  # (3,) unit

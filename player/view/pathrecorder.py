@@ -85,8 +85,8 @@ class _Poses:
 
 
 class PathRecorder:
-    """What showed in which frame. A frame that shows again, in a loop or after a seek, is recorded
-    anew; what lies between recorded frames is for the key frames to fill."""
+    """The camera of each frame shown. A frame that shows again, in a loop or after a seek, is
+    recorded anew; what lies between recorded frames is for the key frames to fill."""
 
     def __init__(self, centre: Doubles) -> None:
         """centre: (3,) of the scene, metres: how far away is what should stay in its place."""

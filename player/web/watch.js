@@ -1,30 +1,52 @@
 /**
- * The page of one stream: `watch.html?src=FOLDER`, or `/watch/NAME` of a swings server; perhaps with t
- * (seconds), view, loop, autoplay, max-gaussians.
+ * The script of a page with one player: takes what the address selects over to the element, and sends
+ * the first requests while the element's own code is still being loaded.
+ *
+ * Query: t (seconds), view, loop, autoplay, max-gaussians, other-hosts, buffer-mb; and src (the stream's folder)
+ * where the page itself names none.
  */
 
-import "./element/swingsplayer.js";
+import { firstUrls, folderUrl } from "./source/addresses.js";
+import { requestEarly } from "./source/early/earlyrequests.js";
 
 const query = new URLSearchParams(location.search);
-const player = document.createElement("swings-player");
-const isServed = /\/watch\/[^/]+$/.test(location.pathname);
-const own = isServed ? location.origin + location.pathname : "./";
-player.setAttribute("src", query.get("src") ?? own);
+const player = /** @type {HTMLElement} */ (document.querySelector("swings-player"));
+const src = player.getAttribute("src") ?? query.get("src") ?? "./";
+const isFramed = window.parent !== window;
+// A frame may be out of view, where nothing is to be played yet.
+if (!isFramed && !document.hidden) {
+  for (const url of firstUrls(folderUrl(src, document.baseURI))) requestEarly(url);
+}
+player.setAttribute("src", src);
 player.setAttribute("link", location.href);
 for (const [name, attribute] of [
   ["t", "start"],
   ["view", "view"],
   ["max-gaussians", "max-gaussians"],
+  ["buffer-mb", "buffer-mb"],
 ]) {
   const value = query.get(name);
   if (value !== null) player.setAttribute(attribute, value);
 }
+player.toggleAttribute("other-hosts", query.get("other-hosts") === "1");
 player.toggleAttribute("loop", query.get("loop") !== "0");
 player.toggleAttribute("autoplay", query.get("autoplay") !== "0");
-document.body.append(player);
+// A page that shows this one in a frame wants the player alone.
+document.documentElement.classList.toggle("framed", isFramed);
+document.addEventListener("click", async ({ target }) => {
+  const button = target instanceof HTMLElement ? target : null;
+  const source = document.getElementById(button?.dataset.copy ?? "");
+  if (button === null || source === null) return;
+  try {
+    await navigator.clipboard.writeText(source.textContent ?? "");
+    button.textContent = "Copied";
+  } catch {
+    getSelection()?.selectAllChildren(source); // a page without TLS has no clipboard
+  }
+});
 // Keys work before anything was clicked; a focus from the start would put a frame around the picture.
 document.addEventListener("keydown", (event) => {
-  if (event.target !== document.body) return;
+  if (event.target !== document.body || event.key === "Tab") return;
   player.focus();
   player.dispatchEvent(new KeyboardEvent("keydown", event));
 });

@@ -1,49 +1,90 @@
-"""What a client holds of a stream, or will hold when all that was sent has come.
+"""The packets of a stream that a client holds, or will hold when everything sent has arrived.
 
-Rule: layers 0..n of a slice are worth something together; a layer without those before it is not.
+Rule: a change is usable only after the change before it. So the usable part of a layer is a chain:
+from the frame of a snapshot to the last change that follows without a gap. After the chain's end
+the layer decays by the share that each slice would have changed. Layers 0..n are usable together; a
+layer without all lower layers is not.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from itertools import accumulate
 
 from .media import Media
 
 
-class Holding(ABC):
+class Holding:
     """The packets that are there, as far as they are of use."""
 
     def __init__(self, media: Media, first_frame: int, needed: int = 1) -> None:
-        """needed: layers without which a frame does not show."""
+        """A client that begins to play with `first_frame` holds nothing yet. needed: layers
+        without which a frame does not show."""
         self.media = media
-        self.first_frame = first_frame
-        self.needed = needed
+        self._chains: list[list[list[int]]] = [[] for _ in range(media.num_layers)]
+        """The chains [first frame, last birth] of each layer, in order."""
+        self._ends = [first_frame] * needed
 
     @property
-    @abstractmethod
     def end_frame(self) -> int:
         """The first frame that cannot show: of the layers that it needs something is not here."""
+        return min(self._ends)
 
-    @abstractmethod
+    def end_birth(self, layer: int) -> int | None:
+        """The birth after the last one of this layer's last chain; None where it has none."""
+        chains = self._chains[layer]
+        return chains[-1][1] + 1 if chains else None
+
     def add(self, birth: int, first_layer: int, end_layer: int) -> None:
         """Adds the packets of layers first_layer..end_layer-1 of a slice."""
+        for layer in range(first_layer, end_layer):
+            for chain in self._chains[layer]:
+                if chain[1] == birth - 1:
+                    chain[1] = birth
+            self._join(layer)
+        self._reach()
 
-    @abstractmethod
     def add_snapshots(self, frame: int, first_layer: int, end_layer: int) -> None:
         """Adds the snapshots of these layers at `frame`."""
+        for layer in range(first_layer, end_layer):
+            chains = self._chains[layer]
+            if not any(first <= frame <= last for first, last in chains):
+                chains.append([frame, frame])
+                chains.sort()
+        self._reach()
 
-    @abstractmethod
+    def _reach(self) -> None:
+        """Notes how far the layers that are needed go without a gap: a later snapshot does not fill
+        one."""
+        for layer, end in enumerate(self._ends):
+            for first, last in self._chains[layer]:
+                if first <= end:
+                    end = max(end, last + 1)
+            self._ends[layer] = end
+
+    def _join(self, layer: int) -> None:
+        """Makes one of two chains of which the first has grown into the second."""
+        chains = self._chains[layer]
+        for n in range(len(chains) - 1, 0, -1):
+            if chains[n - 1][1] >= chains[n][0]:
+                chains[n - 1][1] = max(chains[n - 1][1], chains[n][1])
+                del chains[n]
+
+    def fresh(self, layer: int, frame: int) -> float:
+        """Share of the layer that is known at `frame`."""
+        for first, last in reversed(self._chains[layer]):
+            if first <= frame:
+                share = 1.0
+                for birth in range(last + 1, frame + 1):
+                    share *= 1 - self.media.sizes(birth).changed_shares[layer]
+                    if share < 1e-3:
+                        return 0.0
+                return share
+        return 0.0
+
     def shares(self, frame: int) -> list[float]:
         """How much of each layer shows in `frame`, 0 to 1, never rising from layer to layer."""
-
-    @abstractmethod
-    def forget(self, frame: int) -> None:
-        """Frames before `frame` are not asked for any more."""
-
-    @abstractmethod
-    def is_complete(self, frame: int, end_frame: int) -> bool:
-        """Whether all layers are here of all that is born in, or changes, frame..end_frame-1."""
+        layers = range(self.media.num_layers)
+        return list(accumulate((self.fresh(layer, frame) for layer in layers), min))
 
     def layers(self, frame: int) -> float:
         """Layers that show in `frame`; a part of one counts as that part."""
@@ -54,63 +95,21 @@ class Holding(ABC):
         return sum(share >= 1 for share in self.shares(frame))
 
     def psnr_db(self, frame: int) -> float:
-        """What the index promises for `frame` as it shows, dB."""
+        """PSNR of `frame` with the held packets, by the index, dB."""
         gains = self.media.sizes(frame).gains_db
         shares = self.shares(frame)
         # Layer 0 is there, or else the frame does not show.
         return gains[0] + sum(g * s for g, s in zip(gains[1:], shares[1:], strict=True))
 
-
-class SliceHolding(Holding):
-    """Version 1: a slice shows for swin_size frames, whatever the others have."""
-
-    def __init__(self, media: Media, first_frame: int, needed: int = 1) -> None:
-        super().__init__(media, first_frame, needed)
-        self.first_birth = first_frame - media.swin_size + 1
-        self._levels: dict[int, int] = {}
-        self._early: dict[int, list[tuple[int, int]]] = {}
-        """Layers that came before those under them."""
-        self._oldest = self._end_birth = self.first_birth
-
-    @property
-    def end_frame(self) -> int:
-        return max(self._end_birth, self.first_frame)
-
-    def level(self, birth: int) -> int:
-        """How many layers of the slice are here, from layer 0 on."""
-        return self._levels.get(birth, 0)
-
-    def add(self, birth: int, first_layer: int, end_layer: int) -> None:
-        level = self._levels.get(birth, 0)
-        if first_layer > level:
-            self._early.setdefault(birth, []).append((first_layer, end_layer))
-            return
-        level = max(level, end_layer)
-        for first, end in sorted(self._early.get(birth, ())):
-            level = max(level, end) if first <= level else level
-        self._levels[birth] = level
-        while self._levels.get(self._end_birth, 0) >= self.needed:
-            self._end_birth += 1
-
-    def add_snapshots(self, frame: int, first_layer: int, end_layer: int) -> None:
-        raise TypeError("whole slices have no snapshots")
-
-    def shares(self, frame: int) -> list[float]:
-        swin_size, levels = self.media.swin_size, self._levels
-        counts = [0] * (self.media.num_layers + 1)
-        for birth in range(frame - swin_size + 1, frame + 1):
-            counts[levels.get(birth, 0)] += 1
-        above = list(accumulate(reversed(counts[1:])))
-        return [count / swin_size for count in reversed(above)]
+    def is_complete(self, frame: int, end_frame: int) -> bool:
+        """Whether all layers are here of all that is born in, or changes, frame..end_frame-1."""
+        return all(
+            any(first <= frame and last >= end_frame - 1 for first, last in chains)
+            for chains in self._chains
+        )
 
     def forget(self, frame: int) -> None:
-        # What lies beyond the end is kept: it may join what is there.
-        oldest = min(frame - self.media.swin_size + 1, self._end_birth)
-        while self._oldest < oldest:
-            self._levels.pop(self._oldest, None)
-            self._early.pop(self._oldest, None)
-            self._oldest += 1
-
-    def is_complete(self, frame: int, end_frame: int) -> bool:
-        num_layers = self.media.num_layers
-        return all(self.level(birth) == num_layers for birth in range(frame, end_frame))
+        """Frames before `frame` are not asked for any more."""
+        for chains in self._chains:
+            while len(chains) > 1 and chains[1][0] <= frame:
+                del chains[0]

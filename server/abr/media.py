@@ -1,6 +1,6 @@
-"""The stream as delivery sees it: what each packet takes, and what it gives.
+"""The stream as delivery sees it: the size of each packet, and its gain in quality.
 
-Rule: sizes and qualities only; the bytes themselves are somebody else's.
+Rule: sizes and qualities only; the bytes themselves are handled elsewhere.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from codec.stream.index import SegmentRecord
 from codec.stream.manifest import Manifest
 
 UNKNOWN_GAIN_DB = 3.0
-"""What doubling a stream is taken to gain where the index does not say, dB."""
+"""Assumed gain from twice the bytes, if the index has no quality, dB."""
 
 SENT_SHARE_OF_WHOLE = 0.4
 """Bytes of a Gaussian that a slice predicts, as a share of what it takes in a snapshot. Measured
@@ -25,20 +25,20 @@ on the basketball, docs/RESULTS.md."""
 
 @dataclass(frozen=True)
 class SegmentSizes:
-    """What the slices of a segment take and give; the tuples have one entry for each layer."""
+    """Sizes and qualities of a segment's slices; the tuples have one entry per layer."""
 
     layer_bytes: tuple[float, ...]
     """Mean bytes of a slice's packet of this layer; that of the mask is counted with layer 0."""
     psnr_db: tuple[float, ...]
     """PSNR of the layers up to this one together, dB; rising."""
-    snapshot_bytes: tuple[float, ...] = ()
-    """Of the layer's snapshot at the segment's first frame (version 2; else none)."""
-    changed_shares: tuple[float, ...] = ()
-    """Share of the layer's slots that a slice changes (version 2; else none)."""
+    snapshot_bytes: tuple[float, ...]
+    """Bytes of the layer's snapshot at the segment's first frame."""
+    changed_shares: tuple[float, ...]
+    """Share of the layer's slots that a slice changes."""
 
     @cached_property
     def gains_db(self) -> tuple[float, ...]:
-        """What each layer adds to those before it, dB; of layer 0 its PSNR."""
+        """Gain of each layer over the layers below it, dB; for layer 0 its PSNR."""
         return (self.psnr_db[0], *(b - a for a, b in pairwise(self.psnr_db)))
 
     @cached_property
@@ -54,9 +54,6 @@ class Media(Protocol):
     def fps(self) -> float: ...
 
     @property
-    def swin_size(self) -> int: ...
-
-    @property
     def segment_frames(self) -> int: ...
 
     @property
@@ -70,20 +67,15 @@ class Media(Protocol):
         ...
 
     @property
-    def has_slots(self) -> bool:
-        """Whether slots last: format version 2."""
-        ...
-
-    @property
     def num_layers(self) -> int: ...
 
     def sizes(self, birth: int) -> SegmentSizes:
-        """Of the segment of the slice born at `birth`, which may lie before 0."""
+        """Sizes of the segment of the slice born at `birth`."""
         ...
 
 
 class RecordedMedia:
-    """A stream as its manifest and its index tell it."""
+    """A stream as described by its manifest and its index."""
 
     def __init__(
         self,
@@ -94,7 +86,7 @@ class RecordedMedia:
         """records: may grow. is_here: whether a part of a segment, by its number, is there already
         and takes nothing."""
         self.manifest = manifest
-        """Of a live stream another one says when it has ended."""
+        """Replaced by another manifest when a live stream ends."""
         self._records = records
         self._is_here = is_here
         self._sizes: dict[int, SegmentSizes] = {}
@@ -102,10 +94,6 @@ class RecordedMedia:
     @property
     def fps(self) -> float:
         return self.manifest.fps
-
-    @property
-    def swin_size(self) -> int:
-        return self.manifest.swin_size
 
     @property
     def segment_frames(self) -> int:
@@ -121,15 +109,11 @@ class RecordedMedia:
         return self.manifest.live
 
     @property
-    def has_slots(self) -> bool:
-        return self.manifest.has_slots
-
-    @property
     def num_layers(self) -> int:
         return self.manifest.num_layers
 
     def sizes(self, birth: int) -> SegmentSizes:
-        """What the index says of the segment of `birth`, when it was asked first."""
+        """Sizes of the segment of `birth` by the index, as first read."""
         segment = self.manifest.segment_of(birth)
         found = self._sizes.get(segment)
         if found is None:
@@ -169,14 +153,13 @@ def rising(psnr_db: Sequence[float], layer_bytes: Sequence[float]) -> tuple[floa
 
 
 def segment_sizes(record: SegmentRecord, manifest: Manifest) -> SegmentSizes:
-    """What the index says of a segment."""
+    """Sizes and qualities of a segment, from its index record."""
     births = len(manifest.births(record.segment, record.num_frames))
     layer_bytes = [size / births for size in record.object_bytes]
-    if not manifest.has_slots:
-        return SegmentSizes(tuple(layer_bytes), rising(record.psnr_db, layer_bytes))
     masks_bytes, *snapshot_bytes = record.side_bytes
+    # A slice has one lane of slots, so it cannot change more.
     shares = [
-        min(1.0, sent / max(1.0, SENT_SHARE_OF_WHOLE * whole))
+        min(1 / manifest.swin_size, sent / max(1.0, SENT_SHARE_OF_WHOLE * whole))
         for sent, whole in zip(layer_bytes, snapshot_bytes, strict=True)
     ]
     layer_bytes[0] += masks_bytes / births

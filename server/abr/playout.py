@@ -1,7 +1,7 @@
 """When frames show: the clock of a playback, in times and numbers of frames only.
 
-Rule: whoever shows (the player), whoever guesses what is shown (the server) and whoever simulates
-it run this very code. It reads no clock; events come with their time.
+Rule: the player, the server's model of a player, and the simulator run this same code. It reads no
+clock; events come with their time.
 """
 
 from __future__ import annotations
@@ -77,12 +77,12 @@ class PlayoutClock:
         """The first frame that is not there; those before it may still wait for a lead."""
         self.stalls = 0
         self.stalled_s = 0.0
-        """Of the stalls that are over."""
+        """Seconds of the stalls that are over."""
         self.concealed_until = first_frame
         """The frame after the last one that came too late to show, and put nothing off."""
         self.concealed_frames = 0
         """How many of them there were."""
-        # (frame, when it showed) of the start, of each stall and of what was told: due times are
+        # (frame, time shown) of the start, of each stall and of each report: due times are
         # counted from the last one, not summed up frame by frame.
         self._bases: list[tuple[int, float]] = []
         self._started_s = 0.0
@@ -119,8 +119,8 @@ class PlayoutClock:
         return min(self.end_frame, base_frame + max(0, passed))
 
     def early_frames(self, now_s: float) -> int:
-        """How many frames, of those before the first one here, are still to show: whoever comes
-        back with something in hand shows that first."""
+        """Number of frames before the first received one that are still to be shown: a returning
+        client shows its buffered frames first."""
         if not self._bases:
             return 0
         return max(0, math.floor((self._bases[-1][1] - now_s) * self.fps + 1e-6))
@@ -158,10 +158,10 @@ class PlayoutClock:
         self.concealed_until, self.end_frame = missed, self._here_frame
         return True
 
-    def told(self, frame: int, now_s: float) -> None:
-        """Whoever shows says that `frame` comes next, at `now_s`; from then on this time line is
-        its own. It cannot have shown what has not come. A frame before the first one here puts off
-        the first one.
+    def set_next_frame(self, frame: int, now_s: float) -> None:
+        """The player reports that it shows `frame` next, at `now_s`; from then on its time line
+        holds. It cannot have shown frames that have not arrived. A frame before the first received
+        one delays the first one.
         """
         frame = min(frame, self._here_frame)
         if frame > self.end_frame:

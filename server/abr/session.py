@@ -1,7 +1,7 @@
-"""What one client is sent next, and when: the pure core, without sockets or clock.
+"""Decides which packets one client is sent next, and when: the pure core, without sockets or clock.
 
-Rule: decisions are bound late. No more is on its way than the link carries in a moment, so the
-next decision is about the link and the client as they are then.
+Rule: late decisions. Only as much is in flight as the link carries in a moment, so the next
+decision uses the newest state of the link and the client.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from dataclasses import dataclass, field
 
 from codec.errors import InvalidError
 
+from .clientstatus import ClientStatus
+from .decisioncontext import MAX_LAYERS, DecisionContext, Policy, Send, SendSlices
 from .estimator import EstimatorConfig, RateEstimator
+from .holding import Holding
 from .media import Media
-from .outlook import MAX_LAYERS, Outlook, Policy, Send, SendSlices
 from .playout import PlayoutClock, PlayoutConfig
-from .slotholding import open_holding
-from .standing import Standing
 
-NEWS_S = 0.1
-"""Seconds by which a client's word may differ, beyond the latency of its link, from what is known
-of it anyway: such news says nothing new."""
+STATUS_SLACK_S = 0.1
+"""Seconds by which a status report may differ from the session's clock, beyond the link's latency,
+without moving that clock."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ class SessionConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class WaitForNews:
+class WaitForAck:
     """Enough is on its way: ask again once more of it is acknowledged."""
 
 
@@ -101,7 +101,7 @@ class _Underway:
     sent_s: float
 
 
-Decision = Send | WaitForNews | WaitUntil | WaitForFrames | Finished
+Decision = Send | WaitForAck | WaitUntil | WaitForFrames | Finished
 
 
 class PlaySession:
@@ -119,8 +119,8 @@ class PlaySession:
         rest_share: float = 0.0,
     ) -> None:
         """rate_bps: what is known of the link from an earlier play. rest_share: how much longer
-        than rest_s this client rests, as a share of that; where everybody has another one, clients
-        that began together do not burst in step."""
+        than rest_s this client rests, as a share of that; with a different share for each client,
+        clients that began together do not burst in step."""
         self._media = media
         self._policy = policy
         self.max_layers = MAX_LAYERS
@@ -132,7 +132,7 @@ class PlaySession:
         self._estimator = RateEstimator(config.estimator)
         self._first_rate_bps = rate_bps or config.first_rate_bps
         self._known = rate_bps is not None
-        self.holding = open_holding(media, first_frame)
+        self.holding = Holding(media, first_frame)
         self.clock = PlayoutClock(first_frame, media.fps, config.playout, self._last_frame())
         self.next_frame = first_frame
         """The first frame that the client had not shown at the last decision."""
@@ -140,7 +140,7 @@ class PlaySession:
         self._rest_s = config.rest_s * (1 + rest_share)
         self.sent_bytes = 0.0
         self.acked_bytes = 0.0
-        self._news_s = now_s
+        self._acked_s = now_s
         self._came_s = now_s  # when something came last
         self._counted_s = now_s  # up to when time was counted, as busy or as idle
         self._begins = True  # whether the link had nothing to carry before what comes next
@@ -158,7 +158,7 @@ class PlaySession:
 
     @property
     def least_latency_s(self) -> float | None:
-        """The least time from the sending of a byte over an idle link to the news of it."""
+        """The least time from the sending of a byte over an idle link to its acknowledgement."""
         return self._least_latency_s
 
     @property
@@ -181,49 +181,49 @@ class PlaySession:
         return None if self._media.live else self._media.num_frames
 
     def acknowledge(self, now_s: float, acked_bytes: float) -> None:
-        """Of all that was sent the client has `acked_bytes`."""
+        """The client has `acked_bytes` of all sent bytes."""
         self._hold_clock(now_s)
         gone = acked_bytes - self.acked_bytes
         if self.queued_bytes > 0 and now_s >= self._busy_until_s:
             self._measure(now_s, gone)
         self.acked_bytes = max(self.acked_bytes, acked_bytes)
-        self._news_s = now_s
+        self._acked_s = now_s
         self._came_s = now_s if gone > 0 else self._came_s
         while self._underway and self._underway[0].end_byte < self.acked_bytes + 0.5:
             self.clock.ready_until(self._underway.popleft().end_frame, now_s)
 
-    def told(self, now_s: float, standing: Standing) -> None:
-        """The client says how it stands. It is believed as far as it can be true."""
-        clock, frame = self.clock, standing.frame
-        if frame is None and standing.buffer_s is not None:
-            frame = clock.end_frame - round(standing.buffer_s * clock.fps)
-        # News of a client whose time runs is old when it comes.
-        slack_s = NEWS_S + (self._least_latency_s or 0.0)
+    def on_status(self, now_s: float, status: ClientStatus) -> None:
+        """Applies a status report of the client, as far as it is plausible."""
+        clock, frame = self.clock, status.frame
+        if frame is None and status.buffer_s is not None:
+            frame = clock.end_frame - round(status.buffer_s * clock.fps)
+        # The report of a playing client is old when it arrives.
+        slack_s = STATUS_SLACK_S + (self._least_latency_s or 0.0)
         if frame is not None and (
-            standing.paused or abs(frame - clock.next_frame(now_s)) > slack_s * clock.fps
+            status.paused or abs(frame - clock.next_frame(now_s)) > slack_s * clock.fps
         ):
-            clock.told(frame, now_s)
-        self._paused_frame = clock.next_frame(now_s) if standing.paused else None
+            clock.set_next_frame(frame, now_s)
+        self._paused_frame = clock.next_frame(now_s) if status.paused else None
         self._paused_until_s = until_s = now_s + self._config.told_s
-        self._busy_until_s = until_s if standing.busy else -math.inf
+        self._busy_until_s = until_s if status.busy else -math.inf
 
     def _hold_clock(self, now_s: float) -> None:
         """Keeps the clock of a paused client where it is."""
         if self._paused_frame is None:
             return
         if now_s < self._paused_until_s:
-            self.clock.told(self._paused_frame, now_s)
+            self.clock.set_next_frame(self._paused_frame, now_s)
         else:
             self._paused_frame = None
 
     def _measure(self, now_s: float, gone_bytes: float) -> None:
         """Adds a sample, of the time in which the link had something to carry.
 
-        It had nothing where the first byte that is underway could not have come yet when there was
-        news last. Then the first news takes the latency and the time of as many bytes as come with
-        it, and nobody knows what of each: what counts begins behind it.
+        The link was idle if the first byte underway could not have arrived by the last
+        acknowledgement. Then the time to the first acknowledgement mixes the latency with the
+        transfer of the acknowledged bytes, so the sample begins after it.
         """
-        sent_s, since_s = self._underway[0].sent_s, self._news_s
+        sent_s, since_s = self._underway[0].sent_s, self._acked_s
         if self._least_latency_s is None or sent_s + self._least_latency_s > since_s:
             self._begins = True
         if self._begins:
@@ -258,7 +258,7 @@ class PlaySession:
             underway.append(_Underway(self.sent_bytes, holding.end_frame, now_s))
 
     def decide(self, now_s: float) -> Decision:
-        """What to do now."""
+        """The next action of the sender."""
         media, config, clock = self._media, self._config, self.clock
         self._hold_clock(now_s)
         last_frame = self._last_frame()
@@ -269,7 +269,7 @@ class PlaySession:
             return WaitForFrames() if media.live else Finished()
         rate_bps = self._estimator.rate_bps
         if self.queued_bytes >= self._allowed_bytes(rate_bps):
-            return WaitForNews()
+            return WaitForAck()
         self.next_frame = next_frame = clock.next_frame(now_s)
         if last_frame is not None and next_frame >= last_frame:
             return Finished()
@@ -282,7 +282,7 @@ class PlaySession:
         lead_frames = config.lead_frames(media.fps, self.max_lead_s) - clock.early_frames(now_s)
         lead_frames = max(config.playout.least_frames(media.fps), lead_frames)
         end_birth = min(num_frames, next_frame + lead_frames)
-        outlook = Outlook(
+        context = DecisionContext(
             media=media,
             holding=self.holding,
             clock=clock,
@@ -295,7 +295,6 @@ class PlaySession:
             end_birth=end_birth,
             max_lead_s=config.max_lead_s,
             run_s=config.run_s,
-            paused=self._paused_frame is not None,
             max_layers=self.max_layers,
         )
         full = end_birth < num_frames
@@ -305,7 +304,7 @@ class PlaySession:
         waits = clock.started_s is None or clock.stalled(now_s)
         if self._resting and full and rests_s > 0 and not waits:
             return WaitUntil(now_s + max(1 / media.fps, rests_s))
-        send = self._policy.choose(outlook)
+        send = self._policy.choose(context)
         self._resting = send is None
         if send is not None:
             return send

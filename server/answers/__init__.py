@@ -1,1 +1,1 @@
-"""What each URL gives."""
+"""The handlers of the server's URLs."""

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 from urllib.parse import unquote
 
-from server.http.errors import RequestError
-from server.http.request import Request
-from server.http.response import AnyResponse
+from server.exchange.errors import RequestError
+from server.exchange.request import Request
+from server.exchange.response import AnyResponse
 from server.library import ServedStream
 from server.state.serverstate import ServerState
 
 Answer = AnyResponse | Coroutine[Any, Any, AnyResponse]
-"""What a handler gives: a response, or a coroutine that ends with one."""
+"""The result of a handler: a response, or a coroutine that returns one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,7 @@ class Call:
     state: ServerState
     request: Request
     address: str
-    """Of the client."""
+    """Address of the client."""
     peer_is_proxy: bool
     """Whether the connection is a proxy's that is trusted."""
     names: Mapping[str, str]

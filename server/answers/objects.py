@@ -8,10 +8,16 @@ from urllib.parse import parse_qsl
 
 from codec.stream.integrity import MAX_INDEX_BYTES
 from codec.stream.manifest import Part
-from codec.stream.poster import picture_type
-from server.http.content import REVALIDATE, Content, respond
-from server.http.errors import RequestError
-from server.http.response import Response
+from codec.stream.pictures import picture_type
+from server.exchange.content import (
+    IMMUTABLE,
+    REVALIDATE,
+    Content,
+    respond,
+    respond_coded,
+)
+from server.exchange.errors import RequestError
+from server.exchange.response import Response
 from server.library import ServedStream
 
 from .call import Answer, Call
@@ -98,18 +104,18 @@ def web_asset(call: Call) -> Response:
     asset = call.state.web_player.assets.get(name)
     if asset is None:
         raise RequestError(404, f"the browser player has no file {name[:80]!a}")
-    data = asset.data
-    content = Content(data, len(data), asset.sha256, asset.content_type, REVALIDATE)
-    return respond(call.request, content)
+    caching = IMMUTABLE if asset.immutable else REVALIDATE
+    content = Content(asset.data, len(asset.data), asset.sha256, asset.content_type, caching)
+    return respond_coded(call.request, content, asset.coded)
 
 
-async def poster(call: Call) -> Response:
-    """The picture that the manifest names, and no other file."""
-    stream, name = call.stream(), call.name("poster")
+async def picture(call: Call) -> Response:
+    """The pictures that the manifest names, and no other file."""
+    stream, name = call.stream(), call.name("picture")
     content_type = picture_type(name)
     data = None
-    if content_type is not None and name == stream.view.manifest.poster:
-        data = await asyncio.to_thread(stream.read_poster)
+    if content_type is not None:
+        data = await asyncio.to_thread(stream.read_picture, name)
     if data is None or content_type is None:
         raise RequestError(404, f"{stream.name} has no picture {name[:80]!a}")
     sha256 = hashlib.sha256(data).hexdigest()

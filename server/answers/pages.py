@@ -1,15 +1,18 @@
-"""What is not a stream's own data: pages for people, the list of streams, health and metrics."""
+"""Responses other than a stream's data: HTML pages, the list of streams, health and metrics."""
 
 from __future__ import annotations
 
 import logging
 import math
+import re
+from urllib.parse import parse_qsl, quote
 
-from codec.stream.poster import poster_path
-from server.html import htmlpage, webplayer
+from codec.stream.pictures import picture_path
+from server.exchange.errors import RequestError
+from server.exchange.response import Response, json_response
+from server.html import gallery, htmlpage, watchpage
 from server.html.gallery import Card, card_html, front_page, missing_page
-from server.http.errors import RequestError
-from server.http.response import Response, json_response
+from server.html.watchpage import WatchedStream, watch_page
 from server.library import ServedStream
 from server.operate.prometheus import CONTENT_TYPE
 
@@ -40,7 +43,7 @@ def _text(text: str) -> Response:
 def _origin(call: Call) -> str:
     """scheme://host of this server as the client calls it."""
     scheme = call.state.scheme
-    said = call.request.fields.get("x-forwarded-proto", "")
+    said = call.request.fields.get("X-Forwarded-Proto", "")
     if said in ("http", "https") and call.peer_is_proxy:
         scheme = said
     return f"{scheme}://{call.request.host}"
@@ -69,7 +72,7 @@ def _card(stream: ServedStream) -> str:
         card = Card(
             stream.name,
             _title(stream),
-            poster_path(stream.view.manifest),
+            picture_path(stream.view.manifest.poster),
             seconds if math.isfinite(seconds) else None,
             stream.live,
             _about(stream),
@@ -80,9 +83,17 @@ def _card(stream: ServedStream) -> str:
         return card_html(Card(stream.name, stream.name))
 
 
+def _place(stream: ServedStream) -> tuple[bool, list[tuple[int, str]]]:
+    """Sorts live streams first, then by title, with `take 2` before `take 10`."""
+    parts = re.findall(r"(\d{1,18})|(\D+)", _title(stream))
+    return not stream.live, [(int(digits or 0), text.casefold()) for digits, text in parts]
+
+
 def front(call: Call) -> Response:
-    cards = [_card(stream) for stream in _streams(call)]
-    return _page(front_page(cards, _origin(call)), htmlpage.UNFRAMED)
+    streams = sorted(_streams(call), key=_place)
+    cards = [_card(stream) for stream in streams]
+    page = front_page(cards, call.state.library.broken, _origin(call))
+    return _page(page, gallery.SECURITY)
 
 
 def watch(call: Call) -> Response:
@@ -92,9 +103,35 @@ def watch(call: Call) -> Response:
         stream = call.stream()
     except RequestError as error:
         return _page(missing_page("../"), htmlpage.SECURITY, error.status)
-    hint = f"This page needs JavaScript. On a desktop: swings-play {origin}/watch/{stream.name}"
     player = call.state.web_player
-    return _page(player.watch_page(_title(stream), "../web/", hint), webplayer.SECURITY)
+    # An address that needs a signature is not one to be passed on.
+    page = watch_page(_watched(stream, origin), player, shared=call.state.signer is None)
+    return _page(page, watchpage.security(player))
+
+
+def _watched(stream: ServedStream, origin: str) -> WatchedStream:
+    manifest = stream.view.manifest
+    camera = manifest.camera()
+    aspect = camera.width_px / camera.height_px
+    poster = quote(picture_path(manifest.poster) or "")
+    return WatchedStream(stream.name, _title(stream), _about(stream), origin, aspect, poster)
+
+
+def oembed(call: Call) -> Response:
+    """What a site needs to show a stream in a frame of its own (https://oembed.com)."""
+    if call.state.signer is not None:
+        raise RequestError(404, "streams with signed URLs cannot be embedded by oEmbed")
+    query = dict(parse_qsl(call.request.query))
+    if query.get("format", "json") != "json":
+        raise RequestError(400, "the only format is json")
+    most_px = []
+    for key in ("maxwidth", "maxheight"):
+        text = query.get(key, "")
+        if text and not re.fullmatch("[1-9][0-9]{0,4}", text):
+            raise RequestError(400, f"{key}={text[:40]!a} is not a number of pixels")
+        most_px.append(int(text) if text else None)
+    stream = _watched(call.stream(), _origin(call))
+    return json_response(watchpage.oembed(stream, *most_px), 200, REVALIDATE)
 
 
 def streams(call: Call) -> Response:

@@ -9,7 +9,6 @@ import asyncio
 import logging
 import math
 import random
-import re
 from collections.abc import Sequence
 from urllib.parse import parse_qsl
 
@@ -23,36 +22,35 @@ from codec.stream.playrecord import (
     StartRecord,
     encode_record,
 )
-from server.abr.outlook import SendSlices, SendSnapshots
-from server.abr.policies.choice import fixed_policy, own_policy
-from server.abr.session import (
-    Finished,
-    PlaySession,
-    WaitForFrames,
-    WaitForNews,
-    WaitUntil,
-)
-from server.abr.standing import (
+from server.abr.clientstatus import (
     FRAME_HEADER,
     PLAY_HEADER,
     RATE_HEADER,
-    TOKEN,
-    Standing,
+    ClientStatus,
     parse_frame,
     parse_rate,
 )
-from server.http.bodywriter import BodyWriter
-from server.http.content import accepted_codings
-from server.http.errors import RequestError
-from server.http.response import Facts, StreamedResponse
-from server.http.tcpinfo import TcpInfo
+from server.abr.decisioncontext import SendSlices, SendSnapshots
+from server.abr.fixedlayers import FixedLayers
+from server.abr.session import (
+    Finished,
+    PlaySession,
+    WaitForAck,
+    WaitForFrames,
+    WaitUntil,
+)
+from server.abr.sweep import Sweep
+from server.exchange.content import accepted_codings
+from server.exchange.errors import RequestError
+from server.exchange.response import BodyWriter, Facts, StreamedResponse
+from server.exchange.tcpinfo import TcpInfo
 from server.library import ServedStream
-from server.operate.workers.playmessage import make_token
+from server.operate.workers.playmessage import is_issued, make_token
 from server.state.recordcache import CodedRecord
 
 from .call import Call
-from .news import ask_rate_bps
 from .playquery import PlayQuery, parse_query
+from .statusreport import ask_rate_bps
 
 log = logging.getLogger(__name__)
 
@@ -69,16 +67,16 @@ TOGETHER_BYTES = 32 * 1024
 """Bytes of records that are written in one go."""
 
 ENOUGH_LEAD_S = 1.0
-"""Seconds of media ahead of what a client shows, above which others may go first."""
+"""Lead of a client, in seconds of media, above which a busy worker serves other clients first."""
 
 BUSY_SHARE = 0.6
-"""Of a core: from there on they do, before layers must be left out."""
+"""Used share of a core above which a worker counts as busy: below the load that sheds layers."""
 
 BUSY_LAG_S = 0.005
-"""The same as lateness of the event loop, seconds."""
+"""Lateness of the event loop above which a worker counts as busy, seconds."""
 
 BUSY_FILL = 0.5
-"""How many seconds of media more than it shows who has enough is then sent in a second."""
+"""Seconds by which a busy worker lets a sufficient lead grow per second."""
 
 REPLACED = "the stream was replaced or removed"
 
@@ -90,7 +88,7 @@ MAX_PAUSE_S = 0.5
 
 TCP_INFO_S = 1.0
 """How often a play asks the kernel about its connection, for the log, seconds: a connection that
-is closed does not tell."""
+is closed has no figures."""
 
 
 def _figure(value: float | None, scale: float) -> float | None:
@@ -107,17 +105,17 @@ async def play(call: Call) -> StreamedResponse:
     query = parse_query(asked, stream.num_frames, stream.live, num_layers, edge_frame)
     if state.stopping.is_set():
         raise RequestError(503, "the server is stopping", {"Retry-After": str(RETRY_AFTER_S)})
-    # Who comes back names the play before, and its rate. Another worker may know more, but may
-    # have died: nobody shall wait for it who need not.
+    # A returning client names its previous play and that play's rate. The worker of that play may
+    # know a newer rate, but may have died: ask it only if nothing is known locally.
     fields, now_s = call.request.fields, asyncio.get_running_loop().time()
-    token = fields.get(PLAY_HEADER.lower(), "")
-    if not state.overload.accepts_plays(len(state.plays), bool(re.fullmatch(TOKEN, token))):
+    token = fields.get(PLAY_HEADER, "")
+    if not state.overload.accepts_plays(len(state.plays), is_issued(token, state.play_secret)):
         state.metrics.refused.add(1, "play_load")
         message = f"the server is full, with {len(state.plays)} plays; try again later"
         after_s = max(RETRY_AFTER_S, state.overload.retry_after_s)
         raise RequestError(503, message, {"Retry-After": str(after_s)})
     rate_bps = state.plays.rate_bps(token, now_s)
-    rate_bps = rate_bps or parse_rate(fields.get(RATE_HEADER.lower(), ""))
+    rate_bps = rate_bps or parse_rate(fields.get(RATE_HEADER, ""))
     rate_bps = rate_bps or await ask_rate_bps(state, token, now_s)
     refusal = state.play_admission.admit(call.address)
     if refusal is not None:
@@ -138,15 +136,15 @@ class _Play:
         """rate_bps: what the client's link is known to carry."""
         state, asked = call.state, call.request.fields
         layers = query.num_layers
-        policy = own_policy(stream) if layers is None else fixed_policy(layers)
-        # News may come to another worker, which reads from it whom to ask.
-        self._token = token = make_token(state.number)
+        policy = Sweep() if layers is None else FixedLayers(layers)
+        # A status report may arrive at another worker, which finds this worker by the token.
+        self._token = token = make_token(state.number, state.play_secret)
         self._address = call.address
         self.fields = {"Content-Type": CONTENT_TYPE, "Cache-Control": "no-store"}
         self.fields[PLAY_HEADER] = token
         self._plain: PlainRecordEncoder | None = None
         if query.plain:
-            codings = accepted_codings(asked.get("accept-encoding", ""))
+            codings = accepted_codings(call.request.joined("Accept-Encoding"))
             coding = next((coding for coding in CODINGS if coding in codings), "")
             self.fields |= {"Content-Encoding": coding} if coding else {}
             self._plain = PlainRecordEncoder(coding)
@@ -167,10 +165,10 @@ class _Play:
             # where there are many, each is sent more at a time, but less often.
             rest_share=random.random() + len(state.plays) / PLAYS_PER_REST,
         )
-        next_frame = parse_frame(asked.get(FRAME_HEADER.lower(), ""))
+        next_frame = parse_frame(asked.get(FRAME_HEADER, ""))
         if query.paused or next_frame is not None:
             frame = query.from_frame if next_frame is None else next_frame
-            self._session.told(now_s, Standing(frame, paused=query.paused))
+            self._session.on_status(now_s, ClientStatus(frame, paused=query.paused))
         self._limited_s = now_s
         self._outcome = ""
         self._sent_slices = 0
@@ -242,7 +240,7 @@ class _Play:
                 return "replaced", self._broken_off(REPLACED)
             if self._state.stopping.is_set():
                 return "stopped", self._broken_off("the server is stopping")
-            self._hear(now_s)
+            self._update_session(now_s)
             self._session.max_layers = self._state.overload.max_layers(self._stream.num_layers)
             self._limit_lead(now_s)
             decision = self._session.decide(now_s)
@@ -253,7 +251,7 @@ class _Play:
                     await self._send_layers(send)
                 case SendSnapshots() as send:
                     await self._send_snapshots(send)
-                case WaitForNews():
+                case WaitForAck():
                     await self._pause(config.poll_s)
                 case WaitUntil(time_s=time_s):
                     busy = self._session.queued_bytes > 0
@@ -266,15 +264,15 @@ class _Play:
                 case Finished():
                     return "complete", EndRecord(self._stream.num_frames)
 
-    def _hear(self, now_s: float) -> None:
-        """Tells the session what of its bytes the client's side has, and what the client says."""
+    def _update_session(self, now_s: float) -> None:
+        """Passes the acknowledged bytes and the client's newest status to the session."""
         session, entry = self._session, self._entry
         queued = self._writer.queued_bytes()
         session.acknowledge(self._clock(), session.sent_bytes - queued)
         entry.rate_bps = session.rate_bps
-        news = entry.take_news()
-        if news is not None:
-            session.told(self._clock(), news)
+        status = entry.pop_status()
+        if status is not None:
+            session.on_status(self._clock(), status)
         if now_s >= self._tcp_info_s:
             self._tcp_info = self._writer.tcp_info() or self._tcp_info
             self._tcp_info_s = now_s + TCP_INFO_S
@@ -325,8 +323,8 @@ class _Play:
             await self._writer.write(data)
 
     def _limit_lead(self, now_s: float) -> None:
-        """Where there is much to do, who has enough ahead gets more ahead slowly: so whoever waits
-        for a first picture, or has little ahead, is sent that first."""
+        """In a busy worker, lets a sufficient lead grow only slowly, so that clients that wait for
+        their first picture or have a short lead are served first."""
         state, session = self._state, self._session
         if state.busy_share <= BUSY_SHARE and state.lag_s <= BUSY_LAG_S:
             session.max_lead_s = math.inf

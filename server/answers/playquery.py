@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from server.abr.standing import MAX_FRAME
-from server.http.errors import RequestError
+from server.abr.clientstatus import MAX_FRAME
+from server.exchange.errors import RequestError
 
 LIVE = "live"
 """In place of the first frame: the newest that can be begun with."""
@@ -17,7 +17,7 @@ LIVE = "live"
 
 @dataclass(frozen=True, slots=True)
 class PlayQuery:
-    """What the query string asks for."""
+    """The parsed query string of a play."""
 
     from_frame: int
     until_frame: int | None
@@ -37,8 +37,8 @@ def parse_query(
     num_layers: int,
     edge_frame: int = 0,
 ) -> PlayQuery:
-    """The checked query. edge_frame: where who asks for what is live begins. Raises RequestError
-    400 that says what is allowed."""
+    """The checked query. edge_frame: first frame of a play that asks for the live edge. Raises
+    RequestError 400 with the allowed values."""
     values: dict[str, str] = {}
     for key, value in pairs:
         if key not in ("from", "until", "layers", "plain", "paused") or key in values:

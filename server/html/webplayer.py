@@ -1,26 +1,24 @@
-"""The browser player as it is installed: its files, and the page of one stream."""
+"""The browser player as it is installed: the files of player/web, and its bundle under names that
+change with the content."""
 
 from __future__ import annotations
 
+import gzip
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass
-from html import escape
 from importlib.util import find_spec
 from pathlib import Path
 
-from codec.errors import InvalidError
+import zstandard
 
-SECURITY = (
-    "default-src 'none'; script-src 'self' blob:; worker-src 'self' blob:; connect-src *; "
-    "img-src * data:; style-src 'unsafe-inline'; base-uri 'self'; form-action 'none'"
-)
-"""The content security policy of the page: its workers begin in a blob, what it plays may come from
-another host, and pages of other hosts may show it in a frame."""
+from codec.errors import InvalidError
 
 _TYPES = {".js": "text/javascript", ".html": "text/html"}
 
-_PAGE = "watch.html"
-_HEAD, _TITLE, _BODY = "<head>", "<title>swings</title>", "<body></body>"
+_BUNDLE = "bundle"
+_PAGE_SCRIPT = "page.js"
+_MODULES = ("player.js", "playworker.js", "sortworker.js")
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,8 +26,12 @@ class Asset:
     """One file."""
 
     data: bytes
+    coded: Mapping[str, bytes]
+    """`data` by the content codings in which it can be had, the smallest first."""
     sha256: str
     content_type: str
+    immutable: bool = False
+    """Whether its name holds a hash of its content."""
 
 
 class WebPlayer:
@@ -38,22 +40,26 @@ class WebPlayer:
     def __init__(self, folder: Path | None = None) -> None:
         """folder: None for the one that is installed. Raises InvalidError where it is not whole."""
         folder = folder or _installed()
-        self.assets = {
-            path.relative_to(folder).as_posix(): _asset(path)
+        found = {
+            path.relative_to(folder).as_posix(): path.read_bytes()
             for path in sorted(folder.rglob("*"))
             if path.suffix in _TYPES
         }
-        page = self.assets.get(_PAGE)
-        self._page = page.data.decode() if page is not None else ""
-        if any(self._page.count(mark) != 1 for mark in (_HEAD, _TITLE, _BODY)):
+        bundle = {name: found.get(f"{_BUNDLE}/{name}", b"") for name in (_PAGE_SCRIPT, *_MODULES)}
+        if not all(bundle.values()):
             raise InvalidError(f"{folder} does not hold the browser player; reinstall swings")
-
-    def watch_page(self, title: str, base: str, hint: str) -> str:
-        """The page of one stream. title, hint: plain text, the second for who has no scripts;
-        base: URL of the player's files."""
-        replaced = self._page.replace(_HEAD, f'{_HEAD}\n    <base href="{base}" />')
-        replaced = replaced.replace(_TITLE, f"<title>{escape(title)}</title>")
-        return replaced.replace(_BODY, f"<body><noscript>{escape(hint)}</noscript></body>")
+        self.page_script = bundle[_PAGE_SCRIPT].decode().strip()
+        """What a page with the player has inline."""
+        # One hash for all of them: they name each other by relative URLs.
+        version = hashlib.sha256(b"".join(bundle[name] for name in _MODULES)).hexdigest()[:16]
+        self.modules = tuple(f"{_BUNDLE}-{version}/{name}" for name in _MODULES)
+        """Names of the bundle's modules; the first one is the element."""
+        self.assets: Mapping[str, Asset] = {
+            name: _asset(name, data) for name, data in found.items()
+        } | {
+            versioned: _asset(name, bundle[name], immutable=True)
+            for versioned, name in zip(self.modules, _MODULES, strict=True)
+        }
 
 
 def _installed() -> Path:
@@ -64,6 +70,12 @@ def _installed() -> Path:
     return Path(spec.submodule_search_locations[0]) / "web"
 
 
-def _asset(path: Path) -> Asset:
-    data = path.read_bytes()
-    return Asset(data, hashlib.sha256(data).hexdigest(), _TYPES[path.suffix])
+def _asset(name: str, data: bytes, immutable: bool = False) -> Asset:
+    sha256 = hashlib.sha256(data).hexdigest()
+    # The scripts of the bundle are what viewers wait for; of the rest there is much.
+    level = 22 if immutable else 3
+    coded = {
+        "zstd": zstandard.compress(data, level=level),
+        "gzip": gzip.compress(data, mtime=0),
+    }
+    return Asset(data, coded, sha256, _TYPES[Path(name).suffix], immutable)

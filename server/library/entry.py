@@ -1,4 +1,4 @@
-"""What the library knows under one name: a stream that can be served, or why there is none.
+"""An entry of the library: a stream that can be served, or why it cannot be.
 
 Rule: while its files keep their stamps they are not read again.
 """
@@ -23,7 +23,8 @@ from .streamview import continued, index_of, is_continued, view_of
 log = logging.getLogger(__name__)
 
 FILES = (MANIFEST_NAME, INDEX_NAME)
-"""Whose stamps tell whether a stream has changed; a folder with the first of them is a stream."""
+"""Files whose stamps show whether a stream has changed; a folder with the first of them is a
+stream."""
 
 MAX_REASON_CHARS = 300
 
@@ -49,7 +50,7 @@ class Entry:
         look: Callable[[], Awaitable[None]],
         live_poll_s: float,
     ) -> None:
-        """look: looks at this one again; for those who wait for growth."""
+        """look: looks at this stream again, for the tasks that wait for its growth."""
         self.stream: ServedStream | None = None
         self.reason = ""
         """Why there is no stream, in a line without the paths of this machine."""
@@ -68,10 +69,10 @@ class Entry:
     def peek(self) -> bool:
         """Looks at the files on its own; gives whether `stream` or its view is another now."""
         if not self._lock.acquire(blocking=False):
-            return False  # somebody looks
+            return False  # another thread looks
         try:
             stamps = tuple(self._storage.stamp(path) for path in FILES)
-            # What comes and goes, and what is wrong with the whole place, is told to all at once.
+            # The library's scan handles appearing and vanishing streams, and an unreadable root.
             return stamps[0] is not None and self._look(stamps)
         except UnreadableError:
             return False
@@ -100,7 +101,7 @@ class Entry:
             reason = str(error).removeprefix(f"{self._storage.name}/")
             self._drop(reason, reason)
         except Exception:
-            # One stream that nobody foresaw must not keep the others from being followed.
+            # An unexpected error in one stream must not keep the others from being followed.
             if self.reason != BUG:
                 log.exception("%s is not served", one_line(self._storage.name))
             self.stream, self.reason = None, BUG
@@ -152,10 +153,10 @@ class Entry:
         if before.manifest.live and not view.manifest.live:
             self._say(logging.INFO, "is finished", f"{view.num_frames} frames")
 
-    def _drop(self, reason: str, told: str) -> None:
-        """There is no stream now. told: the reason for the log."""
+    def _drop(self, reason: str, logged_reason: str) -> None:
+        """Removes the stream. reason: for clients. logged_reason: for the log."""
         self.stream, self.reason = None, one_line(reason)
-        self._say(logging.WARNING, "is not served", told, reason)
+        self._say(logging.WARNING, "is not served", logged_reason, reason)
 
     def leave(self) -> None:
         """Says that there is nothing under this name any more."""

@@ -1,6 +1,6 @@
-"""Those who wait for a live stream to grow.
+"""Waiting for a live stream to grow.
 
-Rule: it is looked at often only while somebody waits, and once however many wait.
+Rule: the stream is polled only while a task waits, and by one poller however many tasks wait.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import asyncio
 from collections.abc import Awaitable, Callable
 
 LIVE_POLL_S = 0.05
-"""Seconds between two looks at a stream for whose growth somebody waits."""
+"""Seconds between two looks at a stream while a task waits for its growth."""
 
 
 class Growth:
@@ -24,7 +24,7 @@ class Growth:
         self.num_waiting = 0
 
     def wake(self) -> None:
-        """Lets all who wait see whether it is over."""
+        """Lets all waiting tasks check their conditions."""
         self._woken.set()
         self._woken = asyncio.Event()
 

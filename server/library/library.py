@@ -23,7 +23,7 @@ from .servedstream import ServedStream
 log = logging.getLogger(__name__)
 
 STREAM_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
-"""What a stream may be called: it needs no quoting in a URL, a metric or a page."""
+"""Allowed names of streams: they need no quoting in a URL, a metric or a page."""
 
 MISNAMED = "the name of a stream's folder has only letters, digits, '.', '_' and '-'; rename it"
 
@@ -39,9 +39,10 @@ class Library:
         self, root: Path | str, refresh_s: float, live_poll_s: float = LIVE_POLL_S
     ) -> None:
         self.streams: dict[str, ServedStream] = {}
-        """What can be served."""
+        """Streams that can be served, by name."""
         self.broken: dict[str, str] = {}
-        """Of what cannot: why, in a line without the paths of this machine."""
+        """Why the other streams cannot be served, by name: one line without the paths of this
+        machine."""
         self._storage = open_storage(root)
         self._refresh_s = refresh_s
         self._live_poll_s = live_poll_s
@@ -114,13 +115,13 @@ class Library:
         return found
 
     async def _peek(self, name: str) -> None:
-        """Looks at one stream, for those who wait for it to grow."""
+        """Looks at one stream, for the tasks that wait for it to grow."""
         entry = self._entries.get(name)
         if entry is not None and await asyncio.to_thread(entry.peek):
             self._apply()
 
     def _apply(self) -> None:
-        """Puts on the table what the last look has found, and tells who waits for it."""
+        """Publishes the results of the last look, and wakes the tasks that wait for growth."""
         before, streams, broken = self.streams, {}, {}
         for name, entry in list(self._entries.items()):
             if entry.stream is not None:

@@ -39,8 +39,9 @@ class LackingObject:
 def first_lacking(
     storage: Storage, view: StreamView, first_segment: int = 0
 ) -> LackingObject | None:
-    """What is lacking of the segments from `first_segment` on. Only sizes are looked at: what an
-    object holds shows when it is read. Raises UnreadableError."""
+    """The first object that is missing or has another size, of the segments from `first_segment`
+    on; None if all are there. Checks sizes only: the content is checked when an object is read.
+    Raises UnreadableError."""
     records, parts = view.records[first_segment:], view.manifest.parts
     find = _size_finder(storage, len(records))
     for record in records:

@@ -8,7 +8,7 @@ from itertools import count
 from codec.storage.storage import Storage
 from codec.stream.integrity import CheckedObject
 from codec.stream.manifest import Part, object_name
-from codec.stream.poster import read_poster
+from codec.stream.pictures import read_picture
 from codec.stream.reader import read_stream_file
 from server.abr.media import SegmentSizes, segment_sizes
 
@@ -18,7 +18,7 @@ from .streamview import StreamView
 _generations = count(1)
 
 
-async def _nobody_looks() -> None:
+async def _no_refresh() -> None:
     pass
 
 
@@ -34,7 +34,7 @@ class ServedStream:
         name: str,
         storage: Storage,
         view: StreamView,
-        look: Callable[[], Awaitable[None]] = _nobody_looks,
+        look: Callable[[], Awaitable[None]] = _no_refresh,
         live_poll_s: float = LIVE_POLL_S,
     ) -> None:
         """look: looks at the files of this one, and calls `announce`."""
@@ -50,7 +50,7 @@ class ServedStream:
         self._announced = view
 
     def announce(self, gone: bool = False) -> None:
-        """Wakes those who wait for growth if there is news for them; on the event loop."""
+        """Wakes the tasks that wait for growth if the view has changed; on the event loop."""
         if gone or self._announced is not self.view:
             self.gone = self.gone or gone
             self._announced = self.view
@@ -71,10 +71,6 @@ class ServedStream:
         return self.view.manifest.fps
 
     @property
-    def swin_size(self) -> int:
-        return self.view.manifest.swin_size
-
-    @property
     def segment_frames(self) -> int:
         return self.view.manifest.segment_frames
 
@@ -85,10 +81,6 @@ class ServedStream:
     @property
     def live(self) -> bool:
         return self.view.manifest.live
-
-    @property
-    def has_slots(self) -> bool:
-        return self.view.manifest.has_slots
 
     @property
     def num_layers(self) -> int:
@@ -112,7 +104,7 @@ class ServedStream:
         return view.manifest.births(segment, view.records[segment].num_frames)
 
     def sizes(self, birth: int) -> SegmentSizes:
-        """What the index says of the segment of `birth`."""
+        """Sizes of the segment of `birth`, from the index."""
         view = self.view
         segment = view.manifest.segment_of(birth)
         found = self._sizes.get(segment)
@@ -128,6 +120,10 @@ class ServedStream:
         place = self._storage.place(path)
         return CheckedObject.check(place, data, view.manifest, view.records[segment], part)
 
-    def read_poster(self) -> bytes | None:
-        """The stream's poster; None while there is none. Blocks."""
-        return read_poster(self._storage, self.view.manifest)
+    def read_picture(self, path: str) -> bytes | None:
+        """The picture at `path`; None while there is none, and for a path that the manifest does
+        not name. Blocks."""
+        manifest = self.view.manifest
+        if path not in (manifest.poster, manifest.storyboard):
+            return None
+        return read_picture(self._storage, path)

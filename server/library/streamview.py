@@ -1,4 +1,4 @@
-"""What a stream holds at one time, and whether what is found later is the same stream, grown.
+"""The content of a stream at one time, and whether a later view is the same stream, grown.
 
 Rule: pure. The bytes that are sent are the bytes that were hashed and read.
 """
@@ -17,7 +17,7 @@ from codec.stream.manifest import MANIFEST_NAME, Manifest
 
 @dataclass(frozen=True, slots=True)
 class StreamView:
-    """Whoever has a view sees no half-done change."""
+    """The content of a stream at one time: immutable, so its users see no half-done change."""
 
     manifest: Manifest
     manifest_json: bytes
@@ -29,7 +29,7 @@ class StreamView:
     identity: bytes
     """Equal in all views of one stream."""
     _hash: hashlib._Hash = field(repr=False, compare=False)
-    """Of index_data; only copies are fed."""
+    """Hash of index_data; only copies of it are updated."""
 
     @property
     def num_segments(self) -> int:
@@ -114,7 +114,7 @@ def _with_records(view: StreamView, index: bytes) -> StreamView:
 
 
 def _record_bytes(manifest: Manifest) -> int:
-    return record_bytes(manifest.num_layers, manifest.has_slots)
+    return record_bytes(manifest.num_layers)
 
 
 def _parsed(manifest_json: bytes) -> Manifest:
@@ -125,7 +125,7 @@ def _parsed(manifest_json: bytes) -> Manifest:
 
 
 def _identity(manifest_json: bytes) -> bytes:
-    """What a manifest says, but for what finishing a stream changes."""
+    """The content of a manifest, without the fields that finishing a stream changes."""
     value = json.loads(manifest_json)
-    said = {key: value[key] for key in value if key not in ("live", "poster")}
+    said = {key: value[key] for key in value if key not in ("live", "poster", "storyboard")}
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).digest()

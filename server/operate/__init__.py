@@ -1,1 +1,1 @@
-"""What an operator needs around the server: load, limits, addresses, figures, settings."""
+"""Operation of the server: load, limits, addresses, metrics, settings."""

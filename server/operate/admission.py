@@ -1,4 +1,4 @@
-"""Who may come in: so many connections, or plays, from one address and in all.
+"""Admission control: limits on connections, or plays, for each address and in total.
 
 Rule: no clock and no sockets. There is one entry for each address that holds something, and none
 for one that does not.
@@ -18,7 +18,8 @@ from codec.errors import InvalidError
 from .clientaddress import Network, is_trusted, parse_address
 
 CLIENT_BITS = 64
-"""Of an IPv6 address, those that name one customer of a provider; the others he chooses himself."""
+"""Leading bits of an IPv6 address that a provider assigns to a customer; the customer chooses the
+other bits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +41,7 @@ class AdmissionConfig:
 
 
 class Refusal(StrEnum):
-    """Why somebody may not come in."""
+    """Why a client is not admitted."""
 
     FULL = "full"
     """All places are taken."""
@@ -59,12 +60,17 @@ class Admission:
         self._exempt = tuple(exempt)
         self._held: Counter[str] = Counter()
         self.num_held = 0
-        """What is held in all."""
+        """Number held by all addresses, exempt ones included."""
 
     @property
     def num_addresses(self) -> int:
         """Addresses that hold something."""
         return len(self._held)
+
+    @property
+    def has_room(self) -> bool:
+        """Whether one more may be held in all."""
+        return self.num_held < self._max_all
 
     def admit(self, address: str) -> Refusal | None:
         """Counts one more for `address`, which `release` must give back; or says why not."""
@@ -92,7 +98,7 @@ class Admission:
 
 @lru_cache(maxsize=4096)
 def client_of(address: str, exempt: tuple[Network, ...]) -> str:
-    """What `address` is counted as; empty where it is exempt."""
+    """The client that `address` counts as; empty if the address is exempt."""
     parsed = parse_address(address)
     if parsed is None:
         return address

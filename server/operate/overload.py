@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from codec.errors import InvalidError
 
 MAX_LOAD = 1.25
-"""What one sample counts for at most, however bad it was: so much sooner all is well again."""
+"""Upper limit of the load of one sample, so that recovery is fast."""
 
 MAX_SAMPLE_S = 1.0
 """Seconds that one sample speaks for at most: a worker that slept knows little of the time."""
@@ -56,7 +56,7 @@ class OverloadConfig:
 
 @dataclass(frozen=True, slots=True)
 class LoadSample:
-    """What was measured of a worker since the last sample."""
+    """Measurements of a worker since the last sample."""
 
     time_s: float
     """When it was taken."""
@@ -69,7 +69,7 @@ class LoadSample:
 
 
 class Overload:
-    """What a worker can give now."""
+    """A worker's load, and the layers and plays that it allows."""
 
     def __init__(self, config: OverloadConfig, max_plays: int) -> None:
         """max_plays: plays that run at the same time at most. Their number sheds no layers: as
@@ -113,6 +113,6 @@ class Overload:
 
     @property
     def retry_after_s(self) -> int:
-        """Whole seconds after which one who was refused may try again."""
+        """Whole seconds after which a refused client may try again."""
         config = self._config
         return 2 + math.ceil(max(0.0, self.load - config.refuse_from) / config.recover_per_s)

@@ -1,4 +1,4 @@
-"""What the server counts, for /metrics, by prometheus-client: in one process or in several.
+"""The server's metrics, for /metrics, by prometheus-client: in one process or in several.
 
 Rule: every label takes its values from a small closed set, never from what a client sent.
 """
@@ -6,14 +6,25 @@ Rule: every label takes its values from a small closed set, never from what a cl
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 import prometheus_client
-from prometheus_client import CollectorRegistry, generate_latest, multiprocess, values
+from prometheus_client import (
+    CollectorRegistry,
+    Counter,
+    Gauge,
+    Histogram,
+    generate_latest,
+    multiprocess,
+    values,
+)
 
 CONTENT_TYPE: Final = prometheus_client.CONTENT_TYPE_PLAIN_0_0_4
+
+NAMESPACE: Final = "swings"
+"""How the names of all families begin."""
 
 FOLDER_VARIABLE: Final = "PROMETHEUS_MULTIPROC_DIR"
 
@@ -29,10 +40,9 @@ class CounterSeries:
     """
 
     def __init__(self, registry: CollectorRegistry, name: str, help: str, *labels: str) -> None:
-        self._name = name
+        self._counter = Counter(name, help, labels, NAMESPACE, registry=registry)
+        self._sample = partial(registry.get_sample_value, f"{NAMESPACE}_{name}_total")
         self._labels = labels
-        self._registry = registry
-        self._counter = prometheus_client.Counter(name, help, labels, registry=registry)
         self._added: dict[tuple[str, ...], float] = {}
 
     def add(self, amount: float, *values: str) -> None:
@@ -48,46 +58,11 @@ class CounterSeries:
     def value(self, *values: str) -> float:
         """The value in this process."""
         self.flush()
-        labels = dict(zip(self._labels, map(str, values), strict=True))
-        return self._registry.get_sample_value(self._name, labels) or 0.0
-
-
-class GaugeSeries:
-    """A named value that rises and falls."""
-
-    def __init__(
-        self,
-        registry: CollectorRegistry,
-        merge: Literal["livesum", "livemax"],
-        name: str,
-        help: str,
-        *labels: str,
-    ) -> None:
-        """merge: what the values of several processes that live make together."""
-        self._name = name
-        self._labels = labels
-        self._registry = registry
-        self._gauge = prometheus_client.Gauge(
-            name, help, labels, registry=registry, multiprocess_mode=merge
-        )
-        self._bound: dict[tuple[str, ...], Callable[[float], None]] = {}
-
-    def set(self, amount: float, *values: str) -> None:
-        """Sets the value of these labels."""
-        found = self._bound.get(values)
-        if found is None:
-            child = self._gauge.labels(*values) if values or self._labels else self._gauge
-            found = self._bound[values] = child.set
-        found(amount)
-
-    def value(self, *values: str) -> float:
-        """The value in this process."""
-        labels = dict(zip(self._labels, map(str, values), strict=True))
-        return self._registry.get_sample_value(self._name, labels) or 0.0
+        return self._sample(dict(zip(self._labels, values, strict=True))) or 0.0
 
 
 class Metrics:
-    """Everything that /metrics tells."""
+    """All metrics of /metrics."""
 
     def __init__(self, folder: Path | None = None, place: int = 0) -> None:
         """folder: where the workers of one server put what they count, each under its `place`; what
@@ -101,82 +76,64 @@ class Metrics:
             os.environ[FOLDER_VARIABLE] = str(folder)
             values.ValueClass = values.MultiProcessValue(lambda: place)
         self._registry = registry = CollectorRegistry()
-
         self._counters: list[CounterSeries] = []
 
         def counter(name: str, help: str, *labels: str) -> CounterSeries:
             self._counters.append(CounterSeries(registry, name, help, *labels))
             return self._counters[-1]
 
-        self.requests = counter(
-            "swings_requests_total", "Responses by route and status code.", "route", "code"
-        )
+        self.requests = counter("requests", "Responses by route and status code.", "route", "code")
         self.layer_bytes = counter(
-            "swings_layer_bytes_total",
+            "layer_bytes",
             "Bytes of objects or packets sent, by layer, mask or snapshot, and by request type.",
             "via",
             "layer",
         )
         self.packets = counter(
-            "swings_play_packets_total",
-            "Packets sent by plays, by layer, mask or snapshot.",
-            "layer",
+            "play_packets", "Packets sent by plays, by layer, mask or snapshot.", "layer"
         )
-        self.plays = counter("swings_plays_total", "Finished plays, by outcome.", "outcome")
-        self.play_news = counter(
-            "swings_play_news_total",
-            "Client status reports of plays, by outcome.",
-            "outcome",
+        self.plays = counter("plays", "Finished plays, by outcome.", "outcome")
+        self.status_reports = counter(
+            "play_news", "Client status reports of plays, by outcome.", "outcome"
         )
-        self.cache_hits = counter("swings_cache_hits_total", "Objects found in memory.")
-        self.cache_misses = counter("swings_cache_misses_total", "Objects read from disk.")
+        self.cache_hits = counter("cache_hits", "Objects found in memory.")
+        self.cache_misses = counter("cache_misses", "Objects read from disk.")
         self.refused = counter(
-            "swings_refused_total", "Connections, plays and requests refused, by reason.", "reason"
+            "refused", "Connections, plays and requests refused, by reason.", "reason"
         )
         self.accept_pauses = counter(
-            "swings_accept_pauses_total", "Pauses during which no connection could be accepted."
+            "accept_pauses", "Pauses during which no connection could be accepted."
         )
-        self.timeouts = counter(
-            "swings_timeouts_total", "Connections closed by a timeout, by kind.", "kind"
-        )
+        self.timeouts = counter("timeouts", "Connections closed by a timeout, by kind.", "kind")
         self.peer_messages = counter(
-            "swings_peer_messages_total",
-            "Messages between workers, by outcome.",
-            "outcome",
+            "peer_messages", "Messages between workers, by outcome.", "outcome"
         )
         self.log_dropped = counter(
-            "swings_log_dropped_total", "Log lines dropped because the sink did not accept them."
+            "log_dropped", "Log lines dropped because the sink did not accept them."
         )
-        self.active_plays = GaugeSeries(
-            registry, "livesum", "swings_active_plays", "Plays in progress."
+
+        # What the values of several living processes make together.
+        in_all = partial(Gauge, namespace=NAMESPACE, registry=registry, multiprocess_mode="livesum")
+        highest = partial(
+            Gauge, namespace=NAMESPACE, registry=registry, multiprocess_mode="livemax"
         )
-        self.open_connections = GaugeSeries(
-            registry, "livesum", "swings_open_connections", "Open connections."
-        )
-        self.cache_bytes = GaugeSeries(
-            registry, "livesum", "swings_cache_bytes", "Bytes of objects held in memory."
-        )
-        self.shed_layers = GaugeSeries(
-            registry,
-            "livemax",
-            "swings_shed_layers",
-            "Layers withheld from plays because of load, highest of all workers.",
+        self.active_plays = in_all("active_plays", "Plays in progress.")
+        self.open_connections = in_all("open_connections", "Open connections.")
+        self.cache_bytes = in_all("cache_bytes", "Bytes of objects held in memory.")
+        self.shed_layers = highest(
+            "shed_layers", "Layers withheld from plays because of load, highest of all workers."
         )
         # Every worker looks at the same streams.
-        self.streams = GaugeSeries(
-            registry, "livemax", "swings_streams", "Streams, by state.", "state"
-        )
-        self.ttfb = prometheus_client.Histogram(
-            "swings_ttfb_seconds",
+        self.streams = highest("streams", "Streams, by state.", ["state"])
+
+        histogram = partial(Histogram, namespace=NAMESPACE, registry=registry)
+        self.ttfb = histogram(
+            "ttfb_seconds",
             "Time from a complete request to the first byte of its response, if it had to wait.",
-            registry=registry,
             buckets=TTFB_BUCKETS_S,
         )
-        self.loop_late = prometheus_client.Histogram(
-            "swings_loop_late_seconds",
-            "Lateness of the event loop, per sample.",
-            registry=registry,
-            buckets=LATE_BUCKETS_S,
+        self.loop_late = histogram(
+            "loop_late_seconds", "Lateness of the event loop, per sample.", buckets=LATE_BUCKETS_S
         )
 
     def flush(self) -> None:
@@ -196,6 +153,6 @@ class Metrics:
 
 
 def forget_worker(folder: Path, place: int) -> None:
-    """What a worker that has ended held, such as its connections, is not there any more; what it
-    counted stays. The supervisor calls this before the place is given to another worker."""
+    """Removes the gauges of an ended worker, such as its connections; its counters stay. The
+    arbiter calls this before another worker gets the place."""
     multiprocess.mark_process_dead(place, str(folder))

@@ -1,9 +1,9 @@
-"""Settings from a file and from the environment, below those of the command line.
+"""Settings from the environment, below those of the command line.
 
-    flags > environment > file > defaults
+    flags > environment > defaults
 
-Rule: a setting that cannot be used ends the command with one line that names the file or the
-variable it is from. None is passed over.
+Rule: there is no second list of options: every flag that tyro makes is also a variable, and tyro
+reads its value. A variable that cannot be used ends the command with one line that names it.
 """
 
 from __future__ import annotations
@@ -11,203 +11,165 @@ from __future__ import annotations
 import difflib
 import os
 import re
+import shlex
 import sys
-import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
-from pathlib import Path
-from typing import Annotated, Any
+from dataclasses import dataclass, fields, is_dataclass, replace
+from operator import attrgetter
+from typing import Any, get_type_hints
 
 import tyro
+from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from codec.console import split_option
 from codec.errors import InvalidError
 
-from .settingfields import SettingField, setting_fields
+CHECK_CONFIG = "check_config"
+"""The command's field for `--check-config`. It is a request, not a setting."""
 
-MAX_FILE_BYTES = 1 << 20
+_TRUTH = {"true": True, "1": True, "false": False, "0": False}
 
+_WANTED = {"INT": "a whole number", "FLOAT": "a number"}
 
-@dataclass(frozen=True, slots=True)
-class SettingsConfig:
-    """Sources of settings. Every option can also be set in a file and in the environment."""
+_BARE = re.compile(r"[\w@%+=:,./*?\[\]-]*", re.ASCII)
+"""Text that systemd, a shell and `docker run --env-file` read alike without quotes."""
 
-    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """TOML file of options, named with _ instead of -, such as max_plays = 500. Environment
-    variables and command-line options override it."""
-    check_config: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print the effective settings as a TOML file, and exit."""
+_NOT_ON_A_LINE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
 
 
 @dataclass(frozen=True, slots=True)
-class _Given:
-    """A setting that was given."""
+class Setting:
+    """A setting of a command."""
 
-    field: SettingField
-    value: Any
-    source: str
+    path: str
+    """Names of the fields that lead to it, with dots between them."""
+    flag: str
+    """Its flag without the dashes, as `overload.shed-from`."""
+    kind: Any
+    """The type of its value."""
+    spec: PrimitiveConstructorSpec[Any]
+    """How tyro reads and writes its value."""
+
+    def from_text(self, text: str) -> Any:
+        """The value of a variable. Raises InvalidError with what is allowed."""
+        if self.kind is bool:
+            if text.lower() not in _TRUTH:
+                raise InvalidError(f"{text[:60]!a} is neither true nor false")
+            return _TRUTH[text.lower()]
+        if self.spec.choices and text not in self.spec.choices:
+            raise InvalidError(f"{text[:60]!a} is not one of {', '.join(self.spec.choices)}")
+        try:
+            return self.spec.instance_from_str([text])
+        except InvalidError:
+            raise
+        except ValueError as error:
+            wanted = _WANTED.get(self.spec.metavar, self.spec.metavar)
+            raise InvalidError(f"{text[:60]!a} is not {wanted}") from error
+
+    def to_text(self, value: Any) -> str:
+        """The text that `from_text` reads as `value`, which is not None."""
+        (text,) = self.spec.str_from_instance(value)
+        return text.lower() if self.kind is bool else text
+
+
+def settings_of(prefix: str, config_type: type[Any]) -> dict[str, Setting]:
+    """The settings of a command by their variables, in the order of the fields."""
+    return {
+        f"{prefix}_{re.sub('[.-]', '_', one.flag).upper()}": one
+        for one in _walk(config_type, "", "", {tyro.conf.EnumChoicesFromValues})
+        if one.path != CHECK_CONFIG
+    }
+
+
+def _walk(config_type: type[Any], path: str, flag: str, markers: set[Any]) -> Iterator[Setting]:
+    for name, hint in get_type_hints(config_type, include_extras=True).items():
+        info = PrimitiveTypeInfo.make(hint, markers)
+        own_flag = flag + name.replace("_", "-")
+        if is_dataclass(info.type):
+            # tyro applies the marker to all levels below.
+            below = flag if tyro.conf.OmitArgPrefixes in info.markers else f"{own_flag}."
+            yield from _walk(info.type, f"{path}{name}.", below, info.markers)
+        else:
+            spec = ConstructorRegistry.get_primitive_spec(info)
+            if not isinstance(spec, PrimitiveConstructorSpec):
+                raise TypeError(f"no setting can be of type {hint}")
+            yield Setting(path + name, own_flag, info.type, spec)
 
 
 def settings_parser(prefix: str, environment: Mapping[str, str] = os.environ) -> Callable[..., Any]:
-    """A `parse` for `run_command`, called like tyro.cli, that also reads a file and variables.
+    """A `parse` for `run_command`, called like tyro.cli, that also reads environment variables.
 
-    prefix: of the variables, as SWINGS_SERVE: `SWINGS_SERVE_MAX_PLAYS=5` is `--max-plays 5`, and
-    `SWINGS_SERVE_CONFIG` is `--config`. The config type has a SettingsConfig among its parts, with
-    its prefix omitted. With `--check-config` the settings are printed and the process exits with 0.
-    Raises InvalidError for a setting that cannot be used.
+    prefix: of the variables: with SWINGS_SERVE, `SWINGS_SERVE_MAX_PLAYS=5` is `--max-plays 5`. If
+    the config type's field `check_config` is true, the settings are printed and the process exits
+    with 0. Raises InvalidError for a variable that cannot be used.
     """
 
     def parse(config_type: type[Any], args: Sequence[str], **options: Any) -> Any:
-        known = setting_fields(config_type, SettingsConfig)
-        path, _ = split_option(args, "--config")
-        path = path or environment.get(f"{prefix}_CONFIG")
         if not {"-h", "--help"} & set(args):
-            given = _of_file(Path(path), known) if path else {}
-            given |= _of_environment(prefix, environment, known)
+            known = settings_of(prefix, config_type)
+            given = {v: t for v, t in sorted(environment.items()) if v.startswith(f"{prefix}_")}
             if given:
-                options["default"] = _instance(config_type, (), given)
+                options["default"] = _with_given(prefix, config_type, known, given)
         command = tyro.cli(config_type, args=args, **options)
-        if any(one.check_config for one in _parts(command, SettingsConfig)):
-            sys.stdout.write(settings_text(command))
+        if getattr(command, CHECK_CONFIG):
+            sys.stdout.write(settings_text(prefix, command))
             sys.exit(0)
         return command
 
     return parse
 
 
-def settings_text(command: Any) -> str:
-    """The settings of `command` as a TOML file; those that are not set are comments."""
-    lines, tables = list[str](), dict[tuple[str, ...], list[str]]()
-    for one in setting_fields(type(command), SettingsConfig):
-        value = command
-        for name in one.path:
-            value = getattr(value, name)
-        *table, key = one.keys
-        line = f"# {key} is not set" if value is None else f"{key} = {_toml(one.to_toml(value))}"
-        (tables.setdefault(tuple(table), []) if table else lines).append(line)
-    for names, inside in tables.items():
-        lines += ["", f"[{'.'.join(names)}]", *inside]
-    return "\n".join(lines) + "\n"
+def settings_text(prefix: str, command: Any) -> str:
+    """The settings of `command` as an environment file: one a line, unset ones as comments.
 
-
-def _toml(value: bool | int | float | str) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, int | float):
-        return str(value)
-    escaped = re.sub(r'[\x00-\x1f"\\\x7f]', lambda match: f"\\u{ord(match[0]):04x}", value)
-    return f'"{escaped}"'
-
-
-def _of_file(path: Path, known: Sequence[SettingField]) -> dict[tuple[str, ...], _Given]:
-    try:
-        with open(path, "rb") as file:
-            data = file.read(MAX_FILE_BYTES + 1)
-    except OSError as error:
-        raise InvalidError(f"config file {path} cannot be read: {error.strerror}") from error
-    if len(data) > MAX_FILE_BYTES:
-        raise InvalidError(f"{path} has more than {MAX_FILE_BYTES} bytes; it is not a config file")
-    try:
-        tables = tomllib.loads(data.decode())
-    except (ValueError, RecursionError) as error:
-        raise InvalidError(f"{path} is not TOML: {error}") from error
-    by_keys = {one.keys: one for one in known}
-    given = {}
-    for keys, value in _flat(tables, ()):
-        found, name = by_keys.get(keys), ".".join(keys)
-        if found is None:
-            names = [".".join(one) for one in by_keys]
-            raise InvalidError(f"{path}: unknown setting {name[:80]!a}{_hint(name, names)}")
-        try:
-            given[found.path] = _Given(found, found.from_toml(value), f"{path}: {name}")
-        except InvalidError as error:
-            raise InvalidError(f"{path}: {name}: {error}") from error
-    return given
-
-
-def _flat(table: dict[str, Any], keys: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:
-    for key, value in table.items():
-        if isinstance(value, dict) and value:
-            yield from _flat(value, (*keys, key))
-        else:
-            yield (*keys, key), value
-
-
-def _of_environment(
-    prefix: str, environment: Mapping[str, str], known: Sequence[SettingField]
-) -> dict[tuple[str, ...], _Given]:
-    by_variable = {f"{prefix}_{one.variable}": one for one in known}
-    given = {}
-    for variable, text in sorted(environment.items()):
-        if not variable.startswith(f"{prefix}_") or variable == f"{prefix}_CONFIG":
+    Raises InvalidError for a value that no line of such a file can hold.
+    """
+    lines = []
+    for variable, one in settings_of(prefix, type(command)).items():
+        value = attrgetter(one.path)(command)
+        if value is None:
+            lines.append(f"# {variable} is not set\n")
             continue
-        found = by_variable.get(variable)
-        if found is None:
-            hint = _hint(variable, list(by_variable))
-            raise InvalidError(f"environment: unknown setting {variable[:80]!a}{hint}")
+        text = one.to_text(value)
+        if _NOT_ON_A_LINE.search(text):
+            raise InvalidError(
+                f"{variable}: {text[:60]!a} has control characters or is not Unicode; an "
+                "environment file cannot hold it"
+            )
+        lines.append(f"{variable}={text if _BARE.fullmatch(text) else shlex.quote(text)}\n")
+    return "".join(lines)
+
+
+def _with_given(
+    prefix: str, config_type: type[Any], known: Mapping[str, Setting], given: Mapping[str, str]
+) -> Any:
+    """The defaults of `config_type` with the given variables. Required fields without a value are
+    tyro.MISSING, so that tyro reports them."""
+    values = {}
+    for variable, text in given.items():
+        if variable not in known:
+            # Without the prefix, which would make any two variables look alike.
+            names = [name.removeprefix(f"{prefix}_") for name in known]
+            near = difflib.get_close_matches(variable.removeprefix(f"{prefix}_"), names, n=1)
+            hint = f"did you mean {prefix}_{near[0]}?" if near else "--help lists all settings"
+            raise InvalidError(f"environment: unknown setting {variable[:80]!a}; {hint}")
         try:
-            given[found.path] = _Given(found, found.from_text(text), variable)
+            values[known[variable].path] = known[variable].from_text(text)
         except InvalidError as error:
             raise InvalidError(f"{variable}: {error}") from error
-    return given
-
-
-def _hint(name: str, names: list[str]) -> str:
-    near = difflib.get_close_matches(name, names, n=1)
-    return f"; did you mean {near[0]}?" if near else "; --help lists all settings"
-
-
-def _instance(
-    config_type: type[Any], path: tuple[str, ...], given: Mapping[tuple[str, ...], _Given]
-) -> Any:
-    """The config with what was given; tyro still asks for what is given nowhere."""
-    here = {key[len(path)] for key in given if key[: len(path)] == path}
-    values: dict[str, Any] = {}
-    for one in fields(config_type):
-        own = (*path, one.name)
-        if own in given:
-            values[one.name] = given[own].value
-        elif one.name in here:
-            part = one.default if one.default_factory is MISSING else one.default_factory()
-            values[one.name] = _replaced(part, own, given)
-    required = {
-        one.name: tyro.MISSING
-        for one in fields(config_type)
-        if one.name not in values and one.default is one.default_factory is MISSING
-    }
-    return _checked(lambda: config_type(**required, **values), path, given)
-
-
-def _replaced(part: Any, path: tuple[str, ...], given: Mapping[tuple[str, ...], _Given]) -> Any:
-    """`part`, which stands at `path`, with what was given for it."""
-    changed: dict[str, Any] = {}
-    for one in fields(part):
-        own = (*path, one.name)
-        if own in given:
-            changed[one.name] = given[own].value
-        elif any(key[: len(own)] == own for key in given):
-            changed[one.name] = _replaced(getattr(part, one.name), own, given)
-    return _checked(lambda: replace(part, **changed), path, given)
-
-
-def _checked(
-    make: Callable[[], Any], path: tuple[str, ...], given: Mapping[tuple[str, ...], _Given]
-) -> Any:
-    """What `make` makes; where it refuses its values, the error says where they are from."""
+    required = [one.name for one in fields(config_type) if one.default is one.default_factory]
     try:
-        return make()
+        return _replaced(config_type(**dict.fromkeys(required, tyro.MISSING)), "", values)
     except InvalidError as error:
-        here = [one for key, one in given.items() if key[: len(path)] == path]
         words = set(re.findall(r"\w+", str(error)))
-        named = [one for one in here if one.field.path[-1] in words]
-        sources = ", ".join(one.source for one in named or here)
-        raise InvalidError(f"{sources}: {error}") from error
+        named = [v for v in given if known[v].path.rpartition(".")[2] in words]
+        raise InvalidError(f"{', '.join(named or given)}: {error}") from error
 
 
-def _parts(config: Any, wanted: type[Any]) -> Iterator[Any]:
-    for one in fields(config):
-        value = getattr(config, one.name)
-        if isinstance(value, wanted):
-            yield value
-        elif is_dataclass(value):
-            yield from _parts(value, wanted)
+def _replaced(part: Any, at: str, values: Mapping[str, Any]) -> Any:
+    """`part`, the dataclass at this path of the command, with the values given by their paths."""
+    changed = {}
+    for one in fields(part):
+        path, value = at + one.name, getattr(part, one.name)
+        inside = _replaced(value, f"{path}.", values) if is_dataclass(value) else value
+        changed[one.name] = values.get(path, inside)
+    return replace(part, **changed)

@@ -1,1 +1,1 @@
-"""What all requests to one running server share: streams, memory, plays, settings, figures."""
+"""State shared by all requests to a running server: streams, caches, plays, settings, metrics."""

@@ -1,4 +1,4 @@
-"""What an operator can set; every default stands here once, or beside the code it steers."""
+"""The operator's settings; every default is defined once, here or beside the code that uses it."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from pathlib import Path
 
 from codec.errors import InvalidError
 from server.abr.session import SessionConfig
-from server.http.site import PatienceConfig
+from server.clients.timeouts import TimeoutConfig
 from server.operate.admission import AdmissionConfig
 from server.operate.clientaddress import parse_proxies
 from server.operate.log.logline import LogStyle
 from server.operate.overload import OverloadConfig
-from server.operate.workers.supervisor import SupervisorConfig
+from server.operate.workers.supervisorconfig import SupervisorConfig
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +21,7 @@ class ServerConfig:
 
     session: SessionConfig = field(default_factory=SessionConfig)
     """Pacing of plays."""
-    patience: PatienceConfig = field(default_factory=PatienceConfig)
+    timeouts: TimeoutConfig = field(default_factory=TimeoutConfig)
     """Timeouts for clients."""
     admission: AdmissionConfig = field(default_factory=AdmissionConfig)
     """Limits on concurrent connections and plays."""

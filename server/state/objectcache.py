@@ -7,12 +7,14 @@ from collections import OrderedDict
 from dataclasses import dataclass, replace
 from functools import partial
 
+from multidict import CIMultiDict
+
 from codec.stream.integrity import CheckedObject
 from codec.stream.manifest import Part
 from codec.stream.plainrecord import ZSTD, inflates_whole
-from server.http.content import IMMUTABLE, Content, respond
-from server.http.request import Request
-from server.http.response import Response, whole_fields
+from server.exchange.content import IMMUTABLE, Content, respond
+from server.exchange.request import Request
+from server.exchange.response import Response
 from server.library import ServedStream
 from server.operate.prometheus import Metrics
 
@@ -29,9 +31,9 @@ class CachedObject:
     checked: CheckedObject
     content: Content | None = None
     path: str = ""
-    """Of the URL under which `response` is asked for."""
+    """Path of the URL of `response`."""
     response: Response | None = None
-    """What a plain GET gets."""
+    """The response to a plain GET."""
 
 
 class ObjectCache:
@@ -53,7 +55,7 @@ class ObjectCache:
         return (await self._cached(stream, segment, part)).checked
 
     def response(self, path: str) -> Response | None:
-        """What a plain GET of `path` gets, if that was made ready."""
+        """The response to a plain GET of `path`, if it was prepared."""
         found = self._ready.get(path)
         if found is None or found.response is None:
             return None
@@ -71,8 +73,8 @@ class ObjectCache:
         if found is None or found.content is None or found.response is not None:
             return
         uncounted = replace(found.content, count=None)
-        response = respond(Request("GET", path, "", "", {}, True, True, True), uncounted)
-        response.fields_text = whole_fields(response)
+        response = respond(Request("GET", path, "", "", CIMultiDict()), uncounted)
+        response.prepared = response.head_fields()
         found.path, found.response = path, response
         self._ready[path] = found
 
@@ -116,7 +118,7 @@ class ObjectCache:
         if task is None:
             self._metrics.cache_misses.add(1)
             task = asyncio.create_task(self._load(key, stream))
-            # Somebody must look at a failure, even if all who waited have gone.
+            # The exception must be retrieved even if all waiting tasks were cancelled.
             task.add_done_callback(lambda done: done.cancelled() or done.exception())
             self._loading[key] = task
         # A client that goes away must not break the load for the others that wait for it.

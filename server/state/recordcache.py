@@ -1,4 +1,4 @@
-"""The records of plays, encoded once for all who play a stream; bounded in bytes."""
+"""The records of plays, encoded once for all clients of a stream; bounded in bytes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from codec.errors import CodecError
 from codec.stream.manifest import MASKS, Part, snapshot_part
 from codec.stream.plainrecord import PlainRecordEncoder
 from codec.stream.playrecord import SliceRecord, SnapshotRecord, encode_record
-from server.abr.outlook import SendSlices
+from server.abr.decisioncontext import SendSlices
 from server.library import ServedStream
 
 from .objectcache import ObjectCache
@@ -25,7 +25,7 @@ class CodedRecord:
     data: bytes
     parts: tuple[Part, ...]
     packet_bytes: tuple[int, ...]
-    """Of each part."""
+    """Bytes of the packets of each part."""
 
 
 class RecordCache:
@@ -40,8 +40,8 @@ class RecordCache:
     async def slices(
         self, stream: ServedStream, send: SendSlices, plain: PlainRecordEncoder | None
     ) -> tuple[list[CodedRecord], CodecError | OSError | None]:
-        """A record for each slice of `send`, in version 2 with its mask before layer 0; or for
-        those before a file that is bad, and what is wrong with it.
+        """A record for each slice of `send`, with its mask where it has layer 0; or for those
+        before a file that is bad, and what is wrong with it.
 
         plain: what codes the response; None for packets as they are.
         """
@@ -62,7 +62,7 @@ class RecordCache:
         _, birth, first_layer, end_layer, _ = key
         segment = stream.view.manifest.segment_of(birth)
         layers: list[Part] = [*range(first_layer, end_layer)]
-        parts = [*layers, MASKS] if stream.has_slots and not first_layer else layers
+        parts = layers if first_layer else [*layers, MASKS]
         packets = [
             (await self._objects.load(stream, segment, part)).packet(birth) for part in parts
         ]

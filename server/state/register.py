@@ -1,7 +1,7 @@
-"""The plays that run, by tokens that only their clients know, and what is remembered of others.
+"""The running plays, by tokens that only their clients know, and the rates of ended plays.
 
-Rule: no clock and no sockets. Whatever clients say, nothing here grows: of each play only its
-newest news is kept, and of those that are over the newest `max_ended`, for a while.
+Rule: no clock and no sockets. Memory is bounded whatever clients send: each play keeps only its
+newest status report, and only the newest `max_ended` ended plays are kept, for `keep_s` seconds.
 """
 
 from __future__ import annotations
@@ -10,19 +10,19 @@ from collections import OrderedDict
 from dataclasses import dataclass
 from enum import StrEnum
 
-from server.abr.standing import Standing
+from server.abr.clientstatus import ClientStatus
 
 
-class NewsOutcome(StrEnum):
-    """What became of news about a client."""
+class StatusOutcome(StrEnum):
+    """The outcome of a client's status report."""
 
     TAKEN = "taken"
     REPLACED = "replaced"
-    """It took the place of older news, at which the play had not looked yet."""
+    """It replaced an older report that the play had not read yet."""
     REFUSED = "refused"
-    """It made no sense."""
+    """It was invalid."""
     UNKNOWN = "unknown"
-    """There is no such play, or there is not any more."""
+    """The play does not exist, or has ended."""
 
 
 @dataclass(slots=True)
@@ -32,16 +32,17 @@ class RegisteredPlay:
     stream: str
     rate_bps: float | None = None
     """The newest estimate of its client's throughput."""
-    news: Standing | None = None
-    """How its client stands, if it has told that since the last `take_news`."""
+    status: ClientStatus | None = None
+    """Its client's status, if reported since the last `pop_status`."""
 
-    def take_news(self) -> Standing | None:
-        news, self.news = self.news, None
-        return news
+    def pop_status(self) -> ClientStatus | None:
+        status, self.status = self.status, None
+        return status
 
 
 class PlayRegister:
-    """Those plays. The bound on how many run is somebody else's."""
+    """The running plays and those that ended lately. The limit on running plays is enforced
+    elsewhere (`operate.admission`)."""
 
     def __init__(self, max_ended: int, keep_s: float) -> None:
         """max_ended: plays remembered when they are over. keep_s: for how long, seconds."""
@@ -73,17 +74,17 @@ class PlayRegister:
         entry = self._running.get(token)
         return entry if entry is not None and entry.stream == stream else None
 
-    def tell(self, token: str, stream: str, news: Standing) -> NewsOutcome:
-        """Keeps `news` until the play looks at it, or newer news comes."""
+    def report(self, token: str, stream: str, status: ClientStatus) -> StatusOutcome:
+        """Keeps `status` until the play reads it, or a newer report replaces it."""
         entry = self.find(token, stream)
         if entry is None:
-            return NewsOutcome.UNKNOWN
-        outcome = NewsOutcome.TAKEN if entry.news is None else NewsOutcome.REPLACED
-        entry.news = news
+            return StatusOutcome.UNKNOWN
+        outcome = StatusOutcome.TAKEN if entry.status is None else StatusOutcome.REPLACED
+        entry.status = status
         return outcome
 
     def rate_bps(self, token: str, now_s: float) -> float | None:
-        """What is known of the link of a play that runs, or that ended not long ago."""
+        """The estimated rate of a play that runs or ended at most keep_s ago; None if unknown."""
         entry = self._running.get(token)
         if entry is not None:
             return entry.rate_bps

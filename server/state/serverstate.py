@@ -1,8 +1,9 @@
-"""What the handlers of one running worker share."""
+"""State shared by the handlers of a running worker."""
 
 from __future__ import annotations
 
 import asyncio
+import secrets
 
 from server.html.webplayer import WebPlayer
 from server.library import Library
@@ -20,7 +21,7 @@ from .recordcache import RecordCache
 from .register import PlayRegister
 
 RECORDS_PART = 8
-"""Of so many parts of the memory for objects, one is for the records of plays besides."""
+"""The records of plays may use 1 / RECORDS_PART of the memory for objects, in addition to it."""
 
 
 class ServerState:
@@ -33,15 +34,19 @@ class ServerState:
         metrics: Metrics | None = None,
         number: int = 0,
         peers: Peers | None = None,
+        play_secret: bytes | None = None,
     ) -> None:
         """metrics: None for a server of one process. number: of the worker. peers: the other
-        workers; None where there are none. Raises InvalidError for a file of keys that is not one,
+        workers; None where there are none. play_secret: shared by all workers; None for a server
+        of one process. Raises InvalidError for a file of keys that is not one,
         OSError where it cannot be read."""
         self.library = library
         self.config = config
         self.metrics = metrics or Metrics()
         self.number = number
         self.peers = peers
+        self.play_secret = play_secret or secrets.token_bytes(32)
+        """Authenticates the tokens of plays, see `make_token`."""
         self.scheme = "http" if config.tls_cert is None else "https"
         """How clients call the server, where no proxy says otherwise."""
         self.proxies = parse_proxies(config.trusted_proxies)
@@ -60,7 +65,7 @@ class ServerState:
         )
         """Plays by address."""
         self.busy_share = 0.0
-        """Of a core, what this worker took of late."""
+        """Share of a core that this worker used recently."""
         self.lag_s = 0.0
         """How late the event loop has been of late."""
         self.sent_bytes = 0

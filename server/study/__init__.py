@@ -1,1 +1,1 @@
-"""swings-abr: policies compared over throughput traces, in virtual time."""
+"""The laboratory (swings-abr): policies compared over throughput traces, in virtual time."""

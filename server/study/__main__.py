@@ -11,8 +11,8 @@ from .config import StudyConfig
 
 
 def run(config: StudyConfig) -> None:
-    from .study import run_study  # matplotlib and scipy load slowly
-    from .tables import terminal_table
+    from .report.study import run_study  # matplotlib and scipy load slowly
+    from .report.tables import terminal_table
 
     console = Console(stderr=True)
     columns = (*Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeRemainingColumn())

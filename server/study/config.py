@@ -1,4 +1,4 @@
-"""What a user can set for swings-abr; every default stands here once."""
+"""The settings of swings-abr; every default is defined here once."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import tyro
 
 from codec.console import option
 from codec.errors import InvalidError
-from server.abr.link.generate import GeneratorConfig
 from server.abr.link.ratetext import RATE_PATTERN, rate_bps
-from server.abr.policies.choice import POLICIES
-from server.abr.qoe import QoeConfig
 from server.abr.session import SessionConfig
+from server.study.policies.choice import POLICIES
+from server.study.simulate.generate import GeneratorConfig
+from server.study.simulate.qoe import QoeConfig
 
 from .cases import LOADS
 from .tracefolder import Half

@@ -23,12 +23,10 @@ class LoopedMedia:
     """
 
     segments: tuple[SegmentSizes, ...]
-    """Of the stream, each of segment_frames frames where they are repeated."""
+    """Sizes of the stream's segments; each has segment_frames frames if they are repeated."""
     num_frames: int
     fps: float
-    swin_size: int
     segment_frames: int
-    has_slots: bool
     knows_psnr: bool = True
     """Whether the index holds the PSNR; else it is guessed from the sizes."""
 
@@ -45,12 +43,12 @@ class LoopedMedia:
         return self.num_frames / self.fps
 
     def sizes(self, birth: int) -> SegmentSizes:
-        return self.segments[max(birth, 0) // self.segment_frames % len(self.segments)]
+        return self.segments[birth // self.segment_frames % len(self.segments)]
 
     @property
     def need_bps(self) -> float:
-        """What the slices of all frames take with all layers, bits per second; of snapshots, which
-        not all who play are sent, nothing."""
+        """Rate of the slices of all frames with all layers, bits per second; without snapshots,
+        which not every client is sent."""
         slices_bytes = (self.sizes(frame).slice_bytes[-1] for frame in range(self.num_frames))
         return 8 * self.fps * fmean(slices_bytes)
 
@@ -83,8 +81,6 @@ def open_media(stream: Path, length_s: float) -> LoopedMedia:
         segments=tuple(segment_sizes(record, manifest) for record in records),
         num_frames=num_frames,
         fps=manifest.fps,
-        swin_size=manifest.swin_size,
         segment_frames=segment_frames,
-        has_slots=manifest.has_slots,
         knows_psnr=not any(math.isnan(db) for record in records for db in record.psnr_db),
     )

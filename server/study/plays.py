@@ -12,14 +12,13 @@ from dataclasses import dataclass, field
 from statistics import fmean
 
 from codec.errors import InvalidError
-from server.abr.oracle.baseonly import base_only, normalised
-from server.abr.oracle.bound import bound
 from server.abr.playout import PlayoutClock
-from server.abr.policies.choice import POLICIES
-from server.abr.qoe import QoeConfig, score
 from server.abr.session import SessionConfig
-from server.abr.simulate.simulator import Shown, Simulated, play_out, simulate
-from server.abr.simulate.waste import measure_traffic
+from server.study.oracle.bound import base_only, bound, normalised
+from server.study.policies.choice import POLICIES
+from server.study.simulate.qoe import QoeConfig, score
+from server.study.simulate.simulator import Shown, Simulated, play_out, simulate
+from server.study.simulate.waste import measure_traffic
 
 from .cases import Case
 from .looped import LoopedMedia
@@ -31,7 +30,7 @@ _DB_DIGITS, _DIGITS = 4, 6
 
 @dataclass(frozen=True, slots=True)
 class Rules:
-    """What holds for every play."""
+    """Settings shared by all plays."""
 
     session: SessionConfig = field(default_factory=SessionConfig)
     qoe: QoeConfig = field(default_factory=QoeConfig)
@@ -45,7 +44,7 @@ class Play:
     quality_db: float
     """QoE, server/abr/qoe.py."""
     normalised: float
-    """0 for layer 0 alone, 1 for the oracle's bound, see `oracle.baseonly.normalised`; NaN where
+    """0 for layer 0 alone, 1 for the oracle's bound, see `oracle.bound.normalised`; NaN where
     the two are the same."""
     psnr_db: float
     """Mean over the frames."""
@@ -66,23 +65,24 @@ class Play:
 
 @dataclass(frozen=True, slots=True)
 class Oracle:
-    """What could have been had in one case."""
+    """The bound and the base line of one case."""
 
     quality_db: float
     """No play is worth more."""
     psnr_db: float
     """Mean PSNR of the solution that the bound is of."""
     base_db: float
-    """What layer 0 alone is worth, sent as early as it may be."""
+    """Quality of layer 0 alone, sent as early as possible."""
     rebuffering: float
-    """Of layer 0 alone; all waiting together is the least there is."""
+    """Seconds of stalls per second shown, with layer 0 alone; its total waiting is the least
+    possible."""
     startup_s: float
-    """The same."""
+    """Seconds until the first frame, with layer 0 alone."""
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What came of a case."""
+    """The results of a case."""
 
     trace: str
     load: float
@@ -112,7 +112,7 @@ def run_play(
 
 
 def judge(media: LoopedMedia, case: Case, rules: Rules) -> Oracle:
-    """What could have been had in `case`."""
+    """The bound and the base line of `case`."""
     span = 0, media.num_frames
     best = bound(media, case.link, rules.session, rules.qoe, *span)
     base = base_only(media, case.link, rules.session, rules.qoe, *span)

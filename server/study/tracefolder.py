@@ -13,14 +13,14 @@ from typing import Literal
 
 from codec.errors import InvalidError
 from codec.files import read_bounded
-from server.abr.link.generate import GeneratorConfig, generate
 from server.abr.link.link import Link
 from server.abr.link.traces import MAX_TRACE_BYTES, parse_trace
+from server.study.simulate.generate import GeneratorConfig, generate
 
 GENERATED = "generated"
 """The folder, so to speak, of made-up traces."""
 NOT_TRACES = {".md"}
-"""What may lie among traces."""
+"""Suffixes of files that may lie among traces."""
 
 Half = Literal["all", "tune", "report"]
 
@@ -35,7 +35,7 @@ class Trace:
 
 
 def chosen_names(names: Sequence[str], half: Half, per_folder: int) -> list[str]:
-    """Those of `names` that are played over, folder by folder, sorted.
+    """The `names` whose traces are played, folder by folder, sorted.
 
     Of the sorted names of a folder the first, third, ... are the half `tune`, the others are
     `report`. per_folder: at most so many of each folder, evenly spread; 0 for all.

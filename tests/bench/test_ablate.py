@@ -9,7 +9,6 @@ from rich.console import Console
 
 import bench.ablate
 from bench.ablate import AblateConfig, measure, settings, table_of
-from codec.profiles.profile import Profile
 from tests.support.tiny_capture import write_dynamic3dgs
 
 
@@ -31,7 +30,7 @@ def test_it_measures_once_and_draws(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     )
     outcomes = measure(config, settings(config))
     assert list(outcomes) == settings(config)
-    assert {setting.profile for setting in outcomes} == {Profile.COMPACT}
+    assert all(setting.whole_slices for setting in outcomes)
     assert {setting.fit.num_gs / setting.fit.swin_size for setting in outcomes} == {30, 40}
     assert all(len(found) == 1 and found[0].psnr_db > 3 for found in outcomes.values())
 

@@ -12,21 +12,15 @@ from rich.console import Console
 import bench.curve
 from bench.curve import CurveConfig, Published, draw, kept_path, measure, names_of, run, table_of
 from codec.errors import InvalidError
-from codec.profiles.profile import Profile
-from tests.support.tiny_capture import write_dynamic3dgs
+from tests.support.tiny_capture import seen_by, write_dynamic3dgs
 from tests.support.tiny_stream import tiny_manifest, write_tiny
-from trainer.capture.layout import open_capture
 
 FRAMES = 4
 
 
-def write_stream(path: Path, capture: Path, profile: Profile, first_frame: int = 0) -> Path:
-    cameras = tuple(c.camera for c in open_capture(capture).cameras)
-    manifest = replace(
-        tiny_manifest(profile), cameras=cameras, default_camera=cameras[0].name,
-        capture_frame=first_frame,
-    )  # fmt: skip
-    write_tiny(path, FRAMES - first_frame, manifest)
+def write_stream(path: Path, capture: Path, first_frame: int = 0, exact: bool = False) -> Path:
+    manifest = replace(seen_by(tiny_manifest(), capture), capture_frame=first_frame)
+    write_tiny(path, FRAMES - first_frame, manifest, exact)
     return path
 
 
@@ -35,8 +29,8 @@ def config(tmp_path: Path) -> CurveConfig:
     capture = tmp_path / "capture"
     write_dynamic3dgs(capture, num_cameras=3, num_frames=FRAMES)
     streams = (
-        write_stream(tmp_path / "raw", capture, Profile.RAW),
-        write_stream(tmp_path / "late", capture, Profile.COMPACT, first_frame=1),
+        write_stream(tmp_path / "raw", capture, exact=True),
+        write_stream(tmp_path / "late", capture, first_frame=1),
     )
     published = (Published("others", 1, 20), Published("more", 300, 25))
     return CurveConfig(
@@ -83,7 +77,7 @@ def test_other_bytes_or_another_step_are_scored_anew(config: CurveConfig) -> Non
     }
     assert len(paths) == 3
     before = kept_path(raw, config)
-    again = write_stream(raw.with_name("again"), config.capture, Profile.RAW)
+    again = write_stream(raw.with_name("again"), config.capture, exact=True)
     assert kept_path(again, config) == before
     manifest = json.loads((raw / "manifest.json").read_text())
     (raw / "manifest.json").write_text(json.dumps({**manifest, "title": "another"}))

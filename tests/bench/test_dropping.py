@@ -30,17 +30,17 @@ from trainer.score.evaluate import EvaluateConfig, evaluate_stream
 from trainer.score.truth import open_held_out
 
 
-def written(path: Path, version: int) -> DroppingConfig:
-    stream, capture = write_scored(path, version)
+def written(path: Path, swin_size: int = 2) -> DroppingConfig:
+    stream, capture = write_scored(path, swin_size)
     plots = path / "plots"
     return DroppingConfig(
         stream, capture, plots / "a.png", plots / "a.jpg", every=2, views=2, frame=3
     )
 
 
-@pytest.mark.parametrize("version", [1, 2])
-def test_it_measures_and_draws(version: int, tmp_path: Path) -> None:
-    config = written(tmp_path, version)
+@pytest.mark.parametrize("swin_size", [1, 2])
+def test_it_measures_and_draws(swin_size: int, tmp_path: Path) -> None:
+    config = written(tmp_path, swin_size)
     found = measure(config)
     layers = evaluate_stream(EvaluateConfig(config.stream, config.capture, every=2)).layers
     of_layers = [(score.psnr_db, score.bytes_per_frame) for score in reversed(layers)]
@@ -73,7 +73,7 @@ def test_it_measures_and_draws(version: int, tmp_path: Path) -> None:
 
 
 def test_no_held_out_camera_ranks(tmp_path: Path) -> None:
-    config = written(tmp_path, 2)
+    config = written(tmp_path)
     with open_held_out(config.stream, config.capture) as held_out:
         names = [view.camera.name for view in training_views(held_out)]
     assert names == ["cam00", "cam02", "cam03"]
@@ -94,7 +94,7 @@ def test_what_as_many_bytes_give_lies_between_the_points() -> None:
 
 
 def test_options_out_of_their_bounds_are_refused(tmp_path: Path) -> None:
-    config = written(tmp_path, 2)
+    config = written(tmp_path)
     for wrong, message in (
         (replace(config, shares=()), "at least one share"),
         (replace(config, shares=(0.5, 1.1)), "at most 1"),

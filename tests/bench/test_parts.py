@@ -10,20 +10,16 @@ from pathlib import Path
 
 import pytest
 
-from bench.parts import Killer, PartsConfig, peak_bytes, processes, runs
+from bench.parts import WORKER, Killer, PartsConfig, peak_bytes, processes, runs
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="/proc is Linux's")
-
-MARK = "trainer.parts"
 
 
 def test_processes_are_those_that_this_one_has_started() -> None:
     waits = "import sys; sys.stdin.read()"
-    with subprocess.Popen(
-        [sys.executable, "-c", waits, "-m", MARK], stdin=subprocess.PIPE
-    ) as child:
+    with subprocess.Popen([sys.executable, "-c", waits, WORKER], stdin=subprocess.PIPE) as child:
         deadline_s = time.monotonic() + 10
-        while child.pid not in processes(b"-m trainer.parts"):
+        while child.pid not in processes(WORKER):
             assert time.monotonic() < deadline_s
         while peak_bytes(child.pid) <= 1_000_000:  # an interpreter, once it has begun
             assert time.monotonic() < deadline_s

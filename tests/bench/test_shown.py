@@ -30,17 +30,15 @@ def report_of(reader: StreamReader, layers: int, late_s: float = 0.0) -> dict[st
     for first, count in ((0, layers), (layers, manifest.num_layers - layers)):
         if not count or (first and not late_s):
             continue
-        if manifest.has_slots:
-            came(first, count, late_s if first else 0.0, snapshot_frame=0)
-        for birth in range(1 if manifest.has_slots else manifest.first_birth, FRAMES):
-            came(first, count, max(birth, 0) + late_s if first else 0.0, birth=birth)
+        came(first, count, late_s if first else 0.0, snapshot_frame=0)
+        for birth in range(1, FRAMES):
+            came(first, count, birth + late_s if first else 0.0, birth=birth)
     frames = [{"play": 0, "frame": frame, "shown_s": float(frame)} for frame in range(FRAMES)]
     return {"frames": frames, "arrivals": arrivals, "dropped": {"frames": 0, "arrivals": 0}}
 
 
-@pytest.mark.parametrize("version", [1, 2])
-def test_it_scores_the_packets_that_had_come(version: int, tmp_path: Path) -> None:
-    stream, capture = write_scored(tmp_path, version)
+def test_it_scores_the_packets_that_had_come(tmp_path: Path) -> None:
+    stream, capture = write_scored(tmp_path)
     expected = evaluate_stream(EvaluateConfig(stream, capture)).layers
     with open_held_out(stream, capture) as held_out:
         for layers in (1, 2):
@@ -60,7 +58,7 @@ def test_it_scores_the_packets_that_had_come(version: int, tmp_path: Path) -> No
 
 
 def test_every_other_frame_and_a_report_that_lacks_some(tmp_path: Path) -> None:
-    stream, capture = write_scored(tmp_path, 1)
+    stream, capture = write_scored(tmp_path)
     with open_held_out(stream, capture) as held_out:
         report = report_of(held_out.reader, 2)
         assert [score.frame for score in shown_scores(held_out, report, 2)] == [0, 2, 4]

@@ -11,7 +11,7 @@ from codec.errors import InvalidError
 from codec.pose import Doubles, rotation_about
 from codec.similarity import Similarity, half_turned, harmonics, turned_harmonics
 from codec.splats import SH_C0, Splats
-from tests.support.drawn import places, rotations, same
+from tests.support.drawn import places, rotations, same_splats
 from tests.support.trained_like import covariances, trained_like_splats
 
 
@@ -51,7 +51,7 @@ def test_a_body_keeps_its_shape_and_its_colours_from_every_side(
 def test_half_a_turn_changes_signs_alone(axis: str) -> None:
     splats = trained_like_splats(20, 5, 3)
     turned = half_turned(splats, axis)
-    assert same(half_turned(turned, axis), splats)
+    assert same_splats(half_turned(turned, axis), splats)
     vector = np.array([float(name == axis) for name in "xyz"])
     full = Similarity.of(matrix_of(rotation_about(vector, np.pi), np.zeros(3))).moved(splats)
     assert turned.means == pytest.approx(full.means, abs=1e-5)

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
 
 from codec.errors import InvalidError
-from codec.slice import HIDDEN, MAX_SWIN_SIZE, Slice, active_splats, blank_splats, window_births
-from codec.splats import Splats
+from codec.slice import HIDDEN, MAX_SWIN_SIZE, Slice, active_splats, blank_splats
 from tests.support.hosted_streams import random_slice, random_splats
-from tests.support.slots.leases import LeasedStream, leased_streams, replayed
 
 
 def rows_of(*rows: int) -> np.ndarray[tuple[int], np.dtype[np.int32]]:
@@ -54,51 +51,15 @@ def test_only_what_it_holds_is_counted() -> None:
     assert part.num_bytes == 2 * (4 * (11 + 12) + 1 + 4)
 
 
-@given(leased_streams())
-def test_whole_slices_follow_from_changes(stream: LeasedStream) -> None:
-    swin_size, window = stream.swin_size, dict[int, Slice]()
-    for slice in stream.slices:
-        lane = slice.lane(swin_size)
-        window[lane] = slice.onto(window[lane], swin_size) if lane in window else slice
-        frame = slice.birth
-        if frame < 0:
-            continue
-        whole = [window[birth % swin_size] for birth in window_births(frame, swin_size)]
-        assert [part.rows for part in whole] == [None] * swin_size
-        got = active_splats(whole, frame, swin_size)
-        expected = Splats.concatenate(replayed(stream.slices, frame, swin_size))
-        for array, wanted in zip(got.arrays, expected.arrays, strict=True):
-            np.testing.assert_array_equal(array, wanted)
-
-
-def test_what_is_put_onto_stays_as_it_was() -> None:
-    before = random_slice(0, 6)
-    means = before.splats.means.copy()
-    after = change(4, 1, 8).onto(before, 4)
-    np.testing.assert_array_equal(before.splats.means, means)
-    assert len(after.splats) == 9
-    assert after.start_offsets.tolist() == [0] * 6 + [HIDDEN] * 2 + [0]
-
-
-def test_what_it_cannot_be_put_onto() -> None:
-    before = random_slice(0, 6)
+def test_what_it_cannot_follow() -> None:
     with pytest.raises(
         InvalidError, match="changes the one born at 1; its lane holds the one born"
     ):
-        change(5, 1).onto(before, 4)
+        change(5, 1).check_follows(0, 4)
     with pytest.raises(InvalidError, match="its lane holds nothing"):
         change(5, 1).check_follows(None, 4)
-    with pytest.raises(InvalidError, match="the slice born at 0 has rows"):
-        change(4, 1).onto(change(0, 1), 4)
-    with pytest.raises(InvalidError, match="has SH degree 0, the one before 1"):
-        change(4, 1, sh_degree=0).onto(before, 4)
     with pytest.raises(InvalidError, match="the slice born at 4 has rows"):
-        active_splats([before, change(4, 1)], 4, 4)
-
-
-def test_a_whole_slice_takes_no_notice_of_the_one_before() -> None:
-    whole = random_slice(9, 3)
-    assert whole.onto(random_slice(0, 6), 4) is whole
+        active_splats([random_slice(0, 6), change(4, 1)], 4, 4)
 
 
 @pytest.mark.parametrize("sh_degree", [0, 1, 3])

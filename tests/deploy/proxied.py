@@ -93,8 +93,9 @@ def started(command: list[str], proxy: Proxy, log: Path, **more: str) -> Iterato
 
 
 @contextlib.contextmanager
-def nginx(backend: int, folder: Path) -> Iterator[Proxy]:
-    """nginx with TLS before the server at port `backend`."""
+def nginx(backend: int, folder: Path, root: Path = Path("/nowhere")) -> Iterator[Proxy]:
+    """nginx with TLS before the server at port `backend`. root: of the streams that it sends from
+    disk itself, by the secrets in `folder`/swings-secrets.map."""
     port, plain_port = free_port(), free_port()
     key, certificate = folder / "key.pem", folder / "certificate.pem"
     subprocess.run(
@@ -113,6 +114,8 @@ def nginx(backend: int, folder: Path) -> Iterator[Proxy]:
             r"/var/cache/nginx": str(folder / "cache"),
             r"listen 80;": f"listen 127.0.0.1:{plain_port};",
             r"listen 443 ssl": f"listen 127.0.0.1:{port} ssl",
+            r"/etc/nginx/swings-secrets": f"{folder}/swings-secrets",
+            r"/srv/swings": str(root),
             r"/etc/letsencrypt/live/video.example.org/fullchain.pem": str(certificate),
             r"/etc/letsencrypt/live/video.example.org/privkey.pem": str(key),
             r"127\.0\.0\.1:8080": f"127.0.0.1:{backend}",
@@ -135,8 +138,9 @@ def nginx(backend: int, folder: Path) -> Iterator[Proxy]:
 
 
 @contextlib.contextmanager
-def caddy(backend: int, folder: Path) -> Iterator[Proxy]:
-    """Caddy, without TLS as nobody vouches for it here, before the server at port `backend`."""
+def caddy(backend: int, folder: Path, open_root: Path | None = None) -> Iterator[Proxy]:
+    """Caddy, without TLS as nobody vouches for it here, before the server at port `backend`.
+    open_root: of the streams whose objects it sends from disk itself."""
     port = free_port()
     text = replaced(
         (DEPLOY / "Caddyfile").read_text(),
@@ -151,6 +155,8 @@ def caddy(backend: int, folder: Path) -> Iterator[Proxy]:
     program = find_program("caddy")
     assert program is not None
     home = {name: str(folder) for name in ("HOME", "XDG_DATA_HOME", "XDG_CONFIG_HOME")}
+    if open_root is not None:
+        home["SWINGS_OPEN_ROOT"] = str(open_root)
     command = [program, "run", "--config", str(config), "--adapter", "caddyfile"]
     with started(command, Proxy(port, tls=False), folder / "out.log", **home) as proxy:
         yield proxy

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import shutil
+import subprocess
 import time
+from base64 import urlsafe_b64encode
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,11 +22,12 @@ from codec.stream.playrecord import (
     StartRecord,
 )
 from server.operate.sign.keyfile import add_key, read_keys
+from server.operate.sign.nginxlink import sign_for_nginx
 from server.operate.sign.signing import Signer
 from tests.deploy.echo import echoing
-from tests.deploy.proxied import Proxy, caddy, find_program, nginx
-from tests.support.commands import serving
-from tests.support.hosted_streams import SWIN_SIZE, write_stream
+from tests.deploy.proxied import Proxy, caddy, find_program, free_port, nginx
+from tests.support.commands import run_ok, serving
+from tests.support.hosted_streams import write_stream
 
 PROXIES = {"nginx": nginx, "caddy": caddy}
 FRAMES = 20
@@ -97,6 +102,30 @@ def test_nginx_keeps_objects_and_nothing_else(proxy: Proxy, name: str) -> None:
         assert proxy.ask(f"/v1/streams/walk/{other}")[1]["X-Cache"] is None
 
 
+def test_caddy_sends_objects_of_open_streams_from_disk(root: Path, tmp_path: Path) -> None:
+    if find_program("caddy") is None:
+        pytest.skip("needs caddy")
+    data = (root / "walk" / "segments" / "1" / "2").read_bytes()
+    (root / "walk" / "segments" / "1" / "secret").write_bytes(b"not an object")
+    # Nothing listens behind it: what it does not send itself is a 502.
+    with caddy(free_port(), tmp_path, root) as proxy:
+        status, headers, body = proxy.ask(OBJECT)
+        assert (status, body) == (200, data)
+        assert headers["Access-Control-Allow-Origin"] == "*"
+        status, headers, body = proxy.ask(OBJECT, {"Range": "bytes=3-9"})
+        assert (status, body) == (206, data[3:10])
+        assert proxy.ask(OBJECT, {"If-None-Match": headers["ETag"]})[0] == 304
+        for other in (
+            "manifest.json",
+            "segments/1/secret",
+            "segments/..%2fmanifest.json",
+            "segments/9/0",
+        ):
+            assert proxy.ask(f"/v1/streams/walk/{other}")[0] == 502
+        assert proxy.ask(f"/t/1.a.b{OBJECT}")[0] == 502
+        assert proxy.ask(OBJECT, method="DELETE")[0] == 502
+
+
 def test_what_is_told_of_the_server_itself_stays_inside(proxy: Proxy) -> None:
     assert proxy.ask("/healthz")[0] == 200
     assert proxy.ask("/metrics")[0] == 404
@@ -104,7 +133,7 @@ def test_what_is_told_of_the_server_itself_stays_inside(proxy: Proxy) -> None:
 
 
 def check_play(proxy: Proxy, prefix: str = "") -> None:
-    """A play comes slice by slice, and its news go back. prefix: of all paths."""
+    """A play comes slice by slice, and its status reports go back. prefix: of all paths."""
     connection = proxy.connect()
     parser, began_s = RecordParser(), time.monotonic()
     try:
@@ -117,9 +146,9 @@ def check_play(proxy: Proxy, prefix: str = "") -> None:
         while piece := response.read1(1 << 16):
             came += [(time.monotonic() - began_s, record) for record in parser.feed(piece)]
             if not told:
-                news = json.dumps({"frame": 0}).encode()
+                report = json.dumps({"frame": 0}).encode()
                 path = f"{prefix}/v1/streams/walk/play/{token}"
-                told = proxy.ask(path, None, "POST", news)[0]
+                told = proxy.ask(path, None, "POST", report)[0]
     finally:
         connection.close()
     assert told == 204
@@ -128,14 +157,14 @@ def check_play(proxy: Proxy, prefix: str = "") -> None:
     assert isinstance(records[-1], EndRecord), records[-1]
     assert not [record for record in records if isinstance(record, ErrorRecord)]
     births = [record.birth for record in records if isinstance(record, SliceRecord)]
-    assert births == list(range(1 - SWIN_SIZE, FRAMES))
+    assert births == list(range(1, FRAMES))
     # Half of it is ahead of the lead, and comes while it is shown.
     assert came[0][0] < 1.0
     assert came[-1][0] - came[0][0] > 0.4, "all came at once: somebody keeps it back"
     assert len({round(at_s, 2) for at_s, _ in came}) >= 3
 
 
-def test_a_play_comes_slice_by_slice_and_its_news_go_back(proxy: Proxy) -> None:
+def test_a_play_comes_slice_by_slice_and_its_status_reports_go_back(proxy: Proxy) -> None:
     check_play(proxy)
 
 
@@ -153,6 +182,95 @@ def test_behind_a_signed_url_a_play_comes_so_too_and_nothing_is_kept(
                 status, headers, _ = proxy.ask(prefix + OBJECT)
                 assert (status, headers["X-Cache"]) == (200, None)
             assert proxy.ask(OBJECT)[0] == 403
+
+
+def test_objects_of_open_streams_stay_in_the_cache_until_it_is_emptied(
+    root: Path, tmp_path: Path
+) -> None:
+    if find_program("nginx") is None or find_program("openssl") is None:
+        pytest.skip("needs nginx and openssl")
+    port = free_port()
+    keys = tmp_path / "keys"
+    add_key(keys)
+    with nginx(port, tmp_path) as proxy:
+        with serving(root, "--port", port):
+            assert [proxy.ask(OBJECT)[1]["X-Cache"] for _ in range(2)] == ["MISS", "HIT"]
+        with serving(root, "--port", port, "--keys", keys):
+            assert proxy.ask(OBJECT)[0] == 200  # hence the advice of docs/OPERATE.md
+            emptying = ["find", str(tmp_path / "cache" / "swings"), "-type", "f", "-delete"]
+            subprocess.run(emptying, check=True)
+            assert proxy.ask(OBJECT)[0] == 403
+
+
+def test_nginx_sends_signed_objects_from_disk(root: Path, tmp_path: Path) -> None:
+    if find_program("nginx") is None or find_program("openssl") is None:
+        pytest.skip("needs nginx and openssl")
+    streams = tmp_path / "streams"
+    shutil.copytree(root / "walk", streams / "walk")
+    shutil.copytree(root / "walk", streams / "other")
+    (streams / "other" / "segments" / "9").mkdir()
+    (streams / "other" / "segments" / "9" / "9").symlink_to("/etc/passwd")
+    files = tmp_path / "keys"
+    add_key(files)
+    with files.open("a") as file:  # the longest name that a key may have
+        file.write(f"{'k' * 32}:{'00' * 16}\n")
+    keys = read_keys(files)
+    (tmp_path / "swings-secrets.map").write_text(
+        run_ok("swings-sign", files, "--nginx-secrets"), encoding="ascii"
+    )
+    until_s = int(time.time()) + 60
+    good = sign_for_nginx(keys, "walk", until_s)
+    data = (root / "walk" / "segments" / "1" / "2").read_bytes()
+    port = free_port()  # nothing answers there: what is answered comes from the disk
+    with nginx(port, tmp_path, streams) as proxy:
+
+        def status(prefix: str, path: str = OBJECT) -> int:
+            return proxy.ask(prefix + path)[0]
+
+        got, headers, body = proxy.ask(good + OBJECT)
+        assert (got, body, headers["Cache-Control"]) == (200, data, "private, no-cache")
+        assert headers["Access-Control-Allow-Origin"] == "*"
+        assert proxy.ask(good + OBJECT, {"Range": "bytes=3-9"})[2] == data[3:10]
+        assert proxy.ask(good + OBJECT, {"If-None-Match": headers["ETag"]})[0] == 304
+        index = (root / "walk" / "index.bin").read_bytes()
+        assert proxy.ask(f"{good}/v1/streams/walk/index.bin")[2] == index
+        assert status(good, "/v1/streams/walk/segments/9/9") == 404
+        assert proxy.ask(good + OBJECT, None, "POST", b"x")[0] == 405
+        # Another stream, also by a path that leads there.
+        other = OBJECT.replace("walk", "other")
+        assert status(good, other) == 403
+        for dots in ("../other", "..%2Fother", "%2e%2e/other", "../../streams//other"):
+            assert status(good, OBJECT.replace("walk", f"walk/{dots}")) == 403, dots
+        assert status(sign_for_nginx(keys, "other", until_s), other) == 200
+        # swings-serve follows no links either.
+        linked = "/v1/streams/other/segments/9/9"
+        assert status(sign_for_nginx(keys, "other", until_s), linked) in (403, 404)
+        # Expired, prolonged, altered, of another key, and of a key without a secret.
+        assert status(sign_for_nginx(keys, "walk", int(time.time()) - 2)) == 403
+        assert status(good.replace(str(until_s), str(until_s + 1))) == 403
+        assert status(good[:3] + ("A" if good[3] != "A" else "B") + good[4:]) == 403
+        kid, long = keys
+        assert status(sign_for_nginx({long: keys[long]}, "walk", until_s)) == 200
+        assert status(sign_for_nginx({kid: bytes(32)}, "walk", until_s)) == 403
+        signed_by_unknown = sign_for_nginx({"unknown": bytes(32)}, "walk", until_s)
+        assert status(signed_by_unknown) == 403
+        text = f"{until_s} unknown /v1/streams/walk "
+        digest = urlsafe_b64encode(hashlib.md5(text.encode()).digest()).decode().rstrip("=")
+        assert status(f"/n/{digest}/t/{signed_by_unknown.partition('/t/')[2]}") == 403
+        assert status("", f"/n/{'A' * 21}{OBJECT}") == 404
+        with serving(streams, "--port", port, "--keys", files, "--max-lead-s", 1):
+            check_play(proxy, good)
+            for path in ("manifest.json", "index.bin?after=1&wait=1"):
+                assert status(good, f"/v1/streams/walk/{path}") == 200
+                assert status(good, f"/v1/streams/other/{path}") == 403
+            assert status(good, "/watch/walk") == 200
+            assert status(good, f"{OBJECT}?anything") == 200
+            assert status(good, f"{other}?anything") == 403
+            # What is verified here does not open what swings-serve verifies.
+            token = good.rpartition(".")[2]
+            assert status(good.replace(token, "A" * 43), "/v1/streams/walk/manifest.json") == 403
+            assert status("", OBJECT) == 403
+            assert status("", "/n/") == 404
 
 
 def test_the_server_learns_the_clients_address_and_no_lies(name: str, tmp_path: Path) -> None:

@@ -10,19 +10,18 @@ from pathlib import Path
 import aiohttp
 import pytest
 
-from codec.stream import StreamReader, StreamWriter
+from codec.stream import StreamReader
 from codec.stream.playrecord import ErrorRecord, RecordParser, StartRecord
 from server.state.config import ServerConfig
 from tests.support.server.running_server import (
     SEGMENT_FRAMES,
     Running,
-    births_of,
+    append_frames,
     eventually,
+    live_stream,
     make_stream,
     on_server,
-    random_slice,
     running,
-    small_manifest,
 )
 
 pytestmark = pytest.mark.realtime
@@ -30,22 +29,9 @@ pytestmark = pytest.mark.realtime
 INDEX = "/v1/streams/live/index.bin"
 
 
-def grown(path: Path, num_segments: int) -> StreamWriter:
-    """A stream that is being written, with so many whole segments."""
-    writer = StreamWriter.create(path, small_manifest())
-    for birth in births_of(num_segments * SEGMENT_FRAMES):
-        writer.append(random_slice(birth, 8))
-    return writer
-
-
-def grow(writer: StreamWriter, first: int) -> None:
-    for birth in range(first, first + SEGMENT_FRAMES):
-        writer.append(random_slice(birth, 8))
-
-
 def test_who_waits_for_the_index_has_it_as_soon_as_it_grows(tmp_path: Path) -> None:
     async def check() -> None:
-        writer = grown(tmp_path / "live", 1)
+        writer = live_stream(tmp_path / "live", SEGMENT_FRAMES)
         # As an operator has it: its default between two looks.
         async with (
             running(tmp_path, ServerConfig()) as server,
@@ -63,15 +49,18 @@ def test_who_waits_for_the_index_has_it_as_soon_as_it_grows(tmp_path: Path) -> N
             began_s = time.monotonic()
             assert (await wait(len(data) - 1, 20))[0] == data
             assert time.monotonic() - began_s < 0.3
+            new = "/v1/streams/live/segments/1/0"
+            assert (await client.get(new)).status == 404
             waiting = [asyncio.create_task(wait(len(data), 20)) for _ in range(30)]
             await asyncio.sleep(0.7)
             assert not any(task.done() for task in waiting)
-            grow(writer, SEGMENT_FRAMES)
+            append_frames(writer)
             grown_s = time.monotonic()
             for task in waiting:
                 found, at_s = await task
-                assert len(found) == 2 * len(data)
+                assert (found[: len(data)], len(found)) == (data, 2 * len(data))
                 assert at_s - grown_s < 0.3
+            assert (await client.get(new)).status == 200
             # Nothing comes.
             began_s = time.monotonic()
             found, at_s = await wait(2 * len(data), 1)
@@ -82,6 +71,8 @@ def test_who_waits_for_the_index_has_it_as_soon_as_it_grows(tmp_path: Path) -> N
             await asyncio.sleep(0.2)
             writer.close()
             await asyncio.wait_for(last, 3)
+            async with client.get("/v1/streams/live/manifest.json") as response:
+                assert (await response.json())["live"] is False
             began_s = time.monotonic()
             await wait(2 * len(data), 20)
             assert time.monotonic() - began_s < 0.3
@@ -104,7 +95,7 @@ def test_what_is_not_a_number_is_refused(query: str, tmp_path: Path) -> None:
 
 
 def test_who_asks_for_what_is_live_begins_with_the_newest_segment(tmp_path: Path) -> None:
-    writer = grown(tmp_path / "live", 3)
+    writer = live_stream(tmp_path / "live", 3 * SEGMENT_FRAMES)
 
     async def start(client: aiohttp.ClientSession) -> StartRecord:
         parser = RecordParser()
@@ -120,7 +111,7 @@ def test_who_asks_for_what_is_live_begins_with_the_newest_segment(tmp_path: Path
         assert (await start(client)).from_frame == records[-1].first_frame > 0
         stream = server.state.library.streams["live"]
         before = stream.view.num_segments
-        grow(writer, 3 * SEGMENT_FRAMES)
+        append_frames(writer)
         await eventually(lambda: stream.view.num_segments > before)
         records = StreamReader(tmp_path / "live").records
         assert (await start(client)).from_frame == records[-1].first_frame

@@ -40,7 +40,7 @@ LIKELY: dict[str, list[object]] = {
     "segment": [0, 2, 3],
     "layer": ["0", "2", "9", "masks"],
     "asset": ["watch.html", "nothing.js"],
-    "poster": ["poster.png", "other.jpg"],
+    "picture": ["poster.png", "other.jpg"],
 }
 """What is often asked for, as it is there, or could be."""
 

@@ -6,7 +6,7 @@ import contextlib
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from tests.support.forked.commands import command_server
@@ -60,12 +60,26 @@ def run_ok(
     return done.stdout
 
 
-@contextlib.contextmanager
-def serving(root: Path | str, *arguments: object) -> Iterator[str]:
-    """A server process of `root`, a folder or a URL; gives its URL and ends it by its pid."""
-    process = subprocess.Popen(
-        command("swings-serve", root, "--port", 0, *arguments),
+def started(name: str, *arguments: object) -> subprocess.Popen[str]:
+    """The command as a process that runs on; its standard error is kept."""
+    return subprocess.Popen(
+        command(name, *arguments),
         env=environment(),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+@contextlib.contextmanager
+def serving(
+    root: Path | str, *arguments: object, program: Sequence[str] | None = None
+) -> Iterator[str]:
+    """A server process of `root`, a folder or a URL; gives its URL and ends it by its pid. program:
+    what runs in place of swings-serve."""
+    process = subprocess.Popen(
+        [*(program or command("swings-serve")), str(root), "--port", "0", *map(str, arguments)],
+        env=environment() if program is None else None,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,

@@ -40,7 +40,7 @@ def drawn_splats(
     )
 
 
-def same(a: Splats, b: Splats) -> bool:
+def same_splats(a: Splats, b: Splats) -> bool:
     """Whether `a` and `b` have the same bits."""
     pairs = zip(a.arrays, b.arrays, strict=True)
     return all(x.shape == y.shape and x.tobytes() == y.tobytes() for x, y in pairs)

@@ -17,11 +17,12 @@ from urllib.request import urlopen
 import numpy as np
 
 from codec.camera import Camera
+from codec.lattice.lattice import Lattice
 from codec.pose import look_at
-from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.splats import Splats, sh_count
 from codec.stream import StreamWriter
+from codec.stream.layers import split_counts
 from codec.stream.manifest import Manifest
 from tests.support.commands import ROOT
 
@@ -29,6 +30,7 @@ SWIN_SIZE = 4
 SEGMENT_FRAMES = 5
 SLICE_SIZE = 40
 WIDTH_PX, HEIGHT_PX = 64, 48
+LATTICE = Lattice(1 / 512, 1 / 16, 1 / 100, 1 / 40, 64)
 
 
 def ring_of_cameras(count: int = 4) -> tuple[Camera, ...]:
@@ -46,14 +48,16 @@ def ring_of_cameras(count: int = 4) -> tuple[Camera, ...]:
 def small_manifest(
     slice_size: int = SLICE_SIZE, sh_degree: int = 1, fps: float = 30.0, **changes: object
 ) -> Manifest:
+    """changes: of the manifest's fields; layers: the share of the slots in each layer."""
+    shares = changes.pop("layers", (0.25, 0.25, 0.5))
+    slots = split_counts(slice_size, shares)  # type: ignore[arg-type]
     values: dict[str, object] = {
         "fps": fps,
         "swin_size": SWIN_SIZE,
-        "num_gs": SWIN_SIZE * slice_size,
-        "layers": (0.25, 0.25, 0.5),
+        "slots": slots,
+        "lattice": (LATTICE,) * len(slots),
         "segment_frames": SEGMENT_FRAMES,
         "sh_degree": sh_degree,
-        "profile": Profile.RAW,
         "antialias": False,
         "near_m": 0.5,
         "bounds": ((-2.0, -2.0, 2.0), (2.0, 2.0, 6.0)),
@@ -77,9 +81,12 @@ def random_splats(count: int, sh_degree: int, seed: int) -> Splats:
     return Splats(*(array.astype(np.float32) for array in arrays))
 
 
-def random_slice(birth: int, count: int = SLICE_SIZE, sh_degree: int = 1) -> Slice:
+def random_slice(
+    birth: int, count: int = SLICE_SIZE, sh_degree: int = 1, swin_size: int = SWIN_SIZE
+) -> Slice:
     """The same slice for the same arguments; some of its Gaussians start late."""
-    offsets = np.random.default_rng(birth + 500).integers(0, 3, count).astype(np.uint8)
+    latest = min(2, swin_size - 1)
+    offsets = np.random.default_rng(birth + 500).integers(0, latest + 1, count).astype(np.uint8)
     return Slice(birth, random_splats(count, sh_degree, birth + 1000), offsets)
 
 
@@ -91,11 +98,11 @@ def write_stream(
     fps: float = 30.0,
     **changes: object,
 ) -> Path:
-    """A finished stream at `path`."""
+    """A finished stream at `path`, whose slices are whole and hold `random_slice` exactly."""
     manifest = small_manifest(slice_size, sh_degree, fps, **changes)
-    with StreamWriter.create(path, manifest) as writer:
+    with StreamWriter.create(path, manifest, exact=True) as writer:
         for birth in range(1 - manifest.swin_size, num_frames):
-            writer.append(random_slice(birth, slice_size, sh_degree))
+            writer.append(random_slice(birth, slice_size, sh_degree, manifest.swin_size))
     return path
 
 
@@ -163,3 +170,9 @@ def wait_for_stream(server: ServerProcess, name: str, timeout_s: float = 5.0) ->
         except HTTPError:
             assert time.monotonic() < until_s, f"{url} is not there"
             time.sleep(0.05)
+
+
+def folder_files(stream: Path) -> dict[str, str]:
+    """The files of a folder, by name, in hexadecimal."""
+    paths = sorted(path for path in stream.rglob("*") if path.is_file())
+    return {path.relative_to(stream).as_posix(): path.read_bytes().hex() for path in paths}

@@ -11,8 +11,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from codec.errors import CodecError
-from codec.stream.index import CHECKSUM, HEAD, LAYER, SegmentRecord, pack_record
+from codec.stream.index import CHECKSUM, HEAD, LAYER, SIDE, SegmentRecord, pack_record
+from codec.stream.manifest import Part, object_file
+from codec.stream.object import join_packets
 from codec.stream.reader import StreamReader
+from tests.support.objects import object_packets
 
 
 def survives(decode: Callable[[bytes], object], data: bytes) -> bool:
@@ -37,32 +40,58 @@ def flips(data: bytes, every: int = 1) -> Iterable[bytes]:
 
 def forged_record(record: SegmentRecord) -> bytes:
     """A record of the index with a right checksum, whatever rule it breaks."""
-    body = HEAD.pack(record.segment, record.first_frame, record.num_frames, 0) + b"".join(
-        LAYER.pack(*layer)
-        for layer in zip(record.object_bytes, record.object_sha256, record.psnr_db, strict=True)
-    )
+    layers = zip(record.object_bytes, record.object_sha256, record.psnr_db, strict=True)
+    sides = zip(record.side_bytes, record.side_sha256, strict=True)
+    body = HEAD.pack(record.segment, record.first_frame, record.num_frames, 0)
+    body += b"".join(LAYER.pack(*layer) for layer in layers)
+    body += b"".join(SIDE.pack(*side) for side in sides)
     return body + CHECKSUM.pack(zlib.crc32(body))
 
 
 def record_of(segment: int, num_frames: int, objects: Sequence[bytes]) -> SegmentRecord:
-    """The record of a segment, of segments of 4 frames, with `objects` as its layers."""
+    """The record of a segment, of segments of 4 frames, with `objects` in the order of
+    `Manifest.parts`."""
+    num_layers = (len(objects) - 1) // 2
+    sizes = tuple(map(len, objects))
+    hashes = tuple(hashlib.sha256(data).digest() for data in objects)
     return SegmentRecord(
         segment,
         4 * segment,
         num_frames,
-        tuple(map(len, objects)),
-        tuple(hashlib.sha256(data).digest() for data in objects),
-        (math.nan,) * len(objects),
+        sizes[:num_layers],
+        hashes[:num_layers],
+        (math.nan,) * num_layers,
+        sizes[num_layers:],
+        hashes[num_layers:],
     )
 
 
-def put_object(stream: Path, segment: int, layer: int, data: bytes) -> None:
+def put_object(stream: Path, segment: int, part: Part, data: bytes) -> None:
     """Replaces an object and says so in the index, as a faulty writer would."""
-    (stream / "segments" / str(segment) / str(layer)).write_bytes(data)
-    records = list(StreamReader(stream).records)
-    sizes, hashes = list(records[segment].object_bytes), list(records[segment].object_sha256)
-    sizes[layer], hashes[layer] = len(data), hashlib.sha256(data).digest()
+    reader = StreamReader(stream)
+    number, num_layers = reader.manifest.part_number(part), reader.manifest.num_layers
+    object_file(stream, segment, part).write_bytes(data)
+    records = reader.records
+    sizes = list(records[segment].part_bytes)
+    hashes = list(records[segment].part_sha256)
+    sizes[number], hashes[number] = len(data), hashlib.sha256(data).digest()
     records[segment] = replace(
-        records[segment], object_bytes=tuple(sizes), object_sha256=tuple(hashes)
+        records[segment],
+        object_bytes=tuple(sizes[:num_layers]),
+        object_sha256=tuple(hashes[:num_layers]),
+        side_bytes=tuple(sizes[num_layers:]),
+        side_sha256=tuple(hashes[num_layers:]),
     )
     (stream / "index.bin").write_bytes(b"".join(map(pack_record, records)))
+
+
+def put_packets(
+    stream: Path, segment: int, part: Part, packets: Sequence[tuple[int, bytes]]
+) -> None:
+    """Replaces the (birth, packet) pairs of an object, see `put_object`."""
+    put_object(stream, segment, part, join_packets(packets))
+
+
+def packets_of(stream: Path, segment: int, part: Part) -> list[tuple[int, bytes]]:
+    """(birth, packet) of each chunk of an object."""
+    return object_packets(object_file(stream, segment, part).read_bytes())

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 import tyro
 
-from codec.storage.openfiles import Files
 from tests.support.tiny_capture import write_dynamic3dgs
 from trainer.parts.joiner import Joiner
 from trainer.parts.raydriver import plan
 from trainer.parts.task import Kind, Run, Task
-from trainer.parts.taskprocess import run_task
 from trainer.parts.taskqueue import TaskQueue
 from trainer.parts.worker import opened_worker
 from trainer.run.config import TrainConfig
@@ -20,6 +20,7 @@ from trainer.run.outputs import SNAPSHOT_FOLDER
 from trainer.run.prepare import prepare
 from trainer.run.preset import PRESETS
 from trainer.run.runlog import LOG_NAME
+from trainer.run.warm import compile_kernels
 
 FRAMES, PART_FRAMES = 22, 7
 SETTINGS = (
@@ -51,9 +52,9 @@ def tasks_of(run: Run) -> list[Task]:
     return list(TaskQueue(run, lambda task: False).waiting)
 
 
-def train(run: Run, files: Files, do: Callable[[Task], None]) -> None:
+def train(run: Run, do: Callable[[Task], None]) -> None:
     """All tasks; pieces are joined as they come."""
-    joiner = Joiner(run, files)
+    joiner = Joiner(run)
     for task in tasks_of(run):
         do(task)
         if task.kind is Kind.GENESIS:
@@ -63,21 +64,24 @@ def train(run: Run, files: Files, do: Callable[[Task], None]) -> None:
     assert joiner.finish().num_gs == run.config.fit.num_gs
 
 
-def do_here(task: Task, tell: Callable[[int], None] = lambda iterations: None) -> None:
+def do_here(
+    task: Task, report: Callable[[int], None] = lambda iterations: None, keep_s: float = 60.0
+) -> None:
     """A task, in this process; again and again until it is done."""
     while True:
         try:
-            with opened_worker(Task.from_json(task.to_json()), tell) as worker:
+            with opened_worker(task, report, keep_s) as worker:
                 worker.work()
             return
         except DiedError:
             pass
 
 
-def do_in_process(task: Task) -> None:
-    """A task, in a process of its own."""
-    status, words = run_task(task, lambda iterations: None)
-    assert status == 0, words
+def train_in_process(run: Run) -> None:
+    """All tasks, in one process that loads all kernels."""
+    with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as pool:
+        pool.submit(compile_kernels, run.config.fit.sh_degree).result()
+        pool.submit(train, run, do_here).result()
 
 
 def contents(stream: Path) -> dict[str, bytes]:

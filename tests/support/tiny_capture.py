@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -10,10 +11,14 @@ from typing import Any
 import av
 import numpy as np
 import numpy.typing as npt
+import pytest
 from PIL import Image
 
 from codec.camera import Camera
+from codec.stream.manifest import Manifest
 from trainer.capture.dynerf import encode_pose
+from trainer.capture.layout import open_capture
+from trainer.errors import CaptureError
 from trainer.synth.scene import camera_rig
 
 WIDTH_PX, HEIGHT_PX = 64, 36
@@ -47,6 +52,21 @@ def write_video(
             picture = picture_of(camera_index, frame)
             output.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
         output.mux(stream.encode())
+
+
+def seen_by(manifest: Manifest, capture: Path) -> Manifest:
+    """`manifest` with the cameras of the capture at `capture`."""
+    cameras = tuple(c.camera for c in open_capture(capture).cameras)
+    return replace(manifest, cameras=cameras, default_camera=cameras[0].name)
+
+
+def refusal(path: Path) -> str:
+    """The one line that refuses the capture at `path`."""
+    with pytest.raises(CaptureError) as caught:
+        open_capture(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
 
 
 def write_dynerf(root: Path, num_cameras: int = 3, num_frames: int = 5) -> list[Camera]:

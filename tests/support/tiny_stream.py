@@ -8,51 +8,56 @@ stream has FRAMES frames.
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from codec.camera import Camera
-from codec.profiles.profile import Profile
+from codec.lattice.lattice import Lattice
 from codec.slice import Slice
+from codec.slots.slotlayout import SlotLayout
 from codec.stream import StreamWriter
 from codec.stream.manifest import Manifest
+from tests.support.slots.folder import slots_manifest
 from tests.support.trained_like import trained_like_slice
 
 SLICE_SIZE = 40
+SWIN_SIZE = 3
 
 
-def tiny_manifest(
-    profile: Profile = Profile.COMPACT, swin_size: int = 3, segment_frames: int = 4
-) -> Manifest:
-    return Manifest(
-        fps=25.0,
-        swin_size=swin_size,
-        num_gs=swin_size * SLICE_SIZE,
-        layers=(0.5, 0.5),
-        segment_frames=segment_frames,
-        sh_degree=0,
-        profile=profile,
-        antialias=False,
-        near_m=0.1,
-        bounds=((-3.0, -3.0, -3.0), (3.0, 3.0, 3.0)),
-        cameras=(Camera("front", 64, 48, 50.0, 50.0, 32.0, 24.0, np.eye(4)),),
-        default_camera="front",
-        live=True,
-        title="tiny",
-    )
+def tiny_manifest(swin_size: int = SWIN_SIZE, segment_frames: int = 4) -> Manifest:
+    counts = (SLICE_SIZE // 2, SLICE_SIZE - SLICE_SIZE // 2)
+    lattice = Lattice.suiting(tiny_slice(0).splats)
+    layout = SlotLayout(swin_size, counts, 0, (lattice,) * 2, segment_frames)
+    return replace(slots_manifest(layout), title="tiny")
 
 
-def tiny_slice(birth: int) -> Slice:
-    return trained_like_slice(birth, SLICE_SIZE)
+def tiny_slice(birth: int, swin_size: int = SWIN_SIZE) -> Slice:
+    """A whole slice; all its Gaussians start within `swin_size` frames."""
+    slice = trained_like_slice(birth, SLICE_SIZE)
+    return replace(slice, start_offsets=np.minimum(slice.start_offsets, swin_size - 1))
 
 
-def write_tiny(path: Path, num_frames: int, manifest: Manifest | None = None) -> None:
+def write_tiny(
+    path: Path, num_frames: int, manifest: Manifest | None = None, exact: bool = False
+) -> None:
     """A finished stream of `num_frames` frames at `path`."""
     manifest = tiny_manifest() if manifest is None else manifest
-    with StreamWriter.create(path, manifest) as writer:
+    with StreamWriter.create(path, manifest, exact=exact) as writer:
         for birth in range(manifest.first_birth, num_frames):
-            writer.append(tiny_slice(birth))
+            writer.append(tiny_slice(birth, manifest.swin_size))
+
+
+def append_tiny(writer: StreamWriter, num_frames: int) -> None:
+    """Appends what the stream of `write_tiny` has beyond that of `writer`."""
+    for birth in range(writer.next_birth, num_frames):
+        writer.append(tiny_slice(birth))
+
+
+def files_of(stream: Path) -> dict[str, bytes]:
+    """All that is there but leftovers, which a reader ignores."""
+    found = (p for p in stream.rglob("*") if p.is_file() and not p.name.startswith("."))
+    return {str(p.relative_to(stream)): p.read_bytes() for p in found}
 
 
 def main() -> None:

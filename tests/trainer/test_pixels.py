@@ -6,8 +6,10 @@ import os
 import struct
 import zlib
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 
+import av
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -51,10 +53,27 @@ def test_16_bit_grey_is_rounded_to_8(tmp_path: Path) -> None:
         assert (read_grey(path, any_size) == found[..., 0]).all()
 
 
+def tiff_16(path: Path, pixels: npt.NDArray[np.uint16]) -> None:
+    """By FFmpeg's encoder: Pillow writes grey ones only."""
+    context = av.CodecContext.create("tiff", "w")
+    assert isinstance(context, av.VideoCodecContext)
+    context.height, context.width = pixels.shape[:2]
+    context.pix_fmt, context.time_base = "rgb48le", Fraction(1)
+    frame = av.VideoFrame.from_ndarray(pixels, format="rgb48le")
+    frame.pts = 0
+    packets = [*context.encode(frame), *context.encode(None)]
+    path.write_bytes(b"".join(bytes(packet) for packet in packets))
+
+
 def test_16_bit_colour_is_that_of_8(tmp_path: Path) -> None:
-    path = tmp_path / "colour.png"
-    png_16(path, RGB.astype(np.uint16) * 257, 2)
-    assert (read_rgb(path, any_size) == RGB).all()
+    wide = RGB.astype(np.uint16) * 257
+    png_16(tmp_path / "colour.png", wide, 2)
+    tiff_16(tmp_path / "colour.tif", wide)
+    for path in tmp_path.iterdir():
+        found = read_rgb(path, any_size)
+        assert (found == RGB).all()
+        assert found.dtype == np.uint8
+        assert found.flags.c_contiguous
 
 
 @pytest.mark.parametrize("suffix", ["png", "tif", "bmp"])

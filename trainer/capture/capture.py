@@ -107,14 +107,14 @@ class Capture:
     num_frames: int
     """Frames of every camera."""
     fps: float | None
-    """Frames per second; None if no file tells."""
+    """Frames per second; None if no file names it."""
     points: InitialPoints | None
     """Those in the capture's folder; None when it has none."""
     near_m: float | None
-    """Depth in front of which nothing of the scene stands, metres; None if the rig does not
-    tell."""
+    """Depth in front of which nothing of the scene stands, metres; None if the rig gives
+    none."""
     far_m: float | None
-    """Depth behind which nothing of the scene stands, metres; None if the rig does not tell."""
+    """Depth behind which nothing of the scene stands, metres; None if the rig gives none."""
     opener: Callable[[int], PictureSource]
     """Makes the source of the camera of this index; `open_images` checks the index first."""
     doubts: tuple[str, ...] = ()
@@ -160,7 +160,7 @@ def check_trainable(capture: Capture) -> None:
 
 
 def check_fps(fps: float, path: Path) -> None:
-    """Raises CaptureError, naming the file that tells it, for an impossible frame rate."""
+    """Raises CaptureError, naming the file that declares it, for an impossible frame rate."""
     if not MIN_FPS <= fps <= MAX_FPS:
         raise CaptureError(f"{path}: fps is {fps:g}; must be {MIN_FPS:g} to {MAX_FPS:g}")
 

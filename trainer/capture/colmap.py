@@ -27,6 +27,7 @@ import numpy as np
 
 from codec.camera import Camera
 from codec.errors import InvalidError
+from codec.rig import rig_depths
 from trainer.errors import CaptureError
 
 from .capture import Capture, CaptureCamera, PictureSource
@@ -39,7 +40,6 @@ from .colmap_model import (
     read_posed,
     rotation_of_posed,
 )
-from .depths import rig_depths
 from .held_out import read_held_out
 from .lens import Lens, check_optics
 from .masks import MASKS_NAME, mask_source, mirrored_masks

@@ -4,7 +4,7 @@
                                       w2c[t][c] 4x4 OpenCV, fn[t][c] path below ims/, cam_id[t][c]
     ims/<camera>/<frame>.jpg
     init_pt_cld.npz                   optional initial points, see points.py
-    fps.txt                           optional, see picturefiles.py; the layout itself does not tell
+    fps.txt                           optional, see picturefiles.py; the layout itself has no rate
 
     held_out.txt                      optional, see held_out.py; where it is missing, the cameras of
                                       test_meta.json are held out
@@ -27,10 +27,10 @@ import numpy as np
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.pose import Doubles
+from codec.rig import rig_depths
 from trainer.errors import CaptureError
 
 from .capture import STILL_TOLERANCE, Capture, CaptureCamera, PictureSource
-from .depths import rig_depths
 from .held_out import HELD_OUT_NAME, read_held_out
 from .lens import Lens, check_optics
 from .picturefiles import FileSource, read_fps
@@ -199,7 +199,7 @@ def _still_camera(
 def _sources(
     root: Path, cameras: Sequence[tuple[Camera, Sequence[str], Path]]
 ) -> tuple[FileSource, ...]:
-    """A source for each camera with its paths below ims/ and the file that tells them. Each folder
+    """A source for each camera with its paths below ims/ and the file that names them. Each folder
     is listed once to see that every file is there."""
     folder = root / "ims"
     if not folder.is_dir():

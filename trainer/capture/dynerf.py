@@ -20,10 +20,10 @@ import numpy as np
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.pose import Doubles, world_to_camera
+from codec.rig import rig_depths
 from trainer.errors import CaptureError
 
 from .capture import Capture, CaptureCamera, PictureSource
-from .depths import rig_depths
 from .held_out import read_held_out
 from .lens import Lens, check_optics
 from .points import read_points

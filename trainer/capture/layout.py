@@ -12,7 +12,8 @@ from .capture import Capture
 from .colmap import MODEL_NAME, open_colmap
 from .dynamic3dgs import META_NAMES, open_dynamic3dgs
 from .dynerf import POSES_NAME, VIDEO_PATTERN, open_dynerf
-from .nerfstudio import TRANSFORMS_NAME, open_nerfstudio
+from .nerfstudio import open_nerfstudio
+from .transforms import TRANSFORMS_NAME
 
 
 def open_capture(target: Target) -> Capture:

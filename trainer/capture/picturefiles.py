@@ -4,8 +4,8 @@
     images/<camera>/<frame>.jpg     a folder per camera; also .jpeg, .png, .tif and .tiff
 
 <frame> ends in a number ("000012", "frame_12"). The numbers may start anywhere but must not have a
-gap, and every camera has the same ones; the first is frame 0 of the capture. Pictures do not tell
-their rate; fps.txt beside them may, in frames per second.
+gap, and every camera has the same ones; the first is frame 0 of the capture. Pictures have no
+frame rate; fps.txt beside them may, in frames per second.
 
 A picture has 8 or 16 bits a channel; of 16 the upper 8 are taken. One that is transparent in places
 is laid on black, which is what a stream shows where it has no Gaussian.
@@ -125,7 +125,7 @@ class FileSource:
     camera: Camera
     files: tuple[Path, ...]
     declared_in: Path
-    """The file that tells the pictures' size."""
+    """The file that declares the pictures' size."""
 
     def read(self, frame: int) -> Picture:
         check_frame(frame, len(self.files), self.camera.name)

@@ -36,7 +36,7 @@ FPS_TOLERANCE = 1e-3
 
 
 VARIABLE_SHARE = 0.1
-"""Of the usual time between two frames: containers round times by less."""
+"""Deviation from the usual time between two frames, as a share: containers round by less."""
 
 HDR_CURVES = {16: "PQ", 18: "HLG"}
 """Transfer curves of HDR, by their numbers in ITU-T H.273."""
@@ -72,9 +72,9 @@ class _TimeTable:
     """The presentation times of a video, in units of its time base."""
 
     frames: tuple[int, ...]
-    """Of each frame, ascending."""
+    """The time of each frame, ascending."""
     keys: tuple[int, ...]
-    """Of each key frame, ascending."""
+    """The time of each key frame, ascending."""
 
 
 def probe_video(path: Path) -> VideoFacts:
@@ -119,7 +119,7 @@ def _check_transfer(path: Path, transfer: int) -> None:
 
 
 def _turned(container: av.container.InputContainer, stream: av.video.stream.VideoStream) -> int:
-    """`VideoFacts.turned_deg`, which the first picture tells; 0 if that cannot be decoded."""
+    """`VideoFacts.turned_deg`, which the first picture holds; 0 if that cannot be decoded."""
     stream.codec_context.thread_count = 1
     with suppress(av.error.FFmpegError):
         for picture in container.decode(stream):
@@ -183,7 +183,8 @@ def _has_variable_rate(path: Path) -> bool:
 
 
 def check_video_size(path: Path, facts: VideoFacts, camera: Camera, declared_in: Path) -> None:
-    """Raises CaptureError unless the video has the size of its camera, told by `declared_in`."""
+    """Raises CaptureError unless the video has the size of its camera, which `declared_in`
+    declares."""
     size_px, declared_px = (facts.width_px, facts.height_px), (camera.width_px, camera.height_px)
     if size_px == declared_px[::-1] != declared_px and facts.turned_deg in (90, 270):
         raise CaptureError(

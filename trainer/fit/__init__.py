@@ -1,1 +1,1 @@
-"""Sliding-window training: who lives when, and what moves where."""
+"""Sliding-window training: which Gaussians live when, and how they move."""

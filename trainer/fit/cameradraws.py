@@ -31,7 +31,7 @@ class CameraDraws:
         seen = self._losses > 0
         if not seen.any():
             return even
-        # Who has not been seen yet is taken to be as wrong as the others are.
+        # A camera that was not drawn yet counts with the mean error of the others.
         losses = np.where(seen, self._losses, self._losses[seen].mean())
         shares: npt.NDArray[np.float64] = losses / losses.sum()
         return (1 - error_share) * even + error_share * shares

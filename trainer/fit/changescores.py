@@ -16,7 +16,7 @@ LEAST_CHANGE = 3e-4
 """Squared colour difference that may come from noise."""
 
 ERROR_WEIGHT = 0.03
-"""Of what is wrong without having changed, beside what changed."""
+"""Weight of the error of pixels that did not change, beside those that did."""
 
 
 def _smoothed(differences: Floats) -> Floats:

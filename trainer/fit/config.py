@@ -45,8 +45,8 @@ class FitConfig:
     frame."""
     error_share: float = 0.5
     """Share of a later window's iterations that is distributed over the cameras by their error
-    where they see trained Gaussians; the rest is distributed evenly. Applies only to leased slots
-    (profile lattice)."""
+    where they see trained Gaussians; the rest is distributed evenly. Applies only to leased
+    slots."""
     dssim_weight: float = 0.2
     """Weight of 1 - SSIM beside L1 in the loss. From 3DGS."""
     colour_lr: float = 1e-3
@@ -58,10 +58,10 @@ class FitConfig:
     """Factor that those learning rates have reached at the end of a window."""
     together_share: float = 0.1
     """Share of a window's iterations in which all Gaussians of a large cell move together, followed
-    by the same share for smaller cells. Applies only to leased slots (profile lattice)."""
+    by the same share for smaller cells. Applies only to leased slots."""
     settle_prefix_share: float = 0.25
     """Share of the iterations of the settling rounds that render only the first layers, so that
-    these look right without the others. Applies only to leased slots (profile lattice)."""
+    these look right without the others. Applies only to leased slots."""
     prefix_share: float = 0.1
     """Share of a later window's iterations that render only the first layers, for the same
     purpose."""
@@ -105,7 +105,7 @@ class FitConfig:
                 raise InvalidError(f"{name} {getattr(self, name):g}: choose 0 to 1")
 
     def iterations(self, first_frame: int) -> int:
-        """Of the window that begins with `first_frame`."""
+        """Number of iterations of the window that starts at `first_frame`."""
         if first_frame:
             return self.window_iterations
         return self.genesis_iterations + self.settle_rounds * self.window_iterations

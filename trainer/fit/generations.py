@@ -181,8 +181,8 @@ class Generations:
                 self.adam.reset(np.unique(targets))
 
     def least(self, rows: Ints, contributions: Floats, each: int) -> Ints:
-        """Of `rows`, all being optimised, the `each` of every slice that contribute least, slice by
-        slice in turn."""
+        """The `each` of every slice that contribute least among `rows`, which are being optimised,
+        slice by slice in turn."""
         least_first = rows[np.argsort(contributions, kind="stable")]
         births = self.lifespans.births[least_first]
         slices = [least_first[births == birth][:each] for birth in np.unique(births)]

@@ -1,4 +1,4 @@
-"""Who lives when: the sliding window over slots, slices and generations (paper, Algorithm 1).
+"""Lifespans: the sliding window over slots, slices and generations (paper, Algorithm 1).
 
 Pure bookkeeping in frames; no parameter of a Gaussian is seen here. Rows 0..num_gs-1 are the
 generation being optimised, rows num_gs..2 num_gs-1 the matured generation before it in the same

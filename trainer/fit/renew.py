@@ -253,7 +253,7 @@ def missing_splats(
         pixel_m[own] = depths[own] / np.float32(camera.fx_px)
     colours = np.clip(compared.pictures[which, ys, xs] * 255, 0, 255).astype(np.uint8)
     splats = initial_splats(positions, colours, sh_degree)
-    # Neighbours tell the size, within reason: cameras may find the same place twice.
+    # The size follows from the neighbours, within bounds: cameras may find a place twice.
     smallest, largest = (np.log(px * pixel_m)[:, None] for px in (SMALLEST_PX, LARGEST_PX))
     np.clip(splats.log_scales, smallest, largest, out=splats.log_scales)
     return splats

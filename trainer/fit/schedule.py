@@ -34,7 +34,7 @@ class Schedule:
     half_until: float
     """The iteration from which on shots are whole."""
     means_lr: float
-    """Of positions at the beginning, over the scene's extent."""
+    """Learning rate of positions at the beginning, over the scene's extent."""
     means_lr_end: float
     """The same at the end."""
     noise_lr: float
@@ -91,7 +91,7 @@ class WindowPlan:
     is_ranked: bool
     """Whether its Gaussians are put into layers at `layered_from`."""
     layered_from: int
-    """The iteration from which on layers are told apart."""
+    """The iteration from which on layers are trained as such."""
     prefix_share: float
     """Share of the iterations from there on that render only the first layers."""
     newest_share: float

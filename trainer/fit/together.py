@@ -1,7 +1,7 @@
 """Coherent motion: for a while, Gaussians that lie close together move as one.
 
-What moves in a scene moves in pieces much larger than a Gaussian. The gradient of one tells only
-how its own pixels would look better; that of a whole cell tells where the piece went.
+What moves in a scene moves in pieces much larger than a Gaussian. The gradient of one shows only
+how its own pixels would look better; that of a whole cell shows where the piece went.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Sliding-window training (paper, Algorithm 1): pictures in, one matured slice per frame out.
 
 Nothing here opens a file or prints: the pictures come from a `Pictures`, slices leave through an
-iterator, and observers are told how it goes.
+iterator, and observers are called on the way.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from codec.splats import Splats
 from trainer.lease.leases import Leases
 from trainer.lease.takeover import Held, Takeover
 from trainer.pictures.feed import Pictures
-from trainer.step.backend import Backend
+from trainer.step.backend import Backend, StepInput
 from trainer.step.contribution import summed_contribution
 from trainer.step.raster import Parameters, View
 
@@ -42,15 +42,15 @@ Doubles = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 
 FALLBACK_FAR_M = 100.0
-"""Depth up to which something new is looked for where the rig does not tell."""
+"""Depth up to which new things are sought where the rig gives none."""
 
 SMALLEST_HALVED_PX = 64
 """Genesis halves no pictures whose shorter side is below: the windows of SSIM would see little but
 the border."""
 
 LAYERED_FROM = 0.6
-"""Share of genesis after which layers are told apart, and trained to do without those above, if it
-does not settle: otherwise they are as the first round begins."""
+"""Share of genesis after which Gaussians have layers, each trained to look right without those
+above, if it does not settle: otherwise this begins with the first settling round."""
 
 TOGETHER_SIZES = (0.05, 0.02)
 """Sides of the cells in which Gaussians move together, one after the other, over the scene's
@@ -91,10 +91,11 @@ class Window:
 
 
 class Observer:
-    """Is told how training goes. Subclasses override what they want to know."""
+    """Callbacks of a training. Subclasses override those that they need."""
 
-    def window_begun(self, first_frame: int) -> None:
-        """The window that begins with `first_frame` is about to be trained."""
+    def window_begun(self, first_frame: int, done: int) -> None:
+        """The window that begins with `first_frame` is about to be trained. done: its iterations
+        that a restored state has behind it."""
 
     def progressed(self, progress: Progress) -> None:
         """Some more iterations of the window are done."""
@@ -166,17 +167,11 @@ class Trainer:
         while self._next_window < self._pictures.num_frames:
             first_frame = self._next_window
             for observer in self._observers:
-                observer.window_begun(first_frame)
+                observer.window_begun(first_frame, 0 if first_frame else self._steps)
             end = min(first_frame + self._config.swin_size, self._pictures.num_frames)
             frames = range(first_frame, end)
             if first_frame == 0:
-                schedule = Schedule.genesis(self._config, self._coarse_share)
-                self._train(self._plan(frames, schedule))
-                for done in range(self._config.settle_rounds):
-                    self._renew(0)
-                    rate = self._config.optimiser.settle_means_lr
-                    self._train(self._plan(frames, Schedule.window(self._config, rate), done))
-                self._generations.stagger(self._rng)
+                self._train_genesis(frames)
             else:
                 rate = self._config.optimiser.window_means_lr
                 self._train(self._plan(frames, Schedule.window(self._config, rate)))
@@ -188,6 +183,18 @@ class Trainer:
                 yield Window(frames, updates=tuple(updates))
             for observer in self._observers:
                 observer.window_ended(first_frame)
+
+    def _train_genesis(self, frames: range) -> None:
+        """Trains the first window, from the iteration on that a restored state has reached."""
+        schedule = Schedule.genesis(self._config, self._coarse_share)
+        self._train(self._plan(frames, schedule), self._steps)
+        schedule = Schedule.window(self._config, self._config.optimiser.settle_means_lr)
+        for settled in range(self._config.settle_rounds):
+            plan = self._plan(frames, schedule, settled)
+            if self._steps <= plan.before:
+                self._renew(0)
+            self._train(plan, self._steps - plan.before)
+        self._generations.stagger(self._rng)
 
     def spent(self, window: Window, num_bytes: int) -> None:
         """Says what the update of `window`, which `windows` has just given, takes in the stream."""
@@ -222,7 +229,11 @@ class Trainer:
         return len(self._generations.lifespans.active_rows(frame))
 
     def state(self) -> dict[str, npt.NDArray[Any]]:
-        """Everything that changes while training; `restore` takes it back. Views, not copies."""
+        """Everything that changes while training; `restore` takes it back. Views, not copies.
+
+        Between two windows; and in the first window, because it takes long, when an observer is
+        called with its progress.
+        """
         random = json.dumps(self._rng.bit_generator.state)
         return {
             **self._generations.state(),
@@ -316,13 +327,14 @@ class Trainer:
             together_share=config.together_share,
         )
 
-    def _train(self, plan: WindowPlan) -> None:
-        """Optimises the current generation on the frames of a window."""
+    def _train(self, plan: WindowPlan, begin: int = 0) -> None:
+        """Optimises the current generation on the frames of a window. begin: iterations of the plan
+        that were done before."""
         config, generations, frames = self._config, self._generations, plan.frames
         if frames.start and not config.optimiser.carry_adam:
             generations.adam.reset(np.arange(config.num_gs))
         active = {f: generations.lifespans.active_rows(f) for f in frames}
-        for iteration in range(plan.schedule.iterations):
+        for iteration in range(begin, plan.schedule.iterations):
             frame = int(self._rng.integers(frames.start, frames.stop))
             if plan.newest_share and self._rng.random() < plan.newest_share:
                 frame = frames[-1]
@@ -355,10 +367,11 @@ class Trainer:
         view, shot = self._views[camera], self._pictures.shot(camera, frame)
         if iteration < plan.schedule.half_until:
             view, shot = self._half_views[camera], shot.half()
-        loss = self._backend.step(
+        given = StepInput(
             values, rows, view, shot, self._colour.gain(camera), self._colour.bias(camera),
-            config.num_gs, self._gradients, plan.whole,
+            config.num_gs, plan.whole,
         )  # fmt: skip
+        loss = self._backend.step(given, self._gradients)
         trainable = rows[rows < config.num_gs]
         takeover = self._generations.takeover
         if takeover is not None:

@@ -1,8 +1,8 @@
 """Leases: which slots go on with the same decoded parameters, and what leaves the trainer.
 
 Most of a scene stands still, so most slots of a slice are kept: they are not trained, not sent, and
-shown with exactly the values that a player has. Who is active is chosen anew at the beginning of
-every window by what changed in its newest frame.
+shown with exactly the values that a player has. The active slots are chosen anew at the
+beginning of every window by what changed in its newest frame.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.errors import InvalidError
-from codec.profiles.morton import interleave
-from codec.slots.lattice import States, dequantise, quantise
+from codec.lattice.lattice import States, dequantise, quantise
+from codec.lattice.morton import interleave
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
@@ -148,7 +148,7 @@ class Leases:
         return rows[chosen]
 
     def least(self, rows: Ints, contributions: npt.NDArray[np.float32], share: float) -> Ints:
-        """Of `rows`, the slots of one slice, the `share` of each layer that contributes least."""
+        """The `share` of each layer that contributes least among `rows`, slots of one slice."""
         least_first = rows[np.argsort(contributions, kind="stable")]
         layers = self.layers[least_first]
         parts = [

@@ -3,8 +3,8 @@
 Two trainings that began alike, but learned from different frames, hold different Gaussians for the
 same scene. To change from one to the other at once would be seen. So the first goes on for some
 frames; with each of them more of its slots follow the second, those that do not learn to live with
-those that do, and with the last all follow. What the second says from then on holds for whoever
-heard the first.
+those that do, and with the last all follow. From then on the updates of the second hold for a
+player that received those of the first.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.errors import InvalidError
-from codec.profiles.morton import interleave
-from codec.slots.lattice import States
+from codec.lattice.lattice import States
+from codec.lattice.morton import interleave
 from codec.slots.update import KEPT, NEW, Update
 from codec.splats import ARRAY_NAMES, Splats
 
@@ -47,7 +47,7 @@ class Held:
     splats: Splats  # (S,) the Gaussians as they are drawn
 
     def as_opening(self) -> Update:
-        """What tells all of it to one who knows nothing."""
+        """The update that says all of it to a player that knows nothing."""
         shown = np.flatnonzero(self.shows)
         escaped = self.escaped[shown]
         return Update(
@@ -86,7 +86,7 @@ class Held:
 
 
 class Takeover:
-    """Who follows another training by now. The same seed makes the same choices.
+    """Which slots follow the other training by now. The same seed makes the same choices.
 
     Slots follow cell by cell of the scene: what one training splits between neighbours the other
     splits in another way, so a few of them alone show what neither has learned.

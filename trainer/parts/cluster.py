@@ -1,4 +1,4 @@
-"""A Ray cluster, from the side of one who comes with work."""
+"""A Ray cluster, as a client of it sees it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import io
 import logging
 import math
 import os
+import re
+import secrets
 import signal
 import socket
 import threading
@@ -21,13 +23,17 @@ from trainer.run.config import LOCAL, TrainConfig
 log = logging.getLogger(__name__)
 
 CONNECT_S = 10.0
-"""How long the head of a cluster may take to answer, seconds."""
+"""Timeout for the head of a cluster to answer, in seconds."""
 
 
 @contextmanager
 def open_cluster(address: str, least_cpus: float, console: Console) -> Iterator[Any]:
     """The cluster at `address`; one of this machine alone has `least_cpus` in any case. console:
     gets a line where a worker dies."""
+    if address == LOCAL:
+        # Ray listens on all interfaces, and runs what anyone sends. Versions before 2.52 ignore it.
+        os.environ.setdefault("RAY_AUTH_MODE", "token")
+        os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
     try:
         import ray
     except ImportError as error:
@@ -41,8 +47,8 @@ def open_cluster(address: str, least_cpus: float, console: Console) -> Iterator[
     try:
         with _keeping_signals():
             ray.init(log_to_driver=False, logging_level=logging.ERROR, **options)
-    except (ConnectionError, ValueError, RuntimeError) as error:
-        raise InvalidError(f"--ray {address}: {error}") from error
+    except Exception as error:  # where a node does not start in time, Ray raises no narrower one
+        raise InvalidError(f"--ray {address}: {' '.join(str(error).split())}") from error
     with redirect_stdout(RayOutput(console)):
         try:
             yield ray
@@ -52,15 +58,19 @@ def open_cluster(address: str, least_cpus: float, console: Console) -> Iterator[
 
 LOSSES = {
     "memory pressure": "a node ran out of memory and ended a worker",
-    "A worker died": "a worker died",
+    "A worker died": "{worker} was killed or crashed (out of memory, a signal, or native code)",
+    "User exception": "a task failed{error}",
     "marked dead": "a node of the cluster is gone",
 }
 """What Ray prints, and what it means to a user."""
 
+_DEAD_WORKER = re.compile(r"Worker IP address: (\S+) .*Worker PID: (\d+)")
+_ERROR = re.compile(r"^(\w+: .+)$", re.MULTILINE)
+
 
 class RayOutput(io.TextIOBase):
-    """Stands in for standard output, where Ray prints paragraphs about each worker that dies: one
-    line for each, and the rest to the debug log."""
+    """Stands in for standard output, where Ray prints paragraphs about each worker that dies and
+    each task that fails: prints one line for each, and logs the rest at level debug."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -70,7 +80,13 @@ class RayOutput(io.TextIOBase):
             log.debug("ray: %s", text.strip())
         for words, meaning in LOSSES.items():
             if words in text:
-                line = f"{meaning}; its task is run again (--verbose shows Ray's message)"
+                worker, error = "a worker", ""
+                if found := _DEAD_WORKER.search(text):
+                    worker = f"worker process {found[2]} on node {found[1]}"
+                if found := _ERROR.search(text.partition("System error:")[0]):
+                    error = f" ({found[1]})"
+                line = meaning.format(worker=worker, error=error)
+                line += "; its task is run again (--verbose shows Ray's message)"
                 self._console.print(line, highlight=False, markup=False, soft_wrap=True)
                 break
         return len(text)

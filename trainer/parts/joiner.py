@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from codec.storage.openfiles import Files
-from codec.storage.opengrowing import open_growing
+from codec.storage.openstorage import open_growing
 from codec.stream import StreamReader
 from codec.stream.index import SegmentRecord, parse_index, record_bytes
 from codec.stream.manifest import Manifest
 from codec.stream.poster import write_poster
+from codec.stream.storyboard import write_storyboard
 from codec.stream.writer import SHAPE
 from player.render.cpu import render_splats
 
@@ -20,9 +20,9 @@ from .task import STATE_FOLDER, Kind, Run, Task
 class Joiner:
     """The one writer of the stream's index, which names a segment when all before it are there."""
 
-    def __init__(self, run: Run, files: Files) -> None:
-        self._run, self._files = run, files
-        self._place = open_growing(run.config.target, SHAPE)
+    def __init__(self, run: Run) -> None:
+        self._run = run
+        self._files = open_growing(run.config.target, SHAPE)
         self._manifest: Manifest | None = None
         self._num_segments = 0
         self._waiting = [
@@ -38,14 +38,14 @@ class Joiner:
         data = self._files.read(MANIFEST_PATH, MAX_STATE_BYTES)
         self._manifest = manifest = Manifest.from_json(data)
         if not resumed or not self._files.holds(SHAPE.head):
-            self._place.begin(data, others_began=True)
+            self._files.begin(data, others_began=True)
             return []
         reader = StreamReader(self._run.config.target, max_gaussians=None)
         self._num_segments = len(reader.records)
-        size = record_bytes(manifest.num_layers, manifest.has_slots)
+        size = record_bytes(manifest.num_layers)
         beyond = -(-self._run.parts[-1].end_frame // manifest.segment_frames)
         # Segments after the last in the index are there already, and stay.
-        self._place.take_over(reader.index_bytes, size, beyond)
+        self._files.take_over(reader.index_bytes, size, beyond)
         shown = self._num_segments * manifest.segment_frames
         self._waiting = [task for task in self._waiting if task.frames.stop > shown]
         return list(reader.records)
@@ -60,11 +60,11 @@ class Joiner:
             first = self._num_segments
             # A driver that died may have named some.
             new = rows[first - task.frames.start // manifest.segment_frames :]
-            self._place.append(first * rows.shape[1], new.tobytes())
+            self._files.append(first * rows.shape[1], new.tobytes())
             self._num_segments += len(new)
             yield (
                 task,
-                parse_index(new.tobytes(), manifest.num_layers, first, manifest.has_slots),
+                parse_index(new.tobytes(), manifest.num_layers, first),
             )
 
     def finish(self) -> Manifest:
@@ -73,6 +73,7 @@ class Joiner:
         assert not self._waiting
         finished = self._manifest.with_live(False)
         write_poster(self._run.config.target, render_splats)
-        self._place.finish(finished.to_json())
+        write_storyboard(self._run.config.target, render_splats)
+        self._files.finish(finished.to_json())
         self._files.delete(STATE_FOLDER)
         return finished

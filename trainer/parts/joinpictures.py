@@ -12,25 +12,17 @@ from trainer.run.outputs import write_snapshot
 from trainer.run.prepare import Prepared
 
 
-class JoinPictures:
-    """Draws every so many frames of what has joined the stream, beside the capture's."""
-
-    def __init__(self, config: TrainConfig, prepared: Prepared) -> None:
-        self._config, self._prepared = config, prepared
-
-    def joined(self, records: Sequence[SegmentRecord]) -> None:
-        """These have joined the stream now."""
-        config, prepared = self._config, self._prepared
-        every = config.snapshot_every
-        frames = [n for r in records for n in range(r.first_frame, r.first_frame + r.num_frames)]
-        due = [frame for frame in frames if every and frame % every == 0]
-        if not due:
-            return
-        reader = StreamReader(config.target, max_gaussians=None)
-        # Pictures of other frames need not be held for these.
-        with FrameCache(
-            prepared.capture, prepared.frames, config.scale, config.cache_bytes
-        ) as cache:
-            for frame in due:
-                splats = reader.active_splats(frame, reader.manifest.num_layers)
-                write_snapshot(splats, frame, cache, prepared.near_m, config.work_folder)
+def draw_joined(config: TrainConfig, prepared: Prepared, records: Sequence[SegmentRecord]) -> None:
+    """Draws every so many frames of the segments that have joined the stream now, beside the
+    capture's."""
+    every = config.snapshot_every
+    frames = [n for r in records for n in range(r.first_frame, r.first_frame + r.num_frames)]
+    due = [frame for frame in frames if every and frame % every == 0]
+    if not due:
+        return
+    reader = StreamReader(config.target, max_gaussians=None)
+    # Pictures of other frames need not be held for these.
+    with FrameCache(prepared.capture, prepared.frames, config.scale, config.cache_bytes) as cache:
+        for frame in due:
+            splats = reader.active_splats(frame, reader.manifest.num_layers)
+            write_snapshot(splats, frame, cache, prepared.near_m, config.work_folder)

@@ -5,31 +5,37 @@ Ray decides where each task is done, and has it done again where its worker died
 
 from __future__ import annotations
 
+import json
 import logging
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from rich.console import Console
 
 from codec.errors import InvalidError
-from codec.profiles.profile import Profile
-from codec.storage.openfiles import Files, open_files
+from codec.progressline import ProgressLine
+from codec.storage.growingplace import GrowingStorage
+from codec.storage.openstorage import open_growing
+from codec.stream.index import SegmentRecord
 from codec.stream.manifest import Manifest
+from codec.stream.writer import SHAPE
 from trainer.run.config import TrainConfig
 from trainer.run.finished import finish_outputs, show_finished
 from trainer.run.outputs import check_targets
 from trainer.run.prepare import Prepared, prepare
-from trainer.run.progressline import ProgressLine
 from trainer.run.runlog import LOG_NAME, RunLog
+from trainer.run.storedconfig import config_to_json
 
 from .cluster import look_for_room, num_workers, open_cluster
 from .cut import cut
 from .joiner import Joiner
 from .joinmonitor import JoinMonitor
-from .joinpictures import JoinPictures
+from .joinpictures import draw_joined
+from .raytask import Tally, remote_task, task_result
 from .task import STATE_FOLDER, Kind, Run, Task, whole_segments
-from .taskprocess import Tally, do
 from .taskqueue import TaskQueue
 
 log = logging.getLogger(__name__)
@@ -46,12 +52,10 @@ that no worker does, and so that a cluster that can grow sees why."""
 
 def plan(config: TrainConfig, prepared: Prepared) -> Run:
     """The parts of a run. Raises InvalidError for settings that no parts can be made of."""
-    if config.profile is not Profile.LATTICE or config.fit.swin_size != 1:
+    if config.whole_slices or config.fit.swin_size != 1:
         raise InvalidError(
-            "--ray joins parts slot by slot: choose profile lattice and swin_size 1, the defaults"
+            "--ray joins parts slot by slot; choose --no-whole-slices and --swin-size 1"
         )
-    if config.raw_stream is not None:
-        raise InvalidError("--ray makes one stream; leave --raw-stream out")
     segment_frames = config.segment_frames
     seam_frames = whole_segments(config.seam_frames, segment_frames)
     parts = cut(len(prepared.frames), config.part_frames, segment_frames, seam_frames)
@@ -64,8 +68,8 @@ def train_in_parts(config: TrainConfig, address: str, console: Console) -> Manif
     A resumed run that is finished already is left as it is. Raises SwingsError; then what is there
     by then stays, and --resume goes on from it.
     """
-    config.check_profile()
-    files = open_files(config.target)
+    config.check_slices()
+    files = open_growing(config.target, SHAPE)
     if config.resume:
         finished = finish_outputs(config)
         if finished is not None:
@@ -86,22 +90,23 @@ def train_in_parts(config: TrainConfig, address: str, console: Console) -> Manif
             log_path = config.log or config.work_folder / LOG_NAME
             with ProgressLine(console) as line, RunLog(log_path, config.tensorboard) as runlog:
                 monitor = JoinMonitor(line, runlog, len(prepared.frames))
-                pictures = JoinPictures(config, prepared)
-                return _train(run, files, resumed, ray, monitor, pictures)
+                draw = partial(draw_joined, config, prepared)
+                return _train(run, files, resumed, ray, monitor, draw)
     except KeyboardInterrupt:
         with suppress(OSError):  # the terminal may be gone
             console.print("stopped; --resume continues from there", highlight=False)
         raise
 
 
-def _begin(run: Run, files: Files, resume: bool) -> bool:
+def _begin(run: Run, files: GrowingStorage, resume: bool) -> bool:
     """Notes what is trained; whether something of it is there."""
     # Without what changes no byte.
     config = replace(
         run.config, worker_cpus=1, worker_gpus=0, cache_bytes=0, log=None, tensorboard=None,
         snapshot_every=0,
     )  # fmt: skip
-    told = Task(replace(run, config=config), Kind.GENESIS).to_json().encode()
+    parts = [[part.first_frame, part.end_frame] for part in run.parts]
+    told = json.dumps({"config": config_to_json(config), "parts": parts}).encode()
     if not resume:
         files.put(RUN_PATH, told)
         return False
@@ -113,55 +118,59 @@ def _begin(run: Run, files: Files, resume: bool) -> bool:
 
 
 def _train(
-    run: Run, files: Files, resumed: bool, ray: Any, monitor: JoinMonitor, pictures: JoinPictures
+    run: Run,
+    files: GrowingStorage,
+    resumed: bool,
+    ray: Any,
+    monitor: JoinMonitor,
+    draw: Callable[[Sequence[SegmentRecord]], None],
 ) -> Manifest:
     config = run.config
-    claims = {"num_cpus": config.worker_cpus, "num_gpus": config.worker_gpus}
-    # Ray does again what a worker did that died; what else goes wrong would go wrong again.
-    remote = ray.remote(max_retries=-1, **claims)(do)
+    remote = remote_task(ray, config)
     tally = ray.remote(num_cpus=0, max_restarts=-1)(Tally).remote()
-    joiner = Joiner(run, files)
+    joiner = Joiner(run)
     queue = TaskQueue(run, lambda task: files.holds(task.last_path))
     monitor.begin(sum(task.iterations for task in queue.waiting))
     begun = False
     given: dict[Any, Task] = {}
+    warm_nodes: set[str] = set()
+
+    def give(task: Task) -> None:
+        given[remote.remote(task, tally, frozenset(warm_nodes))] = task
+
     while True:
         if not begun and queue.is_done(Task(run, Kind.GENESIS)):
             monitor.found(joiner.begin(resumed))
+            _tidy(files, Task(run, Kind.GENESIS))
             begun = True
         if begun:
             for joined, records in joiner.go_on():
                 monitor.joined(records)
-                pictures.joined(records)
+                draw(records)
                 _tidy(files, joined)
         most = AHEAD * max(1, num_workers(ray, config))
         while len(given) < most and (task := queue.take()) is not None:
-            given[remote.remote(task, tally)] = task
+            give(task)
         if not given:
             return joiner.finish()
         done, _ = ray.wait(list(given), timeout=LOOK_S)
         for ref in done:
-            _check(ray, ref, given[ref])
-            queue.done(given.pop(ref))
+            task = given.pop(ref)
+            node = task_result(ray, ref, task)
+            if node is None:
+                queue.done(task)
+            else:
+                warm_nodes.add(node)
+                give(task)
         with suppress(ray.exceptions.RayActorError):  # it is being started anew
-            monitor.progressed(ray.get(tally.total.remote()))
+            monitor.progressed(*ray.get(tally.totals.remote()))
 
 
-def _check(ray: Any, ref: Any, task: Task) -> None:
-    """Raises what a task has raised."""
-    try:
-        ray.get(ref)
-    except ray.exceptions.RayTaskError as error:
-        cause = error.cause
-        if isinstance(cause, InvalidError):
-            raise InvalidError(f"{task.name}: {cause}") from error
-        raise
-
-
-def _tidy(files: Files, task: Task) -> None:
-    """Deletes what nobody needs any more once the segments of `task` are in the index."""
-    if task.kind is Kind.PART:
-        files.delete(task.state_path("checkpoint"))
+def _tidy(files: GrowingStorage, task: Task) -> None:
+    """Deletes what no task needs any more once `task` is done and its segments are in the index."""
+    files.delete(task.state_path("checkpoint"))
+    if task.kind is not Kind.SEAM:
         return
     files.delete(task.other(Kind.PART, task.number - 1).state_path("end"))
-    files.delete(task.other(Kind.PART, task.number).state_path("approach"))
+    for birth in task.frames:
+        files.delete(task.other(Kind.PART, task.number).state_path(f"approach-{birth}"))

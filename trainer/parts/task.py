@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from enum import Enum
 
 from trainer.fit.config import FitConfig
 from trainer.run.config import TrainConfig
-from trainer.run.storedconfig import config_from_json, config_to_json
 
 from .cut import Part
 
@@ -133,22 +131,3 @@ class Task:
     def other(self, kind: Kind, number: int = 0) -> Task:
         """Another task of the same run."""
         return Task(self.run, kind, number)
-
-    def to_json(self) -> str:
-        parts = [[part.first_frame, part.end_frame] for part in self.run.parts]
-        return json.dumps(
-            {
-                "config": config_to_json(self.run.config),
-                "parts": parts,
-                "kind": self.kind.value,
-                "number": self.number,
-            }
-        )
-
-    @staticmethod
-    def from_json(text: str) -> Task:
-        """The opposite of `to_json`. Raises ValueError, TypeError or KeyError for another text."""
-        given = json.loads(text)
-        parts = tuple(Part(n, *map(int, frames)) for n, frames in enumerate(given["parts"]))
-        run = Run(config_from_json(TrainConfig, given["config"]), parts)
-        return Task(run, Kind(given["kind"]), int(given["number"]))

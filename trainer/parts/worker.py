@@ -1,4 +1,5 @@
-"""What a worker does: trains a piece of a stream from what others left, and leaves what they need.
+"""What a worker does: trains a piece of a stream from what other tasks left, and leaves what they
+need.
 
 Rule: everything that is left is put whole, and a task that is done again, from its last checkpoint
 or from its beginning, leaves the same bytes. So a worker may die at any moment.
@@ -8,15 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
 from codec.slots.update import Update
 from codec.splats import Splats
-from codec.storage.growingpiece import GrowingPiece
-from codec.storage.openfiles import Files, open_files
+from codec.storage.growingplace import GrowingPiece, GrowingStorage
+from codec.storage.openstorage import open_growing
 from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest
 from codec.stream.writer import SHAPE, StreamWriter
 from trainer.fit.config import FitConfig
@@ -24,6 +26,7 @@ from trainer.fit.trainer import Observer, Progress, Trainer, Window
 from trainer.lease.takeover import Held, Takeover
 from trainer.pictures.feed import CapturePictures
 from trainer.pictures.framecache import FrameCache
+from trainer.run.checkpoint import KEEP_S, GenesisKeeper, KeepTimer, arrays_of, update_of
 from trainer.run.prepare import Prepared, first_gaussians, make_manifest, prepare
 from trainer.score.meter import QualityMeter
 
@@ -40,31 +43,42 @@ from .leftovers import (
 )
 from .task import Kind, Task
 
-Tell = Callable[[int], None]
-"""Is told how many iterations have been done."""
+Report = Callable[[int], None]
+"""Gets the number of iterations of the task that are done, by this process or one before it."""
 
 
-class _Teller(Observer):
-    """Passes on how many iterations have been done since the last word."""
+class _Reporter(Observer):
+    """Counts the iterations of a task."""
 
-    def __init__(self, tell: Tell) -> None:
-        self._tell = tell
-        self._done = 0
+    def __init__(self, report: Report) -> None:
+        self._report = report
+        self._of_window = 0
+        self.done = 0
 
-    def window_begun(self, first_frame: int) -> None:
-        self._done = 0
+    def begin(self, done: int) -> None:
+        """So many iterations of the task were done before."""
+        self.done = done
+        self._report(done)
+
+    def window_begun(self, first_frame: int, done: int) -> None:
+        self._of_window = done
 
     def progressed(self, progress: Progress) -> None:
-        self._tell(progress.iteration - self._done)
-        self._done = progress.iteration
+        self.done += progress.iteration - self._of_window
+        self._of_window = progress.iteration
+        self._report(self.done)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _Piece:
     """Segments in the making."""
 
     place: GrowingPiece
     writer: StreamWriter
+    opening: Held | None
+    """What a player holds before the newest segment; None before the stream."""
+    updates: list[Update] = field(default_factory=list)
+    """Those of the newest segment, as long as it is not whole."""
 
     @property
     def record_rows(self) -> npt.NDArray[np.uint8]:
@@ -75,6 +89,23 @@ class _Piece:
     def append(self, updates: Sequence[Update]) -> None:
         for update in updates:
             self.writer.append(update)
+            self.updates.append(update)
+
+    def close_segment(self, held: Held) -> None:
+        """The newest segment is whole; a player holds `held` after it."""
+        self.opening = held
+        self.updates.clear()
+
+    def to_arrays(self) -> Arrays:
+        """All that a new piece needs to go on."""
+        arrays: Arrays = {"births": np.array([update.birth for update in self.updates], np.int64)}
+        if self.place.records:
+            arrays["records"] = self.record_rows
+        if self.opening is not None:
+            arrays |= under("opening", self.opening.to_arrays())
+        for update in self.updates:
+            arrays |= under(update.birth, arrays_of(update))
+        return arrays
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,8 +116,9 @@ class Worker:
     prepared: Prepared
     cache: FrameCache
     pictures: CapturePictures
-    files: Files
-    tell: Tell
+    files: GrowingStorage
+    reporter: _Reporter
+    timer: KeepTimer
 
     def work(self) -> None:
         """Does the task."""
@@ -99,7 +131,8 @@ class Worker:
                 self._train_seam()
 
     def _resumed(self, manifest: Manifest, arrays: Arrays, fit: FitConfig | None = None) -> Trainer:
-        """One who goes on from what `standing` gave, with the run's settings or `fit`."""
+        """A trainer that goes on from what `standing` or `_keep` gave, with the run's settings or
+        `fit`."""
         trainer = self._trainer(manifest, None, fit)
         trainer.restore(below("state", arrays))
         return trainer
@@ -108,85 +141,111 @@ class Worker:
         self, manifest: Manifest, initial: Splats | None, fit: FitConfig | None = None
     ) -> Trainer:
         prepared = self.prepared
-        return Trainer(
+        keeper = GenesisKeeper(lambda: self._keep(trainer), self.timer)
+        trainer = Trainer(
             fit or self.task.run.config.fit, self.pictures, initial, prepared.near_m,
-            prepared.far_m, prepared.picked.backend, (_Teller(self.tell),), manifest.slot_layout,
+            prepared.far_m, prepared.picked.backend, (self.reporter, keeper), manifest.slot_layout,
             prepared.search_from_m,
         )  # fmt: skip
+        return trainer
+
+    def _keep(self, trainer: Trainer, piece: _Piece | None = None) -> None:
+        """Leaves a checkpoint."""
+        arrays = under("state", trainer.state())
+        arrays["iterations"] = np.array(self.reporter.done)
+        if piece is not None:
+            arrays |= under("piece", piece.to_arrays())
+        self._leave("checkpoint", arrays)
+
+    def _kept(self) -> Arrays | None:
+        """The last checkpoint of this task, None if it has to begin. Call it first."""
+        if not self.files.holds(self.task.state_path("checkpoint")):
+            self.reporter.begin(0)
+            return None
+        arrays = self._left(self.task, "checkpoint")
+        self.reporter.begin(int(arrays["iterations"]))
+        return arrays
 
     def _train_genesis(self) -> None:
-        config = self.task.run.config
-        initial = first_gaussians(config, self.prepared, self.pictures)
-        manifest = make_manifest(config, self.prepared, self.cache, initial)
-        trainer = self._trainer(manifest, initial)
+        config, kept = self.task.run.config, self._kept()
+        if kept is None:
+            initial = first_gaussians(config, self.prepared, self.pictures)
+            manifest = make_manifest(config, self.prepared, self.cache, initial)
+            self.files.put(MANIFEST_PATH, manifest.to_json())
+            trainer = self._trainer(manifest, initial)
+        else:
+            trainer = self._resumed(self._manifest(), kept)
         (held,) = trainer.held(next(trainer.windows()))
-        self.files.put(MANIFEST_PATH, manifest.to_json())
-        self._leave("state", standing(trainer, held))  # last: who finds it finds both
+        self._leave("state", standing(trainer, held))
 
     def _train_part(self) -> None:
         task, part, manifest = self.task, self.task.part, self._manifest()
-        if self.files.holds(task.state_path("checkpoint")):
-            arrays = self._left(task, "checkpoint")
-            trainer = self._resumed(manifest, arrays)
-            piece = self._piece(manifest, trainer.next_window, held_in(arrays))
-            piece.place.records += [record.tobytes() for record in arrays["records"]]
-        elif part.number:
-            trainer, piece = self._approach(manifest)
+        kept, begin = self._kept(), task.frames.start
+        if kept is None:
+            genesis = self._left(task.other(Kind.GENESIS), "state")
+            trainer = self._resumed(manifest, genesis)
+            if part.number:
+                trainer.jump(max(1, part.first_frame - task.run.config.warm_frames))
         else:
-            arrays = self._left(task.other(Kind.GENESIS), "state")
-            trainer, piece = self._resumed(manifest, arrays), self._piece(manifest, 0, None)
-            piece.writer.append(held_in(arrays).as_opening())
-        for window in self._windows(trainer, part.end_frame):
-            frame = window.first_frame
-            piece.append(window.updates)
-            trainer.spent(window, piece.writer.slice_bytes)
-            if (frame + 1) % manifest.segment_frames == 0 and frame + 1 < part.end_frame:
-                (held,) = trainer.held(window)
-                records = {"records": piece.record_rows}
-                self._leave("checkpoint", standing(trainer, held) | records)
-        (held,) = trainer.held(window)
+            trainer = self._resumed(manifest, kept)
+        if trainer.next_window < begin:
+            trainer = self._approach(trainer, manifest)
+        if kept is not None and (of_piece := below("piece", kept)):
+            piece = self._resumed_piece(manifest, trainer.next_window, of_piece)
+        elif part.number:
+            before = self._left(task, f"approach-{begin - 1}")
+            piece = self._piece(manifest, begin, Held.from_arrays(before))
+        else:
+            piece = self._piece(manifest, 0, None)
+            piece.append([held_in(genesis).as_opening()])
+        held = self._train_piece(trainer, piece, part.end_frame)
         piece.writer.close()  # the last segment of a stream may be short
         self._leave("end", standing(trainer, held))
         self._leave("records", {"records": piece.record_rows})
 
-    def _approach(self, manifest: Manifest) -> tuple[Trainer, _Piece]:
+    def _approach(self, trainer: Trainer, manifest: Manifest) -> Trainer:
         """Learns what has changed since genesis, and leaves what the part holds in the frames of
-        the seam at its beginning; gives who goes on behind them, and the piece that begins there.
-        """
+        the seam at its beginning; gives the trainer of the frames after them."""
         task, part, run = self.task, self.task.part, self.task.run
-        trainer = self._resumed(manifest, self._left(task.other(Kind.GENESIS), "state"))
-        trainer.jump(max(1, part.first_frame - run.config.warm_frames))
         for _ in self._windows(trainer, part.first_frame):
-            pass
-        trainer, begin = self._other(trainer, manifest, run.seam_fit), task.frames.start
-        approach: Arrays = {}
-        held = None
-        for window in self._windows(trainer, begin):
+            self.timer.keep_if_due(partial(self._keep, trainer))
+        trainer = self._resumed(manifest, under("state", trainer.state()), run.seam_fit)
+        for window in self._windows(trainer, task.frames.start):
             (held,) = trainer.held(window)
-            approach |= under(held.birth, held.to_arrays())
-        self._leave("approach", approach)
-        piece = self._piece(manifest, begin, held)
-        return self._other(trainer, manifest, run.config.fit), piece
-
-    def _other(self, trainer: Trainer, manifest: Manifest, fit: FitConfig) -> Trainer:
-        """One who goes on from where `trainer` stands, with other settings."""
-        other = self._trainer(manifest, None, fit)
-        other.restore(trainer.state())
-        return other
+            self._leave(f"approach-{held.birth}", held.to_arrays())
+            self.timer.keep_if_due(partial(self._keep, trainer))
+        return self._resumed(manifest, under("state", trainer.state()))
 
     def _train_seam(self) -> None:
         task, part, run = self.task, self.task.part, self.task.run
-        manifest, config = self._manifest(), run.config
-        before = self._left(task.other(Kind.PART, part.number - 1), "end")
-        arrays = self._left(task.other(Kind.PART, part.number), "approach")
-        births = task.frames
-        other = {birth: Held.from_arrays(below(birth, arrays)) for birth in births}
+        manifest, config, kept = self._manifest(), run.config, self._kept()
+        approach = task.other(Kind.PART, part.number)
+        other = {
+            birth: Held.from_arrays(self._left(approach, f"approach-{birth}"))
+            for birth in task.frames
+        }
+        before = kept or self._left(task.other(Kind.PART, part.number - 1), "end")
         trainer = self._resumed(manifest, before, run.seam_fit)
         trainer.take_over(Takeover(other, config.fit.swin_size, config.fit.seed))
-        piece = self._piece(manifest, births.start, held_in(before))
-        for window in self._windows(trainer, births.stop):
-            piece.append(window.updates)
+        if kept is None:
+            piece = self._piece(manifest, task.frames.start, held_in(before))
+        else:
+            piece = self._resumed_piece(manifest, trainer.next_window, below("piece", kept))
+        self._train_piece(trainer, piece, task.frames.stop)
         self._leave("records", {"records": piece.record_rows})
+
+    def _train_piece(self, trainer: Trainer, piece: _Piece, end_frame: int) -> Held:
+        """Trains the windows before `end_frame` into `piece`; gives what a player holds then."""
+        for window in self._windows(trainer, end_frame):
+            piece.append(window.updates)
+            if self.task.kind is Kind.PART:
+                trainer.spent(window, piece.writer.slice_bytes)
+            (held,) = trainer.held(window)
+            if trainer.next_window % piece.writer.manifest.segment_frames == 0:
+                piece.close_segment(held)
+            if trainer.next_window < end_frame:
+                self.timer.keep_if_due(partial(self._keep, trainer, piece))
+        return held
 
     def _windows(self, trainer: Trainer, end_frame: int) -> Iterator[Window]:
         """Those before `end_frame`."""
@@ -204,7 +263,17 @@ class Worker:
         quality = QualityMeter(self.cache, manifest)
         updates = () if opening is None else (opening.as_opening(),)
         segment = frame // manifest.segment_frames
-        return _Piece(place, StreamWriter.piece(place, manifest, segment, updates, quality))
+        writer = StreamWriter.piece(place, manifest, segment, updates, quality)
+        return _Piece(place, writer, opening)
+
+    def _resumed_piece(self, manifest: Manifest, frame: int, arrays: Arrays) -> _Piece:
+        """A piece that goes on with `frame` from what `_Piece.to_arrays` gave."""
+        of_opening, births = below("opening", arrays), arrays["births"]
+        opening = Held.from_arrays(of_opening) if of_opening else None
+        piece = self._piece(manifest, frame - len(births), opening)
+        piece.place.records += [record.tobytes() for record in arrays.get("records", ())]
+        piece.append([update_of(int(birth), below(birth, arrays)) for birth in births])
+        return piece
 
     def _manifest(self) -> Manifest:
         return Manifest.from_json(self.files.read(MANIFEST_PATH, MAX_MANIFEST_BYTES))
@@ -217,10 +286,12 @@ class Worker:
 
 
 @contextmanager
-def opened_worker(task: Task, tell: Tell) -> Iterator[Worker]:
-    """A worker for `task`. Raises SwingsError where capture or settings cannot work."""
+def opened_worker(task: Task, report: Report, keep_s: float = KEEP_S) -> Iterator[Worker]:
+    """A worker for `task`, with a checkpoint about every `keep_s` seconds. Raises SwingsError where
+    capture or settings cannot work."""
     config = task.run.config
     prepared = prepare(config)
     with FrameCache(prepared.capture, prepared.frames, config.scale, config.cache_bytes) as cache:
         pictures = CapturePictures(cache, prepared.capture.training)
-        yield Worker(task, prepared, cache, pictures, open_files(config.target), tell)
+        files, timer = open_growing(config.target, SHAPE), KeepTimer(keep_s)
+        yield Worker(task, prepared, cache, pictures, files, _Reporter(report), timer)

@@ -51,7 +51,7 @@ class CacheStatistics:
     prefetch_skipped: int
     """Pictures and masks not read ahead because one still needed would have had to go."""
     prefetch_failed: int
-    """Pictures and masks that could not be read ahead; whoever asks for one gets the error."""
+    """Pictures and masks that could not be read ahead; a request for one raises the error."""
 
 
 class _Key(NamedTuple):
@@ -236,13 +236,13 @@ class FrameCache:
             with self._lock:
                 if key in self._held:
                     return
-                # Before reading: a video that reads a frame nobody can hold has to go back for it.
+                # Before reading: a video that reads a frame without room for it has to go back.
                 if not self._has_room(num_bytes, needed_from):
                     self._skipped += 1
                     return
             try:
                 read = self._read(key)
-            except Exception:  # whatever it is, it must reach the one who asks for the picture
+            except Exception:  # whatever it is, a request for the picture must raise it
                 with self._lock:
                     self._failed += 1
                 return

@@ -10,12 +10,12 @@ import numpy as np
 
 from codec.camera import Camera
 from codec.pose import Doubles
+from codec.rig import rig_centre
 from trainer.capture.capture import Capture
-from trainer.capture.depths import rig_centre
 from trainer.capture.points import in_view
 
 UNSEEN_SHARE = 0.1
-"""Of a held-out picture, from which on it is warned of."""
+"""Share of a held-out picture that no training camera sees, from which on there is a warning."""
 
 GRID = 24
 """Columns and rows of pixels that are looked at."""
@@ -43,7 +43,7 @@ def unseen_share(capture: Capture, camera: Camera) -> float:
     """Share of the camera's pixels in whose direction no training camera sees anything, from the
     depth of what the cameras look at on, or from the near plane where they look one way.
 
-    An estimate from the cameras alone: what stands in the way is not known. 0 where the rig tells
+    An estimate from the cameras alone: what stands in the way is not known. 0 where the rig gives
     no depths.
     """
     cameras = [capture.cameras[i].camera for i in capture.training]

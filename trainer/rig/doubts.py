@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from codec.rig import rig_centre
 from trainer.capture.capture import Capture, Mask, Picture
-from trainer.capture.depths import rig_centre
 from trainer.capture.held_out import HELD_OUT_NAME
 
 FEW_CAMERAS = 6
@@ -22,14 +22,14 @@ WHITE, BRIGHT = 254, 64
 of it is below BRIGHT."""
 
 CLIPPED_SHARE = 0.3
-"""Of the pixels that count, with every channel clipped."""
+"""Share of the pixels that count whose channels are all clipped."""
 
 MAX_NAMED = 4
 """Cameras named in a line."""
 
 
 def rig_doubts(capture: Capture) -> list[str]:
-    """Of few or distant training cameras, a line each."""
+    """Warnings of few or distant training cameras, a line each."""
     found = []
     cameras = [capture.cameras[i].camera for i in capture.training]
     if len(cameras) < FEW_CAMERAS:

@@ -1,7 +1,7 @@
 """The near plane of a capture, from what its cameras see.
 
 Cameras of a dome sit in its wall. Gaussians of the wall would stand right before a held-out camera
-and hide the scene, so the near plane is far out: `trainer.capture.depths` puts it at a share of the
+and hide the scene, so the near plane is far out: `codec.rig` puts it at a share of the
 cameras' distance. Where the cameras see something that is nearer than that, it is brought in.
 """
 
@@ -13,24 +13,24 @@ import numpy as np
 import numpy.typing as npt
 
 from codec.camera import Camera
+from codec.rig import rig_centre
 from trainer.capture.capture import Capture
-from trainer.capture.depths import rig_centre
 from trainer.pictures.scale import scaled_mask, scaled_picture
 from trainer.seed.nearest import STRAY_SHARE, nearest_seen, share_nearer, stereo_places
 from trainer.seed.stereo import small_camera
 
 FALLBACK_NEAR_M = 0.2
-"""Near plane where a rig does not tell. 3DGS."""
+"""Near plane where a rig gives none. From 3DGS."""
 
 MARGIN = 0.9
 """Near plane over the depth of the nearest thing that is seen: a Gaussian goes by its middle."""
 
 LEAST_SHARE = 0.6
-"""Of the near plane that the rig suggests: nearer it does not come by itself, because then more can
+"""Smallest near plane, as a share of the one that the rig suggests: with a nearer one, more can
 stand right before a camera that was not trained on."""
 
 SEARCH_SHARE = 0.2
-"""Of the near plane that the rig suggests: where stereo begins to look."""
+"""Depth at which stereo begins, as a share of the near plane that the rig suggests."""
 
 MAX_PLACES = 1 << 20
 """Places of either kind that are looked at; of more, every second, third and so on."""
@@ -49,7 +49,7 @@ class Seen:
 def look(capture: Capture, frames: range) -> Seen | None:
     """What the training cameras see in the first, the middle and the last of `frames`.
 
-    None for a rig without a centre: it declares its depths itself, or nobody knows them. Raises
+    None for a rig without a centre: it declares its depths itself, or has none. Raises
     CaptureError when a picture cannot be read.
     """
     cameras = [capture.cameras[i].camera for i in capture.training]
@@ -84,7 +84,7 @@ def _thinned(places: Floats) -> Floats:
 
 def near_plane(capture: Capture, seen: Seen | None) -> float | None:
     """Depth in front of which nothing is drawn, metres: what the rig suggests, or less where a
-    training camera sees something nearer. None where the rig does not tell."""
+    training camera sees something nearer. None where the rig gives none."""
     if capture.near_m is None or seen is None:
         return capture.near_m
     cameras: list[Camera] = [capture.cameras[i].camera for i in capture.training]

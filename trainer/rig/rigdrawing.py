@@ -19,9 +19,8 @@ from matplotlib.ticker import FuncFormatter
 from codec.camera import Camera
 from codec.files import replacing
 from codec.pose import Doubles
-from codec.rig import mean_up
+from codec.rig import mean_up, rig_centre
 from trainer.capture.capture import Capture
-from trainer.capture.depths import rig_centre
 
 from .labelfont import OWN_FAMILY, families_for
 

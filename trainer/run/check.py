@@ -9,8 +9,9 @@ import numpy as np
 from rich.console import Console
 
 from codec.framerange import FrameRange
+from codec.progressline import waiting
+from codec.rig import rig_centre
 from trainer.capture.capture import Capture, check_trainable
-from trainer.capture.depths import rig_centre
 from trainer.capture.layout import open_capture
 from trainer.capture.picturefiles import FPS_NAME
 from trainer.capture.points import read_points_file
@@ -21,7 +22,6 @@ from trainer.rig.rigdrawing import draw_capture
 from trainer.seed.nearest import STRAY_SHARE
 
 from .config import TrainConfig
-from .progressline import waiting
 
 LAYOUT_NAMES = {
     "dynamic3dgs": "Dynamic 3D Gaussians",
@@ -93,7 +93,7 @@ def _read_ends(capture: Capture) -> dict[str, str]:
 def describe_capture(capture: Capture) -> list[str]:
     """Lines for people: layout, cameras, held-out cameras, sizes, masks, frames, depths, points.
 
-    Lengths are in the capture's unit; no layout tells which one that is.
+    Lengths are in the capture's unit, which no layout names.
     """
     cameras = [c.camera for c in capture.cameras]
     sizes = Counter(f"{c.width_px}x{c.height_px}" for c in cameras)

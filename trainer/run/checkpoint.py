@@ -1,7 +1,8 @@
 """Everything that a training run needs to go on where it was killed.
 
-Rule: a checkpoint is replaced as a whole after each window, so the newest one is always usable; a
-run that resumes from it makes the same bytes as one that was never stopped.
+Rule: a checkpoint is replaced as a whole after each window, and about once a minute in the first,
+so the newest one is always usable; a run that resumes from it makes the same bytes as one that was
+never stopped.
 """
 
 from __future__ import annotations
@@ -9,8 +10,9 @@ from __future__ import annotations
 import json
 import os
 import stat
+import time
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,11 +23,12 @@ import numpy.typing as npt
 
 from codec.errors import InvalidError
 from codec.files import open_without_waiting, replacing
+from codec.lattice.lattice import States
 from codec.slice import Slice
-from codec.slots.lattice import States
 from codec.slots.update import Update
 from codec.splats import ARRAY_NAMES, Splats
 from trainer.errors import CheckpointError
+from trainer.fit.trainer import Observer, Progress
 
 CHECKPOINT_NAME = ".checkpoint.npz"
 """In the stream's folder; readers of a stream ignore names that begin with a dot."""
@@ -35,9 +38,38 @@ VERSION = 3
 Arrays = dict[str, npt.NDArray[Any]]
 
 
+KEEP_S = 60.0
+"""Seconds of training that a killed run loses at most, about: those from the end of one checkpoint
+to the next."""
+
+
+class KeepTimer:
+    """Writes a checkpoint when one is due."""
+
+    def __init__(self, every_s: float, now_s: Callable[[], float] = time.monotonic) -> None:
+        self._every_s, self._now_s, self._last_s = every_s, now_s, now_s()
+
+    def keep_if_due(self, keep: Callable[[], None]) -> None:
+        """Calls `keep` if none was kept for `every_s` seconds."""
+        if self._now_s() - self._last_s >= self._every_s:
+            keep()
+            self._last_s = self._now_s()
+
+
+class GenesisKeeper(Observer):
+    """Has checkpoints kept while the first window is trained, which takes long."""
+
+    def __init__(self, keep: Callable[[], None], timer: KeepTimer) -> None:
+        self._keep, self._timer = keep, timer
+
+    def progressed(self, progress: Progress) -> None:
+        if not progress.first_frame:
+            self._timer.keep_if_due(self._keep)
+
+
 @dataclass(frozen=True, slots=True)
 class Checkpoint:
-    """A run between two windows."""
+    """A run between two windows, or in its first."""
 
     state: Arrays
     """What `Trainer.state` gave."""
@@ -45,8 +77,8 @@ class Checkpoint:
     """What has matured and may not be in a finished segment yet, in the order of birth."""
 
 
-def _arrays_of(part: Slice | Update) -> Arrays:
-    """All that `part` holds but its birth."""
+def arrays_of(part: Slice | Update) -> Arrays:
+    """All that `part` holds but its birth, for `_part_of`."""
     if isinstance(part, Slice):
         return {**_splat_arrays("splats", part.splats), "start_offsets": part.start_offsets}
     return {
@@ -64,10 +96,15 @@ def _splat_arrays(name: str, splats: Splats) -> Arrays:
 
 
 def _part_of(birth: int, arrays: Arrays) -> Slice | Update:
-    """The opposite of `_arrays_of`."""
+    """The opposite of `arrays_of`."""
     if "statuses" not in arrays:
         splats = Splats(*(arrays[f"splats.{name}"] for name in ARRAY_NAMES))
         return Slice(birth, splats, arrays["start_offsets"])
+    return update_of(birth, arrays)
+
+
+def update_of(birth: int, arrays: Arrays) -> Update:
+    """The update that `arrays_of` was given."""
     return Update(
         birth,
         arrays["statuses"],
@@ -86,7 +123,7 @@ def save_checkpoint(
     options: Mapping[str, Any] | None = None,
 ) -> None:
     """Writes a checkpoint to `path`. settings: JSON that a resuming run must agree with. options:
-    JSON of all that the run was told, for `read_options`."""
+    the run's whole configuration as JSON, for `read_options`."""
     arrays: Arrays = {f"state.{name}": array for name, array in state.items()}
     head = {
         "version": VERSION,
@@ -96,7 +133,7 @@ def save_checkpoint(
     }
     arrays["head"] = np.frombuffer(json.dumps(head, sort_keys=True).encode(), np.uint8)
     for i, part in enumerate(pending):
-        arrays |= {f"pending.{i}.{name}": array for name, array in _arrays_of(part).items()}
+        arrays |= {f"pending.{i}.{name}": array for name, array in arrays_of(part).items()}
     # Opened here, because numpy would add .npz to the temporary name.
     with replacing(path) as temporary, open(temporary, "wb") as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]  # its stub takes the names for options
@@ -126,14 +163,14 @@ def _opened(path: Path) -> Iterator[tuple[Any, dict[str, Any]]]:
         raise CheckpointError(
             f"{path} is missing: nothing to resume; train without --resume"
         ) from error
-    except InvalidError:  # a ValueError, too, but of who asks
+    except InvalidError:  # a ValueError, too, but the caller's
         raise
     except (ValueError, KeyError, TypeError, IndexError, EOFError, zipfile.BadZipFile) as error:
         raise CheckpointError(f"{path} is damaged ({error}); train anew") from error
 
 
 def read_options(path: Path) -> dict[str, Any]:
-    """What the run of the checkpoint at `path` was told. Raises CheckpointError."""
+    """The configuration of the run whose checkpoint is at `path`. Raises CheckpointError."""
     with _opened(path) as (_, head):
         options: dict[str, Any] = head["options"]
         return options

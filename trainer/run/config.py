@@ -9,7 +9,6 @@ from typing import Annotated, Literal
 import tyro
 
 from codec.errors import InvalidError
-from codec.profiles.profile import Profile
 from codec.storage.openstorage import Target, is_url
 from codec.storage.targetargument import target_named
 from codec.stream.manifest import MAX_FPS, MIN_FPS
@@ -19,7 +18,7 @@ from trainer.step.backend import BackendName
 
 
 def default_work(target: Target) -> Path:
-    """The work folder of a run that is not told one."""
+    """The work folder of a run without --work."""
     if not is_url(target):
         return Path(target)
     return Path(str(target).rstrip("/").rpartition("/")[2] + ".work")
@@ -78,12 +77,12 @@ class TrainConfig:
     """Importance that orders Gaussians into layers: contribution (blending weight summed over the
     training cameras; leaves no holes in the first layer), opacity (paper, section 5.5), or coverage
     (opacity times size)."""
-    profile: Profile = Profile.LATTICE
-    """How the stream codes its Gaussians: lattice sends still Gaussians once and moving Gaussians
-    as differences; compact, paper and raw send whole slices at three precisions."""
+    whole_slices: bool = False
+    """Send all Gaussians of a slice in every slice, as the paper does. Otherwise
+    still Gaussians are sent once, and moving ones as differences."""
     raw_stream: Annotated[Target | None, target_named("STREAM")] = None
-    """Folder or URL of a second stream with the same Gaussians and profile raw, to measure the loss
-    that `profile` causes."""
+    """Folder or URL of a second stream, with every float of the same Gaussians, to measure the loss
+    that quantising them causes. Needs --whole-slices."""
     segment_frames: int = 15
     """Number of frames in a segment. A segment is the most that a stopped writer can lose, and the
     unit of caching."""
@@ -145,20 +144,20 @@ class TrainConfig:
         if not self.worker_gpus >= 0:
             raise InvalidError(f"worker_gpus {self.worker_gpus:g}: choose 0 or more")
 
-    def check_profile(self) -> None:
-        """Raises InvalidError for an option that the profile leaves without a meaning. Not part of
+    def check_slices(self) -> None:
+        """Raises InvalidError for an option that only whole slices give a meaning. Not part of
         making a config, where the parser of the command line would put a box around the line."""
-        if self.profile is not Profile.LATTICE:
+        if self.whole_slices:
             return
         if self.raw_stream is not None:
             raise InvalidError(
-                "--raw-stream shows what a profile costs, but with lattice the trainer sees only "
-                "the coded Gaussians; train with --profile compact"
+                "--raw-stream shows what quantising costs, but slots that last are trained as they "
+                "are coded; add --whole-slices"
             )
         if self.rank != "contribution":
             raise InvalidError(
-                f"--rank {self.rank} orders slices that are sent whole, but lattice always "
-                "ranks slots by contribution; leave it out, or train with --profile compact"
+                f"--rank {self.rank} orders slices that are sent whole, but slots that last are "
+                "ranked by contribution; leave it out, or add --whole-slices"
             )
 
     @property

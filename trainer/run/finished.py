@@ -4,27 +4,27 @@ from __future__ import annotations
 
 from rich.console import Console
 
-from codec.storage.opengrowing import open_growing
 from codec.stream import StreamReader
-from codec.stream.manifest import MANIFEST_NAME, Manifest
+from codec.stream.manifest import Manifest
 from codec.stream.poster import write_poster
-from codec.stream.writer import SHAPE
+from codec.stream.storyboard import write_storyboard
 from player.render.cpu import render_splats
 
 from .checkpoint import CHECKPOINT_NAME
 from .config import TrainConfig
-from .outputs import run_targets
+from .outputs import has_manifest, run_targets
 
 
 def finish_outputs(config: TrainConfig) -> Manifest | None:
     """The manifest of a run whose streams are all finished; None for any other run.
 
     A run that was killed after its last frame may have left its checkpoint, and not the last
-    poster: both are put right. Raises CodecError for a manifest that cannot be read.
+    poster and the storyboard: all are put right. Raises CodecError for a manifest that cannot be
+    read.
     """
     readers = []
     for target in run_targets(config):
-        if MANIFEST_NAME not in open_growing(target, SHAPE).names():
+        if not has_manifest(target):
             return None
         reader = StreamReader(target)
         if reader.manifest.live:
@@ -34,6 +34,7 @@ def finish_outputs(config: TrainConfig) -> Manifest | None:
     if checkpoint.exists():
         for target in run_targets(config):
             write_poster(target, render_splats)
+            write_storyboard(target, render_splats)
         checkpoint.unlink()
     return readers[0].manifest
 

@@ -8,11 +8,13 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
+from codec.progressline import ProgressLine
 from codec.storage.openstorage import Target
 from codec.stream import StreamReader
 from codec.stream.manifest import Manifest
@@ -20,13 +22,27 @@ from trainer.fit.trainer import Observer, Trainer
 from trainer.pictures.feed import CapturePictures
 from trainer.pictures.framecache import FrameCache
 
-from .checkpoint import CHECKPOINT_NAME, Checkpoint, load_checkpoint, save_checkpoint
+from .checkpoint import (
+    CHECKPOINT_NAME,
+    KEEP_S,
+    Checkpoint,
+    GenesisKeeper,
+    KeepTimer,
+    load_checkpoint,
+    save_checkpoint,
+)
 from .config import TrainConfig
 from .finished import finish_outputs, show_finished
 from .monitor import Monitor
-from .outputs import bare_targets, check_targets, clear_bare, open_outputs, write_snapshot
+from .outputs import (
+    bare_targets,
+    check_targets,
+    clear_bare,
+    has_manifest,
+    open_outputs,
+    write_snapshot,
+)
 from .prepare import Prepared, first_gaussians, make_manifest, prepare, shared_settings
-from .progressline import ProgressLine
 from .rank import CONTRIBUTION, matured_by_contribution
 from .runlog import LOG_NAME, RunLog
 from .storedconfig import config_to_json
@@ -92,14 +108,14 @@ def train_stream(
     """Trains `config.capture` into `config.stream`; progress goes to `console`.
 
     on_checked: called when capture and settings were found good, before anything is computed.
-    observers: told of every window; one has ended when its frame and its checkpoint are written.
+    observers: called for every window; one has ended when its frame and its checkpoint are written.
 
     A resumed run that is finished already is left as it is. Raises SwingsError before anything is
     written when the capture or the settings cannot work; what stops it later leaves a valid,
     shorter stream and a checkpoint to resume from. Ctrl-C raises KeyboardInterrupt when the running
     window has ended.
     """
-    config.check_profile()
+    config.check_slices()
     if config.resume:
         finished = finish_outputs(config)
         if finished is not None:
@@ -109,8 +125,7 @@ def train_stream(
     on_checked()
     _announce(start, console)
     clear_bare(start.bare)
-    if config.work_folder != config.target:
-        config.work_folder.mkdir(parents=True, exist_ok=True)
+    config.work_folder.mkdir(parents=True, exist_ok=True)
     return _train(start, console, observers)
 
 
@@ -173,22 +188,26 @@ def _train(start: _Start, console: Console, observers: Sequence[Observer]) -> Ma
         pictures = CapturePictures(cache, prepared.capture.training)
         log_path = config.log or config.work_folder / LOG_NAME
         log = stack.enter_context(RunLog(log_path, config.tensorboard))
+        initial, manifest = None, None
         if found is None:
             with console.status("making the first Gaussians"):
                 initial = first_gaussians(config, prepared, pictures)
-            manifest = make_manifest(config, prepared, cache, initial)
-        else:
-            initial, manifest = None, StreamReader(config.target, max_gaussians=None).manifest
+            if not config.whole_slices:
+                manifest = make_manifest(config, prepared, cache, initial)
+        elif has_manifest(config.target):
+            manifest = StreamReader(config.target, max_gaussians=None).manifest
         line = ProgressLine(console)
         monitor = Monitor(line, log, config.fit, len(prepared.frames))
         trainer = Trainer(
             config.fit, pictures, initial, prepared.near_m, prepared.far_m, prepared.picked.backend,
-            (monitor, *observers), manifest.slot_layout if manifest.has_slots else None,
+            (monitor, GenesisKeeper(lambda: keep(), KeepTimer(KEEP_S)), *observers),
+            None if config.whole_slices or manifest is None else manifest.slot_layout,
             prepared.search_from_m,
         )  # fmt: skip
         if found is not None:
             trainer.restore(found.state)
-        outputs = stack.enter_context(open_outputs(config, start.targets, manifest, cache))
+        make = partial(make_manifest, config, prepared, cache)
+        outputs = stack.enter_context(open_outputs(config, start.targets, manifest, make, cache))
 
         def keep() -> None:
             state = trainer.state()
@@ -229,4 +248,4 @@ def _train(start: _Start, console: Console, observers: Sequence[Observer]) -> Ma
             if asked.is_set() and not progress.is_finished:
                 raise KeyboardInterrupt
     start.checkpoint.unlink()
-    return manifest
+    return outputs.manifest

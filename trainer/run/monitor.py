@@ -6,13 +6,14 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from codec.progressline import ProgressLine
 from trainer.fit.config import FitConfig
 from trainer.fit.trainer import Observer
 from trainer.fit.trainer import Progress as FitProgress
 from trainer.score.meter import QualityMeter
 
-from .progressline import ProgressLine, Standing
 from .runlog import RunLog
+from .runstatus import RunStatus
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +25,7 @@ class _Mark:
 
 
 class Monitor(Observer):
-    """Tells a progress line of all iterations of the run, and a log of every finished frame."""
+    """Shows all iterations of the run on a progress line, and logs every finished frame."""
 
     def __init__(
         self,
@@ -40,7 +41,7 @@ class Monitor(Observer):
         self._loss = 0.0
         self._has_begun = False
         self._begin = self._last = _Mark(now_s(), 0)
-        self._standing = Standing(0, num_frames, 0.0, 0.0, None)
+        self._status = RunStatus(0, num_frames, 0.0, 0.0, None)
 
     def _before(self, window: int) -> int:
         """Iterations of the windows before `window`."""
@@ -48,31 +49,27 @@ class Monitor(Observer):
             return 0
         return self._config.iterations(0) + (window - 1) * self._config.iterations(1)
 
-    def window_begun(self, first_frame: int) -> None:
+    def window_begun(self, first_frame: int, done: int) -> None:
         if not self._has_begun:  # what a resumed run has behind it took none of its time
             self._has_begun = True
-            self._begin = self._last = _Mark(self._now_s(), self._before(first_frame))
-        self._tell(first_frame, self._before(first_frame))
+            self._begin = self._last = _Mark(self._now_s(), self._before(first_frame) + done)
+        self._tell(first_frame, self._before(first_frame) + done)
 
     def progressed(self, progress: FitProgress) -> None:
         self._loss = progress.loss
         self._tell(progress.first_frame, self._before(progress.first_frame) + progress.iteration)
 
     def _tell(self, frame: int, iterations: int) -> None:
-        gone_s = self._now_s() - self._begin.time_s
-        self._standing = replace(
-            self._standing,
+        elapsed_s = self._now_s() - self._begin.time_s
+        done = iterations - self._begin.iterations
+        self._status = replace(
+            self._status,
             frame=frame,
             share=iterations / self._total,
-            gone_s=gone_s,
-            left_s=self._left_s(gone_s, iterations),
+            elapsed_s=elapsed_s,
+            left_s=elapsed_s / done * (self._total - iterations) if done else None,
         )
-        self._line.tell(self._standing)
-
-    def _left_s(self, gone_s: float, iterations: int) -> float | None:
-        """At the pace so far; None before anything was done."""
-        done = iterations - self._begin.iterations
-        return gone_s / done * (self._total - iterations) if done else None
+        self._line.show(self._status.stage())
 
     def frame_finished(
         self, frame: int, gaussians: int, played_bytes: int, meter: QualityMeter
@@ -81,27 +78,19 @@ class Monitor(Observer):
         segment is on disk."""
         now = _Mark(self._now_s(), self._before(frame + 1))
         rate = (now.iterations - self._last.iterations) / max(now.time_s - self._last.time_s, 1e-9)
-        gone_s = now.time_s - self._begin.time_s
-        left_s = self._left_s(gone_s, now.iterations)
         self._last = now
-        psnr_db = meter.mean_db
-        bytes_per_frame = played_bytes / (frame + 1)
-        self._log.add(
-            {
-                "frame": frame,
-                "time_s": round(gone_s, 3),
-                "left_s": None if left_s is None else round(left_s, 1),
-                "iterations_per_s": round(rate, 2),
-                "loss": round(self._loss, 6),
-                "gaussians": gaussians,
-                "psnr_db": None if psnr_db is None else round(psnr_db, 3),
-                "bytes_per_frame": round(bytes_per_frame),
-            }
-        )
-        self._standing = replace(
-            self._standing,
-            psnr_db=psnr_db,
-            bytes_per_frame=bytes_per_frame if played_bytes else None,
+        self._status = replace(
+            self._status,
+            psnr_db=meter.mean_db,
+            bytes_per_frame=played_bytes / (frame + 1) if played_bytes else None,
             iterations_per_s=rate,
         )
         self._tell(frame, now.iterations)
+        self._log.add(
+            self._status.log_row()
+            | {
+                "iterations_per_s": round(rate, 2),
+                "loss": round(self._loss, 6),
+                "gaussians": gaussians,
+            }
+        )

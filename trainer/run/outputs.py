@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -10,16 +10,15 @@ from PIL import Image
 
 from codec.errors import InvalidError
 from codec.files import temporary_beside
-from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.slots.update import Update
 from codec.splats import Splats
-from codec.storage.opengrowing import open_growing
-from codec.storage.openstorage import Target, is_url, open_storage
+from codec.storage.openstorage import Target, is_url, open_growing, open_storage
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.index import INDEX_NAME
 from codec.stream.manifest import MANIFEST_NAME, SEGMENTS_NAME, Manifest
 from codec.stream.poster import POSTER_NAME, write_poster
+from codec.stream.storyboard import write_storyboard
 from codec.stream.writer import SHAPE
 from player.render.cpu import render_splats
 from trainer.pictures.framecache import FrameCache
@@ -69,7 +68,7 @@ def clear_bare(targets: Sequence[Target]) -> None:
     for target in targets:
         place = open_growing(target, SHAPE)
         for name in place.names() & {MANIFEST_NAME, *LEFTOVERS}:
-            place.remove(name)
+            place.delete(name)
 
 
 def run_targets(config: TrainConfig) -> list[Target]:
@@ -104,36 +103,59 @@ def _check_empty(target: Target) -> None:
         )
 
 
+def has_manifest(target: Target) -> bool:
+    """Whether a writer has begun a stream at `target`."""
+    return MANIFEST_NAME in open_growing(target, SHAPE).names()
+
+
+OpenWriters = Callable[[Sequence[Slice]], tuple[list[StreamWriter], QualityMeter]]
+"""Opens the streams of a run; gives their writers, and the quality of the first one."""
+
+
 class Outputs:
     """The streams of a run; all of them get the same slices."""
 
-    def __init__(self, writers: Sequence[StreamWriter], quality: QualityMeter) -> None:
-        """quality: of the first stream."""
-        self._writers = writers
-        self.quality = quality
+    def __init__(self, open_writers: OpenWriters) -> None:
+        self._open_writers = open_writers
+        self.writers: list[StreamWriter] = []
+        """None before `open`."""
         self.pending: list[Slice | Update] = []
         """What may not be in a finished segment of every stream yet, in order of birth."""
-        self._without_poster = [w for w in writers if not open_storage(w.target).holds(POSTER_NAME)]
+        self._without_poster: list[StreamWriter] = []
+
+    def open(self, parts: Sequence[Slice]) -> None:
+        """Opens the streams, whose first slices are `parts` if they have no manifest yet."""
+        self.writers, self.quality = self._open_writers(parts)
+        self._without_poster = [
+            w for w in self.writers if not open_storage(w.target).holds(POSTER_NAME)
+        ]
+
+    @property
+    def manifest(self) -> Manifest:
+        """That of the first stream."""
+        return self.writers[0].manifest
 
     @property
     def played_bytes(self) -> int:
-        """What is on disk of the first stream and fetched by one who plays it from frame 0."""
-        return self._writers[0].played_bytes
+        """Bytes on disk of the first stream that a player from frame 0 on fetches."""
+        return self.writers[0].played_bytes
 
     @property
     def slice_bytes(self) -> int:
         """What the last slice takes in the first stream: its packets."""
-        return self._writers[0].slice_bytes
+        return self.writers[0].slice_bytes
 
     def deliver(self, parts: Sequence[Slice | Update]) -> None:
         """Appends slices, or updates of slots, to the streams that lack them."""
+        if not self.writers and parts:
+            self.open([part for part in parts if isinstance(part, Slice)])
         for part in parts:
-            for writer in self._writers:
+            for writer in self.writers:
                 if part.birth >= writer.next_birth:
                     writer.append(part)
             self.pending.append(part)
         self.pending = [
-            p for p in self.pending if any(p.birth >= w.durable_birth for w in self._writers)
+            p for p in self.pending if any(p.birth >= w.durable_birth for w in self.writers)
         ]
         for writer in self._without_poster:
             if writer.durable_birth > 0:  # its first frames are there
@@ -143,32 +165,49 @@ class Outputs:
 
 @contextmanager
 def open_outputs(
-    config: TrainConfig, targets: Sequence[Target], manifest: Manifest, cache: FrameCache
+    config: TrainConfig,
+    targets: Sequence[Target],
+    manifest: Manifest | None,
+    make: Callable[[Splats], Manifest],
+    cache: FrameCache,
 ) -> Iterator[Outputs]:
     """A stream in each of the folders; a resumed run leaves out those that are finished.
 
+    manifest: None for streams of whole slices that have none yet: `make` makes it of the
+    first slice, because the lattice of such a stream goes by trained ones.
+
     Leaving finishes the streams; leaving by an exception keeps what is in finished segments. Each
-    stream gets a poster with its first segment, and one of its middle when it is finished.
+    stream gets a poster with its first segment, and one of its first frame, and a storyboard,
+    when it is finished.
     """
     with ExitStack() as stack:
-        writers, meters = [], []
-        for target, profile in zip(targets, (manifest.profile, Profile.RAW), strict=False):
-            quality = QualityMeter(cache, manifest)
-            rank = writer_rank(config.rank)
-            if not config.resume:
-                wanted = manifest.with_profile(profile)
-                writer = StreamWriter.create(target, wanted, rank, quality=quality)
-            else:
-                reader = StreamReader(target, max_gaussians=None)
-                if not reader.manifest.live:
-                    continue
-                writer = StreamWriter.resume(target, rank, quality=quality)
-                quality.recall(reader, writer.next_birth)
-            writers.append(stack.enter_context(writer))
-            meters.append(quality)
-        yield Outputs(writers, meters[0])
-    for writer in writers:  # again: now there is all of the stream to choose from
+
+        def open_writers(parts: Sequence[Slice]) -> tuple[list[StreamWriter], QualityMeter]:
+            wanted = manifest or make(parts[0].splats)
+            writers, meters = [], []
+            for target, exact in zip(targets, (False, True), strict=False):
+                quality = QualityMeter(cache, wanted)
+                rank = writer_rank(config.rank)
+                if not has_manifest(target):
+                    in_use = manifest is None  # by the log and the checkpoint
+                    writer = StreamWriter.create(target, wanted, rank, quality, exact, in_use)
+                else:
+                    reader = StreamReader(target, max_gaussians=None)
+                    if not reader.manifest.live:
+                        continue
+                    writer = StreamWriter.resume(target, rank, quality, exact)
+                    quality.recall(reader, writer.next_birth)
+                writers.append(stack.enter_context(writer))
+                meters.append(quality)
+            return writers, meters[0]
+
+        outputs = Outputs(open_writers)
+        if manifest is not None:
+            outputs.open(())
+        yield outputs
+    for writer in outputs.writers:  # again: now there is all of the stream to choose from
         write_poster(writer.target, render_splats)
+        write_storyboard(writer.target, render_splats)
 
 
 def write_snapshot(

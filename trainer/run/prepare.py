@@ -15,11 +15,13 @@ import numpy as np
 from codec.errors import InvalidError
 from codec.framerange import FrameRange
 from codec.interop.formats import read_splats
-from codec.profiles.profile import Profile
-from codec.slots.lattice import Lattice
+from codec.lattice.lattice import Lattice
+from codec.lattice.quantise import layer_coarseness
 from codec.splats import Splats
-from codec.stream.manifest import SLOTS_VERSION, VERSION, Manifest
+from codec.stream.layers import RANKS, split_layers
+from codec.stream.manifest import Manifest
 from codec.stream.poster import POSTER_NAME
+from codec.stream.storyboard import STORYBOARD_NAME
 from trainer.capture.capture import Capture, check_trainable
 from trainer.capture.layout import open_capture
 from trainer.capture.picturefiles import FPS_NAME
@@ -34,12 +36,14 @@ from trainer.seed.gaussians import initial_splats, stereo_seeds
 from trainer.step.device.pick import Picked
 
 from .config import TrainConfig
+from .rank import writer_rank
 
 GROWN = 1.25
 """Size of trained Gaussians over that of the first ones."""
 
 LEAST_POINT_SHARE = 0.3
-"""Of the first Gaussians, where points lie in a few spots only: those are what matters most."""
+"""Share of the first Gaussians that points get where they lie in a few spots only: those spots
+matter most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +52,7 @@ class Prepared:
 
     capture: Capture
     frames: range
-    """Of the capture."""
+    """Frames of the capture."""
     near_m: float
     far_m: float
     """Depths between which the scene lies."""
@@ -76,7 +80,7 @@ def prepare(config: TrainConfig) -> Prepared:
     check_trainable(capture)
     frames = FrameRange.parse(config.frames).of(capture.num_frames, capture.root)
     initial = None
-    if not config.resume:  # the stream tells both
+    if not config.resume:  # the stream has both
         fps_of(capture, config)
         initial = _given_gaussians(config)
     picked = config.fit.backend(config.backend, config.torch_device)
@@ -104,8 +108,8 @@ def _given_gaussians(config: TrainConfig) -> Splats | None:
 
 
 def fps_of(capture: Capture, config: TrainConfig) -> float:
-    """Frames per second: as configured, else what the capture tells. Raises CaptureError where
-    nobody tells."""
+    """Frames per second: as configured, else that of the capture. Raises CaptureError where
+    neither gives one."""
     fps = capture.fps if config.fps is None else config.fps
     if fps is None:
         raise CaptureError(
@@ -147,7 +151,7 @@ def shared_settings(config: TrainConfig, prepared: Prepared) -> dict[str, Any]:
                 "point_share",
                 "layers",
                 "rank",
-                "profile",
+                "whole_slices",
                 "segment_frames",
             )
         },
@@ -158,7 +162,7 @@ def shared_settings(config: TrainConfig, prepared: Prepared) -> dict[str, Any]:
 
 
 def _fingerprint(capture: Capture, frame: int) -> str:
-    """Of one picture: tells the takes of one rig apart."""
+    """Hash of one picture: distinguishes the takes of one rig."""
     source = capture.open_images(capture.training[0])
     try:
         return hashlib.sha256(source.read(frame).tobytes()).hexdigest()
@@ -211,30 +215,28 @@ def layer_slots(shares: Sequence[float], slice_size: int) -> tuple[int, ...]:
 
 
 def make_manifest(
-    config: TrainConfig, prepared: Prepared, cache: FrameCache, initial: Splats
+    config: TrainConfig, prepared: Prepared, cache: FrameCache, gaussians: Splats
 ) -> Manifest:
-    """The manifest of the stream about to be trained."""
+    """The manifest of a stream. gaussians: the initial ones; of whole slices the first slice,
+    because what trained Gaussians are like is not known before."""
     capture = prepared.capture
     cameras = tuple(cache.camera(i) for i in range(len(capture.cameras)))
-    points = capture.points.xyz if capture.points is not None else initial.means
+    points = capture.points.xyz if capture.points is not None else gaussians.means
     low, high = np.percentile(points, 5, axis=0), np.percentile(points, 95, axis=0)
-    slots: tuple[int, ...] = ()
-    lattice: tuple[Lattice, ...] = ()
-    if config.profile is Profile.LATTICE:
-        slots = layer_slots(config.layers, config.fit.num_gs // config.fit.swin_size)
-        grown = GROWN if prepared.initial is None else 1
-        lattice = (Lattice.suiting(initial, grown),) * len(slots)
+    slots = layer_slots(config.layers, config.fit.num_gs // config.fit.swin_size)
+    is_trained = config.whole_slices or prepared.initial is not None
+    lattice = Lattice.suiting(gaussians, 1 if is_trained else GROWN)
+    coarseness = [1.0] * len(slots)
+    if config.whole_slices:
+        rows = split_layers(gaussians, slots, RANKS[writer_rank(config.rank)])
+        coarseness = layer_coarseness([gaussians.take(part) for part in rows])
     return Manifest(
-        version=SLOTS_VERSION if slots else VERSION,
         fps=fps_of(capture, config),
         swin_size=config.fit.swin_size,
-        num_gs=config.fit.num_gs,
-        layers=config.layers,
         slots=slots,
-        lattice=lattice,
+        lattice=tuple(map(lattice.coarser, coarseness)),
         segment_frames=config.segment_frames,
         sh_degree=config.fit.sh_degree,
-        profile=config.profile,
         antialias=False,
         near_m=prepared.near_m,
         bounds=(
@@ -245,6 +247,7 @@ def make_manifest(
         default_camera=cameras[capture.watching[0]].name,
         live=True,
         poster=POSTER_NAME,
+        storyboard=STORYBOARD_NAME,
         title=config.title or capture.root.resolve().name,
         capture_frame=prepared.frames.start,
     )

@@ -9,7 +9,6 @@ from typing import Any
 import tyro
 
 from codec.console import split_option
-from codec.profiles.profile import Profile
 from codec.storage.openstorage import parse_target
 from trainer.errors import CheckpointError
 from trainer.fit.config import FitConfig
@@ -73,7 +72,7 @@ PRESETS: Mapping[Preset, Callable[..., TrainConfig]] = {
         ),
         point_share=1.0,  # 3DGS: a capture's points and nothing else, as far as they go
         rank="opacity",  # 5.5
-        profile=Profile.PAPER,  # 5.6.2
+        whole_slices=True,
     ),
 }
 """TrainConfig with other defaults."""
@@ -83,7 +82,7 @@ def parse_with_preset(
     config_type: Callable[..., TrainConfig], args: Sequence[str], **options: Any
 ) -> TrainConfig:
     """Calls `tyro.cli` with the defaults of the preset that `args` name, if any; where they ask to
-    resume a run, with what that was told.
+    resume a run, with that run's settings.
 
     An unknown name is left to tyro to refuse.
     """
@@ -110,7 +109,7 @@ def _with_address(args: Sequence[str]) -> list[str]:
 
 def _resumed(args: Sequence[str]) -> TrainConfig | None:
     """The settings of the run whose folder is among `args`; None if there is none, or if its
-    checkpoint cannot be read, which is told later."""
+    checkpoint cannot be read, which is reported later."""
     # Before parsing, which needs them: of what is given, a part may be wrong without the rest.
     folders = [default_work(parse_target(word)) for word in args if not word.startswith("-")]
     checkpoint = next(

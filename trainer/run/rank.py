@@ -27,7 +27,7 @@ CONTRIBUTION = "contribution"
 
 
 def writer_rank(rank: str) -> Rank:
-    """What a StreamWriter of slices ordered by `rank` must be told."""
+    """The rank with which a StreamWriter keeps slices that are ordered by `rank`."""
     return Rank.GIVEN if rank == CONTRIBUTION else Rank(rank)
 
 

@@ -1,4 +1,4 @@
-"""A training run's settings as JSON, so that who resumes need not say them again."""
+"""A training run's settings as JSON, so that a resumed run needs no options."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 Numba keeps compiled kernels on disk. The process that compiles them may round differently from
 those that load them, and a run must give the same bytes whether it is the first after an install or
-not; so whoever finds that it has compiled something starts over.
+not; so a process that has compiled something starts over.
 """
 
 from __future__ import annotations
@@ -15,13 +15,14 @@ import numpy as np
 from rich.console import Console
 
 from codec.camera import Camera
-from codec.profiles.profile import Profile
-from codec.slots.lattice import Lattice
+from codec.lattice.lattice import Lattice
+from codec.progressline import waiting
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.slotencoder import SlotEncoder
 from codec.slots.slotlayout import SlotLayout
 from codec.splats import Splats
-from codec.stream.chunk import decode_chunk, encode_chunk
+from codec.stream.layers import given_rank
+from codec.stream.wholeslice import whole_update
 from player.render.cpu import render_splats
 from trainer.capture.capture import Mask
 from trainer.capture.lens import Lens, straightened
@@ -33,7 +34,6 @@ from trainer.pictures.shot import Shot
 from trainer.seed.gaussians import initial_splats, stereo_seeds
 from trainer.storedfiles import forget_stored
 
-from .progressline import waiting
 from .rank import matured_by_contribution
 
 _STARTED_OVER = "SWINGS_STARTED_OVER"
@@ -102,10 +102,11 @@ def compile_kernels(sh_degree: int) -> bool:
     )
     _train_with_slots(config, pictures, initial)
     trainer = Trainer(config, pictures, initial, 0.2)
+    layout = SlotLayout(config.swin_size, (3, 1), sh_degree, (Lattice.suiting(initial),) * 2, 4)
     straightened(picture, pictures.cameras[0], Lens(k1=0.01))
     for window in trainer.windows():
         for part in matured_by_contribution(trainer, window):
-            decode_chunk(encode_chunk(part, 0, Profile.COMPACT).data)
+            whole_update(part, layout, given_rank)
     render_splats(trainer.shown(1), pictures.cameras[0], 0.2)
     return _misses() > 0
 

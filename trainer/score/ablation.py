@@ -11,16 +11,16 @@ import numpy as np
 from rich.table import Table
 
 from codec.errors import InvalidError
-from codec.profiles.paper import ATTRIBUTES, quantise_attribute
-from codec.profiles.profile import Profile
+from codec.slots.slotstate import ON_LATTICE
 from codec.splats import Splats, sh_count
 
 from .evaluate import EvaluateConfig
+from .papercoding import ATTRIBUTES, quantise_attribute
 from .picture import Score, score_splats
 from .truth import open_held_out
 
 FULL_BYTES = 4
-"""Of a float32, which every attribute of a raw stream is made of."""
+"""Size of a float32, which every attribute of a raw stream is made of."""
 
 FORMATS = {
     "means": ("fp16", 2),
@@ -37,7 +37,7 @@ CASES: dict[str, tuple[str, ...]] = {
     "all but feat": tuple(attribute for attribute in ATTRIBUTES if attribute != "feat"),
     "all": tuple(ATTRIBUTES),
 }
-"""The attributes quantised in each row of the table. Profile `paper` is "all but feat"."""
+"""The attributes quantised in each row of the table. The paper streams "all but feat"."""
 
 
 def _numbers(sh_degree: int) -> dict[str, int]:
@@ -122,15 +122,16 @@ def ablate_quantisation(
 ) -> Ablation:
     """Renders every frame, with all layers, for each of CASES. on_progress(pictures done, in all).
 
-    Raises InvalidError unless the stream has profile raw, and what `evaluate_stream` raises.
+    Raises InvalidError for a stream that is quantised already, and what `evaluate_stream` raises.
     """
     scores: dict[str, list[Score]] = {case: [] for case in CASES}
     with open_held_out(config.stream, config.capture, config.max_gaussians) as held_out:
         reader, manifest = held_out.reader, held_out.reader.manifest
-        if manifest.profile is not Profile.RAW:
+        lanes = reader.decoder_at(0, manifest.num_layers).lanes
+        if any((slots.conditions == ON_LATTICE).any() for lane in lanes for slots in lane):
             raise InvalidError(
-                f"{config.stream} has profile {manifest.profile}, which is quantised already; "
-                "name the folder that swings-train wrote with --raw-stream"
+                f"{config.stream} is quantised already; name the folder that swings-train wrote "
+                "with --raw-stream"
             )
         chosen = held_out.every(config.every)
         done, total = 0, len(chosen) * len(CASES) * len(held_out.cameras)

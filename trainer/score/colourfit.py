@@ -1,9 +1,8 @@
 """A picture in the colours of the camera that it is compared with.
 
-The cameras of a rig differ in exposure and white balance, and nothing tells those of a camera that
-training never saw: a stream in the rig's mean colours loses decibels there that no viewer misses.
-So a picture is also scored with a gain and a bias for each channel, fitted to what the camera saw.
-"""
+The cameras of a rig differ in exposure and white balance, and those of a camera that training never
+saw are not known: a stream in the rig's mean colours loses decibels there that no viewer misses. So
+a picture is also scored with a gain and a bias for each channel, fitted to what the camera saw."""
 
 from __future__ import annotations
 
@@ -14,7 +13,7 @@ from trainer.capture.capture import Mask
 from .picture import Floats
 
 LEAST_VARIANCE = 1e-8
-"""Of a channel; with less it has one value, and only a bias can be told."""
+"""Smallest variance of a channel that has a gain; with less, only a bias can be fitted."""
 
 
 def colour_fitted(shown: Floats, truth: Floats, mask: Mask | None = None) -> Floats:

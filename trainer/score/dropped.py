@@ -1,7 +1,7 @@
 """What is left of a stream when the Gaussians that rank lowest are dropped, as a stream of its own.
 
 Of every slice the same share is kept. A Gaussian's rank holds for its life, so that it does not
-come and go: in version 2 a life goes on until its slot is ended or new, and what a Gaussian is
+come and go: a life goes on until its slot is ended or new, and what a Gaussian is
 worth is the mean over the slices that it is in.
 """
 
@@ -15,12 +15,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from codec.slice import Slice, active_splats
-from codec.slots.lattice import Bytes, Flags
+from codec.lattice.lattice import Bytes, Flags
+from codec.slice import active_splats
 from codec.slots.update import ENDED, KEPT, NEW
 from codec.stream import StreamReader, StreamWriter
-from codec.stream.layers import Rank
-from codec.tools.retold import told_slots, told_update
+from codec.tools.recordedupdates import recorded_slices, recorded_update
 from trainer.step.contribution import summed_contribution
 from trainer.step.raster import Parameters, View
 
@@ -35,13 +34,8 @@ def lives_of(reader: StreamReader) -> dict[int, Ints]:
     """By birth (N,): the number of the life of each Gaussian of the whole slice; NOBODY in an empty
     slot."""
     manifest, lives, count = reader.manifest, dict[int, Ints](), 0
-    if not manifest.has_slots:
-        for part in reader.slices(manifest.first_birth, manifest.num_layers):
-            lives[part.birth] = np.arange(count, count + len(part.splats))
-            count += len(part.splats)
-        return lives
     nobody = np.full(manifest.slice_size, NOBODY, np.int64)
-    for birth, _, statuses in told_slots(reader):
+    for birth, _, statuses in recorded_slices(reader):
         of_lane = lives.get(birth - manifest.swin_size, nobody).copy()
         of_lane[statuses == ENDED] = NOBODY
         new = np.flatnonzero(statuses == NEW)
@@ -115,7 +109,7 @@ class Drop:
         return kept
 
 
-def told_of_kept(statuses: Bytes, before: Flags, kept: Flags) -> Bytes:
+def statuses_of_kept(statuses: Bytes, before: Flags, kept: Flags) -> Bytes:
     """(S,) what a slice of `statuses` says if of the slots in its lane `before` were sent until
     now, and from now on `kept` are."""
     cases = kept & ~before, before & ~kept, kept
@@ -130,24 +124,15 @@ def write_kept(
     manifest = reader.manifest
     paths = [folder / str(number) for number in range(len(drops))]
     with contextlib.ExitStack() as stack:
-        writers = [
-            stack.enter_context(StreamWriter.create(path, manifest, Rank.GIVEN)) for path in paths
-        ]
-        if not manifest.has_slots:
-            for part in reader.slices(manifest.first_birth, manifest.num_layers):
-                for drop, writer in zip(drops, writers, strict=True):
-                    rows = np.flatnonzero(drop.kept(lives[part.birth]))
-                    splats, offsets = part.splats.take(rows), part.start_offsets[rows]
-                    writer.append(Slice(part.birth, splats, offsets))
-            return paths
+        writers = [stack.enter_context(StreamWriter.create(path, manifest)) for path in paths]
         # By drop and lane.
         sent = np.zeros((len(drops), manifest.swin_size, manifest.slice_size), np.bool_)
-        for birth, decoder, statuses in told_slots(reader):
+        for birth, decoder, statuses in recorded_slices(reader):
             for before, drop, writer in zip(
                 sent[:, birth % manifest.swin_size], drops, writers, strict=True
             ):
                 kept = drop.kept(lives[birth])
-                told = told_of_kept(statuses, before, kept)
-                writer.append(told_update(decoder, birth, told))
+                said = statuses_of_kept(statuses, before, kept)
+                writer.append(recorded_update(decoder, birth, said))
                 before[:] = kept
     return paths

@@ -19,7 +19,7 @@ Floats = npt.NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Of one picture; NaN where none of its pixels counts."""
+    """How well one picture is rendered; NaN where none of its pixels counts."""
 
     psnr_db: float
     ssim: float

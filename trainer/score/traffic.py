@@ -1,4 +1,4 @@
-"""What one fetches who plays a stream from frame 0, or joins it later: bytes, and Gaussians."""
+"""What a player of a stream fetches, from frame 0 on or later: bytes, and Gaussians."""
 
 from __future__ import annotations
 
@@ -12,32 +12,22 @@ from codec.tools.slotcensus import count_slots
 
 @dataclass(frozen=True, slots=True)
 class Traffic:
-    """Of one number of layers."""
+    """What a player of one number of layers fetches."""
 
     object_bytes: int
-    """Of the objects that one fetches who plays from frame 0."""
+    """Size of the objects that a player from frame 0 on fetches."""
     gaussians: int
     """What those objects bring: the Gaussians of frame 0, and all that a later slice sends,
-    whether new or changed. In version 1 what all slices hold at full count."""
+    whether new or changed."""
     join_bytes: int
-    """Of the snapshots that only those fetch who join later, or take up a layer again."""
+    """Size of the snapshots that a player fetches only if it joins later, or takes up a layer
+    again."""
 
 
 def traffic(reader: StreamReader) -> list[Traffic]:
-    """Of 1, 2, ... layers. Raises a CodecError that names the object at fault."""
+    """The traffic of 1, 2, ... layers. Raises a CodecError that names the object at fault."""
     manifest, records = reader.manifest, reader.records
     layers = range(1, manifest.num_layers + 1)
-    if not manifest.has_slots:
-        slices = reader.num_frames + manifest.swin_size - 1
-        shares = [sum(manifest.layers[:n]) for n in layers]
-        return [
-            Traffic(
-                sum(sum(record.object_bytes[:n]) for record in records),
-                round(slices * manifest.slice_size * share),
-                0,
-            )
-            for n, share in zip(layers, shares, strict=True)
-        ]
     brought = np.cumsum(count_slots(reader).brought)
     found = []
     for n in layers:

@@ -22,13 +22,21 @@ from trainer.pictures.shot import Shot
 
 
 @dataclass(frozen=True, slots=True)
-class HeldOut:
-    """A stream and the held-out cameras to score it with."""
+class ScoredCameras:
+    """A stream and cameras to score it with: those held out, or those that trained it."""
 
     reader: StreamReader
     cameras: list[Camera]  # at the stream's size
     indices: tuple[int, ...]  # of the cameras, in the capture
     cache: FrameCache
+
+    @property
+    def training(self) -> ScoredCameras:
+        """The same stream with the cameras that trained it."""
+        indices = self.cache.capture.training
+        return ScoredCameras(
+            self.reader, [self.cache.camera(i) for i in indices], indices, self.cache
+        )
 
     def every(self, step: int) -> range:
         """The frames 0, step, 2 step, ... of the stream. Raises InvalidError below 1."""
@@ -56,7 +64,7 @@ class HeldOut:
 @contextmanager
 def open_held_out(
     stream: Target, capture_target: Target, max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS
-) -> Iterator[HeldOut]:
+) -> Iterator[ScoredCameras]:
     """The stream beside its capture, until the context ends. Raises CaptureError where the capture
     is not the stream's or holds no camera out, InvalidError for a stream without a frame, and
     UnsupportedError for one of more than `max_gaussians`."""
@@ -75,7 +83,7 @@ def open_held_out(
         )
     cameras = stream_cameras(manifest, capture, str(stream))
     with FrameCache(capture, frames, cameras=cameras) as cache:
-        yield HeldOut(reader, [cache.camera(i) for i in held_out], held_out, cache)
+        yield ScoredCameras(reader, [cache.camera(i) for i in held_out], held_out, cache)
 
 
 def stream_cameras(manifest: Manifest, capture: Capture, name: str) -> list[Camera]:

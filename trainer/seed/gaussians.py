@@ -47,7 +47,7 @@ def stereo_seeds(
     """
     allowed = [None if mask is None else np.flatnonzero(mask) for mask in masks or ()]
     allowed += [None] * (len(cameras) - len(allowed))
-    # What is ignored must not tell where anything lies: black agrees with black only.
+    # Ignored pixels must not place anything: black agrees with black only.
     shown = [
         picture if mask is None else picture * (mask > 0)[:, :, None]
         for picture, mask in zip(pictures, masks or [None] * len(pictures), strict=True)

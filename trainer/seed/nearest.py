@@ -19,7 +19,7 @@ MIN_STRAYS = 5
 """How many may at least: of few points one share is less than a point."""
 
 MIN_IN_VIEW = 64
-"""With fewer places in its view a camera does not tell how near anything is."""
+"""With fewer places in its view, a camera gives no nearest depth."""
 
 AGREEING = 2
 """Neighbours that have to agree on the depth of a pixel."""
@@ -41,8 +41,8 @@ def nearest_seen(cameras: Sequence[Camera], places: Floating) -> float | None:
 
 
 def share_nearer(camera: Camera, places: Floating, near_m: float) -> float:
-    """Share of the `places` in the camera's view that lie nearer than `near_m`; 0 if it has too few
-    to tell."""
+    """Share of the `places` in the camera's view that lie nearer than `near_m`; 0 if it has too
+    few."""
     depths = depths_in_view(camera, places)
     return float((depths < near_m).mean()) if len(depths) >= MIN_IN_VIEW else 0.0
 

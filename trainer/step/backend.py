@@ -7,6 +7,7 @@ noise and relocation are the same for both.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import numpy as np
@@ -23,30 +24,32 @@ Floats = npt.NDArray[np.float32]
 BackendName = Literal["auto", "cpu", "cuda", "torch"]
 
 
+@dataclass(frozen=True, slots=True)
+class StepInput:
+    """What one training step renders and compares."""
+
+    values: Parameters
+    rows: Ints
+    """Indices of the Gaussians that are rendered."""
+    view: View
+    shot: Shot
+    """The captured picture, of the view's size."""
+    gain: Floats
+    """(3,) factors of the camera's colours."""
+    bias: Floats
+    """(3,) added to the camera's colours."""
+    trainable: int
+    """Rows below this one get gradients."""
+    whole: bool = True
+    """Whether the loss covers all of the picture. Otherwise a backend may leave out what does not
+    matter to the gradients, which are the same, and give a loss as of some tiles, see `Loss`."""
+
+
 class Backend(Protocol):
     """Renders, compares, differentiates."""
 
-    def step(
-        self,
-        values: Parameters,
-        rows: Ints,
-        view: View,
-        shot: Shot,
-        gain: Floats,
-        bias: Floats,
-        trainable: int,
-        gradients: Parameters,
-        whole: bool = True,
-    ) -> Loss:
-        """The loss of the Gaussians `rows` seen by `view` against `shot`.
-
-        shot: of the view's size; gain, bias: (3,) of its camera. Writes the gradients of those rows
-        that are below `trainable` into `gradients`.
-
-        whole: the loss covers all of the picture. Otherwise a backend may leave out what does not
-        matter to those gradients, which are the same, and give a loss as of some tiles, see `Loss`.
-        """
-        ...
+    def step(self, given: StepInput, gradients: Parameters) -> Loss:
+        """The loss of a step. Writes the gradients of the trainable rows into `gradients`."""
 
 
 class CpuBackend:
@@ -58,27 +61,17 @@ class CpuBackend:
         self._scratch = Scratch()
         self._targets = Targets()
 
-    def step(
-        self,
-        values: Parameters,
-        rows: Ints,
-        view: View,
-        shot: Shot,
-        gain: Floats,
-        bias: Floats,
-        trainable: int,
-        gradients: Parameters,
-        whole: bool = True,
-    ) -> Loss:
+    def step(self, given: StepInput, gradients: Parameters) -> Loss:
         """See `Backend.step`."""
-        target, workspace = self._targets.take(shot)
-        rendered = render(values, rows, view, self._scratch, None if whole else trainable)
+        target, workspace = self._targets.take(given.shot)
+        active = None if given.whole else given.trainable
+        rendered = render(given.values, given.rows, given.view, self._scratch, active)
         loss = photometric_loss(
-            rendered.picture, target, self._dssim_weight, gain, bias, workspace, shot.mask,
-            rendered.active,
+            rendered.picture, target, self._dssim_weight, given.gain, given.bias, workspace,
+            given.shot.mask, rendered.active,
         )  # fmt: skip
         backward(
-            rendered, values, loss.picture_grad, trainable, gradients, self._opacity_reg,
-            self._scale_reg,
+            rendered, given.values, loss.picture_grad, given.trainable, gradients,
+            self._opacity_reg, self._scale_reg,
         )  # fmt: skip
         return loss

@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import io
 import os
-import shutil
-import tempfile
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import count
 from pathlib import Path
 
 import av
@@ -24,15 +23,14 @@ import numpy.typing as npt
 import tyro
 from av.video.reformatter import ColorRange, Colorspace
 from rich.console import Console
-from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 
 from codec.camera import Camera
 from codec.errors import InvalidError
-from codec.files import name_file
+from codec.files import making_folder, name_file
+from codec.progressline import counted
 from trainer.capture.capture import Picture
 from trainer.capture.dynerf import POINTS_NAME, POSES_NAME, encode_pose
 from trainer.capture.held_out import HELD_OUT_NAME
-from trainer.errors import CaptureError
 
 from .motion import Moving, moving_parts
 from .scene import (
@@ -44,7 +42,7 @@ from .scene import (
     held_out_cameras,
     wall_pictures,
 )
-from .solid import GROUP_CENTRE, GROUP_RADIUS, Boxes, Parts, Table
+from .solid import Boxes, Parts, Table
 from .trace import BUFFER_COLUMNS, RAYS_PER_PIXEL, trace_frame, trace_room
 
 Floats = npt.NDArray[np.float32]
@@ -109,25 +107,16 @@ class Take:
 def synthesise(config: SynthConfig, console: Console | None = None) -> None:
     """Writes the capture to `config.out`; nothing stands there before it is complete.
 
-    console: where the progress bar goes, standard error if None. Raises InvalidError for numbers
-    that make no capture, CaptureError when the folder is taken.
+    console: where the progress line goes, standard error if None. Raises InvalidError for numbers
+    that make no capture, and where the folder is taken.
     """
     check_config(config)
-    out = config.out
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise CaptureError(f"{out}: exists and is not an empty folder; name a new one")
-    out.parent.mkdir(parents=True, exist_ok=True)
-    partial = Path(tempfile.mkdtemp(prefix=f".{out.name}.", suffix=".partial", dir=out.parent))
-    try:
-        _write_capture(config, partial, console or Console(stderr=True))
-        partial.chmod(0o755)
-        if out.exists():
-            out.rmdir()
-        partial.rename(out)
-    except BaseException as error:
-        shutil.rmtree(partial, ignore_errors=True)
-        name_file(error, out)
-        raise
+    with making_folder(config.out) as folder:
+        try:
+            _write_capture(config, folder, console)
+        except OSError as error:
+            name_file(error, config.out)
+            raise
 
 
 def check_config(config: SynthConfig) -> None:
@@ -181,29 +170,10 @@ class Studio:
         distance = np.empty(self._room.shape[:2], np.float32)
         moving = self._scene.moving[frame]
         trace_frame(
-            self._camera.position, LAMP_AT, moving.parts, moving.groups, self._windows(moving),
-            self._scene.seed, self._buffer, self._room, picture, distance,
+            self._camera.position, LAMP_AT, moving.parts, moving.groups, self._scene.seed,
+            self._buffer, self._room, picture, distance,
         )  # fmt: skip
         return picture, distance
-
-    def _windows(self, moving: Moving) -> npt.NDArray[np.int64]:
-        """(G, 4) first column, last column, first row, last row that can show each group."""
-        camera = self._camera
-        windows = np.empty((len(moving.groups), 4), np.int64)
-        for window, group in zip(windows, moving.groups, strict=True):
-            x, y, z = camera.w2c[:3, :3] @ group[GROUP_CENTRE:GROUP_RADIUS] + camera.w2c[:3, 3]
-            radius_m = group[GROUP_RADIUS]
-            if z - radius_m < 0.1:
-                window[:] = 0, camera.width_px, 0, camera.height_px
-                continue
-            # A sphere off the axis spreads by at most 1 / cos^2 of its angle, seen from its near
-            # side.
-            away = (x * x + y * y + z * z) / (z * z)
-            reach_px = camera.fx_px * radius_m / (z - radius_m) * away + 1
-            column = camera.fx_px * x / z + camera.cx_px
-            row = camera.fx_px * y / z + camera.cy_px
-            window[:] = column - reach_px, column + reach_px, row - reach_px, row + reach_px
-        return windows
 
     def depth_range(self, distance: Floats) -> tuple[float, float]:
         """(least, largest) depth of what a frame shows, metres."""
@@ -220,27 +190,21 @@ class Studio:
         return (self._camera.position + offsets).astype(np.float32), picture[rows, columns]
 
 
-def _write_capture(config: SynthConfig, folder: Path, console: Console) -> None:
+def _write_capture(config: SynthConfig, folder: Path, console: Console | None) -> None:
     scene = make_scene(config.frames, config.fps, config.seed)
     arc_rad = float(np.radians(config.arc_deg))
     cameras = camera_rig(config.cameras, config.width_px, config.height_px, arc_rad)
     held_out = held_out_cameras(cameras, config.held_out)
     training = [camera.name for camera in cameras if camera.name not in held_out]
     per_camera = -(-config.points // len(training))
-    with Progress(
-        *Progress.get_default_columns()[:2],
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        disable=not console.is_terminal,
-    ) as progress:
-        task = progress.add_task("frames", total=config.frames * config.cameras)
+    total, number = config.frames * config.cameras, count(1)
+    with counted("filming", console) as show:
 
         def film(camera: Camera) -> Take:
-            count = per_camera if camera.name in training else 0
+            num_points = per_camera if camera.name in training else 0
             try:
                 return _film_camera(
-                    config, folder, scene, camera, count, lambda: progress.advance(task)
+                    config, folder, scene, camera, num_points, lambda: show(next(number), total)
                 )
             except OSError as error:
                 place = config.out / f"{camera.name}.mp4"
@@ -249,7 +213,9 @@ def _write_capture(config: SynthConfig, folder: Path, console: Console) -> None:
                 name_file(error, place)
                 raise
 
-        takes = _in_threads(film, cameras)
+        # After a failure or an interrupt `map` cancels the cameras that have not begun.
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            takes = list(pool.map(film, cameras))
     rows = [encode_pose(c, t.near_m, t.far_m) for c, t in zip(cameras, takes, strict=True)]
     poses = io.BytesIO()  # of a full disk numpy itself does not tell
     np.save(poses, np.stack(rows))
@@ -259,19 +225,6 @@ def _write_capture(config: SynthConfig, folder: Path, console: Console) -> None:
         xyz = np.concatenate([take.xyz for take in takes])[: config.points]
         rgb = np.concatenate([take.rgb for take in takes])[: config.points]
         np.savez(folder / POINTS_NAME, xyz=xyz, rgb=rgb)
-
-
-def _in_threads(film: Callable[[Camera], Take], cameras: Sequence[Camera]) -> list[Take]:
-    """What `film` gives for each camera; a failure or an interrupt stops cameras not yet begun."""
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        futures = [pool.submit(film, camera) for camera in cameras]
-        try:
-            for future in as_completed(futures):
-                future.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-    return [future.result() for future in futures]
 
 
 def _film_camera(

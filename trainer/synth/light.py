@@ -11,7 +11,7 @@ from typing import Any
 
 from codec.kernel import kernel
 
-from .paint import LAMP, Rgb
+from .paint import LAMP, Rgb, mix
 from .solid import (
     AROUND,
     FIRST,
@@ -84,17 +84,11 @@ def shadow_of_parts(
         c, md = dot(axis, axis), dot(m, d)
         # Closest places p + t d and a + h axis: set the derivatives by t and h to zero, then clamp.
         b, ma = dot(d, axis), dot(m, axis)
-        h = 0.0
-        if c - b * b > 1e-9:
-            h = min(1.0, max(0.0, (ma - b * md) / (c - b * b)))
+        h = min(1.0, max(0.0, (ma - b * md) / (c - b * b))) if c - b * b > 1e-9 else 0.0
         t = min(reach, max(0.0, h * b - md))
         if c > 1e-9:
             h = min(1.0, max(0.0, (ma + t * b) / c))
-        gap = (
-            m[0] + t * d[0] - h * axis[0],
-            m[1] + t * d[1] - h * axis[1],
-            m[2] + t * d[2] - h * axis[2],
-        )
+        gap = ahead(ahead(m, d, t), axis, -h)
         soft = max(2e-3, LAMP_RADIUS_M * t / reach)
         x = (math.sqrt(dot(gap, gap)) - radius_at(cones, i, h) + soft) / (2.0 * soft)
         if x < 1.0:
@@ -124,9 +118,7 @@ def ambient_of_parts(p: Vector, n: Vector, cones: Table, first: int, end: int, s
             continue
         m, axis = minus(p, vector_at(cones, i, FIRST)), part_axis(cones, i)
         c = dot(axis, axis)
-        h = 0.0
-        if c > 1e-9:
-            h = min(1.0, max(0.0, dot(m, axis) / c))
+        h = min(1.0, max(0.0, dot(m, axis) / c)) if c > 1e-9 else 0.0
         radius = radius_at(cones, i, h)
         v = (h * axis[0] - m[0], h * axis[1] - m[1], h * axis[2] - m[2])
         d2 = max(dot(v, v), 1e-9)
@@ -153,11 +145,10 @@ def ambient_of_room(p: Vector, n: Vector, places: Table, room: Table) -> float:
         left *= 1.0 - 0.42 * math.exp(-max(0.0, low) / 0.22)
         left *= 1.0 - 0.42 * math.exp(-max(0.0, high) / 0.22)
     for i in range(places.shape[0]):
-        x, y, z = in_box(p, places, i)
-        gx = max(0.0, abs(x) - places[i, HALF])
-        gy = max(0.0, abs(y) - places[i, HALF + 1])
-        gz = max(0.0, abs(z) - places[i, HALF + 2])
-        gap = math.sqrt(gx * gx + gy * gy + gz * gz)
+        at, gap = in_box(p, places, i), 0.0
+        for axis in range(3):
+            gap += max(0.0, abs(at[axis]) - places[i, HALF + axis]) ** 2
+        gap = math.sqrt(gap)
         if 1e-6 < gap < 1.2:
             left *= 1.0 - 0.5 * math.exp(-gap / 0.14)
     return left
@@ -180,7 +171,7 @@ def lamp_past_boxes(p: Vector, n: Vector, lamp: Any, places: Table) -> float:
     near = 0  # bits of the boxes that come near the way to the lamp
     for i in range(places.shape[0]):
         half = vector_at(places, i, HALF)
-        radius = math.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
+        radius = math.sqrt(dot(half, half))
         if passes_by(o, to, vector_at(places, i, 0), radius + LAMP_RADIUS_M):
             near |= 1 << i
     if near == 0:
@@ -222,13 +213,8 @@ def light_past_groups(
 @kernel(error_model="numpy")
 def ambient_light(n: Vector) -> Rgb:
     """Light from everywhere but the lamp on a free surface."""
-    up = 0.5 - 0.5 * n[1]
-    fill = max(0.0, dot(n, _FILL_TO))
-    return (
-        _AMBIENT_DOWN[0] + (_AMBIENT_UP[0] - _AMBIENT_DOWN[0]) * up + _FILL[0] * fill,
-        _AMBIENT_DOWN[1] + (_AMBIENT_UP[1] - _AMBIENT_DOWN[1]) * up + _FILL[1] * fill,
-        _AMBIENT_DOWN[2] + (_AMBIENT_UP[2] - _AMBIENT_DOWN[2]) * up + _FILL[2] * fill,
-    )
+    light = mix(_AMBIENT_DOWN, _AMBIENT_UP, 0.5 - 0.5 * n[1])
+    return ahead(light, _FILL, max(0.0, dot(n, _FILL_TO)))
 
 
 @kernel(error_model="numpy")

@@ -41,11 +41,24 @@ _TEAL, _ORANGE = linear("2f7f86"), linear("f0803c")
 _SKY, _SKY_HIGH, _HILL, _DUSK = map(linear, ("cfe6f2", "6fb0dc", "6f9a5c", "4a2f63"))
 _SKIN, _HAIR, _BLUSH = linear("e8b48f"), linear("4b2a1d"), linear("dc8872")
 
+_RUG = (0.26, _YELLOW), (0.2, _CREAM), (0.1, _TEAL)
+"""The rug's rings, from the inmost: how far each reaches in from the rug's edge, metres."""
+_SPINES = (0.86, _CLAY), (0.72, _BLUE), (0.55, _YELLOW), (0.38, _TEAL), (0.2, _RED)
+"""Books: the share of them that has this colour or one after it."""
+_SPOTS = _PINK, _YELLOW, _SKY_HIGH, _ORANGE
+_ARCHES = _CLAY, _TEAL, _CREAM
+
 
 @kernel(error_model="numpy")
 def mix(a: Rgb, b: Rgb, t: float) -> Rgb:
     """a at t = 0, b at t = 1."""
     return a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t, a[2] + (b[2] - a[2]) * t
+
+
+@kernel(error_model="numpy")
+def toned(colour: Rgb, tone: float) -> Rgb:
+    """A colour made darker or lighter."""
+    return colour[0] * tone, colour[1] * tone, colour[2] * tone
 
 
 @kernel(error_model="numpy")
@@ -85,8 +98,7 @@ def noise(x: float, y: float, z: float, seed: int) -> float:
 def grain(colour: Rgb, x: float, y: float, z: float, strength: float, seed: int) -> Rgb:
     """The colour made lighter and darker by two octaves of noise."""
     n = 0.65 * noise(x, y, z, seed) + 0.35 * noise(2.7 * x, 2.7 * y, 2.7 * z, seed + 1)
-    f = 1.0 + strength * (2.0 * n - 1.0)
-    return colour[0] * f, colour[1] * f, colour[2] * f
+    return toned(colour, 1.0 + strength * (2.0 * n - 1.0))
 
 
 @kernel(error_model="numpy")
@@ -94,15 +106,11 @@ def paint_floor(x: float, z: float, seed: int) -> Rgb:
     """Oak boards, and in the middle a round rug with checks and two rings."""
     r = math.sqrt(x * x + z * z)
     if r < RUG_RADIUS_M:
-        if r > RUG_RADIUS_M - 0.1:
-            colour = _TEAL
-        elif r > RUG_RADIUS_M - 0.2:
-            colour = _CREAM
-        elif r > RUG_RADIUS_M - 0.26:
-            colour = _YELLOW
-        else:
-            even = (math.floor(x / 0.42 + 0.5) + math.floor(z / 0.42 + 0.5)) % 2 == 0
-            colour = _CREAM if even else _TEAL
+        even = (math.floor(x / 0.42 + 0.5) + math.floor(z / 0.42 + 0.5)) % 2 == 0
+        colour = _CREAM if even else _TEAL
+        for reach, ring in _RUG:
+            if r > RUG_RADIUS_M - reach:
+                colour = ring
         return grain(colour, 9 * x, 0.0, 9 * z, 0.16, seed)
     board = math.floor(x / 0.28)
     shift = lattice(board, 0, 0, seed) * 1.7
@@ -128,11 +136,9 @@ def paint_picture(kind: int, u: float, v: float, seed: int) -> Rgb:
         return mix(
             sky, mix(_HILL, _SAGE, step(0.0, 0.3, v - ridge)), step(-0.006, 0.006, v - ridge)
         )
-    edge = min(min(u, 1 - u), min(v, 1 - v))
-    if edge < 0.035:
-        return _INK
+    edge = min(u, 1 - u, v, 1 - v)
     if edge < 0.1:
-        return _WHITE
+        return _INK if edge < 0.035 else _WHITE
     u, v = (u - 0.1) / 0.8, (v - 0.1) / 0.8
     if kind == SUNSET:
         colour = mix(_DUSK, _ORANGE, step(0.05, 0.6, v))
@@ -160,9 +166,8 @@ def paint_picture(kind: int, u: float, v: float, seed: int) -> Rgb:
         for i in range(5):
             radius = 0.46 - 0.085 * i
             d = math.sqrt((u - 0.5) ** 2 + min(0.0, v - 0.56) ** 2)
-            band = _CLAY if i % 3 == 0 else (_TEAL if i % 3 == 1 else _CREAM)
             if v < 0.93 and d < radius:
-                colour = band
+                colour = _ARCHES[i % 3]
         return colour
     # BLOBS: soft spots on ink, much like a scene made of Gaussians.
     colour = _INK
@@ -171,14 +176,7 @@ def paint_picture(kind: int, u: float, v: float, seed: int) -> Rgb:
         su = 0.06 + 0.12 * lattice(i, 3, 0, seed + 31)
         sv = 0.05 + 0.1 * lattice(i, 4, 0, seed + 31)
         q = ((u - cu) / su) ** 2 + ((v - cv) / sv) ** 2
-        spot = _PINK
-        if i % 4 == 1:
-            spot = _YELLOW
-        elif i % 4 == 2:
-            spot = _SKY_HIGH
-        elif i % 4 == 3:
-            spot = _ORANGE
-        colour = mix(colour, spot, 0.92 * math.exp(-0.5 * q))
+        colour = mix(colour, _SPOTS[i % 4], 0.92 * math.exp(-0.5 * q))
     return colour
 
 
@@ -213,9 +211,7 @@ def paint_room(face: int, p: Vector, wall_pictures: Table, seed: int) -> Rgb:
         panel = u / 0.62 - math.floor(u / 0.62)
         inset = min(min(panel, 1 - panel) * 0.62, min(h - 0.12, 0.92 - h))
         tone = 0.84 if 0.07 < inset < 0.085 else 1.0
-        if h > 0.87:
-            tone = 1.06
-        return _CREAM[0] * tone, _CREAM[1] * tone, _CREAM[2] * tone
+        return toned(_CREAM, 1.06 if h > 0.87 else tone)
     return grain(wall, 1.7 * u, 1.7 * h, 3.1 * face, 0.2, seed + 5)
 
 
@@ -234,13 +230,12 @@ def paint_box(boxes: Boxes, i: int, p: Vector, axis: int, seed: int) -> Rgb:
     if pattern == CRATE:
         edge = min(hu - abs(u), hv - abs(v))
         diagonal = abs(u / hu - v / hv)
-        if edge < 0.055:
-            return grain(b, 20 * u, 20 * v, 1.0 * axis, 0.15, seed + i)
-        if diagonal < 0.17:
-            return grain(b, 15 * u, 15 * v, 1.0 * axis, 0.15, seed + i)
+        if edge < 0.055 or diagonal < 0.17:
+            fine = 20 if edge < 0.055 else 15
+            return grain(b, fine * u, fine * v, 1.0 * axis, 0.15, seed + i)
         board = (v + hv) / 0.11
         tone = 0.6 if board - math.floor(board) < 0.09 else 1.0
-        return grain((a[0] * tone, a[1] * tone, a[2] * tone), 5 * u, 22 * v, 1.0 * axis, 0.2, seed)
+        return grain(toned(a, tone), 5 * u, 22 * v, 1.0 * axis, 0.2, seed)
     if pattern == BOOKS and axis == 2:
         shelf = (y + half[1]) / 0.4
         level, rise = math.floor(shelf), shelf - math.floor(shelf)
@@ -249,18 +244,11 @@ def paint_box(boxes: Boxes, i: int, p: Vector, axis: int, seed: int) -> Rgb:
         book = math.floor((x + half[0]) / 0.065)
         pick = lattice(book, level, i, seed)
         if rise < 0.12 + 0.4 * lattice(book, level, i + 1, seed):
-            return a[0] * 0.3, a[1] * 0.3, a[2] * 0.3
+            return toned(a, 0.3)
         spine = _CREAM
-        if pick < 0.2:
-            spine = _RED
-        elif pick < 0.38:
-            spine = _TEAL
-        elif pick < 0.55:
-            spine = _YELLOW
-        elif pick < 0.72:
-            spine = _BLUE
-        elif pick < 0.86:
-            spine = _CLAY
+        for share, colour in _SPINES:
+            if pick < share:
+                spine = colour
         return spine
     if pattern == WOOD:
         return grain(a, 3 * u, 18 * v, 1.0 * axis, 0.2, seed + i)

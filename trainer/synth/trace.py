@@ -70,7 +70,6 @@ from .solid import (
 )
 
 Floats = npt.NDArray[np.float32]
-Integers = npt.NDArray[np.int64]
 Pixels = npt.NDArray[np.uint8]
 
 RAYS_PER_PIXEL = 4
@@ -80,6 +79,9 @@ T, PX, PY, PZ, NX, NY, NZ, AMBIENT, KEY = 0, 1, 2, 3, 4, 5, 6, 7, 10
 """Columns of the room buffer: distance, place, normal, light without the lamp (3), light of the
 lamp (3)."""
 BUFFER_COLUMNS = 13
+
+FACES = (RIGHT, LEFT), (FLOOR, CEILING), (BACK, FRONT)
+"""The faces of the room across each axis, at its greater end and at its lesser one."""
 
 SAME_SURFACE = 0.98
 """Two rays of a pixel see one surface when the ratio of their distances is above this and their
@@ -91,11 +93,17 @@ def part_surface(p: Vector, parts: Parts, i: int, seed: int) -> tuple[Vector, Rg
     """The normal and the colour of a part at a place on its surface."""
     h = part_foot(p, parts.cones, i)
     m, axis = minus(p, vector_at(parts.cones, i, FIRST)), part_axis(parts.cones, i)
-    n = unit((m[0] - h * axis[0], m[1] - h * axis[1], m[2] - h * axis[2]))
+    n = unit(ahead(m, axis, -h))
     k = 1.0 / parts.cones[i, FIRST + RADIUS]
     right, up = vector_at(parts.axes, i, 0), vector_at(parts.axes, i, 3)
     local = (k * dot(right, m), k * dot(up, m), k * dot(vector_at(parts.axes, i, 6), m))
     return n, paint_part(parts, i, local, h * math.sqrt(dot(axis, axis)), seed)
+
+
+@kernel(error_model="numpy")
+def across(axis: int, sign: float) -> Vector:
+    """The unit vector along an axis, or against it."""
+    return sign * (axis == 0), sign * (axis == 1), sign * (axis == 2)
 
 
 @kernel(error_model="numpy")
@@ -111,18 +119,13 @@ def room_hit(
     for axis in range(3):
         if abs(d[axis]) < 1e-12:
             continue
+        forward = d[axis] > 0
         low = -room[0] if axis != 1 else -room[1]
         high = room[0] if axis != 1 else 0.0
-        wall = ((high if d[axis] > 0 else low) - c[axis]) / d[axis]
+        wall = ((high if forward else low) - c[axis]) / d[axis]
         if wall < t:
-            t = wall
-            sign = -1.0 if d[axis] > 0 else 1.0
-            if axis == 0:
-                face, n = (RIGHT if d[0] > 0 else LEFT), (sign, 0.0, 0.0)
-            elif axis == 1:
-                face, n = (FLOOR if d[1] > 0 else CEILING), (0.0, sign, 0.0)
-            else:
-                face, n = (BACK if d[2] > 0 else FRONT), (0.0, 0.0, sign)
+            t, face = wall, FACES[axis][0 if forward else 1]
+            n = across(axis, -1.0 if forward else 1.0)
     box, part = -1, -1
     for i in range(places.shape[0]):
         near, axis = hit_box(c, d, places, i)
@@ -135,12 +138,7 @@ def room_hit(
     if box >= 0 and part < 0:
         cos, sin = places[box, COS], places[box, SIN]
         way = turned(d, cos, sin)
-        if face == 0:
-            n = (-cos, 0.0, -sin) if way[0] > 0 else (cos, 0.0, sin)
-        elif face == 1:
-            n = (0.0, -1.0, 0.0) if way[1] > 0 else (0.0, 1.0, 0.0)
-        else:
-            n = (sin, 0.0, -cos) if way[2] > 0 else (-sin, 0.0, cos)
+        n = turned(across(face, -1.0 if way[face] > 0 else 1.0), cos, -sin)
     return t, n, face, box, part
 
 
@@ -187,7 +185,7 @@ def trace_room(
     num_parts = cones.shape[0]
     for row in range(out_buffer.shape[0]):
         for column in range(out_buffer.shape[1]):
-            red, green, blue = 0.0, 0.0, 0.0
+            light = (0.0, 0.0, 0.0)
             for ray in range(RAYS_PER_PIXEL):
                 d = ray_direction(camera, row, column, ray)
                 t, n, face, box, part = room_hit(c, d, room, places, cones)
@@ -213,10 +211,12 @@ def trace_room(
                 for k in range(3):
                     cell[AMBIENT + k] = colour[k] * ambient[k] * dim
                     cell[KEY + k] = colour[k] * LAMP_LIGHT[k] * key
-                red += cell[AMBIENT] + cell[KEY]
-                green += cell[AMBIENT + 1] + cell[KEY + 1]
-                blue += cell[AMBIENT + 2] + cell[KEY + 2]
-            set_pixel(out_picture, row, column, (red, green, blue))
+                light = (
+                    light[0] + (cell[AMBIENT] + cell[KEY]),
+                    light[1] + (cell[AMBIENT + 1] + cell[KEY + 1]),
+                    light[2] + (cell[AMBIENT + 2] + cell[KEY + 2]),
+                )
+            set_pixel(out_picture, row, column, light)
 
 
 @kernel(error_model="numpy")
@@ -240,7 +240,6 @@ def trace_frame(
     lamp: Table,
     parts: Parts,
     groups: Table,
-    windows: Integers,
     seed: int,
     buffer: Floats,
     room_picture: Pixels,
@@ -250,8 +249,7 @@ def trace_frame(
     """Fills the picture (h, w, 3) of a frame and the distance (h, w) that each pixel's first ray
     sees.
 
-    centre: the camera's. parts, groups: those that move. windows: (G, 4) the first column, last
-    column, first row and last row that can show each group. buffer, room_picture: of `trace_room`.
+    centre: the camera's. parts, groups: those that move. buffer, room_picture: of `trace_room`.
     """
     c = (centre[0], centre[1], centre[2])
     cones, patterns = parts.cones, parts.patterns
@@ -268,11 +266,6 @@ def trace_frame(
                 way, inverse = minus(p, c), 1.0 / t
                 d = (way[0] * inverse, way[1] * inverse, way[2] * inverse)
                 for g in range(groups.shape[0]):
-                    if not (
-                        windows[g, 0] <= column <= windows[g, 1]
-                        and windows[g, 2] <= row <= windows[g, 3]
-                    ):
-                        continue
                     radius = groups[g, GROUP_RADIUS]
                     if hit_sphere(c, d, vector_at(groups, g, GROUP_CENTRE), radius) < t:
                         for i in range(int(groups[g, GROUP_FIRST]), int(groups[g, GROUP_END])):

@@ -57,9 +57,9 @@ class BufferResident:
         self._cull = compile_compute(context, "cull.glsl", {**constants, **self._sort.constants})
         self._groups = -(-num_slots // GROUP)
         self._program = compile_program(context, "splat.glsl", constants, version=430)
-        self._quads = context.vertex_array(self._program, [(self._sort.order, "1i/i", "slot")])
+        self._quads = context.vertex_array(self._program, [(self._sort.order, "1u/i", "slot")])
 
-    def put(self, packed: PackedRows) -> int:
+    def upload(self, packed: PackedRows) -> int:
         lane, first_slot = self._lanes[packed.lane], packed.lane * self._slice_size
         whole = packed.serial if packed.rows is None else lane[2]
         lane[:] = packed.birth, packed.birth + self._swin_size, whole, packed.serial

@@ -43,7 +43,7 @@ class DepthSort:
         self._tallies = context.buffer(reserve=4 * self._groups << DIGIT_BITS)
         other = context.buffer(reserve=4 * num_slots)
         self.slots, other_slots = (context.buffer(reserve=4 * num_slots) for _ in range(2))
-        """What the keys belong to. A sort overwrites them."""
+        """Numbers of the Gaussians that the keys belong to. A sort overwrites them."""
         self._ways = (
             (self.keys, self.slots, other, other_slots),
             (other, other_slots, self.keys, self.slots),
@@ -51,7 +51,7 @@ class DepthSort:
         self.order = self._ways[(PASSES - 1) % 2][3]
         """Slots in the order of their keys."""
         self.constants: Constants = {"KEY_BITS": KEY_BITS, "ABSENT": f"{ABSENT:#x}u"}
-        """What a shader that writes keys needs to know."""
+        """Constants of a shader that writes keys."""
         constants = {
             **self.constants,
             "SLOTS": num_slots,

@@ -16,7 +16,7 @@ from ..renderer import GlVersion
 Opened = TypeVar("Opened")
 
 SOFTWARE = ("llvmpipe", "softpipe", "SwiftShader", "Software Rasterizer")
-"""What renderers without a GPU have in their names."""
+"""Parts of the names of renderers without a GPU."""
 
 _COMMAND_BUFFER = 0x8F3F  # GL_DRAW_INDIRECT_BUFFER
 
@@ -26,7 +26,7 @@ class GlError(SwingsError):
 
 
 def first_context(version: GlVersion, opening: Callable[[GlVersion], Opened]) -> Opened:
-    """What `opening` gives for `version`; for AUTO with 4.3, or, where that fails, with 3.3.
+    """The result of `opening` for `version`; for AUTO with 4.3, or, where that fails, with 3.3.
 
     A driver may give exactly what it is asked for, so the newer version is asked for first.
     Raises GlError; `opening` raises any exception, as moderngl does.

@@ -97,7 +97,9 @@ class GlRenderer:
         """Packs the slice for the GPU; the next `upload` of a frame >= its birth takes it there."""
         check_slice(slice, self._manifest.slice_size, self._manifest.sh_degree)
         with self._packing:
-            self._arrivals.put(slice.birth, (self._packer.pack(slice), slice.birth, slice.motion))
+            self._arrivals.append(
+                slice.birth, (self._packer.pack(slice), slice.birth, slice.motion)
+            )
 
     def forget_waiting(self) -> None:
         """See Renderer."""
@@ -113,10 +115,10 @@ class GlRenderer:
     def _upload(self, frame: int) -> None:
         with step(self.times, "upload_ms", self._unlocked.finish):
             self._move(1.0)
-            taken = self._arrivals.take(frame)
+            taken = self._arrivals.pop_until(frame)
             for packed, _, _ in taken:
-                self.uploaded_bytes += self._resident.put(packed)
-            self._glide.begin(frame, [(birth, motion) for _, birth, motion in taken])
+                self.uploaded_bytes += self._resident.upload(packed)
+            self._glide.start(frame, [(birth, motion) for _, birth, motion in taken])
 
     def glide(self, share: float) -> bool:
         """See Renderer."""
@@ -129,7 +131,7 @@ class GlRenderer:
             with self._packing:
                 packed = self._packer.correct(slice)
             if packed is not None:
-                self.uploaded_bytes += self._resident.put(packed)
+                self.uploaded_bytes += self._resident.upload(packed)
         return bool(moved)
 
     def _draw(self, frame: int, camera: Camera) -> None:

@@ -23,7 +23,7 @@ BLACK: Colour = (0.0, 0.0, 0.0)
 
 
 class Target(Enum):
-    """What a pixel of the picture is blended in; the value is moderngl's name."""
+    """Format in which pixels are blended; the value is moderngl's name."""
 
     FLOAT32 = "f4"
     """As the CPU renderer does: for measurements and captures."""
@@ -83,7 +83,5 @@ class Offscreen:
         screen.use()
         self._context.enable_only(moderngl.NOTHING)
         self._picture.use(0)
-        uniform = self._program["background"]
-        assert isinstance(uniform, moderngl.Uniform)
-        uniform.write(np.array(background, np.float32))
+        self._program["background"], self._program["corner_px"] = background, (0, 0)
         self._copy.render(moderngl.TRIANGLES, vertices=3)

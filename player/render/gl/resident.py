@@ -1,4 +1,4 @@
-"""What the two ways of drawing share: Gaussians that stay on the GPU, ordered and drawn."""
+"""The interface of both ways of drawing: Gaussians that stay on the GPU, ordered and drawn."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ class Packer(Protocol[PackedOut]):
         ...
 
     def correct(self, slice: Slice) -> PackedOut | None:
-        """The slice, which tells anew what some rows of its lane hold, as one whose other rows
-        stay as they are; None where the lane has another slice by now."""
+        """The slice, which corrects some rows of its lane and leaves the others as they are; None
+        where the lane has another slice by now."""
         ...
 
     def forget(self, lane: int) -> None:
-        """What was packed for `lane` may never be uploaded: only a whole slice can follow."""
+        """Packed slices of `lane` may never be uploaded: only a whole slice can follow."""
         ...
 
 
@@ -43,7 +43,7 @@ class Resident(Protocol[Packed]):
     @property
     def packer(self) -> Packer[Packed]: ...
 
-    def put(self, packed: Packed) -> int:
+    def upload(self, packed: Packed) -> int:
         """Writes what the slice changes; gives how many bytes."""
         ...
 

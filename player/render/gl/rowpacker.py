@@ -63,5 +63,5 @@ class RowPacker:
         return PackedRows(lane, serial, slice.birth, slice.rows, words)
 
     def forget(self, lane: int) -> None:
-        """What was packed for `lane` may never be uploaded: only a whole slice can follow."""
+        """Packed slices of `lane` may never be uploaded: only a whole slice can follow."""
         self._births[lane] = None

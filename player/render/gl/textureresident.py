@@ -47,10 +47,12 @@ class TextureResident:
         }
         self._program = compile_program(context, "splat.glsl", constants)
         self._slots = context.buffer(reserve=4 * manifest.swin_size * lane_slots)
-        self._quads = context.vertex_array(self._program, [(self._slots, "1i/i", "slot")])
+        self._quads = context.vertex_array(self._program, [(self._slots, "1u/i", "slot")])
 
-    def put(self, packed: PackedSlice) -> int:
-        self._order.put(packed.lane, packed.expire, packed.means, packed.starts, packed.rows)
+    def upload(self, packed: PackedSlice) -> int:
+        self._order.update_lane(
+            packed.lane, packed.expire, packed.means, packed.starts, packed.rows
+        )
         for patch in packed.patches:
             height_px, width_px, _ = patch.texels.shape
             self._texture.write(

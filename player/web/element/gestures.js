@@ -1,74 +1,179 @@
+import { Taps } from "./taps.js";
+
+/** A player that covers this share of its page's width and height fills it. */
+const FILLS_SHARE = 0.9;
+/** One finger that moves this far to the side wants to look around. */
+const LOOKS_PX = 16;
+const HINT_PERIOD_MS = 1000;
+
 /**
- * Moves the camera by pointers: one turns it around the scene, the right button or two fingers move
- * it, the wheel or pinching comes nearer. Gives a function that stops listening.
- * @param {HTMLElement} surface
- * @param {() => import("../view/orbit.js").Orbit | null} orbit
- * @param {() => number} focalPx of the picture, in CSS pixels
- * @param {() => void} moved
+ * What gestures need of a player.
+ * @typedef {object} Gestured
+ * @property {import("../view/cameramotion.js").CameraMotion | null} motion
+ * @property {import("../format/camera.js").Camera | null} camera
+ * @property {number} pixelRatio
+ * @property {() => void} moved
+ * @property {(xPx: number, yPx: number) => boolean} focusAt
  */
-export function listenToGestures(surface, orbit, focalPx, moved) {
-  /** @type {Map<number, { x: number, y: number }>} */
+
+/**
+ * Moves the camera by pointers.
+ *
+ * A mouse turns it around the scene, with the right button or shift it moves it. In a player that fills
+ * its page or the screen, one finger turns, two move, and pinching or the wheel comes nearer. Elsewhere
+ * the page must scroll: one finger and the wheel are the page's, two fingers turn and come nearer, three
+ * move, and the wheel is taken with ctrl or while the player has the focus. A gesture that is left to the
+ * page dispatches `gesturehint` (detail: what to do instead), which leaves the shadow tree.
+ *
+ * A double tap, or a double click with alt, flies to what shows there.
+ * @param {HTMLElement} surface
+ * @param {Gestured} player
+ * @param {AbortSignal} signal ends the listening
+ */
+export function listenToGestures(surface, player, signal) {
+  /** @type {Map<number, { x: number, y: number, firstX: number }>} */
   const pointers = new Map();
-  const listening = new AbortController();
-  const { signal } = listening;
+  const taps = new Taps();
+  /** @type {import("../view/cameramotion.js").Drag} what the pointers did last */
+  let dragged = "turn";
+  let hintedMs = -Infinity;
+  const focalPx = () => (player.camera?.fxPx ?? 500) / player.pixelRatio;
 
-  const middle = () => {
-    const all = [...pointers.values()];
-    return {
-      x: all.reduce((sum, { x }) => sum + x, 0) / all.length,
-      y: all.reduce((sum, { y }) => sum + y, 0) / all.length,
-    };
+  const on = (
+    /** @type {string} */ type,
+    /** @type {(event: any) => void} */ action,
+    /** @type {AddEventListenerOptions} */ options = {},
+  ) => surface.addEventListener(type, action, { signal, ...options });
+
+  const hint = (/** @type {string} */ detail, /** @type {number} */ atMs) => {
+    if (atMs - hintedMs < HINT_PERIOD_MS) return;
+    hintedMs = atMs;
+    surface.dispatchEvent(
+      new CustomEvent("gesturehint", { detail, bubbles: true, composed: true }),
+    );
   };
-  const spreadPx = () => {
-    const [a, b] = [...pointers.values()];
-    return Math.max(1, Math.hypot(a.x - b.x, a.y - b.y));
+  const focusAt = (/** @type {number} */ x, /** @type {number} */ y) => {
+    const { left, top } = surface.getBoundingClientRect();
+    player.focusAt(x - left, y - top);
   };
 
-  surface.addEventListener(
-    "pointerdown",
-    (event) => {
-      surface.setPointerCapture(event.pointerId);
-      pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
-    },
-    { signal },
-  );
-  surface.addEventListener(
-    "pointermove",
-    (event) => {
-      const view = orbit();
-      const before = pointers.get(event.pointerId);
-      if (view === null || before === undefined || pointers.size > 2) return;
-      const from = middle();
-      const fromSpreadPx = pointers.size === 2 ? spreadPx() : 1;
-      pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
-      const to = middle();
-      if (pointers.size === 2) {
-        view.dragPan(to.x - from.x, to.y - from.y, focalPx());
-        view.scale(fromSpreadPx / spreadPx());
-      } else if (event.buttons & 2 || event.shiftKey) {
-        view.dragPan(to.x - from.x, to.y - from.y, focalPx());
-      } else {
-        view.dragTurn(to.x - from.x, to.y - from.y);
+  let isFull = false;
+  const lookAtSize = () => {
+    isFull = isFilling(surface);
+    surface.style.touchAction = isFull ? "none" : "pan-y";
+  };
+  const resizing = new ResizeObserver(lookAtSize);
+  resizing.observe(surface);
+  signal.addEventListener("abort", () => resizing.disconnect());
+  document.addEventListener("fullscreenchange", lookAtSize, { signal });
+  globalThis.addEventListener("resize", lookAtSize, { signal });
+
+  on("pointerdown", (/** @type {PointerEvent} */ event) => {
+    if (pointers.size === 0) lookAtSize();
+    surface.setPointerCapture(event.pointerId);
+    const { clientX: x, clientY: y } = event;
+    pointers.set(event.pointerId, { x, y, firstX: x });
+    player.motion?.grab();
+    if (event.pointerType === "touch") taps.down(event, pointers.size);
+  });
+  on("pointermove", (/** @type {PointerEvent} */ event) => {
+    const { motion } = player;
+    const before = pointers.get(event.pointerId);
+    if (motion === null || before === undefined) return;
+    const isTouch = event.pointerType === "touch";
+    const from = spreadOf([...pointers.values()]);
+    pointers.set(event.pointerId, { ...before, x: event.clientX, y: event.clientY });
+    if (isTouch && !isFull && pointers.size === 1) {
+      if (Math.abs(event.clientX - before.firstX) > LOOKS_PX) {
+        hint("Use two fingers to look around", event.timeStamp);
       }
-      moved();
-    },
-    { signal },
-  );
+      return;
+    }
+    const to = spreadOf([...pointers.values()]);
+    const isPan = isTouch
+      ? pointers.size === (isFull ? 2 : 3)
+      : (event.buttons & 2) !== 0 || event.shiftKey;
+    dragged = isPan ? "pan" : "turn";
+    const [rightPx, downPx] = [to.x - from.x, to.y - from.y];
+    if (isPan) motion.dragPan(rightPx, downPx, focalPx(), event.timeStamp);
+    else motion.dragTurn(rightPx, downPx, event.timeStamp);
+    if (pointers.size > 1) motion.scale(from.spreadPx / to.spreadPx);
+    player.moved();
+  });
   for (const type of ["pointerup", "pointercancel", "lostpointercapture"]) {
-    const lift = (/** @type {Event} */ event) =>
-      pointers.delete(/** @type {PointerEvent} */ (event).pointerId);
-    surface.addEventListener(type, lift, { signal });
+    on(type, (/** @type {PointerEvent} */ event) => {
+      if (!pointers.delete(event.pointerId)) return;
+      if (pointers.size === 0) player.motion?.release(dragged, event.timeStamp);
+      // The fingers that stay begin anew: the middle of fewer is elsewhere.
+      else player.motion?.grab();
+      player.moved();
+      if (type === "pointerup" && event.pointerType === "touch" && taps.up(event)) {
+        focusAt(event.clientX, event.clientY);
+      }
+    });
   }
-  surface.addEventListener(
-    "wheel",
-    (event) => {
-      event.preventDefault();
-      const linesPx = event.deltaMode === WheelEvent.DOM_DELTA_LINE ? 33 : 1;
-      orbit()?.approach((-event.deltaY * linesPx) / 100);
-      moved();
-    },
-    { signal, passive: false },
-  );
-  surface.addEventListener("contextmenu", (event) => event.preventDefault(), { signal });
-  return () => listening.abort();
+  // Two fingers are ours, also where one scrolls.
+  for (const type of ["touchstart", "touchmove"]) {
+    const take = (/** @type {TouchEvent} */ event) => {
+      if (event.touches.length > 1 && event.cancelable) event.preventDefault();
+    };
+    on(type, take, { passive: false });
+  }
+  on("dblclick", (/** @type {MouseEvent} */ event) => {
+    if (event.altKey) focusAt(event.clientX, event.clientY);
+  });
+  const turnWheel = (/** @type {WheelEvent} */ event) => {
+    lookAtSize();
+    if (!(event.ctrlKey || event.metaKey || isFull || hasFocus(surface))) {
+      hint("Use Ctrl and the wheel to come closer", event.timeStamp);
+      return;
+    }
+    event.preventDefault();
+    const linesPx = event.deltaMode === WheelEvent.DOM_DELTA_LINE ? 33 : 1;
+    player.motion?.approach((-event.deltaY * linesPx) / 100);
+    player.moved();
+  };
+  on("wheel", turnWheel, { passive: false });
+  on("contextmenu", (/** @type {Event} */ event) => event.preventDefault());
+}
+
+/**
+ * The middle of some places, and how far they lie from it.
+ * @param {{ x: number, y: number }[]} places
+ */
+function spreadOf(places) {
+  const mean = (/** @type {number[]} */ values) =>
+    values.reduce((sum, value) => sum + value, 0) / values.length;
+  const x = mean(places.map((place) => place.x));
+  const y = mean(places.map((place) => place.y));
+  const spreadPx = mean(places.map((place) => Math.hypot(place.x - x, place.y - y)));
+  return { x, y, spreadPx: Math.max(0.5, spreadPx) };
+}
+
+/**
+ * Whether nothing else could want a gesture: the player fills the screen, or a page that does not
+ * scroll. A frame cannot know whether the page around it scrolls.
+ * @param {HTMLElement} surface
+ */
+function isFilling(surface) {
+  const full = document.fullscreenElement;
+  if (full?.contains(hostOf(surface))) return true;
+  if (globalThis.parent !== globalThis.window) return false;
+  const { clientWidth, clientHeight } = surface;
+  const page = document.documentElement;
+  const isLarge =
+    clientWidth >= FILLS_SHARE * page.clientWidth &&
+    clientHeight >= FILLS_SHARE * globalThis.innerHeight;
+  return isLarge && page.scrollHeight <= globalThis.innerHeight / FILLS_SHARE;
+}
+
+/** @param {HTMLElement} surface */
+function hasFocus(surface) {
+  return hostOf(surface).matches(":focus-within");
+}
+
+/** The element of the page that has `surface` in its shadow tree. @param {HTMLElement} surface */
+function hostOf(surface) {
+  const root = surface.getRootNode();
+  return root instanceof ShadowRoot ? root.host : surface;
 }

@@ -1,20 +1,62 @@
 import { isBehind } from "../source/liveedge.js";
+import { node } from "./nodes.js";
+
+/** A live stream has stopped if it has not grown for so many times the length of a segment, */
+const STOPPED_SEGMENTS = 5;
+/** and at least for so long. */
+const LEAST_STOPPED_S = 10;
+
+/** @param {{ fps: number, segmentFrames: number }} manifest */
+export function stoppedAfterS({ fps, segmentFrames }) {
+  return Math.max(LEAST_STOPPED_S, (STOPPED_SEGMENTS * segmentFrames) / fps);
+}
 
 /**
- * Has the controls follow a stream that grows: the LIVE badge is on while it is live, and dim where what
- * shows is behind the edge; the scrub bar ends where the stream does.
- * @param {ShadowRoot} controls
- * @param {import("./webplayer.js").WebPlayer} player
- * @param {AbortSignal} signal
+ * The LIVE badge: there while a stream is live, grey where the picture is behind its edge, or where
+ * its writer has stopped.
  */
-export function followLive(controls, player, signal) {
-  const badge = /** @type {HTMLElement} */ (controls.querySelector(".badge"));
-  const scrub = /** @type {HTMLInputElement} */ (controls.querySelector(".scrub"));
-  const show = () => {
-    const { live, manifest, numFrames, state } = player;
-    badge.classList.toggle("on", live);
-    badge.classList.toggle("behind", live && isBehind(manifest, numFrames, state.frame));
-    scrub.max = String(numFrames - 1);
-  };
-  for (const type of ["opened", "state", "grown"]) player.addEventListener(type, show, { signal });
+export class LiveBadge {
+  #timer = 0;
+
+  /**
+   * @param {import("./webplayer.js").WebPlayer} player
+   * @param {(hasStopped: boolean) => void} onStopped
+   * @param {AbortSignal} signal ends the listening
+   */
+  constructor(player, onStopped, signal) {
+    const label = "Go to the live edge";
+    const attributes = { class: "badge", "aria-label": label, title: `${label} (End)` };
+    this.root = node("button", attributes, node("span", {}, "LIVE"));
+    this.player = player;
+    this.hasStopped = false;
+    this.onStopped = onStopped;
+    const watch = () => {
+      clearTimeout(this.#timer);
+      this.#setStopped(false);
+      if (!player.live) return;
+      const waitMs = 1000 * stoppedAfterS(player.manifest);
+      this.#timer = setTimeout(() => this.#setStopped(true), waitMs);
+    };
+    for (const type of ["opened", "grown"]) player.addEventListener(type, watch, { signal });
+    for (const type of ["opened", "state", "grown"]) {
+      player.addEventListener(type, () => this.#show(), { signal });
+    }
+    signal.addEventListener("abort", () => clearTimeout(this.#timer));
+  }
+
+  /** @param {boolean} hasStopped */
+  #setStopped(hasStopped) {
+    if (hasStopped === this.hasStopped) return;
+    this.hasStopped = hasStopped;
+    this.onStopped(hasStopped);
+    this.#show();
+  }
+
+  #show() {
+    const { live, manifest, numFrames, state } = this.player;
+    const { classList } = this.root;
+    classList.toggle("on", live);
+    const isGrey = this.hasStopped || (live && isBehind(manifest, numFrames, state.frame));
+    classList.toggle("behind", isGrey);
+  }
 }

@@ -1,59 +1,52 @@
+import { prefersStill } from "./motion.js";
+import { PictureInterface } from "./pictureinterface.js";
+import { NETWORK, READY, Readiness } from "./readiness.js";
+import { FrameRanges, SecondRanges } from "./timeranges.js";
+
 /** @typedef {import("./webplayer.js").WebPlayer} WebPlayer */
 
+/** `code` of a MediaError. */
+const ERROR = { DECODE: 3, SRC_NOT_SUPPORTED: 4 };
+
 /**
- * What a page's script uses of `<swings-player>`. What a media element of HTML has too bears its name
- * and means the same: https://html.spec.whatwg.org/multipage/media.html
- *
- * Events: `loadedmetadata`, `play`, `playing`, `waiting`, `pause`, `timeupdate` (another frame shows),
- * `seeking`, `seeked`, `ratechange`, `ended`, `error`, and `layerschange`.
+ * What a page's script uses of `<swings-player>`. Properties, methods and events that media elements of
+ * HTML have too bear their names and mean the same: https://html.spec.whatwg.org/multipage/media.html.
+ * docs/EMBED.md has the tables. `layerschange` is an event of its own.
  */
-export class MediaInterface extends HTMLElement {
-  /** @type {WebPlayer | null} while the element is in a page */
-  player = null;
-  /** @type {{ message: string } | null} why nothing plays */
+export class MediaInterface extends PictureInterface {
+  /** @type {{ code: number, message: string } | null} why nothing plays */
   error = null;
+  #currentSrc = "";
+  #readiness = new Readiness();
   #paused = true;
   #ended = false;
   /** Whether the last frame is due, but may not show yet. */
   #isEnding = false;
+  /** @type {PromiseWithResolvers<void> | null} of the calls of `play` whose playing has not begun */
+  #pending = null;
   #rate = 1;
+  #defaultRate = 1;
   #layers = 0;
-  /** @type {number | null} where to begin, if a script said so before the stream was open */
+  /** @type {number | null} seconds: where to begin, set by a script before the stream was open */
   #startS = null;
-  /** Whether `playing` was the last to be said of `playing`, `waiting` and `pause`. */
-  #advances = false;
+  /** Where the element was when it was taken out of its page. */
+  #left = { src: "", timeS: 0 };
+  #isOpening = false;
+  #played = new FrameRanges();
+  /** @type {number | null} the frame shown last, if the next one follows it */
+  #playedFrame = null;
 
-  /** URL of the stream's folder. */
-  get src() {
-    return this.getAttribute("src") ?? "";
+  /** The absolute URL of the stream that is loaded, or was tried. */
+  get currentSrc() {
+    return this.#currentSrc;
   }
 
-  set src(url) {
-    this.setAttribute("src", url);
+  get readyState() {
+    return this.#readiness.ready;
   }
 
-  get poster() {
-    return this.getAttribute("poster") ?? "";
-  }
-
-  set poster(url) {
-    this.setAttribute("poster", url);
-  }
-
-  get autoplay() {
-    return this.hasAttribute("autoplay");
-  }
-
-  set autoplay(value) {
-    this.toggleAttribute("autoplay", value);
-  }
-
-  get loop() {
-    return this.hasAttribute("loop");
-  }
-
-  set loop(value) {
-    this.toggleAttribute("loop", value);
+  get networkState() {
+    return this.#readiness.network;
   }
 
   get paused() {
@@ -69,7 +62,7 @@ export class MediaInterface extends HTMLElement {
     return this.player?.isSeeking ?? false;
   }
 
-  /** Seconds; NaN until `loadedmetadata`. */
+  /** Seconds; NaN until `loadedmetadata`. Of a live stream: so far. */
   get duration() {
     const { player } = this;
     return player?.manifest ? player.numFrames / player.manifest.fps : NaN;
@@ -91,17 +84,58 @@ export class MediaInterface extends HTMLElement {
     else this.#startS = seconds;
   }
 
+  /** Seeks; every seek is exact here. @param {number} seconds */
+  fastSeek(seconds) {
+    this.currentTime = seconds;
+  }
+
+  /** What can be shown without waiting, in seconds. */
+  get buffered() {
+    const { player } = this;
+    if (!player?.manifest) return new SecondRanges([]);
+    const frames = new FrameRanges();
+    const { frame, endFrame, bufferedRanges } = player.state;
+    for (const [first, end] of bufferedRanges ?? [[frame, endFrame]]) frames.add(first, end);
+    return frames.inSeconds(player.manifest.fps);
+  }
+
+  /** All of the stream, once its duration is known. */
+  get seekable() {
+    const { duration } = this;
+    return new SecondRanges(duration > 0 ? [[0, duration]] : []);
+  }
+
+  /** What has been played since the stream was opened, in seconds. */
+  get played() {
+    return this.#played.inSeconds(this.player?.manifest?.fps ?? 1);
+  }
+
+  /** "live" while the stream grows, "on-demand", or "unknown" until `loadedmetadata`. */
+  get streamType() {
+    if (!this.player?.manifest) return "unknown";
+    return this.player.live ? "live" : "on-demand";
+  }
+
   get playbackRate() {
     return this.#rate;
   }
 
   set playbackRate(rate) {
-    if (!(rate > 0 && rate < Infinity)) {
-      throw new RangeError(`playbackRate: ${rate} is not a positive number`);
-    }
+    checkRate("playbackRate", rate);
     this.#rate = rate;
     this.player?.setRate(rate);
-    this.#say("ratechange");
+    this.queueEvent("ratechange");
+  }
+
+  /** `playbackRate` of the streams that are loaded after the first one. */
+  get defaultPlaybackRate() {
+    return this.#defaultRate;
+  }
+
+  set defaultPlaybackRate(rate) {
+    checkRate("defaultPlaybackRate", rate);
+    this.#defaultRate = rate;
+    this.queueEvent("ratechange");
   }
 
   /** Layers that are shown at most; 0: as many as the link carries. */
@@ -115,7 +149,7 @@ export class MediaInterface extends HTMLElement {
     }
     this.#layers = most;
     this.#setLayers();
-    this.#say("layerschange");
+    this.queueEvent("layerschange");
   }
 
   /** Layers of the stream; 0 until `loadedmetadata`. */
@@ -138,40 +172,98 @@ export class MediaInterface extends HTMLElement {
     player.moved();
   }
 
-  /** Plays, from the first frame after the last one has shown; as soon as the stream is open. */
+  /**
+   * Plays, from the first frame after the last one has shown; as soon as the stream is open.
+   * @returns {Promise<void>} resolves when playing begins. Rejects with an AbortError if `pause`, `load`
+   *   or the end comes first, and with a NotSupportedError if the stream cannot be played. Scripts may
+   *   ignore it: it is never reported as unhandled.
+   */
   play() {
-    if (!this.#paused) return;
-    this.#paused = false;
-    this.#ended = false;
-    this.#say("play");
-    this.player?.setPlaying(true);
+    const { player, error } = this;
+    if (error?.code === ERROR.SRC_NOT_SUPPORTED) {
+      const refused = Promise.reject(new DOMException(error.message, "NotSupportedError"));
+      refused.catch(() => {});
+      return refused;
+    }
+    this.#pending ??= Promise.withResolvers();
+    const { promise } = this.#pending;
+    promise.catch(() => {});
+    if (this.#ended) player?.seek(0);
+    const isReady = this.readyState >= READY.FUTURE;
+    if (this.#paused) {
+      this.#paused = false;
+      this.#ended = false;
+      this.queueEvent("play");
+      this.queueEvent(isReady ? "playing" : "waiting");
+      if (player?.manifest) player.setPlaying(true);
+      else if (this.networkState === NETWORK.IDLE) this.#open();
+    }
+    if (isReady) this.#begun();
+    return promise;
   }
 
   pause() {
     if (this.#paused) return;
     this.#paused = true;
-    this.#advances = false;
     this.player?.setPlaying(false);
-    this.#say("pause");
+    this.queueEvent("timeupdate");
+    this.queueEvent("pause");
+    this.#refuse("AbortError", "play() was interrupted by a pause");
   }
 
-  /** A stream begins to load: what was said of the one before is no longer true. */
-  reset() {
+  /** Loads the stream of `src` anew, from its beginning. */
+  load() {
+    this.#unload();
+    if (this.player === null || !this.getAttribute("src")) return;
     this.error = null;
-    this.#paused = true;
-    this.#ended = false;
-    this.#isEnding = false;
-    this.#advances = false;
+    this.#currentSrc = this.src;
+    this.#fire(this.#readiness.select());
+    const isWanted = this.#playsAlone || !this.#paused;
+    this.prepare();
+    if (this.preload === "none" && !isWanted) this.#fire(this.#readiness.suspend());
+    else this.#open();
+  }
+
+  /** A stream is about to be opened, now or at `play()`: the element shows its poster. */
+  prepare() {}
+
+  /**
+   * Opens the stream of `src`.
+   * @param {boolean} isHeld whether nothing but its description is fetched until `play()` or a seek
+   */
+  openStream(isHeld) {
+    void isHeld;
+  }
+
+  /** The element is taken out of its page: its player goes, its place is kept. */
+  leave() {
+    const { player } = this;
+    if (player?.manifest && !player.live) {
+      this.#left = { src: this.#currentSrc, timeS: this.currentTime };
+    }
+    this.endCapture();
+    player?.dispose();
+    this.player = null;
+    this.#unload();
+  }
+
+  /** `preload` has changed: a stream that waits for it is opened. */
+  preloadChanged() {
+    const waits = this.networkState === NETWORK.IDLE && !this.#isOpening;
+    if (waits && this.preload !== "none") this.#open();
   }
 
   /** Nothing plays, and why. @param {string} message */
   fail(message) {
-    this.error = { message };
-    this.#say("error");
+    const isOpen = this.readyState > READY.NOTHING;
+    this.error = { code: isOpen ? ERROR.DECODE : ERROR.SRC_NOT_SUPPORTED, message };
+    this.#readiness.network = isOpen ? NETWORK.IDLE : NETWORK.NO_SOURCE;
+    this.queueEvent("error");
+    this.#refuse("NotSupportedError", message);
   }
 
   /**
-   * Says what happens in a player as DOM events.
+   * Passes on what happens in a player as DOM events.
    * @param {WebPlayer} player
    * @param {AbortSignal} signal ends it
    */
@@ -179,21 +271,52 @@ export class MediaInterface extends HTMLElement {
     const on = (/** @type {string} */ type, /** @type {() => void} */ action) =>
       player.addEventListener(type, action, { signal });
     on("opened", () => this.#begin(player));
-    on("state", () => this.#look(player));
-    on("shown", () => {
-      this.#say("timeupdate");
-      this.#end(player);
-    });
+    on("state", () => this.#update(player));
+    on("grown", () => this.queueEvent("durationchange"));
+    on("shown", () => this.#showFrame(player));
     on("seeking", () => {
       this.#isEnding = false;
       this.#ended = false;
-      this.#say("seeking");
+      this.#playedFrame = null;
+      this.queueEvent("seeking");
+      this.#update(player);
     });
-    on("seeked", () => this.#say("seeked"));
+    on("seeked", () => {
+      this.#playedFrame = player.shownFrame;
+      this.queueEvent("seeked");
+    });
     on("ended", () => {
       this.#isEnding = true;
       this.#end(player);
     });
+  }
+
+  /** Forgets the stream that was loaded, if any. */
+  #unload() {
+    const { network } = this.#readiness;
+    if (network === NETWORK.EMPTY) return;
+    if (network !== NETWORK.NO_SOURCE) this.queueEvent("abort");
+    this.queueEvent("emptied");
+    this.#readiness.reset();
+    this.#isOpening = false;
+    this.#paused = true;
+    this.#ended = false;
+    this.#isEnding = false;
+    this.#played = new FrameRanges();
+    this.#playedFrame = null;
+    if (this.#rate !== this.#defaultRate) this.playbackRate = this.#defaultRate;
+    this.#refuse("AbortError", "play() was interrupted by another load");
+  }
+
+  #open() {
+    this.#isOpening = true;
+    this.#readiness.network = NETWORK.LOADING;
+    this.openStream(this.preload === "metadata" && this.#paused && !this.#playsAlone);
+  }
+
+  /** Whether it begins to play by itself: not for a viewer who asked for less motion. */
+  get #playsAlone() {
+    return this.autoplay && !prefersStill();
   }
 
   /** It has ended once the last frame shows. @param {WebPlayer} player */
@@ -202,7 +325,7 @@ export class MediaInterface extends HTMLElement {
     this.#isEnding = false;
     this.#ended = true;
     this.pause();
-    this.#say("ended");
+    this.queueEvent("ended");
   }
 
   /** @param {WebPlayer} player */
@@ -211,32 +334,95 @@ export class MediaInterface extends HTMLElement {
     if (this.#layers !== 0) this.#setLayers();
     const view = this.getAttribute("view");
     if (view) this.view = view;
+    this.queueEvent("durationchange");
+    this.measure();
+    this.#fire(this.#readiness.open(performance.now() / 1000));
+    const isWanted = !this.#paused || this.autoplay;
+    if (this.preload === "metadata" && !isWanted) this.#fire(this.#readiness.suspend());
     const start = this.getAttribute("start");
-    const startS = this.#startS ?? (start === null ? null : Number(start));
+    const left = this.#left.src === this.#currentSrc ? this.#left.timeS : null;
+    const startS = this.#startS ?? left ?? (start === null ? null : Number(start));
     this.#startS = null;
+    this.#left = { src: "", timeS: 0 };
     // A live stream begins at its edge by itself, others at 0.
     if (startS !== null && startS >= 0) this.currentTime = startS;
-    this.#say("loadedmetadata");
     if (!this.#paused) player.setPlaying(true);
-    else if (this.autoplay) this.play();
+    else if (this.#playsAlone) this.play();
   }
 
   /** @param {WebPlayer} player */
-  #look({ state, manifest }) {
-    if (this.#paused || !manifest) return;
-    const advances = !state.waiting;
-    if (advances === this.#advances) return;
-    this.#advances = advances;
-    this.#say(advances ? "playing" : "waiting");
+  #showFrame(player) {
+    const { shownFrame, manifest } = player;
+    this.queueEvent("timeupdate");
+    if (this.#paused) this.#playedFrame = shownFrame;
+    else if (!player.isSeeking) this.#play(shownFrame);
+    this.#update(player);
+    this.runFrameCallbacks(shownFrame / manifest.fps);
+    this.#end(player);
+  }
+
+  /** Notes that a frame was played. @param {number} frame */
+  #play(frame) {
+    const before = this.#playedFrame ?? frame;
+    if (frame < before) {
+      // Around the end of a loop, which is a seek to scripts.
+      this.queueEvent("seeking");
+      this.queueEvent("seeked");
+    }
+    this.#played.add(frame < before ? frame : before, frame + 1);
+    this.#playedFrame = frame;
+  }
+
+  /** @param {WebPlayer} player */
+  #update(player) {
+    const { state, manifest, numFrames, live } = player;
+    if (!manifest) return;
+    this.keepDrawing();
+    this.measure();
+    const { frame, endFrame, waiting, receivedBytes } = state;
+    const { fps } = manifest;
+    const isShown = player.shownFrame >= 0;
+    const shown = { isShown, isSeeking: player.isSeeking, playing: !this.#paused };
+    const loaded = { fps, frame, endFrame, numFrames, live, waiting, receivedBytes };
+    this.#fire(this.#readiness.update({ ...loaded, ...shown }, performance.now() / 1000));
+  }
+
+  /** Events in their order; with `playing` the calls of `play` are answered. @param {string[]} types */
+  #fire(types) {
+    for (const type of types) {
+      this.queueEvent(type);
+      if (type === "playing") this.#begun();
+    }
+  }
+
+  #begun() {
+    const pending = this.#pending;
+    this.#pending = null;
+    queueMicrotask(() => pending?.resolve());
+  }
+
+  /**
+   * @param {string} name of the DOMException
+   * @param {string} message
+   */
+  #refuse(name, message) {
+    const pending = this.#pending;
+    this.#pending = null;
+    queueMicrotask(() => pending?.reject(new DOMException(message, name)));
   }
 
   #setLayers() {
     const { player, numLayers } = this;
     if (numLayers > 0) player?.setLayers(Math.min(this.#layers || numLayers, numLayers));
   }
+}
 
-  /** @param {string} type */
-  #say(type) {
-    this.dispatchEvent(new Event(type));
+/**
+ * @param {string} name
+ * @param {number} rate
+ */
+function checkRate(name, rate) {
+  if (!(rate > 0 && rate < Infinity)) {
+    throw new RangeError(`${name}: ${rate} is not a positive number`);
   }
 }

@@ -1,37 +1,40 @@
 import { hasHeadset, HeadsetError } from "../stereo/headset.js";
 
-/** The buttons of side by side and of VR. The second one shows where there is a headset. */
+/** Side by side and VR. */
 export class StereoControls {
   #isStarting = false;
 
   /**
-   * @param {ShadowRoot} root
    * @param {import("./webplayer.js").WebPlayer} player
-   * @param {(message: string) => void} hint says something to the person
-   * @param {AbortSignal} signal ends the listening
+   * @param {(message: string) => void} hint shows a message
    */
-  constructor(root, player, hint, signal) {
+  constructor(player, hint) {
     this.player = player;
     this.hint = hint;
-    const part = (/** @type {string} */ selector) =>
-      /** @type {HTMLButtonElement} */ (root.querySelector(selector));
-    this.sideBySide = part(".side-by-side");
-    this.headset = part(".headset");
-    this.sideBySide.addEventListener("click", () => this.toggleSideBySide(), { signal });
-    this.headset.addEventListener("click", () => this.toggleHeadset(), { signal });
-    const press = () => this.headset.setAttribute("aria-pressed", String(player.headset !== null));
-    player.addEventListener("headset", press, { signal });
-    const look = async () => {
-      this.headset.hidden = !(await hasHeadset());
-    };
+  }
+
+  get isSideBySide() {
+    return this.player.isSideBySide;
+  }
+
+  /** Whether a headset shows the scene. */
+  get isWorn() {
+    return this.player.headset !== null;
+  }
+
+  /**
+   * Reports whether there is a headset, now and when that changes.
+   * @param {(isThere: boolean) => void} report
+   * @param {AbortSignal} signal ends the listening
+   */
+  watch(report, signal) {
+    const look = async () => report(await hasHeadset());
     navigator.xr?.addEventListener("devicechange", look, { signal });
     look();
   }
 
   toggleSideBySide() {
-    const { player } = this;
-    player.setSideBySide(!player.isSideBySide);
-    this.sideBySide.setAttribute("aria-pressed", String(player.isSideBySide));
+    this.player.setSideBySide(!this.player.isSideBySide);
   }
 
   async toggleHeadset() {

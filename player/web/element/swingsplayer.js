@@ -1,34 +1,73 @@
+import { PLAYER_VERSION } from "../constants.js";
 import { RendererError } from "../renderer/program.js";
-import { MARKUP, timeText } from "./controls.js";
-import { listenToGestures } from "./gestures.js";
-import { ICONS } from "./icons.js";
-import { followLive } from "./livebadge.js";
+import { Bar } from "./bar.js";
+import { BarVisibility } from "./barvisibility.js";
+import { CameraControls } from "./cameracontrols.js";
+import { choicesOf } from "./choices.js";
+import { commandsOf } from "./commands.js";
+import { Failure } from "./failure.js";
+import { FullScreen } from "./fullscreen.js";
+import { hasGyroscope } from "./gyroscope.js";
+import { Hints } from "./hints.js";
+import { KeyList } from "./keylist.js";
+import { keysOf, listenToKeys } from "./keys.js";
+import { LiveBadge } from "./livebadge.js";
 import { MediaInterface } from "./mediainterface.js";
+import { Menu } from "./menu.js";
+import { prefersStill } from "./motion.js";
+import { node } from "./nodes.js";
+import { Overlay } from "./overlay.js";
+import { Scrubber } from "./scrubber.js";
+import { Sharing } from "./sharing.js";
+import { Statistics } from "./statistics.js";
 import { StereoControls } from "./stereocontrols.js";
 import { STYLE } from "./style.js";
 import { WebPlayer } from "./webplayer.js";
 
-const IDLE_MS = 2500;
-const STATS_PERIOD_MS = 250;
-const TURN_PX = 30;
+const LONG_MS = 10_000;
 
 /**
  * `<swings-player src="URL of a stream's folder">`: plays a stream, with controls.
  *
- * Attributes: `src`, `autoplay`, `loop`, `start` (seconds), `view` (as a share link has it), `poster`,
- * `link` (the page that share links open), `max-gaussians`. docs/EMBED.md has them all, and what a script can do.
+ * Attributes: `src`, `autoplay`, `loop`, `preload`, `start` (seconds), `view` (as a share link has it),
+ * `poster`, `muted`, `link` (the page that share links open), `max-gaussians`, `other-hosts`,
+ * `buffer-mb`. docs/EMBED.md has them all, and what a script can do.
  */
 export class SwingsPlayerElement extends MediaInterface {
-  static observedAttributes = ["src", "loop"];
+  /** Of the player. */
+  static version = PLAYER_VERSION;
+  static observedAttributes = ["src", "loop", "preload"];
 
-  /** @type {StereoControls | null} */
-  #stereo = null;
-  /** @type {() => void} */
+  #canvas = node("canvas", {
+    tabindex: "0",
+    role: "application",
+    "aria-label":
+      "Volumetric video. Drag to look around. Press space to play or pause, ? for all keys.",
+  });
+  #overlay = new Overlay(() => this.play());
+  #hints = new Hints();
+  #failure = new Failure(() => this.retry());
+  #sharing = new Sharing(this, (message, forMs) => this.#hints.say(message, forMs));
+  /** What there is for a player that works. */
+  #controls = node("div", { class: "controls" });
+  #frame = node(
+    "div",
+    { class: "frame" },
+    // An emulator of headsets borrows the canvas, and gives it back to its parent if that is an element.
+    node("div", {}, this.#canvas),
+    ...this.#overlay.parts,
+    this.#hints.root,
+    this.#controls,
+    this.#failure.root,
+  );
+  /** @type {ReturnType<SwingsPlayerElement["build"]> | null} */
+  #parts = null;
+  /** @type {CameraControls | null} */
+  #camera = null;
   #stopListening = () => {};
-  #idleTimer = 0;
-  #statsTimer = 0;
-  #scrubbing = false;
-  #resumes = false;
+  #isLooping = false;
+  /** Whether nothing was played or sought yet. */
+  #isFresh = true;
 
   constructor() {
     super();
@@ -37,221 +76,212 @@ export class SwingsPlayerElement extends MediaInterface {
     const sheet = new CSSStyleSheet();
     sheet.replaceSync(STYLE);
     root.adoptedStyleSheets = [sheet];
-    root.innerHTML = MARKUP;
-  }
-
-  /**
-   * @template {Element} T
-   * @param {string} selector
-   * @returns {T}
-   */
-  #part(selector) {
-    return /** @type {T} */ (/** @type {ShadowRoot} */ (this.shadowRoot).querySelector(selector));
-  }
-
-  get #scrub() {
-    return /** @type {HTMLInputElement} */ (this.#part(".scrub"));
+    root.append(this.#frame);
   }
 
   connectedCallback() {
-    const canvas = /** @type {HTMLCanvasElement} */ (this.#part("canvas"));
     try {
-      this.player = new WebPlayer(canvas);
+      this.player = new WebPlayer(this.#canvas);
     } catch (error) {
       if (!(error instanceof RendererError)) throw error;
       this.fail(error.message);
       return;
     }
-    this.#listen(this.player, canvas);
-    this.#open();
+    const listening = new AbortController();
+    this.#listen(this.player, listening.signal);
+    this.#stopListening = () => listening.abort();
+    this.load();
   }
 
   disconnectedCallback() {
-    clearTimeout(this.#idleTimer);
-    clearInterval(this.#statsTimer);
     this.#stopListening();
-    this.player?.dispose();
-    this.player = null;
-    this.reset();
+    this.#parts?.fullScreen.leave();
+    this.#parts?.statistics.close();
+    this.#parts?.scrubber.close();
+    this.#parts = null;
+    this.#controls.replaceChildren();
+    this.leave();
   }
 
   /** @param {string} name */
   attributeChangedCallback(name) {
     if (this.player === null) return;
-    if (name === "src") {
-      this.reset();
-      this.#open();
-    } else this.#setLoop(this.hasAttribute("loop"));
+    if (name === "src") this.load();
+    else if (name === "preload") this.preloadChanged();
+    else this.#setLoop(this.loop);
   }
 
-  #open() {
-    const src = this.getAttribute("src");
+  /** @override */
+  prepare() {
     const { player } = this;
-    if (!src || player === null) return;
-    this.#tell("");
-    const poster = /** @type {HTMLImageElement} */ (this.#part(".poster"));
-    const url = this.getAttribute("poster");
-    poster.hidden = !url;
-    if (url) poster.src = url;
-    poster.classList.remove("gone");
-    this.#part(".spinner").toggleAttribute("hidden", false);
+    if (player === null) return;
+    player.close();
+    this.#isFresh = true;
+    this.#failure.clear();
+    this.#frame.classList.remove("failed");
+    this.#hints.clear();
+    this.#overlay.setPoster(this.getAttribute("poster"));
+    this.#show(player);
+  }
+
+  /** @override @param {boolean} isHeld */
+  openStream(isHeld) {
+    const { player } = this;
+    if (player === null) return;
     const most = Number(this.getAttribute("max-gaussians"));
-    player.open(src, most > 0 ? most : null);
+    const bufferMb = Number(this.getAttribute("buffer-mb"));
+    player.preloads = this.getAttribute("preload") === "auto";
+    player.open(this.currentSrc, {
+      maxGaussians: most > 0 ? most : null,
+      otherHosts: this.hasAttribute("other-hosts"),
+      bufferMb: bufferMb > 0 ? bufferMb : null,
+      isHeld,
+    });
   }
 
   /**
+   * The controls of `player`.
    * @param {WebPlayer} player
-   * @param {HTMLCanvasElement} canvas
+   * @param {AbortSignal} signal ends their listening
    */
-  #listen(player, canvas) {
-    const listening = new AbortController();
-    const { signal } = listening;
-    const focalPx = () => (player.camera?.fxPx ?? 500) / player.pixelRatio;
-    const stopGestures = listenToGestures(
-      canvas,
-      () => player.orbit,
-      focalPx,
-      () => player.moved(),
-    );
-    this.#stopListening = () => {
-      listening.abort();
-      stopGestures();
+  build(player, signal) {
+    const hints = this.#hints;
+    const onStopped = (/** @type {boolean} */ hasStopped) => {
+      const isSaid = hasStopped && this.error === null;
+      hints.hold("stopped", isSaid ? "The stream has stopped; it may go on" : "");
+      visibility.wake();
+      this.#show(player);
     };
-    player.addEventListener("opened", () => this.#opened(player), { signal });
-    player.addEventListener("state", () => this.#show(player), { signal });
-    player.addEventListener("failed", (event) => this.fail(detailOf(event)), { signal });
-    player.addEventListener("trouble", (event) => this.#hint(detailOf(event), 0), { signal });
-    this.follow(player, signal);
-    for (const type of ["play", "pause"]) {
-      this.addEventListener(type, () => this.#show(player), { signal });
+    const stereo = new StereoControls(player, (message) => hints.say(message, LONG_MS));
+    const statistics = new Statistics(player);
+    const keyList = new KeyList();
+    const scrubber = new Scrubber(player, signal);
+    const live = new LiveBadge(player, onStopped, signal);
+    const commands = commandsOf(this, stereo, this.#sharing, statistics, keyList);
+    for (const command of commands) {
+      const { run } = command;
+      command.run = () => {
+        run();
+        bar.showToggles();
+      };
     }
-    this.addEventListener("ratechange", () => this.#choose(".rate", this.playbackRate), { signal });
-    this.addEventListener("layerschange", () => this.#choose(".quality", this.layers), { signal });
-    const on = (
-      /** @type {string} */ selector,
-      /** @type {string} */ type,
-      /** @type {() => void} */ action,
-    ) => this.#part(selector).addEventListener(type, action, { signal });
-    // It may not be there yet.
-    on(".poster", "error", () => this.#part(".poster").toggleAttribute("hidden", true));
-    on(".play", "click", () => this.togglePlaying());
-    on(".loop", "click", () => this.toggleAttribute("loop"));
-    on(".reset", "click", () => this.resetView());
-    on(".share", "click", () => this.copyLink());
-    on(".statistics", "click", () => this.toggleStats());
-    on(".full", "click", () => this.toggleFullScreen());
-    on(".rate", "change", () => (this.playbackRate = this.#chosen(".rate")));
-    on(".quality", "change", () => (this.layers = this.#chosen(".quality")));
-    on(".scrub", "input", () => {
-      this.#scrubbing = true;
-      this.#showTime(player, Number(this.#scrub.value));
-    });
-    on(".scrub", "change", () => {
-      this.#scrubbing = false;
-      player.seek(Number(this.#scrub.value));
-    });
-    followLive(/** @type {ShadowRoot} */ (this.shadowRoot), player, signal);
-    on(".badge", "click", () => this.goLive());
-    document.addEventListener("visibilitychange", () => this.#seenOrNot(player), { signal });
-    player.addEventListener("headset", () => this.#seenOrNot(player), { signal });
-    player.addEventListener("select", () => this.togglePlaying(), { signal });
-    const hint = (/** @type {string} */ message) => this.#hint(message, 10_000);
-    const root = /** @type {ShadowRoot} */ (this.shadowRoot);
-    this.#stereo = new StereoControls(root, player, hint, signal);
-    this.addEventListener("keydown", (event) => this.#pressed(event, player), { signal });
-    for (const type of ["pointermove", "pointerdown", "keydown", "focusin"]) {
-      this.addEventListener(type, () => this.#awake(), { signal });
-    }
+    const choices = choicesOf(this);
+    const menu = new Menu(choices, commands, () => visibility.wake());
+    const bar = new Bar(
+      { scrubber, badge: live.root, menu },
+      choices,
+      commands,
+      () => this.togglePlaying(),
+      () => this.toggleFullScreen(),
+    );
+    live.root.addEventListener("click", () => this.goLive());
+    const plays = () => !this.paused && !live.hasStopped;
+    const isInUse = () => menu.isOpen || keyList.root.open || scrubber.isScrubbing;
+    const visibility = new BarVisibility(this.#frame, this.#canvas, plays, isInUse);
+    const fullScreen = new FullScreen(this, () => this.#fullScreenChanged(), signal);
+    const actions = keysOf(this, player, commands);
+    keyList.fill(actions);
+    stereo.watch((isThere) => (bar.headset.hidden = !isThere), signal);
+    this.#controls.replaceChildren(statistics.root, bar.root, menu.root, keyList.root);
+    return { scrubber, statistics, bar, menu, visibility, fullScreen, actions, live };
   }
 
   /**
-   * Nothing is drawn of what nobody sees, and what is not drawn would pile up: a hidden page, or one in
-   * a headset that is taken off, pauses.
    * @param {WebPlayer} player
+   * @param {AbortSignal} signal
    */
-  #seenOrNot(player) {
-    if (player.headset?.isHidden ?? document.hidden) {
-      this.#resumes ||= !this.paused;
-      this.pause();
-    } else if (this.#resumes) {
-      this.#resumes = false;
-      this.play();
-    }
-  }
-
-  /** @param {string} selector */
-  #chosen(selector) {
-    return Number(/** @type {HTMLSelectElement} */ (this.#part(selector)).value);
-  }
-
-  /**
-   * @param {string} selector
-   * @param {number} value
-   */
-  #choose(selector, value) {
-    /** @type {HTMLSelectElement} */ (this.#part(selector)).value = String(value);
+  #listen(player, signal) {
+    const parts = this.build(player, signal);
+    this.#parts = parts;
+    const { bar, menu, visibility } = parts;
+    const hints = this.#hints;
+    const of = (/** @type {string} */ type, /** @type {(event: Event) => void} */ action) =>
+      player.addEventListener(type, action, { signal });
+    of("opened", () => this.#opened(player));
+    of("state", () => this.#show(player));
+    of("shown", () => this.#show(player));
+    of("failed", (event) => this.fail(detailOf(event)));
+    of("trouble", (event) => hints.hold("trouble", detailOf(event)));
+    of("headset", () => bar.showToggles());
+    of("select", () => this.togglePlaying());
+    this.follow(player, signal);
+    const on = (/** @type {string} */ type, /** @type {(event: Event) => void} */ action) =>
+      this.addEventListener(type, action, { signal });
+    for (const type of ["play", "pause", "ended"]) on(type, () => this.#show(player));
+    on("play", () => (this.#isFresh = false));
+    on("seeking", () => {
+      if (player.shownFrame >= 0) this.#isFresh = false; // not by the start that an address selects
+    });
+    on("loadedmetadata", () => (this.#isFresh = this.paused));
+    for (const type of ["ratechange", "layerschange"]) on(type, () => bar.showChoices());
+    on("pointerdown", (event) => {
+      this.#frame.classList.remove("tabbed");
+      if (!menu.isOpen) return;
+      const path = event.composedPath();
+      if (!path.includes(menu.root) && !path.includes(menu.button)) menu.close(false);
+    });
+    // The picture has a ring for who came by Tab, and none after any other key.
+    on("keyup", (event) => {
+      if (/** @type {KeyboardEvent} */ (event).key === "Tab") this.#frame.classList.add("tabbed");
+    });
+    on("gesturehint", (event) => hints.say(detailOf(event)));
+    visibility.listen(this, () => this.toggleFullScreen(), signal);
+    listenToKeys(this, parts.actions, () => parts.fullScreen.leave(), signal);
+    this.#camera = new CameraControls(this, this.#canvas, player, signal);
+    this.#camera.gyroscope.addEventListener("change", () => bar.showToggles(), { signal });
   }
 
   /** @param {WebPlayer} player */
   #opened(player) {
-    const { manifest, numFrames } = player;
-    this.#scrub.max = String(numFrames - 1);
-    const quality = /** @type {HTMLSelectElement} */ (this.#part(".quality"));
-    quality.replaceChildren(new Option("Auto", "0"));
-    for (let layers = manifest.numLayers; layers > 0; layers--) {
-      quality.append(new Option(layers === 1 ? "1 layer" : `${layers} layers`, String(layers)));
-    }
-    const poster = /** @type {HTMLImageElement} */ (this.#part(".poster"));
-    if (poster.hidden && manifest.poster) {
+    const { manifest } = player;
+    if (!this.#overlay.hasPoster && manifest.poster) {
       const path = manifest.poster.split("/").map(encodeURIComponent).join("/");
-      poster.src = new URL(path, player.base).href;
-      poster.hidden = false;
+      this.#overlay.setPoster(new URL(path, player.base).href);
     }
-    this.#choose(".quality", this.layers);
-    this.#setLoop(this.loop);
-  }
-
-  /** @param {WebPlayer} player */
-  #show(player) {
-    const { state, numFrames } = player;
-    const play = this.#part(".play");
-    const label = this.paused ? "Play" : "Pause";
-    // What is written anew is laid out anew, ten times a second.
-    if (play.getAttribute("aria-label") !== label) {
-      play.innerHTML = this.paused ? ICONS.play : ICONS.pause;
-      play.setAttribute("aria-label", label);
-    }
-    const isShown = player.shownFrame >= 0;
-    this.#part(".poster").classList.toggle("gone", isShown);
-    this.#part(".spinner").toggleAttribute("hidden", !state.waiting);
-    if (!this.#scrubbing) {
-      this.#scrub.value = String(state.frame);
-      this.#showTime(player, state.frame);
-    }
-    const share = (/** @type {number} */ frame) => `${(100 * frame) / Math.max(1, numFrames - 1)}%`;
-    const here = share(Number(this.#scrub.value));
-    const buffered = share(Math.max(state.endFrame - 1, Number(this.#scrub.value)));
-    this.#scrub.style.setProperty(
-      "--track",
-      `linear-gradient(to right, #8ab4ff ${here}, rgb(255 255 255 / 0.5) ${here} ${buffered}, ` +
-        `rgb(255 255 255 / 0.2) ${buffered})`,
-    );
+    this.#parts?.bar.showChoices();
+    // Who wants less motion starts it, and each round of it.
+    this.#setLoop(this.loop && !prefersStill());
   }
 
   /**
    * @param {WebPlayer} player
-   * @param {number} frame
+   * @returns {import("./overlay.js").Condition}
    */
-  #showTime(player, frame) {
-    const { fps } = player.manifest ?? { fps: 30 };
-    const text = `${timeText(frame / fps)} / ${timeText(player.numFrames / fps)}`;
-    this.#part(".time").textContent = text;
-    this.#scrub.setAttribute("aria-valuetext", text);
+  #conditionOf(player) {
+    if (this.error !== null) return "failed";
+    if (player.shownFrame < 0) return "loading";
+    if (this.ended) return "ended";
+    if (this.paused) return this.#isFresh ? "start" : "paused";
+    return player.state.waiting ? "waiting" : "playing";
+  }
+
+  /** @param {WebPlayer} player */
+  #show(player) {
+    const condition = this.#conditionOf(player);
+    const isWaiting = player.state.waiting && !this.#parts?.live.hasStopped;
+    this.#overlay.show(condition, player.shownFrame >= 0, isWaiting);
+    if (this.#frame.dataset.condition !== condition) {
+      this.#frame.dataset.condition = condition;
+      this.#frame.classList.toggle("failed", condition === "failed");
+    }
+    this.#parts?.bar.showPlaying(!this.paused);
+    this.#parts?.scrubber.show();
   }
 
   togglePlaying() {
     if (this.paused) this.play();
     else this.pause();
+  }
+
+  /** Whether the stream starts again at its end. */
+  get isLooping() {
+    return this.#isLooping;
+  }
+
+  toggleLoop() {
+    const loop = !this.#isLooping;
+    this.loop = loop;
+    this.#setLoop(loop);
   }
 
   /** Plays a live stream at its edge. */
@@ -263,160 +293,82 @@ export class SwingsPlayerElement extends MediaInterface {
   }
 
   resetView() {
-    this.player?.orbit?.reset();
+    this.player?.motion?.reset();
     this.player?.moved();
   }
 
+  /** Names of the rig's cameras, for `flyToCamera`; none until `loadedmetadata`. @returns {string[]} */
+  get cameras() {
+    return this.player?.motion?.cameras.map(({ name }) => name) ?? [];
+  }
+
+  /** Flies to a camera of the rig. @param {number} index into `cameras` */
+  flyToCamera(index) {
+    this.player?.flyToCamera(index);
+  }
+
+  /** Whether this device may turn the camera as it is turned. */
+  get hasGyroscope() {
+    return hasGyroscope();
+  }
+
+  /** Whether the device's gyroscope turns the camera. */
+  get isGyroscopeOn() {
+    return this.#camera?.gyroscope.isOn ?? false;
+  }
+
+  /**
+   * Lets the device's gyroscope turn the camera, or ends that; a person must have pressed something
+   * just now.
+   * @returns {Promise<boolean>} whether it is on
+   */
+  async toggleGyroscope() {
+    return (await this.#camera?.gyroscope.toggle()) ?? false;
+  }
+
   toggleFullScreen() {
-    if (document.fullscreenElement) document.exitFullscreen();
-    else this.requestFullscreen?.();
+    this.#parts?.fullScreen.toggle();
+  }
+
+  #fullScreenChanged() {
+    this.#parts?.bar.showFull(this.#parts.fullScreen.isOn);
   }
 
   /** Copies a link that opens the page at this moment and view. */
-  async copyLink() {
-    const { player } = this;
-    if (player === null || player.manifest === null) return;
-    const link = this.getAttribute("link");
-    const url = new URL(link ?? new URL("../watch.html", import.meta.url).href, document.baseURI);
-    if (link === null) url.searchParams.set("src", new URL(this.src, document.baseURI).href);
-    url.searchParams.set("t", this.currentTime.toFixed(2));
-    url.searchParams.set("view", this.view);
-    try {
-      await navigator.clipboard.writeText(url.href);
-      this.#hint("Link copied");
-    } catch {
-      this.#hint(url.href, 10_000);
-    }
+  copyLink() {
+    return this.#sharing.copyLink();
   }
 
   toggleStats() {
-    const stats = this.#part(".stats");
-    const isOn = stats.toggleAttribute("hidden") === false;
-    this.#part(".statistics").setAttribute("aria-pressed", String(isOn));
-    clearInterval(this.#statsTimer);
-    const write = () => (stats.textContent = this.#statsText());
-    if (isOn) {
-      write();
-      this.#statsTimer = setInterval(write, STATS_PERIOD_MS);
-    }
+    this.#parts?.statistics.toggle();
   }
 
-  #statsText() {
-    const { player } = this;
-    if (player === null || player.manifest === null) return "";
-    const { state, timings, manifest, renderer } = player;
-    const ms = (/** @type {number} */ value) => `${value.toFixed(1)} ms`;
-    const buffered = (state.endFrame - state.frame) / manifest.fps;
-    const rate =
-      state.rateBps === null ? "rate not known yet" : `${(state.rateBps / 1e6).toFixed(1)} Mbit/s`;
-    return [
-      `frame     ${state.frame} of ${player.numFrames}, ${manifest.fps} per second`,
-      `pictures  ${timings.framesPerS.toFixed(0)} per second`,
-      `buffer    ${buffered.toFixed(1)} s, ${state.stalls} stalls`,
-      `link      ${rate}, ${(state.receivedBytes / 1e6).toFixed(1)} MB so far`,
-      `Gaussians ${renderer?.numDrawn ?? 0} of ${manifest.numGs}`,
-      `layers    ${state.layers} of ${manifest.numLayers}`,
-      `decode    ${ms(state.decodeMs)}`,
-      `sort      ${ms(timings.sortMs)}`,
-      `upload    ${ms(timings.uploadMs)}, ${((renderer?.uploadedBytes ?? 0) / 1e6).toFixed(1)} MB so far`,
-      `draw      ${ms(timings.drawMs)}`,
-    ].join("\n");
+  /** Opens the stream again after a failure, at the time that was reached. */
+  retry() {
+    const { player, currentTime, paused } = this;
+    if (player === null) return;
+    const isLive = player.live;
+    this.load();
+    if (!isLive && currentTime > 0) this.currentTime = currentTime;
+    if (!paused) this.play();
+    this.#canvas.focus();
   }
 
   /** @param {boolean} loop */
   #setLoop(loop) {
+    this.#isLooping = loop;
     this.player?.setLoop(loop);
-    this.#part(".loop").setAttribute("aria-pressed", String(loop));
-  }
-
-  /**
-   * @param {KeyboardEvent} event
-   * @param {WebPlayer} player
-   */
-  #pressed(event, player) {
-    if (event.ctrlKey || event.metaKey || event.altKey) return;
-    const target = /** @type {Element} */ (event.composedPath()[0]);
-    // What has a use for a key keeps it.
-    const isOnSelect = target instanceof HTMLSelectElement;
-    const isOnButton = target instanceof HTMLButtonElement;
-    const frame = player.isSeeking ? player.soughtFrame : Math.max(0, player.shownFrame);
-    const step = event.shiftKey ? 1 : Math.round(player.manifest?.fps ?? 30);
-    const turn = (/** @type {number} */ x, /** @type {number} */ y) => {
-      player.orbit?.dragTurn(x, y);
-      player.moved();
-    };
-    /** @type {Record<string, () => void>} */
-    const actions = {
-      k: () => this.togglePlaying(),
-      l: () => this.toggleAttribute("loop"),
-      r: () => this.resetView(),
-      f: () => this.toggleFullScreen(),
-      c: () => this.copyLink(),
-      i: () => this.toggleStats(),
-      b: () => this.#stereo?.toggleSideBySide(),
-      v: () => this.#stereo?.toggleHeadset(),
-      w: () => turn(0, TURN_PX),
-      s: () => turn(0, -TURN_PX),
-      a: () => turn(TURN_PX, 0),
-      d: () => turn(-TURN_PX, 0),
-      "+": () => this.#approach(player, 1),
-      "-": () => this.#approach(player, -1),
-    };
-    if (!isOnButton && !isOnSelect) actions[" "] = () => this.togglePlaying();
-    if (!isOnSelect && target !== this.#scrub) {
-      actions.arrowleft = () => player.seek(Math.max(0, frame - step));
-      actions.arrowright = () => player.seek(Math.min(player.numFrames - 1, frame + step));
-      actions.home = () => player.seek(0);
-      actions.end = () => (player.live ? this.goLive() : player.seek(player.numFrames - 1));
-    }
-    const action = actions[event.key.toLowerCase()];
-    if (action === undefined) return;
-    event.preventDefault();
-    action();
-  }
-
-  /**
-   * @param {WebPlayer} player
-   * @param {number} steps
-   */
-  #approach(player, steps) {
-    player.orbit?.approach(steps);
-    player.moved();
-  }
-
-  /** Something is being done: the controls show. */
-  #awake() {
-    this.classList.remove("idle");
-    clearTimeout(this.#idleTimer);
-    this.#idleTimer = setTimeout(() => {
-      if (!this.paused) this.classList.add("idle");
-    }, IDLE_MS);
+    this.#parts?.bar.showToggles();
   }
 
   /** @override @param {string} message */
   fail(message) {
-    this.#tell(message);
-    this.#part(".spinner").toggleAttribute("hidden", true);
+    this.#failure.show(message, this.player !== null);
+    this.#hints.clear();
     super.fail(message);
-  }
-
-  /** @param {string} message */
-  #tell(message) {
-    this.#part(".note").textContent = message;
-  }
-
-  /**
-   * @param {string} message
-   * @param {number} forMs 0: until the next one
-   */
-  #hint(message, forMs = 2000) {
-    const note = this.#part(".note.soft");
-    note.textContent = message;
-    if (forMs > 0) {
-      setTimeout(() => {
-        if (note.textContent === message) note.textContent = "";
-      }, forMs);
-    }
+    this.#frame.classList.add("failed");
+    this.#overlay.show("failed", this.#overlay.condition !== "loading", false);
+    this.#frame.dataset.condition = "failed";
   }
 }
 
@@ -425,4 +377,13 @@ function detailOf(event) {
   return /** @type {CustomEvent<string | null>} */ (event).detail ?? "";
 }
 
-customElements.define("swings-player", SwingsPlayerElement);
+const defined = /** @type {{ version?: string } | undefined} */ (
+  customElements.get("swings-player")
+);
+if (defined === undefined) customElements.define("swings-player", SwingsPlayerElement);
+else {
+  console.warn(
+    `swings-player ${PLAYER_VERSION} was loaded where ${defined.version ?? "another element"} already is ` +
+      "<swings-player>; the first one stays",
+  );
+}

@@ -1,7 +1,8 @@
 /** What the play worker hands on, as Gaussians again (playback/packing). */
 
 import { numCoefficients } from "../format/gaussians.js";
-import { ON_LATTICE, Slots } from "../format/slots/slots.js";
+import { ON_LATTICE } from "../constants.js";
+import { Slots } from "../format/slots/slots.js";
 import { floatWords, latticeWords } from "../renderer/resident.js";
 
 /**

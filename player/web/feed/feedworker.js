@@ -12,6 +12,8 @@ let scene = null;
 let isWanted = false;
 /** Whether something came since the page was last answered. */
 let isStale = false;
+/** Seeks that the play had taken in when it sent what is held here. */
+let seeks = 0;
 
 function answer() {
   if (scene === null || !isWanted || !isStale) return;
@@ -20,7 +22,7 @@ function answer() {
   const change = scene.take();
   const arrays = [change.slots, ...Object.values(change.gaussians)];
   scope.postMessage(
-    change,
+    { ...change, seeks },
     arrays.map((array) => /** @type {ArrayBuffer} */ (array.buffer)),
   );
 }
@@ -32,6 +34,7 @@ scope.onmessage = ({ data }) => {
     scene = kept;
     data.port.onmessage = (/** @type {MessageEvent} */ event) => {
       kept.put(event.data);
+      seeks = event.data.seeks;
       isStale = true;
       answer();
     };

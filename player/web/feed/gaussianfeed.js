@@ -26,16 +26,19 @@ export class GaussianFeed extends EventTarget {
   gaussians = emptyScene(0, 0);
   /** The frame that they belong to; -1 before the first. */
   frame = -1;
-  /** @type {import("./scene.js").SceneChange | null} */
+  /** Whether `gaussians` are still of a frame before the last seek. */
+  isSeeking = false;
+  #seeks = 0;
+  /** @type {(import("./scene.js").SceneChange & { seeks: number }) | null} */
   #change = null;
 
   /**
    * Opens the stream whose folder is at `src`.
    * @param {string} src
-   * @param {{ maxGaussians?: number }} [options] maxGaussians: `opened` rejects for a stream of more;
-   *   2^22 by default
+   * @param {{ maxGaussians?: number, otherHosts?: boolean }} [options] maxGaussians: `opened` rejects
+   *   for a stream of more; 2^22 by default. otherHosts: its objects may be on other hosts.
    */
-  constructor(src, { maxGaussians } = {}) {
+  constructor(src, { maxGaussians, otherHosts } = {}) {
     super();
     const base = new URL(src.endsWith("/") ? src : `${src}/`, document.baseURI).href;
     const channel = new MessageChannel();
@@ -59,7 +62,8 @@ export class GaussianFeed extends EventTarget {
         this.#say("failed", `The player failed: ${message ?? "one of its scripts was not loaded"}`);
     }
     const { port1 } = channel;
-    this.player.postMessage({ kind: "open", base, maxGaussians, port: port1 }, [port1]);
+    const wish = { base, maxGaussians, otherHosts };
+    this.player.postMessage({ kind: "open", ...wish, port: port1 }, [port1]);
   }
 
   /**
@@ -69,7 +73,7 @@ export class GaussianFeed extends EventTarget {
    */
   take() {
     if (this.#change === null) return null;
-    const { frame, slots, gaussians } = this.#change;
+    const { frame, slots, gaussians, seeks } = this.#change;
     this.#change = null;
     this.keeper.postMessage({});
     copyRows(
@@ -80,6 +84,7 @@ export class GaussianFeed extends EventTarget {
       slots.length,
     );
     this.frame = frame;
+    if (seeks === this.#seeks) this.isSeeking = false;
     return slots;
   }
 
@@ -94,7 +99,10 @@ export class GaussianFeed extends EventTarget {
 
   /** @param {number} frame */
   seek(frame) {
-    this.#tell({ kind: "seek", frame });
+    const seeks = this.#seeks + 1;
+    this.#tell({ kind: "seek", frame, seeks });
+    this.#seeks = seeks;
+    this.isSeeking = true;
   }
 
   /** @param {number} rate 1 is the stream's own */

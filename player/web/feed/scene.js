@@ -1,7 +1,7 @@
 /** What shows, slot by slot, and what of it is new to whoever looks now and then. */
 
 import { numCoefficients } from "../format/gaussians.js";
-import { SH_C0 } from "../renderer/recipe.js";
+import { SH_C0 } from "../constants.js";
 import { NEVER } from "../renderer/depthorder.js";
 import { expandFloats, expandLattice } from "./expand.js";
 
@@ -66,7 +66,7 @@ export class Scene {
   /**
    * @param {number} numSlots
    * @param {number} shDegree
-   * @param {import("../format/slots/slotlayout.js").Lattice[]} lattices of each layer; none in version 1
+   * @param {import("../format/slots/slotlayout.js").Lattice[]} lattices of each layer
    */
   constructor(numSlots, shDegree, lattices) {
     this.shDegree = shDegree;

@@ -1,7 +1,6 @@
+import { MAX_IMAGE_PX } from "../constants.js";
 import { corrupt } from "./bytes/errors.js";
 import { field, integer, number, text } from "./bytes/json.js";
-
-const MAX_IMAGE_PX = 16384;
 
 /**
  * A pinhole camera, OpenCV pose (x right, y down, z forward).
@@ -17,7 +16,7 @@ const MAX_IMAGE_PX = 16384;
  */
 
 /**
- * A camera of a manifest (FORMAT.md, section 9). Throws a FormatError.
+ * A camera of a manifest (FORMAT.md, section 4). Throws a FormatError.
  * @param {unknown} value
  * @returns {Camera}
  */

@@ -32,7 +32,7 @@ export function emptyGaussians(count, k) {
 }
 
 /**
- * Gaussians as they stand in a raw chunk or as escapes (FORMAT.md, section 5).
+ * Gaussians as escapes (FORMAT.md, section 10.4).
  * @param {import("./bytes/bytereader.js").ByteReader} reader
  * @param {number} count
  * @param {number} k coefficients

@@ -1,36 +1,42 @@
-/** manifest.json: what must be known before the first slice (FORMAT.md, sections 9 and 19). */
+/** manifest.json: what must be known before the first slice (FORMAT.md, section 4). */
 
+import {
+  DEFAULT_MAX_GAUSSIANS,
+  FLOAT_COPIES,
+  MAX_BASE,
+  MAX_CAMERAS,
+  MAX_FPS,
+  MAX_LAYERS,
+  MAX_MANIFEST_BYTES,
+  MAX_NUM_GS,
+  MAX_OPACITY_LEVELS,
+  MAX_POSTER_BYTES,
+  MAX_SEGMENT_FRAMES,
+  MAX_SEGMENT_SLOTS,
+  MAX_SH_DEGREE,
+  MAX_SLOTS,
+  MAX_STEP,
+  MAX_SWIN_SIZE,
+  MIN_FPS,
+  MIN_STEP,
+  VERSION,
+} from "../constants.js";
 import { readCamera } from "./camera.js";
-import { MAX_COUNT, PROFILES } from "./chunk.js";
 import { corrupt, unsupported } from "./bytes/errors.js";
 import { boolean, field, integer, list, number, text } from "./bytes/json.js";
 import { SlotLayout } from "./slots/slotlayout.js";
 
 const { fround } = Math;
 
-const MAX_MANIFEST_BYTES = 2 ** 20;
-const MAX_NUM_GS = 2 ** 24;
-/** As in codec/stream/reader.py. */
-const DEFAULT_MAX_GAUSSIANS = 2 ** 22;
-const FLOAT_COPIES = 5;
-const MAX_SLOTS = 2 ** 20;
-const MAX_SEGMENT_SLOTS = 2 ** 28;
-const MAX_LAYERS = 16;
-const MIN_FPS = 0.001;
-const MAX_FPS = 1000;
-const MAX_POSTER_BYTES = 255;
-const MIN_STEP = 1e-6;
-
 /**
  * @typedef {object} Manifest
- * @property {1 | 2} version
+ * @property {number} version
  * @property {number} fps
  * @property {number} swinSize
  * @property {number} numGs
  * @property {number} numLayers
  * @property {number} segmentFrames
  * @property {number} shDegree
- * @property {string} profile
  * @property {boolean} antialias
  * @property {number} nearM metres
  * @property {number[][]} bounds lower and upper corner, metres
@@ -38,10 +44,11 @@ const MIN_STEP = 1e-6;
  * @property {import("./camera.js").Camera} defaultCamera
  * @property {boolean} live
  * @property {string | null} poster
+ * @property {string | null} storyboard
  * @property {string} objectUrl
  * @property {string} title
  * @property {number} captureFrame
- * @property {SlotLayout | null} layout version 2; else null
+ * @property {SlotLayout} layout
  * @property {string[]} parts what each segment has an object of, in the order of the index
  */
 
@@ -56,22 +63,22 @@ export function readManifest(bytes) {
   const value = parsed(bytes);
   const version = field(value, "version");
   if (!Number.isInteger(version)) throw corrupt("manifest: this is not a swings stream");
-  if (version !== 1 && version !== 2) throw unsupported(`manifest: unknown version ${version}`);
-  const profile = text(field(value, "profile"), "profile");
-  /** @type {readonly string[]} */
-  const known = version === 2 ? ["lattice"] : PROFILES;
-  if (!known.includes(profile))
-    throw unsupported(`manifest: unknown profile ${profile.slice(0, 40)}`);
-  const swinSize = integer(field(value, "swin_size"), 1, 255, "swin_size");
+  if (version !== VERSION) throw unsupported(`manifest: unknown version ${version}`);
+  const swinSize = integer(field(value, "swin_size"), 1, MAX_SWIN_SIZE, "swin_size");
   const numGs = integer(field(value, "num_gs"), 1, MAX_NUM_GS, "num_gs");
-  if (numGs % swinSize !== 0 || numGs / swinSize > MAX_COUNT) {
+  if (numGs % swinSize !== 0 || numGs / swinSize > MAX_SLOTS) {
     throw corrupt(`manifest: num_gs ${numGs} does not fit swin_size ${swinSize}`);
   }
-  const segmentFrames = integer(field(value, "segment_frames"), 1, 4096, "segment_frames");
-  const shDegree = integer(field(value, "sh_degree"), 0, 3, "sh_degree");
-  const layout = version === 2 ? readLayout(value, swinSize, segmentFrames, shDegree, numGs) : null;
-  const numLayers = layout ? layout.numLayers : readShares(value);
-  const cameras = list(field(value, "cameras"), 1, 256, "cameras").map(readCamera);
+  const segmentFrames = integer(
+    field(value, "segment_frames"),
+    1,
+    MAX_SEGMENT_FRAMES,
+    "segment_frames",
+  );
+  const shDegree = integer(field(value, "sh_degree"), 0, MAX_SH_DEGREE, "sh_degree");
+  const layout = readLayout(value, swinSize, segmentFrames, shDegree, numGs);
+  const { numLayers } = layout;
+  const cameras = list(field(value, "cameras"), 1, MAX_CAMERAS, "cameras").map(readCamera);
   if (new Set(cameras.map((camera) => camera.name)).size !== cameras.length) {
     throw corrupt("manifest: two cameras have the same name");
   }
@@ -87,19 +94,19 @@ export function readManifest(bytes) {
     numLayers,
     segmentFrames,
     shDegree,
-    profile,
     antialias: boolean(field(value, "antialias"), "antialias"),
     nearM: positive(number(field(value, "near_m"), "near_m"), "near_m"),
     bounds: readBounds(value),
     cameras,
     defaultCamera,
     live: boolean(field(value, "live"), "live"),
-    poster: readPoster(field(value, "poster")),
+    poster: readPicture(field(value, "poster"), "poster"),
+    storyboard: readStoryboard(value),
     objectUrl: readObjectUrl(value),
     title: text(field(value, "title"), "title"),
     captureFrame: integer(field(value, "capture_frame"), 0, 2 ** 31 - 1, "capture_frame"),
     layout,
-    parts: partsOf(numLayers, version),
+    parts: partsOf(numLayers),
   };
 }
 
@@ -142,25 +149,10 @@ function parsed(bytes) {
   }
 }
 
-/**
- * @param {number} numLayers
- * @param {1 | 2} version
- */
-function partsOf(numLayers, version) {
+/** @param {number} numLayers */
+function partsOf(numLayers) {
   const layers = Array.from({ length: numLayers }, (_, layer) => String(layer));
-  return version === 1
-    ? layers
-    : [...layers, "masks", ...layers.map((layer) => `snapshot-${layer}`)];
-}
-
-/** How many layers a stream of version 1 has. @param {unknown} value */
-function readShares(value) {
-  const shares = list(field(value, "layers"), 1, MAX_LAYERS, "layers");
-  let sum = 0;
-  for (const share of shares) sum += positive(number(share, "layers"), "a layer's share");
-  if (Math.abs(sum - 1) > 1e-6)
-    throw corrupt(`manifest: the shares of the layers sum to ${sum}, not to 1`);
-  return shares.length;
+  return [...layers, "masks", ...layers.map((layer) => `snapshot-${layer}`)];
 }
 
 /**
@@ -191,12 +183,12 @@ function readLayout(value, swinSize, segmentFrames, shDegree, numGs) {
 function readLattice(row) {
   const step = (/** @type {string} */ key) => {
     const found = number(field(row, key), key);
-    if (found < MIN_STEP || found > 1e6)
+    if (found < MIN_STEP || found > MAX_STEP)
       throw corrupt(`manifest: ${key} of a lattice is ${found}, which is out of range`);
     return fround(found);
   };
   const base = number(field(row, "log_scale_base"), "log_scale_base");
-  if (Math.abs(base) > 1e3)
+  if (Math.abs(base) > MAX_BASE)
     throw corrupt(`manifest: log_scale_base is ${base}, which is out of range`);
   return {
     positionM: step("position_m"),
@@ -204,7 +196,7 @@ function readLattice(row) {
     logScaleBase: fround(base),
     rotation: step("rotation"),
     colour: step("colour"),
-    opacityLevels: integer(field(row, "opacity_levels"), 2, 256, "opacity_levels"),
+    opacityLevels: integer(field(row, "opacity_levels"), 2, MAX_OPACITY_LEVELS, "opacity_levels"),
   };
 }
 
@@ -237,17 +229,26 @@ function readBounds(value) {
   return corners;
 }
 
-/** @param {unknown} value */
-function readPoster(value) {
+/**
+ * @param {unknown} value
+ * @param {string} what
+ */
+function readPicture(value, what) {
   if (value === null) return null;
-  const poster = text(value, "poster");
-  const numBytes = new TextEncoder().encode(poster).length;
-  if (numBytes > MAX_POSTER_BYTES || /[\u0000-\u001f\u007f]/.test(poster)) {
-    throw corrupt("manifest: poster is too long or contains a control character");
+  const path = text(value, what);
+  const numBytes = new TextEncoder().encode(path).length;
+  if (numBytes > MAX_POSTER_BYTES || /[\u0000-\u001f\u007f]/.test(path)) {
+    throw corrupt(`manifest: ${what} is too long or contains a control character`);
   }
   // A reader goes without one that leads out of the stream's folder: `//` would begin another host.
-  const leadsOut = poster.split("/").some((part) => part === "" || part === "..");
-  return leadsOut || !/[^/]\.(jpe?g|png|webp)$/i.test(poster) ? null : poster;
+  const leadsOut = path.split("/").some((part) => part === "" || part === "..");
+  return leadsOut || !/[^/]\.(jpe?g|png|webp)$/i.test(path) ? null : path;
+}
+
+/** @param {unknown} value */
+function readStoryboard(value) {
+  const isThere = Object.hasOwn(/** @type {object} */ (value), "storyboard");
+  return isThere ? readPicture(field(value, "storyboard"), "storyboard") : null;
 }
 
 /** @param {unknown} value */

@@ -1,22 +1,20 @@
-/** A packet is one chunk, compressed (FORMAT.md, section 7). The browser inflates gzip by itself. */
+/** A packet is one chunk, compressed (FORMAT.md, section 6). The browser inflates gzip by itself. */
 
-import { corrupt, unsupported } from "./bytes/errors.js";
+import { CODERS, MAX_CHUNK_BYTES, MAX_EXPANSION } from "../constants.js";
+import { corrupt, FormatError, unsupported } from "./bytes/errors.js";
 
-export const LARGEST_CHUNK_BYTES = 64 + 248_512_560;
 const GZIP_MAGIC = 0x1f8b0800;
 const GZIP_START = [0x1f, 0x8b, 0x08, 0x00];
+const ZSTD_START = [0x28, 0xb5, 0x2f, 0xfd];
 const ZSTD_MAGIC = 0x28b52ffd;
 const LEAST_BYTES = 18;
-/** deflate cannot inflate more. */
-const MAX_EXPANSION = 1032;
 
 /**
  * The chunk of one packet takes this much at most.
  * @param {import("./manifest.js").Manifest} manifest
  * @param {string} part
  */
-export function limitBytes({ layout, numGs, swinSize, shDegree }, part) {
-  if (layout === null) return 24 + 48 + (numGs / swinSize) * (69 + 15 * (shDegree + 1) ** 2);
+export function limitBytes({ layout }, part) {
   if (part === "masks") return layout.maxMaskBytes;
   if (part.startsWith("snapshot-")) return layout.maxSnapshotBytes(Number(part.slice(9)));
   return layout.maxChangeBytes(Number(part));
@@ -27,6 +25,12 @@ export function isGzip(packet) {
   return GZIP_START.every((byte, i) => packet[i] === byte);
 }
 
+/** Whether a packet begins as those of `coder` do. @param {Uint8Array} packet @param {number} coder */
+export function isOfCoder(packet, coder) {
+  const start = coder === CODERS.GZIP ? GZIP_START : ZSTD_START;
+  return start.every((byte, i) => packet[i] === byte);
+}
+
 /**
  * The chunk in a gzip packet; no bytes in one of no bytes. Memory stays within the limit.
  * @param {Uint8Array} packet
@@ -35,7 +39,7 @@ export function isGzip(packet) {
  */
 export async function inflatePacket(packet, limitBytes) {
   if (packet.length === 0) return packet;
-  const size = contentBytes(packet, Math.min(limitBytes, LARGEST_CHUNK_BYTES));
+  const size = contentBytes(packet, Math.min(limitBytes, MAX_CHUNK_BYTES));
   const content = new Uint8Array(size);
   let at = 0;
   const copied = /** @type {Uint8Array<ArrayBuffer>} */ (packet.slice());
@@ -54,8 +58,8 @@ export async function inflatePacket(packet, limitBytes) {
     }
   } catch (error) {
     await reader.cancel().catch(() => {});
-    // What the browser throws is a TypeError, with words of its own.
-    throw error instanceof TypeError ? corrupt(`packet: is not gzip: ${error.message}`) : error;
+    if (error instanceof FormatError) throw error;
+    throw corrupt(`packet: is not gzip: ${/** @type {Error} */ (error).message}`);
   }
   if (at !== size)
     throw corrupt(`packet: the content has ${at} bytes, but the packet says ${size}`);

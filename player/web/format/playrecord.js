@@ -1,22 +1,13 @@
-/** The records of a /play response (FORMAT.md, sections 10 and 20). */
+/** The records of a /play response (FORMAT.md, section 12). */
 
+import { MAX_LAYERS, MAX_MESSAGE_CHARS, MAX_RECORD_BYTES, PACKETS_KEY } from "../constants.js";
 import { ByteReader } from "./bytes/bytereader.js";
 import { corrupt } from "./bytes/errors.js";
 import { readMap } from "./bytes/msgpack.js";
 
-export const MAX_RECORD_BYTES = 2 ** 26;
-const MAX_LAYERS = 16;
-const MAX_MESSAGE_CHARS = 500;
 const INT32_END = 2 ** 31;
 
-/**
- * @typedef {{ kind: "start", fromFrame: number, numFrames: number, manifest: Uint8Array }} StartRecord
- * @typedef {{ kind: "slice", birth: number, firstLayer: number, packets: Uint8Array[], mask: Uint8Array | null }} SliceRecord
- * @typedef {{ kind: "snapshot", frame: number, firstLayer: number, packets: Uint8Array[] }} SnapshotRecord
- * @typedef {{ kind: "end", numFrames: number }} EndRecord
- * @typedef {{ kind: "error", message: string }} ErrorRecord
- * @typedef {StartRecord | SliceRecord | SnapshotRecord | EndRecord | ErrorRecord} PlayRecord
- */
+/** @typedef {import("../constants.js").PlayRecord} PlayRecord */
 
 /**
  * The record in `body`, which comes without its length. Throws a FormatError.
@@ -56,12 +47,12 @@ export function decodeRecord(body) {
 
 /**
  * @param {Map<string, unknown>} map
- * @returns {SliceRecord}
+ * @returns {import("../constants.js").SliceRecord}
  */
 function slice(map) {
   const found = map.get("mask");
   const mask = found instanceof Uint8Array ? found : null;
-  const packets = packetsOf(map, mask === null ? 1 : 0);
+  const packets = packetsOf(map, 0);
   const birth = map.get("birth");
   if (
     !Number.isInteger(birth) ||
@@ -71,6 +62,8 @@ function slice(map) {
     throw corrupt("play: a slice has no valid birth");
   }
   const first = map.has("first") ? firstLayer(map, packets) : 0;
+  if (first === 0 && mask === null)
+    throw corrupt(`play: the slice born at ${birth} has no valid mask`);
   if (first > 0 && packets.length === 0)
     throw corrupt(`play: a record has no part of the slice born at ${birth}`);
   return {
@@ -108,7 +101,7 @@ function bytes(found, key) {
  * @param {number} least
  */
 function packetsOf(map, least) {
-  const found = map.get("frames");
+  const found = map.get(PACKETS_KEY);
   if (!Array.isArray(found) || found.length < least || found.length > MAX_LAYERS) {
     throw corrupt("play: a record has no valid list of packets");
   }

@@ -1,10 +1,15 @@
-/** index.bin: one record for each finished segment (FORMAT.md, sections 8 and 18). */
+/** index.bin: one record for each finished segment (FORMAT.md, section 5). */
 
+import {
+  INDEX_CHECKSUM,
+  INDEX_HEAD,
+  INDEX_LAYER,
+  INDEX_SIDE,
+  MAX_OBJECT_BYTES,
+} from "../constants.js";
 import { ByteReader } from "./bytes/bytereader.js";
 import { crc32 } from "./bytes/crc32.js";
 import { corrupt } from "./bytes/errors.js";
-
-const MAX_OBJECT_BYTES = 2 ** 30;
 
 /**
  * @typedef {object} SegmentRecord
@@ -18,8 +23,7 @@ const MAX_OBJECT_BYTES = 2 ** 30;
 
 /** Bytes of a record. @param {import("./manifest.js").Manifest} manifest */
 export function recordBytes(manifest) {
-  const { numLayers } = manifest;
-  return 20 + 44 * numLayers + (manifest.layout ? 40 * (numLayers + 1) : 0);
+  return 60 + 84 * manifest.numLayers;
 }
 
 /**
@@ -53,20 +57,20 @@ export function readIndex(bytes, manifest, firstSegment = 0) {
 function readRecord(row, segment, manifest) {
   const what = `index: the record of segment ${segment}`;
   const reader = new ByteReader(row, what);
-  const found = reader.u32();
-  const firstFrame = reader.u32();
-  const numFrames = reader.u32();
-  const reserved = reader.u32();
+  const [found, firstFrame, numFrames, reserved] = reader.unpack(INDEX_HEAD);
   const psnrDb = [];
   const objectBytes = [];
   const objectSha256 = [];
   for (let part = 0; part < manifest.parts.length; part++) {
-    objectBytes.push(reader.u64());
-    objectSha256.push(reader.take(32));
-    if (part < manifest.numLayers) psnrDb.push(reader.f32());
+    const isLayer = part < manifest.numLayers;
+    const [size, sha256, psnr] = reader.unpack(isLayer ? INDEX_LAYER : INDEX_SIDE);
+    objectBytes.push(size);
+    objectSha256.push(sha256);
+    if (isLayer) psnrDb.push(psnr);
   }
   const covered = row.subarray(0, reader.at);
-  if (reader.u32() !== crc32(covered)) throw corrupt(`${what} has a wrong checksum`);
+  const [checksum] = reader.unpack(INDEX_CHECKSUM);
+  if (checksum !== crc32(covered)) throw corrupt(`${what} has a wrong checksum`);
   const { segmentFrames } = manifest;
   if (found !== segment || firstFrame !== segment * segmentFrames || reserved !== 0) {
     throw corrupt(`${what} describes ${found}, from frame ${firstFrame} on`);

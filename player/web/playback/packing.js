@@ -1,9 +1,8 @@
 /** What changed, as the renderer and the sorting take it. */
 
-import { opacityLogits } from "../format/opacity.js";
-import { ESCAPED, ON_LATTICE } from "../format/slots/slots.js";
+import { opacityLogits } from "../format/dequantise.js";
 import { NEVER } from "../renderer/depthorder.js";
-import { ALPHA_MIN } from "../renderer/recipe.js";
+import { ALPHA_MIN, ESCAPED, ON_LATTICE } from "../constants.js";
 import { floatWords, latticeWords, roomFor } from "../renderer/resident.js";
 
 /** One that is nowhere opaque enough to show is left out of every frame. */
@@ -29,7 +28,7 @@ export function buffersOf(update) {
 }
 
 /**
- * What changed in a lane of a stream of version 2.
+ * What changed in a lane.
  * @param {import("../format/slots/slotdecoder.js").SlotDecoder} decoder
  * @param {import("../format/slots/slotdecoder.js").SlotSlice} slice
  * @param {number} frame from which it shows
@@ -68,36 +67,6 @@ export function packSlots(decoder, slice, frame) {
       }
     }
   }
-  return packer.update;
-}
-
-/**
- * Gaussians of a slice of version 1 that came together.
- * @typedef {object} SlicePart
- * @property {import("../format/gaussians.js").Gaussians} gaussians
- * @property {number} count of them
- * @property {Uint8Array} startOffsets (count) frames from the birth on
- */
-
-/**
- * A lane of a stream of version 1, filled anew.
- * @param {number} shDegree
- * @param {number} frame from which it shows
- * @param {number} first slot
- * @param {number} count slots of the lane
- * @param {number} birth of the slice that fills it
- * @param {SlicePart[]} parts of at most `count` Gaussians
- * @returns {SplatUpdate}
- */
-export function packLane(shDegree, frame, first, count, birth, parts) {
-  const numFloats = parts.reduce((sum, part) => sum + part.count, 0);
-  const packer = new Packer(shDegree, frame, count, 0, numFloats);
-  let slot = first;
-  for (const { gaussians, count: numHere, startOffsets } of parts) {
-    for (let i = 0; i < numHere; i++)
-      packer.addGaussian(slot++, gaussians, i, birth + startOffsets[i]);
-  }
-  while (slot < first + count) packer.addNothing(slot++);
   return packer.update;
 }
 
@@ -170,29 +139,6 @@ class Packer {
     this.floatValues.set(values, word + 1);
     this.update.means.set(values.subarray(0, 3), 3 * this.at);
     this.#add(slot, values[10] >= LEAST_LOGIT ? start : NEVER);
-  }
-
-  /**
-   * The one in row `i`. An array for each would cost more than all else.
-   * @param {number} slot
-   * @param {import("../format/gaussians.js").Gaussians} gaussians
-   * @param {number} i
-   * @param {number} start
-   */
-  addGaussian(slot, { means, logScales, quats, logitOpacities, sh }, i, start) {
-    const { floatValues: to, update } = this;
-    const word = this.floatWords * this.atFloats++;
-    const numSh = this.floatWords - 12;
-    update.floats[word] = slot;
-    for (let n = 0; n < 3; n++) {
-      to[word + 1 + n] = means[3 * i + n];
-      to[word + 4 + n] = logScales[3 * i + n];
-      update.means[3 * this.at + n] = means[3 * i + n];
-    }
-    for (let n = 0; n < 4; n++) to[word + 7 + n] = quats[4 * i + n];
-    to[word + 11] = logitOpacities[i];
-    for (let n = 0; n < numSh; n++) to[word + 12 + n] = sh[numSh * i + n];
-    this.#add(slot, logitOpacities[i] >= LEAST_LOGIT ? start : NEVER);
   }
 
   /**

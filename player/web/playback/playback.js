@@ -4,6 +4,9 @@ const LEAD_S = 0.1;
 /** What comes late shows so often while playback is paused: all of the picture is sent anew for it. */
 const REFINE_S = 0.2;
 
+/** A seek over more frames than this begins anew. */
+const MOST_STEPPED = 30;
+
 /** A frame that is late by more than this shows at once, and those after it count from there. */
 const LATE_S = 0.25;
 
@@ -21,12 +24,14 @@ const LATE_S = 0.25;
  */
 export class Playback {
   /**
-   * @param {import("./slotplay.js").SlotPlay | import("./sliceplay.js").SlicePlay} play
+   * @param {import("./streamplay.js").StreamPlay} play
    * @param {number} fps
    * @param {number} numFrames
    * @param {number} firstFrame
+   * @param {number} [notBeforeS] when firstFrame is due
    */
-  constructor(play, fps, numFrames, firstFrame) {
+  constructor(play, fps, numFrames, firstFrame, notBeforeS = -Infinity) {
+    this.notBeforeS = notBeforeS;
     this.play = play;
     this.fps = fps;
     /** Frames that there are now. */
@@ -80,7 +85,7 @@ export class Playback {
    */
   tick(nowS) {
     this.#reach();
-    if (!this.isJoined) return this.#join();
+    if (!this.isJoined) return this.#join(nowS);
     if (!this.playing || this.hasEnded) {
       this.waiting = false;
       this.dueS = null;
@@ -88,9 +93,7 @@ export class Playback {
     }
     const stepS = 1 / (this.fps * this.rate);
     if (this.dueS === null) {
-      const lead = this.nextFrame + Math.ceil(LEAD_S * this.fps);
-      const needed = this.live ? lead : Math.min(this.numFrames, lead);
-      this.waiting = this.endFrame < needed;
+      this.waiting = !this.#hasLead();
       if (this.waiting) return null;
       this.dueS = nowS + stepS;
       return null;
@@ -104,18 +107,45 @@ export class Playback {
         this.dueS = null;
         break;
       }
-      const frame = this.nextFrame;
-      const updates = this.play.advance(frame);
-      this.nextFrame = frame + 1;
-      shown = { frame, isJoin: false, updates: shown ? [...shown.updates, ...updates] : updates };
+      shown = this.#advance(shown);
       if (nowS - this.dueS > LATE_S) this.dueS = nowS;
       this.dueS += stepS;
     }
     return shown;
   }
 
+  /**
+   * Goes on to a later frame that is here, at once; null if it is none, or too far away.
+   * @param {number} frame
+   * @returns {Shown | null}
+   */
+  stepTo(frame) {
+    this.#reach();
+    const isNear = frame >= this.nextFrame && frame < this.nextFrame + MOST_STEPPED;
+    if (!this.isJoined || !isNear || frame >= this.endFrame) return null;
+    this.dueS = null;
+    /** @type {Shown | null} */
+    let shown = null;
+    while (this.nextFrame <= frame) shown = this.#advance(shown);
+    return shown;
+  }
+
+  /**
+   * Shows the next frame, with what was not shown of those before.
+   * @param {Shown | null} before
+   * @returns {Shown}
+   */
+  #advance(before) {
+    const frame = this.nextFrame;
+    const { isJoin, updates } = this.play.advance(frame);
+    this.nextFrame = frame + 1;
+    if (before === null || isJoin) return { frame, isJoin, updates };
+    return { frame, isJoin: before.isJoin, updates: [...before.updates, ...updates] };
+  }
+
   /** Seconds until something may be due; null: not before something comes. @param {number} nowS */
   restS(nowS) {
+    if (!this.isJoined && this.notBeforeS > nowS) return this.notBeforeS - nowS;
     if (this.dueS === null) return this.play.isLate ? REFINE_S : null;
     return Math.max(0, this.dueS - nowS);
   }
@@ -128,24 +158,42 @@ export class Playback {
   #refine(nowS) {
     if (!this.play.isLate || nowS - this.refinedS < REFINE_S) return null;
     this.refinedS = nowS;
+    return this.resend();
+  }
+
+  /** All that shows, once more. @returns {Shown} */
+  resend() {
     return { frame: this.frame, isJoin: true, updates: this.play.again(this.frame) };
   }
 
-  #join() {
+  /** @param {number} nowS */
+  #join(nowS) {
     const frame = this.nextFrame;
-    this.waiting = !this.play.has(frame);
-    if (this.waiting) return null;
+    this.waiting = nowS >= this.notBeforeS && !this.play.has(frame);
+    if (this.waiting || nowS < this.notBeforeS) return null;
     const updates = this.play.join(frame);
     this.isJoined = true;
     this.nextFrame = frame + 1;
     this.endFrame = this.nextFrame;
     this.#reach();
+    const isOnTime = nowS - this.notBeforeS < LATE_S;
+    if (this.playing && isOnTime && this.#hasLead()) {
+      this.dueS = this.notBeforeS + 1 / (this.fps * this.rate);
+    }
     return { frame, isJoin: true, updates };
+  }
+
+  /** Whether enough is here to play on. */
+  #hasLead() {
+    const lead = this.nextFrame + Math.ceil(LEAD_S * this.fps);
+    return this.endFrame >= (this.live ? lead : Math.min(this.numFrames, lead));
   }
 
   /** Notes how far playing can go without a gap. */
   #reach() {
     if (!this.isJoined) return;
-    while (this.endFrame < this.numFrames && this.play.hasSlice(this.endFrame)) this.endFrame += 1;
+    const { numFrames } = this;
+    while (this.endFrame < numFrames && this.play.canAdvance(this.endFrame, numFrames))
+      this.endFrame += 1;
   }
 }

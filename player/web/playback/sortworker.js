@@ -4,48 +4,67 @@
  */
 
 import { DepthOrder } from "../renderer/depthorder.js";
-import { buffersOf } from "./packing.js";
+import { PendingUpdates } from "./pendingupdates.js";
 import { scope } from "./workerscope.js";
 
-/** @typedef {import("./playback.js").Shown & { numSlots: number, seeks: number }} Coming */
+/** @typedef {import("./playback.js").Shown & { numSlots: number, shDegree: number, seeks: number }} Incoming */
+
+/**
+ * A picture's order, with what is new since the last one.
+ * @typedef {object} SortedFrame
+ * @property {number} frame
+ * @property {number} seeks that the player had made
+ * @property {boolean} isWhole whether `updates` have all that shows, whatever the renderer holds
+ * @property {import("./pendingupdates.js").Words[]} updates
+ * @property {Uint16Array | Uint32Array} order slots, farthest first
+ * @property {number} sortMs
+ */
 
 /** @type {DepthOrder | null} */
 let order = null;
-/** @type {Coming | null} the newest frame */
+/** @type {Incoming | null} */
 let newest = null;
-/** @type {import("./packing.js").SplatUpdate[]} of what has not been handed on yet */
-let updates = [];
+/** @type {PendingUpdates | null} */
+let pending = null;
+let isWhole = false;
 /** @type {{ w2c: number[], nearM: number } | null} set while the thread that draws waits */
 let wanted = null;
-/** Whether something is new since the last order: a frame, or where the camera is. */
+/** Whether a frame or a camera has come since the last order. */
 let isStale = false;
 
-/** @param {Coming} shown */
+/** @param {Incoming} shown */
 function take(shown) {
-  if (order === null || shown.isJoin) {
+  if (order === null || pending === null || shown.isJoin) {
     order = new DepthOrder(shown.numSlots);
-    updates = [];
+    pending = new PendingUpdates(shown.numSlots, shown.shDegree);
+    isWhole = true;
   }
-  for (const update of shown.updates) order.put(update.slots, update.means, update.starts);
-  updates.push(...shown.updates);
+  for (const update of shown.updates) {
+    order.put(update.slots, update.means, update.starts);
+    pending.add(update);
+  }
   newest = shown;
   isStale = true;
 }
 
-/** Answers whoever waits, once there is something new. */
+/** Answers the thread that draws, once there is something new. */
 function sort() {
-  if (wanted === null || order === null || newest === null || !isStale) return;
+  if (wanted === null || order === null || newest === null || pending === null || !isStale) return;
   const beganMs = performance.now();
   const slots = order.farFirst(newest.frame, wanted.w2c, wanted.nearM);
   const sortMs = performance.now() - beganMs;
-  const handed = { frame: newest.frame, seeks: newest.seeks, updates, order: slots, sortMs };
+  const updates = pending.take();
+  const { frame, seeks } = newest;
+  /** @type {SortedFrame} */
+  const sorted = { frame, seeks, isWhole, updates, order: slots, sortMs };
+  const arrays = [slots, ...updates.flatMap(({ lattice, floats }) => [lattice, floats])];
   wanted = null;
-  updates = [];
+  isWhole = false;
   isStale = false;
-  scope.postMessage(handed, [
-    /** @type {ArrayBuffer} */ (slots.buffer),
-    ...handed.updates.flatMap(buffersOf),
-  ]);
+  scope.postMessage(
+    sorted,
+    arrays.map((array) => /** @type {ArrayBuffer} */ (array.buffer)),
+  );
 }
 
 scope.onmessage = ({ data }) => {

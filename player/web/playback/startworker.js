@@ -1,16 +1,35 @@
 /**
- * A worker of ours, wherever this page comes from: a page of another origin may not start one itself.
- * @param {URL} url of the module
+ * Starts a worker of ours, wherever this page comes from: a page may not start one of another origin
+ * itself.
+ * @param {URL} url of the module among the sources; in a bundle the workers lie beside it
  */
 export function startWorker(url) {
-  const script = `import ${JSON.stringify(url.href)};`;
+  const name = /** @type {string} */ (url.pathname.split("/").pop());
+  // @ts-ignore scripts/webbundle defines it
+  const module = typeof SWINGS_BUNDLE === "undefined" ? url : new URL(name, import.meta.url);
+  if (module.origin === globalThis.origin) return moduleWorker(module.href);
+  const script = `import ${JSON.stringify(module.href)};`;
   if (globalThis.origin === "null") {
     // A page from a file, or in a sandbox: Chromium runs no module of its blobs.
-    const dataUrl = `data:text/javascript,${encodeURIComponent(script)}`;
-    return new Worker(dataUrl, { type: "module" });
+    return moduleWorker(`data:text/javascript,${encodeURIComponent(script)}`);
   }
   const blobUrl = URL.createObjectURL(new Blob([script], { type: "text/javascript" }));
-  const worker = new Worker(blobUrl, { type: "module" });
+  const worker = moduleWorker(blobUrl);
   URL.revokeObjectURL(blobUrl);
   return worker;
+}
+
+/** @type {{ createScriptURL: (url: string) => any } | undefined} */
+let policy;
+
+/**
+ * A page's content security policy may require Trusted Types, and names the policies it allows.
+ * @param {string} url
+ */
+function moduleWorker(url) {
+  const { trustedTypes } = /** @type {any} */ (globalThis);
+  policy ??= trustedTypes?.createPolicy("swings-worker", {
+    createScriptURL: (/** @type {string} */ own) => own,
+  });
+  return new Worker(policy?.createScriptURL(url) ?? url, { type: "module" });
 }

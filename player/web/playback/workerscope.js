@@ -1,5 +1,5 @@
 /**
- * What a worker says and hears; `self` has another type where the page's own is known.
+ * Messages of a worker; `self` has another type where the page's own is known.
  * @typedef {object} WorkerScope
  * @property {(message: unknown, transfer?: Transferable[]) => void} postMessage
  * @property {((event: MessageEvent) => void) | null} onmessage

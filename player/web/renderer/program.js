@@ -1,4 +1,19 @@
-import { source } from "./shaders.js";
+import {
+  ALPHA_MAX,
+  ALPHA_MIN,
+  LOW_PASS_PX2,
+  MAX_EXTENT_SIGMA,
+  SH_C0,
+  SH_C1,
+} from "../constants.js";
+
+const RECIPE = { ALPHA_MAX, ALPHA_MIN, LOW_PASS_PX2, MAX_EXTENT_SIGMA, SH_C0, SH_C1 };
+const HEAD = `#version 300 es
+precision highp float;
+precision highp int;
+precision highp sampler2D;
+precision highp usampler2D;
+`;
 
 /** WebGL2 is not there, or cannot hold the stream. */
 export class RendererError extends Error {
@@ -6,6 +21,14 @@ export class RendererError extends Error {
   constructor(message) {
     super(message);
     this.name = "RendererError";
+  }
+}
+
+/** The context was lost before everything was made; once it is restored it can be tried again. */
+export class ContextLostError extends RendererError {
+  constructor() {
+    super("The graphics device was lost");
+    this.name = "ContextLostError";
   }
 }
 
@@ -18,21 +41,21 @@ export class RendererError extends Error {
 
 /**
  * @param {WebGL2RenderingContext} gl
- * @param {string} vertex
- * @param {string} fragment
+ * @param {string} text both stages, in GLSL ES 3.00 but for the version
  * @param {Record<string, number>} defines
  * @returns {Program}
  */
-export function makeProgram(gl, vertex, fragment, defines = {}) {
+export function makeProgram(gl, text, defines = {}) {
+  const constants = Object.entries({ ...RECIPE, ...defines });
+  const lines = constants.map(([name, value]) => `#define ${name} ${value}\n`);
   const program = gl.createProgram();
-  for (const [type, body] of /** @type {[number, string][]} */ ([
-    [gl.VERTEX_SHADER, vertex],
-    [gl.FRAGMENT_SHADER, fragment],
+  for (const [type, stage] of /** @type {[number, string][]} */ ([
+    [gl.VERTEX_SHADER, "VERTEX_STAGE"],
+    [gl.FRAGMENT_SHADER, "FRAGMENT_STAGE"],
   ])) {
     const shader = gl.createShader(type);
-    if (shader === null)
-      throw new RendererError("WebGL2 cannot create a shader: the context is lost");
-    gl.shaderSource(shader, source(body, defines));
+    if (shader === null) throw new ContextLostError();
+    gl.shaderSource(shader, `${HEAD}${lines.join("")}#define ${stage}\n${text}`);
     gl.compileShader(shader);
     gl.attachShader(program, shader);
     if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS) && !gl.isContextLost()) {

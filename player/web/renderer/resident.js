@@ -1,6 +1,6 @@
-import { makeProgram, RendererError } from "./program.js";
-import { MAX_DRAWN_SH_DEGREE } from "./recipe.js";
-import { EXPAND_FLOATS, EXPAND_LATTICE, STORE_TEXEL } from "./shaders.js";
+import { MAX_DRAWN_SH_DEGREE } from "../constants.js";
+import { ContextLostError, makeProgram, RendererError } from "./program.js";
+import { EXPAND_FLOATS, EXPAND_LATTICE } from "./shaders.js";
 
 const STAGED_WIDTH_PX = 1024;
 /** A texture that the frame before still reads from is not written. */
@@ -36,7 +36,7 @@ export class Resident {
    * @param {WebGL2RenderingContext} gl
    * @param {number} numSlots
    * @param {number} shDegree
-   * @param {import("../format/slots/slotlayout.js").Lattice[]} lattices of each layer; none in version 1
+   * @param {import("../format/slots/slotlayout.js").Lattice[]} lattices of each layer
    */
   constructor(gl, numSlots, shDegree, lattices) {
     this.gl = gl;
@@ -46,6 +46,7 @@ export class Resident {
     this.widthPx = this.columns * this.texels;
     this.heightPx = Math.max(1, Math.ceil(numSlots / this.columns));
     const limitPx = gl.getParameter(gl.MAX_TEXTURE_SIZE);
+    if (gl.isContextLost()) throw new ContextLostError(); // the limit is null then
     if (Math.max(this.heightPx, this.widthPx) > limitPx) {
       throw new RendererError(
         `${numSlots} Gaussians need a texture of ${this.widthPx}x${this.heightPx}; this device allows ${limitPx}`,
@@ -67,11 +68,11 @@ export class Resident {
       STAGED_WIDTH_PX,
       K: (shDegree + 1) ** 2,
     };
-    this.lattice = makeProgram(gl, EXPAND_LATTICE, STORE_TEXEL, {
+    this.lattice = makeProgram(gl, EXPAND_LATTICE, {
       ...defines,
       ITEM_WORDS: latticeWords(shDegree),
     });
-    this.floats = makeProgram(gl, EXPAND_FLOATS, STORE_TEXEL, {
+    this.floats = makeProgram(gl, EXPAND_FLOATS, {
       ...defines,
       ITEM_WORDS: floatWords(shDegree),
     });

@@ -1,7 +1,8 @@
+import { JACOBIAN_CLAMP, MAX_DRAWN_SH_DEGREE } from "../constants.js";
+import { DepthQuery } from "./depthquery.js";
+import { SCREEN, SPLAT } from "./glsl.js";
 import { makeProgram, RendererError } from "./program.js";
-import { JACOBIAN_CLAMP } from "./recipe.js";
 import { makeTexture, Resident } from "./resident.js";
-import { SCREEN_FRAGMENT, SCREEN_VERTEX, SPLAT_FRAGMENT, SPLAT_VERTEX } from "./shaders.js";
 
 /**
  * What a stream needs of the GPU.
@@ -9,7 +10,7 @@ import { SCREEN_FRAGMENT, SCREEN_VERTEX, SPLAT_FRAGMENT, SPLAT_VERTEX } from "./
  * @property {number} numSlots
  * @property {number} shDegree
  * @property {number} nearM nothing nearer is drawn
- * @property {import("../format/slots/slotlayout.js").Lattice[]} lattices of each layer; none in version 1
+ * @property {import("../format/slots/slotlayout.js").Lattice[]} lattices of each layer
  */
 
 /** Draws a stream in recipe v1 with WebGL2. */
@@ -24,9 +25,11 @@ export class SplatRenderer {
     this.isFine = gl.getExtension("EXT_color_buffer_float") !== null;
     this.resident = new Resident(gl, shape.numSlots, shape.shDegree, shape.lattices);
     const { columns, texels } = this.resident;
-    const defines = { COLUMNS: columns, TEXELS: texels };
-    this.splats = makeProgram(gl, SPLAT_VERTEX, SPLAT_FRAGMENT, defines);
-    this.screen = makeProgram(gl, SCREEN_VERTEX, SCREEN_FRAGMENT);
+    const degree = Math.min(shape.shDegree, MAX_DRAWN_SH_DEGREE);
+    const defines = { COLUMNS: columns, TEXELS: texels, SH_DEGREE: degree, STALE_ORDER: 1 };
+    this.defines = defines;
+    this.splats = makeProgram(gl, SPLAT, defines);
+    this.screen = makeProgram(gl, SCREEN);
     this.order = gl.createBuffer();
     this.numDrawn = 0;
     this.quads = gl.createVertexArray();
@@ -39,6 +42,8 @@ export class SplatRenderer {
     this.orderBytes = 0;
     /** @type {{ widthPx: number, heightPx: number, texture: WebGLTexture, framebuffer: WebGLFramebuffer } | null} */
     this.picture = null;
+    /** @type {DepthQuery | null} */
+    this.depths = null;
   }
 
   /** Bytes of Gaussians and orders that were uploaded so far. */
@@ -77,32 +82,63 @@ export class SplatRenderer {
     const { gl } = this;
     const picture = this.#pictureOf(camera.widthPx, camera.heightPx);
     gl.bindFramebuffer(gl.FRAMEBUFFER, picture.framebuffer);
-    gl.viewport(0, 0, camera.widthPx, camera.heightPx);
-    gl.disable(gl.DEPTH_TEST);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT);
-    gl.enable(gl.BLEND);
-    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
-    gl.useProgram(this.splats.program);
-    this.#setCamera(camera);
-    gl.activeTexture(gl.TEXTURE0);
-    gl.bindTexture(gl.TEXTURE_2D, this.resident.texture);
-    gl.bindVertexArray(this.quads);
-    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, this.numDrawn);
+    this.#blend(camera, this.splats);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target);
     gl.viewport(corner.xPx, corner.yPx, camera.widthPx, camera.heightPx);
     gl.disable(gl.BLEND);
     gl.useProgram(this.screen.program);
     gl.uniform1i(this.screen.at("picture"), 0);
     gl.uniform2i(this.screen.at("corner_px"), corner.xPx, corner.yPx);
+    gl.uniform3f(this.screen.at("background"), 0, 0, 0);
     gl.bindTexture(gl.TEXTURE_2D, picture.texture);
     gl.bindVertexArray(this.nothing);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
-  /** @param {import("../format/camera.js").Camera} camera */
-  #setCamera(camera) {
-    const { gl, splats } = this;
+  /**
+   * How far along the view what shows at a pixel lies, metres; null if hardly anything shows there, or
+   * this device cannot draw floats. Waits for the device.
+   * @param {import("../format/camera.js").Camera} camera the order is that for it
+   * @param {number} xPx from the left
+   * @param {number} yPx from the top
+   */
+  depthAt(camera, xPx, yPx) {
+    if (!this.isFine) return null;
+    this.depths ??= new DepthQuery(this.gl, this.defines);
+    this.depths.begin();
+    const cxPx = camera.cxPx - Math.floor(xPx);
+    const cyPx = camera.cyPx - Math.floor(yPx);
+    this.#blend({ ...camera, cxPx, cyPx }, this.depths.splats);
+    return this.depths.end();
+  }
+
+  /**
+   * Blends all Gaussians into the framebuffer that is bound.
+   * @param {import("../format/camera.js").Camera} camera
+   * @param {import("./program.js").Program} splats
+   */
+  #blend(camera, splats) {
+    const { gl } = this;
+    gl.viewport(0, 0, camera.widthPx, camera.heightPx);
+    gl.disable(gl.DEPTH_TEST);
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+    gl.useProgram(splats.program);
+    this.#setCamera(camera, splats);
+    gl.activeTexture(gl.TEXTURE0);
+    gl.bindTexture(gl.TEXTURE_2D, this.resident.texture);
+    gl.bindVertexArray(this.quads);
+    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, this.numDrawn);
+  }
+
+  /**
+   * @param {import("../format/camera.js").Camera} camera
+   * @param {import("./program.js").Program} splats
+   */
+  #setCamera(camera, splats) {
+    const { gl } = this;
     const m = camera.w2c;
     const rotation = [m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]]; // columns
     const [x, y, z] = [m[3], m[7], m[11]];
@@ -137,7 +173,8 @@ export class SplatRenderer {
     const framebuffer = gl.createFramebuffer();
     gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
-    if (gl.checkFramebufferStatus(gl.FRAMEBUFFER) !== gl.FRAMEBUFFER_COMPLETE) {
+    const status = gl.checkFramebufferStatus(gl.FRAMEBUFFER);
+    if (status !== gl.FRAMEBUFFER_COMPLETE && !gl.isContextLost()) {
       throw new RendererError(`this device cannot draw a picture of ${widthPx}x${heightPx} pixels`);
     }
     this.picture = { widthPx, heightPx, texture, framebuffer };
@@ -154,6 +191,7 @@ export class SplatRenderer {
   close() {
     const { gl } = this;
     this.#dropPicture();
+    this.depths?.close();
     this.resident.close();
     gl.deleteBuffer(this.order);
     for (const array of [this.quads, this.nothing]) gl.deleteVertexArray(array);

@@ -1,4 +1,6 @@
-/** A stream that cannot be fetched; says what to do. */
+import { fetchOnce } from "./early/earlyresponses.js";
+
+/** A stream that cannot be fetched; the message gives the remedy. */
 export class SourceError extends Error {
   /** @param {string} message */
   constructor(message) {
@@ -24,7 +26,7 @@ export function delayS(tries) {
   return mostS * (0.5 + 0.5 * Math.random());
 }
 
-/** What to say of a host that only refuses this page. @param {string} url */
+/** The error for a host that only refuses this page. @param {string} url */
 export function refusal(url) {
   return new SourceError(
     `${new URL(url).origin} answers, but does not let pages of other hosts read ${url}; ` +
@@ -39,22 +41,21 @@ export class Fetcher {
   /**
    * @param {object} [options]
    * @param {number} [options.giveUpS] seconds without a byte after which it gives up
-   * @param {(message: string | null) => void} [options.onTrouble] told what is wrong, and null when it
-   *   is over
+   * @param {(message: string | null) => void} [options.onTrouble] called with what is wrong, and
+   *   with null when it is over
    */
   constructor({ giveUpS = 60, onTrouble = () => {} } = {}) {
     this.giveUpS = giveUpS;
     this.onTrouble = onTrouble;
-    this.abort = new AbortController();
     this.receivedBytes = 0;
   }
 
   /**
-   * The bytes at a URL, at most `limitBytes`. Rejects with a SourceError.
+   * The bytes at a URL, at most `limitBytes`. Rejects with a SourceError, or as the signal of `init` is aborted.
    * @param {string} url
    * @param {number} limitBytes
-   * @param {(numBytes: number) => void} [onBytes] told of each piece that came; what came of a try
-   *   that broke off is taken back as a negative number
+   * @param {(numBytes: number) => void} [onBytes] called with the size of each piece; a try that
+   *   broke off takes its bytes back as a negative number
    * @param {RequestInit} [init]
    * @returns {Promise<Uint8Array>}
    */
@@ -78,7 +79,7 @@ export class Fetcher {
         return bytes;
       } catch (error) {
         onBytes(-came);
-        this.abort.signal.throwIfAborted();
+        init.signal?.throwIfAborted();
         // What fetch throws when there is no network is a TypeError.
         if (!(error instanceof TypeError)) throw error;
         const isPassing = error instanceof PassingTrouble;
@@ -102,7 +103,7 @@ export class Fetcher {
   async isRefused(url) {
     if (this.receivedBytes > 0 || new URL(url).origin === globalThis.origin) return false;
     try {
-      await fetch(url, { method: "HEAD", mode: "no-cors", signal: this.abort.signal });
+      await fetch(url, { method: "HEAD", mode: "no-cors" });
       return true;
     } catch {
       return false;
@@ -116,7 +117,7 @@ export class Fetcher {
    * @param {RequestInit} init
    */
   async #once(url, limitBytes, onBytes, init) {
-    const response = await fetch(url, { ...init, signal: this.abort.signal });
+    const response = await fetchOnce(url, init);
     if (response.status >= 500) throw new PassingTrouble(`HTTP ${response.status}`);
     if (!response.ok) throw new SourceError(`${url}: HTTP ${response.status}`);
     /** @type {Uint8Array[]} */
@@ -141,9 +142,5 @@ export class Fetcher {
       at += piece.length;
     }
     return bytes;
-  }
-
-  close() {
-    this.abort.abort();
   }
 }

@@ -1,7 +1,6 @@
+import { MAX_INDEX_BYTES } from "../constants.js";
 import { readIndex, recordBytes } from "../format/streamindex.js";
 import { SourceError } from "./fetcher.js";
-
-const MAX_INDEX_BYTES = 2 ** 28;
 
 /** The index of a stream that may grow. */
 export class GrowingIndex {

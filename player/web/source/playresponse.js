@@ -1,5 +1,7 @@
 import { corrupt } from "../format/bytes/errors.js";
 import { RecordParser } from "../format/playrecord.js";
+import { playUrl } from "./addresses.js";
+import { fetchOnce } from "./early/earlyresponses.js";
 import { delayS, refusal, SourceError, TRIES_BEFORE_DOUBT } from "./fetcher.js";
 
 /** The server is gone, or has no time; it may be back soon. */
@@ -19,17 +21,18 @@ const GONE = "The network is gone";
 const BUSY = "The server is busy";
 
 /**
- * What a play shall be.
- * @typedef {object} PlayWish
+ * Parameters of a /play request.
+ * @typedef {object} PlayQuery
  * @property {number} fromFrame
- * @property {number | null} layers null for the server's choice
- * @property {string | null} lastToken of the play before this one
- * @property {number | null} rateBps what a server said of the link, for one that does not know
- * @property {boolean} paused whether it begins with a still picture
- * @property {number | null} nextFrame the frame that shows next, if what shows by fromFrame is here
+ * @property {number} [untilFrame] the first frame that is not sent
+ * @property {number | null} [layers] null for the server's choice
+ * @property {string | null} [lastToken] of the play before this one
+ * @property {number | null} [rateBps] the last estimate of the link that a server sent
+ * @property {boolean} [paused] whether it begins with a still picture
+ * @property {number | null} [nextFrame] the frame that shows next, if the frames up to fromFrame are here
  */
 
-/** One response of a swings server to `play?plain=1`, record by record (FORMAT.md, section 10). */
+/** One response of a swings server to `play?plain=1`, record by record (FORMAT.md, section 12). */
 export class PlayResponse {
   /**
    * @param {Response} response
@@ -42,27 +45,28 @@ export class PlayResponse {
     this.abort = abort;
     this.reader = body.getReader();
     this.parser = new RecordParser();
-    /** @type {import("../format/playrecord.js").PlayRecord[]} parsed, but not handed out */
+    /** @type {import("../constants.js").PlayRecord[]} parsed, but not handed out */
     this.records = [];
   }
 
   /**
    * Rejects with a GoneError, or with a SourceError if trying again would not help.
    * @param {string} base URL of the stream, with a slash at its end
-   * @param {PlayWish} wish
+   * @param {PlayQuery} query
+   * @param {AbortSignal} [signal] ends it
    */
-  static async open(base, { fromFrame, layers, lastToken, rateBps, paused, nextFrame }) {
-    const query = new URLSearchParams({ plain: "1", from: String(fromFrame) });
-    if (layers !== null) query.set("layers", String(layers));
-    if (paused) query.set("paused", "1");
-    const url = `${base}play?${query}`;
+  static async open(base, query, signal) {
+    const { lastToken, rateBps, nextFrame } = query;
+    const url = playUrl(base, query);
     const abort = new AbortController();
+    signal?.addEventListener("abort", () => abort.abort(), { once: true });
+    if (signal?.aborted) abort.abort();
     const headers = new Headers(lastToken ? { "Swings-Play": lastToken } : {});
-    if (rateBps !== null) headers.set("Swings-Rate", String(rateBps));
-    if (nextFrame !== null) headers.set("Swings-Frame", String(nextFrame));
+    if (rateBps) headers.set("Swings-Rate", String(rateBps));
+    if (typeof nextFrame === "number") headers.set("Swings-Frame", String(nextFrame));
     let response;
     try {
-      response = await fetch(url, { headers, signal: abort.signal, cache: "no-store" });
+      response = await fetchOnce(url, { headers, signal: abort.signal, cache: "no-store" });
     } catch {
       throw new GoneError(GONE);
     }
@@ -75,8 +79,8 @@ export class PlayResponse {
 
   /**
    * The next record; null at the end of the body. Rejects with a GoneError, or with a FormatError.
-   * @param {(numBytes: number) => void} [onBytes] told of what came, decoded
-   * @returns {Promise<import("../format/playrecord.js").PlayRecord | null>}
+   * @param {(numBytes: number) => void} [onBytes] called with the size of each piece, decoded
+   * @returns {Promise<import("../constants.js").PlayRecord | null>}
    */
   async next(onBytes = () => {}) {
     while (this.records.length === 0) {
@@ -98,16 +102,17 @@ export class PlayResponse {
   }
 }
 
-/** @typedef {{ response: PlayResponse, start: import("../format/playrecord.js").StartRecord }} BegunPlay */
+/** @typedef {{ response: PlayResponse, start: import("../constants.js").StartRecord }} OpenedPlay */
 
 /**
  * A response, and how it starts. Rejects as PlayResponse.open does.
  * @param {string} base
- * @param {PlayWish} wish
- * @returns {Promise<BegunPlay>}
+ * @param {PlayQuery} query
+ * @param {AbortSignal} [signal] ends it
+ * @returns {Promise<OpenedPlay>}
  */
-export async function begunPlay(base, wish) {
-  const response = await PlayResponse.open(base, wish);
+export async function openPlay(base, query, signal) {
+  const response = await PlayResponse.open(base, query, signal);
   const start = await response.next();
   if (start === null) throw new GoneError(GONE);
   if (start.kind !== "start") throw corrupt("play: the first record is not a start record");
@@ -139,7 +144,7 @@ export class Patience {
 
   /**
    * Tries until it works. Rejects with a SourceError after a while, and with what else goes wrong.
-   * @param {() => Promise<BegunPlay>} action
+   * @param {() => Promise<OpenedPlay>} action
    */
   async begin(action) {
     for (;;) {
@@ -156,7 +161,7 @@ export class Patience {
   }
 
   /**
-   * Says what is wrong, and waits until the next try. Rejects with a SourceError after a while.
+   * Reports what is wrong, and waits until the next try. Rejects with a SourceError after a while.
    * @param {number} leastS
    */
   async wait(leastS = 0) {

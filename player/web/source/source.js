@@ -1,34 +1,30 @@
+import { servedBase } from "./addresses.js";
 import { HostedStream } from "./hosted.js";
-import { servedBase, ServedStream } from "./served.js";
+import { ServedStream } from "./served.js";
 
 /**
- * What a source hands over: chunks of slices and snapshots, as a SlotPlay or a SlicePlay takes them.
- * @typedef {object} Sink
- * @property {(birth: number, chunk: Uint8Array) => void} addMask
- * @property {(birth: number, layer: number, chunk: Uint8Array) => void} addChange
- * @property {(frame: number, layer: number, chunk: Uint8Array) => void} addSnapshot
- */
-
-/**
- * What is asked of one play.
- * @typedef {object} Wish
+ * Parameters of one play.
+ * @typedef {object} PlayRequest
  * @property {number} firstFrame
- * @property {boolean} continues whether the sink has what shows before firstFrame
  * @property {number} mostLayers
  * @property {() => number} nowS the clock
  */
 
 /**
- * One play, from a frame on: what comes goes to a sink.
+ * One play, from a frame on: brings what is missing into the stream's cache.
  * @typedef {object} SourcePlay
  * @property {() => number} step does what is to be done; gives seconds until it should be called
  *   again, at most
- * @property {(frame: number, paused: boolean) => void} told the playback says where it is:
- *   the frame that shows next, or while it is paused the one that shows
+ * @property {(frame: number, paused: boolean, rate: number) => void} reportPosition takes the
+ *   frame that shows next, or while playback is paused the one that shows; a negative one if frame 0
+ *   shows only after so many others
+ * @property {(frame: number, isStep: boolean) => boolean} moveTo goes on from another frame, if a new
+ *   play would ask for nothing else; gives whether. isStep: the frame follows on what shows.
  * @property {number | null} rateBps what the link is taken to carry
  * @property {unknown} failure what ended it; null while nothing did
- * @property {() => void} onNews called when something has come or failed
- * @property {() => void} close
+ * @property {() => void} onData called when something has come or failed
+ * @property {boolean} isDone whether nothing more will be asked for
+ * @property {() => void} close aborts what was asked for
  */
 
 /**
@@ -37,7 +33,10 @@ import { servedBase, ServedStream } from "./served.js";
  * @property {string} base URL of its folder, with a slash at its end
  * @property {import("../format/manifest.js").Manifest} manifest whose `live` is as it is now
  * @property {number} numFrames that there are now
- * @property {(sink: Sink, wish: Wish) => SourcePlay} play
+ * @property {import("./segmentcache.js").SegmentCache} cache what is here
+ * @property {(request: PlayRequest) => SourcePlay} play
+ * @property {(segment: number, layer: number, signal: AbortSignal) => Promise<unknown>} fetchSnapshot
+ *   brings a snapshot into the cache
  * @property {(onGrown: () => void) => Promise<void>} follow calls `onGrown` when there are more
  *   frames, or never will be; rejects if the source fails
  */
@@ -48,11 +47,13 @@ import { servedBase, ServedStream } from "./served.js";
  * @param {string} url with a slash at its end
  * @param {import("./fetcher.js").Fetcher} fetcher
  * @param {number | null} maxGaussians most of a stream that is opened; null for the default
+ * @param {boolean} otherHosts whether a manifest may lead to other hosts than its own
+ * @param {number} [bufferBytes] most that is kept of the stream
  * @returns {Promise<SourceStream>}
  */
-export function openSource(url, fetcher, maxGaussians = null) {
+export function openSource(url, fetcher, maxGaussians = null, otherHosts = false, bufferBytes) {
   const served = servedBase(url);
   return served === null
-    ? HostedStream.open(url, fetcher, maxGaussians)
-    : ServedStream.open(served, fetcher, maxGaussians);
+    ? HostedStream.open(url, fetcher, maxGaussians, otherHosts, bufferBytes)
+    : ServedStream.open(served, fetcher, maxGaussians, bufferBytes);
 }

@@ -1,83 +1,72 @@
-import { fitted, meanUp, poseOf, worldToCamera } from "./pose.js";
-import { add, dot, length, subtract, times, turned } from "./vectors.js";
+import { framed } from "./framing.js";
+import { meanUp, poseOf, worldToCamera } from "./pose.js";
+import { sceneCentre } from "./scenecentre.js";
+import { axesOf, normalised, quaternionOf } from "./turn.js";
+import { add, length, subtract, times, turned } from "./vectors.js";
 
 /** @typedef {import("./vectors.js").Vector} Vector */
 
-const TURN_RAD_PER_PX = 0.005;
+/**
+ * What an orbit needs of a manifest.
+ * @typedef {object} OrbitScene
+ * @property {import("../format/camera.js").Camera[]} cameras
+ * @property {import("../format/camera.js").Camera} defaultCamera
+ * @property {number[][]} bounds lower and upper corner, metres
+ */
+
+export const TURN_RAD_PER_PX = 0.005;
 /** Distance to the scene's centre after one step of the wheel, as a share of that before. */
 const ZOOM_PER_STEP = 0.9;
 const LEAST_ZOOM = 0.02;
 const MOST_ZOOM = 50;
+/** Links may come from anywhere; a larger number would leave floats no digits for the scene. */
+const MOST_IN_TEXT = 1e6;
 
 /**
- * Where the cameras of a rig look: the point with the least squared distance to their axes, or the
- * middle of the bounds where they look the same way.
- * @param {import("./pose.js").Pose[]} poses
- * @param {number[][]} bounds
- * @returns {Vector}
+ * Where a person has turned, moved and zoomed the camera: around `centre`, from the pose `base`. Both
+ * are those of the stream at first, and others after a flight. Nothing here knows of time or of limits
+ * of a scene; see cameramotion.js.
  */
-export function sceneCentre(poses, bounds) {
-  const middle = times(add(bounds[0], bounds[1]), 0.5);
-  const point = closestPoint(poses);
-  const isInside = point?.every((x, axis) => bounds[0][axis] <= x && x <= bounds[1][axis]);
-  return point && isInside ? point : middle;
-}
-
-/**
- * @param {import("./pose.js").Pose[]} poses
- * @returns {Vector | null}
- */
-function closestPoint(poses) {
-  // The sum over all axes of (I - d d^T) (x - p) is 0.
-  const a = [0, 0, 0, 0, 0, 0, 0, 0, 0];
-  const b = [0, 0, 0];
-  for (const { position, forward: d } of poses) {
-    for (let i = 0; i < 3; i++) {
-      for (let j = 0; j < 3; j++) {
-        const entry = (i === j ? 1 : 0) - d[i] * d[j];
-        a[3 * i + j] += entry / poses.length;
-        b[i] += (entry * position[j]) / poses.length;
-      }
-    }
-  }
-  const minor = (/** @type {number} */ i, /** @type {number} */ j) => {
-    const [r, s] = [0, 1, 2].filter((row) => row !== i);
-    const [c, e] = [0, 1, 2].filter((column) => column !== j);
-    return a[3 * r + c] * a[3 * s + e] - a[3 * r + e] * a[3 * s + c];
-  };
-  const det = a[0] * minor(0, 0) - a[1] * minor(0, 1) + a[2] * minor(0, 2);
-  // The axes are as good as parallel.
-  if (!(det > 1e-3)) return null;
-  const point = [0, 1, 2].map(
-    (i) => [0, 1, 2].reduce((sum, j) => sum + ((i + j) % 2 ? -1 : 1) * minor(j, i) * b[j], 0) / det,
-  );
-  const isSeen = poses.every(
-    ({ position, forward }) => dot(subtract(point, position), forward) > 0,
-  );
-  return isSeen ? point : null;
-}
-
-/** Where a person has turned, moved and zoomed the camera. */
 export class Orbit {
   turnRad = 0;
   tiltRad = 0;
-  /** Distance to the centre as a share of the start's. */
+  /** Distance to the centre as a share of the base's. */
   zoom = 1;
   /** To the right and down, in distances to the centre per focal length. */
   pan = [0, 0];
 
-  /** @param {{ cameras: import("../format/camera.js").Camera[], bounds: number[][] }} scene */
-  constructor({ cameras, bounds }) {
+  /** @param {OrbitScene} scene */
+  constructor({ cameras, bounds, defaultCamera }) {
     const poses = cameras.map(poseOf);
-    this.centre = sceneCentre(poses, bounds);
+    /** What a reset returns to. */
+    this.home = { pose: poseOf(defaultCamera), centre: sceneCentre(poses, bounds) };
+    this.base = this.home.pose;
+    this.centre = this.home.centre;
     this.up = meanUp(poses);
   }
 
   reset() {
+    this.rebase(this.home.pose, this.home.centre);
+  }
+
+  /**
+   * Puts the camera at `pose`, from where it turns around `centre`.
+   * @param {import("./pose.js").Pose} pose
+   * @param {Vector} centre
+   */
+  rebase(pose, centre) {
+    this.base = pose;
+    this.centre = centre;
     this.turnRad = 0;
     this.tiltRad = 0;
     this.zoom = 1;
     this.pan = [0, 0];
+  }
+
+  /** Moves the camera and what it turns around. @param {Vector} byM */
+  shift(byM) {
+    this.base = { ...this.base, position: add(this.base.position, byM) };
+    this.centre = add(this.centre, byM);
   }
 
   /**
@@ -86,9 +75,13 @@ export class Orbit {
    * @param {number} downPx
    */
   dragTurn(rightPx, downPx) {
-    this.turnRad -= rightPx * TURN_RAD_PER_PX;
-    const tiltRad = this.tiltRad - downPx * TURN_RAD_PER_PX;
-    this.tiltRad = Math.min(Math.max(tiltRad, -Math.PI / 2), Math.PI / 2);
+    this.turn(-rightPx * TURN_RAD_PER_PX, -downPx * TURN_RAD_PER_PX);
+  }
+
+  /** @param {number} leftRad @param {number} upRad */
+  turn(leftRad, upRad) {
+    this.turnRad += leftRad;
+    this.tiltRad = Math.min(Math.max(this.tiltRad + upRad, -Math.PI / 2), Math.PI / 2);
   }
 
   /**
@@ -110,69 +103,68 @@ export class Orbit {
     this.zoom = Math.min(Math.max(this.zoom * factor, LEAST_ZOOM), MOST_ZOOM);
   }
 
+  /** To the centre, metres, not counting what is panned. */
+  get distanceM() {
+    return length(subtract(this.base.position, this.centre)) * this.zoom;
+  }
+
+  /** @returns {import("./pose.js").Pose} */
+  get pose() {
+    const { centre, zoom } = this;
+    let pose = carried(this.base, centre, this.up, this.turnRad);
+    pose = carried(pose, centre, pose.right, this.tiltRad);
+    const away = times(subtract(pose.position, centre), zoom);
+    const aside = add(times(pose.right, this.pan[0]), times(pose.down, this.pan[1]));
+    const position = subtract(add(centre, away), times(aside, length(away)));
+    return { ...pose, position };
+  }
+
   /**
-   * `start` as the person wants it, in a picture of another size.
+   * The camera in a picture of some size, with the lens of `start`.
    * @param {import("../format/camera.js").Camera} start
    * @param {number} widthPx
    * @param {number} heightPx
    */
   camera(start, widthPx, heightPx) {
-    let pose = carried(poseOf(start), this.centre, this.up, this.turnRad);
-    pose = carried(pose, this.centre, pose.right, this.tiltRad);
-    const away = times(subtract(pose.position, this.centre), this.zoom);
-    const aside = add(times(pose.right, this.pan[0]), times(pose.down, this.pan[1]));
-    const position = subtract(add(this.centre, away), times(aside, length(away)));
-    const w2c = worldToCamera({ ...pose, position });
-    return {
-      ...closer(fitted(start, widthPx, heightPx), closeness(start, widthPx, heightPx)),
-      w2c,
-    };
+    const lens = framed(start, this.home.centre, widthPx, heightPx);
+    return { ...lens, w2c: worldToCamera(this.pose) };
   }
 
-  /** All of it as a short text, for a link. */
+  /** Whether the camera is as `rebase` put it. */
+  get isAtBase() {
+    const isTurned = this.turnRad !== 0 || this.tiltRad !== 0;
+    return !isTurned && this.zoom === 1 && this.pan[0] === 0 && this.pan[1] === 0;
+  }
+
+  /**
+   * All of it as a short text, for a link: turn, tilt, zoom, pan to the right and down. After a flight
+   * the pose itself: position, quaternion, centre.
+   */
   get text() {
-    const numbers = [this.turnRad, this.tiltRad, this.zoom, ...this.pan];
+    const { base, centre, home } = this;
+    let numbers = [this.turnRad, this.tiltRad, this.zoom, ...this.pan];
+    if (base !== home.pose || centre !== home.centre) {
+      const { pose } = this;
+      numbers = [...pose.position, ...quaternionOf(pose), ...centre];
+    }
     return numbers.map((x) => Number(x.toFixed(4))).join(",");
   }
 
   /** Takes what `text` gave; anything else changes nothing. @param {string} text */
   set text(text) {
     const numbers = text.split(",").map(Number);
-    if (numbers.length !== 5 || !numbers.every(Number.isFinite)) return;
-    const [turnRad, tiltRad, zoom, right, down] = numbers;
-    this.turnRad = turnRad % (2 * Math.PI);
-    this.tiltRad = Math.min(Math.max(tiltRad, -Math.PI / 2), Math.PI / 2);
-    this.zoom = Math.min(Math.max(zoom, LEAST_ZOOM), MOST_ZOOM);
-    this.pan = [right, down];
+    if (!numbers.every((x) => Math.abs(x) <= MOST_IN_TEXT)) return;
+    if (numbers.length === 5) {
+      const [turnRad, tiltRad, zoom, right, down] = numbers;
+      this.reset();
+      this.turn(turnRad % (2 * Math.PI), tiltRad);
+      this.scale(zoom);
+      this.pan = [right, down];
+    } else if (numbers.length === 10 && Math.hypot(...numbers.slice(3, 7)) > 0.5) {
+      const axes = axesOf(normalised(numbers.slice(3, 7)));
+      this.rebase({ position: numbers.slice(0, 3), ...axes }, numbers.slice(7));
+    }
   }
-}
-
-/**
- * How much larger all is in an upright picture of a view that is not: halfway, as factors go, between
- * all of the view and a picture that it fills. Most of a phone would show what hardly a camera saw.
- * @param {{ widthPx: number, heightPx: number }} start
- * @param {number} widthPx
- * @param {number} heightPx
- */
-export function closeness(start, widthPx, heightPx) {
-  if (widthPx >= heightPx) return 1;
-  return Math.sqrt(Math.max(1, (heightPx / start.heightPx) * (start.widthPx / widthPx)));
-}
-
-/**
- * @param {import("../format/camera.js").Camera} camera
- * @param {number} factor
- * @returns {import("../format/camera.js").Camera}
- */
-function closer(camera, factor) {
-  const { widthPx, heightPx, fxPx, fyPx, cxPx, cyPx } = camera;
-  return {
-    ...camera,
-    fxPx: fxPx * factor,
-    fyPx: fyPx * factor,
-    cxPx: widthPx / 2 + (cxPx - widthPx / 2) * factor,
-    cyPx: heightPx / 2 + (cyPx - heightPx / 2) * factor,
-  };
 }
 
 /**

@@ -1,4 +1,4 @@
-import { dot, times } from "./vectors.js";
+import { add, dot, times } from "./vectors.js";
 
 /** @typedef {import("./vectors.js").Vector} Vector */
 
@@ -57,4 +57,29 @@ export function meanUp(poses) {
   const up = [0, 1, 2].map((axis) => -poses.reduce((sum, { down }) => sum + down[axis], 0));
   const size = Math.hypot(...up);
   return size > 1e-3 * poses.length ? times(up, 1 / size) : times(poses[0].down, -1);
+}
+
+/**
+ * A point as a camera sees it: to the right, down and forward, metres.
+ * @param {number[]} w2c (4, 4) world to camera
+ * @param {Vector} point
+ * @returns {Vector}
+ */
+export function inCamera(w2c, point) {
+  return [0, 4, 8].map((at) => dot(w2c.slice(at, at + 3), point) + w2c[at + 3]);
+}
+
+/**
+ * The point of the world that a pixel of a picture shows.
+ * @param {import("../format/camera.js").Camera} camera
+ * @param {number} xPx from the left
+ * @param {number} yPx from the top
+ * @param {number} depthM forward from the camera
+ * @returns {Vector}
+ */
+export function pointAt(camera, xPx, yPx, depthM) {
+  const { position, right, down, forward } = poseOf(camera);
+  const asideM = (depthM * (xPx - camera.cxPx)) / camera.fxPx;
+  const belowM = (depthM * (yPx - camera.cyPx)) / camera.fyPx;
+  return [times(right, asideM), times(down, belowM), times(forward, depthM)].reduce(add, position);
 }

@@ -19,7 +19,7 @@ class LinkStep:
     duration_s: float
     """Over 0, seconds."""
     rate_bps: float
-    """What passes, bits per second; 0 is an outage."""
+    """Throughput, bits per second; 0 is an outage."""
     latency_s: float
     """Added to what comes from the server, so once to each round trip, seconds."""
 
@@ -55,7 +55,8 @@ class Link:
         self._ends_s = self._begins_s[1:]
         bits = (step.duration_s * step.rate_bps for step in steps)
         self._bits = list(accumulate(bits, initial=0.0))
-        """What has passed since the round began when each step begins, and when the last ends."""
+        """Bits carried since the round began, at the start of each step and at the end of the
+        last."""
         self._round_bits = self._bits[-1]
         self.round_s = self._begins_s[-1]
         """All steps together, seconds."""
@@ -66,7 +67,7 @@ class Link:
         if self._round_bits < 1:
             raise InvalidError("link: all steps together carry less than one bit; raise the rates")
         self.mean_bps = self._round_bits / self.round_s
-        """What passes on average, outages and all, bits per second."""
+        """Mean throughput, outages included, bits per second."""
 
     def at(self, time_s: float) -> LinkStep:
         """The step that holds at `time_s`."""
@@ -102,7 +103,7 @@ class Link:
         return max(start_s, start_s - into_s + rounds * self.round_s + end_s)
 
     def capacity_bytes(self, start_s: float, end_s: float) -> float:
-        """What passes from `start_s` to `end_s`, just the bytes that `passed_s` says end then."""
+        """Bytes carried from `start_s` to `end_s`; the inverse of `passed_s`."""
         first_round, first_bits = self._passed_bits(start_s)
         last_round, last_bits = self._passed_bits(end_s)
         bits = (last_round - first_round) * self._round_bits + last_bits - first_bits

@@ -1,4 +1,4 @@
-"""Traces of real links, as bytes. Two forms are told apart by what they hold:
+"""Traces of real links, as bytes. Two forms are recognised by their content:
 
 * a JSON list of steps, which is also the form of Sabre's traces:
   [{"duration_ms": 500, "bandwidth_kbps": 2000, "latency_ms": 20}, ...]
@@ -21,7 +21,7 @@ from .link import Link, LinkStep
 MAX_TRACE_BYTES = 64 << 20
 
 CHANCE_BYTES = 1504
-"""What passes at each line of Mahimahi's text. Its manual says 1500, its code and its logs 1504."""
+"""Bytes carried per line of a Mahimahi trace. Its manual says 1500, its code and its logs 1504."""
 
 STEP_MS = 100
 """The lines of Mahimahi's text are gathered into steps as long as this, milliseconds."""
@@ -84,8 +84,8 @@ def _text_steps(data: bytes, latency_s: float) -> list[LinkStep]:
     for number, line in enumerate(BytesIO(data.rstrip()), 1):
         word = line.strip()
         if not word.isdigit() or len(word) > _MAX_DIGITS:
-            told = word[:20].decode("ascii", "replace")
-            raise InvalidError(f"line {number} is {told!r}, not a whole number of milliseconds")
+            shown = word[:20].decode("ascii", "replace")
+            raise InvalidError(f"line {number} is {shown!r}, not a whole number of milliseconds")
         time_ms = int(word)
         if time_ms < last_ms:
             raise InvalidError(f"line {number} is {time_ms} ms, after {last_ms} ms; sort the lines")

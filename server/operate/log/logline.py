@@ -1,53 +1,38 @@
-"""One event as one line: JSON, or key=value for people.
+"""A formatter that writes a log record as one line: JSON, or key=value for people.
 
-Rule: a line is printable ASCII and ends with the only newline in it. No clock, no files.
+Rule: a line is printable ASCII of at most MAX_LINE_BYTES. Its keys are ours; its values may come
+from strangers.
 """
 
 from __future__ import annotations
 
+import json
+import logging
 import math
 import re
-import time
-from collections.abc import Iterator, Mapping
+import traceback
+from collections.abc import Mapping
 from enum import StrEnum
 from functools import lru_cache
-from json.encoder import encode_basestring_ascii
+from time import gmtime, strftime
+
+from codec.errors import SwingsError
 
 Value = str | int | float | bool | None
-"""What a field may hold; None leaves it out."""
+"""A field of an event; None leaves it out."""
 
-MAX_TEXT = 512
-"""Characters kept of a field."""
+MAX_LINE_BYTES = 4095
+"""With its newline a line fits into one piece of a pipe, which workers share."""
 
-MAX_LINE_BYTES = 4096
-"""Bytes of a line above which its fields are cut more: as much as a pipe takes in one piece."""
-
-SHORT_TEXT = 48
-"""Characters then kept of a field. Each may take six bytes."""
-
-LONG = "traceback"
-"""The field that may have more of them."""
-
-MAX_LONG_TEXT = 8192
+CUTS = ((512, 3000), (48, 384))
+"""Characters kept of each text, and of a traceback; the second pair for lines that are too long.
+A character may take six bytes."""
 
 _BARE = re.compile(r"[!#-<>-\[\]-~]+")
 """Text that needs no quotes: printable, without a space, a quote, = or a backslash."""
 
-_TIME = "TIME"
-"""Stands for the time in what is remembered of a line."""
-
-REMEMBERED_CHARS = 128
-REMEMBERED_TEXTS = 4096
-
-
-@lru_cache(maxsize=REMEMBERED_TEXTS)
-def _json_text(value: str) -> str:
-    return encode_basestring_ascii(value)
-
-
-@lru_cache(maxsize=REMEMBERED_TEXTS)
-def _plain_text(value: str) -> str:
-    return value if _BARE.fullmatch(value) else encode_basestring_ascii(value)
+MAX_QUOTED = 1024
+"""Texts of which it is remembered how they look in a line."""
 
 
 class LogStyle(StrEnum):
@@ -59,81 +44,104 @@ class LogStyle(StrEnum):
     """Time, level and event, then key=value."""
 
 
-class LineFormat:
-    """Makes lines of one style."""
+class LineFormatter(logging.Formatter):
+    """Writes lines of one style."""
 
     def __init__(self, style: LogStyle) -> None:
-        self._json = style is LogStyle.JSON
-        self._remembered = lru_cache(REMEMBERED_TEXTS)(self._around)
+        super().__init__()
+        self._is_json = style is LogStyle.JSON
+        self._quote = _json if self._is_json else _plain
+        self._pair = '"{}":{}'.format if self._is_json else "{}={}".format
         self._second = -1
-        self._second_text = ""
+        self._time = ""  # that second
 
-    def line(self, time_s: float, level: str, event: str, fields: Mapping[str, Value]) -> bytes:
-        """The line of one event. time_s: Unix time. level, event, keys: our own words."""
-        stamp = self._stamp(time_s)
-        line = self._line(stamp, level, event, fields, MAX_TEXT)
-        if len(line) > MAX_LINE_BYTES:
-            line = self._line(stamp, level, event, fields, SHORT_TEXT)
-        return line
-
-    def often(
-        self,
-        time_s: float,
-        event: str,
-        texts: tuple[tuple[str, str], ...],
-        numbers: Mapping[str, int | float],
-    ) -> bytes:
-        """The line, of level info, of an event that comes often and with the same texts."""
-        begin, head, end = self._remembered(event, texts)
-        if self._json:
-            inside = "".join([f',"{key}":{value}' for key, value in numbers.items()])
+    def format(self, record: logging.LogRecord) -> str:
+        """The line without its newline."""
+        if isinstance(record, EventRecord):
+            event, fields = str(record.msg), record.fields
         else:
-            inside = "".join([f" {key}={value}" for key, value in numbers.items()])
-        return f"{begin}{self._stamp(time_s)}{head}{inside}{end}".encode("ascii")
+            event, fields = "record", _fields_of(record)
+        return self.line(record.created, record.levelname.lower(), event, fields)
 
-    def _line(
-        self, stamp: str, level: str, event: str, fields: Mapping[str, Value], max_text: int
-    ) -> bytes:
-        words = self._words(fields, max_text)
-        if self._json:
-            inside = "".join(f',"{key}":{text}' for key, text in words)
-            line = f'{{"time":"{stamp}","level":"{level}","event":"{event}"{inside}}}\n'
-        else:
-            inside = "".join(f" {key}={text}" for key, text in words)
-            line = f"{stamp} {level} {event}{inside}\n"
-        return line.encode("ascii")
-
-    def _around(self, event: str, texts: tuple[tuple[str, str], ...]) -> tuple[str, str, str]:
-        """What stands before the time of a line, behind it, and behind the numbers at its end."""
-        line = self._line(_TIME, "info", event, dict(texts), MAX_TEXT).decode()
-        begin, _, rest = line.partition(_TIME)
-        end = "}\n" if self._json else "\n"
-        return begin, rest.removesuffix(end), end
-
-    def _words(self, fields: Mapping[str, Value], max_text: int) -> Iterator[tuple[str, str | int]]:
-        text_of = _json_text if self._json else _plain_text
-        for key, value in fields.items():
-            if type(value) is int:
-                yield key, value
-            elif isinstance(value, str):
-                limit = MAX_LONG_TEXT if key == LONG else max_text
-                # Of short texts the same come again and again: addresses, paths.
-                find = text_of if len(value) <= REMEMBERED_CHARS else text_of.__wrapped__
-                yield key, find(value if len(value) <= limit else value[: limit - 3] + "...")
-            elif value is not None:
-                yield key, self._number(value)
-
-    def _number(self, value: float | bool) -> str:
-        if isinstance(value, float):
-            if not math.isfinite(value):
-                return f'"{value}"' if self._json else str(value)
-            return str(round(value, 6))
-        return "true" if value else "false"
-
-    def _stamp(self, time_s: float) -> str:
-        milliseconds = int(time_s * 1000)
-        second = milliseconds // 1000
+    def line(self, created_s: float, level: str, event: str, fields: Mapping[str, Value]) -> str:
+        """The line of an event at `created_s`, Unix seconds."""
+        second, milliseconds = divmod(int(1000 * created_s), 1000)
         if second != self._second:
             self._second = second
-            self._second_text = time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(second))
-        return f"{self._second_text}.{milliseconds % 1000:03d}Z"
+            self._time = strftime("%Y-%m-%dT%H:%M:%S", gmtime(second))
+        line = ""
+        for max_text, max_traceback in CUTS:
+            texts = []
+            for key, value in fields.items():
+                if value is None:
+                    continue
+                if isinstance(value, str):
+                    if len(value) > max_text:
+                        value = _cut(key, value, max_text, max_traceback)
+                    text = self._quote(value)
+                else:
+                    text = str(value) if type(value) is int else self._number(value)
+                texts.append(self._pair(key, text))
+            line = self._join(f"{self._time}.{milliseconds:03d}Z", level, event, texts)
+            if len(line) <= MAX_LINE_BYTES:
+                break
+        return line
+
+    def _number(self, value: float | bool) -> str:
+        """As JSON has it."""
+        if isinstance(value, bool):
+            return "true" if value else "false"
+        return str(round(value, 6)) if math.isfinite(value) else self._quote(str(value))
+
+    def _join(self, time: str, level: str, event: str, pairs: list[str]) -> str:
+        if self._is_json:
+            head = f'"time":"{time}","level":"{level}","event":{_json(event)}'
+            return f"{{{','.join((head, *pairs))}}}"
+        return " ".join((time, level, event, *pairs))
+
+
+class EventRecord(logging.LogRecord):
+    """The record of an event with fields, rather than of a message."""
+
+    def __init__(self, event: str, level: int, fields: dict[str, Value]) -> None:
+        super().__init__("swings", level, "", 0, event, None, None)
+        self.fields = fields
+
+
+def message_of(record: logging.LogRecord) -> str:
+    """The message of a record, even if its arguments do not fit it."""
+    try:
+        return record.getMessage()
+    except Exception:
+        return f"{record.msg} (with the wrong arguments)"
+
+
+def _fields_of(record: logging.LogRecord) -> dict[str, Value]:
+    """The fields of a record of the logging module. An exception that names its cause needs no
+    traceback; others are bugs."""
+    fields: dict[str, Value] = {"logger": record.name, "message": message_of(record)}
+    error = record.exc_info[1] if record.exc_info else None
+    if isinstance(error, SwingsError | OSError):
+        fields["error"] = f"{type(error).__name__}: {error}"
+    elif error is not None:
+        fields["traceback"] = "".join(traceback.format_exception(error)).rstrip()
+    fields["held_back"] = getattr(record, "held_back", None)
+    return fields
+
+
+def _cut(key: str, text: str, max_text: int, max_traceback: int) -> str:
+    """A long text without its end; a traceback without its beginning, as it ends with the error."""
+    if key != "traceback":
+        return f"{text[: max_text - 3]}..."
+    return text if len(text) <= max_traceback else f"...{text[3 - max_traceback :]}"
+
+
+# Addresses, methods and paths come again and again.
+@lru_cache(MAX_QUOTED)
+def _json(text: str) -> str:
+    return json.dumps(text)
+
+
+@lru_cache(MAX_QUOTED)
+def _plain(text: str) -> str:
+    return text if _BARE.fullmatch(text) else json.dumps(text)

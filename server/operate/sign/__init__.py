@@ -1,1 +1,1 @@
-"""Signed URLs: who has one may see one stream, until a certain time."""
+"""Signed URLs: each gives access to one stream, until it expires."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -14,6 +15,7 @@ from codec.console import run_command
 from codec.errors import InvalidError
 
 from .keyfile import add_key, read_keys
+from .nginxlink import nginx_secrets, sign_for_nginx
 from .signing import ALL, Signer
 
 MAX_HOURS = 10 * 366 * 24
@@ -35,10 +37,16 @@ class SignCommand:
     """Add a new key at the top of the key file; a missing file is created. Make the server reload
     the file (SIGHUP) before you use URLs signed with the new key. To revoke a key, delete its
     line."""
+    nginx: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Sign so that deploy/nginx.conf verifies URLs of objects itself and sends them from disk."""
+    nginx_secrets: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print the secrets that nginx needs for --nginx, for a file that only root can read."""
 
     def __post_init__(self) -> None:
-        if not (self.stream or self.new_key):
-            raise InvalidError("name a stream to sign for, or give --new-key")
+        if self.nginx_secrets and (self.stream or self.new_key or self.nginx):
+            raise InvalidError("--nginx-secrets signs nothing and adds no key; give it alone")
+        if not (self.stream or self.new_key or self.nginx_secrets):
+            raise InvalidError("name a stream to sign for, or give --new-key or --nginx-secrets")
         if not 0 < self.hours <= MAX_HOURS:
             raise InvalidError(f"hours is {self.hours}; give over 0, at most {MAX_HOURS}")
         if not re.fullmatch(r"https?://[!-~]+", self.url):
@@ -48,10 +56,14 @@ class SignCommand:
 def run(command: SignCommand) -> None:
     if command.new_key:
         print(f"new key   {add_key(command.keys)}")
+    if command.nginx_secrets:
+        for kid, secret in nginx_secrets(read_keys(command.keys)).items():
+            print(f"key={kid} {secret};")
     if command.stream:
-        signer = Signer(read_keys(command.keys))
+        keys = read_keys(command.keys)
         expiry_s = int(time.time() + command.hours * 3600)
-        base = command.url.rstrip("/") + signer.sign(command.stream, expiry_s)
+        sign = partial(sign_for_nginx, keys) if command.nginx else Signer(keys).sign
+        base = command.url.rstrip("/") + sign(command.stream, expiry_s)
         if command.stream == ALL:
             print(f"page      {base}/")
             print(f"streams   {base}/v1/streams")

@@ -6,9 +6,11 @@ import os
 import re
 import secrets
 import stat
+from functools import partial
 from pathlib import Path
 
 from codec.errors import InvalidError
+from codec.files import replacing
 
 from .signing import KID
 
@@ -52,17 +54,11 @@ def add_key(path: Path) -> str:
     kid = secrets.token_hex(4)
     while kid in keys:
         kid = secrets.token_hex(4)
-    draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    try:
-        with os.fdopen(descriptor, "w", encoding="ascii") as file:
-            file.write(f"{kid}:{secrets.token_hex(SECRET_BYTES)}\n{text}")
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(draft, path)
-    except BaseException:
-        draft.unlink(missing_ok=True)
-        raise
+    with (
+        replacing(path) as draft,
+        open(draft, "w", encoding="ascii", opener=partial(os.open, mode=0o600)) as file,
+    ):
+        file.write(f"{kid}:{secrets.token_hex(SECRET_BYTES)}\n{text}")
     return kid
 
 

@@ -21,7 +21,7 @@ ALL = "*"
 """Signed in place of a stream's name: every stream, and the list of them."""
 
 KID = r"[A-Za-z0-9_-]{1,32}"
-"""What a key may be called: a regular expression."""
+"""Regular expression of a key's name."""
 
 _PREFIX = re.compile(rf"/t/([1-9][0-9]{{0,11}})\.({KID})\.([A-Za-z0-9_-]{{43}})(/.*)", re.ASCII)
 
@@ -55,7 +55,7 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Grant:
-    """What a signature allows."""
+    """The access that a signature gives."""
 
     path: str
     """The path without the signature."""
@@ -93,10 +93,10 @@ class Signer:
         return f"/t/{expiry}.{self._first}.{self._signature(self._first, expiry, stream)}"
 
     def verify(self, path: str, now_s: float) -> Grant | Reason:
-        """What `path` is allowed at `now_s`, or why it is not.
+        """The access that `path` gives at `now_s`, or why it gives none.
 
-        path: as the client sent it, nothing decoded, without a query. Whoever follows the grant
-        must read Grant.path and nothing else.
+        path: as the client sent it, nothing decoded, without a query. A caller that honours the
+        grant must read Grant.path and nothing else.
         """
         match = _PREFIX.fullmatch(path)
         if match is None or _DOTS.search(path):

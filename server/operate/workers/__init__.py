@@ -1,1 +1,1 @@
-"""Several worker processes on one listening socket: who starts them, and how they talk."""
+"""Several worker processes on one listening socket: how they start and end, and how they talk."""

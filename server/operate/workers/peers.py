@@ -1,7 +1,7 @@
-"""Questions from one worker to another, such as news of a play that runs there.
+"""Questions from one worker to another, such as a status report for a play that runs there.
 
-Rule: nobody waits for a worker that does not answer. Messages are bounded, and so is what waits to
-be sent; what is too much is dropped and counted, and the question ends without an answer.
+Rule: no question waits for long for a worker that does not answer. The kernel bounds what waits for
+a worker, some hundred messages; the rest is dropped and counted, and has no answer.
 """
 
 from __future__ import annotations
@@ -9,14 +9,12 @@ from __future__ import annotations
 import asyncio
 import logging
 import secrets
+import socket
 import struct
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from codec.errors import InvalidError
-
-from .mailboxes import Mailboxes
 
 log = logging.getLogger(__name__)
 
@@ -25,24 +23,36 @@ TIMEOUT_S = 1.0
 
 MAX_MESSAGE_BYTES = 4096
 
-MAX_WAITING = 256
-"""Messages to one worker that wait until its socket has room: the kernel keeps few."""
-
-RETRY_S = 0.002
-"""Seconds until a socket that was full is tried again."""
-
 READ_AT_ONCE = 64
 """Messages that are taken in before others on the event loop have their turn."""
 
 _HEAD = struct.Struct("<BHQ")
-"""Kind, who asks, number of the question."""
+"""Kind, sender, number of the question."""
 
 _REQUEST, _REPLY = 1, 2
 
 
+class Mailboxes:
+    """A datagram socket for each of `num_places` workers: all send into it, its owner reads.
+
+    They have no name, so only the workers reach them. They outlive the workers: the successor of
+    a worker that died reads on from its socket.
+    """
+
+    def __init__(self, num_places: int) -> None:
+        pairs = [socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM) for _ in range(num_places)]
+        self.inboxes, self.outboxes = zip(*pairs, strict=True)
+        for end in (*self.inboxes, *self.outboxes):
+            end.setblocking(False)
+
+    def close(self) -> None:
+        for end in (*self.inboxes, *self.outboxes):
+            end.close()
+
+
 @dataclass(slots=True)
 class PeerCounts:
-    """What became of messages, for the figures of the server."""
+    """Counts of messages by outcome, for the metrics."""
 
     asked: int = 0
     answered: int = 0
@@ -51,7 +61,7 @@ class PeerCounts:
     dropped: int = 0
     """Messages for which there was no room."""
     refused: int = 0
-    """Messages that made no sense, or came too late."""
+    """Answers that came too late."""
 
 
 class Peers:
@@ -65,8 +75,6 @@ class Peers:
         self._waiting: dict[int, asyncio.Future[bytes]] = {}
         # Not from 0: answers to a predecessor, which died, must not be taken for ours.
         self._next = secrets.randbits(62)
-        self._unsent: dict[int, deque[tuple[float, bytes]]] = {}  # with when it is too late
-        self._retry: asyncio.TimerHandle | None = None
         self.counts = PeerCounts()
         self.on_request: Callable[[bytes], bytes] = lambda _: b""
         """Answers the questions of others, at once. Its answer is MAX_MESSAGE_BYTES at most."""
@@ -79,13 +87,11 @@ class Peers:
     def close(self) -> None:
         """Takes no more messages in; questions that wait end without an answer."""
         self._loop.remove_reader(self._mailboxes.inboxes[self._number])
-        if self._retry is not None:
-            self._retry.cancel()
         for future in self._waiting.values():
             future.cancel()
 
     async def ask(self, number: int, message: bytes) -> bytes | None:
-        """What worker `number` answers; None where it does not, or there is none of this number.
+        """The answer of worker `number`; None if it does not answer or does not exist.
 
         Raises InvalidError for a message of more than MAX_MESSAGE_BYTES.
         """
@@ -114,66 +120,31 @@ class Peers:
     def _read(self) -> None:
         for _ in range(READ_AT_ONCE):
             try:
-                data = self._mailboxes.inboxes[self._number].recv(
-                    _HEAD.size + MAX_MESSAGE_BYTES + 1
-                )
+                data = self._mailboxes.inboxes[self._number].recv(_HEAD.size + MAX_MESSAGE_BYTES)
             except (BlockingIOError, InterruptedError):
                 return
-            self._take(data)
+            kind, sender, question = _HEAD.unpack_from(data)
+            if kind == _REQUEST:
+                self._answer(sender, question, data[_HEAD.size :])
+            elif (future := self._waiting.get(question)) and not future.done():
+                future.set_result(data[_HEAD.size :])
+            else:
+                self.counts.refused += 1
 
-    def _take(self, data: bytes) -> None:
-        if not _HEAD.size <= len(data) <= _HEAD.size + MAX_MESSAGE_BYTES:
-            self.counts.refused += 1
+    def _answer(self, asker: int, question: int, message: bytes) -> None:
+        try:
+            answer = self.on_request(message)
+        except Exception:
+            log.exception("answering a request from another worker failed")
             return
-        kind, asker, question = _HEAD.unpack_from(data)
-        message = data[_HEAD.size :]
-        if kind == _REQUEST and asker < len(self._mailboxes.outboxes):
-            try:
-                answer = self.on_request(message)
-            except Exception:
-                log.exception("answering a request from another worker failed")
-                return
-            assert len(answer) <= MAX_MESSAGE_BYTES
-            self._send(asker, _HEAD.pack(_REPLY, self._number, question) + answer)
-            return
-        future = self._waiting.get(question) if kind == _REPLY else None
-        if future is None or future.done():
-            self.counts.refused += 1
-        else:
-            future.set_result(message)
+        assert len(answer) <= MAX_MESSAGE_BYTES
+        self._send(asker, _HEAD.pack(_REPLY, self._number, question) + answer)
 
     def _send(self, number: int, data: bytes) -> bool:
-        """Sends now or soon; False where too much waits already."""
-        unsent = self._unsent.get(number)
-        if unsent is None and self._send_now(number, data):
-            return True
-        if unsent is None:
-            unsent = self._unsent[number] = deque()
-        if len(unsent) >= MAX_WAITING:
-            self.counts.dropped += 1
-            return False
-        unsent.append((self._loop.time() + self._timeout_s, data))
-        if self._retry is None:
-            self._retry = self._loop.call_later(RETRY_S, self._send_unsent)
-        return True
-
-    def _send_now(self, number: int, data: bytes) -> bool:
+        """Sends now; False where too much waits already, or the server stops."""
         try:
             self._mailboxes.outboxes[number].send(data)
-        except (BlockingIOError, InterruptedError):
-            return False
         except OSError:
-            self.counts.dropped += 1  # it is not there any more: the server stops
+            self.counts.dropped += 1
+            return False
         return True
-
-    def _send_unsent(self) -> None:
-        self._retry = None
-        now_s = self._loop.time()
-        for number, unsent in list(self._unsent.items()):
-            while unsent and (unsent[0][0] <= now_s or self._send_now(number, unsent[0][1])):
-                # Where nobody reads, nobody waits for an answer any more.
-                self.counts.dropped += unsent.popleft()[0] <= now_s
-            if not unsent:
-                del self._unsent[number]
-        if self._unsent:
-            self._retry = self._loop.call_later(RETRY_S, self._send_unsent)

@@ -1,27 +1,42 @@
-"""What workers ask each other about plays: news for one that runs elsewhere, and its client's rate.
+"""Messages between workers about plays: a status report for a play of another worker, and its rate.
 
-A play's token begins with the number of the worker that runs it. Pure.
+A play's token begins with the number of the worker that runs it, and ends with an HMAC: only this
+server, all of whose workers share one secret, can have issued it. Pure.
 """
 
 from __future__ import annotations
 
-import math
+import hmac
 import re
 import secrets
-from dataclasses import dataclass
-from typing import Any
+from base64 import urlsafe_b64encode
+from dataclasses import astuple, dataclass
 
 import msgpack
 
-from codec.errors import InvalidError
-from server.abr.standing import MAX_BODY_BYTES
-
 _TOKEN = re.compile(r"(0|[1-9][0-9]{0,2})-[A-Za-z0-9_-]{16,60}", re.ASCII)
 
+_MAC_BYTES = 15
 
-def make_token(number: int) -> str:
-    """A new token of a play in worker `number`: nobody can guess it."""
-    return f"{number}-{secrets.token_urlsafe(16)}"
+_MAC_CHARS = 20
+"""Length of an HMAC of _MAC_BYTES in base64."""
+
+
+def make_token(number: int, secret: bytes) -> str:
+    """A new token of a play in worker `number`; it cannot be guessed. secret: the server's."""
+    text = f"{number}-{secrets.token_urlsafe(16)}"
+    return text + _mac(text, secret)
+
+
+def is_issued(token: str, secret: bytes) -> bool:
+    """Whether `make_token` made `token` with this secret, in whichever worker."""
+    text, mac = token[:-_MAC_CHARS], token[-_MAC_CHARS:]
+    return hmac.compare_digest(_mac(text, secret).encode(), mac.encode())
+
+
+def _mac(text: str, secret: bytes) -> str:
+    digest = hmac.digest(secret, text.encode(), "sha256")
+    return urlsafe_b64encode(digest[:_MAC_BYTES]).decode()
 
 
 def worker_of(token: str) -> int | None:
@@ -32,37 +47,31 @@ def worker_of(token: str) -> int | None:
 
 @dataclass(frozen=True, slots=True)
 class PlayQuestion:
-    """News of a play; without a body, only what is known of its client."""
+    """A status report for a play; without a body, a question for its rate."""
 
     token: str
     stream: str
     body: bytes | None = None
 
     def pack(self) -> bytes:
-        packed: bytes = msgpack.packb((self.token, self.stream, self.body))
+        packed: bytes = msgpack.packb(astuple(self))
         return packed
 
     @classmethod
     def unpack(cls, data: bytes) -> PlayQuestion:
-        """Raises InvalidError for what is not a question."""
-        match _unpack(data):
-            case [str(token), str(stream), bytes() | None as body] if (
-                body is None or len(body) <= MAX_BODY_BYTES
-            ):
-                return cls(token, stream, body)
-        raise InvalidError("a request from another worker is malformed")
+        return cls(*msgpack.unpackb(data))
 
 
 @dataclass(frozen=True, slots=True)
 class PlayAnswer:
-    """What became of it."""
+    """The answer to a PlayQuestion."""
 
     outcome: str
-    """What became of the news; empty where there were none."""
+    """Outcome of the report; empty if the question had none."""
     rate_bps: float | None = None
     """The estimate of the client's link, where there is one."""
     problem: str = ""
-    """What was wrong with the news."""
+    """Why the report was refused."""
 
     def pack(self) -> bytes:
         packed: bytes = msgpack.packb((self.outcome, self.rate_bps, self.problem[:500]))
@@ -70,17 +79,4 @@ class PlayAnswer:
 
     @classmethod
     def unpack(cls, data: bytes) -> PlayAnswer:
-        """Raises InvalidError for what is not an answer."""
-        match _unpack(data):
-            case [str(outcome), float() | int() | None as rate_bps, str(problem)] if (
-                rate_bps is None or (math.isfinite(rate_bps) and rate_bps >= 0)
-            ):
-                return cls(outcome, rate_bps, problem)
-        raise InvalidError("a response from another worker is malformed")
-
-
-def _unpack(data: bytes) -> Any:
-    try:
-        return msgpack.unpackb(data)
-    except (ValueError, msgpack.UnpackException) as error:
-        raise InvalidError("a message from another worker cannot be decoded") from error
+        return cls(*msgpack.unpackb(data))

@@ -20,7 +20,7 @@ from codec.foreign.gltfbuffers import join_glb, split_glb
 from codec.foreign.spz import SpzVersion, decode_spz, encode_spz
 from codec.interop.formats import decode_any
 from codec.splats import Splats
-from tests.support.drawn import angles_rad, drawn_splats, same
+from tests.support.drawn import angles_rad, drawn_splats, same_splats
 from tests.support.handmade_gltf import CHUNK, HALF, KHR, ROOT, TABLES, Json, made, primitive
 from tests.support.hostile import flips, survives, truncations
 from tests.support.trained_like import covariances, trained_like_splats
@@ -49,7 +49,7 @@ def test_floats_come_back(splats: Splats) -> None:
     for encode in (encode_glb, encode_gltf):
         back = decode_any(encode(splats))
         if not len(splats):
-            assert same(back, Splats.empty())
+            assert same_splats(back, Splats.empty())
             continue
         for name in ("means", "sh"):
             assert getattr(back, name).tobytes() == (getattr(splats, name) + 0.0).tobytes()
@@ -60,7 +60,7 @@ def test_floats_come_back(splats: Splats) -> None:
 
 def test_a_gltf_has_the_same_as_a_glb_in_one_file() -> None:
     splats = trained_like_splats(30, 2, 2)
-    assert same(decode_any(encode_gltf(splats)), decode_any(encode_glb(splats)))
+    assert same_splats(decode_any(encode_gltf(splats)), decode_any(encode_glb(splats)))
     root = json.loads(encode_gltf(splats))
     assert root["buffers"][0]["uri"].startswith("data:application/octet-stream;base64,")
     assert decode_any(b"\xef\xbb\xbf\n" + encode_gltf(splats)).sh_degree == 2
@@ -126,7 +126,7 @@ def test_spz_inside_is_read(version: SpzVersion, name: str) -> None:
         root["buffers"] = [{"byteLength": len(packed)}]
         root["extensionsRequired"] = [KHR, name]
 
-    assert same(decode_any(made(pack, packed)), decode_spz(packed))
+    assert same_splats(decode_any(made(pack, packed)), decode_spz(packed))
 
 
 def test_logarithms_of_a_draft_are_known_by_their_sign(caplog: pytest.LogCaptureFixture) -> None:
@@ -302,4 +302,4 @@ def test_any_bytes_give_gaussians_or_one_clear_error() -> None:
 
 
 def test_a_file_longer_than_it_says_is_read() -> None:
-    assert same(decode_gltf(made() + b"more"), decode_any(made()))
+    assert same_splats(decode_gltf(made() + b"more"), decode_any(made()))

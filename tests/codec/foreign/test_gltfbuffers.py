@@ -13,7 +13,7 @@ import pytest
 from codec.errors import CodecError, CorruptError, UnsupportedError
 from codec.foreign.gltfbuffers import join_glb
 from codec.interop.formats import decode_any, read_splats
-from tests.support.drawn import same
+from tests.support.drawn import same_splats
 from tests.support.handmade_gltf import CHUNK, KHR, ROOT, Json, made, primitive
 
 
@@ -51,13 +51,13 @@ def outside(uri: str) -> Json:
 def test_a_buffer_may_be_a_file_beside(tmp_path: Path) -> None:
     (tmp_path / "my numbers.bin").write_bytes(CHUNK + b"more")
     (tmp_path / "a.gltf").write_text(json.dumps(outside("my%20numbers.bin")))
-    assert same(read_splats(tmp_path / "a.gltf"), decode_any(made()))
+    assert same_splats(read_splats(tmp_path / "a.gltf"), decode_any(made()))
     encoded = base64.b64encode(CHUNK).decode()
     for kind in ("application/octet-stream", "application/gltf-buffer", ""):
         data = json.dumps(outside(f"data:{kind};base64,{encoded}")).encode()
-        assert same(decode_any(data), decode_any(made()))
+        assert same_splats(decode_any(data), decode_any(made()))
         # JSON may write a slash in two ways.
-        assert same(decode_any(data.replace(b"/", b"\\/")), decode_any(made()))
+        assert same_splats(decode_any(data.replace(b"/", b"\\/")), decode_any(made()))
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from codec.errors import CodecError, CorruptError, UnsupportedError
 from codec.foreign.sog import decode_sog, encode_sog
 from codec.interop.formats import decode_any
 from codec.splats import Splats
-from tests.support.drawn import angles_rad, drawn_splats, same
+from tests.support.drawn import angles_rad, drawn_splats, same_splats
 from tests.support.hostile import flips, survives, truncations
 from tests.support.trained_like import trained_like_splats
 
@@ -143,7 +143,7 @@ def test_many_gaussians_lose_what_the_page_says() -> None:
 
 
 def test_nothing_is_a_file_too() -> None:
-    assert same(decode_sog(encode_sog(Splats.empty(2))), Splats.empty())
+    assert same_splats(decode_sog(encode_sog(Splats.empty(2))), Splats.empty())
 
 
 def test_opacity_compensation_is_not_lost_in_silence(caplog: pytest.LogCaptureFixture) -> None:

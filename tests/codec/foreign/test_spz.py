@@ -18,7 +18,7 @@ from codec.foreign.spz import SpzVersion, decode_spz, encode_spz
 from codec.interop.formats import decode_any
 from codec.pose import Doubles
 from codec.splats import Splats
-from tests.support.drawn import angles_rad, drawn_splats, same
+from tests.support.drawn import angles_rad, drawn_splats, same_splats
 from tests.support.hostile import flips, survives, truncations
 from tests.support.trained_like import trained_like_splats
 
@@ -157,7 +157,7 @@ def test_spz_keeps_what_its_bits_can(splats: Splats) -> None:
 def test_versions_differ_in_rotations_alone(splats: Splats) -> None:
     third = encode_spz(splats, SpzVersion.V3)
     assert gzip.decompress(third)[:8] == b"NGSP\3\0\0\0"
-    assert same(decode_any(third), decode_any(encode_spz(splats)))
+    assert same_splats(decode_any(third), decode_any(encode_spz(splats)))
     second = encode_spz(splats, SpzVersion.V2)
     assert gzip.decompress(second)[:8] == b"NGSP\2\0\0\0"
     back = decode_any(second)

@@ -16,7 +16,7 @@ from codec.foreign.limits import MAX_GAUSSIANS
 from codec.interop.formats import MAX_FILE_BYTES, SplatFormat, read_splats, write_splats
 from codec.splats import SH_C0
 from tests.support.commands import ROOT
-from tests.support.drawn import angles_rad, same
+from tests.support.drawn import angles_rad, same_splats
 from tests.support.trained_like import trained_like_splats
 
 MODELS = Path(os.environ.get("SWINGS_DATA", ROOT / ".." / "shared" / "data")) / "splats"
@@ -36,7 +36,7 @@ def test_what_is_written_is_read_by_its_name(format: SplatFormat, tmp_path: Path
 def test_the_first_bytes_count_more_than_a_wrong_name(tmp_path: Path) -> None:
     splats = trained_like_splats(5)
     write_splats(tmp_path / "model.spz", splats, SplatFormat.PLY)
-    assert same(read_splats(tmp_path / "model.spz"), splats)
+    assert same_splats(read_splats(tmp_path / "model.spz"), splats)
 
 
 def test_an_unreadable_file_is_named(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from codec.interop.exporting import export_stream, numbered
 from codec.interop.formats import SplatFormat, read_splats
 from codec.sequence.numberedfiles import find_files
 from codec.stream import StreamReader
-from tests.support.drawn import same
+from tests.support.drawn import same_splats
 from tests.support.tiny_stream import write_tiny
 
 
@@ -28,7 +28,7 @@ def test_a_range_becomes_a_numbered_sequence(stream: Path, tmp_path: Path) -> No
     assert [path.name for path in written] == ["tiny_0002.ply", "tiny_0003.ply", "tiny_0004.ply"]
     reader = StreamReader(stream)
     for frame, path in zip(range(2, 5), written, strict=True):
-        assert same(read_splats(path), reader.active_splats(frame, 2))
+        assert same_splats(read_splats(path), reader.active_splats(frame, 2))
     # Which is what import takes.
     assert find_files(tmp_path / "seq") == written
 

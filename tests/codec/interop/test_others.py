@@ -19,15 +19,16 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from codec.foreign.ply import encode_ply
 from codec.foreign.spz import SpzVersion
 from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat, encode_splats, read_splats
-from codec.profiles.profile import Profile
-from codec.sequence.importing import ImportOptions, import_stream
+from codec.lattice.lattice import Lattice
+from codec.slice import Slice
+from codec.slots.slotlayout import SlotLayout
 from codec.splats import SH_C0, Splats
-from codec.stream import StreamReader
-from tests.support.drawn import angles_rad, same
+from codec.stream import StreamReader, StreamWriter
+from tests.support.drawn import angles_rad, same_splats
+from tests.support.slots.slot_streams import slot_manifest
 from tests.support.trained_like import covariances, trained_like_splats
 
 HERE = Path(__file__).parent
@@ -74,8 +75,10 @@ def shown(tmp_path: Path, sh_degree: int) -> tuple[Path, Splats]:
         np.clip(splats.logit_opacities, -5, 5),
         splats.sh,
     )
-    (tmp_path / "model.ply").write_bytes(encode_ply(made))
-    import_stream(tmp_path / "model.ply", tmp_path / "stream", ImportOptions(profile=Profile.RAW))
+    lattice = Lattice.suiting(made)
+    manifest = slot_manifest(SlotLayout(1, (len(made),), sh_degree, (lattice,), 1))
+    with StreamWriter.create(tmp_path / "stream", manifest, exact=True) as writer:
+        writer.append(Slice(0, made, np.zeros(len(made), np.uint8)))
     reader = StreamReader(tmp_path / "stream")
     return tmp_path / "stream", reader.active_splats(0, reader.manifest.num_layers)
 
@@ -109,7 +112,7 @@ def assert_within(
     """That `found` is `wanted`, as precisely as `format` holds it."""
     assert len(found) == len(wanted)
     if format is SplatFormat.PLY:
-        assert same(found, wanted)
+        assert same_splats(found, wanted)
         return
     spz = format is SplatFormat.SPZ
     close = np.testing.assert_allclose

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from codec.lattice.lattice import Lattice, dequantise, quantise
 from codec.sequence.findlattice import as_given, find_lattice
-from codec.slots.lattice import Lattice, dequantise, quantise
 from codec.splats import Splats
 from tests.support.trained_like import trained_like_splats
 

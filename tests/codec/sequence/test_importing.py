@@ -18,7 +18,7 @@ from PIL import Image
 from codec.errors import CodecError, InvalidError, UnsupportedError
 from codec.framerange import FrameRange
 from codec.interop.formats import SplatFormat, read_splats, write_splats
-from codec.profiles.profile import Profile
+from codec.lattice.lattice import Lattice
 from codec.sequence.errorbound import ErrorBound
 from codec.sequence.importing import (
     WRITE_STEPS,
@@ -32,12 +32,10 @@ from codec.stream import StreamReader
 from codec.stream.layers import Rank
 from codec.tools.audit import verify_stream
 from tests.support.commands import command, environment, run, run_ok
-from tests.support.drawn import same
 from tests.support.slots.rotating import turned
 from tests.support.trained_like import trained_like_splats
 
-RAW = ImportOptions(fps=30, profile=Profile.RAW)
-LATTICE = ImportOptions(fps=30)
+OPTIONS = ImportOptions(fps=30)
 
 
 def save(path: Path, splats: Splats) -> Path:
@@ -50,24 +48,30 @@ def by_position(splats: Splats) -> Splats:
     return splats.take(np.lexsort(splats.means.T))
 
 
-def test_a_still_model_goes_in_and_out_bit_by_bit(tmp_path: Path) -> None:
+def test_a_still_model(tmp_path: Path) -> None:
     splats = trained_like_splats(300, sh_degree=2)
     save(tmp_path / "model.ply", splats)
-    made = import_stream(tmp_path / "model.ply", tmp_path / "stream", RAW)
+    made = import_stream(tmp_path / "model.ply", tmp_path / "stream", OPTIONS)
     manifest = made.manifest
     assert (manifest.swin_size, manifest.num_gs, manifest.sh_degree) == (1, 300, 2)
     assert (manifest.title, manifest.live, made.num_frames) == ("model.ply", False, 1)
-    assert made.errors is None
     reader = StreamReader(tmp_path / "stream")
     assert reader.num_frames == 1
-    assert same(by_position(reader.active_splats(0, 4)), by_position(splats))
+    found = by_position(reader.active_splats(0, 4))
+    assert len(found) == 300
+    assert abs(found.means[:, 2] - by_position(splats).means[:, 2]).max() <= made.errors["position"]
+    # The less a layer paints, the coarser it is.
+    steps = [lattice.colour for lattice in manifest.lattice]
+    assert steps == sorted(steps)
+    assert steps[0] < steps[-1]
 
 
 def test_the_default_camera_sees_the_whole_model_from_outside() -> None:
     splats = trained_like_splats(2000, 4)
     survey = Survey()
     survey.take(Path("model.ply"), splats)
-    manifest = make_manifest(survey, ImportOptions(), "")
+    lattice = Lattice.suiting(splats)
+    manifest = make_manifest(survey, ImportOptions(), "", (2000,), (lattice,))
     camera = manifest.camera()
     lower, upper = np.array(manifest.bounds)
     corners = np.stack(np.meshgrid(*zip(lower, upper, strict=True)), -1).reshape(-1, 3)
@@ -88,18 +92,16 @@ def test_the_default_camera_sees_the_whole_model_from_outside() -> None:
     assert 0.9 < inside.mean() < 1  # floaters stay out
 
 
-@pytest.mark.parametrize("profile", [Profile.RAW, Profile.LATTICE])
 @pytest.mark.parametrize("count", [0, 1, 2])
-def test_next_to_nothing_is_a_model_too(count: int, profile: Profile, tmp_path: Path) -> None:
+def test_next_to_nothing_is_a_model_too(count: int, tmp_path: Path) -> None:
     save(tmp_path / "model.ply", trained_like_splats(count))
-    import_stream(tmp_path / "model.ply", tmp_path / "stream", ImportOptions(profile=profile))
+    import_stream(tmp_path / "model.ply", tmp_path / "stream", ImportOptions())
     reader = StreamReader(tmp_path / "stream")
     assert len(reader.active_splats(0, reader.manifest.num_layers)) == count
     verify_stream(tmp_path / "stream")
 
 
-@pytest.mark.parametrize("profile", [Profile.RAW, Profile.LATTICE])
-def test_a_folder_is_a_sequence_in_order_of_number(profile: Profile, tmp_path: Path) -> None:
+def test_a_folder_is_a_sequence_in_order_of_number(tmp_path: Path) -> None:
     folder = tmp_path / "take"
     # The text order of the names is 10, 2, 6; counts and kinds differ, and one frame is empty.
     parts = {2: trained_like_splats(30), 6: trained_like_splats(50, 1), 14: trained_like_splats(0)}
@@ -108,13 +110,12 @@ def test_a_folder_is_a_sequence_in_order_of_number(profile: Profile, tmp_path: P
     write_splats(folder / "v1_10.spz", trained_like_splats(40), SplatFormat.SPZ)
     for other in ("notes.txt", ".v1_3.ply.tmp", ".v1_3.ply"):
         (folder / other).write_text("no model")
-    options = ImportOptions(24, profile=profile, title="Take", layers=3)
+    options = ImportOptions(24, title="Take", layers=3)
     made = import_stream(folder, tmp_path / "stream", options).manifest
     assert (made.fps, made.num_gs, made.num_layers, made.title) == (24, 50, 3, "Take")
     reader = StreamReader(tmp_path / "stream")
     assert [len(reader.active_splats(frame, 3)) for frame in range(4)] == [30, 50, 40, 0]
-    if profile is Profile.RAW:
-        assert same(by_position(reader.active_splats(1, 3)), by_position(parts[6]))
+    assert len(set(made.lattice)) == 1
     assert (np.array(made.bounds[0]) < np.array(made.bounds[1])).all()
     verify_stream(tmp_path / "stream")
     options = replace(options, frames=FrameRange(1, 3))
@@ -129,7 +130,7 @@ def test_a_bad_folder_or_file_is_named_and_nothing_is_written(tmp_path: Path) ->
     folder.mkdir()
     stream = tmp_path / "stream"
 
-    def refused(says: str, options: ImportOptions = LATTICE) -> None:
+    def refused(says: str, options: ImportOptions = OPTIONS) -> None:
         with pytest.raises((InvalidError, CodecError), match=says):
             import_stream(folder, stream, options)
         assert not [path for path in tmp_path.iterdir() if path != folder]
@@ -160,10 +161,8 @@ def test_a_bad_folder_or_file_is_named_and_nothing_is_written(tmp_path: Path) ->
     (folder / "frame_3.ply").unlink()
     (folder / "frame_4.ply").unlink()
     refused("fps 0", ImportOptions(fps=0))
-    refused("frames 1:3: .*take has frames 0:2", replace(LATTICE, frames=FrameRange(1, 3)))
-    for options in (LATTICE, RAW):
-        options = replace(options, rank="beauty")  # type: ignore[arg-type]
-        refused("no rank is called", options)
+    refused("frames 1:3: .*take has frames 0:2", replace(OPTIONS, frames=FrameRange(1, 3)))
+    refused("no rank is called", replace(OPTIONS, rank="beauty"))  # type: ignore[arg-type]
     for values in ({"opacity": 0.001}, {"finer": 1e9}):
         with pytest.raises(InvalidError, match=r"error opacity .*choose 0\.0029 or more"):
             ErrorBound(**values)
@@ -173,7 +172,7 @@ def test_a_bad_folder_or_file_is_named_and_nothing_is_written(tmp_path: Path) ->
         ImportOptions(layers=17)
     save(stream, trained_like_splats(1))
     with pytest.raises(InvalidError, match="stream is not empty"):
-        import_stream(folder, stream, RAW)
+        import_stream(folder, stream, OPTIONS)
     (folder / "fps.txt").write_text("12.5\n")
     assert import_stream(folder, tmp_path / "s", ImportOptions()).manifest.fps == 12.5
 
@@ -187,7 +186,7 @@ def test_a_file_that_changes_while_it_is_imported_is_named(tmp_path: Path) -> No
             save(tmp_path / "take" / "1.ply", trained_like_splats(6))
 
     with pytest.raises(InvalidError, match=r"1\.ply: changed while it was imported"):
-        import_stream(tmp_path / "take", tmp_path / "s", LATTICE, progress=grow)
+        import_stream(tmp_path / "take", tmp_path / "s", OPTIONS, progress=grow)
     assert [path.name for path in tmp_path.iterdir()] == ["take"]
 
 
@@ -199,7 +198,7 @@ def test_every_format_makes_a_sequence(format: SplatFormat, tmp_path: Path) -> N
     files = [tmp_path / "seq" / f"{number}.{format}" for number in range(3)]
     for number, file in enumerate(files):
         write_splats(file, turned(splats, 0.02 * (number // 2)), format)
-    made = import_stream(tmp_path / "seq", tmp_path / "s", LATTICE)
+    made = import_stream(tmp_path / "seq", tmp_path / "s", OPTIONS)
     assert made.statuses[0] >= 200  # the second file is the first
     reader = StreamReader(tmp_path / "s")
     for number, file in enumerate(files):
@@ -209,25 +208,15 @@ def test_every_format_makes_a_sequence(format: SplatFormat, tmp_path: Path) -> N
             assert abs(a - b).max() < 0.003
 
 
-def test_a_single_file_is_compact_unless_said_otherwise(tmp_path: Path) -> None:
-    model = save(tmp_path / "model.ply", trained_like_splats(50))
-    assert import_stream(model, tmp_path / "a", ImportOptions()).manifest.profile == "compact"
-    lattice = ImportOptions(profile=Profile.LATTICE)
-    made = import_stream(model, tmp_path / "b", lattice).manifest
-    assert (made.profile, made.version) == ("lattice", 2)
-    moving(tmp_path / "seq", 2, 50)
-    assert import_stream(tmp_path / "seq", tmp_path / "c", LATTICE).manifest.version == 2
-
-
 def test_more_than_a_frame_holds_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("codec.sequence.survey.MAX_SPLATS_PER_CHUNK", 9)
+    monkeypatch.setattr("codec.sequence.survey.MAX_SLOTS", 9)
     model = save(tmp_path / "model.ply", trained_like_splats(10))
     with pytest.raises(
         UnsupportedError, match=r"model\.ply: PLY: 10 Gaussians in a frame, at most 9"
     ):
-        import_stream(model, tmp_path / "stream", RAW)
+        import_stream(model, tmp_path / "stream", OPTIONS)
     assert not (tmp_path / "stream").exists()
 
 
@@ -247,10 +236,10 @@ def test_too_many_are_refused_by_the_header_alone(
     tmp_path: Path, name: str, head: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nothing follows the header: whoever went on would say so."""
-    monkeypatch.setattr("codec.sequence.survey.MAX_SPLATS_PER_CHUNK", 9)
+    monkeypatch.setattr("codec.sequence.survey.MAX_SLOTS", 9)
     (tmp_path / name).write_bytes(head)
     with pytest.raises(UnsupportedError, match=r"10 Gaussians in a frame, at most 9"):
-        import_stream(tmp_path / name, tmp_path / "stream", RAW)
+        import_stream(tmp_path / name, tmp_path / "stream", OPTIONS)
 
 
 def moving(folder: Path, num_files: int, count: int = 300) -> Path:
@@ -266,7 +255,7 @@ def moving(folder: Path, num_files: int, count: int = 300) -> Path:
 def test_the_commands(tmp_path: Path) -> None:
     folder = moving(tmp_path / "seq", 5)
     told = run_ok("swings-stream", "import", folder, tmp_path / "s", "--fps", 25).splitlines()
-    assert told[0] == f"{tmp_path}/s: seq, up to 300 Gaussians a frame, SH degree 0, lattice"
+    assert told[0] == f"{tmp_path}/s: seq, up to 300 Gaussians a frame, SH degree 0"
     assert [line.split()[0] for line in told[1:]] == ["frames", "errors", "slots", "PSNR"]
     assert "66.7 % kept, 0.0 % ended, 33.3 % moved, 0.0 % new" in told[3]
     run_ok("swings-stream", "verify", tmp_path / "s")
@@ -337,6 +326,6 @@ def test_a_killed_import_leaves_no_stream_and_the_next_one_goes_through(
     assert not out.exists()
     if number != signal.SIGKILL:
         assert [path.name for path in tmp_path.iterdir()] == ["seq"]
-    import_stream(folder, out, LATTICE)
+    import_stream(folder, out, OPTIONS)
     assert verify_stream(out).num_frames == 60
     assert sorted(path.name for path in tmp_path.iterdir()) == ["s", "seq"]

@@ -9,7 +9,6 @@ import pytest
 
 from codec.camera import Camera
 from codec.interop.formats import read_splats
-from codec.profiles.profile import Profile
 from codec.sequence.importing import ImportOptions, facing_camera, import_stream
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.layers import Rank
@@ -52,9 +51,7 @@ def test_the_layers_of_the_source_come_back_by_the_order_of_its_files(tmp_path: 
         for update in trained_like_updates(layout, 1, 0.3):
             writer.append(update)
     run_ok("swings-stream", "export", tmp_path / "s", tmp_path / "f.ply", "--frame", 0)
-    import_stream(
-        tmp_path / "f.ply", tmp_path / "t", ImportOptions(profile=Profile.LATTICE, rank=Rank.GIVEN)
-    )
+    import_stream(tmp_path / "f.ply", tmp_path / "t", ImportOptions(rank=Rank.GIVEN))
     reader, source = StreamReader(tmp_path / "t"), StreamReader(tmp_path / "s")
     for layers in range(1, 5):
         mine, theirs = (one.active_splats(0, layers) for one in (reader, source))

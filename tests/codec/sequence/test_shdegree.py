@@ -9,7 +9,6 @@ import pytest
 
 from codec.errors import InvalidError
 from codec.interop.formats import SplatFormat, write_splats
-from codec.profiles.profile import Profile
 from codec.sequence.importing import (
     Imported,
     ImportOptions,
@@ -69,11 +68,10 @@ def test_every_degree_counts() -> None:
         assert SH_C0 * seen.sh[0, 0] == pytest.approx(expected, abs=1e-6)
 
 
-@pytest.mark.parametrize("profile", [Profile.RAW, Profile.LATTICE])
 def test_what_is_not_drawn_counts_as_an_error(
-    model: Path, tmp_path: Path, profile: Profile, caplog: pytest.LogCaptureFixture
+    model: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    made = imported(model, tmp_path / "s", profile=profile)
+    made = imported(model, tmp_path / "s")
     assert made.source_sh_degree == made.manifest.sh_degree == 3
     assert made.scores_db[0][-1] < 45
     assert StreamReader(tmp_path / "s").records[0].psnr_db[-1] < 45
@@ -85,14 +83,14 @@ def test_what_is_not_drawn_counts_as_an_error(
 def test_fewer_harmonics_are_fewer_bytes_and_look_the_same(
     model: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    whole = imported(model, tmp_path / "whole", profile=Profile.RAW)
+    whole = imported(model, tmp_path / "whole")
     caplog.clear()
-    less = imported(model, tmp_path / "less", profile=Profile.RAW, sh_degree=1)
+    less = imported(model, tmp_path / "less", sh_degree=1)
     assert caplog.messages == []
     assert (less.manifest.sh_degree, less.source_sh_degree) == (1, 3)
     assert less.num_bytes < 0.6 * whole.num_bytes
     # Both are compared with the file, which has degree 3.
-    assert less.scores_db[0][-1] == pytest.approx(whole.scores_db[0][-1], abs=1e-6)
+    assert less.scores_db[0][-1] == pytest.approx(whole.scores_db[0][-1], abs=0.05)
 
 
 def test_a_degree_is_a_most_and_makes_files_of_several_degrees_one_sequence(tmp_path: Path) -> None:
@@ -109,15 +107,15 @@ def test_a_degree_is_a_most_and_makes_files_of_several_degrees_one_sequence(tmp_
         ImportOptions(sh_degree=4)
 
 
-def test_degree_one_is_as_exact_as_it_was(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_of_degree_one_nothing_is_lost(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     model = save(tmp_path / "model.ply", trained_like_splats(COUNT, sh_degree=1))
-    assert imported(model, tmp_path / "s", profile=Profile.RAW).scores_db[0][-1] == 100
+    assert imported(model, tmp_path / "s", exact=True).scores_db[0][-1] == 100
     assert caplog.messages == []
     assert "colour       SH degree 1\n" in describe(summarise(tmp_path / "s"))
 
 
 def test_the_commands_say_so(model: Path, tmp_path: Path) -> None:
-    done = run("swings-stream", "import", model, tmp_path / "s", "--profile", "raw")
+    done = run("swings-stream", "import", model, tmp_path / "s")
     assert done.returncode == 0
     [warning] = done.stderr.splitlines()
     assert "SH degree 3: the players draw harmonics up to degree 1" in warning

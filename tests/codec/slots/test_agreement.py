@@ -11,9 +11,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.goldens.slots_cases import make_shape
-from tests.goldens.slots_decoder import Shape
-from tests.goldens.slots_encoder import RandomStream
+from tests.goldens.decoder import Shape
+from tests.goldens.encoder import RandomStream
+from tests.goldens.folder import largest_content
+from tests.goldens.shapes import make_shape
 from tests.support.slots.plain import (
     BothReaders,
     Chunks,
@@ -46,6 +47,16 @@ def streams(draw: st.DrawFn) -> tuple[Shape, Chunks]:
         return shape, plain_chunks(stream)
     updates = patternless_updates(layout_of(shape), NUM_FRAMES, seed, draw(st.booleans()))
     return shape, encoded_chunks(layout_of(shape), updates)
+
+
+@given(shapes)
+@settings(max_examples=25)
+def test_both_bound_a_chunk_alike(shape: Shape) -> None:
+    layout = layout_of(shape)
+    assert layout.max_mask_bytes == largest_content("masks", shape)
+    for layer in range(layout.num_layers):
+        assert layout.max_change_bytes(layer) == largest_content(f"{layer}", shape)
+        assert layout.max_snapshot_bytes(layer) == largest_content(f"snapshot-{layer}", shape)
 
 
 @given(shapes, seeds)

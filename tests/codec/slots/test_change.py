@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
-from codec.slots.lattice import POSITION_LIMIT, Bytes, Lattice, States
+from codec.lattice.lattice import POSITION_LIMIT, Bytes, Lattice, States
 from codec.slots.slotchange import Change, Newcomers, decode_change, encode_change
 from codec.slots.slotchunk import SLOT_HEADER
 from codec.slots.slotdecoder import SlotDecoder

@@ -14,8 +14,8 @@ from codec.slots.slotencoder import SlotEncoder
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import PREDICTED
 from codec.splats import Splats
+from tests.support.drawn import same_splats
 from tests.support.hosted_streams import random_splats
-from tests.support.slots.slot_streams import same_splats
 from tests.support.slots.updates import patternless_updates, small_layout
 
 SHARES = st.floats(0, 1, width=32)

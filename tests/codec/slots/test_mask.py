@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from itertools import chain
 
 import numpy as np
 import pytest
@@ -11,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codec.errors import CorruptError, UnsupportedError
-from codec.slots.lattice import Bytes
+from codec.lattice.lattice import Bytes
 from codec.slots.mask import MaskHistory, decode_mask, encode_mask
 from codec.slots.slotlayout import HEADER_BYTES, SlotLayout
-from codec.slots.update import KEPT
+from tests.goldens import decoder as plain
 from tests.support.hostile import flips, survives, truncations
 from tests.support.slots.updates import small_layout
 
@@ -29,45 +28,6 @@ def masks(draw: st.DrawFn) -> tuple[SlotLayout, Bytes, Bytes]:
     return small_layout(slots=slots), statuses, rng.integers(0, 4, sum(slots)).astype(np.uint8)
 
 
-def decoded_by_the_text(body: bytes, slots: Sequence[int], history: Bytes) -> tuple[list[int], int]:
-    """Statuses, and how many bytes they took, by section 15 word for word."""
-    p, c = [32768] * 37, [0] * 37
-    range_, code, read = (1 << 32) - 1, int.from_bytes(body[:4], "big"), 4
-
-    def bit(context: int) -> int:
-        nonlocal range_, code, read
-        bound = range_ // 4096 * (p[context] // 16)
-        if code < bound:
-            value, range_ = 0, bound
-        else:
-            value, code, range_ = 1, code - bound, range_ - bound
-        while range_ < 1 << 24:
-            range_, code, read = range_ * 256, code * 256 + body[read], read + 1
-        c[context] = min(c[context] + 1, 127)
-        s = int(math.log2(c[context] + 1))
-        p[context] += -(p[context] // 2**s) if value else (65535 - p[context]) // 2**s
-        return value
-
-    statuses: list[int] = []
-    for first, count in zip(np.cumsum([0, *slots]), slots, strict=False):
-        layer: list[int] = []
-        for j in range(count):
-            h = int(history[first + j])
-
-            def changed(back: int, j: int = j, layer: list[int] = layer) -> int:
-                return int(j >= back and layer[j - back] != KEPT)
-
-            n, m = 2 * changed(1) + changed(2), changed(3)
-            if not bit(8 * h + 2 * n + m):
-                layer.append(0)
-            elif not bit(32 + h):
-                layer.append(2)
-            else:
-                layer.append(1 if bit(36) else 3)
-        statuses += layer
-    return statuses, read
-
-
 @given(masks())
 @settings(max_examples=150)
 def test_any_statuses_come_back(case: tuple[SlotLayout, Bytes, Bytes]) -> None:
@@ -78,9 +38,12 @@ def test_any_statuses_come_back(case: tuple[SlotLayout, Bytes, Bytes]) -> None:
     if not statuses.any():
         assert chunk.data == b""
         return
-    by_text, read = decoded_by_the_text(chunk.data[HEADER_BYTES:], layout.slots, history)
-    assert by_text == statuses.tolist()
-    assert read == len(chunk.data) - HEADER_BYTES
+    layers = np.cumsum(layout.slots)[:-1]
+    before = [
+        [row.tolist() for row in np.split(bits, layers)] for bits in (history >> 1, history & 1)
+    ]
+    by_text = plain.decode_mask(chunk.data[HEADER_BYTES:], layout.slots, before)
+    assert list(chain(*by_text)) == statuses.tolist()
 
 
 @pytest.mark.parametrize("status", range(4))

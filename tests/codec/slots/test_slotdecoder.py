@@ -6,33 +6,26 @@ import numpy as np
 import pytest
 
 from codec.errors import CorruptError, InvalidError
+from codec.lattice.lattice import POSITION_LIMIT, States
 from codec.slice import HIDDEN
 from codec.slots import slotdecoder
-from codec.slots.lattice import POSITION_LIMIT, States
 from codec.slots.mask import MaskHistory, decode_mask, encode_mask
 from codec.slots.slotchange import Newcomers, encode_change
 from codec.slots.slotdecoder import SlotDecoder
-from codec.slots.slotencoder import EncodedSlice, SlotEncoder
+from codec.slots.slotencoder import SlotEncoder
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.slotstate import EMPTY, ON_LATTICE, UNKNOWN, Slots
 from codec.slots.snapshot import encode_snapshot
 from codec.slots.update import ENDED, KEPT, NEW, PREDICTED
 from codec.splats import Splats
 from tests.support.hostile import flips, survives
+from tests.support.slots.plain import Chunks, encoded_chunks
 from tests.support.slots.trained_updates import trained_like_layout, trained_like_updates
 from tests.support.slots.updates import patternless_updates, small_layout
 
 
-def made(layout: SlotLayout, num_frames: int) -> tuple[list[bytes], dict[int, EncodedSlice]]:
-    """The snapshots of frame 0, and the slices by birth."""
-    encoder, snapshots, slices = SlotEncoder(layout), [], {}
-    for update in patternless_updates(layout, num_frames, 5):
-        encoded = encoder.append(update)
-        if update.birth == 0:
-            snapshots = [chunk.data for chunk in encoder.snapshots()]
-        if encoded is not None:
-            slices[update.birth] = encoded
-    return snapshots, slices
+def made(layout: SlotLayout, num_frames: int) -> Chunks:
+    return encoded_chunks(layout, patternless_updates(layout, num_frames, 5))
 
 
 def state_bytes(decoder: SlotDecoder) -> list[bytes]:
@@ -51,30 +44,33 @@ def state_bytes(decoder: SlotDecoder) -> list[bytes]:
     ]
 
 
-def parts(slice: EncodedSlice) -> tuple[bytes, list[bytes]]:
-    return slice.mask.data, [change.data for change in slice.changes]
+def loaded(layout: SlotLayout, chunks: Chunks) -> SlotDecoder:
+    decoder = SlotDecoder(layout)
+    for data in chunks.snapshots[0]:
+        decoder.load(data)
+    return decoder
 
 
 def test_what_is_out_of_turn_is_refused() -> None:
     layout = small_layout(2, (5, 3))
-    snapshots, slices = made(layout, 6)
+    chunks = made(layout, 6)
     decoder = SlotDecoder(layout)
     with pytest.raises(InvalidError, match="does not follow nothing"):
-        decoder.apply(1, *parts(slices[1]))
+        decoder.apply(1, *chunks.slice(1))
     with pytest.raises(InvalidError, match="not one of the window"):
         decoder.whole(0)
-    for data in snapshots:
+    for data in chunks.snapshots[0]:
         decoder.load(data)
     with pytest.raises(InvalidError, match="does not follow the slice born at 0"):
-        decoder.apply(2, *parts(slices[2]))
-    decoder.apply(1, *parts(slices[1]))
+        decoder.apply(2, *chunks.slice(2))
+    decoder.apply(1, *chunks.slice(1))
     with pytest.raises(CorruptError, match="of frame 0 where that of 1 belongs"):
-        decoder.load(snapshots[0], frame=1)
+        decoder.load(chunks.snapshots[0][0], frame=1)
     before = state_bytes(decoder)
-    assert not decoder.load(snapshots[0])
+    assert not decoder.load(chunks.snapshots[0][0])
     assert state_bytes(decoder) == before
     with pytest.raises(InvalidError, match="3 changes for 2"):
-        decoder.apply(2, slices[2].mask.data, [None] * 3)
+        decoder.apply(2, chunks.masks[2], [None] * 3)
     for birth in (-1, 2):
         with pytest.raises(InvalidError, match="not one of the window"):
             decoder.whole(birth)
@@ -85,17 +81,15 @@ def test_what_is_out_of_turn_is_refused() -> None:
     with pytest.raises(InvalidError, match="3 layers of 2"):
         SlotDecoder(layout, 3)
     with pytest.raises(InvalidError, match="of layer 1, held are 1"):
-        SlotDecoder(layout, 1).load(snapshots[1])
+        SlotDecoder(layout, 1).load(chunks.snapshots[0][1])
 
 
 def test_what_breaks_a_rule_leaves_all_as_it_was() -> None:
     layout = small_layout(2, (5, 3))
-    snapshots, slices = made(layout, 6)
-    decoder = SlotDecoder(layout)
-    for data in snapshots:
-        decoder.load(data)
-    decoder.apply(1, *parts(slices[1]))
-    mask, changes = parts(slices[2])
+    chunks = made(layout, 6)
+    decoder = loaded(layout, chunks)
+    decoder.apply(1, *chunks.slice(1))
+    mask, changes = chunks.slice(2)
     before = state_bytes(decoder)
 
     def with_mask(wrong: bytes) -> None:
@@ -108,10 +102,8 @@ def test_what_breaks_a_rule_leaves_all_as_it_was() -> None:
     for decode, data in ((with_mask, mask), (with_change, changes[1])):
         for wrong in flips(data):
             if survives(decode, wrong):
-                decoder = SlotDecoder(layout)
-                for snapshot in snapshots:
-                    decoder.load(snapshot)
-                decoder.apply(1, *parts(slices[1]))
+                decoder = loaded(layout, chunks)
+                decoder.apply(1, *chunks.slice(1))
             else:
                 refused += 1
                 assert state_bytes(decoder) == before
@@ -123,17 +115,15 @@ def test_what_breaks_a_rule_leaves_all_as_it_was() -> None:
 def test_what_late_changes_need_has_a_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(slotdecoder, "MIN_LOG_BYTES", 4000)
     layout = small_layout(3, (60, 40), segment_frames=200)
-    snapshots, slices = made(layout, 120)
-    decoder = SlotDecoder(layout)
-    for data in snapshots:
-        decoder.load(data)
+    chunks = made(layout, 120)
+    decoder = loaded(layout, chunks)
     state = sum(map(len, state_bytes(decoder)))
     for birth in range(1, 120):
-        mask, changes = parts(slices[birth])
+        mask, changes = chunks.slice(birth)
         decoder.apply(birth, mask, [changes[0] if birth % 7 else None, changes[1]])
         assert decoder.log_bytes <= max(4000, (slotdecoder.LOG_SHARE + 1) * state)
     assert decoder.log_bytes > 0
-    assert not decoder.late(7, 0, slices[7].changes[0].data)
+    assert not decoder.late(7, 0, chunks.changes[7][0])
 
 
 def test_the_bound_leaves_room_for_a_segment_without_snapshots(
@@ -149,7 +139,7 @@ def test_the_bound_leaves_room_for_a_segment_without_snapshots(
             snapshots = [chunk.data for chunk in encoder.snapshots()]
             decoder.load(snapshots[0])
         elif encoded is not None:
-            decoder.apply(update.birth, *parts(encoded))
+            decoder.apply(update.birth, encoded.mask.data, [one.data for one in encoded.changes])
     for data in snapshots[1:]:
         assert decoder.load(data)
     for slots, wanted in zip(decoder.lanes[0], encoder.lanes[0], strict=True):
@@ -160,44 +150,35 @@ def test_the_bound_leaves_room_for_a_segment_without_snapshots(
 
 def test_a_layer_that_is_not_expected_is_not_waited_for() -> None:
     layout = small_layout(2, (50, 50), segment_frames=50)
-    snapshots, slices = made(layout, 30)
+    chunks = made(layout, 30)
     decoder = SlotDecoder(layout)
-    decoder.load(snapshots[0])
+    decoder.load(chunks.snapshots[0][0])
     for birth in range(1, 30):
-        mask, changes = parts(slices[birth])
+        mask, changes = chunks.slice(birth)
         shown = decoder.apply(birth, mask, changes[:1])
         assert decoder.log_bytes == 0
         beyond = shown.rows is not None and shown.rows >= 50
         assert (shown.start_offsets[beyond] == HIDDEN).all()
-    assert not decoder.late(29, 1, slices[29].changes[1].data)
+    assert not decoder.late(29, 1, chunks.changes[29][1])
 
 
 def test_a_late_change_that_does_not_fit_alters_nothing() -> None:
     layout = small_layout(1, (40,), segment_frames=50)
-    snapshots, slices = made(layout, 6)
-    decoder = SlotDecoder(layout)
-    decoder.load(snapshots[0])
-    mask, changes = parts(slices[1])
+    chunks = made(layout, 6)
+    decoder = loaded(layout, chunks)
+    mask, changes = chunks.slice(1)
     decoder.apply(1, mask, [None])
-    decoder.apply(2, *parts(slices[2]))
+    decoder.apply(2, *chunks.slice(2))
     before = state_bytes(decoder)
     with pytest.raises(CorruptError, match="birth 3 where birth 1 belongs"):
-        decoder.late(1, 0, slices[3].changes[0].data)
+        decoder.late(1, 0, chunks.changes[3][0])
     assert state_bytes(decoder) == before
     assert decoder.late(1, 0, changes[0])
-    other = SlotDecoder(layout)
-    other.load(snapshots[0])
+    other = loaded(layout, chunks)
     for birth in (1, 2):
-        other.apply(birth, *parts(slices[birth]))
+        other.apply(birth, *chunks.slice(birth))
     assert state_bytes(other) == state_bytes(decoder)
     assert np.count_nonzero(decoder.lanes[0][0].conditions) == 40
-
-
-def loaded(layout: SlotLayout, snapshots: list[bytes]) -> SlotDecoder:
-    decoder = SlotDecoder(layout)
-    for data in snapshots:
-        decoder.load(data)
-    return decoder
 
 
 def conditions(decoder: SlotDecoder, lane: int) -> list[int]:
@@ -206,10 +187,10 @@ def conditions(decoder: SlotDecoder, lane: int) -> list[int]:
 
 def test_a_missing_mask_costs_its_lane_until_the_segment_ends() -> None:
     layout = small_layout(2, (9, 6), segment_frames=8)
-    snapshots, slices = made(layout, 12)
-    decoder, player = loaded(layout, snapshots), loaded(layout, snapshots)
+    chunks = made(layout, 12)
+    decoder, player = loaded(layout, chunks), loaded(layout, chunks)
     for birth in range(1, 12):
-        mask, changes = parts(slices[birth])
+        mask, changes = chunks.slice(birth)
         player.apply(birth, mask, changes)
         if birth == 3:
             shown = decoder.apply(birth, None, changes)
@@ -229,7 +210,7 @@ def test_a_missing_mask_costs_its_lane_until_the_segment_ends() -> None:
     said = np.zeros(15, np.bool_)
     history = MaskHistory(layout)
     for birth in (9, 11):
-        statuses = decode_mask(layout, birth, slices[birth].mask.data, history.of(birth))
+        statuses = decode_mask(layout, birth, chunks.masks[birth], history.of(birth))
         history.note(birth, statuses)
         said |= (statuses == ENDED) | (statuses == NEW)
     assert 0 < np.count_nonzero(said) < 15
@@ -237,52 +218,16 @@ def test_a_missing_mask_costs_its_lane_until_the_segment_ends() -> None:
     assert (found == np.where(said, wanted, UNKNOWN)).all()
 
 
-def test_the_mask_of_a_first_frame_is_not_needed_to_read_later_ones() -> None:
-    layout = small_layout(2, (9, 6), segment_frames=4)
-    snapshots, slices = made(layout, 8)
-    decoder, player = loaded(layout, snapshots), loaded(layout, snapshots)
-    for birth in range(1, 8):
-        mask, changes = parts(slices[birth])
-        player.apply(birth, mask, changes)
-        decoder.apply(birth, None if birth == 4 else mask, changes)
-    assert conditions(decoder, 1) == conditions(player, 1)
-    found, wanted = conditions(decoder, 0), conditions(player, 0)
-    assert found != wanted
-    assert all(a in (b, UNKNOWN) for a, b in zip(found, wanted, strict=True))
-    assert set(found) > {UNKNOWN}  # what the slice born at 6 says
-
-
-def test_a_snapshot_brings_a_lost_lane_back() -> None:
-    layout = small_layout(2, (9, 6), segment_frames=4)
-    encoder, decoder = SlotEncoder(layout), SlotDecoder(layout)
-    for update in patternless_updates(layout, 8, 5):
-        encoded = encoder.append(update)
-        if encoded is None:
-            continue
-        snapshots = [chunk.data for chunk in encoder.snapshots()] if update.birth % 4 == 0 else []
-        mask, changes = parts(encoded)
-        if update.birth:
-            decoder.apply(update.birth, None if update.birth in (2, 3, 4) else mask, changes)
-        if update.birth == 4:
-            assert not np.concatenate([conditions(decoder, lane) for lane in (0, 1)]).any()
-        for data in snapshots:
-            decoder.load(data)
-    for lane in (0, 1):
-        for slots, wanted in zip(decoder.lanes[lane], encoder.lanes[lane], strict=True):
-            assert (slots.conditions == wanted.conditions).all()
-            assert (slots.states.positions == wanted.states.positions).all()
-
-
 def test_what_waits_for_late_changes_is_given_up_with_the_mask() -> None:
     layout = small_layout(1, (40,), segment_frames=50)
-    snapshots, slices = made(layout, 4)
-    decoder = loaded(layout, snapshots)
-    decoder.apply(1, slices[1].mask.data, [None])
+    chunks = made(layout, 4)
+    decoder = loaded(layout, chunks)
+    decoder.apply(1, chunks.masks[1], [None])
     assert decoder.log_bytes
     decoder.apply(2, None, [None])
     assert not decoder.log_bytes
-    assert not decoder.late(1, 0, slices[1].changes[0].data)
-    assert not decoder.late(2, 0, slices[2].changes[0].data)
+    assert not decoder.late(1, 0, chunks.changes[1][0])
+    assert not decoder.late(2, 0, chunks.changes[2][0])
     assert set(conditions(decoder, 0)) == {UNKNOWN}
 
 

@@ -1,4 +1,4 @@
-"""Slots from update to Gaussian: every reader has, integer for integer, what section 13 says."""
+"""Slots from update to Gaussian: every reader has, integer for integer, what section 7 says."""
 
 from __future__ import annotations
 
@@ -9,14 +9,16 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from codec.lattice.lattice import dequantise
 from codec.slice import HIDDEN, Slice, window_births
-from codec.slots.lattice import dequantise
 from codec.slots.slotdecoder import SlotDecoder
-from codec.slots.slotencoder import EncodedSlice, SlotEncoder
+from codec.slots.slotencoder import SlotEncoder
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.slotstate import EMPTY, ESCAPED, ON_LATTICE, UNKNOWN, Slots
 from codec.slots.update import ENDED, NEW, PREDICTED, Update
 from codec.splats import Splats
+from tests.support.drawn import same_splats
+from tests.support.slots.plain import Chunks, encoded_chunks
 from tests.support.slots.updates import Model, patternless_updates, small_layout
 
 
@@ -26,27 +28,12 @@ class Encoded:
 
     layout: SlotLayout
     updates: list[Update]
-    slices: dict[int, EncodedSlice]
-    snapshots: dict[int, list[bytes]]
-
-    def changes(self, birth: int) -> list[bytes]:
-        return [change.data for change in self.slices[birth].changes]
-
-    def mask(self, birth: int) -> bytes:
-        return self.slices[birth].mask.data
+    chunks: Chunks
 
 
 def encoded(layout: SlotLayout, num_frames: int, seed: int, wild: bool = False) -> Encoded:
     updates = patternless_updates(layout, num_frames, seed, wild)
-    encoder = SlotEncoder(layout)
-    slices, snapshots = {}, {}
-    for update in updates:
-        made = encoder.append(update)
-        if made is not None:
-            slices[update.birth] = made
-            if update.birth % layout.segment_frames == 0:
-                snapshots[update.birth] = [chunk.data for chunk in encoder.snapshots()]
-    return Encoded(layout, updates, slices, snapshots)
+    return Encoded(layout, updates, encoded_chunks(layout, updates))
 
 
 layouts = st.builds(
@@ -87,10 +74,6 @@ def lane_values(
     return [value for slots in decoder.lanes[lane] for value in values(slots)]
 
 
-def same_splats(a: Splats, b: Splats) -> bool:
-    return all(x.tobytes() == y.tobytes() for x, y in zip(a.arrays, b.arrays, strict=True))
-
-
 def onto(change: Slice, before: Slice) -> Slice:
     """The whole slice that `change`, with rows, makes of the whole one before it in its lane."""
     arrays = [array.copy() for array in before.splats.arrays]
@@ -105,30 +88,34 @@ def joined(stream: Encoded, frame: int, layers: int | None = None) -> SlotDecode
     """A decoder that begins with the snapshots of the segment of `frame`."""
     decoder = SlotDecoder(stream.layout, layers)
     first = stream.layout.segment_start(frame)
-    for data in stream.snapshots[first][: decoder.num_layers]:
+    for data in stream.chunks.snapshots[first][: decoder.num_layers]:
         decoder.load(data)
     for birth in range(first + 1, frame + 1):
-        decoder.apply(birth, stream.mask(birth), stream.changes(birth)[: decoder.num_layers])
+        decoder.apply(
+            birth, stream.chunks.masks[birth], stream.chunks.changes[birth][: decoder.num_layers]
+        )
     return decoder
 
 
 @given(streams)
 @settings(max_examples=40)
 def test_a_reader_that_has_all_has_what_was_given(stream: Encoded) -> None:
-    model, decoder, last = Model(stream.layout), SlotDecoder(stream.layout), len(stream.slices)
+    model, decoder, last = (
+        Model(stream.layout),
+        SlotDecoder(stream.layout),
+        len(stream.chunks.masks),
+    )
     layout = stream.layout
     for update in stream.updates:
         model.take(update)
         if update.birth == 0:
-            for data in stream.snapshots[0]:
+            for data in stream.chunks.snapshots[0]:
                 decoder.load(data)
             decoder.hand_out(0)
         elif update.birth > 0:
             lane = layout.lane(update.birth)
             before = decoder.whole(update.birth - layout.swin_size)
-            change = decoder.apply(
-                update.birth, stream.mask(update.birth), stream.changes(update.birth)
-            )
+            change = decoder.apply(update.birth, *stream.chunks.slice(update.birth))
             whole = decoder.whole(update.birth)
             assert change.rows is not None
             assert change.rows.tolist() == np.flatnonzero(update.statuses).tolist()
@@ -146,9 +133,9 @@ def test_a_reader_that_has_all_has_what_was_given(stream: Encoded) -> None:
 def test_a_join_at_any_frame_equals_playing_from_the_start(stream: Encoded) -> None:
     layout = stream.layout
     player = joined(stream, 0)
-    for frame in range(len(stream.slices)):
+    for frame in range(len(stream.chunks.masks)):
         if frame:
-            player.apply(frame, stream.mask(frame), stream.changes(frame))
+            player.apply(frame, *stream.chunks.slice(frame))
         for layers in {1, layout.num_layers}:
             seeker = joined(stream, frame, layers)
             for lane in range(layout.swin_size):
@@ -170,7 +157,7 @@ def test_a_join_at_any_frame_equals_playing_from_the_start(stream: Encoded) -> N
 def test_a_snapshot_of_what_was_read_is_the_one_that_was_written(stream: Encoded) -> None:
     decoder = SlotDecoder(stream.layout)
     encoder = SlotEncoder(stream.layout)
-    for first, snapshots in stream.snapshots.items():
+    for first, snapshots in stream.chunks.snapshots.items():
         decoder.clear()
         for data in snapshots:
             decoder.load(data)
@@ -179,7 +166,7 @@ def test_a_snapshot_of_what_was_read_is_the_one_that_was_written(stream: Encoded
 
 
 class Reader:
-    """Section 13 by the updates alone: what a reader holds that has some of the packets."""
+    """Section 7 by the updates alone: what a reader holds that has some of the packets."""
 
     def __init__(self, stream: Encoded, layers: int) -> None:
         self.stream, self.layers = stream, layers
@@ -211,7 +198,7 @@ def steps(stream: Encoded, seed: int) -> Iterator[tuple[int, set[int], list[tupl
     """For each frame the layers that are missing, and the (birth, layer) that come late after."""
     rng = np.random.default_rng(seed)
     waiting: list[tuple[int, int]] = []
-    for birth in range(1, len(stream.slices)):
+    for birth in range(1, len(stream.chunks.masks)):
         missing = set(np.flatnonzero(rng.random(stream.layout.num_layers) < 0.4).tolist())
         waiting += [(birth, layer) for layer in missing]
         rng.shuffle(waiting)
@@ -227,10 +214,10 @@ def test_missing_and_late_packets(stream: Encoded, seed: int) -> None:
     present: set[tuple[int, int]] = set()
     shown = {layout.lane(whole.birth): whole for whole in decoder.window(0)}
     for birth, missing, coming in steps(stream, seed):
-        changes = stream.changes(birth)
+        changes = stream.chunks.changes[birth]
         altered = decoder.apply(
             birth,
-            stream.mask(birth),
+            stream.chunks.masks[birth],
             [None if layer in missing else data for layer, data in enumerate(changes)],
         )
         # What is handed out brings its lane up to date, with what came late since.
@@ -244,7 +231,7 @@ def test_missing_and_late_packets(stream: Encoded, seed: int) -> None:
         for late_birth, layer in coming:
             lane = layout.lane(late_birth)
             before = lane_values(decoder, lane)
-            if not decoder.late(late_birth, layer, stream.changes(late_birth)[layer]):
+            if not decoder.late(late_birth, layer, stream.chunks.changes[late_birth][layer]):
                 assert lane_values(decoder, lane) == before
             present.add((late_birth, layer))
             assert lane_values(decoder, lane) == reader.values(birth, present, lane)
@@ -259,13 +246,13 @@ def test_a_layer_that_is_left_out_is_taken_up_again_by_a_snapshot(
     layout, rng = stream.layout, np.random.default_rng(seed)
     decoder, player = joined(stream, 0), joined(stream, 0)
     layers = layout.num_layers
-    for birth in range(1, len(stream.slices)):
-        player.apply(birth, stream.mask(birth), stream.changes(birth))
-        decoder.apply(birth, stream.mask(birth), stream.changes(birth)[:layers])
+    for birth in range(1, len(stream.chunks.masks)):
+        player.apply(birth, *stream.chunks.slice(birth))
+        decoder.apply(birth, stream.chunks.masks[birth], stream.chunks.changes[birth][:layers])
         if birth % layout.segment_frames == 0:
             wanted = int(rng.integers(1, layout.num_layers + 1))
             for layer in range(layers, wanted):
-                decoder.load(stream.snapshots[birth][layer])
+                decoder.load(stream.chunks.snapshots[birth][layer])
             layers = wanted
         for lane in range(layout.swin_size):
             rows = layout.row_edges[layers]
@@ -284,10 +271,10 @@ def test_what_shows_starts_when_it_was_told(stream: Encoded) -> None:
         starts[lane][update.statuses == ENDED] = 1 << 20
         starts[lane][coded] = birth + update.start_offsets.astype(int)
         if birth == 0:
-            for data in stream.snapshots[0]:
+            for data in stream.chunks.snapshots[0]:
                 decoder.load(data)
         elif birth > 0:
-            decoder.apply(birth, stream.mask(birth), stream.changes(birth))
+            decoder.apply(birth, *stream.chunks.slice(birth))
         if birth >= 0:
             for part in decoder.window(birth):
                 for frame in range(birth, part.birth + layout.swin_size):

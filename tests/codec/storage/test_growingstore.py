@@ -18,14 +18,14 @@ from typing import Any
 import pytest
 
 from codec.errors import CodecError, CorruptError, InvalidError, UnwritableError
-from codec.slice import Slice
 from codec.slots.update import Update
 from codec.storage import objectstore
 from codec.stream import StreamReader, StreamWriter
 from codec.tools.audit import verify_stream
-from tests.support.forked.forked_writer import forked_manifest, forked_slices, write
+from tests.support.forked.forked_writer import forked_manifest, forked_updates, write
 from tests.support.forked.forker import Forker
 from tests.support.stores.s3_server import BUCKET, S3Server, s3_server
+from tests.support.tiny_stream import tiny_manifest
 
 URL = f"s3://{BUCKET}/deep/stream"
 KEY = "deep/stream"
@@ -42,18 +42,15 @@ def files(path: Path) -> dict[str, bytes]:
     return {str(p.relative_to(path)): p.read_bytes() for p in path.rglob("*") if p.is_file()}
 
 
-def append_some(writer: StreamWriter, slices: Sequence[Slice | Update]) -> None:
+def append_some(writer: StreamWriter, slices: Sequence[Update]) -> None:
     """Appends those that the writer lacks."""
     for slice in slices:
         if slice.birth >= writer.next_birth:
             writer.append(slice)
 
 
-@pytest.mark.parametrize("has_slots", [False, True])
-def test_a_store_gets_the_bytes_of_a_folder(
-    server: S3Server, tmp_path: Path, has_slots: bool
-) -> None:
-    slices = forked_slices(has_slots)
+def test_a_store_gets_the_bytes_of_a_folder(server: S3Server, tmp_path: Path) -> None:
+    slices = forked_updates()
     write(tmp_path / "s", slices)
     write(URL, slices)
     assert server.files(KEY) == files(tmp_path / "s")
@@ -77,9 +74,10 @@ def test_a_segment_takes_a_request_for_each_object_and_one_for_the_index(
         return put(store, key, *arguments, **options)
 
     monkeypatch.setattr(obstore, "put", counted)
-    write(URL, forked_slices())
+    write(URL, forked_updates())
     segments = [
-        [f"segments/{segment}/0", f"segments/{segment}/1", "index.bin"] for segment in range(16)
+        [*(f"segments/{segment}/{part}" for part in ("0", "masks", "snapshot-0")), "index.bin"]
+        for segment in range(16)
     ]
     inner = [key for segment in segments for key in segment]
     assert keys == ["index.bin", "manifest.json", *inner, "index.bin", "manifest.json"]
@@ -87,7 +85,7 @@ def test_a_segment_takes_a_request_for_each_object_and_one_for_the_index(
 
 @pytest.mark.slow
 def test_many_kills(server: S3Server, tmp_path: Path) -> None:
-    write(tmp_path / "whole", forked_slices())
+    write(tmp_path / "whole", forked_updates())
     whole = files(tmp_path / "whole")
     rng = random.Random(0)
     forker = Forker()
@@ -128,7 +126,7 @@ def test_many_kills(server: S3Server, tmp_path: Path) -> None:
 
 
 def test_of_two_writers_the_one_that_came_later_goes_on(server: S3Server, tmp_path: Path) -> None:
-    slices = forked_slices()
+    slices = forked_updates()
     write(tmp_path / "s", slices)
     first = StreamWriter.create(URL, forked_manifest())
     for slice in slices[:8]:
@@ -154,15 +152,15 @@ def test_of_two_that_begin_at_once_one_is_refused(
     StreamWriter.create(URL, forked_manifest())
     monkeypatch.setattr(GrowingStore, "check_unused", lambda self: None)  # it looked just before
     with pytest.raises((InvalidError, CorruptError)):
-        StreamWriter.create(URL, forked_manifest(has_slots=True))
+        StreamWriter.create(URL, tiny_manifest())
     assert verify_stream(URL).num_segments == 0
 
 
 def test_a_store_that_is_gone_is_one_line_and_the_writer_goes_on_when_it_is_back(
     server: S3Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(objectstore, "PATIENT_RETRIES", 1)
-    slices = forked_slices()
+    monkeypatch.setattr(objectstore, "PATIENT", objectstore.BRIEF)
+    slices = forked_updates()
     write(tmp_path / "s", slices)
     with StreamWriter.create(URL, forked_manifest()) as writer:
         for n in range(len(slices)):

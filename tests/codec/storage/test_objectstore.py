@@ -76,23 +76,58 @@ def test_what_the_store_says_no_to_is_one_line(server: S3Server) -> None:
 
 
 @pytest.mark.parametrize(
-    ("left_out", "advice"),
+    ("changes", "advice"),
     [
-        (["AWS_ALLOW_HTTP"], "set AWS_ALLOW_HTTP=true"),
-        (["AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"], "or AWS_SKIP_SIGNATURE=true"),
+        ({"AWS_ALLOW_HTTP": "false"}, "which AWS_ALLOW_HTTP forbids; set it to true"),
+        (
+            {"AWS_ACCESS_KEY_ID": None, "AWS_SECRET_ACCESS_KEY": None},
+            "or AWS_SKIP_SIGNATURE=true",
+        ),
     ],
 )
-def test_a_variable_that_is_missing_is_named(
-    server: S3Server, left_out: list[str], advice: str, monkeypatch: pytest.MonkeyPatch
+def test_the_variable_to_set_is_named(
+    server: S3Server,
+    changes: dict[str, str | None],
+    advice: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for name in left_out:
-        monkeypatch.delenv(name)
+    for name, value in changes.items():
+        if value is None:
+            monkeypatch.delenv(name)
+        else:
+            monkeypatch.setenv(name, value)
     storage = open_storage(f"s3://{BUCKET}/x")
     for ask in (storage.check, lambda: storage.read("m", 10)):
         with pytest.raises(UnreadableError, match=advice) as caught:
             ask()
         assert "169.254" not in str(caught.value)
         assert "builder" not in str(caught.value)
+
+
+ENDPOINTS = ("AWS_ENDPOINT_URL", "AWS_ENDPOINT", "AWS_ENDPOINT_URL_S3")
+
+
+@pytest.mark.parametrize("name", ENDPOINTS)
+def test_an_endpoint_without_encryption_needs_no_other_variable(
+    server: S3Server, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    endpoint = os.environ["AWS_ENDPOINT_URL"]
+    monkeypatch.delenv("AWS_ENDPOINT_URL")
+    monkeypatch.setenv(name, endpoint)
+    assert "AWS_ALLOW_HTTP" not in os.environ
+    server.put("x/m", b"data")
+    assert open_storage(f"s3://{BUCKET}/x").read("m", 10) == b"data"
+
+
+@pytest.mark.parametrize("endpoint", ["localhost:9000", "127.0.0.1", "", "minio"])
+@pytest.mark.parametrize("name", ENDPOINTS)
+def test_an_endpoint_that_is_no_url_is_refused(
+    name: str, endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("obstore", reason="object stores need the extra s3")
+    monkeypatch.setenv(name, endpoint)
+    with pytest.raises(InvalidError, match=rf"^{name} is '{endpoint}'; set it to a URL"):
+        open_storage("s3://b/x")
 
 
 @pytest.mark.parametrize("path", ["../x", "a//b", "", "a/./b"])

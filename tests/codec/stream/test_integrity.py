@@ -2,60 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
-from codec.coders.coder import EncodedChunk
-from codec.errors import CodecError, CorruptError
-from codec.profiles.profile import Profile
-from codec.slice import Slice
-from codec.splats import Splats
-from codec.stream.chunk import Chunk, decode_chunk, encode_chunk
+from codec.errors import CorruptError
 from codec.stream.index import SegmentRecord, pack_record, record_bytes
 from codec.stream.integrity import (
     CheckedObject,
-    check_chunk,
     check_index_end,
     check_object_bytes,
-    check_slice_size,
-    decode_fitting_chunk,
-    decode_fitting_packet,
-    fitting_slice,
     object_table,
     read_index,
 )
+from codec.stream.manifest import MASKS, Part, snapshot_part
 from codec.stream.object import (
     MAX_OBJECT_BYTES,
-    encode_object,
     encode_packet,
     join_packets,
     read_object_table,
 )
 from tests.support.hostile import record_of
-from tests.support.tiny_stream import SLICE_SIZE, tiny_manifest, tiny_slice
+from tests.support.objects import new_chunk, object_of
+from tests.support.tiny_stream import tiny_manifest
 
-MANIFEST = tiny_manifest(Profile.RAW)  # windows of 3, segments of 4, two layers
+MANIFEST = tiny_manifest()  # windows of 3, segments of 4, two layers
 BIRTHS = range(4, 8)
 SIZE = record_bytes(2)
+NUM_PARTS = len(MANIFEST.parts)
+
+CHUNKS = {birth: new_chunk(birth, 12) for birth in range(9)}
+OBJECT = object_of([CHUNKS[birth] for birth in BIRTHS])
+SNAPSHOT = object_of([CHUNKS[4]])
 
 
-def chunk_of(birth: int, layer: int = 0, profile: Profile = Profile.RAW) -> EncodedChunk:
-    return encode_chunk(tiny_slice(birth), layer, profile)
+def record_with(data: bytes) -> SegmentRecord:
+    """The record of segment 1, all of whose objects are `data`."""
+    return record_of(1, 4, (data,) * NUM_PARTS)
 
 
-def object_of(births: range | list[int] = BIRTHS) -> bytes:
-    return encode_object([chunk_of(birth) for birth in births])
-
-
-OBJECT = object_of()
-RECORD = record_of(1, 4, (OBJECT, OBJECT))
+RECORD = record_with(OBJECT)
 
 
 def records(*num_frames: int) -> list[SegmentRecord]:
-    return [record_of(n, frames, (b"", b"")) for n, frames in enumerate(num_frames)]
+    return [record_of(n, frames, (b"",) * NUM_PARTS) for n, frames in enumerate(num_frames)]
 
 
 def packed(*wanted: SegmentRecord) -> bytes:
@@ -76,6 +66,11 @@ def test_an_index_that_fits_comes_back_in_any_parts() -> None:
         (replace(records(4, 4)[1], num_frames=5), 8, "segment 1 does not fit the manifest"),
         (replace(records(4, 4)[1], first_frame=5), 4, "segment 1 does not fit the manifest"),
         (replace(records(4, 4)[1], object_bytes=(1, MAX_OBJECT_BYTES + 1)), 60, "too large"),
+        (
+            replace(records(4, 4)[1], side_bytes=(1, 1, MAX_OBJECT_BYTES + 1)),
+            16 + 2 * 44 + 2 * 40,
+            "too large",
+        ),
         (replace(records(4, 4)[1], segment=2), 0, "describes 2"),
     ],
 )
@@ -124,98 +119,74 @@ def test_size_and_hash_are_those_of_the_index(data: bytes, message: str, at: int
     assert caught.value.at == at
 
 
-@pytest.mark.parametrize(
-    ("births", "at"),
-    [
-        ([5, 6, 7, 8], 20),
-        ([4, 5, 6, 8], 20 + 3 * 12),
-        ([4, 5, 6], 16),  # the count
-        ([4, 5, 6, 7, 8], 16),
-    ],
-)
-def test_the_births_are_those_of_the_segment(births: list[int], at: int) -> None:
-    data = object_of(births)
-    with pytest.raises(CorruptError, match=r"its births are not 4\.\.7") as caught:
-        object_table(data, MANIFEST, record_of(1, 4, (data, data)), 0)
+@pytest.mark.parametrize("part", [0, 1, MASKS])
+def test_the_births_are_some_of_the_segment(part: Part) -> None:
+    for births in ([], [4], [7], [4, 6], list(BIRTHS)):
+        data = object_of([CHUNKS[birth] for birth in births])
+        found = object_table(data, MANIFEST, record_with(data), part)
+        assert [entry.birth for entry in found] == births
+    for births, wrong in (([3], 0), ([4, 5, 6, 7, 8], 4), ([5, 8], 1), ([0, 4], 0)):
+        data = object_of([CHUNKS[birth] for birth in births])
+        message = rf"birth {births[wrong]} is not one of 4\.\.7"
+        with pytest.raises(CorruptError, match=message) as caught:
+            object_table(data, MANIFEST, record_with(data), part)
+        assert caught.value.at == 20 + 12 * wrong
+
+
+@pytest.mark.parametrize(("births", "at"), [([], 16), ([5], 20), ([4, 5], 16)])
+def test_a_snapshot_is_that_of_the_first_frame(births: list[int], at: int) -> None:
+    part = snapshot_part(1)
+    assert len(object_table(SNAPSHOT, MANIFEST, record_with(SNAPSHOT), part)) == 1
+    data = object_of([CHUNKS[birth] for birth in births])
+    with pytest.raises(CorruptError, match=r"its births are not 4\.\.4") as caught:
+        object_table(data, MANIFEST, record_with(data), part)
     assert caught.value.at == at
 
 
-def test_the_table_ends_where_the_object_does() -> None:
+@pytest.mark.parametrize("part", [0, MASKS])
+def test_the_table_ends_where_the_object_does(part: Part) -> None:
     """An index that names more than the object would hide what lies behind it."""
     data = OBJECT + b"hidden"
-    record = record_of(1, 4, (data, data))
-    check_object_bytes(data, record, 0)
+    record = record_with(data)
+    check_object_bytes(data, record, MANIFEST.part_number(part))
     with pytest.raises(CorruptError, match=r"its table says \d+ bytes, the index") as caught:
-        object_table(data, MANIFEST, record, 0)
+        object_table(data, MANIFEST, record, part)
     assert caught.value.at == 20 + 4 * 12 - 4
-    assert object_table(OBJECT, MANIFEST, RECORD, 0) == tuple(read_object_table(OBJECT))
-
-
-@pytest.mark.parametrize(
-    ("chunk", "message", "at"),
-    [
-        (chunk_of(5), "birth 5 where birth 4 belongs", 8),
-        (chunk_of(4, layer=1), "layer 1 where layer 0 belongs", 16),
-        (chunk_of(4, profile=Profile.PAPER), "profile paper where profile raw belongs", 6),
-    ],
-)
-def test_a_chunk_is_what_the_manifest_says(chunk: EncodedChunk, message: str, at: int) -> None:
-    decoded = decode_chunk(chunk.data)
-    with pytest.raises(CorruptError, match=message) as caught:
-        check_chunk(decoded, MANIFEST, 4, 0)
-    assert caught.value.at == at
-    packet = encode_packet(chunk)
-    with pytest.raises(CorruptError, match=message) as caught:
-        decode_fitting_packet(packet, MANIFEST, 4, 0)
-    assert caught.value.at == at
-    # In an object the place is that of the packet, for nothing else can be pointed at.
-    data = join_packets([(4, packet)])
-    (entry,) = read_object_table(data)
-    with pytest.raises(CorruptError) as caught:
-        decode_fitting_chunk(data, entry, MANIFEST, 0)
-    assert caught.value.at == entry.offset
-    told = "birth 5 where the table says 4" if at == 8 else f"{message} (chunk of birth 4, "
-    assert told in str(caught.value)
-
-
-def test_a_chunk_of_a_lower_degree_does_not_fit() -> None:
-    """A higher one is refused before it is decoded, by the bounds that the manifest sets."""
-    manifest = replace(MANIFEST, sh_degree=1)
-    with pytest.raises(CorruptError, match="SH degree 0 where SH degree 1 belongs") as caught:
-        check_chunk(decode_chunk(chunk_of(4).data), manifest, 4, 0)
-    assert caught.value.at == 17
-
-
-def layers_of(*counts: int) -> list[Chunk]:
-    slices = [Slice(4, Splats.empty(), np.zeros(0, np.uint8)), tiny_slice(4)]
-    return [Chunk(4, n, Profile.RAW, slices[count > 0]) for n, count in enumerate(counts)]
-
-
-def test_a_slice_has_no_more_gaussians_than_the_manifest_allows() -> None:
-    fits = fitting_slice(layers_of(0, SLICE_SIZE, 0), MANIFEST, str)
-    assert len(fits.splats) == SLICE_SIZE
-    taken = []
-
-    def taking() -> Iterator[Chunk]:
-        for chunk in layers_of(0, SLICE_SIZE, SLICE_SIZE, 0, 0):
-            taken.append(chunk.layer)
-            yield chunk
-
-    with pytest.raises(CorruptError, match=r"^layer 2: the slice born at 4 has 80 Gaussians, "):
-        fitting_slice(taking(), MANIFEST, lambda layer: f"layer {layer}")
-    # What comes behind is not even decoded.
-    assert taken == [0, 1, 2]
-    check_slice_size(4, SLICE_SIZE, MANIFEST)
-    with pytest.raises(CodecError, match="the manifest allows 40"):
-        check_slice_size(4, SLICE_SIZE + 1, MANIFEST)
+    assert object_table(OBJECT, MANIFEST, RECORD, part) == tuple(read_object_table(OBJECT))
+    empty = join_packets([])
+    with pytest.raises(CorruptError, match="its table says 20 bytes, the index 26") as caught:
+        object_table(empty + b"hidden", MANIFEST, record_with(empty + b"hidden"), part)
+    assert caught.value.at == 16
 
 
 def test_a_checked_object_gives_packets_and_chunks_by_birth() -> None:
-    found = CheckedObject.check("there", OBJECT, MANIFEST, RECORD, 0)
+    data = object_of([CHUNKS[5], CHUNKS[7]])
+    found = CheckedObject.check("there", data, MANIFEST, record_with(data), 0)
     for birth in BIRTHS:
-        assert found.packet(birth) == encode_packet(chunk_of(birth))
-        assert found.chunk(birth).birth == birth
-    layer_1 = CheckedObject.check("there", OBJECT, MANIFEST, RECORD, 1)
-    with pytest.raises(CorruptError, match=r"^there: byte 68: chunk: layer 0 where") as caught:
-        layer_1.chunk(4)
-    assert caught.value.at == 20 + 4 * 12
+        is_there = birth in (5, 7)
+        assert found.packet(birth) == (encode_packet(CHUNKS[birth]) if is_there else b"")
+        assert found.content(birth) == (CHUNKS[birth].data if is_there else b"")
+    error = CorruptError("what is wrong", 3)
+    [first, _] = found.entries
+    blamed = found.blamed(error, 5)
+    assert str(blamed).startswith(f"there: byte {first.offset}: what is wrong (chunk of birth 5, ")
+    assert "byte 3 in it" in str(blamed)
+    assert blamed.at == first.offset
+    nowhere = found.blamed(error, 6)
+    assert (str(nowhere), nowhere.at) == ("there: what is wrong (birth 6)", None)
+
+
+@pytest.mark.parametrize("part", [0, MASKS, snapshot_part(0)])
+def test_a_packet_holds_no_more_than_its_slots_fill(part: Part) -> None:
+    """The place is that of the packet, for nothing else can be pointed at."""
+    most = MANIFEST.max_content_bytes(part)
+    for size in (most, most + 1):
+        packet = encode_packet(replace(CHUNKS[4], data=bytes(size), edges=()))
+        data = join_packets([(4, packet)])
+        found = CheckedObject.check("there", data, MANIFEST, record_with(data), part)
+        if size == most:
+            assert len(found.content(4)) == most
+            continue
+        with pytest.raises(CorruptError, match=f"^there: byte 32: packet: {size} bytes") as caught:
+            found.content(4)
+        assert caught.value.at == 32

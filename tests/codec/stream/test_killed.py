@@ -9,7 +9,7 @@ The moments are drawn from a fixed seed, from before the folder exists to after 
 how far a writer has come by then depends on the machine, so they adapt until half of the kills come
 before a segment is whole, and the test counts that many kills did fall into a write. What a kill
 cannot show is a loss of power, when the disk forgets what no fsync has secured:
-`test_a_failure_at_any_step_of_any_write` in test_reader.py has that order.
+`test_a_failure_at_any_step_of_any_write` in test_failures.py has that order.
 """
 
 from __future__ import annotations
@@ -27,23 +27,15 @@ import pytest
 from codec.stream.index import record_bytes
 from codec.stream.reader import StreamReader
 from codec.tools.audit import verify_stream
-from tests.support.forked.forked_writer import NUM_FRAMES, forked_manifest, forked_slices, write
+from tests.support.forked.forked_writer import NUM_FRAMES, forked_manifest, forked_updates, write
 from tests.support.forked.forker import Forker
 
-KILLS = {"slices": 200, "slots": 60}
-"""Of version 2 fewer: more of its time goes into compression, which a kill cannot harm."""
-NUM_LAYERS = {"slices": 2, "slots": 1}
-
-
-@pytest.fixture(params=["slices", "slots"])
-def kind(request: pytest.FixtureRequest) -> str:
-    """Whether the stream is of version 1 or 2."""
-    return str(request.param)
+KILLS, IN_A_WRITE = 100, 5
 
 
 @pytest.fixture
-def forker(kind: str) -> Iterator[Forker]:
-    forker = Forker(kind)
+def forker() -> Iterator[Forker]:
+    forker = Forker()
     yield forker
     forker.close()
 
@@ -85,11 +77,11 @@ def files(path: Path) -> dict[str, bytes]:
     return {str(p.relative_to(path)): p.read_bytes() for p in path.rglob("*") if p.is_file()}
 
 
-def fell_into_a_write(path: Path, kind: str) -> bool:
+def fell_into_a_write(path: Path) -> bool:
     """Whether there is something that no index names: the last writer was killed in a write."""
     indexed = 0
     if (path / "manifest.json").exists():
-        size = record_bytes(NUM_LAYERS[kind], kind == "slots")
+        size = record_bytes(forked_manifest().num_layers)
         indexed = (path / "index.bin").stat().st_size // size
     folders = [int(p.name) for p in path.glob("segments/*")]
     return any(path.rglob(".*.tmp")) or any(number >= indexed for number in folders)
@@ -106,8 +98,8 @@ def folder(tmp_path: Path) -> Iterator[Path]:
         yield Path(path)
 
 
-def test_many_kills_and_a_reader_that_follows(folder: Path, forker: Forker, kind: str) -> None:
-    write(folder / "whole", forked_slices(kind == "slots"))
+def test_many_kills_and_a_reader_that_follows(folder: Path, forker: Forker) -> None:
+    write(folder / "whole", forked_updates())
     whole = files(folder / "whole")
     rng = random.Random(0)
     kills = in_a_write = polls = 0
@@ -115,9 +107,8 @@ def test_many_kills_and_a_reader_that_follows(folder: Path, forker: Forker, kind
     follower = Follower(streams[-1], whole)
     num_frames = 0
     patience_s = 0.005
-    wanted = KILLS[kind] // (10 if kind == "slices" else 20)
     # Writes are short: as many more kills as it takes for enough of them to fall into one.
-    while kills < KILLS[kind] or (in_a_write <= wanted and kills < 10 * KILLS[kind]):
+    while kills < KILLS or (in_a_write <= IN_A_WRITE and kills < 10 * KILLS):
         path = streams[-1]
         pid = forker.start(path)
         until_s = time.perf_counter() + rng.uniform(0, patience_s)
@@ -131,7 +122,7 @@ def test_many_kills_and_a_reader_that_follows(folder: Path, forker: Forker, kind
         polls += 1
         if ended:
             kills += 1
-            in_a_write += fell_into_a_write(path, kind)
+            in_a_write += fell_into_a_write(path)
         grew, live = False, True
         if (path / "manifest.json").exists():
             summary = verify_stream(path)
@@ -146,8 +137,8 @@ def test_many_kills_and_a_reader_that_follows(folder: Path, forker: Forker, kind
             follower = Follower(streams[-1], whole)
             num_frames = 0
     # Otherwise the moments were none, and nobody followed.
-    assert in_a_write > wanted
-    assert polls > KILLS[kind]
+    assert in_a_write > IN_A_WRITE
+    assert polls > KILLS
     assert len(streams) > 1
     forker.start(streams[-1])
     assert forker.ended() == 0
@@ -160,5 +151,5 @@ def test_a_folder_of_a_writer_killed_before_it_was_a_stream(tmp_path: Path) -> N
     (path / "segments").mkdir(parents=True)
     (path / "index.bin").touch()
     (path / ".manifest.json.tmp").write_bytes(forked_manifest().to_json()[:50])
-    write(path, forked_slices())
+    write(path, forked_updates())
     assert verify_stream(path).num_frames == NUM_FRAMES

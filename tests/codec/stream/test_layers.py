@@ -1,4 +1,4 @@
-"""Layers: a split and a merge lose nothing, and the important come first."""
+"""Layers: a split loses nothing, fits the slots, and the important come first."""
 
 from __future__ import annotations
 
@@ -6,48 +6,42 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
-from codec.errors import CorruptError, InvalidError
-from codec.profiles.profile import Profile
-from codec.slice import Slice
-from codec.stream.chunk import Chunk
-from codec.stream.layers import (
-    RANKS,
-    Rank,
-    check_shares,
-    merge_layers,
-    opacity_rank,
-    split_layers,
-)
-from tests.support.trained_like import trained_like_slice
+from codec.stream.layers import RANKS, Rank, layer_counts, opacity_rank, split_layers
+from tests.support.trained_like import trained_like_splats
 
-QUARTERS = (0.25, 0.25, 0.25, 0.25)
+QUARTERS = (250,) * 4
 
 
-def chunks(slice: Slice, shares: tuple[float, ...] = QUARTERS) -> list[Chunk]:
-    layers = split_layers(slice, shares, opacity_rank)
-    return [Chunk(slice.birth, n, Profile.RAW, layer) for n, layer in enumerate(layers)]
+@given(st.lists(st.integers(1, 1000), min_size=1, max_size=16), st.data())
+def test_no_layer_takes_more_than_its_slots_and_all_are_about_equally_full(
+    slots: list[int], data: st.DataObject
+) -> None:
+    count = data.draw(st.integers(0, sum(slots)))
+    counts = layer_counts(count, slots)
+    assert sum(counts) == count
+    for taken, most in zip(counts, slots, strict=True):
+        assert 0 <= taken <= most
+        assert abs(taken - count * most / sum(slots)) <= 1
 
 
-def rows(slice: Slice) -> list[bytes]:
-    """Each Gaussian as bytes, its start offset with it."""
-    s = slice.splats
-    columns = (s.means, s.log_scales, s.quats, s.logit_opacities[:, None], s.sh[:, 0])
-    table = np.concatenate([*columns, slice.start_offsets[:, None]], axis=1)
-    return [row.tobytes() for row in table.astype(np.float64)]
+def test_the_largest_slices_fit() -> None:
+    for slots in ((1, (1 << 20) - 1), (1,) * 15 + ((1 << 20) - 15,), (349_525,) * 3):
+        assert layer_counts(sum(slots), slots) == slots
+        for count in (1, sum(slots) // 2, sum(slots) - 1):
+            pairs = zip(layer_counts(count, slots), slots, strict=True)
+            assert all(taken <= most for taken, most in pairs)
 
 
-@given(st.integers(0, 200), st.lists(st.integers(1, 9), min_size=1, max_size=16))
-@settings(max_examples=60, deadline=None)
-def test_merge_of_split_is_a_permutation(count: int, weights: list[int]) -> None:
-    slice = trained_like_slice(5, count)
-    shares = tuple(weight / sum(weights) for weight in weights)
-    parts = chunks(slice, shares)
-    assert sorted(rows(merge_layers(parts))) == sorted(rows(slice))
-    for part, share in zip(parts, shares, strict=True):
-        assert abs(len(part.slice.splats) - share * count) <= 1
+@given(st.integers(0, 200), st.lists(st.integers(1, 90), min_size=1, max_size=16))
+def test_a_split_holds_every_row_once_in_order(count: int, slots: list[int]) -> None:
+    count = min(count, sum(slots))
+    layers = split_layers(trained_like_splats(count), slots, opacity_rank)
+    assert tuple(map(len, layers)) == layer_counts(count, slots)
+    assert sorted(np.concatenate(layers).tolist()) == list(range(count))
+    assert all((np.diff(rows) > 0).all() for rows in layers)
 
 
 def test_every_rank_has_its_function() -> None:
@@ -56,39 +50,15 @@ def test_every_rank_has_its_function() -> None:
 
 @pytest.mark.parametrize("rank", list(Rank))
 def test_an_earlier_layer_ranks_higher(rank: Rank) -> None:
-    slice = trained_like_slice(0, 1000)
-    layers = split_layers(slice, QUARTERS, RANKS[rank])
-    rank_of = dict(zip(rows(slice), RANKS[rank](slice.splats).tolist(), strict=True))
-    ranks = [[rank_of[row] for row in rows(layer)] for layer in layers]
-    for high, low in pairwise(ranks):
-        assert min(high) >= max(low)
+    splats = trained_like_splats(1000)
+    ranks = RANKS[rank](splats)
+    for high, low in pairwise(split_layers(splats, QUARTERS, RANKS[rank])):
+        assert ranks[high].min() >= ranks[low].max()
 
 
-def test_rank_given_cuts_the_slice_as_it_stands() -> None:
-    slice = trained_like_slice(0, 1000)
-    layers = split_layers(slice, QUARTERS, RANKS[Rank.GIVEN])
-    assert [row for layer in layers for row in rows(layer)] == rows(slice)
-    assert [len(layer.splats) for layer in layers] == [250] * 4
-
-
-def test_equal_ranks_keep_their_order() -> None:
-    slice = trained_like_slice(0, 20)
-    layers = split_layers(slice, (0.5, 0.5), lambda splats: np.zeros(len(splats), np.float32))
-    assert rows(layers[0]) + rows(layers[1]) == rows(slice)
-
-
-def test_what_does_not_belong_together_is_refused() -> None:
-    ours, others = chunks(trained_like_slice(1, 40)), chunks(trained_like_slice(2, 40))
-    assert len(merge_layers(ours[:2]).splats) == 20
-    for wrong in ([], ours[1:], [ours[0], ours[2]], [ours[0], others[1]], [ours[0], ours[0]]):
-        with pytest.raises(CorruptError):
-            merge_layers(wrong)
-    degree_1 = chunks(trained_like_slice(1, 40, sh_degree=1))
-    with pytest.raises(CorruptError, match="SH degree"):
-        merge_layers([ours[0], degree_1[1]])
-
-
-@pytest.mark.parametrize("shares", [(), (0.5,), (0.5, 0.6), (1.5, -0.5), (1 / 17,) * 17])
-def test_shares_that_do_not_make_a_whole(shares: tuple[float, ...]) -> None:
-    with pytest.raises(InvalidError):
-        check_shares(shares)
+def test_rank_given_and_equal_ranks_cut_the_slice_as_it_stands() -> None:
+    splats = trained_like_splats(1000)
+    for rank in (RANKS[Rank.GIVEN], lambda splats: np.zeros(len(splats), np.float32)):
+        layers = split_layers(splats, QUARTERS, rank)
+        assert np.concatenate(layers).tolist() == list(range(1000))
+        assert [len(layer) for layer in layers] == list(QUARTERS)

@@ -8,9 +8,13 @@ from pathlib import Path
 
 import pytest
 
+from codec.errors import InvalidError
 from codec.slice import Slice
 from codec.stream import StreamReader, StreamWriter
-from tests.support.tiny_stream import SLICE_SIZE, tiny_manifest, tiny_slice
+from tests.support.drawn import same_splats
+from tests.support.slots.folder import slots_manifest
+from tests.support.slots.updates import patternless_updates
+from tests.support.tiny_stream import SLICE_SIZE, tiny_manifest, tiny_slice, write_tiny
 
 MANIFEST = tiny_manifest()  # windows of 3, segments of 4, two layers
 
@@ -40,3 +44,69 @@ def test_without_a_measure_the_quality_is_unknown(tmp_path: Path) -> None:
             writer.append(tiny_slice(birth))
     (record,) = StreamReader(tmp_path / "stream").records
     assert all(math.isnan(value) for value in record.psnr_db)
+
+
+def test_it_is_asked_once_for_every_slice_as_a_reader_has_it(tmp_path: Path) -> None:
+    told: list[tuple[int, list[Slice]]] = []
+
+    def quality(birth: int, slices: Sequence[Slice]) -> None:
+        told.append((birth, list(slices)))
+
+    path, updates = tmp_path / "s", patternless_updates(slots_manifest().slot_layout, 10)
+    with StreamWriter.create(path, slots_manifest(), quality=quality) as writer:
+        for update in updates[:9]:
+            writer.append(update)
+        writer.abort()
+    with StreamWriter.resume(path, quality=quality) as writer:
+        for update in updates[writer.next_birth + 2 :]:
+            writer.append(update)
+    assert [birth for birth, _ in told] == [*range(-2, 7), *range(4, 10)]
+    reader = StreamReader(path)
+    for birth, slices in told:
+        for layers, found in enumerate(slices, start=1):
+            wanted = reader.slice(birth, layers)
+            assert (found.birth, found.start_offsets.tolist()) == (
+                wanted.birth,
+                wanted.start_offsets.tolist(),
+            )
+            assert same_splats(found.splats, wanted.splats)
+
+
+@pytest.mark.parametrize("birth", [1, 3, 9])
+def test_a_quality_that_raises_leaves_nothing(tmp_path: Path, birth: int) -> None:
+    fail = True
+
+    def quality(frame: int, slices: Sequence[Slice]) -> list[float] | None:
+        if fail and frame == birth:
+            raise ZeroDivisionError
+        return [20.0 + frame, 30.0] if frame >= 0 else None
+
+    path = tmp_path / "s"
+    with StreamWriter.create(path, tiny_manifest(), quality=quality) as writer:
+        for good in range(-2, birth):
+            writer.append(tiny_slice(good))
+        with pytest.raises(ZeroDivisionError):
+            writer.append(tiny_slice(birth))
+        fail = False
+        for good in range(birth, 10):
+            writer.append(tiny_slice(good))
+    assert [record.psnr_db for record in StreamReader(path).records] == [
+        (21.5, 30.0),
+        (25.5, 30.0),
+        (28.5, 30.0),
+    ]
+    write_tiny(tmp_path / "whole", 10)
+    for name in ("manifest.json", *(str(p.relative_to(path)) for p in path.glob("segments/*/*"))):
+        assert (path / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+@pytest.mark.parametrize("scores", [(30.0, math.inf), (30.0,), (30.0, 31.0, 32.0)])
+def test_a_quality_that_the_index_cannot_hold(tmp_path: Path, scores: tuple[float, ...]) -> None:
+    with StreamWriter.create(
+        tmp_path / "s", tiny_manifest(), quality=lambda frame, slices: scores
+    ) as writer:
+        for birth in (-2, -1):  # nothing is scored before there is a frame
+            writer.append(tiny_slice(birth))
+        with pytest.raises(InvalidError, match="is not 2 numbers, each finite"):
+            writer.append(tiny_slice(0))
+        assert writer.next_birth == 0

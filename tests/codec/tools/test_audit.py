@@ -9,23 +9,20 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from codec.errors import CodecError
-from codec.profiles.profile import Profile
-from codec.stream.chunk import encode_chunk
+from codec.errors import CodecError, CorruptError
+from codec.slots.mask import encode_mask
+from codec.slots.update import ENDED, KEPT
 from codec.stream.index import record_bytes
-from codec.stream.object import (
-    encode_object,
-    encode_packet,
-    join_packets,
-    object_packets,
-    read_object_table,
-)
+from codec.stream.manifest import MASKS, Part, is_snapshot, snapshot_part
+from codec.stream.object import encode_packet, read_object_table
 from codec.stream.reader import StreamReader
 from codec.tools.audit import verify_stream
-from tests.support.hostile import flips, forged_record, put_object
-from tests.support.tiny_stream import tiny_slice, write_tiny
+from tests.support.hostile import flips, forged_record, packets_of, put_object, put_packets
+from tests.support.slots.folder import write_slots
+from tests.support.tiny_stream import write_tiny
 
 NUM_FRAMES = 6
 RECORD_BYTES = record_bytes(2)
@@ -41,6 +38,14 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def stream(finished: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(finished, tmp_path / "stream"))
+
+
+@pytest.fixture
+def updates(tmp_path: Path) -> Path:
+    """A stream whose slots last."""
+    path = tmp_path / "updates"
+    write_slots(path, 10)
+    return path
 
 
 def found(stream: Path, name: str) -> CodecError:
@@ -66,8 +71,11 @@ def test_a_good_stream_has_no_such_place(finished: Path) -> None:
     assert verify_stream(finished).num_frames == NUM_FRAMES
 
 
-def test_an_altered_byte_of_an_object_is_found_in_its_field_or_packet(stream: Path) -> None:
-    path = stream / "segments/1/0"
+@pytest.mark.parametrize("name", ["segments/1/0", "segments/1/masks", "segments/0/snapshot-1"])
+def test_an_altered_byte_of_an_object_is_found_in_its_field_or_packet(
+    stream: Path, name: str
+) -> None:
+    path = stream / name
     data = path.read_bytes()
     parts = list(pairwise(fields(data)))
     # Each contradicts one before it: the count the length of the table, an offset the size of the
@@ -78,7 +86,7 @@ def test_an_altered_byte_of_an_object_is_found_in_its_field_or_packet(stream: Pa
     for n, altered in enumerate(flips(data, every)):
         place = n // 3 * every
         path.write_bytes(altered)
-        error = found(stream, "segments/1/0")
+        error = found(stream, name)
         assert "was altered" in str(error)
         if error.at is None:
             unplaced += 1
@@ -194,22 +202,127 @@ def test_a_key_of_the_manifest_is_named(stream: Path) -> None:
 
 
 def test_a_wrong_chunk_with_a_right_hash(stream: Path) -> None:
-    packets = object_packets((stream / "segments/1/1").read_bytes())
-    wrong = encode_chunk(tiny_slice(5), 0, Profile.COMPACT)
-    put_object(stream, 1, 1, join_packets([packets[0], (5, encode_packet(wrong))]))
+    first, _ = packets_of(stream, 1, 1)
+    put_packets(stream, 1, 1, [first, (5, packets_of(stream, 1, 0)[1][1])])
     error = found(stream, "segments/1/1")
-    assert error.at == 20 + 12 * 2 + len(packets[0][1])
+    assert error.at == 20 + 12 * 2 + len(first[1])
     assert "altered" not in str(error)
-    assert "chunk: layer 0 where layer 1 belongs (chunk of birth 5, " in str(error)
+    assert "change: layer 0 where layer 1 belongs (chunk of birth 5, " in str(error)
 
 
-def test_what_hides_behind_the_last_chunk(stream: Path) -> None:
-    put_object(stream, 1, 1, (stream / "segments/1/1").read_bytes() + b"hidden")
-    assert found(stream, "segments/1/1").at == 20 + 12 + 8
+@pytest.mark.parametrize("part", [1, MASKS, snapshot_part(0)])
+def test_what_hides_behind_the_last_chunk(stream: Path, part: Part) -> None:
+    name = f"segments/1/{part}"
+    count = len(packets_of(stream, 1, part))
+    put_object(stream, 1, part, (stream / name).read_bytes() + b"hidden")
+    assert found(stream, name).at == 20 + 12 * count - 4
 
 
-def test_more_gaussians_than_the_manifest_allows(stream: Path) -> None:
-    chunks = [encode_chunk(tiny_slice(birth), 1, Profile.COMPACT) for birth in (4, 5)]
-    put_object(stream, 1, 1, encode_object(chunks))
-    error = found(stream, "segments/1/1")
-    assert "the slice born at 4 has 60 Gaussians, the manifest allows 40" in str(error)
+def test_the_slice_born_at_0_is_in_the_snapshots_alone(stream: Path) -> None:
+    """A mask of birth 0 that says more than kept is read by a checker only."""
+    layout = StreamReader(stream).manifest.slot_layout
+    history = np.zeros(layout.num_slots, np.uint8)
+    kept, ended = (
+        encode_packet(encode_mask(layout, 0, np.full(layout.num_slots, status, np.uint8), history))
+        for status in (KEPT, ENDED)
+    )
+    masks = packets_of(stream, 0, MASKS)
+    put_packets(stream, 0, MASKS, [(0, kept), *masks])
+    assert verify_stream(stream).num_frames == NUM_FRAMES
+    put_packets(stream, 0, MASKS, [(0, ended), *masks])
+    error = found(stream, "segments/0/masks")
+    assert "the slice born at 0 does not keep all slots" in str(error)
+
+
+@pytest.mark.parametrize("part", [MASKS, 0, snapshot_part(0)])
+def test_a_packet_that_was_altered_is_named_once(updates: Path, part: Part) -> None:
+    (birth, packet), *others = packets_of(updates, 0, part)
+    put_packets(updates, 0, part, [(birth, packet[:-1] + bytes([packet[-1] ^ 1])), *others])
+    with pytest.raises(CorruptError, match="checksum") as caught:
+        verify_stream(updates)
+    assert str(caught.value).count("segments") == 1
+    if is_snapshot(part):
+        with pytest.raises(CorruptError, match="checksum") as caught:
+            StreamReader(updates).window(0, 1)
+        assert str(caught.value).count("segments") == 1
+
+
+def test_what_a_faulty_writer_would_do_is_named(updates: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    write_slots(other, 10, seed=1)
+    cases: list[tuple[int, Part, str]] = [
+        (1, MASKS, "mask|change"),
+        (1, 1, "change"),
+        (1, snapshot_part(0), "is not what the slices before it left"),
+        (0, snapshot_part(1), "change|snapshot"),
+    ]
+    for segment, part, message in cases:
+        good = packets_of(updates, segment, part)
+        put_packets(updates, segment, part, packets_of(other, segment, part))
+        with pytest.raises(CorruptError, match=message) as caught:
+            verify_stream(updates)
+        assert "segments" in str(caught.value)
+        put_packets(updates, segment, part, good)
+    verify_stream(updates)
+    masks, layer = packets_of(updates, 0, MASKS), packets_of(updates, 0, 0)
+    assert [birth for birth, _ in layer] == [1, 2, 3]
+    put_packets(updates, 0, 0, [(1, layer[1][1]), *layer[1:]])
+    with pytest.raises(CorruptError, match="birth 2 where birth 1 belongs") as caught:
+        StreamReader(updates).window(1, 2)
+    assert str(caught.value).startswith(str(updates / "segments" / "0" / "0"))
+    put_packets(updates, 0, 0, layer)
+    put_packets(updates, 0, MASKS, [*masks, (4, masks[-1][1])])
+    with pytest.raises(CorruptError, match=r"birth 4 is not one of 0\.\.3"):
+        StreamReader(updates).window(1, 2)
+    put_packets(updates, 0, MASKS, masks)
+    put_packets(updates, 0, 1, packets_of(updates, 0, 1)[1:])
+    with pytest.raises(CorruptError, match=r"segments/0/1: .*it is missing, but the mask declares"):
+        StreamReader(updates).window(1, 2)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("manifest.json", lambda data: data[:-9]),
+        (
+            "manifest.json",
+            lambda data: data.replace(b'"segment_frames": 4', b'"segment_frames": 5'),
+        ),
+        ("manifest.json", lambda data: data.replace(b'"swin_size": 3', b'"swin_size": 2')),
+        ("manifest.json", lambda data: data.replace(b'"num_gs": 120', b'"num_gs": 60')),
+        ("manifest.json", None),
+        ("index.bin", None),
+        ("segments/1/0", lambda data: data + b"\0"),
+        ("segments/1/masks", lambda data: b""),
+        ("segments/1/masks", None),
+    ],
+)
+def test_an_altered_folder_gives_one_line_that_names_the_file(
+    stream: Path, name: str, change: Callable[[bytes], bytes] | None
+) -> None:
+    path = stream / name
+    if change is None:
+        path.unlink()
+    else:
+        path.write_bytes(change(path.read_bytes()))
+    with pytest.raises(CodecError) as caught:
+        verify_stream(stream)
+    message = str(caught.value)
+    assert str(stream) in message
+    # A manifest that contradicts the rest shows in whichever file is compared with it first.
+    assert name.split("/")[0] in message or name == "manifest.json"
+    assert "\n" not in message
+
+
+def test_an_index_that_was_cut_is_a_shorter_stream(stream: Path) -> None:
+    path = stream / "index.bin"
+    data = path.read_bytes()
+    for length in range(0, len(data), 13):
+        path.write_bytes(data[:length])
+        frames = (0, 4)[length // RECORD_BYTES]
+        assert StreamReader(stream).num_frames == frames
+        if length % RECORD_BYTES:
+            with pytest.raises(CodecError, match=r"index\.bin: byte \d+: .* of a finished stream"):
+                verify_stream(stream)
+        else:
+            assert verify_stream(stream).num_frames == frames

@@ -6,14 +6,13 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import codec
 from codec.errors import CorruptError, InvalidError
-from codec.splats import Splats
 from codec.storage.openstorage import open_storage
 from codec.stream import StreamReader, StreamWriter
+from tests.support.drawn import same_splats
 from tests.support.slots.folder import write_slots
 from tests.support.tiny_stream import tiny_manifest, tiny_slice, write_tiny
 
@@ -30,15 +29,11 @@ def stream(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     return path
 
 
-def same(a: Splats, b: Splats) -> bool:
-    return all(np.array_equal(x, y) for x, y in zip(a.arrays, b.arrays, strict=True))
-
-
 def test_three_lines_give_a_frame(stream: Path) -> None:
     opened = codec.open_stream(str(stream))
     splats = opened.frame(5)
     reader = StreamReader(stream)
-    assert same(splats, reader.active_splats(5, reader.manifest.num_layers))
+    assert same_splats(splats, reader.active_splats(5, reader.manifest.num_layers))
     assert (len(opened), opened.fps) == (reader.num_frames, reader.manifest.fps)
     assert [c.name for c in opened.cameras] == [c.name for c in reader.manifest.cameras]
     assert opened.camera().name == reader.manifest.default_camera
@@ -49,14 +44,14 @@ def test_whatever_names_a_folder_opens_it(stream: Path, monkeypatch: pytest.Monk
     monkeypatch.chdir(stream.parent)
     for place in ("stream", "./stream/", Path("stream"), open_storage(stream)):
         with codec.open_stream(place) as opened:
-            assert same(opened.frame(0), expected)
+            assert same_splats(opened.frame(0), expected)
 
 
 def test_fewer_layers_are_the_most_important_ones(stream: Path) -> None:
     reader = StreamReader(stream)
     with codec.open_stream(stream) as opened:
         sizes = [len(opened.frame(4, layers=n)) for n in range(1, opened.num_layers + 1)]
-        assert same(opened.frame(4, 1), reader.active_splats(4, 1))
+        assert same_splats(opened.frame(4, 1), reader.active_splats(4, 1))
     assert sizes == sorted(set(sizes))
 
 
@@ -65,7 +60,7 @@ def test_frames_in_any_order_are_those_one_after_another(stream: Path) -> None:
         forward = list(opened)
         assert len(forward) == FRAMES
         for frame in (6, 0, 5, 1, 1, 4):
-            assert same(opened.frame(frame), forward[frame])
+            assert same_splats(opened.frame(frame), forward[frame])
 
 
 def test_a_live_stream_grows_when_one_asks(tmp_path: Path) -> None:

@@ -66,7 +66,10 @@ def test_the_bitrate_is_that_of_the_files(stream: Path) -> None:
 
 
 def test_a_known_bitrate() -> None:
-    record = SegmentRecord(0, 0, 15, (1_000_000, 250_000), (b"", b""), (math.nan, math.nan))
+    hashes = (b"",) * 3
+    record = SegmentRecord(
+        0, 0, 15, (1_000_000, 250_000), hashes[:2], (math.nan, math.nan), (9, 9, 9), hashes
+    )
     assert bitrates_bps([record], 30).tolist() == [[16e6, 4e6]]
 
 
@@ -101,9 +104,10 @@ def test_a_segment_without_quality_is_a_gap(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("num_layers", [1, 3, 16])
 def test_any_number_of_layers_and_any_title(num_layers: int, tmp_path: Path) -> None:
-    shares = (1 / num_layers,) * num_layers
+    manifest = tiny_manifest()
+    slots, lattices = (40,) * num_layers, manifest.lattice[:1] * num_layers
     title = "$\\frac{1}$ _a_ \n" * 20
-    made = replace(tiny_manifest(), layers=shares, title=title)
+    made = replace(manifest, slots=slots, lattice=lattices, title=title)
     scored = write_scored(tmp_path / "s", made, [tuple(20.0 + n for n in range(num_layers))] * 2)
     draw_stream(scored, tmp_path / "drawn.png")
     assert len(columns_of(pixels(tmp_path / "drawn.png"), LAYER_COLOURS[0])) > 200

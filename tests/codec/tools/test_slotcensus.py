@@ -14,11 +14,13 @@ from codec.coders.coder import compress
 from codec.errors import CodecError
 from codec.slots.update import Update
 from codec.stream import StreamReader, StreamWriter
+from codec.stream.manifest import MASKS, is_snapshot, snapshot_part
 from codec.tools.audit import describe, summarise, verify_stream
 from codec.tools.plot import JOIN_COLOUR, STATUS_COLOURS, draw_stream, played_bands, slot_bands
 from codec.tools.slotcensus import count_slots
 from tests.support.commands import run_ok
-from tests.support.slots.folder import put_part, slots_manifest, write_slots
+from tests.support.hostile import put_packets
+from tests.support.slots.folder import slots_manifest, write_slots
 from tests.support.slots.updates import Model, small_layout
 
 LAYOUT = small_layout(3, (9, 6), 0, 4)
@@ -116,12 +118,12 @@ def test_what_is_altered_is_named(name: str, tmp_path: Path) -> None:
         summarise(tmp_path / "s")
 
 
-@pytest.mark.parametrize("part", ["masks", "snapshot-0"])
+@pytest.mark.parametrize("part", [MASKS, snapshot_part(0)])
 def test_a_packet_beyond_its_slots_is_named_once(part: str, tmp_path: Path) -> None:
     write_slots(tmp_path / "s", 4, LAYOUT)
-    births = range(1 if part == "snapshot-0" else 4)
+    births = range(1 if is_snapshot(part) else 4)
     packet = compress(bytes(9999), (0, 9999))
-    put_part(tmp_path / "s", 0, part, [(birth, packet) for birth in births])
+    put_packets(tmp_path / "s", 0, part, [(birth, packet) for birth in births])
     reads: list[Callable[[Path], object]] = [
         summarise,
         verify_stream,

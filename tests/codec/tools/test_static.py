@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import math
 import shutil
-import subprocess
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,28 +11,38 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from codec.coders.coder import Coder
+from codec.coders.coder import Coder, coder_of
 from codec.errors import CorruptError, InvalidError
 from codec.files import write_atomic
 from codec.framerange import FrameRange
-from codec.profiles.profile import CHUNK_PROFILES, Profile
+from codec.slots.slotchange import encoded_elsewhere
+from codec.slots.slotchunk import Kind
+from codec.slots.slotencoder import SlotEncoder
+from codec.slots.slotlayout import SlotLayout
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import Manifest
-from codec.stream.object import HEAD, decode_object
+from codec.stream.object import HEAD
 from codec.tools.audit import verify_stream
 from codec.tools.static import export_static
 from player.config import CameraPathName, PlayConfig
-from player.playback import play
 from player.render.renderer import RendererKind
+from player.run.playback import play
 from player.source.opener import opened
-from tests.goldens.format_decoder import decode_object as decode_plain_object
 from tests.support.commands import run, run_ok
-from tests.support.delivery.assembled import assembled, slices_of
-from tests.support.drawn import same
-from tests.support.hosted_streams import served, write_stream
+from tests.support.delivery.assembled import assembled
+from tests.support.hosted_streams import served, static_host, write_stream
+from tests.support.objects import object_packets
+from tests.support.slots.folder import write_slots
+from tests.support.slots.slot_streams import Shown, gaussians
+from tests.support.slots.updates import patternless_updates, small_layout
 from tests.support.tiny_stream import tiny_manifest, tiny_slice, write_tiny
 
 PARTS = ("manifest.json", "index.bin", "segments")
+LAYOUTS = [
+    small_layout(3, (9, 6), 0, 4),
+    small_layout(1, (4,), 2, 3),
+    small_layout(2, (5, 4, 3), 1, 8),
+]
 
 
 @pytest.fixture(scope="module")
@@ -48,68 +54,56 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-@contextmanager
-def plain_web_server(folder: Path) -> Iterator[str]:
-    """The URL of Python's own file server of `folder`, a process that knows nothing of streams."""
-    process = subprocess.Popen(
-        [sys.executable, "-u", "-m", "http.server", "0", "--bind", "127.0.0.1"],
-        cwd=folder,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-    )
-    assert process.stdout is not None
-    try:
-        ready = process.stdout.readline()  # Serving HTTP on 127.0.0.1 port N (URL) ...
-        yield f"http://127.0.0.1:{ready.split(' port ')[1].split()[0]}"
-    finally:
-        process.terminate()
-        process.wait(timeout=20)
-        process.stdout.close()
-
-
-@pytest.mark.parametrize("profile", CHUNK_PROFILES)
-@pytest.mark.parametrize("sh_degree", [0, 2])
-def test_every_value_is_that_of_the_original(
-    profile: Profile, sh_degree: int, tmp_path: Path
-) -> None:
-    write_stream(tmp_path / "a", 13, sh_degree=sh_degree, profile=profile)
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_every_chunk_is_that_of_the_original(tmp_path: Path, layout: SlotLayout) -> None:
+    write_slots(tmp_path / "a", 11, layout)
     made = export_static(tmp_path / "a", tmp_path / "b")
     before, after = StreamReader(tmp_path / "a"), StreamReader(tmp_path / "b")
     assert after.manifest.to_json() == before.manifest.to_json()
-    assert (made.num_frames, made.num_segments) == (13, 3) == (after.num_frames, 3)
-    for birth in before.births:
-        for layer in range(before.manifest.num_layers):
-            old, new = before.chunk(birth, layer).slice, after.chunk(birth, layer).slice
-            assert same(old.splats, new.splats)
-            assert np.array_equal(old.start_offsets, new.start_offsets)
-    assert verify_stream(tmp_path / "b").num_frames == 13
-    sizes = {"a": made.source_bytes, "b": made.size_bytes}
-    for name, told in sizes.items():
+    for record in before.records:
+        for part in before.manifest.parts:
+            old, new = (r.read_object(record.segment, part) for r in (before, after))
+            assert HEAD.unpack_from(new.data)[3:5] == (2, Coder.GZIP)
+            assert [e.birth for e in old.entries] == [e.birth for e in new.entries]
+            for birth, packet in object_packets(new.data):
+                assert coder_of(packet) is Coder.GZIP
+                assert new.content(birth) == old.content(birth)
+    assert verify_stream(tmp_path / "b").num_frames == 11
+    for name, told in (("a", made.source_bytes), ("b", made.size_bytes)):
         files = [path for path in (tmp_path / name).rglob("*") if path.is_file()]
         assert told == sum(path.stat().st_size for path in files)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_an_entropy_coder_is_told_the_same_edges_as_at_first(layout: SlotLayout) -> None:
+    encoder = SlotEncoder(layout)
+    for update in patternless_updates(layout, 13):
+        encoded = encoder.append(update)
+        if encoded is None:
+            continue
+        chunks = [(Kind.MASK, encoded.mask), *((Kind.CHANGE, one) for one in encoded.changes)]
+        if update.birth % layout.segment_frames == 0:
+            chunks += [(Kind.SNAPSHOT, chunk) for chunk in encoder.snapshots()]
+        for kind, chunk in chunks:
+            if not chunk.data:  # nothing changes, and there is no packet
+                continue
+            again = encoded_elsewhere(layout, kind, chunk.data)
+            assert (again.birth, again.data) == (chunk.birth, chunk.data)
+            assert list(again.edges) == list(chunk.edges)
 
 
 def test_only_what_a_plain_host_needs_is_there(folder: Path) -> None:
     out = folder / "exported"
     assert sorted(path.name for path in out.iterdir()) == sorted(PARTS)
-    objects = sorted((out / "segments").rglob("*/*"))
-    assert [str(path.relative_to(out / "segments")) for path in objects] == [
-        f"{segment}/{layer}" for segment in range(3) for layer in range(3)
-    ]
-    for path in objects:
-        data = path.read_bytes()
-        assert HEAD.unpack_from(data)[4] == Coder.GZIP
-        assert [chunk.birth for chunk in decode_object(data)] == [
-            int.from_bytes(chunk[8:12], "little", signed=True)
-            for chunk in decode_plain_object(data)
-        ]
+    parts = StreamReader(out).manifest.parts
+    objects = {str(path.relative_to(out / "segments")) for path in out.glob("segments/*/*")}
+    assert objects == {f"{segment}/{part}" for segment in range(3) for part in parts}
     # Readable by the user that a web server runs as, as far as the one who exports wants it.
     assert out.stat().st_mode == (folder / "original").stat().st_mode
 
 
 def test_a_plain_web_server_plays_the_same_pictures(folder: Path, tmp_path: Path) -> None:
-    with plain_web_server(folder) as host:
+    with static_host(folder) as host:
         sources = [str(folder / "original"), f"{host}/exported", f"{host}/exported/manifest.json"]
         for number, source in enumerate(sources):
             config = PlayConfig(
@@ -133,10 +127,12 @@ def test_a_plain_web_server_plays_the_same_pictures(folder: Path, tmp_path: Path
 def test_a_swings_server_plays_it_too(folder: Path) -> None:
     before = StreamReader(folder / "original")
     with served(folder) as server, opened(f"{server.url}/watch/exported", layers=3) as source:
-        slices = slices_of(list(assembled(source)))
-    assert [slice.birth for slice in slices] == list(before.births)
-    for slice in slices:
-        assert same(slice.splats, before.slice(slice.birth, 3).splats)
+        shown, frames = Shown(before.manifest), 0
+        for one in assembled(source):
+            found = shown.after(one.slices, one.frame)
+            assert gaussians(found) == gaussians(before.active_splats(one.frame, 3))
+            frames += 1
+    assert frames == before.num_frames
 
 
 def test_the_quality_that_the_index_knows_stays(tmp_path: Path) -> None:
@@ -206,10 +202,10 @@ def test_a_poster_that_is_a_part_of_the_stream_does_no_harm(poster: str, tmp_pat
 
 def test_a_wrong_chunk_is_named_and_nothing_is_left(tmp_path: Path) -> None:
     write_tiny(tmp_path / "a", 6)
-    path = tmp_path / "a" / "segments" / "1" / "0"
+    path = tmp_path / "a" / "segments" / "1" / "snapshot-1"
     data = path.read_bytes()
     path.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
-    with pytest.raises(CorruptError, match="segments/1/0"):
+    with pytest.raises(CorruptError, match="segments/1/snapshot-1"):
         export_static(tmp_path / "a", tmp_path / "b")
     assert [entry.name for entry in tmp_path.iterdir()] == ["a"]
 

@@ -16,7 +16,7 @@ import server.answers.play
 from player.link.linkprocess import LinkProcess
 from player.link.linktext import read_link
 from server.abr.session import Decision, PlaySession
-from server.http.tcpinfo import unacked_bytes
+from server.exchange.tcpinfo import unacked_bytes
 from tests.support.server.running_server import make_stream, quick_config, running
 from tests.support.suite.starved import Watch
 

@@ -8,8 +8,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 
 import pytest
 
@@ -17,6 +15,7 @@ from codec.errors import SwingsError
 from player.link.linkprocess import LinkProcess, RelayError
 from player.link.linktext import read_link
 from tests.support.commands import ROOT
+from tests.support.waiting import wait_until
 
 LINK = read_link("8M")
 
@@ -28,13 +27,6 @@ relay = LinkProcess(read_link("8M"), "127.0.0.1", 9)
 print(relay.pid, relay.address[1], flush=True)
 time.sleep(60)
 """
-
-
-def eventually(condition: Callable[[], bool], timeout_s: float = 20.0) -> None:
-    until_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < until_s
-        time.sleep(0.02)
 
 
 def is_gone(pid: int) -> bool:
@@ -62,7 +54,7 @@ def test_it_ends_with_whoever_started_it(number: signal.Signals) -> None:
         assert not is_gone(pid)
         player.send_signal(number)
         player.wait(timeout=20)
-        eventually(lambda: is_gone(pid))
+        wait_until(lambda: is_gone(pid))
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.1", port), timeout=5)
 
@@ -82,7 +74,7 @@ def test_one_that_dies_is_named_instead_of_what_follows() -> None:
         with relay:
             if kill:
                 os.kill(relay.pid, signal.SIGKILL)
-                eventually(lambda: is_gone(relay.pid))
+                wait_until(lambda: is_gone(relay.pid))
             raise SwingsError("the connection broke")
 
     with pytest.raises(RelayError, match=message):

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import json
 import subprocess
-import threading
-from base64 import b64encode
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
@@ -21,67 +17,15 @@ from codec.errors import SwingsError
 from codec.framerange import FrameRange
 from codec.storage.credentials import without_credentials
 from player.network.fetch import FetchError
-from player.network.logins import logins_of
-from player.openscene import Scene
+from player.network.requesttarget import logins_of
+from player.script.openscene import Scene
 from player.source.opener import Opener, opened
+from tests.player.network.webhosts import LOGIN, LOGIN_HEADER, SECRETS, web_host
 from tests.support.commands import run
-from tests.support.hosted_streams import served, static_host, write_stream
+from tests.support.hosted_streams import served, static_host
 
-NAME, PASSWORD = "ursula", "top:s@cret"
-LOGIN = "ursula:top%3As%40cret"
-HEADER = f"Basic {b64encode(f'{NAME}:{PASSWORD}'.encode()).decode()}"
-SECRETS = ("ursula", "cret")
-
-
-class Host(ThreadingHTTPServer):
-    """A static host that lets in who has the password."""
-
-    def __init__(self, folder: Path) -> None:
-        super().__init__(("127.0.0.1", 0), partial(Handler, directory=str(folder)))
-        self.headers: list[str | None] = []
-        """The Authorization of each request."""
-        self.moved_to = ""
-        """Where redirects lead, in place of any answer."""
-
-
-class Handler(SimpleHTTPRequestHandler):
-    def do_GET(self) -> None:
-        host = self.server
-        assert isinstance(host, Host)
-        sent = self.headers.get("Authorization")
-        host.headers.append(sent)
-        if host.moved_to:
-            self.send_response(302)
-            self.send_header("Location", host.moved_to + self.path)
-            self.send_header("Content-Length", "0")
-            self.end_headers()
-        elif sent == HEADER:
-            super().do_GET()
-        else:
-            self.send_error(401)
-
-    def log_message(self, format: str, *args: object) -> None:
-        pass
-
-
-@contextmanager
-def guarded(folder: Path) -> Iterator[Host]:
-    host = Host(folder)
-    thread = threading.Thread(target=host.serve_forever, kwargs={"poll_interval": 0.02})
-    thread.start()
-    try:
-        yield host
-    finally:
-        host.shutdown()
-        thread.join()
-        host.server_close()
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("host")
-    write_stream(path / "s", 6)
-    return path
+guarded = partial(web_host, login=LOGIN_HEADER)
+"""A static host that lets in who has the password."""
 
 
 def assert_hidden(text: str) -> None:
@@ -101,7 +45,7 @@ def test_a_play_with_a_password_reports_without_it(folder: Path, tmp_path: Path)
         report = tmp_path / "report.json"
         done = play(url, "--capture", out, "--report", report, "--verbose")
         assert done.returncode == 0, done.stderr
-        assert set(host.headers) == {HEADER}
+        assert set(host.logins) == {LOGIN_HEADER}
         assert f"6 frames of http://127.0.0.1:{host.server_port}/s, drawn by" in done.stdout
         assert_hidden(report.read_text())
         assert json.loads(report.read_text())["source"].endswith(f"{host.server_port}/s")
@@ -158,7 +102,7 @@ def test_in_python(folder: Path) -> None:
             assert len(scene.splats(2)) > 0
             assert_hidden(scene.name)
         with closing(Opener(url)) as opener:
-            assert opener.glance() is not None
+            assert opener.preview() is not None
             assert_hidden(opener.name)
     for open_it in (codec.open_stream, Scene.open):
         for name in (url, f"ftp://{LOGIN}@127.0.0.1/s"):
@@ -180,8 +124,8 @@ def test_it_goes_to_its_own_host_alone(folder: Path) -> None:
         host.moved_to = f"http://localhost:{other.server_port}"
         with pytest.raises(FetchError, match="another host"), opened(url):
             pass
-        assert set(host.headers) == {HEADER}
-        assert not other.headers
+        assert set(host.logins) == {LOGIN_HEADER}
+        assert not other.logins
 
 
 def test_of_several_hosts_each_gets_its_own(folder: Path) -> None:
@@ -189,9 +133,9 @@ def test_of_several_hosts_each_gets_its_own(folder: Path) -> None:
         login = f"http://{LOGIN}@127.0.0.1:{host.server_port}/s"
         with opened(f"{login},{free}/s", FrameRange(0)) as source:
             assert len(list(source.packets())) > 0
-        assert set(host.headers) == {HEADER}
+        assert set(host.logins) == {LOGIN_HEADER}
         assert logins_of([login, f"{free}/s", "my-stream", "http://[/"]) == {
-            ("http", "127.0.0.1", host.server_port): HEADER
+            ("http", "127.0.0.1", host.server_port): LOGIN_HEADER
         }
 
 

@@ -1,11 +1,17 @@
-"""Answers over sockets: as they stand in the specification, cut, kept, and not HTTP at all."""
+"""Requests over sockets that are kept, cut or given up; answers that are HTTP, and that are not."""
 
 from __future__ import annotations
 
+import asyncio
+import gc
 import socket
-import threading
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
+from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -13,57 +19,18 @@ from hypothesis import strategies as st
 
 from player.network.faults import BrokenError, FetchError
 from player.network.fetch import FetchConfig, Fetcher
-from player.network.httpconnection import Target
+from player.network.httppool import MAX_IDLE, HttpPool
+from player.network.requesttarget import Target
+from tests.player.network.webhosts import ScriptedHost, web_host
+from tests.support.commands import environment
 
 BODY = bytes(range(256)) * 900
 
 
-class Host:
-    """Gives each request the next of `answers`; closes the connection after one that says so."""
-
-    def __init__(self, *answers: bytes) -> None:
-        self._answers = list(answers)
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.url = f"http://127.0.0.1:{self._listener.getsockname()[1]}/a"
-        self.requests: list[bytes] = []
-        self.num_connections = 0
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
-
-    def _run(self) -> None:
-        while self._answers:
-            try:
-                connection, _ = self._listener.accept()
-            except OSError:
-                return
-            self.num_connections += 1
-            with connection:
-                while self._answers and (request := self._request(connection)):
-                    self.requests.append(request)
-                    answer = self._answers.pop(0)
-                    connection.sendall(answer)
-                    if b"close" in answer[:200] or answer.startswith(b"HTTP/1.0"):
-                        break
-
-    def _request(self, connection: socket.socket) -> bytes:
-        request = b""
-        while b"\r\n\r\n" not in request:
-            piece = connection.recv(65536)
-            if not piece:
-                return b""
-            request += piece
-        return request
-
-    def close(self) -> None:
-        self._listener.shutdown(socket.SHUT_RDWR)
-        self._listener.close()
-        self._thread.join(5)
-
-
 @contextmanager
-def asked(*answers: bytes) -> Iterator[tuple[Host, Fetcher]]:
+def asked(*answers: bytes) -> Iterator[tuple[ScriptedHost, Fetcher]]:
     config = FetchConfig(connect_timeout_s=2.0, idle_s=2.0)
-    with closing(Host(*answers)) as host, closing(Fetcher(config=config)) as fetcher:
+    with closing(ScriptedHost(*answers)) as host, closing(Fetcher(config=config)) as fetcher:
         yield host, fetcher
 
 
@@ -101,12 +68,17 @@ def test_one_connection_serves_many_requests() -> None:
     assert bodies == [b"one", b"two", b"three"]
 
 
-def test_a_connection_that_the_host_closed_meanwhile_is_replaced() -> None:
-    answers = [sized(b"one"), sized(b"two", "Connection: close\r\n"), sized(b"three")]
+@pytest.mark.parametrize(
+    "answers",
+    [
+        (sized(b"one", "Connection: close\r\n"), sized(b"two")),
+        (sized(b"one"), b"", sized(b"two")),  # closed only when the next request has come
+    ],
+)
+def test_a_connection_that_the_host_closed_is_replaced(answers: tuple[bytes, ...]) -> None:
     with asked(*answers) as (host, fetcher):
-        bodies = [fetcher.get(host.url, 10).body for _ in range(3)]
+        assert [fetcher.get(host.url, 10).body for _ in range(2)] == [b"one", b"two"]
         assert host.num_connections == 2
-    assert bodies == [b"one", b"two", b"three"]
 
 
 def test_one_that_was_not_read_to_its_end_is_not_used_again() -> None:
@@ -146,20 +118,16 @@ def test_any_answer_gives_a_value_or_an_error(junk: bytes) -> None:
         fetcher.get(host.url, 1 << 20)
 
 
-def test_who_does_not_listen_is_named() -> None:
+def test_a_host_that_cannot_be_reached_is_named() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
     with closing(Fetcher()) as fetcher:
-        for host in ("127.0.0.1", "localhost"):
-            with pytest.raises(
-                BrokenError, match=f"{host}:{port}/a: cannot connect: Connection ref"
-            ):
-                fetcher.get(f"http://{host}:{port}/a", 10)
-
-
-def test_a_name_that_nobody_has_is_told() -> None:
-    with closing(Fetcher()) as fetcher, pytest.raises(BrokenError, match="cannot connect: "):
-        fetcher.get("http://nobody.invalid/a", 10)
+        for host in ("http://127.0.0.1", "http://localhost", "https://localhost"):
+            message = f"{host}:{port}/a: cannot connect: Connection refused"
+            with pytest.raises(BrokenError, match=message):
+                fetcher.get(f"{host}:{port}/a", 10)
+        with pytest.raises(BrokenError, match=r"cannot connect: .*[Nn]ame"):
+            fetcher.get("http://nobody.invalid/a", 10)
 
 
 @pytest.mark.parametrize(
@@ -180,12 +148,103 @@ def test_what_is_not_a_url_is_told(url: str) -> None:
         fetcher.get(url, 10)
 
 
+def test_few_idle_connections_are_kept(folder: Path) -> None:
+    with web_host(folder) as host, closing(Fetcher()) as fetcher:
+        url = f"http://127.0.0.1:{host.server_port}/s/manifest.json"
+        asked = [fetcher.ask(url, {}, 1 << 20) for _ in range(MAX_IDLE + 3)]
+        while not all(one.ended for one in asked):
+            fetcher.wait(1.0)
+        assert [one.error for one in asked] == [None] * (MAX_IDLE + 3)
+        assert host.num_connections == MAX_IDLE + 3
+        deadline_s = time.monotonic() + 10
+        while host.num_open > MAX_IDLE and time.monotonic() < deadline_s:
+            fetcher.pause(0.01)
+        assert host.num_open == MAX_IDLE
+        assert fetcher.get(url, 1 << 20).status == 200
+        assert host.num_connections == MAX_IDLE + 3
+        for one in asked:
+            one.close()
+
+
+def test_every_address_of_a_host_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    looked_up = socket.getaddrinfo
+
+    def several(host: str | bytes | None, *args: Any, **options: Any) -> list[Any]:
+        if host not in ("several.example", b"several.example"):
+            return looked_up(host, *args, **options)
+        kind = (socket.AF_INET, socket.SOCK_STREAM, 6, "")
+        return [(*kind, (address, 0)) for address in ("127.0.0.2", "127.0.0.1")]
+
+    monkeypatch.setattr(socket, "getaddrinfo", several)
+    with asked(sized(b"one")) as (host, fetcher):
+        url = host.url.replace("127.0.0.1", "several.example")
+        assert fetcher.get(url, 10).body == b"one"
+
+
+def test_a_play_without_a_network_does_not_load_httpcore(folder: Path, tmp_path: Path) -> None:
+    code = (
+        "import sys, player.__main__ as command\n"
+        f"sys.argv = ['swings-play', {str(folder / 's')!r}, '--capture', 'out.mp4']\n"
+        "sys.argv += ['--renderer', 'cpu']\n"
+        "command.main()\n"
+        "assert 'player.network.fetch' in sys.modules\n"
+        "assert not {'httpcore', 'anyio', 'urllib.request'} & set(sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=environment(), capture_output=True
+    )
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
 def test_targets() -> None:
     plain = Target.of("http://Host:80/a b/%20ü?q=x y#part")
-    assert plain.path == b"/a%20b/%20%C3%BC?q=x%20y"
+    assert plain.path == "/a%20b/%20%C3%BC?q=x%20y"
     assert plain.host_field == "host"
     named = Target.of("https://me:p%40ss@[::1]:8443")
-    assert (named.host, named.port, named.path) == ("::1", 8443, b"/")
+    assert (named.origin, named.path) == (("https", "::1", 8443), "/")
     assert named.host_field == "[::1]:8443"
     assert named.authorization == "Basic bWU6cEBzcw=="
     assert Target.of("http://bücher.example/").host_field == "xn--bcher-kva.example"
+
+
+@pytest.fixture
+def without_collector() -> Iterator[None]:
+    """What is forgotten stays open, as it does until a collector happens to run."""
+    gc.collect()
+    gc.disable()
+    yield
+    gc.enable()
+
+
+@pytest.mark.usefixtures("without_collector")
+@pytest.mark.parametrize("host", ["http://127.0.0.1", "http://localhost", "https://127.0.0.1"])
+@pytest.mark.parametrize("num_turns", range(8))
+def test_a_connection_that_is_given_up_is_closed(host: str, num_turns: int) -> None:
+    """A host would wait for its request as long as it waits for anybody's."""
+    with closing(socket.create_server(("127.0.0.1", 0))) as listener:
+        target = Target.of(f"{host}:{listener.getsockname()[1]}/")
+        give_up_after(num_turns, target)
+        listener.settimeout(0.2)
+        try:
+            connection, _ = listener.accept()
+        except TimeoutError:
+            return  # given up before there was one
+        with connection:
+            connection.settimeout(5)
+            with suppress(ConnectionResetError):
+                while connection.recv(65536):  # the request, where it was sent
+                    pass
+
+
+def give_up_after(num_turns: int, target: Target) -> None:
+    """Cancels a request after so many turns of a loop, which then turns once more."""
+    pool = HttpPool(5)
+    request = pool.loop.create_task(pool.request("GET", target, {}))
+    for _ in range(num_turns):
+        pool.loop.run_until_complete(asyncio.sleep(0))
+        time.sleep(0.002)  # for the kernel, and for the thread that looks up the name
+    request.cancel()
+    with suppress(asyncio.CancelledError):
+        pool.loop.run_until_complete(request)
+    pool.loop.run_until_complete(asyncio.sleep(0))
+    pool.loop.close()  # without closing the pool, which would close what is forgotten

@@ -96,7 +96,7 @@ def conducted(
         renderer = CpuRenderer(conductor.source.manifest)
         conductor.attach(renderer)
         yield played, renderer
-    assert not {"conduct", "receive", "tell", "update"} & {
+    assert not {"conduct", "receive", "status", "update"} & {
         thread.name for thread in threading.enumerate()
     }
 
@@ -261,7 +261,7 @@ def test_a_live_stream_is_followed_from_its_newest_frames(tmp_path: Path) -> Non
             for birth in births:
                 writer.append(random_slice(birth))
             played.poll_until(lambda: played.records[-1].frame >= 110)
-            assert conductor.state().end_frame > 190
+            played.poll_until(lambda: conductor.state().end_frame > 190)
             conductor.seek(180)
             played.poll_until(lambda: played.records[-1].frame >= 180)
 

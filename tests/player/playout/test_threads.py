@@ -2,32 +2,32 @@
 
 from __future__ import annotations
 
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
 from codec.camera import Camera
-from codec.errors import CodecError, SwingsError
+from codec.errors import SwingsError
 from codec.framerange import FrameRange
 from codec.slice import Slice
-from codec.stream.chunk import encode_chunk
-from codec.stream.layers import opacity_rank, split_layers
-from codec.stream.manifest import Manifest, Part
-from codec.stream.object import encode_packet
+from codec.stream.manifest import Manifest
 from player.network.fetch import StoppedError
 from player.playout.clock import Clock
 from player.playout.queues import EmptyStreamError, Events, Handoff
 from player.playout.threads import Threads, render_thread
 from player.playout.timeline import FrameRecord, Playout, QueueConfig
 from player.render.steptimes import StepTimes
-from player.source.source import NO_PLAY, Packets, SlicePackets
+from player.source.directory import DirectorySource
+from player.source.source import NO_PLAY, Packets
+from server.abr.clientstatus import ClientStatus
 from server.abr.playout import PlayoutConfig
-from server.abr.standing import Standing
-from tests.support.hosted_streams import SWIN_SIZE, random_slice, small_manifest
+from tests.support.hosted_streams import SWIN_SIZE, small_manifest, write_stream
 
 pytestmark = pytest.mark.realtime
 
@@ -36,14 +36,14 @@ MANIFEST = small_manifest(4, 0)
 AT_ONCE = PlayoutConfig(start_lead_s=0, resume_lead_s=0)
 
 
-def blame(error: CodecError, part: Part) -> CodecError:
-    return error.within(f"list: {part}")
+def packets_of_frames(count: int) -> list[Packets]:
+    """Layer 0 of frames 0 to count-1: of the first a snapshot, of the others their slices."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = write_stream(Path(folder) / "s", count, 4, 0)
+        return list(DirectorySource(path, FrameRange(), 1).packets())
 
 
-def packets(birth: int) -> SlicePackets:
-    layers = split_layers(random_slice(birth, 4, 0), MANIFEST.layers, opacity_rank)
-    chunk = encode_chunk(layers[0], 0, MANIFEST.profile)
-    return SlicePackets(birth, 0, (encode_packet(chunk),), None, blame)
+PACKETS = packets_of_frames(40)
 
 
 def playout_of(fps: float, queue: QueueConfig | None = None) -> Playout:
@@ -51,20 +51,20 @@ def playout_of(fps: float, queue: QueueConfig | None = None) -> Playout:
 
 
 class ListSource:
-    """Slices from a list, then an error if there is one, or endless silence."""
+    """Packets from a list, then an error if there is one, or endless silence."""
 
     def __init__(
         self,
-        num_slices: int,
+        num_frames: int,
         gap_s: float = 0.0,
         failure: Exception | None = None,
         silent: bool = False,
     ) -> None:
-        self._num_slices, self._gap_s = num_slices, gap_s
+        self._packets, self._gap_s = PACKETS[:num_frames], gap_s
         self._failure, self._silent = failure, silent
         self._stopped = threading.Event()
         self.given = 0
-        self.heard: list[Standing] = []
+        self.heard: list[ClientStatus] = []
 
     name = "list"
     manifest: Manifest = MANIFEST
@@ -76,18 +76,18 @@ class ListSource:
     num_frames = 0
 
     def packets(self) -> Iterator[Packets]:
-        for birth in range(1 - SWIN_SIZE, 1 - SWIN_SIZE + self._num_slices):
+        for one in self._packets:
             time.sleep(self._gap_s)
             self.given += 1
-            yield packets(birth)
+            yield one
         if self._failure is not None:
             raise self._failure
         if self._silent:
             self._stopped.wait()
             raise StoppedError("stopped")
 
-    def tell(self, standing: Standing) -> bool:
-        self.heard.append(standing)
+    def send_status(self, status: ClientStatus) -> bool:
+        self.heard.append(status)
         return True
 
     def interrupt(self) -> None:
@@ -153,12 +153,12 @@ def run(
 
 
 def no_threads_left() -> bool:
-    return not {"receive", "tell", "update"} & {thread.name for thread in threading.enumerate()}
+    return not {"receive", "status", "update"} & {thread.name for thread in threading.enumerate()}
 
 
 def test_a_capture_draws_every_frame_once_in_order_with_its_slices() -> None:
     renderer = NotingRenderer()
-    shown, _ = run(ListSource(SWIN_SIZE + 29), renderer, fps=0.001)
+    shown, _ = run(ListSource(30), renderer, fps=0.001)
     assert [record.frame for record in shown] == list(range(30))
     assert renderer.births == list(range(1 - SWIN_SIZE, 30))
     assert [frame for frame, _ in renderer.drawn] == list(range(30))
@@ -168,12 +168,12 @@ def test_a_capture_draws_every_frame_once_in_order_with_its_slices() -> None:
 
 
 def test_a_slow_drawer_holds_the_stream_back_and_is_not_a_stall() -> None:
-    source, renderer = ListSource(SWIN_SIZE + 19), NotingRenderer(draw_s=0.02)
+    source, renderer = ListSource(20), NotingRenderer(draw_s=0.02)
     ahead: list[int] = []
     draw = renderer.render
 
     def noting(frame: int, camera: Camera) -> npt.NDArray[np.float32]:
-        ahead.append(source.given - (frame + SWIN_SIZE))
+        ahead.append(source.given - (frame + 1))
         return draw(frame, camera)
 
     renderer.render = noting  # type: ignore[method-assign]
@@ -188,17 +188,17 @@ def test_a_slow_drawer_holds_the_stream_back_and_is_not_a_stall() -> None:
 
 def test_with_a_real_clock_frames_wait_until_they_are_due() -> None:
     began_s = time.monotonic()
-    shown, events = run(ListSource(SWIN_SIZE + 9), NotingRenderer(), real=True, fps=30.0)
+    shown, events = run(ListSource(10), NotingRenderer(), real=True, fps=30.0)
     assert time.monotonic() - began_s >= 9 / 30
     assert len(shown) == 10
     assert events.totals.stalls == 0
 
 
 def test_a_slow_stream_stalls() -> None:
-    shown, events = run(ListSource(SWIN_SIZE + 5, gap_s=0.03), NotingRenderer(), fps=1000.0)
+    shown, events = run(ListSource(6, gap_s=0.03), NotingRenderer(), fps=1000.0)
     assert events.totals.stalls == 5
     assert events.totals.stalled_s == pytest.approx(5 * 0.03, rel=0.5)
-    assert events.totals.startup_s >= SWIN_SIZE * 0.03
+    assert events.totals.startup_s >= 0.03
     assert [record.late for record in shown] == [False] + [True] * 5
 
 
@@ -206,7 +206,7 @@ def test_a_slow_stream_stalls() -> None:
 def test_what_breaks_the_stream_rises_where_frames_are_drawn(real: bool) -> None:
     with pytest.raises(SwingsError, match="the network is gone"):
         run(
-            ListSource(SWIN_SIZE + 3, failure=SwingsError("the network is gone")),
+            ListSource(4, failure=SwingsError("the network is gone")),
             NotingRenderer(),
             real=real,
         )
@@ -214,7 +214,7 @@ def test_what_breaks_the_stream_rises_where_frames_are_drawn(real: bool) -> None
 
 
 def test_what_breaks_the_renderer_rises_and_ends_the_stream() -> None:
-    source = ListSource(1000, silent=True)
+    source = ListSource(40, silent=True)
     with pytest.raises(SwingsError, match="no memory"):
         run(source, NotingRenderer(failure=SwingsError("no memory")))
     assert no_threads_left()
@@ -228,13 +228,13 @@ def test_what_breaks_the_drawing_ends_both_threads() -> None:
 
     renderer.render = broken  # type: ignore[method-assign]
     with pytest.raises(SwingsError, match="the disk is full"):
-        run(ListSource(SWIN_SIZE + 2, silent=True), renderer)
+        run(ListSource(3, silent=True), renderer)
     assert no_threads_left()
 
 
 def test_a_stream_that_ends_before_its_first_frame_is_an_error() -> None:
     with pytest.raises(EmptyStreamError):
-        run(ListSource(SWIN_SIZE - 1), NotingRenderer())
+        run(ListSource(0), NotingRenderer())
 
 
 def test_a_window_sees_errors_too_and_takes_all_frames_at_once() -> None:
@@ -262,31 +262,31 @@ def go_on(events: Events, clock: Clock) -> None:
 def test_a_pause_stops_the_time() -> None:
     clock = Clock(real=True)
     events = Events(playout_of(100.0), clock)
-    for birth in range(1 - SWIN_SIZE, 2):
-        events.append(packets(birth))
-    assert events.take() is not None
+    for one in PACKETS[:2]:
+        events.append(one)
+    assert events.wait_for_frame() is not None
     pause(events, clock)
     threading.Timer(0.2, go_on, (events, clock)).start()
     began_s = time.monotonic()
-    assert events.take() is not None
+    assert events.wait_for_frame() is not None
     assert time.monotonic() - began_s >= 0.2
 
 
 def test_who_sends_is_told_of_a_full_queue_and_of_a_pause() -> None:
-    def heard(expected: Callable[[Standing], bool]) -> None:
+    def heard(expected: Callable[[ClientStatus], bool]) -> None:
         for _ in range(2000):
             if source.heard and expected(source.heard[-1]):
                 return
             time.sleep(0.01)
         raise AssertionError(f"{source.heard[-3:]}")
 
-    source = ListSource(SWIN_SIZE + 30, silent=True)
+    source = ListSource(31, silent=True)
     clock = Clock(real=True)
     events = Events(playout_of(1e-3, QueueConfig(max_frames=3)), clock)
     with Threads(source, events):
         # By the time line frame 0 shows, though nobody has taken it.
-        heard(lambda one: one == Standing(1, 2000.0, busy=True))
-        assert events.take() is not None
+        heard(lambda one: one == ClientStatus(1, 2000.0, busy=True))
+        assert events.wait_for_frame() is not None
         pause(events, clock)
         heard(lambda one: one.paused and one.busy)
         go_on(events, clock)

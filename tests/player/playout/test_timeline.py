@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator
 
 import pytest
 from hypothesis import given, settings
@@ -12,11 +13,9 @@ from hypothesis import strategies as st
 from codec.errors import InvalidError
 from codec.stream.manifest import Manifest, Part
 from player.playout.timeline import FrameRecord, Playout, QueueConfig
-from player.source.source import SlicePackets, SnapshotPackets
+from player.source.source import Packets, SlicePackets, SnapshotPackets
 from server.abr.playout import PlayoutConfig
 from tests.support.hosted_streams import small_manifest
-from tests.support.slots.slot_streams import slot_manifest
-from tests.support.slots.updates import small_layout
 
 EPSILON_S = 1e-9
 AT_ONCE = PlayoutConfig(start_lead_s=0, resume_lead_s=0)
@@ -26,8 +25,8 @@ def blame(error: Exception, part: Part) -> Exception:
     raise AssertionError("nothing is decoded here")
 
 
-def manifest_of(swin_size: int, fps: float) -> Manifest:
-    return small_manifest(4, 0, fps, swin_size=swin_size, num_gs=4 * swin_size)
+def manifest_of(segment_frames: int, fps: float) -> Manifest:
+    return small_manifest(4, 0, fps, segment_frames=segment_frames)
 
 
 def packets(birth: int, first: int = 0, end: int = 1, size: int = 100) -> SlicePackets:
@@ -35,40 +34,51 @@ def packets(birth: int, first: int = 0, end: int = 1, size: int = 100) -> SliceP
     return SlicePackets(birth, first, each, None, blame)  # type: ignore[arg-type]
 
 
+def snapshots(frame: int, first: int = 0, end: int = 1) -> SnapshotPackets:
+    return SnapshotPackets(frame, first, packets(0, first, end).packets, blame)  # type: ignore[arg-type]
+
+
+def sent(first: int, segment_frames: int) -> Iterator[Packets]:
+    """Layer 0 of a play from frame `first` on: the snapshot of its segment, then slices."""
+    start = first - first % segment_frames
+    yield snapshots(start)
+    for birth in itertools.count(start + 1):
+        yield packets(birth)
+
+
 def playout_of(
-    swin_size: int, fps: float, first: int = 0, queue: QueueConfig | None = None
+    segment_frames: int, fps: float, first: int = 0, queue: QueueConfig | None = None
 ) -> Playout:
-    return Playout(manifest_of(swin_size, fps), first, None, queue, AT_ONCE)
+    return Playout(manifest_of(segment_frames, fps), first, None, queue, AT_ONCE)
 
 
 def played(
-    arrivals_s: list[float], first: int, swin_size: int, fps: float
+    arrivals_s: list[float], first: int, segment_frames: int, fps: float
 ) -> tuple[list[FrameRecord], Playout]:
-    """Pushes a slice at each time, takes every frame as soon as there is one."""
-    playout = playout_of(swin_size, fps, first)
+    """Pushes packets at each time, takes every frame as soon as there is one."""
+    playout = playout_of(segment_frames, fps, first)
     records = []
-    for birth, arrival_s in enumerate(arrivals_s, first - swin_size + 1):
-        playout.push(packets(birth), arrival_s)
-        while due := playout.take():
+    for arrival_s, one in zip(arrivals_s, sent(first, segment_frames), strict=False):
+        playout.push(one, arrival_s)
+        while due := playout.pop_due():
             records.append(due.record)
     return records, playout
 
 
 gaps_s = st.lists(st.floats(0, 0.5), min_size=1, max_size=60)
-windows = st.integers(1, 6)
+lengths = st.integers(1, 6)
 rates = st.sampled_from([1.0, 24.0, 29.97, 60.0])
 
 
-@given(gaps_s, windows, rates, st.integers(0, 9))
-def test_no_frame_shows_before_its_window_or_out_of_turn(
-    gaps_s: list[float], swin_size: int, fps: float, first: int
+@given(gaps_s, lengths, rates, st.integers(0, 9))
+def test_no_frame_shows_before_its_slices_or_out_of_turn(
+    gaps_s: list[float], segment_frames: int, fps: float, first: int
 ) -> None:
     arrivals_s = list(itertools.accumulate(gaps_s))
-    records, _ = played(arrivals_s, first, swin_size, fps)
-    assert [r.frame for r in records] == list(
-        range(first, first + max(0, len(arrivals_s) - swin_size + 1))
-    )
-    for record, complete_s in zip(records, arrivals_s[swin_size - 1 :], strict=True):
+    records, _ = played(arrivals_s, first, segment_frames, fps)
+    complete = arrivals_s[first % segment_frames :]
+    assert [r.frame for r in records] == list(range(first, first + len(complete)))
+    for record, complete_s in zip(records, complete, strict=True):
         assert record.shown_s >= complete_s - EPSILON_S
         # Either on time, or at the very moment when the last slice came.
         assert record.shown_s == (complete_s if record.late else record.due_s)
@@ -76,11 +86,11 @@ def test_no_frame_shows_before_its_window_or_out_of_turn(
         assert after.due_s == pytest.approx(before.shown_s + 1 / fps, abs=EPSILON_S)
 
 
-@given(gaps_s, windows, rates)
+@given(gaps_s, lengths, rates)
 def test_startup_play_and_stalls_add_up_to_the_time_that_passed(
-    gaps_s: list[float], swin_size: int, fps: float
+    gaps_s: list[float], segment_frames: int, fps: float
 ) -> None:
-    records, playout = played(list(itertools.accumulate(gaps_s)), 0, swin_size, fps)
+    records, playout = played(list(itertools.accumulate(gaps_s)), 5, segment_frames, fps)
     totals = playout.totals
     assert totals.frames == len(records)
     assert totals.stalls == sum(r.late for r in records)
@@ -92,17 +102,17 @@ def test_startup_play_and_stalls_add_up_to_the_time_that_passed(
     assert totals.wire_bytes == sum(r.wire_bytes for r in records)
 
 
-@given(windows, st.integers(1, 12), st.lists(st.booleans(), max_size=200))
+@given(lengths, st.integers(1, 12), st.lists(st.booleans(), max_size=200))
 def test_the_queue_is_bounded_and_never_stuck(
-    swin_size: int, max_frames: int, pushes: list[bool]
+    segment_frames: int, max_frames: int, pushes: list[bool]
 ) -> None:
-    playout = playout_of(swin_size, 30, queue=QueueConfig(max_frames=max_frames))
-    births = itertools.count(1 - swin_size)
+    playout = playout_of(segment_frames, 30, 5, QueueConfig(max_frames=max_frames))
+    coming = sent(5, segment_frames)
     for push in pushes:
         if push and playout.has_room:
-            playout.push(packets(next(births)), 0.0)
+            playout.push(next(coming), 0.0)
         elif not push:
-            playout.take()
+            playout.pop_due()
         assert 0 <= playout.frames_waiting <= max_frames
         assert playout.has_room or playout.next_shown_s is not None
     assert playout.totals.most_frames_waiting <= max_frames
@@ -110,99 +120,85 @@ def test_the_queue_is_bounded_and_never_stuck(
 
 def test_a_full_queue_refuses_and_counts_bytes() -> None:
     playout = playout_of(1, 30, queue=QueueConfig(max_bytes=200))
-    playout.push(packets(0), 0.0)
+    playout.push(snapshots(0), 0.0)
     playout.push(packets(1), 0.0)
     assert playout.totals.most_bytes_waiting == 200
     assert not playout.has_room
     with pytest.raises(InvalidError, match="full"):
         playout.push(packets(2), 0.0)
-    assert playout.take() is not None
+    assert playout.pop_due() is not None
     assert playout.has_room
 
 
 def test_what_the_next_frame_needs_fits_whatever_the_bounds() -> None:
     playout = playout_of(10, 30, 5, QueueConfig(max_frames=1, max_bytes=1))
-    for birth in range(-4, 6):
-        assert playout.take() is None
-        playout.push(packets(birth), 1.0)
-    due = playout.take()
+    needed = [*itertools.islice(sent(5, 10), 6)]
+    for one in needed:
+        assert playout.pop_due() is None
+        playout.push(one, 1.0)
+    due = playout.pop_due()
     assert due is not None
-    assert [one.birth for one in due.packets if isinstance(one, SlicePackets)] == [*range(-4, 6)]
+    assert [*due.packets] == needed
 
 
 def test_frames_come_only_when_they_are_due() -> None:
-    playout = playout_of(2, 10)
-    playout.push(packets(-1), 1.0)
+    playout = playout_of(2, 10, 1)
+    playout.push(snapshots(0, 0, 3), 1.0)
     assert playout.next_shown_s is None
-    playout.push(packets(0, 0, 3), 2.0)
-    playout.push(packets(1), 2.0)
-    assert playout.take(1.9) is None
-    first = playout.take(2.0)
+    playout.push(packets(1, 0, 3), 2.0)
+    playout.push(packets(2), 2.0)
+    assert playout.pop_due(1.9) is None
+    first = playout.pop_due(2.0)
     assert first is not None
-    assert first.record == FrameRecord(0, 2.0, 199, 2.0, 2.0, fewest_layers=1)
+    assert first.record == FrameRecord(1, 3, 198, 2.0, 2.0)
     assert playout.next_shown_s == pytest.approx(2.1)
-    assert playout.take(2.05) is None
-    second = playout.take(2.1 + EPSILON_S)
+    assert playout.pop_due(2.05) is None
+    second = playout.pop_due(2.1 + EPSILON_S)
     assert second is not None
-    assert second.packets == (packets(1),)
-    playout.push(packets(2), 3.0)  # due at 2.2
+    assert second.packets == (packets(2),)
+    playout.push(packets(3), 3.0)  # due at 2.2
     assert playout.next_shown_s == 3.0
-    late = playout.take(math.inf)
+    late = playout.pop_due(math.inf)
     assert late is not None
     assert late.record.late
     assert playout.totals.stalls == 1
     assert playout.totals.stalled_s == pytest.approx(0.8)
-    assert playout.totals.mean_layers == pytest.approx((2 + 2 + 1) / 3)
-
-
-def test_what_comes_late_shows_from_the_next_frame_on() -> None:
-    """Layers are a mean over the window of five slices."""
-    playout = playout_of(5, 10)
-    for birth in range(-4, 4):
-        playout.push(packets(birth), 1.0)
-    playout.push(packets(0, 1, 2), 1.05)  # frame 1 is due at 1.1
-    playout.push(packets(2, 1, 3), 1.25)  # frame 3 is due at 1.3
-    playout.push(packets(-4, 1, 2), 1.26)  # its slice is gone by then
-    layers, late = [], []
-    while due := playout.take():
-        layers.append(due.record.layers)
-        late.append(playout.totals.late_packets)
-    assert layers == pytest.approx([1, 1.2, 1.2, 1.6])
-    assert late == [0, 1, 1, 3]
+    assert playout.totals.mean_layers == pytest.approx((3 + 1 + 1) / 3)
+    assert playout.totals.fewest_layers == 1
 
 
 def test_layers_that_are_needed_are_waited_for() -> None:
     playout = Playout(manifest_of(1, 10), 0, None, None, AT_ONCE, needed=2)
-    playout.push(packets(0), 1.0)
+    playout.push(snapshots(0), 1.0)
     assert playout.next_shown_s is None
-    playout.push(packets(0, 1, 2), 1.5)
+    playout.push(snapshots(0, 1, 2), 1.5)
     assert playout.next_shown_s == 1.5
 
 
 def test_play_begins_with_a_lead_or_when_there_is_no_more() -> None:
     config = PlayoutConfig(start_lead_s=0.3)
     playout = Playout(manifest_of(1, 10), 0, None, None, config)
-    playout.push(packets(0), 1.0)
+    playout.push(snapshots(0), 1.0)
     playout.push(packets(1), 1.1)
     assert playout.next_shown_s is None
     playout.push(packets(2), 1.2)
     assert playout.next_shown_s == 1.2
     short = Playout(manifest_of(1, 10), 0, None, None, config)
-    short.push(packets(0), 1.0)
+    short.push(snapshots(0), 1.0)
     short.finish(1.4)
     assert short.next_shown_s == 1.4
     known = Playout(manifest_of(1, 10), 0, 1, None, config)
-    known.push(packets(0), 1.0)
+    known.push(snapshots(0), 1.0)
     assert known.next_shown_s == 1.0
 
 
 def conceals(conceal_s: float) -> Playout:
     config = PlayoutConfig(start_lead_s=0, resume_lead_s=0, conceal_s=conceal_s)
     playout = Playout(manifest_of(1, 10), 0, None, None, config)
-    for birth in range(3):
-        playout.push(packets(birth), 1.0)
+    for one in itertools.islice(sent(0, 1), 3):
+        playout.push(one, 1.0)
     for _ in range(3):
-        assert playout.take() is not None
+        assert playout.pop_due() is not None
     return playout
 
 
@@ -212,7 +208,7 @@ def test_what_comes_soon_after_it_was_due_puts_nothing_off() -> None:
     playout.push(packets(3), 1.45)  # due at 1.3
     playout.push(packets(4), 1.45)  # due at 1.4
     playout.push(packets(5), 1.45)
-    taken = [playout.take() for _ in range(3)]
+    taken = [playout.pop_due() for _ in range(3)]
     records = [one.record for one in taken if one is not None]
     assert [one.concealed for one in records] == [True, True, False]
     assert [one.shown_s for one in records] == pytest.approx([1.3, 1.4, 1.5])
@@ -225,27 +221,28 @@ def test_what_comes_later_is_a_stall_and_nothing_is_left_out() -> None:
     playout = conceals(0.25)
     playout.push(packets(3), 1.6)  # due at 1.3
     playout.push(packets(4), 1.6)
-    shown_s = [due.record.shown_s for due in iter(playout.take, None)]
+    shown_s = [due.record.shown_s for due in iter(playout.pop_due, None)]
     assert shown_s == pytest.approx([1.6, 1.7])
     assert (playout.totals.stalls, playout.totals.concealed) == (1, 0)
     assert playout.totals.stalled_s == pytest.approx(0.3)
 
 
-@given(gaps_s, windows, rates, st.floats(0, 1))
+@given(gaps_s, lengths, rates, st.floats(0, 1))
 def test_concealed_or_not_every_frame_comes_once_and_its_slices_with_it(
-    gaps_s: list[float], swin_size: int, fps: float, conceal_s: float
+    gaps_s: list[float], segment_frames: int, fps: float, conceal_s: float
 ) -> None:
     config = PlayoutConfig(start_lead_s=0, resume_lead_s=0, conceal_s=conceal_s)
-    playout = Playout(manifest_of(swin_size, fps), 0, None, None, config)
+    playout = Playout(manifest_of(segment_frames, fps), 0, None, None, config)
     births, records = [], []
-    for birth, arrival_s in enumerate(itertools.accumulate(gaps_s), 1 - swin_size):
-        playout.push(packets(birth), arrival_s)
-        while due := playout.take():
+    coming = zip(itertools.accumulate(gaps_s), sent(0, segment_frames), strict=False)
+    for arrival_s, one in coming:
+        playout.push(one, arrival_s)
+        while due := playout.pop_due():
             records.append(due.record)
             births += [one.birth for one in due.packets if isinstance(one, SlicePackets)]
             held_s = arrival_s - due.record.due_s
             assert due.record.concealed <= (0 < held_s <= conceal_s + EPSILON_S)
-    assert births == list(range(1 - swin_size, 1 - swin_size + len(births)))
+    assert births == list(range(1, len(records)))
     assert [record.frame for record in records] == list(range(len(records)))
     assert playout.totals.concealed == sum(record.concealed for record in records)
     assert not any(record.concealed and record.late for record in records)
@@ -253,34 +250,28 @@ def test_concealed_or_not_every_frame_comes_once_and_its_slices_with_it(
 
 def test_a_play_that_follows_another_shows_when_that_is_over() -> None:
     playout = Playout(manifest_of(1, 10), 0, 5, None, AT_ONCE, not_before_s=4.0, play=7)
-    for birth in range(5):
-        playout.push(packets(birth), 1.0)
-    records = [due.record for due in iter(playout.take, None)]
+    for one in itertools.islice(sent(0, 1), 5):
+        playout.push(one, 1.0)
+    records = [due.record for due in iter(playout.pop_due, None)]
     assert [one.shown_s for one in records] == pytest.approx([4.0, 4.1, 4.2, 4.3, 4.4])
     assert {one.play for one in records} == {7}
     assert playout.end_s == pytest.approx(4.5)
     assert playout.totals.stalls == 0
 
 
-def test_where_slots_last_a_layer_shows_while_its_chain_is_whole() -> None:
-    layout = small_layout(1, (4, 3), 0, 5)
-    playout = Playout(slot_manifest(layout, fps=10.0), 5, None, None, AT_ONCE)
-
-    def snapshots(frame: int, first: int, end: int) -> SnapshotPackets:
-        return SnapshotPackets(frame, first, (b"s",) * (end - first), blame)  # type: ignore[arg-type]
-
-    def slice_of(birth: int, first: int, end: int) -> SlicePackets:
-        return SlicePackets(birth, first, (b"c",) * (end - first), b"m", blame)  # type: ignore[arg-type]
-
+def test_a_layer_shows_while_its_chain_is_whole_and_again_once_it_is_mended() -> None:
+    playout = playout_of(5, 10, 5)
     playout.push(snapshots(5, 0, 2), 0.0)
     for birth in range(6, 13):
-        playout.push(slice_of(birth, 0, 1 if birth in (8, 9) else 2), 0.0)
-    playout.push(slice_of(8, 1, 2), 0.45)  # frame 10 is due at 0.5
+        playout.push(packets(birth, 0, 1 if birth in (8, 9) else 2), 0.0)
+    playout.push(packets(8, 1, 2), 0.45)  # frame 10 is due at 0.5
     playout.push(snapshots(10, 1, 2), 0.55)  # frame 11 is due at 0.6
-    layers = []
-    while due := playout.take():
+    layers, late = [], []
+    while due := playout.pop_due():
         layers.append(due.record.layers)
+        late.append(playout.totals.late_packets)
     assert layers == [2, 2, 2, 1, 1, 1, 2, 2]
+    assert late == [0, 0, 0, 0, 0, 1, 2, 2]
 
 
 @settings(max_examples=20)

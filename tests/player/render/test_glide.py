@@ -11,13 +11,12 @@ import pytest
 
 from codec.camera import Camera
 from codec.framerange import FrameRange
-from codec.profiles.profile import Profile
-from codec.slots.lattice import Lattice, States, quantise
+from codec.lattice.lattice import Lattice, States, quantise
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import NEW, PREDICTED, Update
 from codec.splats import Splats
 from codec.stream import StreamWriter
-from player.playout.assembler import open_assembler
+from player.playout.assembler import Assembler
 from player.render.cpu import render_splats
 from player.render.gl import create_renderer
 from player.render.renderer import GlVersion, Renderer, RendererKind
@@ -50,13 +49,13 @@ class Player:
         self.source = DirectorySource(path, FrameRange(), None)
         self.manifest = self.source.manifest
         self._packets = list(self.source.packets())
-        self._assembler = open_assembler(self.manifest, self.source.num_layers, 0)
+        self._assembler = Assembler(self.manifest, self.source.num_layers, 0)
         self.renderer: Renderer = create_renderer(kind[0], self.manifest, kind[1])
         self.camera: Camera = self.manifest.camera()
 
     def go_to(self, frame: int, with_motion: bool = True) -> None:
         due = [one for one in self._packets if max(0, one.first_frame) == frame]
-        for slice in self._assembler.take(frame, due, with_motion):
+        for slice in self._assembler.assemble(frame, due, with_motion):
             self.renderer.put(slice)
         self.renderer.upload(frame)
 
@@ -103,7 +102,7 @@ def write_body(path: Path) -> Splats:
     body = random_splats(50, 0, 3)
     lattice = Lattice.suiting(body)
     layout = SlotLayout(1, (len(body),), 0, (lattice,), 4)
-    manifest = slot_manifest(layout, profile=Profile.LATTICE)
+    manifest = slot_manifest(layout)
     with StreamWriter.create(path, manifest) as writer:
         states: States | None = None
         for birth in range(NUM_FRAMES):

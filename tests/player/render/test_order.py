@@ -17,7 +17,7 @@ def test_the_order_is_that_of_a_stable_sort_by_depth() -> None:
         means = rng.normal(size=(3000 + lane, 3)).astype(np.float32) * 10
         means[::7] = means[0]  # ties
         starts = rng.integers(2, 7, 3000 + lane).astype(np.int32)
-        order.put(lane, 6 + lane, means, starts)
+        order.update_lane(lane, 6 + lane, means, starts)
     w2c = np.eye(4)
     w2c[2, 3] = 1.5
     for frame in range(2, 9):
@@ -38,25 +38,25 @@ def test_what_is_kept_goes_on() -> None:
     means = np.zeros((4, 3), np.float32)
     means[:, 2] = 4, 3, 2, 1
     # Shown, late, never; the last one leaves with the next slice.
-    order.put(0, 2, means, np.array([0, 9, NEVER, 0], np.int32))
-    order.put(0, 4, means[:3], np.array([2, 9, NEVER], np.int32))
+    order.update_lane(0, 2, means, np.array([0, 9, NEVER, 0], np.int32))
+    order.update_lane(0, 4, means[:3], np.array([2, 9, NEVER], np.int32))
 
     def shown(frame: int) -> list[int]:
         return [int(slot) for slot in order.far_first(frame, np.eye(4), 0.5)]
 
     assert [shown(frame) for frame in (2, 3, 4)] == [[0], [0], []]
     far = np.array([[0, 0, 9]], np.float32)
-    order.put(0, 6, far, np.array([5], np.int32), np.array([4], np.int32))
+    order.update_lane(0, 6, far, np.array([5], np.int32), np.array([4], np.int32))
     assert [shown(frame) for frame in (4, 5, 6)] == [[0, 1], [4, 0, 1], []]
     nothing = np.zeros(0, np.int32)
-    order.put(0, 8, np.zeros((0, 3), np.float32), nothing, nothing)
+    order.update_lane(0, 8, np.zeros((0, 3), np.float32), nothing, nothing)
     assert [shown(frame) for frame in (6, 7, 8)] == [[4, 0, 1], [4, 0, 1], []]
 
 
 def test_a_lane_does_not_show_before_its_birth() -> None:
     # One that was kept began long before: after a seek backwards it is not of that time.
     order = Order(2, 1)
-    order.put(0, 9, np.array([[0, 0, 4]], np.float32), np.zeros(1, np.int32))
+    order.update_lane(0, 9, np.array([[0, 0, 4]], np.float32), np.zeros(1, np.int32))
     assert [len(order.far_first(frame, np.eye(4), 0.5)) for frame in (6, 7, 8, 9)] == [0, 1, 1, 0]
 
 
@@ -65,6 +65,6 @@ def test_any_depths_are_sorted(depths_m: list[float]) -> None:
     order = Order(1, 50)
     means = np.zeros((len(depths_m), 3), np.float32)
     means[:, 2] = depths_m
-    order.put(0, 1, means, np.zeros(len(depths_m), np.int32))
+    order.update_lane(0, 1, means, np.zeros(len(depths_m), np.int32))
     got = means[order.far_first(0, np.eye(4), 0.0), 2]
     np.testing.assert_array_equal(got, np.sort(means[:, 2])[::-1])

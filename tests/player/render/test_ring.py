@@ -13,6 +13,7 @@ from codec.slice import Slice
 from codec.splats import Splats
 from codec.stream import StreamReader
 from player.render.ring import Ring
+from tests.support.drawn import same_splats
 from tests.support.hosted_streams import (
     SLICE_SIZE,
     SWIN_SIZE,
@@ -23,13 +24,6 @@ from tests.support.hosted_streams import (
 from tests.support.slots.leases import LeasedStream, leased_streams, replayed
 
 
-def same(a: Splats, b: Splats) -> bool:
-    return all(
-        np.array_equal(getattr(a, name), getattr(b, name))
-        for name in ("means", "log_scales", "quats", "logit_opacities", "sh")
-    )
-
-
 @pytest.mark.parametrize("num_layers", [1, 2, 3])
 def test_every_frame_is_what_the_reader_says(tmp_path: Path, num_layers: int) -> None:
     reader = StreamReader(write_stream(tmp_path / "s", 13))
@@ -37,7 +31,7 @@ def test_every_frame_is_what_the_reader_says(tmp_path: Path, num_layers: int) ->
     for birth in range(1 - SWIN_SIZE, 13):
         ring.put(reader.slice(birth, num_layers))
         if birth >= 0:
-            assert same(ring.active(birth), reader.active_splats(birth, num_layers))
+            assert same_splats(ring.active(birth), reader.active_splats(birth, num_layers))
 
 
 def test_a_shorter_slice_leaves_nothing_of_the_longer_one_before() -> None:
@@ -46,7 +40,7 @@ def test_a_shorter_slice_leaves_nothing_of_the_longer_one_before() -> None:
     ring.put(random_slice(1, 5, 0))
     ring.put(random_slice(2, 2, 0))
     births = [s.splats.take(np.flatnonzero(s.active(3, 2))) for s in (random_slice(2, 2, 0),)]
-    assert same(ring.active(3), births[0])
+    assert same_splats(ring.active(3), births[0])
 
 
 def test_lanes_of_other_windows_do_not_show() -> None:
@@ -67,7 +61,7 @@ def test_changes_leave_what_a_plain_replay_leaves(stream: LeasedStream) -> None:
             known = [one for one in stream.slices if one.birth <= slice.birth]
             lanes = replayed(known, frame, stream.swin_size)
             expected = Splats.concatenate([Splats.empty(stream.sh_degree), *lanes])
-            assert same(ring.active(frame), expected)
+            assert same_splats(ring.active(frame), expected)
 
 
 def test_what_does_not_fit_is_refused() -> None:

@@ -25,7 +25,7 @@ PLAY = """
 import json, sys
 import glfw, moderngl, numpy as np
 from player.config import PlayConfig
-from player.playback import play
+from player.run.playback import play
 from player.view.path import Size
 
 shown = []

@@ -27,7 +27,7 @@ import moderngl
 import numpy as np
 
 from player.config import PlayConfig
-from player.playback import play
+from player.run.playback import play
 from player.render.renderer import GlVersion
 
 shown = []

@@ -9,26 +9,22 @@ import pytest
 
 from codec.errors import CorruptError
 from codec.stream import StreamReader
-from codec.stream.chunk import encode_chunk
-from codec.stream.object import encode_object
 from player.source.opener import opened
 from tests.support.delivery.assembled import assembled
-from tests.support.hosted_streams import random_slice, write_stream
+from tests.support.hosted_streams import write_stream
 from tests.support.hostile import put_object
 
 
-@pytest.mark.parametrize("births", [[5, 6, 7, 8, 9], [5, 6, 7, 8], [5, 6, 7, 8, 10]])
+@pytest.mark.parametrize("wrong", [("1", "1"), ("0", "0")], ids=["layer", "segment"])
 def test_a_wrong_object_is_named_by_its_file_not_by_its_url(
-    tmp_path: Path, births: list[int]
+    tmp_path: Path, wrong: tuple[str, str]
 ) -> None:
     """The index has the right size and hash of it: what is wrong is a chunk, or the table."""
     stream = write_stream(tmp_path / "s", 13)
     manifest = StreamReader(stream).manifest
     elsewhere = replace(manifest, object_url="https://cdn.example/{layer}/{segment}")
     (stream / "manifest.json").write_bytes(elsewhere.to_json())
-    # Chunks of layer 1 where layer 0 belongs.
-    chunks = [encode_chunk(random_slice(birth, 10), 1, manifest.profile) for birth in births]
-    put_object(stream, 1, 0, encode_object(chunks))
+    put_object(stream, 1, 0, stream.joinpath("segments", *wrong).read_bytes())
     with opened(str(stream)) as source, pytest.raises(CorruptError) as caught:
         list(assembled(source))
     assert str(caught.value).startswith(f"{stream / 'segments' / '1' / '0'}: byte ")

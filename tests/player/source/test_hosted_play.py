@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -12,36 +11,29 @@ from hypothesis import strategies as st
 from codec.errors import CorruptError
 from codec.framerange import FrameRange
 from codec.stream import StreamReader
-from codec.stream.manifest import MASKS, Part, object_file, snapshot_part
+from codec.stream.manifest import MASKS, Part, snapshot_part
 from player.source.hostedplay import Ask, HostedPlay
-from player.source.pieces import ObjectPieces
+from player.source.partialobject import PartialObject
 from player.source.source import Packets, SlicePackets, SnapshotPackets
 from server.abr.session import Finished
-from tests.support.hosted_streams import write_stream
 from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.updates import small_layout
 
 NUM_FRAMES, FPS, STEP_S = 120, 30.0, 0.005
-NAMES = ("whole", "slots")
 
 
 @pytest.fixture(scope="module")
-def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("root")
-    write_stream(path / "whole", NUM_FRAMES, fps=FPS, segment_frames=20)
-    write_busy_stream(path / "slots", NUM_FRAMES, small_layout(4, (60, 60, 60), 0, 20), fps=FPS)
-    return path
-
-
-def object_of(root: Path, name: str, segment: int, part: Part) -> bytes:
-    return object_file(root / name, segment, part).read_bytes()
+def reader(tmp_path_factory: pytest.TempPathFactory) -> StreamReader:
+    path = tmp_path_factory.mktemp("root") / "s"
+    write_busy_stream(path, NUM_FRAMES, small_layout(4, (60, 60, 60), 0, 20), fps=FPS)
+    return StreamReader(path)
 
 
 class MadeLink:
-    """A host of the streams below `root` behind a link, one request after another."""
+    """The host of a stream behind a link, one request after another."""
 
-    def __init__(self, root: Path, name: str, play: HostedPlay, knows_ranges: bool = True) -> None:
-        self._root, self._name, self._play = root, name, play
+    def __init__(self, reader: StreamReader, play: HostedPlay, knows_ranges: bool = True) -> None:
+        self._reader, self._play = reader, play
         self._knows_ranges = knows_ranges
         self._open: list[tuple[Ask, int]] = []
         self.asked: list[Ask] = []
@@ -60,7 +52,7 @@ class MadeLink:
         left = round(rate_bps * STEP_S / 8)
         while self._open and left:
             ask, at = self._open.pop(0)
-            data = object_of(self._root, self._name, ask.segment, ask.part)
+            data = self._reader.read_object(ask.segment, ask.part).data
             end = min(ask.end_byte, at + left)
             play.come(ask, "host", at, data[at:end])
             left -= end - at
@@ -76,15 +68,13 @@ def need_bps(reader: StreamReader) -> float:
     return 8 * FPS * sum(record.played_bytes for record in reader.records) / NUM_FRAMES
 
 
-@pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("knows_ranges", [True, False])
 @pytest.mark.parametrize("first", [0, 33])
 def test_on_a_link_that_carries_it_all_comes_once_and_in_time(
-    root: Path, name: str, knows_ranges: bool, first: int
+    reader: StreamReader, knows_ranges: bool, first: int
 ) -> None:
-    reader = StreamReader(root / name)
     play = HostedPlay(reader.manifest, reader.records, FrameRange(first, NUM_FRAMES), 0.0)
-    link = MadeLink(root, name, play, knows_ranges)
+    link = MadeLink(reader, play, knows_ranges)
     counts: Counter[tuple[int, int, bool]] = Counter()
     last = first
     while True:
@@ -98,7 +88,7 @@ def test_on_a_link_that_carries_it_all_comes_once_and_in_time(
             birth, segment = one.birth, reader.manifest.segment_of(one.birth)
             counts[birth, layer, True] += 1
             assert one.packets == (reader.read_object(segment, layer).packet(birth),)
-            if layer == 0 and reader.manifest.has_slots:
+            if layer == 0:
                 assert one.mask == reader.read_object(segment, MASKS).packet(birth)
             if layer == 0 and birth > first:
                 assert birth > last
@@ -114,11 +104,9 @@ def test_on_a_link_that_carries_it_all_comes_once_and_in_time(
     assert link.now_s <= (NUM_FRAMES - first) / FPS + 0.5
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_on_half_a_link_layer_0_comes_in_time_and_no_stall_follows(root: Path, name: str) -> None:
-    reader = StreamReader(root / name)
+def test_on_half_a_link_layer_0_comes_in_time_and_no_stall_follows(reader: StreamReader) -> None:
     play = HostedPlay(reader.manifest, reader.records, FrameRange(0, NUM_FRAMES), 0.0)
-    link = MadeLink(root, name, play)
+    link = MadeLink(reader, play)
     births = []
     while True:
         for one in link.packets((1.5 if link.now_s < 1 else 0.5) * need_bps(reader)):
@@ -131,8 +119,7 @@ def test_on_half_a_link_layer_0_comes_in_time_and_no_stall_follows(root: Path, n
     assert any(ask.part == 2 for ask in link.asked)
 
 
-def test_no_more_requests_are_open_than_share_the_link_well(root: Path) -> None:
-    reader = StreamReader(root / "slots")
+def test_no_more_requests_are_open_than_share_the_link_well(reader: StreamReader) -> None:
     play = HostedPlay(reader.manifest, reader.records, FrameRange(0, NUM_FRAMES), 0.0, 1e9)
     asked = []
     while isinstance(decision := play.next(0.0), Ask):
@@ -151,22 +138,21 @@ class Kept(dict[bytes, bytes]):
         self[sha256] = data
 
 
-@pytest.mark.parametrize("name", NAMES)
 def test_what_is_stored_is_not_asked_for_and_what_comes_whole_is_stored(
-    root: Path, name: str
+    reader: StreamReader,
 ) -> None:
-    reader, store = StreamReader(root / name), Kept()
+    store = Kept()
 
     def asked(rate_bps: float) -> list[Ask]:
         frames = FrameRange(0, NUM_FRAMES)
         play = HostedPlay(reader.manifest, reader.records, frames, 0.0, None, store)
-        link = MadeLink(root, name, play)
+        link = MadeLink(reader, play)
         while link.packets(rate_bps) or not link.over:
             pass
         return link.asked
 
     assert asked(4 * need_bps(reader))
-    snapshots = len(reader.records) * 3 if name == "slots" else 0
+    snapshots = len(reader.records) * 3
     assert len(store) >= sum(len(r.part_bytes) for r in reader.records) - snapshots
     # A link that carries nothing is of no account then.
     assert asked(1.0) == []
@@ -176,27 +162,25 @@ def test_what_is_stored_is_not_asked_for_and_what_comes_whole_is_stored(
 
 
 @st.composite
-def hauls(draw: st.DrawFn) -> tuple[str, int, Part, list[range], int]:
-    """A stream, one of its objects, runs of births to ask for, and bytes that come together."""
-    name = draw(st.sampled_from(NAMES))
-    parts: list[Part] = [0, 1, 2] if name == "whole" else [0, 1, 2, MASKS, snapshot_part(1)]
+def hauls(draw: st.DrawFn) -> tuple[int, Part, list[range], int]:
+    """One of a stream's objects, runs of births to ask for, and bytes that come together."""
+    parts: list[Part] = [0, 1, 2, MASKS, snapshot_part(1)]
     segment, part = draw(st.integers(0, 5)), draw(st.sampled_from(parts))
-    first = segment * 20 - (3 if name == "whole" and not segment else 0)
+    first = segment * 20
     end = first + 1 if str(part).startswith("snapshot") else (segment + 1) * 20
     edges = draw(st.lists(st.tuples(st.integers(first, end - 1), st.integers(1, 20)), min_size=1))
     runs = [range(begin, min(end, begin + count)) for begin, count in edges]
-    return name, segment, part, runs, draw(st.integers(1, 5000))
+    return segment, part, runs, draw(st.integers(1, 5000))
 
 
 @given(hauls())
 @settings(max_examples=60, deadline=None)
 def test_whatever_is_asked_for_comes_and_is_what_the_object_holds(
-    root: Path, haul: tuple[str, int, Part, list[range], int]
+    reader: StreamReader, haul: tuple[int, Part, list[range], int]
 ) -> None:
-    name, segment, part, runs, piece_bytes = haul
-    reader = StreamReader(root / name)
+    segment, part, runs, piece_bytes = haul
     kept = reader.read_object(segment, part)
-    pieces = ObjectPieces(reader.manifest, reader.records[segment], part)
+    pieces = PartialObject(reader.manifest, reader.records[segment], part)
     for births in runs:
         for _ in range(3):
             if all(pieces.has(birth) for birth in births):
@@ -212,11 +196,10 @@ def test_whatever_is_asked_for_comes_and_is_what_the_object_holds(
     assert pieces.whole() == kept.data
 
 
-def test_a_whole_object_that_was_altered_is_found_out(root: Path) -> None:
-    reader = StreamReader(root / "slots")
-    data = bytearray(object_of(root, "slots", 1, 0))
+def test_a_whole_object_that_was_altered_is_found_out(reader: StreamReader) -> None:
+    data = bytearray(reader.read_object(1, 0).data)
     data[-1] ^= 1
-    pieces = ObjectPieces(reader.manifest, reader.records[1], 0)
+    pieces = PartialObject(reader.manifest, reader.records[1], 0)
     pieces.name = "there"
     pieces.add(0, bytes(data))
     with pytest.raises(CorruptError, match=r"^there: .*was altered"):

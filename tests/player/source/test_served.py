@@ -5,18 +5,14 @@ from __future__ import annotations
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
 
 from codec.errors import CorruptError, SwingsError
 from codec.framerange import FrameRange
-from codec.slice import Slice
-from codec.stream.chunk import encode_chunk
-from codec.stream.layers import opacity_rank, split_layers
 from codec.stream.manifest import Manifest
-from codec.stream.object import encode_packet
 from codec.stream.playrecord import (
     EndRecord,
     ErrorRecord,
@@ -30,7 +26,8 @@ from player.network.retry import RetryConfig
 from player.source.served import ServedSource
 from player.source.source import Source
 from tests.support.delivery.assembled import assembled
-from tests.support.hosted_streams import random_slice, small_manifest
+from tests.support.delivery.playrecords import records_from_0
+from tests.support.hosted_streams import small_manifest
 
 QUICK = RetryConfig(patience_s=0.05, first_delay_s=0.01, max_delay_s=0.01)
 
@@ -105,17 +102,15 @@ def answer(*records: Record) -> bytes:
 MANIFEST = small_manifest()
 
 
-def start(num_frames: int = 3, manifest: Manifest = MANIFEST) -> StartRecord:
+def start(num_frames: int = 5, manifest: Manifest = MANIFEST) -> StartRecord:
     return StartRecord(0, num_frames, manifest.to_json())
 
 
-def record_of(birth: int, change: Callable[[Slice], Slice] = lambda s: s) -> SliceRecord:
-    layers = split_layers(change(random_slice(birth)), MANIFEST.layers, opacity_rank)
-    chunks = [encode_chunk(part, n, MANIFEST.profile) for n, part in enumerate(layers)]
-    return SliceRecord(birth, tuple(map(encode_packet, chunks)))
-
-
-ALL = [record_of(birth) for birth in range(-3, 3)]
+SNAPSHOT, SLICES = records_from_0(8)
+ALL: list[Record] = [SNAPSHOT, *SLICES[:4]]
+"""Frames 0 to 4, a segment."""
+MISPLACED = SliceRecord(1, SLICES[1].packets, SLICES[0].mask)
+"""A slice with the layers of the one after it."""
 
 
 def open_play(url: str, retry: RetryConfig = QUICK) -> Source:
@@ -138,42 +133,42 @@ def births_from(*answers: bytes) -> tuple[list[int], list[str]]:
 
 
 def test_a_response_cut_anywhere_is_taken_up_again() -> None:
-    whole = answer(start(), *ALL, EndRecord(3))
+    whole = answer(start(), *ALL, EndRecord(5))
     first = len(answer(start()))
     for cut in (first, first + 1, first + 200, len(whole) - 3):
         births, asked = births_from(whole[:cut], whole)
-        assert births == [-3, -2, -1, 0, 1, 2]
+        assert births == [*range(-3, 5)]
         # Once all has come, its end is not worth another connection.
         assert len(asked) == (1 if cut == len(whole) - 3 else 2)
 
 
 def test_a_new_connection_asks_for_what_is_missing_only() -> None:
-    resumed = answer(StartRecord(2, 3, MANIFEST.to_json()), *ALL[2:], EndRecord(3))
+    resumed = answer(StartRecord(3, 5, MANIFEST.to_json()), *ALL, EndRecord(5))
     births, asked = births_from(answer(start(), *ALL[:3]), resumed)
-    assert births == [-3, -2, -1, 0, 1, 2]
-    # Slice 0 is missing, first of the window of frame 3; the last frame is 2, whose window has -1.
+    assert births == [*range(-3, 5)]
     assert asked == [
         "/v1/streams/s/play?from=0&layers=auto",
-        "/v1/streams/s/play?from=2&layers=auto",
+        "/v1/streams/s/play?from=3&layers=auto",
     ]
 
 
-def test_at_the_edge_of_a_live_stream_only_the_last_window_comes_again() -> None:
+def test_at_the_edge_of_a_live_stream_the_last_frame_is_asked_for_again() -> None:
     live = MANIFEST.with_live(True)
-    later = StartRecord(5, 6, live.to_json())
+    later = StartRecord(4, 5, live.to_json())
     births, asked = births_from(
-        answer(start(1, live), *map(record_of, range(-3, 6))),
-        answer(later, *map(record_of, range(2, 7)), EndRecord(7)),
+        answer(start(1, live), *ALL),
+        answer(later, SNAPSHOT, *SLICES, EndRecord(8)),
     )
-    assert births == list(range(-3, 7))
-    assert asked[1] == "/v1/streams/s/play?from=5&layers=auto"
+    assert births == list(range(-3, 8))
+    # Frame 5, which is missing, is not there yet.
+    assert asked[1] == "/v1/streams/s/play?from=4&layers=auto"
 
 
 def test_a_server_that_stops_is_asked_again() -> None:
     stopping = answer(start(), *ALL[:4], ErrorRecord("the server is stopping"))
     unavailable = b"HTTP/1.1 503 Busy\r\nContent-Length: 0\r\nConnection: close\r\n\r\n\r"
-    births, _ = births_from(stopping, unavailable, answer(start(), *ALL, EndRecord(3)))
-    assert births == [-3, -2, -1, 0, 1, 2]
+    births, _ = births_from(stopping, unavailable, answer(start(), *ALL, EndRecord(5)))
+    assert births == [*range(-3, 5)]
 
 
 @pytest.mark.parametrize(
@@ -186,28 +181,24 @@ def test_a_server_that_stops_is_asked_again() -> None:
         ([answer(StartRecord(0, 3, b"{}"))], CorruptError, "S: manifest"),
         ([answer(start(), start())], CorruptError, "second start"),
         (
-            [answer(start(), *ALL[1:])],
+            [answer(start(), SNAPSHOT, *ALL[2:])],
             CorruptError,
-            "born at -2 arrived before the slice born at -3",
+            "born at 2 arrived before the slice born at 1",
         ),
-        ([answer(start(), *ALL[:3], EndRecord(3))], CorruptError, "ended before frame 0"),
+        ([answer(start(), *ALL[1:])], CorruptError, "born at 1 arrived before a snapshot"),
+        ([answer(start(), *ALL[:3], EndRecord(5))], CorruptError, "ended before frame 3"),
         (
-            [answer(start(), SliceRecord(-3, ALL[1].packets), *ALL[1:])],
+            [answer(start(), SNAPSHOT, MISPLACED, *ALL[2:])],
             CorruptError,
-            "S: layer 0 of the slice born at -3: byte 8: chunk: birth -2 where birth -3 belongs",
-        ),
-        (
-            [answer(start(), SliceRecord(-3, (b"zz",)), *ALL[1:])],
-            CorruptError,
-            "born at -3: packet",
+            "S: layer 0 of the slice born at 1: byte 8: change: birth 2 where birth 1 belongs",
         ),
         (
-            [answer(start(), record_of(-3, lambda s: random_slice(-3, 41)), *ALL[1:])],
+            [answer(start(), SNAPSHOT, SliceRecord(1, (b"zz",), SLICES[0].mask), *ALL[2:])],
             CorruptError,
-            r"layer 2 of the slice born at -3: .* .20 of the slice's 40 Gaussians are there",
+            "born at 1: packet",
         ),
         (
-            [answer(start(), *ALL[:2]), answer(start(3, small_manifest(num_gs=4)))],
+            [answer(start(), *ALL[:2]), answer(start(5, small_manifest(4)))],
             CorruptError,
             "replaced by another",
         ),
@@ -249,15 +240,11 @@ def test_hostile_servers(answers: list[bytes], error: type[SwingsError], message
     ("records", "name", "at"),
     [
         ([StartRecord(0, 3, b'{"version"; 1}')], "S", 10),
+        ([start(), SNAPSHOT, MISPLACED, *ALL[2:]], "S: layer 0 of the slice born at 1", 8),
         (
-            [start(), SliceRecord(-3, ALL[1].packets), *ALL[1:]],
-            "S: layer 0 of the slice born at -3",
-            8,
-        ),
-        (
-            [start(), SliceRecord(-3, ALL[0].packets[:1] * 2), *ALL[1:]],
-            "S: layer 1 of the slice born at -3",
-            16,
+            [start(), SNAPSHOT, SliceRecord(1, SLICES[0].packets[:1] * 2, SLICES[0].mask)],
+            "S: layer 1 of the slice born at 1",
+            5,
         ),
     ],
 )

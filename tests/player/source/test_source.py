@@ -10,12 +10,10 @@ import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from codec.errors import CorruptError, InvalidError, SwingsError
 from codec.framerange import FrameRange
-from codec.slice import Slice
 from codec.stream import StreamReader, StreamWriter
 from player.link.linkprocess import LinkProcess
 from player.link.linktext import read_link
@@ -23,7 +21,7 @@ from player.network.fetch import BrokenError, Fetcher, FetchError
 from player.network.retry import RetryConfig
 from player.source.opener import opened
 from player.source.served import ServedSource
-from tests.support.delivery.assembled import assembled, read_all, slices_of
+from tests.support.delivery.assembled import assembled, checked, read_all, slices_of
 from tests.support.hosted_streams import (
     SWIN_SIZE,
     ServerProcess,
@@ -36,16 +34,6 @@ from tests.support.hosted_streams import (
 
 ALL_FRAMES = FrameRange()
 QUICK = RetryConfig(patience_s=0.1, first_delay_s=0.01, max_delay_s=0.01)
-
-
-def same(a: Slice, b: Slice) -> bool:
-    return (
-        a.birth == b.birth
-        and np.array_equal(a.start_offsets, b.start_offsets)
-        and np.array_equal(a.splats.means, b.splats.means)
-        and np.array_equal(a.splats.sh, b.splats.sh)
-        and np.array_equal(a.splats.logit_opacities, b.splats.logit_opacities)
-    )
 
 
 @pytest.fixture(scope="module")
@@ -79,16 +67,14 @@ def test_every_source_gives_the_slices_of_the_reader(
     reader = StreamReader(library / "one")
     count = layers or 3
     births = range(frames.first - SWIN_SIZE + 1, frames.end or 13)
-    expected = [reader.slice(birth, count) for birth in births]
     with static_host(library) as host:
         sources = [str(library / "one"), f"{host}/one", f"{host}/one/manifest.json"]
         if layers is not None:
             sources.append(f"{server.url}/v1/streams/one")
         for source in sources:
             got = read_all(source, frames, layers)
-            slices = slices_of(got)
-            assert [slice.birth for slice in slices] == list(births)
-            assert all(same(slice, e) for slice, e in zip(slices, expected, strict=True))
+            assert [slice.birth for slice in slices_of(got)] == list(births)
+            assert list(checked(reader, got, count))
             assert {one.layers for one in got} == {count}
             assert all(one.wire_bytes > 0 for one in got)
 
@@ -105,9 +91,9 @@ def test_all_forms_of_a_server_s_url(server: ServerProcess) -> None:
 def test_the_addresses_on_the_server_s_pages_can_be_played(server: ServerProcess) -> None:
     with urllib.request.urlopen(f"{server.url}/watch/one", timeout=10) as response:
         page = response.read().decode()
-    (told,) = re.findall(r"swings-play (\S+?)<", page)
-    assert told == f"{server.url}/watch/one"
-    assert len(read_all(told)) == 13
+    (address,) = set(re.findall(r"swings-play ([^\s<]+)", page))
+    assert address == f"{server.url}/watch/one"
+    assert len(read_all(address)) == 13
 
 
 def test_what_a_source_says_before_its_slices(library: Path, server: ServerProcess) -> None:
@@ -179,34 +165,12 @@ def test_a_damaged_object_is_named(library: Path, tmp_path: Path, damage: str) -
                 read_all(source)
 
 
-def test_a_folder_still_written_is_followed(tmp_path: Path) -> None:
-    manifest = small_manifest()
-    births = iter(range(1 - SWIN_SIZE, 99))
-    with StreamWriter.create(tmp_path / "s", manifest) as writer:
-        for birth in births:
-            writer.append(random_slice(birth))
-            if birth == 7:
-                break
-        got = []
-        with opened(str(tmp_path / "s")) as source:
-            for one in assembled(source):
-                got += [slice.birth for slice in one.slices]
-                if one.frame == 2:
-                    for birth in births:
-                        writer.append(random_slice(birth))
-                        if birth == 11:
-                            break
-                    writer.close()
-        assert got == list(range(1 - SWIN_SIZE, 12))
-
-
 def test_through_a_link_the_slices_are_the_same(library: Path, server: ServerProcess) -> None:
     with LinkProcess(read_link("2M,5ms"), "127.0.0.1", server.port) as relay:
         with opened(server.url, FrameRange(), 3, relay.address) as source:
             got = list(assembled(source))
         assert relay.down_bytes > sum(one.wire_bytes for one in got)
-    reader = StreamReader(library / "one")
-    assert all(same(slice, reader.slice(slice.birth, 3)) for slice in slices_of(got))
+    assert len(list(checked(StreamReader(library / "one"), got, 3))) == 13
 
 
 def test_a_live_stream_is_followed_to_its_end(tmp_path: Path) -> None:
@@ -227,40 +191,9 @@ def test_a_live_stream_is_followed_to_its_end(tmp_path: Path) -> None:
 
         thread = threading.Thread(target=write)
         thread.start()
-        got = slices_of(list(assembled(source)))
+        got = list(assembled(source))
         thread.join()
-    reader = StreamReader(root / "live")
-    assert [slice.birth for slice in got] == list(range(1 - SWIN_SIZE, 23))
-    assert all(same(slice, reader.slice(slice.birth, 2)) for slice in got)
-
-
-def test_a_killed_server_that_comes_back_is_not_noticed(endless: Path) -> None:
-    server = ServerProcess(endless)
-    source = ServedSource(
-        "s",
-        f"{server.url}/v1/streams/long",
-        Fetcher(),
-        FrameRange(),
-        3,
-        RetryConfig(20, first_delay_s=0.05, max_delay_s=0.05),
-    )
-    got = []
-    try:
-        for one in assembled(source):
-            got += one.slices
-            if one.frame == 20:
-                server.kill()
-                threading.Timer(0.3, lambda: restart(endless, server)).start()
-    finally:
-        source.close()
-        server.kill()
-    reader = StreamReader(endless / "long")
-    assert [slice.birth for slice in got] == list(range(1 - SWIN_SIZE, 300))
-    assert all(same(slice, reader.slice(slice.birth, 3)) for slice in got)
-
-
-def restart(root: Path, server: ServerProcess) -> None:
-    server.process = ServerProcess(root, server.port).process
+    assert len(list(checked(StreamReader(root / "live"), got, 2))) == 23
 
 
 def test_a_server_that_stays_away_ends_in_one_line(endless: Path) -> None:

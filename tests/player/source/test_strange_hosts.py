@@ -19,13 +19,13 @@ from hypothesis import strategies as st
 
 from codec.errors import SwingsError
 from codec.framerange import FrameRange
-from codec.stream.playrecord import Record, SliceRecord, encode_record
+from codec.stream.playrecord import Record, encode_record
 from player.network.fetch import BrokenError, FetchConfig, Fetcher, FetchError
-from player.network.hosts import joined
+from player.network.requesttarget import joined
 from player.source.opener import SourceConfig, opened
 from player.source.served import ServedSource
-from server.abr.standing import Standing
-from tests.player.source.test_served import ALL, HEAD, HOLD, QUICK, answer, record_of, script, start
+from server.abr.clientstatus import ClientStatus
+from tests.player.source.test_served import ALL, HEAD, HOLD, QUICK, SLICES, answer, script, start
 from tests.support.commands import ROOT
 from tests.support.delivery.assembled import assembled
 from tests.support.hosted_streams import small_manifest, static_host, write_stream
@@ -87,7 +87,6 @@ def records(*some: Record) -> bytes:
 
 
 OLD = records(*ALL[:2])
-EARLY = records(SliceRecord(900, ALL[0].packets))
 BEGUN = answer(start(), *ALL[:2])
 
 
@@ -107,9 +106,9 @@ BEGUN = answer(start(), *ALL[:2])
         (BEGUN, lambda n: b"", 0.05, "no bytes arrived for 0 s|did not answer in time"),
         (
             BEGUN,
-            lambda n: records(record_of(n - 1)),
+            lambda n: records(SLICES[min(n + 1, 6)]),
             0.0,
-            "the slice born at 3 arrived, but the play ends before frame 3",
+            "the slice born at 5 arrived, but the play ends before frame 5",
         ),
         (BEGUN, lambda n: b"\x02\0\0\0\x80\xc0", 0.0, "play: "),
         (b"", lambda n: b"junk", 0.0, "the connection broke"),
@@ -151,7 +150,7 @@ def test_who_pauses_is_owed_nothing() -> None:
         packets = source.packets()
         for _ in range(4):
             next(packets)
-        assert source.tell(Standing(1, paused=True))
+        assert source.send_status(ClientStatus(1, paused=True))
         threading.Timer(4 * IDLE_S, source.interrupt).start()
         with pytest.raises(SwingsError, match=r"stopped$"):
             next(packets)
@@ -238,7 +237,7 @@ def test_redirects_stay_on_their_host(tmp_path: Path) -> None:
         with script(there) as first:
             config = SourceConfig(QUICK, other_hosts=True)
             with opened(f"{first.url}/elsewhere", config=config) as source:
-                assert len(list(source.packets())) == 16
+                assert len(list(source.packets())) == 13
             assert first.asked == ["/elsewhere/manifest.json"]
     around = to % b"/s/manifest.json"
     with script(*[around] * 9) as host_in_circles:
@@ -322,4 +321,4 @@ def test_frames_come_as_before() -> None:
         source = ServedSource("S", f"{url}/v1/streams/s", fetcher, FrameRange(), None, QUICK)
         with closing(fetcher), closing(source):
             frames = assembled(source)
-            assert [next(frames).frame for _ in range(3)] == [0, 1, 2]
+            assert [next(frames).frame for _ in range(5)] == [0, 1, 2, 3, 4]

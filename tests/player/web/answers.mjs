@@ -5,10 +5,7 @@
 import { readFileSync } from "node:fs";
 import { createInterface } from "node:readline";
 
-import { makeSizes, Media, streamMedia } from "../../../player/web/delivery/media.js";
-import { PlaySession } from "../../../player/web/delivery/session.js";
 import { copyRows, emptyScene, Scene } from "../../../player/web/feed/scene.js";
-import { decodeChunk } from "../../../player/web/format/chunk.js";
 import { FormatError } from "../../../player/web/format/bytes/errors.js";
 import { readManifest } from "../../../player/web/format/manifest.js";
 import { openSource } from "../../../player/web/source/source.js";
@@ -17,22 +14,30 @@ import { inflatePacket } from "../../../player/web/format/packet.js";
 import { RecordParser } from "../../../player/web/format/playrecord.js";
 import { SlotDecoder } from "../../../player/web/format/slots/slotdecoder.js";
 import { SlotLayout } from "../../../player/web/format/slots/slotlayout.js";
-import { EMPTY, ON_LATTICE, UNKNOWN } from "../../../player/web/format/slots/slots.js";
+import { EMPTY, ON_LATTICE, UNKNOWN } from "../../../player/web/constants.js";
+import { RateEstimator } from "../../../player/web/source/estimator.js";
 import { Fetcher, SourceError } from "../../../player/web/source/fetcher.js";
 import { GrowingIndex } from "../../../player/web/source/growingindex.js";
-import { handOver, HostedPlay } from "../../../player/web/source/hosted.js";
+import { HostedStream } from "../../../player/web/source/hosted.js";
+import { HostedPlay } from "../../../player/web/source/hostedplay.js";
+import { LayerRule } from "../../../player/web/source/layerrule.js";
+import { SegmentCache } from "../../../player/web/source/segmentcache.js";
 import { edgeFrame, followPeriodS, isBehind } from "../../../player/web/source/liveedge.js";
 import { Playback } from "../../../player/web/playback/playback.js";
-import { SlicePlay } from "../../../player/web/playback/sliceplay.js";
-import { SlotPlay } from "../../../player/web/playback/slotplay.js";
+import { ChunkFeed } from "../../../player/web/playback/chunkfeed.js";
+import { Scrubber } from "../../../player/web/playback/scrubber.js";
+import { PendingUpdates } from "../../../player/web/playback/pendingupdates.js";
+import { StreamPlay } from "../../../player/web/playback/streamplay.js";
 import { DepthOrder } from "../../../player/web/renderer/depthorder.js";
+import { floatWords, latticeWords, roomFor } from "../../../player/web/renderer/resident.js";
 import { middleOf, sideBySide } from "../../../player/web/stereo/eyes.js";
 import { Placement } from "../../../player/web/stereo/placement.js";
 import { pinholeOf, poseOfTransform } from "../../../player/web/stereo/xrview.js";
 import { Orbit } from "../../../player/web/view/orbit.js";
 import { poseOf, worldToCamera } from "../../../player/web/view/pose.js";
+import { storyboardLayout } from "../../../player/web/format/storyboard.js";
 import { readIndex } from "../../../player/web/format/streamindex.js";
-import { opacityLogits } from "../../../player/web/format/opacity.js";
+import { opacityLogits } from "../../../player/web/format/dequantise.js";
 
 /** @param {ArrayBufferView} array */
 const hex = (array) =>
@@ -92,7 +97,9 @@ function held() {
  */
 async function* played(manifest, files, first, lateness) {
   const records = readIndex(unhex(files["index.bin"]), manifest);
-  const play = manifest.layout === null ? new SlicePlay(manifest) : new SlotPlay(manifest);
+  const play = new StreamPlay(manifest);
+  const cache = new SegmentCache(manifest);
+  const feed = new ChunkFeed(cache, play, manifest, first, manifest.numLayers, 1);
   const last = records[records.length - 1];
   /** @type {[number, import("../../../player/web/format/streamindex.js").SegmentRecord, string][]} */
   const coming = records.flatMap((record) =>
@@ -105,24 +112,22 @@ async function* played(manifest, files, first, lateness) {
     for (const [when, record, part] of coming) {
       if (when !== frame && !(frame === first && when <= first)) continue;
       const bytes = unhex(files[`segments/${record.segment}/${part}`]);
-      const { packets } = readObject(bytes, manifest.version);
-      await handOver(manifest, record, part, packets, play);
+      cache.addObject(record, part, readObject(bytes).packets);
     }
+    feed.advance(frame + 1, 1);
+    while (feed.isRunning) await new Promise((resolve) => setImmediate(resolve));
+    if (feed.failure !== null) throw feed.failure;
     const isThere = frame === first ? play.has(frame) : play.hasSlice(frame);
     if (!isThere) throw new Error(`frame ${frame} is not there`);
     const isJoin = frame === first;
-    yield { frame, isJoin, updates: isJoin ? play.join(frame) : play.advance(frame) };
+    yield { frame, ...(isJoin ? { isJoin, updates: play.join(frame) } : play.advance(frame)) };
   }
 }
 
 /** @type {Record<string, (question: any) => unknown>} */
 const ANSWERS = {
-  chunk({ bytes }) {
-    const { gaussians, startOffsets, ...rest } = decodeChunk(unhex(bytes));
-    return { ...rest, arrays: Object.values(gaussians).map(hex), startOffsets: hex(startOffsets) };
-  },
-  object({ bytes, version }) {
-    const { coder, packets } = readObject(unhex(bytes), version);
+  object({ bytes }) {
+    const { coder, packets } = readObject(unhex(bytes));
     return { coder, packets: [...packets].map(([birth, packet]) => [birth, hex(packet)]) };
   },
   async packet({ bytes, limit }) {
@@ -175,7 +180,7 @@ const ANSWERS = {
   /** What a play holds at each "look" among its events, see tests/support/slots/arrivals.py. */
   arrivals({ events }) {
     const { layout } = decoder;
-    const play = new SlotPlay(/** @type {any} */ ({ layout }));
+    const play = new StreamPlay(/** @type {any} */ ({ layout }));
     const found = [];
     for (const [kind, frame, layer, bytes] of events) {
       if (kind === "mask") play.addMask(frame, unhex(bytes));
@@ -188,7 +193,6 @@ const ANSWERS = {
         found.push(held());
       }
     }
-    if (play.refused > 0) throw new Error(`${play.refused} chunks were refused`);
     return found;
   },
   async shown({ files, first, lateness }) {
@@ -212,31 +216,118 @@ const ANSWERS = {
       manifest,
       records,
       rateBps,
-      media: streamMedia(manifest, records),
+      cache: new SegmentCache(manifest),
       /** @type {import("../../../player/web/source/hosted.js").HostedStream["object"]} */
       async object({ segment }, part, onBytes) {
         const bytes = unhex(files[`segments/${segment}/${part}`]);
         asked.push(`${segment}/${part}`);
         onBytes(bytes.length);
-        return readObject(bytes, manifest.version).packets;
+        return readObject(bytes).packets;
       },
     };
-    const slicePlay = new SlicePlay(manifest);
     let nowS = 0;
-    const wish = {
-      firstFrame: 0,
-      continues: false,
-      mostLayers: manifest.numLayers,
-      nowS: () => nowS,
-    };
-    const play = new HostedPlay(/** @type {any} */ (stream), slicePlay, wish);
+    const request = { firstFrame: 0, mostLayers: manifest.numLayers, nowS: () => nowS };
+    const play = new HostedPlay(/** @type {any} */ (stream), request);
     const last = records[records.length - 1];
     for (let frame = 0; frame < last.firstFrame + last.numFrames; frame++) {
       nowS = frame / manifest.fps;
-      play.told(frame, false);
+      play.reportPosition(frame, false, 1);
       play.step();
     }
     return asked;
+  },
+  /**
+   * What a cache holds after each action, and whether it has room for segment 6: [method, ...arguments], in which a number is a packet of so
+   * many bytes where one belongs.
+   */
+  cached({ fps, segmentFrames, numLayers, limitBytes, numFrames, actions }) {
+    const shape = /** @type {any} */ ({ fps, segmentFrames, numLayers });
+    const cache = new SegmentCache(shape, limitBytes);
+    return actions.map((/** @type {any} */ [method, ...args]) => {
+      if (method.startsWith("add")) args.push(new Uint8Array(args.pop()));
+      /** @type {any} */ (cache)[method](...args);
+      const hasRoom = cache.hasRoomFor(6);
+      return { ranges: cache.ranges(numFrames), numBytes: cache.numBytes, hasRoom };
+    });
+  },
+  /** What two plays fetch of a host that never answers, and what is aborted once the first is closed. */
+  async aborted({ files, frames }) {
+    const manifest = files["manifest.json"];
+    /** @type {{ name: string, signal: AbortSignal }[]} */
+    const asked = [];
+    const { fetch } = globalThis;
+    globalThis.fetch = async (url, init) => {
+      const name = String(url).split("/host/")[1];
+      if (name === "manifest.json") return new Response(unhex(manifest));
+      if (name === "index.bin") return new Response(unhex(files[name]));
+      const signal = /** @type {AbortSignal} */ (init?.signal);
+      asked.push({ name, signal });
+      return new Promise((_, reject) =>
+        signal.addEventListener("abort", () => reject(signal.reason)),
+      );
+    };
+    try {
+      const stream = await HostedStream.open("http://any/host/", new Fetcher());
+      const plays = frames.map((/** @type {number} */ firstFrame) => {
+        const request = { firstFrame, mostLayers: stream.manifest.numLayers, nowS: () => 0 };
+        const play = stream.play(request);
+        play.step();
+        return play;
+      });
+      plays[0].close();
+      await new Promise((resolve) => setTimeout(resolve, 0));
+      return {
+        asked: asked.map(({ name, signal }) => [name, signal.aborted]),
+        failures: plays.map((/** @type {any} */ play) => play.failure),
+      };
+    } finally {
+      globalThis.fetch = fetch;
+    }
+  },
+  /**
+   * The segments that a scrubber shows and requests while the thumb moves; each request takes as long
+   * as three moves.
+   */
+  async scrubbed({ files, frames }) {
+    const manifest = readManifest(unhex(files["manifest.json"]));
+    const cache = new SegmentCache(manifest);
+    const records = readIndex(unhex(files["index.bin"]), manifest);
+    const { firstFrame, numFrames } = records[records.length - 1];
+    /** @type {{ segment: number, answer: () => void, movesLeft: number }[]} */
+    const coming = [];
+    /** @type {number[]} */
+    const asked = [];
+    let mostUnderway = 0;
+    const fetchSnapshot = (/** @type {number} */ segment) =>
+      new Promise((resolve) => {
+        asked.push(segment);
+        const { packets } = readObject(unhex(files[`segments/${segment}/snapshot-0`]));
+        const answer = () => {
+          cache.addObject(records[segment], "snapshot-0", packets);
+          resolve(true);
+        };
+        coming.push({ segment, answer, movesLeft: 3 });
+        mostUnderway = Math.max(mostUnderway, coming.length);
+      });
+    const stream = { manifest, cache, numFrames: firstFrame + numFrames, fetchSnapshot };
+    /** @type {number[]} */
+    const shown = [];
+    const scrubber = new Scrubber(
+      /** @type {any} */ (stream),
+      ({ frame }) => shown.push(frame / manifest.segmentFrames),
+      () => {},
+    );
+    const move = async () => {
+      for (const one of coming) one.movesLeft -= 1;
+      while (coming[0]?.movesLeft === 0) coming.shift()?.answer();
+      await new Promise((resolve) => setTimeout(resolve, 5));
+    };
+    for (const frame of frames) {
+      scrubber.scrub(frame);
+      await move();
+    }
+    for (let n = 0; n < 8; n++) await move();
+    return { asked, shown, mostUnderway };
   },
   /**
    * The Gaussians that show in every frame of `looks`, to one who looks only then: all arrays of a
@@ -245,7 +336,7 @@ const ANSWERS = {
   async fed({ files, first, looks }) {
     const manifest = readManifest(unhex(files["manifest.json"]));
     const { numGs, shDegree, layout } = manifest;
-    const scene = new Scene(numGs, shDegree, layout?.lattices ?? []);
+    const scene = new Scene(numGs, shDegree, layout.lattices);
     const seen = emptyScene(numGs, shDegree);
     const look = () => {
       const { slots, gaussians } = scene.take();
@@ -303,10 +394,6 @@ const ANSWERS = {
   middle({ w2cs }) {
     return worldToCamera(middleOf(w2cs.map((/** @type {number[]} */ w2c) => poseOf({ w2c }))));
   },
-  sizes({ manifest, bytes }) {
-    const read = readManifest(unhex(manifest));
-    return streamMedia(read, readIndex(unhex(bytes), read)).segments;
-  },
   /** Opens the stream at a URL; the memory of this process is told too, in MB. */
   async open({ url, maxGaussians }) {
     const stream = await openSource(url, new Fetcher(), maxGaussians);
@@ -314,6 +401,20 @@ const ANSWERS = {
     // Not resourceUsage(), which counts what the parent had when it forked.
     const found = /VmHWM:\s+(\d+)/.exec(readFileSync("/proc/self/status", "utf8"));
     return { numGs: stream.manifest.numGs, peakMb: Number(found?.[1]) / 1024 };
+  },
+  /** How many bytes the first object of the hosted stream at a URL was fetched with. */
+  async firstObject({ url, otherHosts }) {
+    const stream = /** @type {HostedStream} */ (
+      await openSource(url, new Fetcher(), null, otherHosts)
+    );
+    let numBytes = 0;
+    try {
+      await stream.object(stream.records[0], stream.manifest.parts[0], (n) => (numBytes += n));
+    } catch (error) {
+      if (error instanceof SourceError) return { failed: error.message };
+      throw error;
+    }
+    return { numBytes };
   },
   /** The index at a URL, as far as it has come; the same one again without a URL. */
   async refresh({ url, manifest }) {
@@ -328,6 +429,36 @@ const ANSWERS = {
       throw error;
     }
   },
+  /** What a rule asks for as things stand one after another, until nothing is worth it. */
+  chosen({ manifest, index, firstFrame, mostLayers, standings }) {
+    const read = readManifest(unhex(manifest));
+    const records = readIndex(unhex(index), read);
+    const rule = new LayerRule(read, records, firstFrame, mostLayers);
+    return standings.map((/** @type {any} */ standing) => {
+      const asked = [];
+      for (let left = 1000; left > 0; left--) {
+        const segment = rule.choose(standing);
+        if (segment === null) return asked;
+        for (const part of rule.parts(segment)) asked.push(`${segment}/${part}`);
+        rule.add(segment);
+      }
+      throw new Error("the rule asks for ever");
+    });
+  },
+  /** What an estimator says after each sample. */
+  estimates({ samples }) {
+    const estimator = new RateEstimator();
+    return samples.map((/** @type {[number, number]} */ [bytes, busyS]) => {
+      estimator.add(bytes, busyS);
+      return estimator.rateBps;
+    });
+  },
+  /** Layouts of storyboards. */
+  storyboards({ streams }) {
+    return streams.map((/** @type {[number, number]} */ [numFrames, fps]) =>
+      storyboardLayout(numFrames, fps),
+    );
+  },
   /** Where a stream of each of these lengths is joined, and what shows too late. */
   edges({ fps, segmentFrames, lengths }) {
     const shape = { fps, segmentFrames };
@@ -337,13 +468,48 @@ const ANSWERS = {
       return { edge, periodS: followPeriodS(shape), behind: behind.lastIndexOf(true) };
     });
   },
+  /**
+   * What a renderer's slots hold that is given only now and then what is new. `updates`: of each the
+   * [slot, value] on the lattice and as floats, and whether all is handed over after it.
+   */
+  pending({ numSlots, shDegree, updates }) {
+    const pending = new PendingUpdates(numSlots, shDegree);
+    const widths = { lattice: latticeWords(shDegree), floats: floatWords(shDegree) };
+    const slotWords = { lattice: 3, floats: 0 };
+    const values = new Array(numSlots).fill(0);
+    let mostEntries = 0;
+    for (const { isHanded, ...update } of updates) {
+      const words = { lattice: new Uint32Array(0), floats: new Uint32Array(0) };
+      for (const kind of /** @type {const} */ (["lattice", "floats"])) {
+        words[kind] = roomFor(update[kind].length, widths[kind]);
+        for (const [i, [slot, value]] of update[kind].entries()) {
+          const first = i * widths[kind];
+          words[kind].fill(value, first, first + widths[kind]);
+          words[kind][first + slotWords[kind]] = slot;
+        }
+      }
+      pending.add(words);
+      mostEntries = Math.max(mostEntries, pending.numEntries);
+      if (!isHanded) continue;
+      for (const taken of pending.take()) {
+        for (const kind of /** @type {const} */ (["lattice", "floats"])) {
+          const width = widths[kind];
+          for (let first = 0; first + width <= taken[kind].length; first += width) {
+            const entry = taken[kind].subarray(first, first + width);
+            values[entry[slotWords[kind]]] = entry[width - 1];
+          }
+        }
+      }
+    }
+    return { values, mostEntries };
+  },
   /** What a playback shows of a stream that grows and ends, of which all that there is has come. */
   growing({ fps, numFrames, firstFrame, events }) {
     const play = {
       has: (/** @type {number} */ frame) => frame < playback.numFrames,
-      hasSlice: (/** @type {number} */ frame) => frame < playback.numFrames,
+      canAdvance: (/** @type {number} */ frame) => frame < playback.numFrames,
       join: () => [],
-      advance: () => [],
+      advance: () => ({ isJoin: false, updates: [] }),
     };
     const playback = new Playback(/** @type {any} */ (play), fps, numFrames, firstFrame);
     playback.live = true;
@@ -356,25 +522,6 @@ const ANSWERS = {
       found.push({ frame, isNew: shown !== null, waiting, stalls, hasEnded });
     }
     return found;
-  },
-  /** What a session decides to which the same happens as to one of the package. */
-  replay({ shape, segments, firstFrame, untilFrame, rateBps, events }) {
-    const media = new Media(shape);
-    media.segments = segments.map((/** @type {number[][]} */ of) =>
-      makeSizes(of[0], of[1], of[2], of[3]),
-    );
-    media.numFrames = shape.numFrames;
-    media.live = shape.live;
-    const session = new PlaySession(media, 0, { firstFrame, untilFrame, rateBps });
-    const decisions = [];
-    for (const [what, ...args] of events) {
-      if (what === "grown") Object.assign(media, { numFrames: args[0], live: args[1] });
-      else if (what === "told") session.told(args[0], args[1], args[2]);
-      else if (what === "acknowledge") session.acknowledge(args[0], args[1]);
-      else if (what === "sent") session.sent(args[0], args[1], args[2]);
-      else decisions.push([session.decide(args[0]), session.rateBps, session.nextFrame]);
-    }
-    return decisions;
   },
 };
 

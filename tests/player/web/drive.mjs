@@ -1,6 +1,7 @@
 /**
  * Drives a page in Chromium as a person would, for the tests: one JSON object a line in, one out.
  */
+import { readFile } from "node:fs/promises";
 import { createInterface } from "node:readline";
 
 import { chromium } from "playwright-core";
@@ -19,11 +20,11 @@ let complaints = [];
 
 /** @type {Record<string, (question: any) => unknown>} */
 const ACTIONS = {
-  /** `scripts` (paths) run in the page before its own. */
-  async open({ url, widthPx, heightPx, touch, scripts }) {
+  /** `scripts` (paths) run in the page before its own; `options` are those of Playwright's context. */
+  async open({ url, widthPx, heightPx, touch, scripts, options }) {
     const viewport = { width: widthPx, height: heightPx };
     await ACTIONS.close({});
-    const context = await browser.newContext({ viewport, hasTouch: touch });
+    const context = await browser.newContext({ viewport, hasTouch: touch, ...options });
     for (const path of scripts) await context.addInitScript({ path });
     page = await context.newPage();
     complaints = [];
@@ -36,6 +37,14 @@ const ACTIONS = {
     });
     await page.goto(url);
     scene = page;
+  },
+  /** Opens the same address in a new page of the same browser, whose cache is warm. */
+  async reopen() {
+    const url = page.url();
+    const next = await page.context().newPage();
+    await page.close();
+    page = scene = next;
+    await page.goto(url);
   },
   async close() {
     await page?.context().close();
@@ -66,6 +75,12 @@ const ACTIONS = {
   async click({ selector }) {
     await scene.click(selector, { timeout: 5000 });
   },
+  async tap({ atPx }) {
+    await page.touchscreen.tap(atPx[0], atPx[1]);
+  },
+  async hover({ atPx }) {
+    await page.mouse.move(atPx[0], atPx[1]);
+  },
   async drag({ fromPx, toPx, button }) {
     await page.mouse.move(fromPx[0], fromPx[1]);
     await page.mouse.down({ button });
@@ -84,12 +99,42 @@ const ACTIONS = {
     await send("touchEnd", []);
     await session.detach();
   },
+  /**
+   * What axe-core has against a part of the page, or all of it, shadow trees and all: a line for each
+   * element. What fades has faded.
+   */
+  async axe({ selector }) {
+    const source = await readFile(
+      new URL("node_modules/axe-core/axe.min.js", import.meta.url),
+      "utf8",
+    );
+    // A page's policy may forbid code made of text; that of a debugger is not the page's own.
+    await scene.evaluate(source);
+    const faded = `Promise.allSettled(
+      [document, ...[...document.querySelectorAll("*")].map((one) => one.shadowRoot)]
+        .flatMap((root) => root?.getAnimations() ?? [])
+        .filter((one) => one.effect.getComputedTiming().endTime < Infinity)
+        .map((one) => one.finished))`;
+    await scene.evaluate(faded);
+    const { violations } = await scene.evaluate(`axe.run(${JSON.stringify(selector ?? "html")})`);
+    return violations.flatMap((/** @type {any} */ { id, impact, nodes }) =>
+      nodes.map((/** @type {any} */ node) => `${impact} ${id}: ${node.target} ${node.html}`),
+    );
+  },
   async screenshot({ path, selector }) {
     const target = selector ? page.locator(selector) : page;
     await target.screenshot({ path });
   },
   async resize({ widthPx, heightPx }) {
     await page.setViewportSize({ width: widthPx, height: heightPx });
+  },
+  /** As a window that is moved to a screen of another resolution; its size has to change too. */
+  async screen({ widthPx, heightPx, ratio }) {
+    // The session stays: without it the ratio is as before.
+    const session = await page.context().newCDPSession(page);
+    const size = { width: widthPx, height: heightPx };
+    const metrics = { ...size, deviceScaleFactor: ratio, mobile: false };
+    await session.send("Emulation.setDeviceMetricsOverride", metrics);
   },
   async offline({ offline }) {
     await page.context().setOffline(offline);

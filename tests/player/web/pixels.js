@@ -1,24 +1,36 @@
 /** Reads what the player has drawn, in the frame in which it was. */
 (() => {
-  const isSettled = (player) => player.asked === "waits" && player.sorted === null;
-
-  const read = ({ gl }, { x, y, width, height }) => {
-    const pixels = new Uint8Array(4 * width * height);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    gl.readPixels(x, y, width, height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+  const answer = (widthPx, heightPx, pixels) => {
     let text = "";
     for (let at = 0; at < pixels.length; at += 8192) {
       text += String.fromCharCode(...pixels.subarray(at, at + 8192));
     }
-    return { widthPx: width, heightPx: height, pixels: btoa(text) };
+    return { widthPx, heightPx, pixels: btoa(text) };
+  };
+
+  /** A part of what WebGL draws to, the last row first. */
+  const readPort = ({ gl }, { x, y, width, height }) => {
+    const pixels = new Uint8Array(4 * width * height);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.readPixels(x, y, width, height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+    return answer(width, height, pixels);
+  };
+
+  /** What a canvas shows now, the last row first. */
+  window.shownPixels = (canvas) => {
+    const { width, height } = canvas;
+    const copy = new OffscreenCanvas(width, height);
+    const target = copy.getContext("2d", { willReadFrequently: true });
+    target.setTransform(1, 0, 0, -1, 0, height);
+    target.drawImage(canvas, 0, 0);
+    return answer(width, height, target.getImageData(0, 0, width, height).data);
   };
 
   /** The canvas, once its order is that of what is seen from where the camera is. */
   window.readCanvas = (player) =>
     new Promise((resolve) => {
       const look = () => {
-        const { width, height } = player.canvas;
-        if (isSettled(player)) resolve(read(player, { x: 0, y: 0, width, height }));
+        if (player.isSettled) resolve(window.shownPixels(player.canvas));
         else again();
       };
       const again = () => {
@@ -33,7 +45,7 @@
     new Promise((resolve) => {
       const { session, space, layer } = player.headset;
       const look = (ms, frame) => {
-        if (!isSettled(player)) {
+        if (!player.isSettled) {
           session.requestAnimationFrame(look);
           return;
         }
@@ -41,7 +53,7 @@
         const eyes = views.map((view) => ({
           projection: [...view.projectionMatrix],
           transform: [...view.transform.matrix],
-          ...read(player, layer.getViewport(view)),
+          ...readPort(player, layer.getViewport(view)),
         }));
         resolve(eyes);
       };

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+import numpy.typing as npt
 import pytest
 
+from codec.camera import Camera
+from codec.splats import SH_C0
 from codec.stream import StreamReader
 from codec.tools.static import export_static
+from player.render.cpu import render_splats
 from tests.support.hosted_streams import static_host, write_stream
 from tests.support.web.browsercamera import from_browser
 from tests.support.web.canvas import (
@@ -60,6 +66,10 @@ def view_of(page: Page) -> tuple[float, float, float, float, float]:
     return turn, tilt, zoom, right, down
 
 
+def wait_until_still(page: Page) -> None:
+    page.wait(f"!{PLAYER}.motion.isMoving")
+
+
 def check_picture(page: Page, folder: Path) -> None:
     """The canvas shows what the CPU renderer sees from where the page's camera is."""
     camera = from_browser(page.run(f"return {PLAYER}.camera"))
@@ -74,13 +84,18 @@ def test_a_mouse_turns_moves_and_comes_closer(opened: Opened, folder: Path) -> N
         assert turn != 0
         assert tilt != 0
         assert others == [1, 0, 0]
+        wait_until_still(page)
+        assert view_of(page)[0] <= turn < 0  # it may have run on
+        turn, tilt, *_ = view_of(page)
         page.drag((240, 120), (200, 150), button="right")
         assert view_of(page)[:3] == (turn, tilt, 1)
         assert view_of(page)[3:] != (0, 0)
         page.press("+")
         assert view_of(page)[2] < 1
+        wait_until_still(page)
         check_picture(page, folder)
         page.press("r")
+        wait_until_still(page)
         assert view_of(page) == (0, 0, 1, 0, 0)
 
 
@@ -91,7 +106,10 @@ def test_a_finger_turns_and_two_come_closer(opened: Opened, folder: Path) -> Non
         assert turn != 0
         assert tilt != 0
         assert zoom == 1
+        wait_until_still(page)
+        turn, tilt, *_ = view_of(page)
         page.touch(*([(240 - apart, 120), (240 + apart, 120)] for apart in (30, 45, 60)))
+        wait_until_still(page)
         found = view_of(page)
         assert found[:2] == (turn, tilt)
         assert found[2] == pytest.approx(0.5, rel=0.1)
@@ -111,3 +129,97 @@ def test_a_window_of_another_size(
         page.resize(WIDTH_PX, HEIGHT_PX)
         page.wait(f"{PLAYER}.canvas.width === {WIDTH_PX}")
         check_picture(page, folder)
+
+
+SCROLLING = """
+document.documentElement.style.overflow = document.body.style.overflow = "auto";
+document.body.style.height = "auto";
+const player = document.querySelector("swings-player");
+player.style.height = "240px";
+document.body.append(Object.assign(document.createElement("div"), { style: "height: 3000px" }));
+window.hints = [];
+player.addEventListener("gesturehint", ({ detail }) => window.hints.push(detail));
+"""
+"""Makes the page one that scrolls, with the player at its top."""
+
+
+def test_a_page_scrolls_over_a_player(opened: Opened) -> None:
+    canvas = f"{PLAYER}.canvas"
+    with opened(touch=True) as page:
+        assert page.run(f"return {canvas}.style.touchAction") == "none"
+        page.run(SCROLLING)
+        page.wait(f"{canvas}.style.touchAction === 'pan-y'")
+        page.touch([(60, 140)], [(60, 90)], [(60, 10)])
+        page.wait("window.scrollY > 0")
+        page.run("window.scrollTo(0, 0)")
+        page.touch([(100, 100)], [(160, 102)], [(240, 102)])
+        assert page.run("return window.hints") == ["Use two fingers to look around"]
+        assert view_of(page) == (0, 0, 1, 0, 0)
+        page.touch([(100, 100), (200, 100)], [(120, 90), (220, 90)], [(160, 80), (260, 80)])
+        turn, tilt, *others = view_of(page)
+        assert turn < 0 < tilt
+        assert others == pytest.approx([1, 0, 0], abs=1e-3)
+        assert page.run("return window.scrollY") == 0
+
+
+def test_the_wheel_is_the_pages_until_a_click(opened: Opened) -> None:
+    wheel = f"""
+    const event = new WheelEvent("wheel", {{ deltaY: -100, cancelable: true, ctrlKey: value }});
+    {PLAYER}.canvas.dispatchEvent(event);
+    return event.defaultPrevented;
+    """
+    with opened() as page:
+        assert page.run(wheel, False)
+        page.run(SCROLLING)
+        before = view_of(page)
+        assert not page.run(wheel, False)
+        assert page.run("return window.hints") == ["Use Ctrl and the wheel to come closer"]
+        assert view_of(page) == before
+        assert page.run(wheel, True)
+        page.drag((200, 100), (201, 100))
+        assert page.run(wheel, False)
+        assert view_of(page)[2] < before[2]
+
+
+def test_a_double_click_with_alt_flies_to_what_shows_there(opened: Opened, folder: Path) -> None:
+    places_px = [(40 * x, 40 * y) for x in range(1, 12) for y in range(1, 8)]
+    with opened() as page:
+        camera = from_browser(page.run(f"return {PLAYER}.camera"))
+        depths_m, alphas = depths_of(StreamReader(folder / "stream"), camera)
+        code = f"return value.map((at) => {PLAYER}.renderer.depthAt({PLAYER}.camera, ...at))"
+        found = page.run(code, places_px)
+        errors = []
+        for (x, y), depth_m in zip(places_px, found, strict=True):
+            if alphas[y, x] > 0.3:
+                errors.append(abs(depth_m / depths_m[y, x] - 1))
+            elif alphas[y, x] < 0.2:
+                assert depth_m is None
+        assert len(errors) > 20
+        assert max(errors) < 0.02
+        x, y = max(places_px, key=lambda place: alphas[place[1], place[0]])
+        page.run(
+            f"""const at = {{ clientX: value[0], clientY: value[1], altKey: true }};
+            {PLAYER}.canvas.dispatchEvent(new MouseEvent("dblclick", at));""",
+            (x, y),
+        )
+        wait_until_still(page)
+        ray = np.array([(x - camera.cx_px) / camera.fx_px, (y - camera.cy_px) / camera.fy_px, 1])
+        point = camera.position + depths_m[y, x] * ray @ camera.w2c[:3, :3]
+        centre = page.run(f"return {PLAYER}.orbit.centre")
+        assert centre == pytest.approx(list(point), abs=0.03 * depths_m[y, x])
+        check_picture(page, folder)
+
+
+def depths_of(
+    reader: StreamReader, camera: Camera
+) -> tuple[npt.NDArray[np.floating], npt.NDArray[np.floating]]:
+    """(height, width) each: the mean depth of what shows, metres, and how opaque it is."""
+    splats = reader.active_splats(0, reader.manifest.num_layers)
+    z = splats.means @ camera.w2c[2, :3] + camera.w2c[2, 3]
+    drawn = []
+    for colour in (z, np.ones_like(z)):
+        sh = np.zeros_like(splats.sh)
+        sh[:, 0] = (colour[:, None] - 0.5) / SH_C0
+        picture = render_splats(replace(splats, sh=sh), camera, reader.manifest.near_m)
+        drawn.append(picture[..., 0])
+    return drawn[0] / np.maximum(drawn[1], 1e-6), drawn[1]

@@ -8,12 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from codec.profiles.profile import Profile
 from codec.stream.reader import StreamReader
 from codec.tools.static import export_static
 from player.render.recipe import ALPHA_MIN
-from tests.goldens.pinned_slots import folder_files
-from tests.support.hosted_streams import write_stream
+from tests.support.hosted_streams import folder_files, write_stream
 from tests.support.slots.slot_streams import write_slot_stream
 from tests.support.slots.updates import small_layout
 from tests.support.web.browsercode import BrowserCode
@@ -35,17 +33,15 @@ def shown_by_package(stream: Path, frame: int) -> list[str]:
 
 def made_stream(path: Path, kind: str) -> Path:
     match kind:
-        case "raw":
+        case "whole":
             return write_stream(path, NUM_FRAMES, slice_size=8)
-        case "compact":
-            return write_stream(path, NUM_FRAMES, 8, 0, profile=Profile.COMPACT)
         case _:
             swin_size = int(kind.removeprefix("lanes-"))
             layout = small_layout(swin_size, (6, 4, 3), swin_size % 2, 5)
             return write_slot_stream(path, NUM_FRAMES, layout, seed=swin_size)
 
 
-@pytest.mark.parametrize("kind", ["raw", "compact", "lanes-1", "lanes-2", "lanes-3"])
+@pytest.mark.parametrize("kind", ["whole", "lanes-1", "lanes-2", "lanes-3"])
 @pytest.mark.parametrize("first", [0, 5, 8])
 def test_what_shows(browser: BrowserCode, tmp_path: Path, kind: str, first: int) -> None:
     stream = made_stream(tmp_path / "stream", kind)
@@ -65,7 +61,7 @@ def assert_far_first(stream: Path, means_hex: list[str]) -> None:
     assert (np.diff(depths) < 1e-5).all()
 
 
-@pytest.mark.parametrize("kind", ["raw", "lanes-1", "lanes-2"])
+@pytest.mark.parametrize("kind", ["whole", "lanes-1", "lanes-2"])
 def test_layers_that_come_late_are_shown_soon(
     browser: BrowserCode, tmp_path: Path, kind: str
 ) -> None:
@@ -83,7 +79,7 @@ def test_layers_that_come_late_are_shown_soon(
         if into >= 2 + swin_size:
             assert Counter(means) == expected
             complete += 1
-    assert complete > 2 or kind == "raw"
+    assert complete > 2 or kind == "whole"
 
 
 @pytest.mark.parametrize("rate_bps", [1e6, 1e9])
@@ -93,4 +89,5 @@ def test_all_objects_are_asked_for(browser: BrowserCode, tmp_path: Path, rate_bp
     export_static(stream, tmp_path / "static")
     files = folder_files(tmp_path / "static")
     found = browser.ask("asked", files=files, rateBps=rate_bps)
-    assert sorted(found) == [f"{segment}/0" for segment in range(6)]
+    wanted = [f"{segment}/{part}" for segment in range(6) for part in ("0", "masks")]
+    assert sorted(found) == sorted(["0/snapshot-0", *wanted])

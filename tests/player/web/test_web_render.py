@@ -11,7 +11,6 @@ import numpy.typing as npt
 import pytest
 
 from codec.camera import Camera
-from codec.profiles.profile import Profile
 from codec.stream.reader import StreamReader
 from codec.tools.static import export_static
 from player.render.cpu import render_splats
@@ -28,16 +27,14 @@ LEAST_PSNR_DB = 45.0
 
 def made_stream(path: Path, kind: str) -> Path:
     match kind:
-        case "version 1, SH 1":
+        case "whole slices, SH 1":
             return write_stream(path, FRAME + 2, slice_size=300)
-        case "version 1, compact":
-            return write_stream(path, FRAME + 2, 300, 0, profile=Profile.COMPACT)
         case _:
             layout = small_layout(2, (400, 300, 300), 0, 5)
             return write_busy_stream(path, FRAME + 2, layout)
 
 
-@pytest.mark.parametrize("kind", ["version 1, SH 1", "version 1, compact", "version 2"])
+@pytest.mark.parametrize("kind", ["whole slices, SH 1", "slots that last"])
 def test_a_picture(page: Page, tmp_path: Path, kind: str) -> None:
     stream = made_stream(tmp_path / "stream", kind)
     reader = StreamReader(stream)
@@ -52,7 +49,7 @@ def test_a_picture(page: Page, tmp_path: Path, kind: str) -> None:
 
 def test_what_is_behind_a_camera_that_has_just_turned(page: Page, tmp_path: Path) -> None:
     """It is still in the order of before, and does not show."""
-    stream = made_stream(tmp_path / "stream", "version 2")
+    stream = made_stream(tmp_path / "stream", "slots that last")
     camera = StreamReader(stream).manifest.camera()
     away = replace(camera, w2c=np.diag([-1.0, 1.0, -1.0, 1.0]) @ camera.w2c)
     picture = drawn(page, tmp_path, stream, away, ordered=camera.w2c.ravel().tolist())

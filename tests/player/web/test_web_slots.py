@@ -2,56 +2,50 @@
 
 from __future__ import annotations
 
-import json
 import random
+from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
 
 from codec.errors import CodecError
 from codec.slots.slotdecoder import SlotDecoder
-from tests.goldens.pinned_slots import FILE, SLOT_CASES, SlotCase, held_sha256
-from tests.support.slots.arrivals import TABLE, Arrivals
+from tests.goldens.folder import StreamFolder
+from tests.goldens.statehash import state_sha256
+from tests.goldens.suite import FOLDER, read_order, read_table
 from tests.support.slots.hostile_slots import altered
-from tests.support.slots.plain import encoded_chunks, held
+from tests.support.slots.plain import encoded_chunks, held, layout_of
 from tests.support.slots.updates import patternless_updates, small_layout
 from tests.support.web.browsercode import BrowserCode, BrowserSlots
 
-GOLDENS = {row["name"]: row for row in json.loads(FILE.read_text())}
+STREAMS, ORDERS = map(read_table, ("streams.json", "orders.json"))
 NUM_FRAMES = 14
 
 
-@pytest.mark.parametrize("arrivals", TABLE, ids=range(len(TABLE)))
-def test_any_order_of_arrival_ends_in_the_same_slots(
-    browser: BrowserCode, arrivals: Arrivals
-) -> None:
+@pytest.mark.parametrize("row", STREAMS, ids=lambda row: row["stream"])
+def test_a_stream_of_the_conformance_suite(browser: BrowserCode, row: dict[str, Any]) -> None:
+    """Joined at every segment and played to its end, with each number of layers."""
+    stream = StreamFolder(FOLDER / row["stream"])
+    layout = layout_of(stream.shape)
+    for num_layers, segment in product(range(1, len(layout.slots) + 1), range(len(stream.index))):
+        slots, layers = BrowserSlots(browser, layout, num_layers), range(num_layers)
+        first = segment * layout.segment_frames
+        for layer in layers:
+            assert slots.load(stream.chunks(segment, f"snapshot-{layer}")[first])
+        for frame in range(first, stream.num_frames):
+            at = frame // layout.segment_frames
+            if frame > first:
+                changes = [stream.chunks(at, f"{layer}")[frame] for layer in layers]
+                slots.apply(frame, stream.chunks(at, "masks")[frame], changes)
+            assert state_sha256(slots.held()) == row["state_sha256"][frame][num_layers - 1]
+
+
+@pytest.mark.parametrize("row", ORDERS)
+def test_an_order_of_the_conformance_suite(browser: BrowserCode, row: dict[str, Any]) -> None:
+    arrivals, wanted = read_order(row)
     found = BrowserSlots(browser, arrivals.layout).played(arrivals)
-    assert found == arrivals.expected()
-
-
-@pytest.mark.parametrize("case", SLOT_CASES, ids=lambda case: case.name)
-def test_a_golden_plays(browser: BrowserCode, case: SlotCase) -> None:
-    golden, layers = GOLDENS[case.name], range(len(case.slots))
-    chunks = golden["chunks_hex"]
-    slots = BrowserSlots(browser, case.layout)
-    for layer in layers:
-        assert slots.load(bytes.fromhex(chunks[f"snapshot-{layer}"][0]))
-    assert held_sha256(slots.held()) == golden["held_sha256"][0]
-    for birth in range(1, case.num_frames):
-        changes = [bytes.fromhex(chunks[str(layer)][birth]) for layer in layers]
-        slots.apply(birth, bytes.fromhex(chunks["masks"][birth]), changes)
-        assert held_sha256(slots.held()) == golden["held_sha256"][birth]
-
-
-def test_a_golden_is_joined_at_every_segment(browser: BrowserCode) -> None:
-    for case in SLOT_CASES:
-        golden, layers = GOLDENS[case.name], range(len(case.slots))
-        for segment in range(-(-case.num_frames // case.segment_frames)):
-            slots = BrowserSlots(browser, case.layout)
-            for layer in layers:
-                snapshot = golden["chunks_hex"][f"snapshot-{layer}"][segment]
-                assert slots.load(bytes.fromhex(snapshot))
-            assert held_sha256(slots.held()) == golden["held_sha256"][segment * case.segment_frames]
+    assert list(map(state_sha256, found)) == wanted
 
 
 @pytest.mark.parametrize("seed", range(24))

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from scripts.webmodules import modules
+
 HERE = Path(__file__).parent
 SCRIPTS = json.loads((HERE / "package.json").read_text())["scripts"]
 
@@ -20,3 +22,8 @@ def test_the_sources(name: str) -> None:
     command = ["npm", "run", "--silent", name]
     done = subprocess.run(command, cwd=HERE, capture_output=True, text=True, timeout=200)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("path", modules(), ids=lambda path: path.name)
+def test_what_is_generated_is_not_stale(path: Path) -> None:
+    assert path.read_text(encoding="utf-8") == modules()[path], "stale: run scripts/webmodules"

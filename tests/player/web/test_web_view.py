@@ -52,8 +52,41 @@ def test_the_camera(browser: BrowserCode, manifest: Manifest, again: bool) -> No
         w2c = np.array(found["w2c"]).reshape(4, 4)
         scale = 2e-3 * max(1, float(np.abs(expected.w2c).max()))
         np.testing.assert_allclose(w2c, expected.w2c, atol=scale if again else 1e-9)
-        # An upright picture is halfway, as factors go, to one that the view fills.
+        # A phone's upright picture is four thirds as high as the view.
         camera = manifest.camera()
-        factor = np.sqrt(844 / camera.height_px / (390 / camera.width_px))
-        assert found["fxPx"] == pytest.approx(factor * expected.fx_px)
-        assert found["cyPx"] - 422 == pytest.approx(factor * (expected.cy_px - 422))
+        assert found["fxPx"] == pytest.approx(camera.fx_px * 844 / camera.height_px * 3 / 4)
+        assert found["cxPx"] == pytest.approx(195)
+        assert found["cyPx"] == pytest.approx(844 / 4 / 4 + camera.cy_px * 844 / 48 * 3 / 4)
+
+
+@pytest.mark.parametrize(
+    ("width_px", "x_m", "scale", "middle_px"),
+    [
+        (128, 0.0, 2, 64),
+        (200, 0.5, 2, 100),
+        (98, 0.0, 1.75, 49),
+        (60, 0.0, 1.5, 30),
+        (60, -0.5, 1.5, 41.25),
+        (60, 3.0, 1.5, 12),
+    ],
+    ids=["the same shape", "wider", "halfway", "narrow", "beside the middle", "at the edge"],
+)
+def test_a_narrow_picture_shows_what_the_rig_looks_at(
+    browser: BrowserCode, width_px: int, x_m: float, scale: float, middle_px: float
+) -> None:
+    """x_m: of the scene's centre, 4 m ahead. The camera's pictures have 64x48 pixels."""
+    made = small_manifest()
+    camera = replace(made.cameras[0], w2c=np.eye(4))
+    bounds = ((x_m - 2, -2.0, 2.0), (x_m + 2, 2.0, 6.0))
+    manifest = replace(made, cameras=(camera,), bounds=bounds)
+    found = browser.ask(
+        "moved",
+        manifest=manifest.to_json().hex(),
+        widthPx=width_px,
+        heightPx=96,
+        moves=[],
+        again=False,
+    )
+    assert found["fxPx"] == pytest.approx(scale * camera.fx_px)
+    assert found["cxPx"] == pytest.approx(middle_px)
+    assert found["cyPx"] == pytest.approx(24 * scale + (96 - 48 * scale) / 4)

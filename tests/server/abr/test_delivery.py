@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from statistics import fmean
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from server.abr.holding import SliceHolding
+from server.abr.clientstatus import ClientStatus
+from server.abr.decisioncontext import SendSlices, SendSnapshots
+from server.abr.fixedlayers import FixedLayers
+from server.abr.holding import Holding
 from server.abr.link.link import Link, LinkStep
 from server.abr.media import SegmentSizes
-from server.abr.outlook import SendSlices, SendSnapshots
 from server.abr.playout import PlayoutClock
-from server.abr.policies.choice import fixed_policy, own_policy
 from server.abr.session import PlaySession, SessionConfig
-from server.abr.simulate.simulator import Shown, play_out, send_bytes, simulate
-from server.abr.slotholding import open_holding
-from server.abr.standing import Standing
-from tests.support.delivery.media import MadeMedia, demo_media, slot_media
+from server.abr.sweep import Sweep
+from server.study.simulate.simulator import Shown, play_out, send_bytes, simulate
+from tests.support.delivery.media import MadeMedia, basketball_media
 
 LATENCY_S = 0.02
 CONFIG = SessionConfig()
@@ -33,7 +34,7 @@ def played(
     media: MadeMedia, link: Link, layers: int | None = None
 ) -> tuple[list[Shown], PlayoutClock]:
     """What a client shows of all of `media`."""
-    policy = own_policy(media) if layers is None else fixed_policy(layers)
+    policy = Sweep() if layers is None else FixedLayers(layers)
     result = simulate(media, policy, link, CONFIG)
     return play_out(media, result, CONFIG, 0, media.num_frames)
 
@@ -45,48 +46,38 @@ def mean_layers(shown: list[Shown]) -> float:
 @pytest.mark.parametrize(
     ("link", "num_frames", "least"),
     [
-        (link_of((0.8, 12), (0.8, 4), (1.5, 12)), 300, 3.9),
-        (link_of((10, 12), (10, 4), (60, 12)), 900, 3.8),
-        (link_of((60, 3.9)), 900, 1.9),
-        (link_of((60, 7.8)), 900, 3.9),
+        (link_of((0.8, 14), (0.8, 5), (1.5, 14)), 300, 3.45),
+        (link_of((10, 14), (10, 5), (60, 14)), 900, 3.8),
+        (link_of((60, 5.6)), 900, 2.0),
+        (link_of((60, 9.5)), 900, 3.5),
         (link_of((60, 100)), 300, 3.9),
-        (link_of((60, 3.1)), 900, 1.4),
     ],
-    ids=["demo", "step", "3.9", "7.8", "100", "3.1"],
+    ids=["demo", "step", "5.6", "9.5", "100"],
 )
 def test_what_the_link_carries_is_shown_without_a_stall(
     link: Link, num_frames: int, least: float
 ) -> None:
-    shown, clock = played(demo_media(num_frames), link)
+    shown, clock = played(basketball_media(num_frames), link)
     assert len(shown) == num_frames
     assert clock.stalls == 0
     assert mean_layers(shown) >= least
 
 
-@pytest.mark.parametrize("share", [1.1, 1.3, 2.0])
-@pytest.mark.parametrize("media", [demo_media(), slot_media()], ids=["version 1", "version 2"])
-def test_a_link_that_carries_layer_0_never_stalls(media: MadeMedia, share: float) -> None:
-    shown, clock = played(media, link_of((60, share * media.need_bps(1) / 1e6)))
-    assert len(shown) == media.num_frames
-    assert clock.stalls == 0
-
-
 @pytest.mark.parametrize(
     ("rate", "least_db"), [(5.5, 28.2), (7.0, 28.85), (9.0, 29.3), (12.0, 29.45), (50, 29.6)]
 )
-def test_where_slots_last_the_picture_goes_with_the_link(rate: float, least_db: float) -> None:
-    shown, clock = played(slot_media(), link_of((60, rate)))
+def test_the_picture_goes_with_the_link(rate: float, least_db: float) -> None:
+    shown, clock = played(basketball_media(), link_of((60, rate)))
     assert clock.stalls == 0
     assert fmean(one.psnr_db for one in shown) >= least_db
 
 
-def random_media(has_slots: bool, layers: int, seed: int) -> MadeMedia:
+def random_media(layers: int, seed: int) -> MadeMedia:
     each = tuple(2e3 * (1 + (seed >> 3 * n) % 8) for n in range(layers))
     psnr_db = tuple(25.0 + 4 * n / layers for n in range(layers))
-    slots = (tuple(20 * size for size in each), (0.2,) * layers) if has_slots else ((), ())
-    return MadeMedia(
-        (SegmentSizes(each, psnr_db, *slots),), 240, segment_frames=20, has_slots=has_slots
-    )
+    snapshots = tuple(20 * size for size in each)
+    segments = (SegmentSizes(each, psnr_db, snapshots, (0.2,) * layers),)
+    return MadeMedia(segments, 240, segment_frames=20)
 
 
 steps = st.lists(
@@ -96,14 +87,14 @@ steps = st.lists(
 ).filter(lambda steps: any(rate for _, rate in steps))
 
 
-@given(st.booleans(), st.integers(1, 4), st.integers(0, 1 << 12), steps, st.integers(0, 239))
+@given(st.integers(1, 4), st.integers(0, 1 << 12), steps, st.integers(0, 239))
 @settings(max_examples=60, deadline=None)
 def test_each_packet_comes_once_where_it_is_of_use_and_the_play_ends(
-    has_slots: bool, layers: int, seed: int, steps: list[tuple[float, float]], first: int
+    layers: int, seed: int, steps: list[tuple[float, float]], first: int
 ) -> None:
-    media = random_media(has_slots, layers, seed)
-    result = simulate(media, own_policy(media), link_of(*steps), CONFIG, first)
-    holding, came = open_holding(media, first), set()
+    media = random_media(layers, seed)
+    result = simulate(media, Sweep(), link_of(*steps), CONFIG, first)
+    holding, came = Holding(media, first), set()
     for arrival in result.arrivals:
         what = arrival.what
         if isinstance(what, SendSnapshots):
@@ -128,31 +119,30 @@ def test_each_packet_comes_once_where_it_is_of_use_and_the_play_ends(
 
 
 @given(
-    st.booleans(),
     st.lists(
-        st.tuples(st.floats(0.2, 5), st.sampled_from([1.15, 1.3, 2.0, 3.0, 10.0, 30.0])),
+        st.tuples(st.floats(0.2, 5), st.sampled_from([1.1, 1.3, 2.0, 3.0, 10.0, 30.0])),
         min_size=1,
         max_size=7,
     ),
 )
 @settings(max_examples=40, deadline=None)
 def test_a_link_that_always_carries_layer_0_never_stalls_however_it_changes(
-    has_slots: bool, steps: list[tuple[float, float]]
+    steps: list[tuple[float, float]],
 ) -> None:
-    media = slot_media(450) if has_slots else demo_media(450)
+    media = basketball_media(450)
     need = media.need_bps(1) / 1e6
     shown, clock = played(media, link_of(*((seconds, share * need) for seconds, share in steps)))
     assert len(shown) == media.num_frames
     assert clock.stalls == 0
 
 
-@given(st.booleans(), st.integers(0, 1 << 12), steps)
+@given(st.integers(0, 1 << 12), steps)
 @settings(max_examples=40, deadline=None, derandomize=True)
 def test_upper_layers_cost_no_more_than_the_first_outages(
-    has_slots: bool, seed: int, steps: list[tuple[float, float]]
+    seed: int, steps: list[tuple[float, float]]
 ) -> None:
     """Whoever is sent layer 0 alone waits least; ours waits little longer."""
-    media = random_media(has_slots, 3, seed)
+    media = random_media(3, seed)
     link = link_of(*steps)
     _, least = played(media, link, layers=1)
     _, ours = played(media, link)
@@ -166,12 +156,13 @@ def test_upper_layers_cost_no_more_than_the_first_outages(
 @pytest.mark.parametrize("rates", [(20, 5), (5, 20), (100, 25), (25, 100), (16, 4), (4, 16)])
 def test_the_estimate_follows_a_link_that_changes_fourfold(rates: tuple[float, float]) -> None:
     before, after = rates
-    media = random_media(False, 4, 0)
+    media = random_media(4, 0)
     scale = 1.5e6 * max(rates) / media.need_bps(4)  # the link is never idle
-    sizes = tuple(scale * size for size in media.sizes(0).layer_bytes)
-    media = MadeMedia((SegmentSizes(sizes, media.sizes(0).psnr_db),), 300, segment_frames=30)
+    sizes = media.sizes(0)
+    faster = replace(sizes, layer_bytes=tuple(scale * size for size in sizes.layer_bytes))
+    media = MadeMedia((faster,), 300, segment_frames=30)
     result = simulate(
-        media, own_policy(media), link_of((5, before), (60, after)), CONFIG,
+        media, Sweep(), link_of((5, before), (60, after)), CONFIG,
         at_most_s=8, keep_estimates=True,
     )  # fmt: skip
     for time_s, rate_bps, queued in result.estimates:
@@ -183,26 +174,22 @@ def test_the_estimate_follows_a_link_that_changes_fourfold(rates: tuple[float, f
 
 def test_the_simulator_is_the_same_every_time() -> None:
     link = link_of((2, 9), (1, 0.5), (3, 5))
-    media = slot_media(300)
-    assert simulate(media, own_policy(media), link) == simulate(media, own_policy(media), link)
+    media = basketball_media(300)
+    assert simulate(media, Sweep(), link) == simulate(media, Sweep(), link)
 
 
 @pytest.mark.parametrize("steps_before", [0, 20])
-def test_a_still_picture_gets_all_layers_of_all_slices_that_it_shows(steps_before: int) -> None:
-    """Also of those that would have shown for a frame or two only."""
-    media, frame, now_s = demo_media(120), 60, 0.0
-    session = PlaySession(media, own_policy(media), CONFIG, now_s, frame)
+def test_a_still_picture_gets_all_layers(steps_before: int) -> None:
+    media, frame, now_s = basketball_media(120), 60, 0.0
+    session = PlaySession(media, Sweep(), CONFIG, now_s, frame)
     for n in range(2000):
         if n == steps_before:
             frame = session.next_frame
         if n >= steps_before:
-            session.told(now_s, Standing(frame, paused=True))
+            session.on_status(now_s, ClientStatus(frame, paused=True))
         decision = session.decide(now_s)
-        if isinstance(decision, SendSlices):
+        if isinstance(decision, SendSlices | SendSnapshots):
             session.sent(decision, send_bytes(media, decision), now_s)
         now_s += 0.005
         session.acknowledge(now_s, session.sent_bytes)
-    holding = session.holding
-    assert isinstance(holding, SliceHolding)
-    shows = range(frame - media.swin_size + 1, frame + 1)
-    assert [holding.level(birth) for birth in shows] == [media.num_layers] * len(shows)
+    assert session.holding.shares(frame) == [1.0] * media.num_layers

@@ -83,7 +83,7 @@ def test_who_shows_knows_better_than_a_lead() -> None:
     clock = PlayoutClock(0, 10.0, PlayoutConfig(start_lead_s=0, resume_lead_s=1.0))
     clock.ready_until(1, 0.0)
     clock.ready_until(4, 5.0)
-    clock.told(3, 5.5)
+    clock.set_next_frame(3, 5.5)
     assert (clock.end_frame, clock.next_frame(5.5)) == (4, 3)
 
 

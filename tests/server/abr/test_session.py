@@ -7,18 +7,19 @@ from dataclasses import replace
 import pytest
 
 from codec.errors import InvalidError
-from server.abr.outlook import SendSlices, SendSnapshots
-from server.abr.policies.choice import fixed_policy, own_policy
+from server.abr.decisioncontext import Send, SendSlices, SendSnapshots
+from server.abr.fixedlayers import FixedLayers
 from server.abr.session import (
     Decision,
     Finished,
     PlaySession,
     SessionConfig,
+    WaitForAck,
     WaitForFrames,
-    WaitForNews,
     WaitUntil,
 )
-from tests.support.delivery.media import MadeMedia, demo_media, slot_media
+from server.abr.sweep import Sweep
+from tests.support.delivery.media import basketball_media
 
 CONFIG = SessionConfig()
 RATE_BPS = 50e6
@@ -37,10 +38,9 @@ def run(session: PlaySession, now_s: float) -> tuple[list[SendSlices | SendSnaps
         sent.append(decision)
 
 
-@pytest.mark.parametrize("media", [demo_media(20), slot_media(20)], ids=["slices", "slots"])
-def test_a_live_stream_is_waited_for_and_then_ends(media: MadeMedia) -> None:
-    live = replace(media, live=True, num_frames=0)
-    session = PlaySession(live, own_policy(live), CONFIG, 0.0, rate_bps=RATE_BPS)
+def test_a_live_stream_is_waited_for_and_then_ends() -> None:
+    live = replace(basketball_media(20), live=True, num_frames=0)
+    session = PlaySession(live, Sweep(), CONFIG, 0.0, rate_bps=RATE_BPS)
     assert session.decide(0.0) == WaitForFrames()
     live.num_frames = 10
     sent, decision = run(session, 0.1)
@@ -53,16 +53,16 @@ def test_a_live_stream_is_waited_for_and_then_ends(media: MadeMedia) -> None:
     assert session.holding.is_complete(0, 20)
 
 
-@pytest.mark.parametrize("media", [demo_media(60), slot_media(60)], ids=["slices", "slots"])
 @pytest.mark.parametrize("layers", [None, 2])
-def test_a_part_of_a_stream(media: MadeMedia, layers: int | None) -> None:
-    policy = own_policy(media) if layers is None else fixed_policy(layers)
+def test_a_part_of_a_stream(layers: int | None) -> None:
+    media = basketball_media(60)
+    policy = Sweep() if layers is None else FixedLayers(layers)
     session = PlaySession(media, policy, CONFIG, 0.0, 35, 40, RATE_BPS)
     sent, decision = run(session, 0.0)
     assert decision == Finished()
     births = [birth for send in sent if isinstance(send, SendSlices) for birth in send.births]
     assert max(births) == 39
-    assert min(births) == (31 if media.swin_size > 1 or media.has_slots else 35)
+    assert min(births) == 31
     snapshots = [send for send in sent if isinstance(send, SendSnapshots)]
     assert all(send.frame == 30 for send in snapshots)
     most = max(send.end_layer for send in sent)
@@ -70,8 +70,8 @@ def test_a_part_of_a_stream(media: MadeMedia, layers: int | None) -> None:
 
 
 def test_a_full_client_rests_until_it_has_shown_some() -> None:
-    media = demo_media(900)
-    session = PlaySession(media, own_policy(media), CONFIG, 0.0)
+    media = basketball_media(900)
+    session = PlaySession(media, Sweep(), CONFIG, 0.0)
     _, decision = run(session, 0.0)
     assert isinstance(decision, WaitUntil)
     lead_s = session.holding.end_frame / media.fps
@@ -86,29 +86,29 @@ def test_a_full_client_rests_until_it_has_shown_some() -> None:
 
 
 def test_no_more_is_under_way_than_a_moment_of_the_link() -> None:
-    media = demo_media(900)
-    session = PlaySession(media, own_policy(media), CONFIG, 0.0)
-    while isinstance(decision := session.decide(0.0), SendSlices):
+    media = basketball_media(900)
+    session = PlaySession(media, Sweep(), CONFIG, 0.0)
+    while isinstance(decision := session.decide(0.0), Send):
         session.sent(decision, 9_000.0, 0.0)
-    assert decision == WaitForNews()
+    assert decision == WaitForAck()
     assert session.queued_bytes < CONFIG.first_bytes + 9_000
     # 8 Mbit/s from now on.
     now_s = 0.0
     for _ in range(200):
         now_s += 0.005
         session.acknowledge(now_s, min(session.sent_bytes, session.acked_bytes + 5_000))
-        while isinstance(decision := session.decide(now_s), SendSlices):
+        while isinstance(decision := session.decide(now_s), Send):
             session.sent(decision, 9_000.0, now_s)
     assert session.rate_bps == pytest.approx(8e6, rel=0.05)
     assert session.queued_bytes * 8 / 8e6 <= 0.25
 
 
 def test_what_is_known_of_a_link_is_a_beginning() -> None:
-    media = demo_media(900)
+    media = basketball_media(900)
 
     def first_burst(rate_bps: float | None) -> float:
-        session = PlaySession(media, own_policy(media), CONFIG, 0.0, rate_bps=rate_bps)
-        while isinstance(decision := session.decide(0.0), SendSlices):
+        session = PlaySession(media, Sweep(), CONFIG, 0.0, rate_bps=rate_bps)
+        while isinstance(decision := session.decide(0.0), Send):
             session.sent(decision, 9_000.0, 0.0)
         return session.queued_bytes
 

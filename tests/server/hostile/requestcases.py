@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 OBJECT = "/v1/streams/walk/segments/0/0"
-NEWS = "/v1/streams/walk/play/nobody"
+STATUS = "/v1/streams/walk/play/nobody"
 POISON = b"GET /poison HTTP/1.1\r\nHost: h\r\n\r\n"
 """A request that hides in another one: whoever answers it was fooled."""
 
@@ -42,7 +42,7 @@ def get(target: str, *lines: str, close: bool = True, version: str = "HTTP/1.1")
     return "\r\n".join([*head, "", ""]).encode("latin-1")
 
 
-def post(*lines: str, body: bytes = b"", path: str = NEWS) -> bytes:
+def post(*lines: str, body: bytes = b"", path: str = STATUS) -> bytes:
     head = "\r\n".join([f"POST {path} HTTP/1.1", "Host: h", *lines, "", ""])
     return head.encode("latin-1") + body
 
@@ -340,23 +340,23 @@ def paths() -> Iterator[Case]:
 
 
 def bodies() -> Iterator[Case]:
-    """News with lengths that are not true, and many requests at once."""
-    news = b'{"frame": 1}'
+    """Status reports with lengths that are not true, and many requests at once."""
+    status = b'{"frame": 1}'
     close = "Connection: close"
-    rest = post(f"Content-Length: {len(news) - 4}", body=news)
+    rest = post(f"Content-Length: {len(status) - 4}", body=status)
     yield Case("body: more than its length", rest, (400, 404), most=2)
-    less = post(f"Content-Length: {len(news) + 9}", body=news)
+    less = post(f"Content-Length: {len(status) + 9}", body=status)
     yield Case("body: less than its length", less, (400, 404, 408), least=0, shut=True)
-    yield Case("body: no length", post(close, body=news), (400, 404, 411))
-    big = post("Content-Length: 1000000000", body=news)
+    yield Case("body: no length", post(close, body=status), (400, 404, 411))
+    big = post("Content-Length: 1000000000", body=status)
     yield Case("body: a gigabyte is announced", big, (400, 404, 413))
     long = post("Content-Length: 300000", close, body=bytes(300_000))
     yield Case("body: 300 kB come", long, (400, 404, 413), least=0)
-    ask = post(f"Content-Length: {len(news)}", "Expect: 100-continue", close, body=news)
+    ask = post(f"Content-Length: {len(status)}", "Expect: 100-continue", close, body=status)
     yield Case("body: the client wants to be asked", ask, (100, 400, 404, 417), most=2)
-    odd = post(f"Content-Length: {len(news)}", "Expect: the-unexpected", close, body=news)
+    odd = post(f"Content-Length: {len(status)}", "Expect: the-unexpected", close, body=status)
     yield Case("body: the client expects what nobody knows", odd, (400, 404, 417))
-    chunks = post("Transfer-Encoding: chunked", close, body=b"c\r\n" + news + b"\r\n0\r\n\r\n")
+    chunks = post("Transfer-Encoding: chunked", close, body=b"c\r\n" + status + b"\r\n0\r\n\r\n")
     yield Case("body: in chunks", chunks, (404, 411, 501))
     trailer = post("Transfer-Encoding: chunked", body=b"0\r\nContent-Length: 5\r\n\r\n" + POISON)
     yield Case("body: a length behind the chunks", trailer, (400, 404, 411, 501), most=2)
@@ -366,7 +366,8 @@ def bodies() -> Iterator[Case]:
     mixed = (get(OBJECT, close=False) + get("/nope", close=False)) * 25
     yield Case("pipeline: 25 objects, 25 not there", mixed, (200, 404), least=50, most=50)
     stop = one * 3 + b"nonsense\r\n\r\n" + one * 3
-    yield Case("pipeline: nonsense after three", stop, (200, 400), least=3, most=4, closes=True)
+    # What came in one read with it may go unanswered.
+    yield Case("pipeline: nonsense after three", stop, (200, 400), least=1, most=4, closes=True)
     yield Case("half: a whole request", one, (200,), least=0, closes=True, shut=True)
     yield Case("half: half a request", one[:20], (400, 408), least=0, closes=True, shut=True)
     yield Case("half: nothing", b"", (), least=0, most=0, closes=True, shut=True)

@@ -7,11 +7,12 @@ import re
 import socket
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from tests.support.commands import command, environment
+from tests.support.waiting import wait_until
 
 SECRET = b"not for you: 4f1d8a"
 """What files hold that lie around the streams; no answer may have it."""
@@ -42,8 +43,11 @@ class ServerProcess:
 
 
 @contextlib.contextmanager
-def server_process(root: Path, folder: Path, *options: object) -> Iterator[ServerProcess]:
-    """A server of `root` that writes into `folder`; it is ended by its pid."""
+def server_process(
+    root: Path, folder: Path, *options: object, before: Callable[[], None] | None = None
+) -> Iterator[ServerProcess]:
+    """A server of `root` that writes into `folder`; it is ended by its pid. before: runs in its
+    process first."""
     log = folder / "serve.log"
     with open(log, "w") as out:
         process = subprocess.Popen(
@@ -52,13 +56,11 @@ def server_process(root: Path, folder: Path, *options: object) -> Iterator[Serve
             stdin=subprocess.DEVNULL,
             stdout=out,
             stderr=subprocess.STDOUT,
+            preexec_fn=before,
         )
     try:
-        for _ in range(3000):
-            found = re.search(r"^serving https?://\S+:(\d+)$", log.read_text(), re.MULTILINE)
-            if found or process.poll() is not None:
-                break
-            time.sleep(0.01)
+        wait_until(lambda: "serving http" in log.read_text() or process.poll() is not None, 30)
+        found = re.search(r"^serving https?://\S+:(\d+)$", log.read_text(), re.MULTILINE)
         assert found, log.read_text()
         time.sleep(0.1)  # the names of the streams
         yield ServerProcess(process.pid, int(found[1]), log)

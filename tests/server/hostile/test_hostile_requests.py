@@ -20,6 +20,7 @@ from tests.server.hostile.serverprocess import (
     server_process,
 )
 from tests.support.hosted_streams import write_stream
+from tests.support.waiting import wait_until
 
 
 @pytest.fixture(scope="module")
@@ -39,10 +40,7 @@ def server(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ser
     # Without a line for each request, so that any other line shows.
     log = tmp_path_factory.mktemp("log")
     with server_process(root, log, "--no-log-requests") as running:
-        for _ in range(1000):
-            if any("is served" in line for line in running.log_lines()):
-                break
-            time.sleep(0.01)
+        wait_until(lambda: "is served" in running.log.read_text())
         yield running
 
 
@@ -90,17 +88,12 @@ def test_each_request_is_one_line_of_the_log(root: Path, tmp_path: Path) -> None
         num_answers = 1
         for case in CASES:
             data, _ = exchange(server.port, case.sent.replace(b"ETAG", tag), case.shut)
-            num_answers += len(answers_of(data)[0])
+            num_answers += sum(answer.status != 100 for answer in answers_of(data)[0])
         time.sleep(0.5)  # lines go out together
         lines = [line for line in server.log_lines() if " request address=" in line]
     # A client that goes away gets no answer, but a line.
     assert num_answers <= len(lines) <= num_answers + len(CASES)
     assert all(line.isascii() and line.isprintable() for line in lines)
-
-
-def test_no_two_cases_have_the_same_name() -> None:
-    names = [case.name for case in CASES]
-    assert len(set(names)) == len(names), sorted(names)
 
 
 def test_a_poisoned_request_would_be_seen(server: ServerProcess) -> None:

@@ -12,15 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from codec.stream import StreamWriter
 from server.library import Library
 from server.library.growth import Growth
 from tests.support.server.running_server import (
     SEGMENT_FRAMES,
-    births_of,
+    append_frames,
+    live_stream,
     make_stream,
-    random_slice,
-    small_manifest,
 )
 
 pytestmark = pytest.mark.realtime
@@ -40,14 +38,8 @@ async def seldom_watched(root: Path) -> AsyncIterator[Library]:
             await watch
 
 
-def append_segment(writer: StreamWriter) -> None:
-    end = max(writer.next_birth, 0) + SEGMENT_FRAMES
-    for birth in range(writer.next_birth, end):
-        writer.append(random_slice(birth, 8))
-
-
 def test_who_waits_is_told_at_once_and_knows_the_new_view(tmp_path: Path) -> None:
-    writer = StreamWriter.create(tmp_path / "live", small_manifest())
+    writer = live_stream(tmp_path / "live")
 
     async def check() -> None:
         async with seldom_watched(tmp_path) as library:
@@ -58,7 +50,7 @@ def test_who_waits_is_told_at_once_and_knows_the_new_view(tmp_path: Path) -> Non
                 ]
                 await asyncio.sleep(0.12)
                 assert not any(waiter.done() for waiter in waiters)
-                await asyncio.to_thread(append_segment, writer)
+                await asyncio.to_thread(append_frames, writer)
                 began_s = time.monotonic()
                 await asyncio.gather(*waiters)
                 late_s = time.monotonic() - began_s
@@ -77,7 +69,7 @@ def test_who_waits_is_told_at_once_and_knows_the_new_view(tmp_path: Path) -> Non
 
 
 def test_waiting_ends_in_time_and_may_be_cancelled(tmp_path: Path) -> None:
-    writer = StreamWriter.create(tmp_path / "live", small_manifest())
+    writer = live_stream(tmp_path / "live")
 
     async def check() -> None:
         async with seldom_watched(tmp_path) as library:
@@ -95,7 +87,7 @@ def test_waiting_ends_in_time_and_may_be_cancelled(tmp_path: Path) -> None:
             cancelled.cancel()
             with pytest.raises(asyncio.CancelledError):
                 await cancelled
-            append_segment(writer)
+            append_frames(writer)
             await asyncio.wait_for(long, 1.0)
             await asyncio.sleep(0.1)
             # Nobody waits: nothing runs but this and the watch.
@@ -108,9 +100,7 @@ def test_waiting_ends_in_time_and_may_be_cancelled(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("how", ["deleted", "replaced", "broken"])
 def test_who_waits_for_a_stream_that_goes_is_told(tmp_path: Path, how: str) -> None:
-    writer = StreamWriter.create(tmp_path / "root" / "live", small_manifest())
-    for birth in births_of(2 * SEGMENT_FRAMES):
-        writer.append(random_slice(birth, 8))
+    live_stream(tmp_path / "root" / "live", 2 * SEGMENT_FRAMES)
     path = tmp_path / "root" / "live"
     other = make_stream(tmp_path / "other", 3)
 

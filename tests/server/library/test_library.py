@@ -16,18 +16,20 @@ import pytest
 
 from codec.errors import SwingsError
 from codec.storage.storage import Storage
-from codec.stream import StreamReader, StreamWriter
+from codec.stream import StreamReader
 from codec.stream.index import record_bytes
 from codec.stream.reader import read_stream_file
 from server.library import Library, entry
 from server.library.entry import one_line
 from tests.support.server.running_server import (
     SEGMENT_FRAMES,
-    births_of,
+    SWIN_SIZE,
+    append_frames,
+    live_stream,
     make_stream,
-    random_slice,
-    small_manifest,
 )
+from tests.support.slots.slot_streams import write_slot_stream
+from tests.support.slots.updates import small_layout
 
 
 def look(library: Library) -> None:
@@ -241,10 +243,7 @@ def test_the_reason_of_a_stranger_is_one_line_of_letters() -> None:
 def test_a_live_stream_that_breaks_keeps_its_last_good_view(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    writer = StreamWriter.create(tmp_path / "live", small_manifest())
-    for birth in births_of(2 * SEGMENT_FRAMES):
-        writer.append(random_slice(birth, 8))
-    writer.abort()
+    live_stream(tmp_path / "live", 2 * SEGMENT_FRAMES).abort()
     library = Library(tmp_path, 1.0)
     stream = library.streams["live"]
     with open(tmp_path / "live" / "index.bin", "ab") as file:
@@ -256,31 +255,6 @@ def test_a_live_stream_that_breaks_keeps_its_last_good_view(
     lines = [line for line in said(caplog) if "index.bin" in line]
     assert len(lines) == 1
     assert lines[0].startswith("live no longer grows: index.bin: byte ")
-
-
-def test_it_follows_a_live_stream_to_its_end(tmp_path: Path) -> None:
-    writer = StreamWriter.create(tmp_path / "live", small_manifest())
-    library = Library(tmp_path, 1.0)
-    stream = library.find("live")
-    assert stream is not None
-    assert (stream.num_frames, stream.live) == (0, True)
-    tags = {stream.view.index_sha256}
-    for birth in births_of(2 * SEGMENT_FRAMES):
-        writer.append(random_slice(birth, 8))
-    assert stream.num_frames == 0  # nobody has looked
-    look(library)
-    assert library.find("live") is stream
-    assert stream.num_frames == 2 * SEGMENT_FRAMES
-    assert stream.view.index_sha256 not in tags
-    assert stream.view.index_data == (tmp_path / "live" / "index.bin").read_bytes()
-    writer.close()
-    look(library)
-    assert library.find("live") is stream
-    assert not stream.live
-    # The tag depends on the records, not on when they were seen.
-    again = Library(tmp_path, 1.0).streams["live"]
-    assert again.view.index_sha256 == stream.view.index_sha256
-    assert again.generation != stream.generation
 
 
 def test_a_root_that_goes_keeps_what_is_served_until_it_comes_back(
@@ -337,7 +311,7 @@ def test_a_process_without_descriptors_keeps_what_it_serves(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """However few are left: it may list the folder and then open nothing."""
-    writer = StreamWriter.create(tmp_path / "live", small_manifest())
+    writer = live_stream(tmp_path / "live")
     make_stream(tmp_path / "other", 3)
     library = Library(tmp_path, 1.0)
     served = dict(library.streams)
@@ -345,8 +319,7 @@ def test_a_process_without_descriptors_keeps_what_it_serves(
 
     async def check() -> None:
         await library.look()  # the thread is there
-        for birth in births_of(SEGMENT_FRAMES):
-            writer.append(random_slice(birth, 8))
+        append_frames(writer)
         free = [number for number in range(1024) if not is_open(number)]
         outcomes = set()
         for spare in range(6):
@@ -370,8 +343,21 @@ def test_sizes_are_means_over_the_segment(tmp_path: Path) -> None:
     root = make_stream(tmp_path / "s", 12)
     stream = Library(root, 1.0).streams["s"]
     reader = StreamReader(root)
-    for birth, segment, count in ((-3, 0, 8), (4, 0, 8), (5, 1, 5), (11, 2, 2)):
-        sizes = reader.records[segment].object_bytes
-        means = stream.sizes(birth)
-        assert means.layer_bytes == tuple(size / count for size in sizes)
+    for birth, segment, count in ((0, 0, 5), (4, 0, 5), (5, 1, 5), (11, 2, 2)):
+        record, means = reader.records[segment], stream.sizes(birth)
+        masks_bytes, *snapshot_bytes = record.side_bytes
+        first, *others = record.object_bytes
+        totals = [first + masks_bytes, *others]
+        assert means.layer_bytes == pytest.approx([size / count for size in totals])
+        assert means.snapshot_bytes == tuple(snapshot_bytes)
+        assert list(means.psnr_db) == sorted(means.psnr_db)
         assert means is stream.sizes(birth)
+
+
+def test_a_slice_changes_no_more_than_its_lane(tmp_path: Path) -> None:
+    """Slices that are sent whole change one slot in `swin_size`."""
+    make_stream(tmp_path / "whole", 12)
+    write_slot_stream(tmp_path / "slots", 60, small_layout(3, (40, 40), 0, 30))
+    streams = Library(tmp_path, 1.0).streams
+    assert streams["whole"].sizes(5).changed_shares == (1 / SWIN_SIZE,) * 4
+    assert all(0 < share <= 1 / 3 for share in streams["slots"].sizes(31).changed_shares)

@@ -8,45 +8,30 @@ import signal
 import sys
 import time
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from codec.errors import CodecError, SwingsError
-from codec.stream import StreamWriter
-from server.library import Library, ServedStream
+from server.library import Library
+from tests.server.library.test_watch import BOUND_S, check_whole, noticed
 from tests.server.test_main import serving
 from tests.support.server.running_server import (
     SEGMENT_FRAMES,
+    append_frames,
+    live_stream,
     make_stream,
-    random_slice,
-    small_manifest,
 )
 from tests.support.stores.s3_server import BUCKET, S3Server, s3_server
 
 ROOT = f"s3://{BUCKET}/root"
-BOUND_S = 2.0
 
 
 @pytest.fixture
 def server() -> Iterator[S3Server]:
     with s3_server() as server:
         yield server
-
-
-async def noticed(condition: Callable[[], object], what: str) -> None:
-    began_s = time.monotonic()
-    while not condition():
-        assert time.monotonic() - began_s < BOUND_S, what
-        await asyncio.sleep(0.005)
-    sys.stdout.write(f"{what}: noticed after {time.monotonic() - began_s:.3f} s\n")
-
-
-def check_whole(stream: ServedStream) -> None:
-    for segment in range(stream.view.num_segments):
-        for part in stream.view.manifest.parts:
-            stream.read_object(segment, part)
 
 
 def test_streams_come_go_break_and_are_repaired(server: S3Server, tmp_path: Path) -> None:
@@ -98,14 +83,13 @@ def test_a_half_copied_stream_waits_for_its_objects(server: S3Server, tmp_path: 
 
 @pytest.mark.realtime
 def test_a_live_stream_is_followed_and_may_be_waited_for(server: S3Server, tmp_path: Path) -> None:
-    writer = StreamWriter.create(tmp_path / "s", small_manifest())
+    writer = live_stream(tmp_path / "s")
     server.upload(tmp_path / "s", "root/live")
 
     def mirror() -> None:
         """One more segment, as a mirror uploads it: objects first."""
         segment = max(writer.next_birth, 0) // SEGMENT_FRAMES
-        for birth in range(writer.next_birth, (segment + 1) * SEGMENT_FRAMES):
-            writer.append(random_slice(birth, 8))
+        append_frames(writer)
         folder = tmp_path / "s" / "segments" / str(segment)
         server.upload(folder, f"root/live/segments/{segment}")
         server.put("root/live/index.bin", (tmp_path / "s" / "index.bin").read_bytes())

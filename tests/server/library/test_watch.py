@@ -7,7 +7,6 @@ import hashlib
 import logging
 import os
 import shutil
-import subprocess
 import sys
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -20,10 +19,11 @@ import pytest
 from codec.errors import CodecError
 from codec.stream import StreamWriter
 from server.library import Library, ServedStream
-from tests.support.commands import ROOT
 from tests.support.server.running_server import (
     SEGMENT_FRAMES,
+    append_frames,
     births_of,
+    live_stream,
     make_stream,
     random_slice,
     small_manifest,
@@ -190,47 +190,17 @@ def test_a_half_copied_stream_is_broken_until_it_is_whole(tmp_path: Path, last: 
     asyncio.run(check())
 
 
-def test_a_live_copy_offers_only_what_has_arrived(tmp_path: Path) -> None:
-    """As rsync mirrors a stream that is trained elsewhere: the index may come before objects."""
-    source, root = tmp_path / "source", tmp_path / "root"
-    writer = StreamWriter.create(source, small_manifest())
-
-    async def check() -> None:
-        done = 0
-        async with watching(root, 0.01) as library:
-            for _ in range(4):
-                for birth in range(writer.next_birth, writer.next_birth + 2 * SEGMENT_FRAMES):
-                    writer.append(random_slice(birth, 8))
-                names = [name for name in files_of(source) if str(name) != "manifest.json"]
-                names = names[:1] + names[1 + done :]
-                done += len(names) - 1
-                copying = asyncio.create_task(
-                    asyncio.to_thread(copy_slowly, source, root / "s", names, 0.005)
-                )
-                while not copying.done():
-                    for stream in library.streams.values():
-                        check_whole(stream)
-                    await asyncio.sleep(0.005)
-
-    root.mkdir()
-    (root / "s").mkdir()
-    shutil.copy(source / "manifest.json", root / "s")
-    asyncio.run(check())
-    writer.close()
-    shutil.copytree(source, root / "s", dirs_exist_ok=True)
-    (stream,) = Library(root, 1.0).streams.values()
-    check_whole(stream)
-    assert not stream.live
-
-
 def test_an_index_that_is_copied_before_its_objects_waits_for_them(tmp_path: Path) -> None:
     source, root = tmp_path / "source", tmp_path / "root"
-    writer = StreamWriter.create(source, small_manifest())
-    for birth in births_of(2 * SEGMENT_FRAMES):
-        writer.append(random_slice(birth, 8))
+    writer = live_stream(source, 2 * SEGMENT_FRAMES)
     shutil.copytree(source, root / "s")
-    for birth in range(writer.next_birth, 4 * SEGMENT_FRAMES):
-        writer.append(random_slice(birth, 8))
+    append_frames(writer, 2 * SEGMENT_FRAMES)
+    # A server that starts then offers what has arrived.
+    shutil.copytree(root / "s", tmp_path / "early" / "s")
+    shutil.copy(source / "index.bin", tmp_path / "early" / "s")
+    early = Library(tmp_path / "early", 1.0).streams["s"]
+    assert (early.view.num_segments, early.live) == (2, True)
+    check_whole(early)
     writer.close()
     held_back = ["segments/2/1", "segments/3/3"]
 
@@ -252,25 +222,6 @@ def test_an_index_that_is_copied_before_its_objects_waits_for_them(tmp_path: Pat
         assert library.find("s") is stream
 
     asyncio.run(check())
-
-
-def test_a_stream_that_is_written_by_another_process_is_followed(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "tests.support.tiny_stream", str(tmp_path / "s"), "40"]
-
-    async def check(process: subprocess.Popen[bytes]) -> None:
-        seen = set()
-        async with watching(tmp_path) as library:
-            while process.poll() is None:
-                for stream in library.streams.values():
-                    check_whole(stream)
-                    seen.add(stream)
-                await asyncio.sleep(0.05)
-            await noticed(lambda: (found := library.find("s")) and not found.live, "its end")
-            assert seen <= {library.streams["s"]}
-            assert library.streams["s"].num_frames == 40
-
-    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL) as process:
-        asyncio.run(check(process))
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")

@@ -17,12 +17,14 @@ CONFIG = OverloadConfig()
 STEP_S = 0.25
 
 
-def run(overload: Overload, begin_s: float, seconds: float, busy: float) -> float:
+def run(
+    overload: Overload, begin_s: float, seconds: float, busy: float = 0.0, **more: float
+) -> float:
     """Feeds `seconds` of samples of one load; gives when they end."""
     now_s = begin_s
     while now_s < begin_s + seconds:
         now_s += STEP_S
-        overload.observe(LoadSample(now_s, busy_share=busy))
+        overload.observe(LoadSample(now_s, busy, **more))
     return now_s
 
 
@@ -35,13 +37,8 @@ def settled(busy: float) -> Overload:
 def test_all_layers_below_the_first_step_and_one_at_the_last() -> None:
     assert settled(0.0).max_layers(5) == 5
     assert settled(0.79).max_layers(5) == 5
-    assert [settled(busy).max_layers(5) for busy in (0.82, 0.85, 0.88, 0.91, 0.94)] == [
-        5,
-        4,
-        3,
-        2,
-        1,
-    ]
+    steps = [settled(busy).max_layers(5) for busy in (0.82, 0.85, 0.88, 0.91, 0.94)]
+    assert steps == [5, 4, 3, 2, 1]
     assert settled(0.94).accepts_plays(0)
     assert settled(0.96).max_layers(5) == 1
     assert not settled(0.96).accepts_plays(0)
@@ -66,27 +63,16 @@ def test_layers_go_before_plays_are_refused() -> None:
     assert now_s < 5  # and it does not take long
 
 
-@pytest.mark.parametrize(
-    "sample",
-    [
-        LoadSample(0.0, busy_share=1.0),
-        LoadSample(0.0, late_s=0.2),
-        LoadSample(0.0, egress_bps=1e9),
-    ],
-)
-def test_each_of_what_is_measured_is_load(sample: LoadSample) -> None:
+@pytest.mark.parametrize("load", [{"busy": 1.0}, {"late_s": 0.2}, {"egress_bps": 1e9}])
+def test_each_of_what_is_measured_is_load(load: dict[str, float]) -> None:
     overload = Overload(OverloadConfig(max_egress_bps=1e9), max_plays=10)
-    for n in range(100):
-        overload.observe(
-            LoadSample(n * STEP_S, sample.busy_share, sample.late_s, sample.egress_bps)
-        )
+    run(overload, 0.0, 25.0, **load)
     assert not overload.accepts_plays(0)
 
 
 def test_egress_counts_only_where_it_is_limited() -> None:
     overload = Overload(CONFIG, max_plays=10)
-    for n in range(100):
-        overload.observe(LoadSample(n * STEP_S, egress_bps=1e12))
+    run(overload, 0.0, 25.0, egress_bps=1e12)
     assert overload.load == 0
 
 

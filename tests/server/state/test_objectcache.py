@@ -70,7 +70,7 @@ def test_an_object_with_the_wrong_births_is_named_with_the_byte(tmp_path: Path) 
 
     async def check() -> None:
         stream = Library(root, 1.0).streams["s"]
-        with pytest.raises(CodecError, match=r"segments/1/2: byte 20: .* not 5\.\.9") as caught:
+        with pytest.raises(CodecError, match=r"segments/1/2: byte 20: .* of 5\.\.9") as caught:
             await ObjectCache(1 << 20, Metrics()).load(stream, 1, 2)
         assert caught.value.at == 20
 

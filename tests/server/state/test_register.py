@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from server.abr.standing import Standing
-from server.state.register import NewsOutcome, PlayRegister
+from server.abr.clientstatus import ClientStatus
+from server.state.register import PlayRegister, StatusOutcome
 
 
 def register(max_ended: int = 3, keep_s: float = 60.0) -> PlayRegister:
@@ -15,26 +15,26 @@ def ended(plays: PlayRegister, token: str, rate_bps: float | None, now_s: float)
     plays.end(token, now_s)
 
 
-def test_a_play_hears_the_newest_news_once() -> None:
+def test_a_play_reads_the_newest_status_once() -> None:
     plays = register()
     entry = plays.begin("a", "walk")
-    assert entry.take_news() is None
-    outcomes = [plays.tell("a", "walk", Standing(n)) for n in range(1000)]
-    assert outcomes == [NewsOutcome.TAKEN] + 999 * [NewsOutcome.REPLACED]
-    assert entry.take_news() == Standing(999)
-    assert entry.take_news() is None
-    assert plays.tell("a", "walk", Standing(1)) is NewsOutcome.TAKEN
+    assert entry.pop_status() is None
+    outcomes = [plays.report("a", "walk", ClientStatus(n)) for n in range(1000)]
+    assert outcomes == [StatusOutcome.TAKEN] + 999 * [StatusOutcome.REPLACED]
+    assert entry.pop_status() == ClientStatus(999)
+    assert entry.pop_status() is None
+    assert plays.report("a", "walk", ClientStatus(1)) is StatusOutcome.TAKEN
 
 
-def test_news_reaches_a_play_that_runs_and_of_its_own_stream_only() -> None:
+def test_a_status_reaches_only_a_running_play_of_its_own_stream() -> None:
     plays = register()
     entry = plays.begin("a", "walk")
-    assert plays.tell("a", "dance", Standing(1)) is NewsOutcome.UNKNOWN
-    assert plays.tell("b", "walk", Standing(1)) is NewsOutcome.UNKNOWN
+    assert plays.report("a", "dance", ClientStatus(1)) is StatusOutcome.UNKNOWN
+    assert plays.report("b", "walk", ClientStatus(1)) is StatusOutcome.UNKNOWN
     assert len(plays) == 1
     plays.end("a", 0.0)
-    assert plays.tell("a", "walk", Standing(1)) is NewsOutcome.UNKNOWN
-    assert entry.news is None
+    assert plays.report("a", "walk", ClientStatus(1)) is StatusOutcome.UNKNOWN
+    assert entry.status is None
     assert len(plays) == 0
 
 

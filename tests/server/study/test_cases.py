@@ -11,14 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.errors import InvalidError
-from server.abr.link.generate import GeneratorConfig, generate
 from server.abr.link.link import Link, LinkStep
 from server.study.cases import LOAD_WINDOW, at_load, make_cases
 from server.study.looped import LoopedMedia
+from server.study.simulate.generate import GeneratorConfig, generate
 from server.study.tracefolder import Trace, chosen_names, generated_traces, read_traces
-from tests.support.delivery.media import demo_media
+from tests.support.delivery.media import basketball_media
 
-MEDIA = LoopedMedia((demo_media().sizes(0),), 300, 30.0, 5, 30, has_slots=False)
+MEDIA = LoopedMedia((basketball_media().sizes(0),), 300, 30.0, 30)
 names = st.lists(
     st.sampled_from(["", "a/", "a/b/", "c/"]).flatmap(
         lambda folder: st.integers(0, 99).map(lambda number: f"{folder}{number:02d}")

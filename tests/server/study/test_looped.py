@@ -10,8 +10,9 @@ from codec.errors import InvalidError
 from codec.stream import StreamReader, StreamWriter
 from server.abr.media import segment_sizes
 from server.study.looped import LoopedMedia, open_media
-from tests.support.delivery.media import slot_media
-from tests.support.tiny_stream import tiny_manifest, tiny_slice, write_tiny
+from tests.support.delivery.media import basketball_media
+from tests.support.slots.folder import slots_manifest, write_slots
+from tests.support.slots.updates import patternless_updates
 
 FRAMES, FPS, SEGMENT = 14, 25.0, 4
 
@@ -20,7 +21,7 @@ FRAMES, FPS, SEGMENT = 14, 25.0, 4
 def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three segments of 4 frames, and one of 2."""
     path = tmp_path_factory.mktemp("looped") / "stream"
-    write_tiny(path, FRAMES)
+    write_slots(path, FRAMES)
     return path
 
 
@@ -28,8 +29,8 @@ def test_what_is_not_longer_than_the_stream_is_the_stream(stream: Path) -> None:
     media = open_media(stream, FRAMES / FPS)
     reader = StreamReader(stream)
     assert media.num_frames == FRAMES
-    assert (media.fps, media.swin_size, media.num_layers) == (FPS, 3, 2)
-    for birth in range(-2, FRAMES):
+    assert (media.fps, media.num_layers) == (FPS, 2)
+    for birth in range(FRAMES):
         record = reader.records[reader.manifest.segment_of(birth)]
         assert media.sizes(birth) == segment_sizes(record, reader.manifest)
 
@@ -43,7 +44,7 @@ def test_a_longer_play_repeats_the_whole_segments(stream: Path) -> None:
 
 
 def test_a_stream_of_less_than_a_segment_is_repeated_as_it_is(tmp_path: Path) -> None:
-    write_tiny(tmp_path / "short", 3)
+    write_slots(tmp_path / "short", 3)
     media = open_media(tmp_path / "short", 1.0)
     assert (media.segment_frames, media.num_frames) == (3, 25)
     assert media.sizes(24) is media.segments[0]
@@ -67,15 +68,17 @@ def test_a_bitrate_scales_all_sizes_alike(stream: Path) -> None:
 
 
 def test_snapshots_scale_too() -> None:
-    sizes = slot_media().sizes(0)
-    media = LoopedMedia((sizes,), 30, 30.0, 1, 30, has_slots=True)
+    sizes = basketball_media().sizes(0)
+    media = LoopedMedia((sizes,), 30, 30.0, 30)
     doubled = media.with_bitrate(2 * media.need_bps).sizes(0)
     assert doubled.snapshot_bytes == pytest.approx([2 * size for size in sizes.snapshot_bytes])
     assert doubled.changed_shares == sizes.changed_shares
 
 
 def test_a_stream_without_frames_is_refused(tmp_path: Path) -> None:
-    with StreamWriter.create(tmp_path / "live", tiny_manifest()) as writer:
-        writer.append(tiny_slice(writer.next_birth))
+    manifest = slots_manifest()
+    update, *_ = patternless_updates(manifest.slot_layout, 1)
+    with StreamWriter.create(tmp_path / "live", manifest) as writer:
+        writer.append(update)
         with pytest.raises(InvalidError, match="no frames yet"):
             open_media(tmp_path / "live", 1.0)

@@ -9,30 +9,28 @@ import pytest
 
 from codec.errors import InvalidError
 from server.abr.link.link import Link, LinkStep
-from server.abr.policies.choice import POLICIES
 from server.study.cases import Case, at_load
 from server.study.looped import LoopedMedia
 from server.study.plays import Rules, judge, run_case, run_play
-from server.study.timecourse import follow
+from server.study.policies.choice import POLICIES
+from server.study.report.timecourse import follow
 from server.study.tracefolder import Trace
-from tests.support.delivery.media import demo_media, slot_media
+from tests.support.delivery.media import basketball_media
 
-SLICES = LoopedMedia((demo_media().sizes(0),), 240, 30.0, 5, 30, has_slots=False)
-SLOTS = LoopedMedia((slot_media().sizes(0),), 240, 30.0, 1, 30, has_slots=True)
+MEDIA = LoopedMedia((basketball_media().sizes(0),), 240, 30.0, 30)
 TRACE = Trace(
     "uneven", Link([LinkStep(2, 8e6, 0.02), LinkStep(1.5, 0.2e6, 0.04), LinkStep(3, 5e6, 0.02)])
 )
 RULES = Rules()
 
 
-def case_of(media: LoopedMedia, load: float) -> Case:
-    return at_load(TRACE, load, media)
+def case_of(load: float) -> Case:
+    return at_load(TRACE, load, MEDIA)
 
 
-@pytest.mark.parametrize("media", [SLICES, SLOTS], ids=["slices", "slots"])
 @pytest.mark.parametrize("load", [0.5, 1.2])
-def test_every_policy_plays_and_none_beats_the_oracle(media: LoopedMedia, load: float) -> None:
-    outcome = run_case(media, case_of(media, load), list(POLICIES), RULES)
+def test_every_policy_plays_and_none_beats_the_oracle(load: float) -> None:
+    outcome = run_case(MEDIA, case_of(load), list(POLICIES), RULES)
     assert [play.policy for play in outcome.plays] == list(POLICIES)
     oracle = outcome.oracle
     assert oracle.base_db <= oracle.quality_db
@@ -41,24 +39,23 @@ def test_every_policy_plays_and_none_beats_the_oracle(media: LoopedMedia, load: 
         assert play.normalised <= 1.001
         assert 1 <= play.layers <= 4
         assert play.low_psnr_db <= play.psnr_db
-        waited_s = play.startup_s + play.rebuffering * media.length_s
-        assert waited_s >= oracle.startup_s + oracle.rebuffering * media.length_s - 1e-3
+        waited_s = play.startup_s + play.rebuffering * MEDIA.length_s
+        assert waited_s >= oracle.startup_s + oracle.rebuffering * MEDIA.length_s - 1e-3
 
 
 def test_normalised_qoe_of_a_play_is_between_layer_0_and_the_bound() -> None:
-    case = case_of(SLICES, 1.0)
-    oracle = judge(SLICES, case, RULES)
-    (play,) = run_case(SLICES, case, ["sweep"], RULES).plays
+    case = case_of(1.0)
+    oracle = judge(MEDIA, case, RULES)
+    (play,) = run_case(MEDIA, case, ["sweep"], RULES).plays
     room_db = oracle.quality_db - oracle.base_db
     expected = (play.quality_db - oracle.base_db) / room_db
     assert play.normalised == pytest.approx(expected, abs=1e-4)
 
 
-@pytest.mark.parametrize("media", [SLICES, SLOTS], ids=["slices", "slots"])
-def test_notes_fit_the_play(media: LoopedMedia) -> None:
-    case = case_of(media, 0.25)
-    line = follow(media, case, "sweep", RULES)
-    _, shown, clock = run_play(media, case, "sweep", RULES)
+def test_notes_fit_the_play() -> None:
+    case = case_of(0.25)
+    line = follow(MEDIA, case, "sweep", RULES)
+    _, shown, clock = run_play(MEDIA, case, "sweep", RULES)
     assert clock.started_s is not None
     assert clock.stalls
     begin, *stalls = line.stalls_s
@@ -66,9 +63,9 @@ def test_notes_fit_the_play(media: LoopedMedia) -> None:
     assert len(stalls) == clock.stalls
     assert sum(until_s - since_s for since_s, until_s in stalls) == pytest.approx(clock.stalled_s)
     assert fmean(layers for _, layers in line.layers) == fmean(one.layers for one in shown)
-    assert len(line.lead_s) == media.num_frames
+    assert len(line.lead_s) == MEDIA.num_frames
     # A frame that shows is there, and no more is sent ahead than may be.
-    frame_s = 1 / media.fps
+    frame_s = 1 / MEDIA.fps
     most_s = RULES.session.max_lead_s + frame_s
     assert all(frame_s - 1e-9 <= lead_s <= most_s for _, lead_s in line.lead_s)
     for (time_s, rate_bps), (next_s, _) in pairwise(line.link_bps):
@@ -79,4 +76,4 @@ def test_notes_fit_the_play(media: LoopedMedia) -> None:
 def test_a_play_that_does_not_end_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("server.study.plays.MOST_S", 4.0)
     with pytest.raises(InvalidError, match=r"trace uneven at load 0\.5: bola has shown"):
-        run_play(SLICES, case_of(SLICES, 0.5), "bola", RULES)
+        run_play(MEDIA, case_of(0.5), "bola", RULES)

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from codec.framerange import FrameRange
 from codec.slice import Slice
-from player.playout.assembler import open_assembler
+from codec.stream import StreamReader
+from player.playout.assembler import Assembler
 from player.playout.timeline import PlayedMedia
 from player.source.opener import opened
 from player.source.source import Packets, Source
-from server.abr.slotholding import open_holding
+from server.abr.holding import Holding
+from tests.support.drawn import same_splats
+from tests.support.slots.slot_streams import Shown
 
 
 @dataclass(frozen=True)
@@ -20,16 +23,16 @@ class Assembled:
 
     frame: int
     slices: list[Slice]
-    layers: float
-    """That show."""
+    layers: int
+    """Layers of which nothing is missing."""
     wire_bytes: int
 
 
 def assembled(source: Source) -> Iterator[Assembled]:
     """Every frame of `source`, as soon as layer 0 of it has come."""
     media, frame = PlayedMedia(source.manifest), source.frames.first
-    here = open_holding(media, frame, 1 if source.adaptive else source.num_layers)
-    assembler = open_assembler(source.manifest, source.num_layers, frame)
+    here = Holding(media, frame, 1 if source.adaptive else source.num_layers)
+    assembler = Assembler(source.manifest, source.num_layers, frame)
     waiting: list[Packets] = []
     for one in source.packets():
         waiting.append(one)
@@ -37,9 +40,22 @@ def assembled(source: Source) -> Iterator[Assembled]:
         while frame < here.end_frame:
             used = [p for p in waiting if p.first_frame <= frame]
             waiting = [p for p in waiting if p.first_frame > frame]
-            slices = assembler.take(frame, used)
-            yield Assembled(frame, slices, here.layers(frame), sum(p.wire_bytes for p in used))
+            slices = assembler.assemble(frame, used)
+            yield Assembled(
+                frame, slices, here.whole_layers(frame), sum(p.wire_bytes for p in used)
+            )
             frame += 1
+
+
+def checked(reader: StreamReader, frames: Iterable[Assembled], layers: int) -> Iterator[Assembled]:
+    """`frames`, in a row, each of which has to show the first `layers` layers of the stream."""
+    shown, last = Shown(reader.manifest), None
+    for one in frames:
+        assert last is None or one.frame == last + 1
+        last = one.frame
+        splats = shown.after(one.slices, last)
+        assert same_splats(splats, reader.active_splats(last, layers))
+        yield one
 
 
 def read_all(

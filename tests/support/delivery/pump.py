@@ -13,14 +13,13 @@ import sys
 import time
 from typing import NamedTuple
 
-from server.abr.media import SegmentSizes
-from server.abr.outlook import SendSlices, SendSnapshots
-from server.abr.policies.choice import own_policy
+from server.abr.decisioncontext import SendSlices, SendSnapshots
 from server.abr.session import PlaySession, SessionConfig
-from server.abr.simulate.simulator import send_bytes
-from server.http.tcpinfo import unacked_bytes
+from server.abr.sweep import Sweep
+from server.exchange.tcpinfo import unacked_bytes
 from server.state.config import ServerConfig
-from tests.support.delivery.media import MadeMedia
+from server.study.simulate.simulator import send_bytes
+from tests.support.delivery.media import MadeMedia, sizes_of
 
 FPS = 30
 
@@ -39,9 +38,9 @@ def wide_media(least_bps: float, most_bps: float, seconds: float) -> MadeMedia:
     base_bps = 0.7 * least_bps
     upper_bps = (1.5 * most_bps - base_bps) / 3
     sizes = tuple(rate_bps / 8 / FPS for rate_bps in (base_bps, upper_bps, upper_bps, upper_bps))
-    return MadeMedia(
-        (SegmentSizes(sizes, (25.5, 28.0, 29.1, 29.7)),), round(FPS * seconds), segment_frames=30
-    )
+    # Snapshots go out in one piece: long ones alone would be more than the link is to hold.
+    segments = (sizes_of(sizes, (25.5, 2.5, 1.1, 0.6), snapshot_bytes=sizes),)
+    return MadeMedia(segments, round(FPS * seconds), segment_frames=30)
 
 
 def tell(line: str) -> None:
@@ -51,7 +50,7 @@ def tell(line: str) -> None:
 
 def pump(connection: socket.socket, media: MadeMedia, lasts_s: float) -> None:
     began_s, poll_s, sent_bytes = time.monotonic(), ServerConfig().poll_s, 0
-    session = PlaySession(media, own_policy(media), SessionConfig(), 0.0)
+    session = PlaySession(media, Sweep(), SessionConfig(), 0.0)
     while (now_s := time.monotonic() - began_s) < lasts_s:
         session.acknowledge(now_s, sent_bytes - unacked_bytes(connection))
         decision = session.decide(now_s)

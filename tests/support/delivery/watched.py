@@ -48,7 +48,7 @@ def watched(source: Source, until_frame: int | None = None) -> Watched:
     began_s = clock.now_s()
     try:
         with Threads(source, events):
-            while (due := events.take()) is not None:
+            while (due := events.wait_for_frame()) is not None:
                 frames.append(due.record)
                 if due.record.frame + 1 == until_frame:
                     break

@@ -22,7 +22,7 @@ PRELOADED = (
     "trainer.score.evaluatecommand",
     "trainer.synth.film",
     "codec.sequence.importing",
-    "player.playback",
+    "player.run.playback",
     "player.streamcommand",
     "server.serving",
     "server.study.__main__",

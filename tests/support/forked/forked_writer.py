@@ -1,11 +1,9 @@
 """A warm process that forks stream writers to be killed.
 
-`python -m tests.support.forked.forked_writer`, with the argument `slots` for streams of version 2.
-
-A line on its standard input is the folder or URL to write to: the writer says its pid when it is
-about to begin, creates or resumes the stream there, and finishes it. An empty line waits for that
-writer and says how it ended, -9 for SIGKILL. A fork costs milliseconds where a new interpreter
-costs a second.
+`python -m tests.support.forked.forked_writer`. A line on its standard input is the folder or URL to
+write to: the writer says its pid when it is about to begin, creates or resumes the stream there,
+and finishes it. An empty line waits for that writer and says how it ended, -9 for SIGKILL. A fork
+costs milliseconds where a new interpreter costs a second.
 """
 
 from __future__ import annotations
@@ -16,45 +14,36 @@ import tempfile
 import traceback
 from pathlib import Path
 
-from codec.profiles.profile import Profile
-from codec.slice import Slice
 from codec.slots.update import Update
 from codec.storage.openstorage import Target, open_storage, parse_target
 from codec.stream import StreamWriter
 from codec.stream.manifest import Manifest
 from tests.support.slots.folder import slots_manifest
 from tests.support.slots.updates import patternless_updates, small_layout
-from tests.support.tiny_stream import tiny_manifest, tiny_slice
 
 NUM_FRAMES = 31
 """The last segment is a short one."""
 
 
-def forked_manifest(has_slots: bool = False) -> Manifest:
-    """Short segments of float32, or of few slots: the time goes into files, not into
-    compression."""
-    if has_slots:
-        return slots_manifest(small_layout(2, (5,), 0, 2))
-    return tiny_manifest(Profile.RAW, swin_size=2, segment_frames=2)
+def forked_manifest() -> Manifest:
+    """Short segments of few slots: the time goes into files, not into compression."""
+    return slots_manifest(small_layout(2, (5,), 0, 2))
 
 
-def forked_slices(has_slots: bool = False) -> list[Slice] | list[Update]:
-    manifest = forked_manifest(has_slots)
-    if has_slots:
-        return patternless_updates(manifest.slot_layout, NUM_FRAMES)
-    return [tiny_slice(birth) for birth in range(manifest.first_birth, NUM_FRAMES)]
+def forked_updates() -> list[Update]:
+    return patternless_updates(forked_manifest().slot_layout, NUM_FRAMES)
 
 
-def write(target: Target, slices: list[Slice] | list[Update]) -> None:
+def write(target: Target, updates: list[Update]) -> None:
     """Creates or resumes the stream at `target` and finishes it."""
     if open_storage(target).holds("manifest.json"):
         writer = StreamWriter.resume(target)
     else:
-        writer = StreamWriter.create(target, forked_manifest(isinstance(slices[0], Update)))
+        writer = StreamWriter.create(target, forked_manifest())
     with writer:
-        for slice in slices:
-            if slice.birth >= writer.next_birth and not writer.complete:
-                writer.append(slice)
+        for update in updates:
+            if update.birth >= writer.next_birth and not writer.complete:
+                writer.append(update)
 
 
 def say(number: int) -> None:
@@ -63,14 +52,14 @@ def say(number: int) -> None:
 
 
 def main() -> None:
-    slices = forked_slices("slots" in sys.argv[1:])
+    updates = forked_updates()
     with tempfile.TemporaryDirectory() as made:
         # Here once, so that no writer that is forked has to load a kernel.
-        writer = StreamWriter.create(Path(made), forked_manifest(isinstance(slices[0], Update)))
-        for slice in slices[:6]:
-            writer.append(slice)
+        writer = StreamWriter.create(Path(made), forked_manifest())
+        for update in updates[:6]:
+            writer.append(update)
         writer.abort()
-        write(Path(made), slices)
+        write(Path(made), updates)
     pid = 0
     for line in sys.stdin:
         folder = line.rstrip("\n")
@@ -81,7 +70,7 @@ def main() -> None:
         if not pid:
             try:
                 say(os.getpid())
-                write(parse_target(folder), slices)
+                write(parse_target(folder), updates)
                 os._exit(0)
             except BaseException:
                 traceback.print_exc()

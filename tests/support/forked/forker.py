@@ -13,9 +13,9 @@ from tests.support.commands import ROOT
 class Forker:
     """The warm process, and at most one writer forked from it."""
 
-    def __init__(self, *arguments: str) -> None:
+    def __init__(self) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.support.forked.forked_writer", *arguments],
+            [sys.executable, "-m", "tests.support.forked.forked_writer"],
             cwd=ROOT,
             env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
             stdin=subprocess.PIPE,

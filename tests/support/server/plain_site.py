@@ -4,78 +4,56 @@ from __future__ import annotations
 
 import asyncio
 import ssl
+import tempfile
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping
 from contextlib import asynccontextmanager, suppress
+from dataclasses import replace
 from typing import Any
 
-from server.http.acceptor import Acceptor
-from server.http.errors import RequestError
-from server.http.response import AnyResponse, HeadWriter, Response, error_response
-from server.http.site import Connection, Exchange, PatienceConfig, Site
+from server.app import Application
+from server.clients.acceptor import Acceptor
+from server.clients.timeouts import TimeoutConfig
+from server.exchange.errors import RequestError
+from server.exchange.exchange import Exchange
+from server.exchange.request import Request
+from server.exchange.response import AnyResponse, Response, error_response
+from server.library import Library
 from server.listener import bind
+from server.operate.admission import Admission
+from server.state.config import ServerConfig
+from server.state.serverstate import ServerState
 
 Answer = AnyResponse | Coroutine[Any, Any, AnyResponse]
 Answers = Mapping[str, Callable[[Exchange], Answer]]
 """What each path gives."""
 
 
-class PlainSite(Site):
+class PlainSite(Application):
     """Gives its answers, and remembers what became of them."""
 
-    def __init__(self, answers: Answers, patience: PatienceConfig, max_connections: int) -> None:
+    def __init__(self, state: ServerState, answers: Answers) -> None:
+        super().__init__(state)
         self.answers = answers
-        self.patience = patience
-        self.connections: set[Connection] = set()
-        self.emptied = asyncio.Event()
-        self.heads = HeadWriter({})
-        self.max_body_bytes = 1024
-        self.max_connections = max_connections
-        self.is_stopping = False
-        self.held = 0
-        """Connections admitted and not given back."""
         self.done: list[Exchange] = []
-        self.errors: list[Exception] = []
-        self.cuts: list[str] = []
-        self.num_pauses = 0
-        self.num_bytes = 0
 
-    @property
-    def stopping(self) -> bool:
-        return self.is_stopping
-
-    def answer(self, exchange: Exchange) -> Answer:
-        assert exchange.request is not None
+    def answer(self, exchange: Exchange, request: Request) -> Answer:
         try:
-            return self.answers[exchange.request.path](exchange)
+            return self.answers[request.path](exchange)
         except KeyError:
             return error_response(404, "nothing", {})
         except RequestError as error:
             return error_response(error.status, str(error), error.headers)
 
-    def failed(self, exchange: Exchange, error: Exception) -> None:
-        self.errors.append(error)
-
     def finished(self, exchange: Exchange, now_s: float) -> None:
+        super().finished(exchange, now_s)
         self.done.append(exchange)
 
-    def sent(self, num_bytes: int) -> None:
-        self.num_bytes += num_bytes
-
-    def cut(self, kind: str) -> None:
-        self.cuts.append(kind)
-
-    def has_room(self) -> bool:
-        return self.held < self.max_connections
-
-    def paused(self) -> None:
-        self.num_pauses += 1
-
-    def admit(self, address: str) -> bytes | None:
-        self.held += 1
-        return None
-
-    def closed(self, address: str) -> None:
-        self.held -= 1
+    @property
+    def cuts(self) -> list[str]:
+        """The kinds of the timeouts, in the order of the alphabet."""
+        timeouts = self.state.metrics.timeouts
+        kinds = ("flood", "head", "idle", "write")
+        return [kind for kind in kinds for _ in range(round(timeouts.value(kind)))]
 
 
 def text(status: int = 200, body: bytes = b"ok\n") -> Callable[[Exchange], Response]:
@@ -130,9 +108,11 @@ class Client:
 class RunningSite:
     """A site that is served."""
 
-    def __init__(self, site: PlainSite, port: int) -> None:
+    def __init__(self, site: PlainSite, acceptor: Acceptor, admission: Admission) -> None:
         self.site = site
-        self.port = port
+        self.acceptor = acceptor
+        self.admission = admission
+        self.port = 0
 
     @asynccontextmanager
     async def connect(
@@ -153,29 +133,34 @@ class RunningSite:
 def on_site(
     answers: Answers,
     check: Callable[[RunningSite], Awaitable[None]],
-    patience: PatienceConfig | None = None,
+    timeouts: TimeoutConfig | None = None,
     tls: ssl.SSLContext | None = None,
-    max_connections: int = 1000,
 ) -> PlainSite:
     """Runs `check` against a site with these answers; gives the site when all has ended."""
     failures: list[object] = []
 
-    async def run() -> PlainSite:
+    async def run(folder: str) -> PlainSite:
         asyncio.get_running_loop().set_exception_handler(
             lambda loop, context: failures.append(context)
         )
+        config = ServerConfig(log_requests=False)
+        config = replace(config, timeouts=timeouts or config.timeouts)
         listener = bind("127.0.0.1", 0)
-        site = PlainSite(answers, patience or PatienceConfig(), max_connections)
-        acceptor = Acceptor(site, listener, tls)
+        site = PlainSite(ServerState(Library(folder, config.refresh_s), config), answers)
+        admission = Admission(1000, 1000)
+        acceptor = Acceptor(site.clients, listener, admission, tls)
+        running = RunningSite(site, acceptor, admission)
+        running.port = listener.getsockname()[1]
         acceptor.start()
         try:
-            await check(RunningSite(site, listener.getsockname()[1]))
+            await check(running)
         finally:
             await acceptor.stop(2.0)
             listener.close()
-        assert site.held == 0
+        assert admission.num_held == 0
         return site
 
-    site = asyncio.run(run())
+    with tempfile.TemporaryDirectory() as folder:
+        site = asyncio.run(run(folder))
     assert not failures, failures
     return site

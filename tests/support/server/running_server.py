@@ -12,23 +12,25 @@ import aiohttp
 import numpy as np
 
 from codec.camera import Camera
-from codec.profiles.profile import Profile
+from codec.lattice.lattice import Lattice
 from codec.slice import Slice
 from codec.splats import Splats
 from codec.stream import StreamWriter
+from codec.stream.layers import split_counts
 from codec.stream.manifest import Manifest
-from codec.stream.playrecord import Record, RecordParser, SliceRecord
+from codec.stream.playrecord import Record, RecordParser, SliceRecord, SnapshotRecord
 from server.abr.session import SessionConfig
-from server.http.site import PatienceConfig
+from server.clients.timeouts import TimeoutConfig
 from server.library import Library
 from server.listener import bind
-from server.operate.workers.supervisor import SupervisorConfig
+from server.operate.workers.supervisorconfig import SupervisorConfig
 from server.runningserver import RunningServer
 from server.state.config import ServerConfig
 from server.state.serverstate import ServerState
 
 SWIN_SIZE = 4
 SEGMENT_FRAMES = 5
+LATTICE = Lattice(1 / 512, 1 / 16, 1 / 100, 1 / 40, 64)
 
 
 def random_slice(birth: int, count: int) -> Slice:
@@ -48,11 +50,10 @@ def small_manifest(slice_size: int = 8, fps: float = 30.0, title: str = "") -> M
     return Manifest(
         fps=fps,
         swin_size=SWIN_SIZE,
-        num_gs=SWIN_SIZE * slice_size,
-        layers=(0.25, 0.25, 0.25, 0.25),
+        slots=split_counts(slice_size, (0.25,) * 4),
+        lattice=(LATTICE,) * 4,
         segment_frames=SEGMENT_FRAMES,
         sh_degree=0,
-        profile=Profile.RAW,
         antialias=False,
         near_m=0.01,
         bounds=((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)),
@@ -71,10 +72,24 @@ def make_stream(
     path: Path, num_frames: int, slice_size: int = 8, fps: float = 30.0, title: str = ""
 ) -> Path:
     """A finished stream at `path`."""
-    with StreamWriter.create(path, small_manifest(slice_size, fps, title)) as writer:
+    with StreamWriter.create(path, small_manifest(slice_size, fps, title), exact=True) as writer:
         for birth in births_of(num_frames):
             writer.append(random_slice(birth, slice_size))
     return path
+
+
+def live_stream(path: Path, num_frames: int = 0, fps: float = 30.0) -> StreamWriter:
+    """A stream that is being written, with so many frames."""
+    writer = StreamWriter.create(path, small_manifest(fps=fps))
+    if num_frames:
+        append_frames(writer, num_frames)
+    return writer
+
+
+def append_frames(writer: StreamWriter, num_frames: int = SEGMENT_FRAMES) -> None:
+    """Writes so many frames more, with all slices before them."""
+    for birth in range(writer.next_birth, max(writer.next_birth, 0) + num_frames):
+        writer.append(random_slice(birth, 8))
 
 
 def quick_config(
@@ -91,7 +106,7 @@ def quick_config(
     return ServerConfig(
         session=SessionConfig(max_lead_s=max_lead_s),
         max_plays=max_plays,
-        patience=PatienceConfig(
+        timeouts=TimeoutConfig(
             request_timeout_s=keepalive_timeout_s,
             keepalive_timeout_s=keepalive_timeout_s,
             write_timeout_s=write_timeout_s,
@@ -153,8 +168,13 @@ def slices_of(records: Iterable[Record]) -> list[SliceRecord]:
 
 
 def births_with_layer_0(records: Iterable[Record]) -> list[int]:
-    """Of the slices, in the order in which their layer 0 came."""
-    return [one.birth for one in slices_of(records) if not one.first_layer]
+    """In the order in which their layer 0 came, by a slice or by a snapshot."""
+    firsts = (r for r in records if isinstance(r, SliceRecord | SnapshotRecord))
+    return [
+        one.birth if isinstance(one, SliceRecord) else one.frame
+        for one in firsts
+        if not one.first_layer
+    ]
 
 
 async def raw_request(port: int, request: bytes, timeout_s: float = 5.0) -> bytes:
@@ -167,6 +187,13 @@ async def raw_request(port: int, request: bytes, timeout_s: float = 5.0) -> byte
     finally:
         writer.close()
         await writer.wait_closed()
+
+
+async def raw_get(port: int, path: str, host: str = "x") -> tuple[bytes, bytes]:
+    """Head and body of the answer to a GET; an honest client would tidy the path up."""
+    head = f"GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n"
+    head_bytes, _, body = (await raw_request(port, head.encode("latin-1"))).partition(b"\r\n\r\n")
+    return head_bytes, body
 
 
 async def eventually(condition: Callable[[], object], timeout_s: float = 5.0) -> None:

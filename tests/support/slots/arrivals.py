@@ -1,5 +1,4 @@
-"""Orders in which the objects and packets of a play arrive, some never, and the slots that result:
-one table of cases for the readers of both languages.
+"""Orders in which the objects and packets of a play arrive, some never, and the slots that result.
 
 A case is a list of events. An item arrives at any time before its segment has been shown, or never.
 Only what a frame cannot be shown without is there in time: its mask, its change of layer 0, and
@@ -8,14 +7,15 @@ where the play joins the snapshot of layer 0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import random
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from codec.slots.slotlayout import SlotLayout
-from tests.goldens.slots_cases import make_shape
-from tests.goldens.slots_decoder import Shape
-from tests.goldens.slots_reader import Reader
+from tests.goldens.decoder import Shape
+from tests.goldens.reader import Reader
+from tests.support.slots.hostile_slots import altered
 from tests.support.slots.plain import Chunks, Held, encoded_chunks, layout_of, plainly_held
 from tests.support.slots.updates import patternless_updates
 
@@ -60,7 +60,7 @@ Event = Item | Show | Look
 
 @dataclass(frozen=True)
 class Arrivals:
-    """One case of the table."""
+    """One case."""
 
     shape: Shape
     join_frame: int
@@ -101,22 +101,30 @@ class Arrivals:
 
 
 def make_arrivals(shape: Shape, seed: int) -> Arrivals:
-    """A case: a stream of random updates, of which each item is lost or comes at a random time."""
-    rng = np.random.default_rng(seed)
+    """A case of a stream of random updates."""
     layout = layout_of(shape)
     updates = patternless_updates(layout, NUM_FRAMES, seed, wild=True, calm=5)
-    chunks = encoded_chunks(layout, updates)
-    join = int(rng.integers(0, NUM_FRAMES))
+    return arrivals_of(shape, encoded_chunks(layout, updates), seed)
+
+
+def arrivals_of(shape: Shape, chunks: Chunks, seed: int, altered_share: float = 0.0) -> Arrivals:
+    """A case in which each item of `chunks` is lost or comes at a random time; of those that no
+    frame waits for, a share comes with other bytes."""
+    rng, random_bytes = np.random.default_rng(seed), random.Random(seed)
+    num_frames = len(chunks.masks)
+    join = int(rng.integers(0, num_frames))
     lost = float(rng.choice([0.0, 0.1, 0.4]))
     timed: list[tuple[float, Event]] = []
-    for first in range(join - join % shape.segment_frames, NUM_FRAMES, shape.segment_frames):
-        end = min(first + shape.segment_frames, NUM_FRAMES)
+    for first in range(join - join % shape.segment_frames, num_frames, shape.segment_frames):
+        end = min(first + shape.segment_frames, num_frames)
         timed.append((end - 0.5, Look()))
         timed += [(frame, Show(frame)) for frame in range(max(first, join), end)]
         for item, due_s in _items(chunks, first, end, first <= join):
             if due_s is not None:
                 timed.append((float(rng.uniform(first - 2, max(due_s, join))), item))
             elif rng.random() >= lost:
+                if rng.random() < altered_share:
+                    item = replace(item, chunk=altered(item.chunk, random_bytes))
                 timed.append((float(rng.uniform(first - 2, end - 0.5)), item))
     return Arrivals(shape, join, [event for _, event in sorted(timed, key=lambda one: one[0])])
 
@@ -133,18 +141,3 @@ def _items(
         for layer, chunk in enumerate(chunks.changes[birth]):
             items.append((Change(birth, layer, chunk), None if layer else birth))
     return items
-
-
-TABLE = [
-    make_arrivals(
-        make_shape(
-            swin_size=1 + seed % 3,
-            segment_frames=(3, 5, 9, 14)[seed // 3 % 4],
-            k=(1, 4)[seed % 2],
-            slots=((6, 5), (1, 4, 3), (9,), (4, 3, 3))[seed // 2 % 4],
-        ),
-        seed,
-    )
-    for seed in range(48)
-]
-"""The cases that both languages run."""

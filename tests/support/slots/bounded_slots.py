@@ -1,4 +1,4 @@
-"""Hostile input of version 2 for tests/support/bounded_decoder.py, and what each may cost."""
+"""Hostile chunks for tests/support/bounded_decoder.py, and what each may cost."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 import zstandard
 
 from codec.coders.coder import decompress
-from codec.slots.lattice import Lattice
+from codec.lattice.lattice import Lattice
 from codec.slots.mask import MaskHistory, decode_mask
 from codec.slots.slotchange import COUNTS, decode_change
 from codec.slots.slotchunk import SLOT_HEADER, Kind
@@ -21,8 +21,10 @@ from codec.slots.snapshot import decode_snapshot
 from codec.slots.update import Update
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.index import pack_record
+from codec.stream.manifest import MASKS, Part, is_snapshot, snapshot_part
 from codec.tools.audit import verify_stream
-from tests.support.slots.folder import put_part, slots_manifest, write_slots
+from tests.support.hostile import put_packets
+from tests.support.slots.folder import slots_manifest, write_slots
 
 N = 1 << 18
 """Slots of a lane."""
@@ -80,13 +82,13 @@ def read_mask(packet: bytes) -> None:
     decode_mask(LAYOUT, 5, data, MaskHistory(LAYOUT).of(5))
 
 
-def read_folder(part: str, packet: bytes, read: Callable[[Path], object]) -> None:
+def read_folder(part: Part, packet: bytes, read: Callable[[Path], object]) -> None:
     """Reads a stream of 15 slots whose first packet of `part`, with its hash, is `packet`."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "stream"
         write_slots(path, 4)
-        births = range(1 if part.startswith("snapshot") else 4)
-        put_part(path, 0, part, [(birth, packet) for birth in births])
+        births = range(1 if is_snapshot(part) else 4)
+        put_packets(path, 0, part, [(birth, packet) for birth in births])
         read(path)
 
 
@@ -95,11 +97,15 @@ def read_last(path: Path) -> None:
 
 
 def lying_sizes(_: bytes) -> None:
-    """The index says that the masks and snapshots have a gigabyte each."""
+    """The index says that every object has a gigabyte."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "stream"
         write_slots(path, 4)
-        record = replace(StreamReader(path).records[0], side_bytes=(1 << 30,) * 3)
+        record = replace(
+            StreamReader(path).records[0],
+            object_bytes=(1 << 30,) * 2,
+            side_bytes=(1 << 30,) * 3,
+        )
         (path / "index.bin").write_bytes(pack_record(record))
         read_last(path)
 
@@ -133,7 +139,7 @@ def mask_of(body: Callable[[int], bytes]) -> Hostile:
 
 
 def beyond(
-    kind: Kind, birth: int, part: str, read: Callable[[Path], object] = read_last
+    kind: Kind, birth: int, part: Part, read: Callable[[Path], object] = read_last
 ) -> Hostile:
     """A packet of `part` that inflates to far more than its slots can fill."""
     return (
@@ -158,10 +164,10 @@ SLOT_CASES: dict[str, Hostile] = {
     "full snapshot": (full_snapshot, read_snapshot, N * (13 + 3 * STATE_BYTES)),
     "mask of zeros": mask_of(bytes),
     "mask of noise": mask_of(os.urandom),
-    "mask beyond its slots": beyond(Kind.MASK, 1, "masks"),
-    "change beyond its slots": beyond(Kind.CHANGE, 1, "1"),
-    "snapshot beyond its slots": beyond(Kind.SNAPSHOT, 0, "snapshot-0"),
-    "verify beyond its slots": beyond(Kind.CHANGE, 1, "0", verify_stream),
-    "sizes of masks and snapshots in an index": (lambda: b"", lying_sizes, 0),
+    "mask beyond its slots": beyond(Kind.MASK, 1, MASKS),
+    "change beyond its slots": beyond(Kind.CHANGE, 1, 1),
+    "snapshot beyond its slots": beyond(Kind.SNAPSHOT, 0, snapshot_part(0)),
+    "verify beyond its slots": beyond(Kind.CHANGE, 1, 0, verify_stream),
+    "sizes in an index": (lambda: b"", lying_sizes, 0),
     "empty slots": (lambda: b"", empty_slots, N * 4 * (STATE_BYTES + FLOAT_BYTES)),
 }

@@ -1,21 +1,16 @@
-"""Tiny streams of version 2 in their folder."""
+"""Tiny streams of patternless updates in their folder."""
 
 from __future__ import annotations
 
-import hashlib
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from codec.camera import Camera
-from codec.profiles.profile import Profile
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import Update
-from codec.stream import StreamReader, StreamWriter
-from codec.stream.index import pack_record
-from codec.stream.manifest import SLOTS_VERSION, Manifest
-from codec.stream.object import join_packets
+from codec.stream import StreamWriter
+from codec.stream.manifest import Manifest
 from tests.support.slots.updates import patternless_updates, small_layout
 
 
@@ -26,11 +21,8 @@ def slots_manifest(layout: SlotLayout | None = None) -> Manifest:
     return Manifest(
         fps=25.0,
         swin_size=layout.swin_size,
-        num_gs=layout.swin_size * layout.num_slots,
-        layers=(),
         segment_frames=layout.segment_frames,
         sh_degree=layout.sh_degree,
-        profile=Profile.LATTICE,
         antialias=False,
         near_m=0.1,
         bounds=((-3.0, -3.0, -3.0), (3.0, 3.0, 3.0)),
@@ -38,7 +30,6 @@ def slots_manifest(layout: SlotLayout | None = None) -> Manifest:
         default_camera="front",
         live=True,
         title="slots",
-        version=SLOTS_VERSION,
         slots=layout.slots,
         lattice=layout.lattices,
     )
@@ -54,25 +45,3 @@ def write_slots(
         for update in updates:
             writer.append(update)
     return updates
-
-
-def put_part(
-    stream: Path, segment: int, part: str, packets: list[tuple[int, bytes]] | bytes
-) -> None:
-    """Replaces an object, of two layers, and says so in the index, as a faulty writer would."""
-    reader = StreamReader(stream)
-    number = [str(p) for p in reader.manifest.parts].index(part)
-    data = packets if isinstance(packets, bytes) else join_packets(packets, version=2)
-    (stream / "segments" / str(segment) / part).write_bytes(data)
-    records = list(reader.records)
-    sizes = list(records[segment].part_bytes)
-    hashes = list(records[segment].part_sha256)
-    sizes[number], hashes[number] = len(data), hashlib.sha256(data).digest()
-    records[segment] = replace(
-        records[segment],
-        object_bytes=tuple(sizes[:2]),
-        object_sha256=tuple(hashes[:2]),
-        side_bytes=tuple(sizes[2:]),
-        side_sha256=tuple(hashes[2:]),
-    )
-    (stream / "index.bin").write_bytes(b"".join(map(pack_record, records)))

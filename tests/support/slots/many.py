@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import zstandard
 
-from codec.slots.lattice import Lattice
+from codec.lattice.lattice import Lattice
 from codec.slots.slotchange import COUNTS
 from codec.slots.slotchunk import SLOT_HEADER, Kind
 from codec.slots.slotlayout import SlotLayout
@@ -37,7 +37,7 @@ def _snapshot() -> bytes:
 
 def write_many(stream: Path) -> None:
     """Writes the stream: one frame, one layer, one snapshot of NUM_GAUSSIANS."""
-    objects = [join_packets([(0, packet)], version=2) for packet in (b"", b"", _snapshot())]
+    objects = [join_packets([(0, packet)]) for packet in (b"", b"", _snapshot())]
     folder = stream / "segments" / "0"
     folder.mkdir(parents=True)
     for name, data in zip(("0", "masks", "snapshot-0"), objects, strict=True):

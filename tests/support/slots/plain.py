@@ -13,8 +13,8 @@ from itertools import chain
 import numpy as np
 
 from codec.errors import CodecError
+from codec.lattice.lattice import Lattice, States, num_attributes
 from codec.slice import HIDDEN
-from codec.slots.lattice import Lattice, States, num_attributes
 from codec.slots.mask import decode_mask
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.slotencoder import SlotEncoder
@@ -22,9 +22,9 @@ from codec.slots.slotlayout import SlotLayout
 from codec.slots.slotstate import EMPTY, ON_LATTICE, UNKNOWN
 from codec.slots.update import NEW, PREDICTED, Update
 from codec.splats import Splats, array_shapes
-from tests.goldens import slots_decoder as plain
-from tests.goldens.slots_encoder import RandomStream, encode_snapshot
-from tests.goldens.slots_reader import AppliedSlice, Reader
+from tests.goldens import decoder as plain
+from tests.goldens.encoder import RandomStream, encode_snapshot
+from tests.goldens.reader import AppliedSlice, Reader
 
 
 def layout_of(shape: plain.Shape) -> SlotLayout:
@@ -44,6 +44,10 @@ class Chunks:
     changes: list[list[bytes]]
     snapshots: dict[int, list[bytes]]
     """By the first frame of each segment."""
+
+    def slice(self, birth: int) -> tuple[bytes, list[bytes]]:
+        """The mask and the changes of a birth."""
+        return self.masks[birth], self.changes[birth]
 
 
 def encoded_chunks(layout: SlotLayout, updates: Sequence[Update]) -> Chunks:

@@ -9,7 +9,8 @@ import numpy as np
 
 from codec.slice import Slice
 from codec.stream import StreamReader
-from tests.support.slots.slot_streams import Shown, gaussians, same_splats
+from tests.support.drawn import same_splats
+from tests.support.slots.slot_streams import Shown, gaussians
 
 
 class Screen:

@@ -1,4 +1,4 @@
-"""Small streams of version 2 on disk, and what a player shows of them."""
+"""Small streams of updates on disk, and what a player shows of them."""
 
 from __future__ import annotations
 
@@ -9,14 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from codec.profiles.profile import Profile
+from codec.lattice.lattice import States
 from codec.slice import Slice
-from codec.slots.lattice import States
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
 from codec.stream import StreamWriter
-from codec.stream.manifest import SLOTS_VERSION, Manifest
+from codec.stream.manifest import Manifest
 from player.render.ring import Ring
 from tests.support.hosted_streams import small_manifest
 from tests.support.slots.updates import patternless_updates, small_layout
@@ -26,11 +25,7 @@ def slot_manifest(layout: SlotLayout, **changes: object) -> Manifest:
     """A manifest of streams with the slots of `layout`."""
     values: dict[str, object] = {
         "swin_size": layout.swin_size,
-        "num_gs": layout.swin_size * layout.num_slots,
-        "layers": (1.0,),
         "segment_frames": layout.segment_frames,
-        "profile": Profile.LATTICE,
-        "version": SLOTS_VERSION,
         "slots": layout.slots,
         "lattice": layout.lattices,
     }
@@ -99,11 +94,6 @@ class Shown:
         for slice in slices:
             self._ring.put(slice)
         return self._ring.active(frame)
-
-
-def same_splats(a: Splats, b: Splats) -> bool:
-    """Whether two sets of Gaussians have the same bits in the same order."""
-    return all(x.tobytes() == y.tobytes() for x, y in zip(a.arrays, b.arrays, strict=True))
 
 
 def gaussians(splats: Splats) -> Counter[bytes]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from codec.slots.lattice import Bytes, Lattice, States, quantise
+from codec.lattice.lattice import Bytes, Lattice, States, quantise
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Floats, Splats

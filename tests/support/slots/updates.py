@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from codec.slots.lattice import POSITION_LIMIT, Lattice, States, num_attributes
+from codec.lattice.lattice import POSITION_LIMIT, Lattice, States, num_attributes
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats, array_shapes

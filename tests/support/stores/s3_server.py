@@ -40,7 +40,6 @@ class S3Server:
             "AWS_SECRET_ACCESS_KEY": "key",
             "AWS_REGION": "us-east-1",
             "AWS_ENDPOINT_URL": f"http://127.0.0.1:{self._port}",
-            "AWS_ALLOW_HTTP": "true",
         }
 
     def empty(self) -> None:
@@ -92,7 +91,8 @@ class S3Server:
 def s3_server() -> Iterator[S3Server]:
     """A server with an empty bucket, which obstore finds by the environment."""
     server = S3Server()
-    before = {name: os.environ.get(name) for name in server.environment}
+    names = (*server.environment, "AWS_ALLOW_HTTP")  # swings sets the last one
+    before = {name: os.environ.pop(name, None) for name in names}
     os.environ.update(server.environment)
     try:
         server.empty()
@@ -100,8 +100,7 @@ def s3_server() -> Iterator[S3Server]:
         yield server
     finally:
         for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
+            os.environ.pop(name, None)
+            if value is not None:
                 os.environ[name] = value
         server.stop()

@@ -39,10 +39,17 @@ class Page:
         height_px: int = 480,
         touch: bool = False,
         scripts: Sequence[Path] = (),
+        options: dict[str, object] | None = None,
     ) -> None:
-        """scripts: they run in the page before its own."""
+        """scripts: they run in the page before its own. options: of Playwright's browser
+        context, such as deviceScaleFactor, reducedMotion and forcedColors."""
         size = {"widthPx": width_px, "heightPx": height_px}
-        self._do("open", url=url, **size, touch=touch, scripts=[str(path) for path in scripts])
+        paths = [str(path) for path in scripts]
+        self._do("open", url=url, **size, touch=touch, scripts=paths, options=options or {})
+
+    def reopen(self) -> None:
+        """Opens the same address in a new page of the same browser, whose cache is warm."""
+        self._do("reopen")
 
     def close(self) -> None:
         self._do("close")
@@ -65,6 +72,14 @@ class Page:
     def click(self, selector: str) -> None:
         self._do("click", selector=selector)
 
+    def tap(self, at_px: tuple[float, float]) -> None:
+        """A finger that touches the page for a moment."""
+        self._do("tap", atPx=at_px)
+
+    def hover(self, at_px: tuple[float, float]) -> None:
+        """Moves the mouse there."""
+        self._do("hover", atPx=at_px)
+
     def drag(
         self, from_px: tuple[float, float], to_px: tuple[float, float], button: str = "left"
     ) -> None:
@@ -77,8 +92,18 @@ class Page:
     def screenshot(self, path: Path, selector: str | None = None) -> None:
         self._do("screenshot", path=str(path), selector=selector)
 
+    def axe(self, selector: str | None = None) -> list[str]:
+        """What axe-core has against a part of the page, or all of it: a line for each element."""
+        found: list[str] = self._do("axe", selector=selector)
+        return found
+
     def resize(self, width_px: int, height_px: int) -> None:
         self._do("resize", widthPx=width_px, heightPx=height_px)
+
+    def set_screen(self, width_px: int, height_px: int, ratio: float) -> None:
+        """Moves the window to a screen with `ratio` device pixels for each CSS pixel; Chromium
+        reports the ratio to the page only if the size changes as well."""
+        self._do("screen", widthPx=width_px, heightPx=height_px, ratio=ratio)
 
     def set_offline(self, offline: bool) -> None:
         self._do("offline", offline=offline)

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from codec.camera import Camera
-from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, picture_of, tiny_rig
+from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, picture_of, refusal, tiny_rig
 from tests.support.tiny_models import COLOURS, POINTS, write_model, write_pictures
 from trainer.capture.layout import open_capture
 from trainer.capture.lens import Lens, straightened
@@ -27,14 +27,6 @@ def write_colmap(root: Path, binary: bool = True, by_frame: bool = True) -> list
     write_model(root / "sparse/0", cameras, [c.name + suffix for c in cameras], binary)
     write_pictures(root, cameras, NUM_FRAMES, by_frame)
     return cameras
-
-
-def refusal(path: Path) -> str:
-    with pytest.raises(CaptureError) as caught:
-        open_capture(path)
-    message = str(caught.value)
-    assert "\n" not in message
-    return message
 
 
 @pytest.mark.parametrize("binary", [True, False])
@@ -69,18 +61,14 @@ def test_model_without_a_numbered_folder_or_points(tmp_path: Path) -> None:
     assert open_capture(tmp_path).points is None
 
 
-def test_held_out_and_rate_files(tmp_path: Path) -> None:
+def test_the_rate_of_a_file(tmp_path: Path) -> None:
     write_colmap(tmp_path)
-    (tmp_path / "held_out.txt").write_text("cam02\n")
     (tmp_path / "fps.txt").write_text("59.94\n")
     capture = open_capture(tmp_path)
-    assert (capture.held_out, capture.fps) == ((2,), 59.94)
+    assert capture.fps == 59.94
     for text in ("fast", "0", "nan"):
         (tmp_path / "fps.txt").write_text(text)
         assert "fps.txt" in refusal(tmp_path)
-    (tmp_path / "fps.txt").unlink()
-    (tmp_path / "held_out.txt").write_text("cam07")
-    assert "'cam07' is not a camera" in refusal(tmp_path)
 
 
 def test_cameras_of_different_sizes(tmp_path: Path) -> None:

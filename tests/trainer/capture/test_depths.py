@@ -9,8 +9,8 @@ import pytest
 
 from codec.camera import Camera
 from codec.pose import look_at
+from codec.rig import rig_centre, rig_depths
 from tests.support.tiny_capture import tiny_rig
-from trainer.capture.depths import rig_centre, rig_depths
 from trainer.synth.scene import CAMERA_RADIUS_M, CAMERA_TARGET
 
 

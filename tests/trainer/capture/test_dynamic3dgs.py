@@ -14,22 +14,13 @@ from PIL import Image
 
 from codec.errors import InvalidError
 from tests.support.commands import ROOT
-from tests.support.tiny_capture import picture_of, write_dynamic3dgs
+from tests.support.tiny_capture import picture_of, refusal, write_dynamic3dgs
 from trainer.capture.capture import Capture
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError
 
 DATA = Path(os.environ.get("SWINGS_DATA", ROOT / ".." / "shared" / "data"))
 BASKETBALL = DATA / "panoptic_basketball"
-
-
-def refusal(path: Path) -> str:
-    """The one line with which `open_capture` refuses."""
-    with pytest.raises(CaptureError) as caught:
-        open_capture(path)
-    message = str(caught.value)
-    assert "\n" not in message
-    return message
 
 
 def edit_meta(root: Path, change: Callable[[dict[str, Any]], None], name: str = "train") -> None:

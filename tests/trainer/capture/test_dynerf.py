@@ -15,7 +15,14 @@ from hypothesis import strategies as st
 from codec.camera import Camera
 from codec.errors import InvalidError
 from codec.pose import rotation_of, world_to_camera
-from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, picture_of, write_dynerf, write_video
+from tests.support.tiny_capture import (
+    HEIGHT_PX,
+    WIDTH_PX,
+    picture_of,
+    refusal,
+    write_dynerf,
+    write_video,
+)
 from trainer.capture.dynerf import decode_pose, encode_pose
 from trainer.capture.layout import open_capture
 from trainer.capture.video import MAX_SKIP_FRAMES, VideoSource, probe_video
@@ -35,14 +42,6 @@ def long_video(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def capture_path(tmp_path: Path) -> Path:
     write_dynerf(tmp_path / "c")
     return tmp_path / "c"
-
-
-def refusal(path: Path) -> str:
-    with pytest.raises(CaptureError) as caught:
-        open_capture(path)
-    message = str(caught.value)
-    assert "\n" not in message
-    return message
 
 
 def tiny_camera() -> Camera:
@@ -78,12 +77,6 @@ def test_held_out_and_points_files(capture_path: Path) -> None:
     assert (capture.held_out, capture.training) == ((1, 2), (0,))
     assert capture.points is not None
     assert capture.points.rgb.tolist() == [[255] * 3] * 2
-    (capture_path / "held_out.txt").write_text("")
-    assert open_capture(capture_path).held_out == ()
-    (capture_path / "held_out.txt").write_text("cam07")
-    assert "'cam07' is not a camera" in refusal(capture_path)
-    (capture_path / "held_out.txt").write_bytes(b"\xff\xfe")
-    assert "not text" in refusal(capture_path)
 
 
 def test_llff_axes() -> None:

@@ -12,12 +12,10 @@ import pytest
 
 from codec.camera import Camera
 from tests.support.footage.checking import all_said, checked
-from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, picture_of, tiny_rig
+from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, picture_of, refusal, tiny_rig
 from tests.support.tiny_models import transforms_of, write_transforms
 from trainer.capture.layout import open_capture
-from trainer.errors import CaptureError
 
-NUM_FRAMES = 5
 BT709, PQ, HLG = 1, 16, 18
 TICKS = 600
 """Of a video's time base, a second."""
@@ -57,13 +55,6 @@ def rig(tmp_path: Path) -> list[Camera]:
 
 def declare(root: Path, cameras: list[Camera]) -> None:
     write_transforms(root, transforms_of(cameras, [[f"{c.name}.mp4"] for c in cameras]))
-
-
-def refusal(root: Path) -> str:
-    with pytest.raises(CaptureError) as caught:
-        open_capture(root)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
 
 
 def test_ordinary_videos_raise_no_doubt(rig: list[Camera], tmp_path: Path) -> None:

@@ -106,6 +106,24 @@ def test_what_is_not_a_coordinate_is_refused(tmp_path: Path) -> None:
     assert not accepts(path, header("binary_little_endian") + nan.tobytes())
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "says"),
+    [
+        (b"element vertex", b"element edge", "not a list of vertices"),
+        (b"uchar red", b"float red", "red, green, blue as uchar"),
+        (b" z\n", b" w\n", "lack x, y, z"),
+        (b"short n", b"list int n", "not a list of vertices"),
+    ],
+)
+def test_a_header_without_points_is_refused(
+    before: bytes, after: bytes, says: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "points.ply"
+    path.write_bytes(WHOLE["binary"].replace(before, after))
+    with pytest.raises(CaptureError, match=rf"points\.ply: .*{says}"):
+        read_ply(path)
+
+
 def short(data: bytes) -> Callable[[Path], object]:
     return lambda path: path.write_bytes(data)
 

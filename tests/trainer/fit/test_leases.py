@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.errors import InvalidError
-from codec.slots.lattice import Lattice, States, dequantise, num_attributes
+from codec.lattice.lattice import Lattice, States, dequantise, num_attributes
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats

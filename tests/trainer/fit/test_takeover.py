@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codec.errors import InvalidError
-from codec.slots.lattice import States
+from codec.lattice.lattice import States
 from codec.slots.slotencoder import SlotEncoder
 from codec.slots.update import Update
 from trainer.fit.trainer import Trainer

@@ -20,10 +20,9 @@ from trainer.fit.mcmc import CameraSpread, McmcConfig
 from trainer.fit.trainer import Observer, Progress, Trainer
 from trainer.pictures.shot import Shot
 from trainer.seed.gaussians import initial_splats
-from trainer.step.backend import CpuBackend
+from trainer.step.backend import CpuBackend, StepInput
 from trainer.step.loss import Loss, psnr_db
-from trainer.step.raster import Ints, Parameters, View
-from trainer.step.target import Targets
+from trainer.step.raster import Parameters
 
 NEAR_M = 0.2
 FRAMES = 5
@@ -166,7 +165,7 @@ def test_matured_rows_never_change_and_parameters_carry_over() -> None:
 
 def test_observers_are_told_of_each_window_once_its_slices_are_taken() -> None:
     class Telling(Observer):
-        def window_begun(self, first_frame: int) -> None:
+        def window_begun(self, first_frame: int, done: int) -> None:
             told.append(f"begun {first_frame}")
 
         def progressed(self, progress: Progress) -> None:
@@ -186,6 +185,37 @@ def test_observers_are_told_of_each_window_once_its_slices_are_taken() -> None:
         "begun 1", "20 of 20", "taken 1 of [1, 2, 3]", "ended 1",
     ]  # fmt: skip
     assert told[-2:] == ["taken 4 of [4]", "ended 4"]
+
+
+def test_a_state_from_within_genesis_leads_to_the_same_gaussians() -> None:
+    class Keeping(Observer):
+        def progressed(self, progress: Progress) -> None:
+            if progress.first_frame == 0:
+                states.append({name: array.copy() for name, array in trainer.state().items()})
+
+    class Counting(Observer):
+        def window_begun(self, first_frame: int, done: int) -> None:
+            begun.append(done)
+
+        def progressed(self, progress: Progress) -> None:
+            reported.append(progress.iteration)
+
+    config = replace(CONFIG, genesis_iterations=60, settle_rounds=2, window_iterations=30)
+    states = list[dict[str, Any]]()
+    # Pictures that are halved for a while.
+    trainer = Trainer(config, Masked(0), start(), NEAR_M, observers=[Keeping()])
+    whole = next(trainer.windows())
+    assert len(states) == 3 + 2 * 2
+    for state, done in zip(states, (20, 40, 60, 80, 90, 110, 120), strict=True):
+        begun, reported = list[int](), list[int]()
+        other = Trainer(config, Masked(0), None, NEAR_M, observers=[Counting()])
+        other.restore(state)
+        window = next(other.windows())
+        assert begun == [done]
+        assert reported == [n for n in (40, 60, 80, 90, 110, 120) if n > done]
+        for one, part in zip(whole.slices, window.slices, strict=True):
+            for array, mine in zip(one.splats.arrays, part.splats.arrays, strict=True):
+                assert np.array_equal(array, mine)
 
 
 def test_the_same_seed_gives_the_same_slices_and_another_does_not() -> None:
@@ -320,13 +350,11 @@ def test_genesis_begins_with_pictures_of_half_the_size() -> None:
             self.cameras[0] = self.cameras[0].resized(128, 64)  # sizes may differ
 
     class Watched(CpuBackend):
-        def step(
-            self, values: Parameters, rows: Ints, view: View, shot: Shot, *others: Any
-        ) -> Loss:
-            camera = view.camera
-            assert shot.shape == (camera.height_px, camera.width_px)
+        def step(self, given: StepInput, gradients: Parameters) -> Loss:
+            camera = given.view.camera
+            assert given.shot.shape == (camera.height_px, camera.width_px)
             sizes.append((camera.width_px, camera.height_px))
-            return super().step(values, rows, view, shot, *others)
+            return super().step(given, gradients)
 
     sizes = list[tuple[int, int]]()
     config = replace(CONFIG, coarse_share=0.5, genesis_iterations=20, window_iterations=10)
@@ -337,18 +365,3 @@ def test_genesis_begins_with_pictures_of_half_the_size() -> None:
     halves = [width < 97 for width, _ in sizes]
     assert halves == [True] * 10 + [False] * 20
     assert set(sizes) <= {(48, 33), (64, 32), (97, 66), (128, 64)}
-
-
-def test_a_half_picture_is_the_mean_and_its_camera_sees_the_same() -> None:
-    rng = np.random.default_rng(0)
-    picture = rng.integers(0, 256, (33, 50, 3), dtype=np.uint8)
-    camera = ring_camera(0.2, "odd").resized(50, 33)
-    half = camera.halved()
-    target, _ = Targets().take(Shot(picture).half())
-    mean = picture[:32].reshape(16, 2, 25, 2, 3).mean(axis=(1, 3)) / 255
-    np.testing.assert_allclose(target, mean.transpose(2, 0, 1), atol=1e-6)
-    assert target.shape == (3, half.height_px, half.width_px)
-    whole, _ = Targets().take(Shot(picture))
-    np.testing.assert_allclose(whole, picture.transpose(2, 0, 1) / 255, atol=1e-6)
-    # A point on the whole picture's pixel (x, y) is on (x / 2, y / 2) of the half.
-    assert (half.fx_px / half.fy_px, half.cx_px * 2) == (camera.fx_px / camera.fy_px, camera.cx_px)

@@ -63,13 +63,23 @@ def test_what_ray_says_of_a_dead_worker_becomes_one_line() -> None:
         sys.stdout.write(
             "\x1b[33m(raylet)\x1b[0m A worker died or was killed while executing a task by an "
             "unexpected system error. To troubleshoot the problem, check the logs for the dead "
-            "worker. Lease ID: 00 Worker ID: a5 Worker exit type: SYSTEM_ERROR Some common causes "
+            "worker. Lease ID: 00 Worker ID: a5 Node ID: 28 Worker IP address: 192.0.2.2 Worker "
+            "port: 42515 Worker PID: 6361 Worker exit type: SYSTEM_ERROR Worker exit detail: "
+            "Worker unexpectedly exits with a connection error code 2. Some common causes "
             "include: (1) the process was killed by the OOM killer due to high memory usage"
         )
-        sys.stdout.write("Task do failed. There are infinite retries remaining. Error: \n")
+        sys.stdout.write("Task do_task failed. There are 2 retries remaining. Error: \n")
+        sys.stdout.write(
+            "(raylet) Task do_task failed. There are 2 retries remaining, so the task will be "
+            "retried. Error: User exception:\nray::do_task() (pid=6850, ip=192.0.2.2)\n"
+            '  File "worker.py", line 8, in do\n    raise OSError("full")\nOSError: disc is full\n'
+            "\nSystem error:\nIntentionalSystemExit: Worker exits with an exit code 0.\n"
+        )
         sys.stdout.write("2 Workers (tasks / actors) killed due to memory pressure (OOM)\n")
     told = words.getvalue().splitlines()
     assert [line.partition(";")[0] for line in told] == [
-        "a worker died",
+        "worker process 6361 on node 192.0.2.2 was killed or crashed (out of memory, a signal, or "
+        "native code)",
+        "a task failed (OSError: disc is full)",
         "a node ran out of memory and ended a worker",
     ]

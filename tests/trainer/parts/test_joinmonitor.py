@@ -9,14 +9,16 @@ from pathlib import Path
 
 from rich.console import Console
 
+from codec.progressline import ProgressLine
 from codec.stream.index import SegmentRecord
 from trainer.parts.joinmonitor import JoinMonitor
-from trainer.run.progressline import ProgressLine
 from trainer.run.runlog import RunLog
 
 
 def record(segment: int, psnr_db: float, size: int) -> SegmentRecord:
-    return SegmentRecord(segment, 10 * segment, 10, (size,), (bytes(32),), (psnr_db,))
+    """Its masks and snapshot have no bytes."""
+    hashes = (bytes(32),) * 2
+    return SegmentRecord(segment, 10 * segment, 10, (size,), hashes[:1], (psnr_db,), (0, 0), hashes)
 
 
 def test_the_log_has_a_line_for_each_segment_and_means_over_all(tmp_path: Path) -> None:
@@ -40,6 +42,16 @@ def test_the_log_has_a_line_for_each_segment_and_means_over_all(tmp_path: Path) 
     lines = told.getvalue().splitlines()
     assert lines[0].startswith("frame 10 of 60  25% done  1:00 elapsed, 3:00 left  20.00 dB")
     assert lines[-1].startswith("frame 40 of 60  100% done  2:00 elapsed")
+
+
+def test_iterations_of_an_earlier_run_took_none_of_the_time(tmp_path: Path) -> None:
+    now_s, told = 0.0, io.StringIO()
+    with ProgressLine(Console(file=told), lambda: now_s) as line, RunLog(tmp_path / "log") as log:
+        monitor = JoinMonitor(line, log, 60, lambda: now_s)
+        monitor.begin(1_000)
+        now_s += 60
+        monitor.progressed(600, before=500)
+    assert told.getvalue().startswith("first of 60 frames  60% done  1:00 elapsed, 4:00 left")
 
 
 def test_nothing_is_said_of_what_is_not_known(tmp_path: Path) -> None:

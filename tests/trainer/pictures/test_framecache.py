@@ -72,18 +72,6 @@ def test_hits_and_misses(cache: FrameCache) -> None:
         first[0, 0, 0] = 1
 
 
-def test_the_least_recently_used_goes(cache: FrameCache) -> None:
-    for camera in range(4):
-        cache.image(camera, 1)
-    cache.image(0, 1)  # now camera 1 is the oldest
-    cache.image(0, 2)
-    before = cache.statistics
-    cache.image(0, 1)
-    assert cache.statistics.hits == before.hits + 1
-    cache.image(1, 1)
-    assert cache.statistics.misses == before.misses + 1
-
-
 @settings(max_examples=25)
 @given(
     asked=st.lists(st.tuples(st.integers(0, 3), st.integers(0, 5)), max_size=40),

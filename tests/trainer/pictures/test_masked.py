@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,14 +14,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from codec.profiles.profile import Profile
-from codec.slice import Slice
-from codec.splats import Splats
+from codec.lattice.lattice import Lattice
+from codec.rig import rig_centre
 from codec.stream import StreamReader, StreamWriter
-from codec.stream.manifest import Manifest
-from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, picture_of, tiny_rig
+from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, picture_of, seen_by, tiny_rig
 from tests.support.tiny_models import transforms_of, write_pictures, write_transforms
-from trainer.capture.depths import rig_centre
+from tests.support.tiny_stream import tiny_manifest
+from tests.trainer.score.test_ablation import SLOTS, coarse_slice
 from trainer.capture.layout import open_capture
 from trainer.errors import CaptureError
 from trainer.fit.optimiser import Adam, OptimiserConfig
@@ -31,7 +31,7 @@ from trainer.score.meter import QualityMeter
 from trainer.step.loss import Floats, photometric_loss
 from trainer.step.raster import Parameters, View, backward, render
 
-FRAMES, SWIN, SLICE_SIZE = 3, 2, 40
+FRAMES, SWIN = 3, 2
 
 Bytes = npt.NDArray[np.uint8]
 
@@ -152,29 +152,17 @@ def test_masks_are_read_ahead_too_and_a_still_one_is_held_once(tmp_path: Path) -
 
 def write_stream(path: Path, capture_path: Path) -> tuple[float, ...]:
     """A stream of coarse Gaussians; gives the quality noted while it was written."""
-    capture = open_capture(capture_path)
-    cameras = tuple(c.camera for c in capture.cameras)
-    centre = rig_centre(cameras)
-    assert centre is not None
-    manifest = Manifest(
-        fps=30.0, swin_size=SWIN, num_gs=SWIN * SLICE_SIZE, layers=(0.5, 0.5), segment_frames=3,
-        sh_degree=0, profile=Profile.RAW, antialias=False, near_m=0.2,
-        bounds=((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)), cameras=cameras,
-        default_camera=cameras[0].name, live=False,
+    manifest = replace(
+        seen_by(tiny_manifest(SWIN, segment_frames=FRAMES), capture_path), slots=SLOTS,
+        lattice=(Lattice(0.01, 1 / 8, 1 / 60, 1 / 20, 41),) * 2, near_m=0.2,
     )  # fmt: skip
-    with FrameCache(capture, range(FRAMES)) as cache:
+    centre = rig_centre(manifest.cameras)
+    assert centre is not None
+    with FrameCache(open_capture(capture_path), range(FRAMES)) as cache:
         meter = QualityMeter(cache, manifest)
         with StreamWriter.create(path, manifest, quality=meter) as writer:
             for birth in range(1 - SWIN, FRAMES):
-                rng = np.random.default_rng(birth + 9)
-                splats = Splats(
-                    (centre + rng.normal(0, 0.7, (SLICE_SIZE, 3))).astype(np.float32),
-                    rng.normal(-1.5, 0.4, (SLICE_SIZE, 3)).astype(np.float32),
-                    rng.normal(size=(SLICE_SIZE, 4)).astype(np.float32),
-                    rng.normal(0, 1, SLICE_SIZE).astype(np.float32),
-                    rng.normal(0, 1, (SLICE_SIZE, 1, 3)).astype(np.float32),
-                )
-                writer.append(Slice(birth, splats, np.zeros(SLICE_SIZE, np.uint8)))
+                writer.append(coarse_slice(birth, centre, 0))
     return StreamReader(path).records[0].psnr_db
 
 

@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 from codec.camera import Camera
+from codec.rig import rig_depths
 from tests.support.footage.checking import all_said, checked, said
 from tests.support.footage.rebuilt import (
     HEIGHT_PX,
@@ -22,7 +23,6 @@ from tests.support.footage.rebuilt import (
 from tests.support.tiny_capture import tiny_rig
 from tests.support.tiny_models import transforms_of, write_pictures, write_transforms
 from trainer.capture.capture import Capture
-from trainer.capture.depths import rig_depths
 from trainer.capture.layout import open_capture
 from trainer.rig.nearplane import LEAST_SHARE, MARGIN, cut_by, look, near_plane
 from trainer.run.config import TrainConfig

@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from codec.profiles.profile import Profile
+from codec.slots.update import NEW
 from codec.stream import StreamReader
-from codec.stream.manifest import VERSION
+from codec.tools.slotcensus import count_slots
 from tests.support.commands import run, run_ok
 from tests.support.tiny_capture import write_dynerf
 from trainer.fit.config import FitConfig
@@ -29,7 +30,7 @@ def parse(*arguments: str) -> TrainConfig:
 def test_a_preset_gives_the_defaults_and_options_override_them(spelling: Sequence[str]) -> None:
     config = parse(*spelling, "--window-iterations", "77", "--mcmc.scale-reg", "0.5")
     assert config.preset == "paper"
-    assert config.profile is Profile.PAPER
+    assert config.whole_slices
     wanted = PRESETS["paper"](Path("capture"), Path("stream")).fit
     assert config.fit == replace(
         wanted, window_iterations=77, mcmc=replace(wanted.mcmc, scale_reg=0.5)
@@ -62,10 +63,10 @@ def test_help_shows_the_defaults_of_a_preset_and_completion_knows_every_option()
     assert "--genesis-iterations" in completion
 
 
-def test_preset_paper_is_the_papers_training_and_version_1(tmp_path: Path) -> None:
+def test_preset_paper_is_the_papers_training_with_whole_slices(tmp_path: Path) -> None:
     config = parse("--preset", "paper")
     fit = config.fit
-    assert config.profile is Profile.PAPER
+    assert (config.whole_slices, config.rank) == (True, "opacity")
     assert (fit.num_gs, fit.swin_size, fit.sh_degree) == (200_000, 5, 1)
     assert (fit.genesis_iterations, fit.window_iterations) == (30_000, 2_000)
     # What the paper does not have: settling, calm, renewal.
@@ -78,38 +79,16 @@ def test_preset_paper_is_the_papers_training_and_version_1(tmp_path: Path) -> No
         "--genesis-iterations", 5, "--window-iterations", 2,
     )  # fmt: skip
     reader = StreamReader(stream)
-    manifest = reader.manifest
-    assert (manifest.version, manifest.profile, manifest.swin_size) == (VERSION, Profile.PAPER, 5)
-    assert (manifest.slots, manifest.lattice) == ((), ())
-    # Nothing is leased: every slice is sent whole.
-    for birth in reader.births:
-        part = reader.slice(birth, manifest.num_layers)
-        assert part.rows is None
-        assert len(part.splats) == 20
-    assert {p.name for p in (stream / "segments/0").iterdir()} == set("0123")
+    assert reader.manifest.swin_size == 5
+    assert reader.manifest.slots == (7, 3, 4, 6)
+    # Nothing is leased: in every slice each slot is new.
+    census = count_slots(reader)
+    assert (census.statuses[1:, :, NEW] == reader.manifest.slots).all()
+    assert np.array_equal(census.first, 5 * np.array(reader.manifest.slots))
 
 
 def test_without_a_preset_slots_last() -> None:
     config = parse()
-    assert config.profile is Profile.LATTICE
+    assert not config.whole_slices
     assert config.fit.swin_size == 1
     assert 0 < config.fit.lease.active_share < 1
-
-
-@pytest.mark.parametrize(
-    ("more", "word"),
-    [
-        (("--raw-stream", "raw"), "--raw-stream"),
-        (("--rank", "opacity"), "--rank opacity"),
-        (("--rank", "coverage"), "--rank coverage"),
-        (("--profile", "lattice", "--preset", "paper"), "--rank opacity"),
-    ],
-)
-def test_what_slots_cannot_do_is_one_line(more: Sequence[str], word: str, tmp_path: Path) -> None:
-    write_dynerf(tmp_path / "capture", num_cameras=4, num_frames=3)
-    done = run("swings-train", tmp_path / "capture", tmp_path / "out", *more)
-    assert done.returncode == 1
-    (line,) = done.stderr.strip().splitlines()
-    assert line.startswith("swings-train: ")
-    assert word in line
-    assert [path.name for path in tmp_path.iterdir()] == ["capture"]

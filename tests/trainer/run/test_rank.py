@@ -11,14 +11,14 @@ import pytest
 
 from codec.camera import Camera
 from codec.errors import InvalidError
-from codec.profiles.profile import Profile
+from codec.lattice.lattice import Lattice
 from codec.slice import Slice, active_splats
 from codec.splats import SH_C0, Splats
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.layers import Rank
-from codec.stream.manifest import Manifest
 from player.render.cpu import render_splats
 from tests.support.reference_render import scattered_splats, turned_camera
+from tests.support.tiny_stream import tiny_manifest
 from trainer.fit.config import FitConfig
 from trainer.fit.trainer import Trainer
 from trainer.pictures.shot import Shot
@@ -61,23 +61,13 @@ CAMERAS = [turned_camera(0.4, "a"), turned_camera(-0.3, "b")]
 
 @pytest.fixture
 def stream(tmp_path: Path) -> StreamReader:
-    """A raw stream; in every slice some Gaussians start late."""
-    manifest = Manifest(
-        fps=30.0,
-        swin_size=SWIN,
-        num_gs=SWIN * SLICE_SIZE,
-        layers=(0.5, 0.5),
-        segment_frames=2,
-        sh_degree=0,
-        profile=Profile.RAW,
-        antialias=False,
-        near_m=NEAR_M,
-        bounds=((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)),
-        cameras=tuple(CAMERAS),
-        default_camera="a",
-        live=False,
-    )
-    with StreamWriter.create(tmp_path / "stream", manifest) as writer:
+    """A stream with every float; in every slice some Gaussians start late."""
+    lattice = Lattice.suiting(scattered_splats(SLICE_SIZE, 50))
+    manifest = replace(
+        tiny_manifest(SWIN, segment_frames=2), slots=(SLICE_SIZE // 2,) * 2, near_m=NEAR_M,
+        lattice=(lattice,) * 2, cameras=tuple(CAMERAS), default_camera="a",
+    )  # fmt: skip
+    with StreamWriter.create(tmp_path / "stream", manifest, exact=True) as writer:
         for birth in range(1 - SWIN, FRAMES):
             offsets = np.arange(SLICE_SIZE, dtype=np.uint8) % SWIN
             writer.append(Slice(birth, scattered_splats(SLICE_SIZE, birth + 50), offsets))
@@ -107,14 +97,15 @@ def test_a_stream_written_as_given_keeps_the_order_in_its_layers(
     stream: StreamReader, tmp_path: Path
 ) -> None:
     slices = list(slices_by_contribution(stream, [View.prepare(CAMERAS[0], NEAR_M)]))
-    with StreamWriter.create(tmp_path / "again", stream.manifest, Rank.GIVEN) as writer:
+    again = tmp_path / "again"
+    with StreamWriter.create(again, stream.manifest, Rank.GIVEN, exact=True) as writer:
         for part in slices:
             writer.append(part)
-    again = StreamReader(tmp_path / "again")
+    reader = StreamReader(again)
     for part in slices:
         half = rows_of(part)[: SLICE_SIZE // 2]
-        assert rows_of(again.slice(part.birth, 1)) == half
-        assert rows_of(again.slice(part.birth, 2)) == rows_of(part)
+        assert rows_of(reader.slice(part.birth, 1)) == half
+        assert rows_of(reader.slice(part.birth, 2)) == rows_of(part)
 
 
 def test_a_stream_without_a_frame_is_refused(stream: StreamReader, tmp_path: Path) -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import re
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,18 +16,24 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from rich.console import Console
 
 from codec.errors import InvalidError
 from codec.slice import Slice
 from codec.slots.update import Update
 from codec.stream import StreamReader
+from codec.stream.manifest import MANIFEST_NAME
 from codec.stream.poster import POSTER_NAME
-from tests.support.commands import command, environment, run, run_ok
+from tests.support.commands import command, environment, run, run_ok, started
 from tests.support.slots.updates import patternless_updates, small_layout
 from tests.support.tiny_capture import write_dynerf
 from tests.support.tiny_stream import tiny_slice
 from trainer.errors import CheckpointError
+from trainer.fit.trainer import Observer
 from trainer.run.checkpoint import CHECKPOINT_NAME, load_checkpoint, save_checkpoint
+from trainer.run.config import TrainConfig
+from trainer.run.job import train_stream
+from trainer.run.preset import parse_with_preset
 from trainer.run.runlog import LOG_NAME
 
 FRAMES = 6
@@ -35,13 +43,13 @@ COMMON = (
 )  # fmt: skip
 SETTINGS = (*COMMON, "--swin-size", 2)
 SETTINGS_OF = {
-    "lattice": SETTINGS,
+    "two frames": SETTINGS,
     "one frame": COMMON,
     "budget": (*COMMON, "--lease.bytes-per-frame", 300, "--lease.active-share", 0.9),
-    "compact": (*SETTINGS, "--profile", "compact"),
+    "whole slices": (*SETTINGS, "--whole-slices"),
 }
-"""Each kind of run: version 2 with leases of two frames, of one, with a bound on bytes (what is
-owed must survive), and version 1."""
+"""Each kind of run: with leases of two frames, of one, with a bound on bytes (what is owed must
+survive), and with slices sent whole."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +81,6 @@ def trained_whole(capture: Path, kind: str) -> Whole:
     if not stream.exists():
         run_ok("swings-train", capture, stream, *SETTINGS_OF[kind])
     assert not (stream / CHECKPOINT_NAME).exists()
-    assert StreamReader(stream).manifest.has_slots == (kind != "compact")
     return Whole(SETTINGS_OF[kind], contents(stream))
 
 
@@ -84,7 +91,7 @@ def whole(request: pytest.FixtureRequest, capture: Path) -> Whole:
 
 @pytest.fixture(scope="module")
 def uninterrupted(capture: Path) -> dict[str, bytes]:
-    return trained_whole(capture, "lattice").contents
+    return trained_whole(capture, "two frames").contents
 
 
 def start_until(
@@ -95,13 +102,7 @@ def start_until(
     settings: tuple[object, ...] = SETTINGS,
 ) -> subprocess.Popen[str]:
     """A training process that has written `windows` checkpoints after its first one."""
-    process = subprocess.Popen(
-        command("swings-train", capture, stream, *settings, *more),
-        env=environment(),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    process = started("swings-train", capture, stream, *settings, *more)
     kept, seen, last = stream / CHECKPOINT_NAME, -1, 0
     before = kept.stat().st_mtime_ns if kept.exists() else 0
     deadline = time.monotonic() + 200
@@ -126,12 +127,51 @@ def test_killed_at_any_moment_and_resumed_it_writes_the_same_bytes(
             process.kill()
             kills += 1
         process.communicate()
+        if not (stream / MANIFEST_NAME).exists():  # whole slices begin a stream after genesis
+            assert "--whole-slices" in whole.settings
+            continue
         reader = StreamReader(stream)  # valid at every instant
         for frame in range(reader.num_frames):
             reader.active_splats(frame, reader.manifest.num_layers)
     assert kills >= 2
     if (stream / CHECKPOINT_NAME).exists():
         run_ok("swings-train", capture, stream, *whole.settings, "--resume")
+    assert contents(stream) == whole.contents
+
+
+class Begun(Observer):
+    """Notes with which window a run goes on, and how much of it was done."""
+
+    def __init__(self) -> None:
+        self.windows: list[tuple[int, int]] = []
+
+    def window_begun(self, first_frame: int, done: int) -> None:
+        self.windows.append((first_frame, done))
+
+
+@pytest.mark.parametrize("kind", ["one frame", "whole slices"])
+def test_killed_in_genesis_it_goes_on_there(capture: Path, kind: str, tmp_path: Path) -> None:
+    whole, stream, begun = trained_whole(capture, kind), tmp_path / "stream", Begun()
+    code = """
+import os, signal, sys
+from trainer.__main__ import train
+from trainer.run import job
+
+class Killing(job.Monitor):
+    def progressed(self, progress):
+        if progress.iteration == 80:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+job.KEEP_S, job.Monitor = 0.0, Killing
+sys.exit(train())
+"""
+    argv = [sys.executable, "-c", code, *map(str, (capture, stream, *whole.settings))]
+    done = subprocess.run(argv, env=environment(), capture_output=True, text=True, timeout=200)
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    # What the killed run was told is read from its checkpoint.
+    config = parse_with_preset(TrainConfig, [str(capture), str(stream), "--resume"])
+    train_stream(config, Console(file=io.StringIO()), observers=[begun])
+    assert begun.windows[:2] == [(0, 60), (1, 0)]
     assert contents(stream) == whole.contents
 
 
@@ -158,7 +198,7 @@ def test_a_finished_run_has_nothing_to_resume_and_succeeds(
     capture: Path, uninterrupted: dict[str, bytes], tmp_path: Path
 ) -> None:
     stream = tmp_path / "stream"
-    shutil.copytree(capture.parent / "whole lattice", stream)
+    shutil.copytree(capture.parent / "whole two frames", stream)
     for more in ([], ["--ray"], SETTINGS):
         again = run("swings-train", capture, stream, "--resume", *more)
         assert (again.returncode, again.stdout) == (0, f"{stream}\n")

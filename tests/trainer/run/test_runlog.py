@@ -12,12 +12,12 @@ from PIL import Image
 from rich.console import Console
 
 from codec.errors import InvalidError
+from codec.progressline import ProgressLine
 from tests.support.commands import run, run_ok
 from tests.support.tiny_capture import write_dynerf
 from trainer.fit.config import FitConfig
 from trainer.fit.trainer import Progress as FitProgress
 from trainer.run.monitor import Monitor
-from trainer.run.progressline import ProgressLine
 from trainer.run.runlog import LOG_NAME, RunLog
 from trainer.score.meter import QualityMeter
 
@@ -88,11 +88,11 @@ def test_time_left_is_that_of_the_iterations_left(tmp_path: Path) -> None:
     with RunLog(tmp_path / "log") as log, line:
         monitor = Monitor(line, log, config, 5, lambda: now_s[0])
         now_s[0] += 7  # before training begins
-        monitor.window_begun(0)
+        monitor.window_begun(0, 0)
         monitor.progressed(FitProgress(0, 200, 200, 0.25))
         now_s[0] += 20  # 200 iterations in 20 s; 200 are left
         monitor.frame_finished(0, 10, 0, Meter())
-        monitor.window_begun(1)
+        monitor.window_begun(1, 0)
         now_s[0] += 10  # 50 in 10 s; 250 in 30 s so far; 150 are left
         monitor.frame_finished(1, 10, 4000, Meter())
     first, second = (json.loads(line) for line in (tmp_path / "log").read_text().splitlines())
@@ -102,6 +102,17 @@ def test_time_left_is_that_of_the_iterations_left(tmp_path: Path) -> None:
     assert told.getvalue().splitlines()[-1] == (
         "frame 1 of 5  62% done  0:30 elapsed, 0:18 left  25.50 dB  2.0 kB/frame  5 it/s"
     )
+
+
+def test_iterations_that_a_checkpoint_had_took_none_of_the_time(tmp_path: Path) -> None:
+    now_s, told = 100.0, io.StringIO()
+    config = FitConfig(num_gs=10, genesis_iterations=150, settle_rounds=1, window_iterations=50)
+    with RunLog(tmp_path / "log") as log, ProgressLine(Console(file=told), lambda: now_s) as line:
+        monitor = Monitor(line, log, config, 5, lambda: now_s)
+        monitor.window_begun(0, 100)  # of 200, and 200 more
+        now_s += 10
+        monitor.progressed(FitProgress(0, 150, 200, 0.25))
+    assert "38% done  0:10 elapsed, 0:50 left" in told.getvalue().splitlines()[-1]
 
 
 def test_tensorboard_gets_the_scalars_or_says_what_to_install(tmp_path: Path) -> None:

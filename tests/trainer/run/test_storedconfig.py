@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 
-from codec.profiles.profile import Profile
 from trainer.fit.config import FitConfig
 from trainer.lease.leases import LeaseConfig
 from trainer.run.config import TrainConfig
@@ -19,7 +18,7 @@ from trainer.run.storedconfig import config_from_json, config_to_json
 ROOT = Path("/somewhere")
 OTHER = TrainConfig(
     ROOT / "capture", ROOT / "stream", frames="3:9", scale=0.5, near_m=0.25, layers=(0.5, 0.5),
-    profile=Profile.COMPACT, raw_stream=ROOT / "raw", log=ROOT / "log", title="ünï",
+    whole_slices=True, raw_stream=ROOT / "raw", log=ROOT / "log", title="ünï",
     fit=FitConfig(num_gs=30, swin_size=3, lease=LeaseConfig(active_share=0.5)),
 )  # fmt: skip
 CONFIGS = [OTHER, *(make(ROOT / "capture", ROOT / "stream") for make in PRESETS.values())]

@@ -17,7 +17,6 @@ import sys
 from pathlib import Path
 from numba.core.dispatcher import Dispatcher
 from rich.console import Console
-from codec.profiles.profile import Profile
 from trainer.fit.config import FitConfig
 from trainer.run.config import TrainConfig
 from trainer.run.job import train_stream
@@ -41,8 +40,8 @@ fit = FitConfig(
     num_gs=60, swin_size=2, sh_degree=sh_degree, genesis_iterations=101, settle_rounds=1,
     window_iterations=101,
 )
-for profile in (Profile.LATTICE, Profile.COMPACT):
-    job = TrainConfig(capture, stream / profile, profile=profile, fit=fit)
+for whole_slices in (False, True):
+    job = TrainConfig(capture, stream / str(whole_slices), whole_slices=whole_slices, fit=fit)
     train_stream(job, Console(quiet=True))
 for name, at, signature in sorted(known() - before, key=str):
     print(name, at, signature)

@@ -1,28 +1,28 @@
-"""The ablation of the quantisation: one attribute at a time, on real files of profile raw."""
+"""The ablation of the quantisation: one attribute at a time, on real files that hold
+every float."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from codec.camera import Camera
-from codec.profiles.profile import Profile
+from codec.lattice.lattice import Lattice
+from codec.rig import rig_centre
 from codec.slice import Slice
 from codec.splats import Splats, sh_count
-from codec.stream import StreamReader, StreamWriter
-from codec.stream.manifest import Manifest
+from codec.stream import StreamWriter
 from tests.support.commands import run, run_ok
-from tests.support.tiny_capture import write_dynamic3dgs
-from trainer.capture.depths import rig_centre
-from trainer.capture.layout import open_capture
-from trainer.score.ablation import CASES, Ablation, ablate_quantisation
+from tests.support.tiny_capture import seen_by, write_dynamic3dgs
+from tests.support.tiny_stream import tiny_manifest
+from trainer.score.ablation import CASES, Ablation, ablate_quantisation, quantise_case
 from trainer.score.evaluate import EvaluateConfig, evaluate_stream
 
-FRAMES, SWIN, SLICE_SIZE = 3, 2, 60
+FRAMES, SWIN, SLOTS = 3, 2, (30, 30)
+SLICE_SIZE = sum(SLOTS)
 
 
 def coarse_slice(birth: int, centre: np.ndarray, sh_degree: int) -> Slice:
@@ -45,31 +45,27 @@ class Made:
     capture: Path
     raw: Path
     paper: Path
+    """Exact, of what the paper's quantisation leaves of them."""
+    quantised: Path
+    """On a lattice."""
     raw_sh1: Path
 
 
-def write_stream(path: Path, capture: Path, profile: Profile, sh_degree: int = 0) -> Path:
-    cameras: list[Camera] = [c.camera for c in open_capture(capture).cameras]
-    centre = rig_centre(cameras)
+def write_stream(
+    path: Path, capture: Path, case: str = "none", sh_degree: int = 0, exact: bool = True
+) -> Path:
+    """A stream of Gaussians quantised as `case` says."""
+    manifest = seen_by(tiny_manifest(SWIN, segment_frames=2), capture)
+    centre = rig_centre(manifest.cameras)
     assert centre is not None
-    manifest = Manifest(
-        fps=30.0,
-        swin_size=SWIN,
-        num_gs=SWIN * SLICE_SIZE,
-        layers=(0.5, 0.5),
-        segment_frames=2,
-        sh_degree=sh_degree,
-        profile=profile,
-        antialias=False,
-        near_m=0.2,
-        bounds=((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)),
-        cameras=tuple(cameras),
-        default_camera=cameras[0].name,
-        live=False,
+    lattice = Lattice.suiting(coarse_slice(0, centre, sh_degree).splats)
+    manifest = replace(
+        manifest, slots=SLOTS, lattice=(lattice,) * 2, sh_degree=sh_degree, near_m=0.2
     )
-    with StreamWriter.create(path, manifest) as writer:
+    with StreamWriter.create(path, manifest, exact=exact) as writer:
         for birth in range(1 - SWIN, FRAMES):
-            writer.append(coarse_slice(birth, centre, sh_degree))
+            part = coarse_slice(birth, centre, sh_degree)
+            writer.append(replace(part, splats=quantise_case(part.splats, case)))
     return path
 
 
@@ -80,9 +76,10 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     write_dynamic3dgs(capture, num_cameras=4, num_frames=FRAMES)
     return Made(
         capture,
-        write_stream(root / "raw", capture, Profile.RAW),
-        write_stream(root / "paper", capture, Profile.PAPER),
-        write_stream(root / "sh1", capture, Profile.RAW, sh_degree=1),
+        write_stream(root / "raw", capture),
+        write_stream(root / "paper", capture, "all but feat"),
+        write_stream(root / "quantised", capture, exact=False),
+        write_stream(root / "sh1", capture, sh_degree=1),
     )
 
 
@@ -150,13 +147,12 @@ def test_the_command_prints_a_table_and_json(ablation: Ablation, made: Made) -> 
 
 
 def test_a_stream_that_is_quantised_already_gets_one_line(made: Made) -> None:
-    done = run("swings-eval", made.paper, made.capture, "--ablate-quantisation")
+    done = run("swings-eval", made.quantised, made.capture, "--ablate-quantisation")
     assert done.returncode == 1
     (line,) = done.stderr.strip().splitlines()
     assert line.startswith("swings-eval: ")
-    assert "profile paper" in line
+    assert f"{made.quantised} is quantised already" in line
     assert "--raw-stream" in line
-    assert StreamReader(made.paper).manifest.profile is Profile.PAPER
 
 
 @pytest.mark.parametrize("option", [(), ("--ablate-quantisation",)])

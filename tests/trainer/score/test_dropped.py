@@ -10,13 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from codec.profiles.profile import Profile
+from codec.slice import HIDDEN
 from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
 from codec.stream import StreamReader
+from tests.support.drawn import same_splats
 from tests.support.hosted_streams import write_stream
 from tests.support.slots.folder import write_slots
-from tests.support.slots.slot_streams import same_splats, write_busy_stream
+from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.updates import small_layout
 from trainer.run.rank import slices_by_contribution
 from trainer.score.dropped import (
@@ -27,7 +28,7 @@ from trainer.score.dropped import (
     lives_of,
     opacities,
     places,
-    told_of_kept,
+    statuses_of_kept,
     write_kept,
 )
 from trainer.step.raster import View
@@ -107,9 +108,9 @@ def test_what_comes_back_is_new_and_what_goes_is_ended() -> None:
         *(KEPT, NEW, ENDED, PREDICTED),
         *(KEPT, NEW, ENDED, NEW),
     ]
-    told = told_of_kept(statuses, before, kept)
-    assert told.dtype == np.uint8
-    assert (told == expected)[possible].all()
+    found = statuses_of_kept(statuses, before, kept)
+    assert found.dtype == np.uint8
+    assert (found == expected)[possible].all()
 
 
 def shown(reader: StreamReader, lives: Mapping[int, Ints], frame: int, drop: Drop) -> Splats:
@@ -121,18 +122,15 @@ def shown(reader: StreamReader, lives: Mapping[int, Ints], frame: int, drop: Dro
     return Splats.concatenate(parts)
 
 
-@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("whole", [False, True])
 @pytest.mark.parametrize("swin_size", [1, 3])
 def test_the_files_show_what_is_kept_and_nothing_else(
-    version: int, swin_size: int, tmp_path: Path
+    whole: bool, swin_size: int, tmp_path: Path
 ) -> None:
-    if version == 2:
-        reader, _ = slots_of(tmp_path / "stream", swin_size)
+    if whole:
+        reader = StreamReader(write_stream(tmp_path / "stream", FRAMES, swin_size=swin_size))
     else:
-        num_gs = 40 * swin_size
-        write_stream(tmp_path / "stream", FRAMES, swin_size=swin_size, num_gs=num_gs)
-        reader = StreamReader(tmp_path / "stream")
-        assert reader.manifest.profile is Profile.RAW
+        reader, _ = slots_of(tmp_path / "stream", swin_size)
     lives = lives_of(reader)
     ranks = places(opacities(reader, lives))
     drops = [Drop(share, ranks) for share in SHARES]
@@ -149,7 +147,7 @@ def test_the_files_show_what_is_kept_and_nothing_else(
                 assert same_splats(found, reader.active_splats(frame, layers))
 
 
-def test_all_of_a_stream_with_slots_is_written_byte_for_byte(tmp_path: Path) -> None:
+def test_all_of_a_stream_is_written_byte_for_byte(tmp_path: Path) -> None:
     layout = small_layout(2, (40, 20), 0, 4)
     reader = StreamReader(write_busy_stream(tmp_path / "stream", FRAMES, layout))
     lives = lives_of(reader)
@@ -168,7 +166,8 @@ def test_by_opacity_the_most_opaque_of_every_slice_are_kept(tmp_path: Path) -> N
     again, layers = StreamReader(path), reader.manifest.num_layers
     for birth in reader.births:
         logits = np.sort(reader.slice(birth, layers).splats.logit_opacities)
-        kept = np.sort(again.slice(birth, layers).splats.logit_opacities)
+        part = again.slice(birth, layers)
+        kept = np.sort(part.splats.logit_opacities[part.start_offsets != HIDDEN])
         assert (kept == logits[len(logits) - round(0.3 * len(logits)) :]).all()
 
 
@@ -184,7 +183,7 @@ def test_contributions_are_those_that_the_trainer_ranks_by(tmp_path: Path) -> No
 
 def test_cameras_take_turns(tmp_path: Path) -> None:
     # Of a slice that lives for one frame, which one saw it shows.
-    path = write_stream(tmp_path / "stream", 5, swin_size=1, num_gs=40)
+    path = write_stream(tmp_path / "stream", 5, swin_size=1)
     reader = StreamReader(path)
     views, lives = views_of(reader)[:3], lives_of(reader)
     in_turn = contributions(reader, lives, views, 1)

@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from codec.lattice.lattice import Lattice
 from codec.slice import Slice
-from codec.slots.lattice import Lattice
 from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import Update
 from codec.stream import StreamReader, StreamWriter
 from codec.stream.manifest import Manifest
 from tests.support.slots.folder import slots_manifest
 from tests.support.slots.updates import patternless_updates
-from tests.support.tiny_capture import write_dynamic3dgs
+from tests.support.tiny_capture import seen_by, write_dynamic3dgs
 from tests.support.tiny_stream import tiny_manifest, tiny_slice
 from trainer.capture.layout import open_capture
 from trainer.pictures.framecache import FrameCache
@@ -42,12 +42,9 @@ def made(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Made]:
     path = tmp_path / "capture"
     write_dynamic3dgs(path, num_cameras=3, num_frames=FRAMES)
     capture = open_capture(path)
-    cameras = tuple(c.camera for c in capture.cameras)
     lattice = Lattice(0.01, 0.05, 1 / 60, 0.056, 161, -2.0)
     layout = SlotLayout(request.param, (20, 10), 0, (lattice,) * 2, SEGMENT)
-    manifest = replace(
-        slots_manifest(layout), cameras=cameras, default_camera=cameras[0].name, near_m=0.2
-    )
+    manifest = replace(seen_by(slots_manifest(layout), path), near_m=0.2)
     with ExitStack() as stack:
         cache = stack.enter_context(FrameCache(capture, range(FRAMES), 1.0, 1 << 24))
         yield Made(path, cache, manifest, patternless_updates(layout, FRAMES))

@@ -12,15 +12,12 @@ import pytest
 from PIL import Image
 from rich.console import Console
 
-from codec.profiles.profile import Profile
 from codec.slice import Slice
 from codec.splats import Splats
 from codec.stream import StreamWriter
-from codec.stream.manifest import Manifest
-from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, write_dynamic3dgs
+from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, seen_by, write_dynamic3dgs
 from tests.support.tiny_stream import tiny_manifest
 from trainer.capture.capture import Mask, Picture
-from trainer.capture.layout import open_capture
 from trainer.pictures.shot import Shot
 from trainer.score.evaluate import EvaluateConfig, Evaluation, evaluate_stream
 from trainer.score.moving import MIN_MOVING_PX, movement_of
@@ -131,10 +128,7 @@ def write_moving_capture(root: Path) -> None:
 
 def write_black_stream(path: Path, capture: Path) -> None:
     """A stream whose Gaussians cannot be seen."""
-    cameras = tuple(c.camera for c in open_capture(capture).cameras)
-    manifest: Manifest = replace(
-        tiny_manifest(Profile.RAW), cameras=cameras, default_camera=cameras[0].name
-    )
+    manifest = seen_by(tiny_manifest(), capture)
     count = manifest.slice_size
     splats = Splats(
         np.zeros((count, 3), np.float32),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import av
@@ -13,9 +12,8 @@ from PIL import Image
 from codec.errors import InvalidError
 from codec.stream import StreamReader
 from tests.support.commands import run, run_ok
-from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, picture_of, write_dynamic3dgs
+from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, picture_of, seen_by, write_dynamic3dgs
 from tests.support.tiny_stream import tiny_manifest, write_tiny
-from trainer.capture.layout import open_capture
 from trainer.score.evaluate import EvaluateConfig
 from trainer.score.picture import Floats, captured, displayed
 from trainer.score.sidebyside import (
@@ -34,9 +32,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """With a capture, and a stream that knows its cameras."""
     root = tmp_path_factory.mktemp("compared")
     write_dynamic3dgs(root / "capture", num_cameras=3, num_frames=FRAMES)
-    cameras = tuple(c.camera for c in open_capture(root / "capture").cameras)
-    manifest = replace(tiny_manifest(), cameras=cameras, default_camera=cameras[0].name)
-    write_tiny(root / "stream", FRAMES, manifest)
+    write_tiny(root / "stream", FRAMES, seen_by(tiny_manifest(), root / "capture"))
     return root
 
 

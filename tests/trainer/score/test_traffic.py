@@ -5,16 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from codec.profiles.profile import Profile
 from codec.slots.update import PREDICTED
 from codec.stream import StreamReader, StreamWriter
 from tests.support.slots.folder import slots_manifest
 from tests.support.slots.updates import patternless_updates, small_layout
-from tests.support.tiny_capture import write_dynamic3dgs
-from tests.support.tiny_stream import tiny_manifest, write_tiny
-from trainer.capture.layout import open_capture
+from tests.support.tiny_capture import seen_by, write_dynamic3dgs
+from tests.support.tiny_stream import write_tiny
 from trainer.score.evaluate import EvaluateConfig, evaluate_stream
 from trainer.score.traffic import traffic
 
@@ -25,12 +24,9 @@ FRAMES = 7  # in segments of 3: the last one is short
 def test_who_plays_from_frame_0_fetches_no_later_snapshot(swin_size: int, tmp_path: Path) -> None:
     capture, stream = tmp_path / "capture", tmp_path / "stream"
     write_dynamic3dgs(capture, num_cameras=3, num_frames=FRAMES)
-    cameras = tuple(c.camera for c in open_capture(capture).cameras)
     layout = small_layout(swin_size, (9, 6, 4), 0, 3)
     updates = patternless_updates(layout, FRAMES)
-    manifest = replace(
-        slots_manifest(layout), cameras=cameras, default_camera=cameras[0].name, live=True
-    )
+    manifest = replace(seen_by(slots_manifest(layout), capture), live=True)
     with StreamWriter.create(stream, manifest) as writer:
         for update in updates:
             writer.append(update)
@@ -62,13 +58,12 @@ def test_who_plays_from_frame_0_fetches_no_later_snapshot(swin_size: int, tmp_pa
         assert score.bytes_per_gaussian == pytest.approx(objects / sent)
 
 
-def test_every_object_of_version_1_is_played(tmp_path: Path) -> None:
-    write_tiny(tmp_path, 5, tiny_manifest(Profile.COMPACT))
+def test_whole_slices_bring_all_their_gaussians(tmp_path: Path) -> None:
+    write_tiny(tmp_path, 5)
     reader = StreamReader(tmp_path)
     manifest = reader.manifest
     found = traffic(reader)
     files = [f for f in (tmp_path / "segments").rglob("*") if f.is_file()]
-    assert found[-1].object_bytes == sum(f.stat().st_size for f in files)
-    assert found[-1].gaussians == (5 + manifest.swin_size - 1) * manifest.slice_size
-    assert found[0].object_bytes < found[-1].object_bytes
-    assert [one.join_bytes for one in found] == [0] * manifest.num_layers
+    assert found[-1].object_bytes + found[-1].join_bytes == sum(f.stat().st_size for f in files)
+    slices = 5 + manifest.swin_size - 1
+    assert [one.gaussians for one in found] == [slices * n for n in np.cumsum(manifest.slots)]

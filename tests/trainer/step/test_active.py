@@ -13,7 +13,7 @@ from tests.support.reference_render import scattered_splats, turned_camera
 from trainer.pictures.shot import Shot
 from trainer.step import raster
 from trainer.step.active import with_neighbours
-from trainer.step.backend import CpuBackend
+from trainer.step.backend import CpuBackend, StepInput
 from trainer.step.loss import Loss
 from trainer.step.raster import Parameters, View, render
 from trainer.step.runs import Runs
@@ -87,8 +87,8 @@ def test_gradients_are_the_same_to_the_bit(
         backend, gradients = Poisoned(*WEIGHTS), Parameters.zeros(count, sh_degree)
         backend.poison(view, shot)
         trainable = round(share * count)
-        loss = backend.step(values, rows, view, shot, gain, bias, trainable, gradients, whole=whole)
-        return loss, gradients
+        given = StepInput(values, rows, view, shot, gain, bias, trainable, whole)
+        return backend.step(given, gradients), gradients
 
     expected, wanted = stepped(True)
     got, found = stepped(False)

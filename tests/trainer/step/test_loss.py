@@ -36,31 +36,38 @@ def ssim_map_reference(pred: torch.Tensor, target: torch.Tensor) -> torch.Tensor
     )
 
 
+@pytest.mark.parametrize("masked", [False, True])
 @pytest.mark.parametrize("dssim_weight", [0.0, 0.2, 1.0])
-def test_value_and_gradients_are_the_references(dssim_weight: float) -> None:
+def test_value_and_gradients_are_the_references(dssim_weight: float, masked: bool) -> None:
+    """Ignored pixels are grey on both sides."""
     rng = np.random.default_rng(0)
     picture = rng.random((3, 32, 48)).astype(np.float32)  # padded
     target = rng.random((3, 25, 41)).astype(np.float32)
     gain = np.array([1.1, 0.9, 1.0], np.float32)
     bias = np.array([0.02, -0.03, 0.0], np.float32)
+    mask = some_mask(25, 41) if masked else np.ones((25, 41), np.uint8)
 
     leaves = [
         torch.tensor(a, dtype=torch.float64, requires_grad=True) for a in (picture, gain, bias)
     ]
-    pred = leaves[0][:, :25, :41] * leaves[1][:, None, None] + leaves[2][:, None, None]
-    goal = torch.tensor(target, dtype=torch.float64)
+    counts, grey = torch.tensor(mask > 0), torch.tensor(0.5, dtype=torch.float64)
+    corrected = leaves[0][:, :25, :41] * leaves[1][:, None, None] + leaves[2][:, None, None]
+    pred = torch.where(counts, corrected, grey)
+    goal = torch.where(counts, torch.tensor(target, dtype=torch.float64), grey)
     loss = (1 - dssim_weight) * (pred - goal).abs().mean() + dssim_weight * (
         1 - ssim_reference(pred, goal)
     )
     torch.autograd.backward(loss)
 
-    got = photometric_loss(picture, target, dssim_weight, gain, bias)
-    assert got.value == pytest.approx(loss.item(), rel=1e-5)
-    for ours, leaf in zip(gradients(got), leaves, strict=True):
-        assert leaf.grad is not None
-        np.testing.assert_allclose(ours, leaf.grad.numpy(), rtol=2e-3, atol=2e-7)
-    assert (got.picture_grad[:, 25:] == 0).all()
-    assert (got.picture_grad[:, :, 41:] == 0).all()
+    for given in (mask, mask > 0, 0.7 * mask.astype(np.float32)) if masked else (None,):
+        got = photometric_loss(picture, target, dssim_weight, gain, bias, None, given)
+        assert got.value == pytest.approx(loss.item(), rel=1e-5)
+        for ours, leaf in zip(gradients(got), leaves, strict=True):
+            assert leaf.grad is not None
+            np.testing.assert_allclose(ours, leaf.grad.numpy(), rtol=2e-3, atol=2e-7)
+        assert (got.picture_grad[:, :25, :41][:, mask == 0] == 0).all()
+        assert (got.picture_grad[:, 25:] == 0).all()
+        assert (got.picture_grad[:, :, 41:] == 0).all()
 
 
 def test_metrics_of_a_picture_and_itself() -> None:
@@ -82,34 +89,6 @@ def some_mask(height: int, width: int) -> npt.NDArray[np.uint8]:
     mask[5:12, 8:20] = 0
     mask[:, -3:] = 0
     return mask
-
-
-@pytest.mark.parametrize("dssim_weight", [0.0, 0.2, 1.0])
-def test_ignored_pixels_are_grey_on_both_sides(dssim_weight: float) -> None:
-    rng = np.random.default_rng(2)
-    picture = rng.random((3, 32, 48)).astype(np.float32)
-    target = rng.random((3, 25, 41)).astype(np.float32)
-    gain = np.array([1.1, 0.9, 1.0], np.float32)
-    bias = np.array([0.02, -0.03, 0.0], np.float32)
-    mask = some_mask(25, 41)
-    leaves = [
-        torch.tensor(a, dtype=torch.float64, requires_grad=True) for a in (picture, gain, bias)
-    ]
-    counts, grey = torch.tensor(mask > 0), torch.tensor(0.5, dtype=torch.float64)
-    corrected = leaves[0][:, :25, :41] * leaves[1][:, None, None] + leaves[2][:, None, None]
-    pred = torch.where(counts, corrected, grey)
-    goal = torch.where(counts, torch.tensor(target, dtype=torch.float64), grey)
-    loss = (1 - dssim_weight) * (pred - goal).abs().mean() + dssim_weight * (
-        1 - ssim_reference(pred, goal)
-    )
-    torch.autograd.backward(loss)
-    for given in (mask, mask > 0, 0.7 * mask.astype(np.float32)):
-        got = photometric_loss(picture, target, dssim_weight, gain, bias, None, given)
-        assert got.value == pytest.approx(loss.item(), rel=1e-5)
-        for ours, leaf in zip(gradients(got), leaves, strict=True):
-            assert leaf.grad is not None
-            np.testing.assert_allclose(ours, leaf.grad.numpy(), rtol=2e-3, atol=2e-7)
-        assert (got.picture_grad[:, :25, :41][:, mask == 0] == 0).all()
 
 
 def test_gradient_with_a_mask_against_finite_differences() -> None:

@@ -17,8 +17,9 @@ from codec.camera import Camera
 from codec.splats import SH_C0
 from player.render.recipe import SH_C1
 from trainer.pictures.shot import Shot
+from trainer.step.backend import StepInput
 from trainer.step.loss import C1, C2, IGNORED, RADIUS_PX, TAPS, Loss
-from trainer.step.raster import Ints, Parameters, View
+from trainer.step.raster import Parameters, View
 
 from .torchproject import Solids
 
@@ -79,22 +80,12 @@ class DeviceBackend:
         # Copied, because torch warns of what cannot be written to.
         return torch.from_numpy(np.array(array, np.float32, order="C")).to(self._device)
 
-    def step(
-        self,
-        values: Parameters,
-        rows: Ints,
-        view: View,
-        shot: Shot,
-        gain: Floats,
-        bias: Floats,
-        trainable: int,
-        gradients: Parameters,
-        whole: bool = True,
-    ) -> Loss:
+    def step(self, given: StepInput, gradients: Parameters) -> Loss:
         """See `Backend.step`; computes all of the picture in any case."""
-        leaves = [self._sent(array[rows]).requires_grad_() for array in values.arrays]
-        correction = [self._sent(c).requires_grad_() for c in (gain, bias)]
-        rendered = self.render(leaves, view)
+        rows, shot = given.rows, given.shot
+        leaves = [self._sent(array[rows]).requires_grad_() for array in given.values.arrays]
+        correction = [self._sent(c).requires_grad_() for c in (given.gain, given.bias)]
+        rendered = self.render(leaves, given.view)
         rendered.retain_grad()
         pred = correction[0][:, None, None] * rendered + correction[1][:, None, None]
         target = self._target(shot)
@@ -111,7 +102,7 @@ class DeviceBackend:
             + self._scale_reg / (3 * count) * log_scales.exp().sum()
         )
         (photometric + regularisers).backward()  # type: ignore[no-untyped-call]
-        mine = rows < trainable
+        mine = rows < given.trainable
         for gradient, leaf in zip(gradients.arrays, leaves, strict=True):
             gradient[rows[mine]] = _received(leaf)[mine]
         picture_grad = _received(rendered)

@@ -12,7 +12,7 @@ import numpy as np
 from codec.camera import Camera
 from codec.errors import InvalidError
 from trainer.pictures.shot import Shot
-from trainer.step.backend import Backend, BackendName, CpuBackend
+from trainer.step.backend import Backend, BackendName, CpuBackend, StepInput
 from trainer.step.raster import Parameters, View
 
 TOLERANCE = 1e-3
@@ -79,7 +79,7 @@ def _numba(weights: Weights) -> Backend:
 
 
 def _trial_loss(backend: Backend) -> float:
-    """Of a step on three Gaussians."""
+    """Loss of a step on three Gaussians."""
     values, rows = Parameters.zeros(3, 0), np.arange(3, dtype=np.int32)
     values.means[:] = np.array([[0, 0, 2], [0.3, 0.2, 3], [-0.2, 0.1, 2.5]])
     values.log_scales[:] = -1.5
@@ -89,7 +89,7 @@ def _trial_loss(backend: Backend) -> float:
     shot = Shot(np.full((24, 40, 3), 90, np.uint8))
     gain, bias = np.ones(3, np.float32), np.zeros(3, np.float32)
     gradients = Parameters.zeros(3, 0)
-    loss = backend.step(values, rows, view, shot, gain, bias, 3, gradients)
+    loss = backend.step(StepInput(values, rows, view, shot, gain, bias, 3), gradients)
     return loss.value if all(np.isfinite(g).all() for g in gradients.arrays) else float("nan")
 
 

@@ -1,4 +1,4 @@
-// Brings a finished picture onto a window: its row 0, the top, goes to the window's last row.
+// Brings a finished picture onto a part of the screen: its row 0, the top, goes to the part's last row.
 
 #ifdef VERTEX_STAGE
 
@@ -11,12 +11,13 @@ void main() {
 #else
 
 uniform sampler2D picture;
+uniform ivec2 corner_px;    // lower left of the part
 uniform vec3 background;
 
 out vec4 shown;
 
 void main() {
-    ivec2 at = ivec2(gl_FragCoord.xy);
+    ivec2 at = ivec2(gl_FragCoord.xy) - corner_px;
     at.y = textureSize(picture, 0).y - 1 - at.y;
     vec4 drawn = texelFetch(picture, at, 0);
     shown = vec4(drawn.rgb + (1.0 - drawn.a) * background, 1.0);

@@ -1,5 +1,6 @@
-// Rendering recipe v1: one Gaussian as one oriented quad. Both stages stand here; programs.py puts
-// the version, the recipe's constants and VERTEX_STAGE or FRAGMENT_STAGE in front.
+// Rendering recipe v1: one Gaussian as one oriented quad, for OpenGL and for WebGL2. Both stages stand
+// here; programs.py and program.js put the version, the recipe's constants and VERTEX_STAGE or
+// FRAGMENT_STAGE in front.
 
 #ifdef VERTEX_STAGE
 
@@ -17,8 +18,11 @@ uniform vec2 focal_px;
 uniform vec2 centre_px;
 uniform vec2 limit;         // JACOBIAN_CLAMP * tan(fov / 2)
 uniform vec2 size_px;
+#ifdef STALE_ORDER
+uniform float near_m;
+#endif
 
-in int slot;                // one for each instance, farthest first
+in uint slot;               // one for each instance, farthest first
 
 flat out vec2 splat_px;
 flat out vec4 conic_opacity;
@@ -26,10 +30,10 @@ flat out vec3 colour;
 
 vec4 texel(int n) {
 #ifdef RESIDENT_BUFFER
-    return uintBitsToFloat(gaussians[slot * TEXELS + n]);
+    return uintBitsToFloat(gaussians[int(slot) * TEXELS + n]);
 #else
-    int column = (slot % COLUMNS) * TEXELS + n;
-    return uintBitsToFloat(texelFetch(gaussians, ivec2(column, slot / COLUMNS), 0));
+    int column = (int(slot) % COLUMNS) * TEXELS + n;
+    return uintBitsToFloat(texelFetch(gaussians, ivec2(column, int(slot) / COLUMNS), 0));
 #endif
 }
 
@@ -63,6 +67,10 @@ void main() {
     conic_opacity = vec4(0.0);
     colour = vec3(0.0);
     if (!(det > 0.0)) return;
+#ifdef STALE_ORDER
+    // The order is of a moment ago, when the camera looked elsewhere.
+    if (seen.z <= near_m) return;
+#endif
 
     conic_opacity = vec4(yy / det, -xy / det, xx / det, place.w);
     colour = vec3(cov_last.zw, rest.x);
@@ -73,6 +81,9 @@ void main() {
     colour += towards.z * more.xyz - towards.y * rest.yzw - towards.x * vec3(more.w, last);
 #endif
     colour = max(colour, 0.0);
+#ifdef DEPTH
+    colour = vec3(seen.z);
+#endif
 
     // The axes of the ellipse on which alpha falls to ALPHA_MIN, a hair longer against rounding.
     float extent = 1.001 * min(MAX_EXTENT_SIGMA, sqrt(2.0 * log(place.w / ALPHA_MIN)));

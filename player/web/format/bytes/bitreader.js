@@ -1,6 +1,6 @@
 import { corrupt } from "./errors.js";
 
-/** Reads a string of bits, the lowest bit of each byte first (FORMAT.md, section 6.3). */
+/** Reads a string of bits, the lowest bit of each byte first (FORMAT.md, section 1). */
 export class BitReader {
   /**
    * @param {Uint8Array} bytes

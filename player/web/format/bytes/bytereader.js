@@ -1,5 +1,26 @@
 import { corrupt } from "./errors.js";
 
+/** Whether bytes are a text of single bytes. @param {Uint8Array} bytes @param {string} magic */
+export function isMagic(bytes, magic) {
+  return String.fromCharCode(...bytes) === magic;
+}
+
+/** @type {Map<string, string[]>} */
+const layouts = new Map();
+
+/** The codes of a layout, one for each value; of bytes their number. @param {string} format */
+function codesOf(format) {
+  let codes = layouts.get(format);
+  if (codes === undefined) {
+    const found = [...format.matchAll(/(\d*)([BHIifQs])/g)];
+    codes = found.flatMap(([, count, code]) =>
+      code === "s" ? [count] : new Array(Number(count || 1)).fill(code),
+    );
+    layouts.set(format, codes);
+  }
+  return codes;
+}
+
 /** Reads little-endian numbers one after another. Throws a FormatError where the bytes end. */
 export class ByteReader {
   /**
@@ -55,17 +76,36 @@ export class ByteReader {
     return this.view.getFloat32(this.at - 4, true);
   }
 
+  /**
+   * The values of a layout as Python's struct writes it: of `s` the bytes, of the others numbers.
+   * @param {string} format
+   * @returns {any[]}
+   */
+  unpack(format) {
+    return codesOf(format).map((code) => {
+      switch (code) {
+        case "B":
+          return this.u8();
+        case "H":
+          return this.u16();
+        case "I":
+          return this.u32();
+        case "i":
+          return this.i32();
+        case "f":
+          return this.f32();
+        case "Q":
+          return this.u64();
+        default:
+          return this.take(Number(code));
+      }
+    });
+  }
+
   /** A u64 as a number; what is above 2^53 is not exact, and above every bound of the format. */
   u64() {
     const low = this.u32();
     return this.u32() * 2 ** 32 + low;
-  }
-
-  /**
-   * The next four bytes as a text of single bytes.
-   */
-  magic() {
-    return String.fromCharCode(...this.take(4));
   }
 
   /**

@@ -1,15 +1,13 @@
-/** A change: what a slice brings to one layer (FORMAT.md, section 16). */
+/** A change: what a slice brings to one layer (FORMAT.md, section 10). */
 
+import { CHANGE_COUNTS, LONG, MAX_GAP_BITS, POSITION_LIMIT } from "../../constants.js";
 import { BitReader } from "../bytes/bitreader.js";
 import { ByteReader } from "../bytes/bytereader.js";
 import { corrupt } from "../bytes/errors.js";
 import { checkGaussians, readGaussians } from "../gaussians.js";
 import { CHANGE, expectChunk, readSlotHead } from "./slotchunk.js";
 
-/** A coordinate on the lattice has a magnitude below this. */
-export const LATTICE_END = 2 ** 23;
-const MAX_GAP_BITS = 25;
-const LONG = 255;
+/** Bytes of CHANGE_COUNTS. */
 const COUNTS_BYTES = 20;
 
 /**
@@ -60,7 +58,7 @@ export function decodeChange(layout, layer, birth, bytes, numPredicted, numNew) 
  */
 export function readChange(layout, layer, body, numPredicted, numNew, hasStarts) {
   const what = body.what;
-  const [predicted, added, numLong, numEscapes, lowBitBytes] = body.u32s(5);
+  const [predicted, added, numLong, numEscapes, lowBitBytes] = body.unpack(CHANGE_COUNTS);
   if (predicted !== numPredicted || added !== numNew) {
     throw corrupt(
       `${what}: ${predicted} predicted and ${added} new, expected ${numPredicted} and ${numNew}`,
@@ -170,7 +168,7 @@ function readPositions(lengths, lowBits, what) {
     for (let axis = 0; axis < 3; axis++) {
       const g = lengths[axis * count + i];
       if (g > 0) place[axis] += unzigzag((1 << (g - 1)) | bits.take(g - 1));
-      if (Math.abs(place[axis]) >= LATTICE_END)
+      if (Math.abs(place[axis]) >= POSITION_LIMIT)
         throw corrupt(`${what}: a position is outside the lattice`);
       positions[3 * i + axis] = place[axis];
     }

@@ -1,18 +1,20 @@
-/** The mask of a slice: what becomes of each slot of its lane (FORMAT.md, section 15). */
+/** The mask of a slice: what becomes of each slot of its lane (FORMAT.md, section 9). */
 
+import {
+  CONTEXTS,
+  CONTEXT_OF_C,
+  ENDED,
+  FIRST_OF_B,
+  FIRST_PROBABILITY,
+  KEPT,
+  LEAST_RANGE,
+  MOST_COUNTED,
+  NEW,
+  PREDICTED,
+  WHOLE_RANGE,
+} from "../../constants.js";
 import { corrupt } from "../bytes/errors.js";
 import { MASK, expectChunk, readSlotHead } from "./slotchunk.js";
-
-export const KEPT = 0;
-export const ENDED = 1;
-export const PREDICTED = 2;
-export const NEW = 3;
-
-const NUM_CONTEXTS = 37;
-const FIRST_OF_B = 32;
-const CONTEXT_OF_C = 36;
-const LEAST_RANGE = 2 ** 24;
-const WHOLE = 2 ** 32 - 1;
 
 /** An adaptive binary arithmetic decoder. */
 class BitDecoder {
@@ -20,12 +22,12 @@ class BitDecoder {
   constructor(body) {
     this.body = body;
     this.at = 0;
-    this.range = WHOLE;
+    this.range = WHOLE_RANGE;
     this.code = 0;
     for (let i = 0; i < 4; i++) this.code = this.code * 256 + this.#next();
-    if (this.code === WHOLE) throw corrupt("mask: its code is not below its range");
-    this.p = new Uint16Array(NUM_CONTEXTS).fill(32768);
-    this.c = new Uint8Array(NUM_CONTEXTS);
+    if (this.code === WHOLE_RANGE) throw corrupt("mask: its code is not below its range");
+    this.p = new Uint16Array(CONTEXTS).fill(FIRST_PROBABILITY);
+    this.c = new Uint8Array(CONTEXTS);
   }
 
   #next() {
@@ -49,7 +51,7 @@ class BitDecoder {
       this.range *= 256;
       this.code = this.code * 256 + this.#next();
     }
-    const count = Math.min(this.c[context] + 1, 127);
+    const count = Math.min(this.c[context] + 1, MOST_COUNTED);
     const shift = 31 - Math.clz32(count + 1);
     this.c[context] = count;
     this.p[context] = bit ? p - (p >> shift) : p + ((65535 - p) >> shift);

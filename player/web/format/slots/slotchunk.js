@@ -1,13 +1,11 @@
-/** The head of a chunk of version 2 (FORMAT.md, section 15). */
+/** The head of a chunk (FORMAT.md, section 9). */
 
-import { ByteReader } from "../bytes/bytereader.js";
+import { CHUNK_HEAD, CHUNK_KINDS, CHUNK_MAGIC, HAS_STARTS } from "../../constants.js";
+import { ByteReader, isMagic } from "../bytes/bytereader.js";
 import { corrupt, unsupported } from "../bytes/errors.js";
 
-export const MASK = 0;
-export const CHANGE = 1;
-export const SNAPSHOT = 2;
-const NAMES = ["mask", "change", "snapshot"];
-const HAS_STARTS = 1;
+export const { MASK, CHANGE, SNAPSHOT } = CHUNK_KINDS;
+const NAMES = Object.keys(CHUNK_KINDS).map((name) => name.toLowerCase());
 
 /**
  * @typedef {object} SlotHead
@@ -26,12 +24,8 @@ const HAS_STARTS = 1;
 export function readSlotHead(bytes, kind) {
   const name = NAMES[kind];
   const body = new ByteReader(bytes, name);
-  if (body.magic() !== "SWG2") throw corrupt(`${name}: does not begin with SWG2`);
-  const found = body.u8();
-  const layer = body.u8();
-  const flags = body.u8();
-  const reserved = body.u8();
-  const birth = body.i32();
+  const [magic, found, layer, flags, reserved, birth] = body.unpack(CHUNK_HEAD);
+  if (!isMagic(magic, CHUNK_MAGIC)) throw corrupt(`${name}: does not begin with ${CHUNK_MAGIC}`);
   if (found >= NAMES.length) throw unsupported(`${name}: a chunk of unknown kind ${found}`);
   const known = found === MASK ? 0 : HAS_STARTS;
   if (reserved !== 0 || flags & ~known)

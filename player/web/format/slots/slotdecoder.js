@@ -1,15 +1,11 @@
-/** Masks, changes and snapshots to what a reader holds (FORMAT.md, section 13). */
+/** Masks, changes and snapshots to what a reader holds (FORMAT.md, section 7). */
 
+import { KEPT, LOG_SHARE, MIN_LOG_BYTES, NEW, PREDICTED, UNKNOWN } from "../../constants.js";
 import { decodeChange } from "./change.js";
 import { FormatError, corrupt } from "../bytes/errors.js";
-import { KEPT, MaskHistory, NEW, PREDICTED, decodeMask } from "./mask.js";
-import { changedRows, Slots, UNKNOWN } from "./slots.js";
+import { MaskHistory, decodeMask } from "./mask.js";
+import { changedRows, Slots } from "./slots.js";
 import { decodeSnapshot } from "./snapshot.js";
-
-/** Smallest bound on the bytes kept for late packets. */
-const MIN_LOG_BYTES = 2 ** 24;
-/** The bound as a multiple of the bytes of the slots, where that is more than MIN_LOG_BYTES. */
-const LOG_SHARE = 6;
 
 /**
  * What a slice said of a layer, and the bytes of its change; null: they are missing.
@@ -175,6 +171,21 @@ export class SlotDecoder {
     this.history.note(birth, statuses);
     this.#goOn(birth, statuses);
     return this.#handOut(birth, parts);
+  }
+
+  /**
+   * Whether `apply` would take a change; else throws a FormatError.
+   * @param {number} birth
+   * @param {Uint8Array | null} mask
+   * @param {number} layer
+   * @param {Uint8Array} change
+   */
+  takes(birth, mask, layer, change) {
+    if (mask === null || !this.history.isReadable(birth)) return true;
+    const statuses = decodeMask(this.layout, birth, mask, this.history.of(birth));
+    const slots = this.lanes[this.layout.lane(birth)][layer];
+    this.#delta(birth, layer, slots, this.#ofLayer(statuses, layer), change);
+    return true;
   }
 
   /**

@@ -1,4 +1,4 @@
-/** The slots of a stream of version 2: how many, on which lattice (FORMAT.md, sections 12 and 14). */
+/** The slots of a stream: how many, on which lattice (FORMAT.md, sections 2 and 8). */
 
 import { numCoefficients } from "../gaussians.js";
 

@@ -1,22 +1,21 @@
-/** What a reader holds of one layer in one lane, and what a slice makes of it (FORMAT.md, section 13). */
+/** What a reader holds of one layer in one lane, and what a slice makes of it (FORMAT.md, section 7). */
 
-import { LATTICE_END } from "./change.js";
-import { putColour, putQuat } from "../compact.js";
+import {
+  EMPTY,
+  ENDED,
+  ESCAPED,
+  HIDDEN,
+  KEPT,
+  ON_LATTICE,
+  POSITION_LIMIT,
+  PREDICTED,
+  UNKNOWN,
+} from "../../constants.js";
 import { corrupt } from "../bytes/errors.js";
+import { opacityLogits, putColour, putQuat } from "../dequantise.js";
 import { emptyGaussians } from "../gaussians.js";
-import { ENDED, KEPT, PREDICTED } from "./mask.js";
-import { opacityLogits } from "../opacity.js";
 
 const { fround } = Math;
-
-/** The condition of a slot: what it held is lost, nothing, or a Gaussian of one of two kinds. */
-export const UNKNOWN = 0;
-export const EMPTY = 1;
-export const ON_LATTICE = 2;
-export const ESCAPED = 3;
-
-/** The start of what never shows. */
-export const HIDDEN = 255;
 
 /**
  * What becomes of D slots, found out before any is touched, so that bytes that break a rule leave
@@ -45,7 +44,7 @@ export function changedRows(statuses) {
  * @param {number} i
  * @param {number} k coefficients
  */
-export function gaussianAt(from, i, k) {
+function gaussianAt(from, i, k) {
   const values = new Float32Array(11 + 3 * k);
   values.set(from.means.subarray(3 * i, 3 * i + 3), 0);
   values.set(from.logScales.subarray(3 * i, 3 * i + 3), 3);
@@ -161,7 +160,7 @@ export class Slots {
     made.starts[d] = 0;
     for (let axis = 0; axis < 3; axis++) {
       const q = this.positions[3 * row + axis] + change.moves[3 * from + axis];
-      if (Math.abs(q) >= LATTICE_END) throw corrupt(`change: slot ${row} leaves the lattice`);
+      if (Math.abs(q) >= POSITION_LIMIT) throw corrupt(`change: slot ${row} leaves the lattice`);
       made.positions[3 * d + axis] = q;
     }
     const width = this.numAttributes;

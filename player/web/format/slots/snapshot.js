@@ -1,10 +1,10 @@
-/** A snapshot: all slots of one layer at a segment's first frame (FORMAT.md, section 17). */
+/** A snapshot: all slots of one layer at a segment's first frame (FORMAT.md, section 11). */
 
+import { EMPTY, NEW } from "../../constants.js";
 import { readChange } from "./change.js";
 import { corrupt } from "../bytes/errors.js";
-import { NEW } from "./mask.js";
 import { SNAPSHOT, readSlotHead } from "./slotchunk.js";
-import { EMPTY, Slots } from "./slots.js";
+import { Slots } from "./slots.js";
 
 /**
  * @typedef {object} Snapshot

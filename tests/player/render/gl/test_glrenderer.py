@@ -137,7 +137,7 @@ def test_of_equally_far_gaussians_the_oldest_is_in_front(open_gl: OpenGl) -> Non
 
 @pytest.mark.parametrize("swin_size", [1, 3, SWIN_SIZE, 5])
 def test_the_renderer_draws_the_ring(open_gl: OpenGl, swin_size: int) -> None:
-    manifest = small_manifest(slice_size=100, swin_size=swin_size, num_gs=100 * swin_size)
+    manifest = small_manifest(slice_size=100, swin_size=swin_size)
     gl, ring = open_gl(manifest), Ring(swin_size, 100, 1)
     camera = manifest.camera()
     # Slices shrink and grow as a server drops and adds layers; one lane is empty for a while.
@@ -184,9 +184,8 @@ def test_only_the_changed_slice_is_uploaded(open_gl: OpenGl) -> None:
 
 
 def leased_manifest(stream: LeasedStream) -> Manifest:
-    num_gs = stream.swin_size * stream.slice_size
     return small_manifest(
-        stream.slice_size, stream.sh_degree, swin_size=stream.swin_size, num_gs=num_gs
+        stream.slice_size, stream.sh_degree, swin_size=stream.swin_size, layers=(1.0,)
     )
 
 
@@ -371,7 +370,7 @@ def test_what_4_3_cannot_hold_is_drawn_with_3_3(
 
 @pytest.mark.parametrize("version", GL_VERSIONS)
 def test_a_stream_too_large_for_opengl_is_refused(version: GlVersion) -> None:
-    manifest = small_manifest(slice_size=1 << 20, swin_size=16, num_gs=1 << 24)
+    manifest = small_manifest(slice_size=1 << 20, swin_size=16)
     context = open_context(version)
     limit_bytes = context.info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"]
     context.release()

@@ -110,7 +110,7 @@ def test_the_index_is_followed_on_hosts_with_ranges_and_without(
 ) -> None:
     publisher = Publisher(made, tmp_path / "live")
     manifest = StreamReader(made).manifest
-    size = record_bytes(manifest.num_layers, manifest.has_slots)
+    size = record_bytes(manifest.num_layers)
 
     def follow(url: str) -> None:
         first = {"url": url, "manifest": manifest.to_json().hex()}

@@ -49,7 +49,7 @@ ROOT_NODE = f"{ELEMENT}.shadowRoot"
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two streams of 20 s, of both versions; the first one with 2,000 Gaussians a frame."""
+    """Two streams of 20 s: whole slices of 2,000 Gaussians a frame, and slots that last."""
     folder = tmp_path_factory.mktemp("served")
     write_stream(folder / "slices", NUM_FRAMES, SLICE_SIZE)
     write_busy_stream(folder / "slots", NUM_FRAMES, small_layout(1, (20, 20, 10), 0, 15))
@@ -85,8 +85,8 @@ def test_it_plays_as_a_person_drives_it(page: Page, server: ServerProcess, name:
         page.wait(f"!{STATE}.playing")
         page.press("Home")
         page.wait(f"{PLAYER}.shownFrame === 0", 30)
-        page.press("ArrowRight")
-        page.wait(f"{PLAYER}.shownFrame === 30", 30)
+        page.press("ArrowRight")  # a tenth of 20 s
+        page.wait(f"{PLAYER}.shownFrame === 60", 30)
         page.run(
             f"{chosen('.scrub')}.value = 411; {chosen('.scrub')}.dispatchEvent(new Event('change'))"
         )
@@ -109,9 +109,10 @@ def test_the_picture_is_the_cpu_renderer_s_with_all_layers_though_it_is_paused(
     page: Page, server: ServerProcess, root: Path, name: str, frame: int
 ) -> None:
     reader = StreamReader(root / name)
-    expected = expected_of(reader, reader.manifest.camera().fitted(WIDTH_PX, HEIGHT_PX), frame)
     with watching(page, server.url, name, f"?autoplay=0&t={(frame + 0.1) / 30}"):
         page.wait(f"{PLAYER}.shownFrame === {frame}", 30)
+        width_px, height_px = page.run(f"return [{PLAYER}.canvas.width, {PLAYER}.canvas.height]")
+        expected = expected_of(reader, reader.manifest.camera().fitted(width_px, height_px), frame)
         found_db = 0.0
         for _ in range(100):
             found_db = psnr_db(canvas_of(page), expected)
@@ -177,10 +178,10 @@ def test_a_server_that_is_killed_and_comes_back(page: Page, root: Path) -> None:
 
 @contextmanager
 def breaking_server(root: Path, folder: Path) -> Iterator[tuple[str, list[Message]]]:
-    """A host of the stream `any` whose plays begin, and break off once they had news; its URL, and
-    the headers with which plays were asked for."""
+    """A host of the stream `any` whose plays begin, and break off once the client has reported its
+    status; its URL, and the headers with which plays were asked for."""
     asked: list[Message] = []
-    had_news = threading.Semaphore(0)
+    reported = threading.Semaphore(0)
 
     class Handler(SimpleHTTPRequestHandler):
         def do_GET(self) -> None:
@@ -193,14 +194,14 @@ def breaking_server(root: Path, folder: Path) -> Iterator[tuple[str, list[Messag
             self.end_headers()
             self.wfile.write(play_body(root))
             self.wfile.flush()
-            had_news.acquire(timeout=30)
+            reported.acquire(timeout=30)
 
         def do_POST(self) -> None:
             self.rfile.read(int(self.headers["Content-Length"]))
             self.send_response(204)
             self.send_header("Swings-Rate", "12345678")
             self.end_headers()
-            had_news.release()
+            reported.release()
 
         def log_message(self, format: str, *args: object) -> None:
             pass
@@ -212,7 +213,7 @@ def breaking_server(root: Path, folder: Path) -> Iterator[tuple[str, list[Messag
     try:
         yield f"http://127.0.0.1:{host.server_port}", asked
     finally:
-        had_news.release(1000)
+        reported.release(1000)
         host.shutdown()
         thread.join()
         host.server_close()
@@ -301,11 +302,11 @@ def test_a_hostile_server(page: Page, root: Path, tmp_path: Path, kind: str) -> 
     elif kind == "flipped":
         body = body[:9] + bytes([body[9] ^ 0x55]) + body[10:]
     elif kind == "nothing":
-        body += encode_record(SliceRecord(0, (b"",)))
+        body += encode_record(SliceRecord(0, (b"",), b""))
     elif kind == "far ahead":
-        body += encode_record(SliceRecord(2**31 - 1, (b"some bytes",)))
+        body += encode_record(SliceRecord(2**31 - 1, (b"some bytes",), b""))
     else:
-        body += encode_record(SliceRecord(-3, (b"some bytes",) * 9))
+        body += encode_record(SliceRecord(-3, (b"some bytes",) * 9, b""))
     (tmp_path / "web").symlink_to(ROOT / "player" / "web")
     plays = tmp_path / "v1" / "streams" / "any"
     plays.mkdir(parents=True)

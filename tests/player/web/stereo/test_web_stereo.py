@@ -15,6 +15,7 @@ from codec.pose import rotation_about, world_to_camera
 from codec.stream.reader import StreamReader
 from codec.tools.static import export_static
 from tests.support.hosted_streams import static_host, write_stream
+from tests.support.web.browsercamera import from_browser
 from tests.support.web.canvas import (
     ELEMENT,
     LEAST_PSNR_DB,
@@ -97,13 +98,14 @@ def test_side_by_side(
         page.click("swings-player .side-by-side")
         assert page.run(f"return {part('.side-by-side')}.ariaPressed") == "true"
         both = canvas_of(page)
+        half = from_browser(page.run(f"return {PLAYER}.camera"))
         page.screenshot(tmp_path / "side-by-side.png")
         page.press("b")
         again = page.run(f"return window.readCanvas({PLAYER})")
     assert again == alone
     whole = reader.manifest.camera().fitted(WIDTH_PX, HEIGHT_PX)
     assert psnr_db(picture_of(alone), expected_of(reader, whole)) >= LEAST_PSNR_DB
-    half = reader.manifest.camera().fitted(WIDTH_PX // 2, HEIGHT_PX)
+    assert (half.width_px, half.height_px) == (WIDTH_PX // 2, HEIGHT_PX)
     # The scene's centre is 4 m away, and shows at the same place to both eyes.
     pictures = {}
     for side, picture in zip((-0.5, 0.5), np.split(both, 2, axis=1), strict=True):
@@ -239,6 +241,6 @@ def test_a_headset_that_does_not_start(worn: Page, breakage: str, says: str) -> 
 def test_without_a_headset(opened: Callable[..., AbstractContextManager[Page]]) -> None:
     with opened() as page:
         assert page.run(f"return {part('.headset')}.hidden")
-        page.click("swings-player canvas")
+        page.run(f"{ELEMENT}.focus()")
         page.press("v")
         page.wait(f"{part('.note.soft')}.textContent.includes('headset')")

@@ -44,40 +44,10 @@ def test_bytes_take_as_long_as_the_steps_say(link: Link, start_s: float, num_byt
     assert bits_between(link, start_s, end_s) == pytest.approx(8 * num_bytes, rel=1e-6, abs=20)
 
 
-@given(links, st.floats(0, 9), st.integers(0, 9999), st.integers(0, 9999))
-def test_two_pieces_take_as_long_as_one(
-    link: Link, start_s: float, first: int, second: int
-) -> None:
-    after_s = link.passed_s(link.passed_s(start_s, first), second)
-    bits = bits_between(link, start_s, after_s)
-    assert bits == pytest.approx(8 * (first + second), rel=1e-6, abs=40)
-
-
-@given(links, st.floats(0, 1e5), st.floats(0, 1e5))
-def test_more_bytes_take_longer(link: Link, first: float, second: float) -> None:
-    less, more = sorted((first, second))
-    assert link.passed_s(1.5, less) <= link.passed_s(1.5, more) * (1 + 1e-12)
-
-
 @given(links, st.floats(0, 20), st.floats(0, 20))
 def test_the_capacity_is_the_sum_over_the_steps(link: Link, start_s: float, end_s: float) -> None:
     bits = bits_between(link, start_s, end_s)
     assert 8 * link.capacity_bytes(start_s, end_s) == pytest.approx(bits, rel=1e-6, abs=20)
-
-
-@given(links, st.floats(0, 1e4), st.floats(0, 1e9))
-def test_the_capacity_is_what_passes(link: Link, start_s: float, num_bytes: float) -> None:
-    end_s = link.passed_s(start_s, num_bytes)
-    capacity = link.capacity_bytes(start_s, end_s)
-    assert capacity == pytest.approx(num_bytes, rel=1e-6, abs=20)
-
-
-@given(links, st.lists(st.floats(0, 99), min_size=3, max_size=3))
-def test_capacities_add_up(link: Link, times_s: list[float]) -> None:
-    a, b, c = sorted(times_s)
-    whole = link.capacity_bytes(a, b) + link.capacity_bytes(b, c)
-    assert link.capacity_bytes(a, c) == pytest.approx(whole, rel=1e-6, abs=1)
-    assert link.capacity_bytes(c, a) == 0
 
 
 @given(links, st.integers(0, 1000), st.floats(0, 30))

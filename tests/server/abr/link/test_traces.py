@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from itertools import accumulate
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codec.errors import InvalidError
@@ -150,16 +150,6 @@ def survives(data: bytes) -> None:
         answers(parse_trace(data, "t"))
 
 
-@given(st.binary(), st.sampled_from([b"", b"1", b"12\n", b"[", b"[{", STEP % (b"5", b"5", b"5")]))
-def test_any_bytes_give_a_link_or_an_error(data: bytes, before: bytes) -> None:
-    survives(before + data)
-
-
-@given(st.lists(st.sampled_from([b"0", b"1", b"42", b"\n", b" ", b"9", b"\r", b"[", b"-", b"."])))
-def test_any_lines_give_a_link_or_an_error(parts: list[bytes]) -> None:
-    survives(b"".join(parts))
-
-
 json_values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
     lambda inner: (
@@ -169,9 +159,18 @@ json_values = st.recursive(
 )
 
 
-@given(json_values)
-def test_any_json_gives_a_link_or_an_error(value: object) -> None:
-    survives(json.dumps(value).encode())
+beginnings = st.sampled_from([b"", b"1", b"12\n", b"[", b"[{", STEP % (b"5", b"5", b"5")])
+pieces = st.sampled_from([b"0", b"1", b"42", b"\n", b" ", b"9", b"\r", b"[", b"-", b"."])
+
+
+@given(
+    st.builds(bytes.__add__, beginnings, st.binary())
+    | st.lists(pieces).map(b"".join)
+    | json_values.map(lambda value: json.dumps(value).encode())
+)
+@settings(max_examples=300)
+def test_any_bytes_lines_or_json_give_a_link_or_an_error(data: bytes) -> None:
+    survives(data)
 
 
 def test_altered_traces_give_a_link_or_an_error() -> None:

@@ -3,47 +3,46 @@
 from __future__ import annotations
 
 import json
+import logging
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from server.operate.log.logline import MAX_LINE_BYTES, LineFormat, LogStyle, Value
+from server.operate.log.logline import MAX_LINE_BYTES, EventRecord, LineFormatter, LogStyle, Value
 
-TIME_S = 1_800_000_000.25
+FORMATTERS = JSON, PLAIN = LineFormatter(LogStyle.JSON), LineFormatter(LogStyle.PLAIN)
 
 
-def line(style: LogStyle, event: str, **fields: Value) -> str:
-    return LineFormat(style).line(TIME_S, "info", event, fields).decode("ascii")
+def line(formatter: LineFormatter, event: str, **fields: Value) -> str:
+    return line_at(1_800_000_000.25, formatter, event, fields)
+
+
+def line_at(time_s: float, formatter: LineFormatter, event: str, fields: dict[str, Value]) -> str:
+    record = EventRecord(event, logging.INFO, fields)
+    record.created = time_s
+    return formatter.format(record)
 
 
 def test_a_request_is_one_line_of_either_style() -> None:
     fields: dict[str, Value] = {"path": "/v1/a b", "status": 200, "seconds": 0.12345678, "x": None}
-    assert line(LogStyle.PLAIN, "request", **fields, kept=True) == (
-        '2027-01-15T08:00:00.250Z info request path="/v1/a b" status=200 seconds=0.123457 '
-        "kept=true\n"
+    assert line(PLAIN, "request", **fields, kept=True) == (
+        '2027-01-15T08:00:00.250Z info request path="/v1/a b" status=200 seconds=0.123457 kept=true'
     )
-    assert json.loads(line(LogStyle.JSON, "request", **fields, kept=True)) == {
-        "time": "2027-01-15T08:00:00.250Z",
-        "level": "info",
-        "event": "request",
-        "path": "/v1/a b",
-        "status": 200,
-        "seconds": 0.123457,
-        "kept": True,
-    }
-    assert json.loads(line(LogStyle.JSON, "ready"))["event"] == "ready"
-    assert line(LogStyle.PLAIN, "ready").endswith("Z info ready\n")
+    assert line(JSON, "request", **fields, kept=True) == (
+        '{"time":"2027-01-15T08:00:00.250Z","level":"info","event":"request","path":"/v1/a b",'
+        '"status":200,"seconds":0.123457,"kept":true}'
+    )
+    assert json.loads(line(JSON, "ready"))["event"] == "ready"
+    assert line(PLAIN, "ready").endswith("Z info ready")
 
 
 def test_time_goes_on() -> None:
-    lines = LineFormat(LogStyle.PLAIN)
-    stamps = [lines.line(t, "info", "x", {})[:24] for t in (0.9994, 1.0, 1.0005, 61.25, 1.0)]
+    stamps = [line_at(t, PLAIN, "x", {})[:24] for t in (0.9994, 1.0, 1.0005, 61.25)]
     assert stamps == [
-        b"1970-01-01T00:00:00.999Z",
-        b"1970-01-01T00:00:01.000Z",
-        b"1970-01-01T00:00:01.000Z",
-        b"1970-01-01T00:01:01.250Z",
-        b"1970-01-01T00:00:01.000Z",
+        "1970-01-01T00:00:00.999Z",
+        "1970-01-01T00:00:01.000Z",
+        "1970-01-01T00:00:01.000Z",
+        "1970-01-01T00:01:01.250Z",
     ]
 
 
@@ -55,16 +54,16 @@ values = st.one_of(
     st.booleans(),
     st.none(),
 )
+fields = st.dictionaries(st.sampled_from(["path", "traceback", "status", "note"]), values)
 
 
-@given(st.dictionaries(st.sampled_from(["path", "agent", "status", "note"]), values))
+@given(fields)
 def test_whatever_a_field_holds_the_line_is_one_and_printable(fields: dict[str, Value]) -> None:
-    for style in LogStyle:
-        data = LineFormat(style).line(TIME_S, "info", "request", fields)
-        assert data[-1:] == b"\n"
-        assert all(0x20 <= byte < 0x7F for byte in data[:-1])
-        assert len(data) <= MAX_LINE_BYTES
-    told = json.loads(line(LogStyle.JSON, "request", **fields))
+    for formatter in FORMATTERS:
+        text = line(formatter, "request", **fields)
+        assert all(0x20 <= ord(one) < 0x7F for one in text)
+        assert len(text) <= MAX_LINE_BYTES
+    told = json.loads(line(JSON, "request", **fields))
     for key, value in fields.items():
         if isinstance(value, int) or (isinstance(value, str) and len(value) <= 48):
             assert told[key] == value
@@ -73,8 +72,7 @@ def test_whatever_a_field_holds_the_line_is_one_and_printable(fields: dict[str, 
 @given(st.text(st.characters(), max_size=60), st.text(max_size=60))
 def test_nobody_can_forge_a_key_in_plain_text(path: str, agent: str) -> None:
     """Outside of quotes each = is one of ours."""
-    text = line(LogStyle.PLAIN, "request", path=path, agent=agent)
-    rest = text.split(" request ", 1)[1].rstrip("\n")
+    rest = line(PLAIN, "request", path=path, agent=agent).split(" request ", 1)[1]
     found = {}
     while rest:
         key, rest = rest.split("=", 1)
@@ -86,7 +84,12 @@ def test_nobody_can_forge_a_key_in_plain_text(path: str, agent: str) -> None:
     assert found == {"path": path, "agent": agent}
 
 
-def test_long_fields_are_cut_and_a_traceback_less() -> None:
-    told = json.loads(line(LogStyle.JSON, "x", path="p" * 9000, traceback="t" * 9000))
-    assert (len(told["path"]), len(told["traceback"])) == (48, 8192)
-    assert told["path"].endswith("...")
+def test_long_fields_are_cut_at_their_end_and_a_traceback_at_its_beginning() -> None:
+    told = json.loads(line(JSON, "x", path="p" * 9000, traceback="t" * 9000 + "KeyError"))
+    assert (len(told["path"]), len(told["traceback"])) == (512, 3000)
+    assert told["path"].endswith("p...")
+    assert told["traceback"].startswith("...t")
+    assert told["traceback"].endswith("tKeyError")
+    # Characters that take six bytes each: more is cut, so that a pipe takes the line in one piece.
+    told = json.loads(line(JSON, "x", path="\x01" * 9000, traceback="\x01" * 9000))
+    assert (len(told["path"]), len(told["traceback"])) == (48, 384)

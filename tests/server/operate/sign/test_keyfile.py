@@ -10,6 +10,7 @@ import pytest
 
 from codec.errors import InvalidError
 from server.operate.sign.keyfile import add_key, read_keys
+from server.operate.sign.nginxlink import nginx_secrets, sign_for_nginx
 from server.operate.sign.signing import ALL, Grant, Signer
 from tests.support.commands import run, run_ok
 
@@ -100,10 +101,35 @@ def test_the_command_prints_urls_that_the_server_grants(tmp_path: Path) -> None:
     assert signer.verify(page, time.time()) == Grant("/", ALL, int(page[3:].split(".")[0]))
 
 
+def test_the_command_signs_for_nginx_with_secrets_that_are_not_the_keys(tmp_path: Path) -> None:
+    path = keys_of(tmp_path / "keys", f"b:{SECRET[::-1]}\na:{SECRET}\n")
+    keys = read_keys(path)
+    out = run_ok("swings-sign", path, "walk", "--nginx", "--url", "https://h.example")
+    for line, inner in zip(
+        out.splitlines(), ("/watch/walk", "/v1/streams/walk/manifest.json"), strict=True
+    ):
+        url = line.split()[1].removeprefix("https://h.example")
+        digest, found, rest = url.removeprefix("/n/").partition("/t/")
+        granted = Signer(keys).verify(found + rest, time.time())
+        assert isinstance(granted, Grant)
+        assert granted.path == inner
+        prefix = sign_for_nginx(keys, "walk", granted.expiry_s)
+        assert url == prefix + inner
+        assert digest in prefix
+    out = run_ok("swings-sign", path, "--nginx-secrets")
+    assert out == "".join(f"key={kid} {nginx_secrets(keys)[kid]};\n" for kid in "ba")
+    assert len({*nginx_secrets(keys).values(), *(key.hex() for key in keys.values())}) == 4
+    with pytest.raises(InvalidError, match="one stream"):
+        sign_for_nginx(keys, ALL, 2_000_000_000)
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "word"),
     [
         ([], 2, "--new-key"),
+        (["--nginx"], 2, "name a stream"),
+        (["walk", "--nginx-secrets"], 2, "give it alone"),
+        (["*", "--nginx"], 1, "cannot be signed"),
         (["a/b"], 1, "name of a stream"),
         (["walk", "--hours", "0"], 2, "hours"),
         (["walk", "--hours", "nan"], 2, "hours"),

@@ -6,10 +6,9 @@ import json
 import os
 import re
 import signal
-import subprocess
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from email.message import Message
 from pathlib import Path
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
@@ -17,12 +16,14 @@ from urllib.request import Request, urlopen
 import pytest
 
 from codec.stream.playrecord import EndRecord
-from server.abr.standing import PLAY_HEADER
+from server.abr.clientstatus import PLAY_HEADER
 from server.operate.sign.keyfile import add_key, read_keys
 from server.operate.sign.signing import Signer
-from tests.support.commands import command, environment, run, run_ok, serving
+from tests.server.hostile.serverprocess import get, server_process
+from tests.support.commands import run, run_ok, serving
 from tests.support.hosted_streams import write_stream
 from tests.support.server.running_server import parse_records
+from tests.support.waiting import wait_until
 
 STREAM = "/v1/streams/walk"
 
@@ -47,13 +48,18 @@ def signer(folder: Path) -> Signer:
     return Signer(read_keys(folder / "keys"))
 
 
-def ask(url: str, method: str = "GET", body: bytes | None = None) -> tuple[int, str, bytes]:
-    """Status, the play's token and body."""
+def send(url: str, method: str, body: bytes | None = None) -> tuple[int, Message, bytes]:
     try:
         with urlopen(Request(url, body, method=method), timeout=20) as response:
-            return response.status, response.headers.get(PLAY_HEADER, ""), response.read()
+            return response.status, response.headers, response.read()
     except HTTPError as error:
-        return error.code, "", error.read()
+        return error.code, error.headers, error.read()
+
+
+def ask(url: str, method: str = "GET", body: bytes | None = None) -> tuple[int, str, bytes]:
+    """Status, the play's token and body."""
+    status, headers, received = send(url, method, body)
+    return status, headers.get(PLAY_HEADER, ""), received
 
 
 def soon() -> int:
@@ -65,8 +71,8 @@ def test_a_signed_url_opens_all_of_its_stream(url: str, folder: Path) -> None:
     page, manifest = (line.split()[1] for line in said.splitlines())
     status, _, html = ask(page)
     assert status == 200
-    assert b'<base href="../web/" />' in html
-    found = re.findall(r'"(?:\./)?([a-z]+\.js)"', html.decode())
+    assert b"og:" not in html
+    found = re.findall(r'"\.\./web/([^"]+\.js)"', html.decode())
     assert found
     for asset in found:
         assert ask(f"{page.rsplit('/watch/', 1)[0]}/web/{asset}")[0] == 200
@@ -121,24 +127,39 @@ def test_what_is_not_signed_for_it_is_403_in_one_line(url: str, signer: Signer) 
     assert ask(f"{url}{good}{STREAM}/play", "OPTIONS")[0] == 204
 
 
-@contextmanager
-def logging_server(log: Path, root: Path, keys: Path) -> Iterator[tuple[int, str]]:
-    """Process number and URL of a server of one process, which logs to the file `log`."""
-    with log.open("wb") as file:
-        process = subprocess.Popen(
-            command("swings-serve", root, "--port", 0, "--keys", keys),
-            env=environment(),
-            stdout=subprocess.PIPE,
-            stderr=file,
-            text=True,
+def cache_control(url: str, method: str = "GET") -> str:
+    return str(send(url, method)[1]["Cache-Control"])
+
+
+@pytest.mark.parametrize("method", ["GET", "HEAD"])
+def test_no_shared_cache_may_keep_the_answer_to_a_signed_url(
+    url: str, signer: Signer, method: str
+) -> None:
+    good = url + signer.sign("walk", soon())
+    for _ in range(3):  # as it is read, and from the memory of the server
+        match = re.fullmatch(
+            r"private, max-age=(\d+), immutable",
+            cache_control(f"{good}{STREAM}/segments/0/0", method),
         )
-    assert process.stdout is not None
-    try:
-        yield process.pid, process.stdout.readline().split()[1]
-    finally:
-        process.terminate()
-        process.wait()
-        process.stdout.close()
+        assert match is not None
+        assert 500 < int(match[1]) <= 600
+    for path in (
+        f"{STREAM}/manifest.json",
+        f"{STREAM}/index.bin",
+        "/watch/walk",
+        "/web/watch.html",
+    ):
+        assert cache_control(good + path, method) == "private, no-cache", path
+    assert cache_control(f"{good}{STREAM}/segments/9/9", method) == "no-store"
+    assert cache_control(f"{url}{STREAM}/segments/0/0", method) == "no-store"
+    # Files of the player are the same for all who ask without a signature.
+    assert cache_control(f"{url}/web/watch.html", method) == "no-cache"
+    assert cache_control(f"{good}{STREAM}/play?layers=1") == "no-store"
+    in_ten_years = url + signer.sign("walk", soon() + 10 * 366 * 86400)
+    assert (
+        cache_control(f"{in_ten_years}{STREAM}/segments/0/0", method)
+        == "private, max-age=31536000, immutable"
+    )
 
 
 def test_a_server_of_one_process_reads_its_keys_again_on_sighup(
@@ -146,16 +167,13 @@ def test_a_server_of_one_process_reads_its_keys_again_on_sighup(
 ) -> None:
     keys = tmp_path / "keys"
     add_key(keys)
-    with logging_server(tmp_path / "log", folder / "root", keys) as (pid, url):
+    with server_process(folder / "root", tmp_path, "--keys", keys) as server:
         add_key(keys)
         fresh = Signer(read_keys(keys)).sign("walk", soon())
-        assert ask(f"{url}{fresh}{STREAM}/manifest.json")[0] == 403
-        os.kill(pid, signal.SIGHUP)
-        until_s = time.monotonic() + 20
-        while ask(f"{url}{fresh}{STREAM}/manifest.json")[0] != 200:
-            assert time.monotonic() < until_s
-            time.sleep(0.05)
-    assert "keys and certificate were reloaded" in (tmp_path / "log").read_text()
+        assert get(server.port, f"{fresh}{STREAM}/manifest.json").status == 403
+        os.kill(server.pid, signal.SIGHUP)
+        wait_until(lambda: get(server.port, f"{fresh}{STREAM}/manifest.json").status == 200)
+    assert "keys and certificate were reloaded" in server.log.read_text()
 
 
 def test_the_log_has_no_signature(folder: Path, tmp_path: Path, signer: Signer) -> None:
@@ -175,12 +193,12 @@ def test_the_log_has_no_signature(folder: Path, tmp_path: Path, signer: Signer) 
         good,
         f"/web/watch.html?src=http%3A%2F%2Fhost{good.replace('/', '%2F')}%2Fv1%2Fstreams%2Fwalk",
     )
-    with logging_server(tmp_path / "log", root, keys) as (_, url):
-        statuses = [ask(url + path)[0] for path in paths]
-        ask(f"{url}{good}{STREAM}/play", "OPTIONS")
+    with server_process(root, tmp_path, "--keys", keys) as server:
+        statuses = [get(server.port, path).status for path in paths]
+        ask(f"http://127.0.0.1:{server.port}{good}{STREAM}/play", "OPTIONS")
     assert statuses[:2] == [200, 404]
     assert 200 not in statuses[2:-1]
-    text = (tmp_path / "log").read_text()
+    text = server.log.read_text()
     assert text.count("/t/***/") == 8
     assert "path=/v1/streams/walk/manifest.json" in text
     for prefix in (good, all_of_it):

@@ -1,9 +1,12 @@
-"""A supervised server that says who answers and then echoes, run as a module with WHAT CONFIG: its
-port is on the first line of stdout, its log on stderr.
+"""A server with workers that names the worker which answers and then echoes, run as a module with
+WHAT CONFIG: its port is on the first line of stdout, its log on stderr.
 
-WHAT: "echo"; "slow", which takes a while to end; "stubborn", which never does; "crash", whose
-workers die; "refuse", which cannot start; "relay", where "1 hello" asks worker 1 for its answer;
-"count", which counts connections and answers any line with all figures, in JSON.
+WHAT: "echo", where "hang" blocks the event loop; "slow", which takes a while to end; "stubborn",
+which never does; "late", which takes four seconds to start; "crash", whose workers die; "refuse",
+which cannot start; "relay", where "1 hello" asks worker 1 for its answer; "count", which counts
+connections and answers any line with all figures, in JSON.
+
+A file "refuse" in the folder keeps further workers from starting.
 """
 
 from __future__ import annotations
@@ -15,18 +18,27 @@ import signal
 import socket
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 from codec.errors import SwingsError
-from server.operate.log.eventlog import EventLog
+from server.operate.log.eventlog import EventLog, take_over_logging
 from server.operate.log.logline import LogStyle
 from server.operate.prometheus import Metrics, forget_worker
-from server.operate.workers.backoff import BackoffConfig
+from server.operate.workers.arbiter import WorkerHooks, run_workers
 from server.operate.workers.peers import Peers
-from server.operate.workers.supervisor import Supervisor, SupervisorConfig, Worker
+from server.operate.workers.supervisorconfig import SupervisorConfig
+from server.operate.workers.workerprocess import StreamWorker
 
 
-async def serve(what: str, worker: Worker) -> None:
+async def serve(what: str, worker: StreamWorker) -> None:
+    if what == "refuse" or os.path.exists("refuse"):  # noqa: ASYNC240 - the server has not begun
+        raise SwingsError("there is nothing\nto serve")
+    if what == "crash":
+        worker.ready()
+        os._exit(5)
+    if what == "late":
+        time.sleep(4)  # noqa: ASYNC251 - nothing else shall run
     loop = asyncio.get_running_loop()
     stop = asyncio.Event()
     loop.add_signal_handler(signal.SIGTERM, stop.set)
@@ -42,6 +54,8 @@ async def serve(what: str, worker: Worker) -> None:
                 metrics.requests.add(1, "/", "200")
                 metrics.active_plays.set(1)
             while line := await reader.readline():
+                if line == b"hang\n":
+                    time.sleep(60)  # noqa: ASYNC251 - it shall hang
                 if metrics is not None:
                     line = json.dumps(metrics.text()).encode() + b"\n"
                 if what == "relay":
@@ -58,6 +72,8 @@ async def serve(what: str, worker: Worker) -> None:
     server = await asyncio.start_server(talk, sock=worker.listener, backlog=512)
     worker.ready()
     await stop.wait()
+    if what == "stubborn":
+        await asyncio.Event().wait()
     # asyncio drops a connection that it has accepted and not begun to serve when its server closes.
     loop.remove_reader(worker.listener)
     await asyncio.sleep(0)
@@ -67,45 +83,24 @@ async def serve(what: str, worker: Worker) -> None:
     peers.close()
 
 
-def run(what: str, worker: Worker) -> None:
-    if what == "refuse" or Path("refuse").exists():
-        raise SwingsError("there is nothing\nto serve")
-    if what == "crash":
-        worker.ready()
-        sys.exit(3)
-    if what == "stubborn":
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        worker.ready()
-        while True:
-            time.sleep(1)
-    asyncio.run(serve(what, worker))
-
-
 def main() -> None:
     what, settings = sys.argv[1], json.loads(sys.argv[2])
-    backoff = BackoffConfig(**settings.pop("backoff", {}))
     listener = socket.create_server(("127.0.0.1", 0), backlog=512)
     port = listener.getsockname()[1]
     log = EventLog(2, LogStyle.JSON)
+    take_over_logging(log)
 
     def forget(number: int) -> None:
         forget_worker(Path("metrics"), number)
         log.event("forgotten", worker=number)
-
-    supervisor = Supervisor(
-        listener,
-        lambda worker: run(what, worker),
-        SupervisorConfig(**settings, backoff=backoff),
-        log.event,
-        forget,
-    )
 
     def ready() -> None:
         sys.stdout.write(f"{port}\n")
         sys.stdout.flush()
 
     try:
-        supervisor.run(ready)
+        hooks = WorkerHooks(serve=partial(serve, what), event=log.event, ready=ready, forget=forget)
+        run_workers(listener, SupervisorConfig(**settings), hooks)
     except SwingsError as error:
         sys.exit(f"failed: {error}")
 

@@ -11,13 +11,11 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from codec.errors import InvalidError
-from server.operate.workers.mailboxes import Mailboxes
-from server.operate.workers.peers import MAX_MESSAGE_BYTES, MAX_WAITING, Peers
-from tests.server.operate.workers.test_supervisor import serving, wait_until
+from server.operate.workers.peers import MAX_MESSAGE_BYTES, Mailboxes, Peers
+from tests.server.operate.workers.test_arbiter import serving
+from tests.support.waiting import wait_until
 
 
 @asynccontextmanager
@@ -43,15 +41,8 @@ def test_everybody_answers_everybody_even_itself() -> None:
                 for n in range(3):
                     assert await asker.ask(n, b"hello") == b"%d:hello" % n
             assert peers[0].counts.asked == peers[0].counts.answered == 3
-
-    asyncio.run(work())
-
-
-def test_far_more_questions_than_a_socket_holds_are_all_answered() -> None:
-    async def work() -> None:
-        async with group(3) as peers:
-            asked = [peers[n % 2].ask(2, b"%d" % n) for n in range(MAX_WAITING)]
-            assert await asyncio.gather(*asked) == [b"2:%d" % n for n in range(MAX_WAITING)]
+            burst = [peers[n % 2].ask(2, b"%d" % n) for n in range(200)]
+            assert await asyncio.gather(*burst) == [b"2:%d" % n for n in range(200)]
 
     asyncio.run(work())
 
@@ -66,14 +57,11 @@ def test_who_is_not_there_is_not_waited_for_long() -> None:
             assert await peers[0].ask(3, b"hello") is None
             assert await peers[0].ask(-1, b"hello") is None
             assert peers[0].counts.unanswered == 3
-            # However many ask for him, what waits is bounded and goes away.
-            all_asked = asyncio.gather(*(peers[0].ask(2, b"x") for _ in range(1000)))
-            await asyncio.sleep(0.01)
-            assert len(peers[0]._unsent[2]) == MAX_WAITING
-            assert await all_asked == [None] * 1000
-            await asyncio.sleep(0.4)
-            assert not peers[0]._unsent
-            assert peers[0].counts.dropped > 0
+            # However many are sent to it, what waits is bounded.
+            assert (
+                await asyncio.gather(*(peers[0].ask(2, b"x") for _ in range(2000))) == [None] * 2000
+            )
+            assert 1000 < peers[0].counts.dropped < 2000
             assert await peers[0].ask(1, b"hello") == b"1:hello"
 
     asyncio.run(work())
@@ -144,18 +132,6 @@ def test_messages_are_bounded() -> None:
     asyncio.run(work())
 
 
-@given(st.lists(st.binary(max_size=60), max_size=20))
-def test_nonsense_in_a_mailbox_harms_nobody(messages: list[bytes]) -> None:
-    async def work() -> None:
-        async with group(2) as peers:
-            for message in messages:
-                peers[1]._take(message)
-                peers[1]._take(b"\x02\x00\x00" + message)
-            assert await peers[0].ask(1, b"hello") == b"1:hello"
-
-    asyncio.run(work())
-
-
 def test_questions_that_wait_at_the_end_are_given_up() -> None:
     async def work() -> None:
         async with group(2, timeout_s=60) as peers:
@@ -170,7 +146,6 @@ def test_questions_that_wait_at_the_end_are_given_up() -> None:
 @pytest.mark.realtime
 def test_workers_ask_each_other_and_a_successor_reads_on(tmp_path: Path) -> None:
     with serving(tmp_path, "relay", workers=2) as served:
-        wait_until(lambda: len(served.events("worker_ready")) == 2)
         pids = {line["worker"]: line["pid"] for line in served.events("worker_ready")}
         talk = served.connect()
         other = 1 - talk.number
@@ -193,4 +168,3 @@ def test_workers_ask_each_other_and_a_successor_reads_on(tmp_path: Path) -> None
         successor = served.events("worker_ready")[-1]
         assert successor["worker"] == other
         assert answer(b"three") == b"%d of %d: three\n" % (other, successor["pid"])
-        talk.close()

@@ -13,20 +13,27 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, closing, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from codec.stream.playrecord import EndRecord, ErrorRecord, Record
-from server.abr.standing import PLAY_HEADER, RATE_HEADER
+from server.abr.clientstatus import PLAY_HEADER, RATE_HEADER
+from server.errors import ServerError
+from server.operate.sign.keyfile import add_key, read_keys
+from server.operate.sign.signing import Signer
+from server.serving import Service
+from server.state.config import ServerConfig
 from tests.server.hostile.serverprocess import ServerProcess, get, server_process
+from tests.support.server.certificates import make_certificate
 from tests.support.server.running_server import (
     births_with_layer_0,
     make_stream,
     parse_records,
 )
+from tests.support.waiting import is_running, wait_until
 
 pytestmark = pytest.mark.skipif(
     not sys.platform.startswith("linux"), reason="several workers need Linux"
@@ -43,16 +50,17 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@contextmanager
+def workers(root: Path, folder: Path, *options: object) -> Iterator[ServerProcess]:
+    """A server of two workers that are ready."""
+    with server_process(root, folder, "--workers", 2, *JSON, *options) as server:
+        wait_until(lambda: len(events(server, "worker_ready")) == 2)
+        yield server
+
+
 def events(server: ServerProcess, *kinds: str) -> list[dict[str, Any]]:
     lines = [json.loads(line) for line in server.log_lines() if line.startswith("{")]
     return [line for line in lines if line["event"] in kinds]
-
-
-def wait_until(holds: Any, seconds: float = 15.0) -> None:
-    end_s = time.monotonic() + seconds
-    while not holds():
-        assert time.monotonic() < end_s, "it did not happen"
-        time.sleep(0.02)
 
 
 class Play:
@@ -73,6 +81,10 @@ class Play:
         with suppress(OSError, http.client.HTTPException):
             while piece := self.response.read1(65536):
                 self.pieces.append(piece)
+
+    @property
+    def is_playing(self) -> bool:
+        return self._reader.is_alive()
 
     def records(self) -> list[Record]:
         """All that came, once the response has ended."""
@@ -106,12 +118,8 @@ def connections_to_both(server: ServerProcess, stack: ExitStack) -> dict[int, An
     raise AssertionError("one worker takes all connections")
 
 
-def test_news_of_a_play_may_come_to_any_worker(root: Path, tmp_path: Path) -> None:
-    with (
-        server_process(root, tmp_path, "--workers", 2, *JSON) as server,
-        ExitStack() as stack,
-    ):
-        wait_until(lambda: len(events(server, "worker_ready")) == 2)
+def test_a_status_report_may_reach_any_worker(root: Path, tmp_path: Path) -> None:
+    with workers(root, tmp_path) as server, ExitStack() as stack:
         to_both = connections_to_both(server, stack)
 
         def tell(place: int, token: str, body: bytes) -> tuple[int, str | None]:
@@ -178,8 +186,7 @@ class Comers:
 def test_renewed_workers_say_where_to_go_on_and_nobody_is_refused(
     root: Path, tmp_path: Path
 ) -> None:
-    with server_process(root, tmp_path, "--workers", 2, *JSON) as server, ExitStack() as stack:
-        wait_until(lambda: len(events(server, "worker_ready")) == 2)
+    with workers(root, tmp_path) as server, ExitStack() as stack:
         plays = [stack.enter_context(closing(Play(server, "?layers=2"))) for _ in range(12)]
         with Comers(server.port) as comers:
             time.sleep(0.3)
@@ -191,6 +198,7 @@ def test_renewed_workers_say_where_to_go_on_and_nobody_is_refused(
         assert comers.answered > 20
         assert comers.longest_s < 2
         assert not events(server, "worker_died", "worker_killed", "renewal_failed")
+        assert max(line["worker"] for line in events(server, "worker_ready")) <= 3
         for play in plays:
             records = play.records()
             last = records[-1]
@@ -210,31 +218,132 @@ def test_renewed_workers_say_where_to_go_on_and_nobody_is_refused(
             assert births + new == list(range(births[0], frame + 20))
 
 
-SHUTDOWN_S = 3.0
+@pytest.mark.realtime
+def test_plays_of_a_worker_that_hangs_go_on_at_another(root: Path, tmp_path: Path) -> None:
+    with workers(root, tmp_path, "--worker-timeout-s", 2) as server, ExitStack() as stack:
+        pids = {line["worker"]: line["pid"] for line in events(server, "worker_ready")}
+        play = stack.enter_context(closing(Play(server, "?layers=2")))
+        others = [stack.enter_context(closing(Play(server, "?layers=2"))) for _ in range(12)]
+        wait_until(lambda: sum(map(len, play.pieces)) > 100_000)
+        os.kill(pids[play.place], signal.SIGSTOP)
+        births = births_with_layer_0(play.records())
+        wait_until(lambda: len(events(server, "worker_ready")) == 3)
+        assert [line["pid"] for line in events(server, "worker_died")] == [pids[play.place]]
+        with closing(Play(server, f"?from={births[-1] + 1}&until={births[-1] + 20}")) as rest:
+            more = rest.records()
+        assert isinstance(more[-1], EndRecord)
+        assert births[-1] + 1 in births_with_layer_0(more)
+        assert all(one.is_playing for one in others if one.place != play.place)
 
 
-@pytest.fixture
-def stuck_plays() -> Iterator[list[socket.socket]]:
-    """Sockets, which are closed at the end."""
-    sockets: list[socket.socket] = []
-    yield sockets
-    for one in sockets:
-        one.close()
+def test_broken_files_at_a_renewal_leave_the_server_as_it_was(root: Path, tmp_path: Path) -> None:
+    keys = tmp_path / "keys"
+    add_key(keys)
+
+    def status() -> int:
+        signed = Signer(read_keys(keys)).sign("long", round(time.time()) + 600)
+        return get(server.port, f"{signed}/v1/streams/long/manifest.json").status
+
+    with workers(root, tmp_path, "--keys", keys) as server:
+        assert status() == 200
+        before = keys.read_text()
+        keys.write_text("no key")
+        os.kill(server.pid, signal.SIGHUP)
+        wait_until(lambda: events(server, "renewal_failed"))
+        keys.write_text(before)
+        assert status() == 200
+        add_key(keys)
+        assert status() == 403  # by its newest key, which the server has not read
+        os.kill(server.pid, signal.SIGHUP)
+        wait_until(lambda: len(events(server, "worker_ended")) == 2)
+        assert status() == 200
+        assert not events(server, "worker_died")
+
+
+def test_a_broken_certificate_is_found_before_a_renewal(tmp_path: Path) -> None:
+    cert, key = make_certificate(tmp_path)
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        service = Service(str(tmp_path), ServerConfig(tls_cert=cert, tls_key=key), listener)
+        service.check_files()
+        cert.write_text("no certificate")
+        with pytest.raises(ServerError, match="no valid certificate"):
+            service.check_files()
+
+
+def test_nothing_around_the_server_changes_how_gunicorn_runs(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home, here = tmp_path / "home", tmp_path / "here"
+    for folder in (home, here):
+        folder.mkdir()
+    (here / "gunicorn.conf.py").write_text("workers = 7\n")
+    (here / "setproctitle.py").write_text(
+        "def getproctitle(): return ''\ndef setproctitle(title): open('renamed', 'w').close()\n"
+    )
+    monkeypatch.chdir(here)
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
+    monkeypatch.setenv("GUNICORN_CMD_ARGS", "--workers 7 --pid gunicorn.pid")
+    monkeypatch.setenv("WEB_CONCURRENCY", "7")
+    with workers(root, tmp_path) as server:
+        time.sleep(1.0)
+        found = {path.name for folder in (home, here) for path in folder.iterdir()}
+    assert found <= {"gunicorn.conf.py", "setproctitle.py", "__pycache__"}
+    assert len(events(server, "worker_ready")) == 2
+    others = [line for line in server.log_lines() if not line.startswith("{")]
+    assert others == [f"serving http://127.0.0.1:{server.port}"]
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize("workers", [1, 2])
-def test_it_ends_in_time_though_50_clients_read_nothing(
-    root: Path, tmp_path: Path, workers: int, stuck_plays: list[socket.socket]
+def test_under_load_all_workers_know_the_tokens_of_all_and_no_others(
+    root: Path, tmp_path: Path
 ) -> None:
-    words = ("--workers", workers, "--shutdown-timeout-s", SHUTDOWN_S, *JSON)
-    with server_process(root, tmp_path, *words) as server:
+    # A few objects fill a worker, which then recovers in days.
+    options = ("--max-egress-bps", 2e7, "--smooth-s", 0.01, "--recover-per-s", 1e-6)
+    query = "?until=1&layers=1"
+    with workers(root, tmp_path, *options) as server, ExitStack() as stack:
+        with closing(Play(server, query)) as play:
+            before = play.token
+        os.kill(server.pid, signal.SIGHUP)
+        wait_until(lambda: len(events(server, "worker_ended")) == 2)
+        with closing(Play(server, query)) as play:
+            after = play.token
+
+        def status(one: http.client.HTTPConnection, path: str, token: str) -> int:
+            one.request("GET", f"/v1/streams/{path}", headers={PLAY_HEADER: token})
+            answer = one.getresponse()
+            answer.read()
+            return answer.status
+
+        for one in connections_to_both(server, stack).values():
+            made_up = "0-made_up_by_a_client_0000"
+
+            def is_full(one: http.client.HTTPConnection = one, token: str = made_up) -> bool:
+                for _ in range(20):
+                    status(one, "big/segments/0/0", "")
+                return status(one, f"long/play{query}", token) == 503
+
+            wait_until(is_full)
+            assert status(one, f"long/play{query}", "") == 503
+            for token in (before, after):
+                assert status(one, f"long/play{query}", token) == 200
+
+
+SHUTDOWN_S = 3.0
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("count", [1, 2])
+def test_it_ends_in_time_though_50_clients_read_nothing(
+    root: Path, tmp_path: Path, count: int
+) -> None:
+    words = ("--workers", count, "--shutdown-timeout-s", SHUTDOWN_S, *JSON)
+    with server_process(root, tmp_path, *words) as server, ExitStack() as stack:
         for _ in range(50):
-            one = socket.socket()
+            one = stack.enter_context(socket.socket())
             one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             one.connect(("127.0.0.1", server.port))
             one.sendall(b"GET /v1/streams/big/play HTTP/1.1\r\nHost: h\r\n\r\n")
-            stuck_plays.append(one)
 
         def active() -> float:
             found = re.search(
@@ -246,18 +355,10 @@ def test_it_ends_in_time_though_50_clients_read_nothing(
         time.sleep(0.5)  # they fill whatever buffers there are
         began_s = time.monotonic()
         os.kill(server.pid, signal.SIGTERM)
-        wait_until(lambda: not alive(server.pid))
+        wait_until(lambda: not is_running(server.pid))
         took_s = time.monotonic() - began_s
         assert took_s < SHUTDOWN_S + 0.5
         assert not events(server, "worker_killed", "worker_died")
         cut = [line for line in events(server, "request") if line["path"].endswith("/play")]
         assert len(cut) == 50
         assert {line["outcome"] for line in cut} == {"stopped"}
-
-
-def alive(pid: int) -> bool:
-    """Whether it runs; a process that has ended is nobody's until its parent looks."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except OSError:
-        return False

@@ -18,7 +18,7 @@ from codec.splats import SH_C0
 from player.render.recipe import LOW_PASS_PX2, TILE_PX
 from tests.support.reference_render import render_reference
 from trainer.pictures.shot import Shot
-from trainer.step.backend import Backend, CpuBackend
+from trainer.step.backend import Backend, CpuBackend, StepInput
 from trainer.step.device.cuda import CudaBackend
 from trainer.step.device.torchraster import TorchBackend
 from trainer.step.loss import Loss
@@ -65,8 +65,8 @@ def stepped(
     gain = np.array([1.1, 0.9, 1.0], np.float32)
     bias = np.array([0.02, -0.01, 0.0], np.float32)
     view = View.prepare(CAMERA, 0.2)
-    loss = backend.step(values, rows, view, shot, gain, bias, TRAINABLE, gradients, whole=whole)
-    return loss, gradients
+    given = StepInput(values, rows, view, shot, gain, bias, TRAINABLE, whole)
+    return backend.step(given, gradients), gradients
 
 
 def random_shot(half: bool, masked: bool) -> Shot:

@@ -11,12 +11,13 @@ import pytest
 import torch
 
 from codec.errors import InvalidError
-from trainer.step.backend import CpuBackend
+from trainer.step.backend import CpuBackend, StepInput
 from trainer.step.device import pick
 from trainer.step.device.cuda import CudaBackend
 from trainer.step.device.pick import Weights, pick_backend
 from trainer.step.device.torchraster import TorchBackend
 from trainer.step.loss import Loss
+from trainer.step.raster import Parameters
 
 WEIGHTS = Weights(0.2, 0.01, 0.02)
 HAS_GPU = torch.cuda.is_available() or torch.xpu.is_available()
@@ -30,24 +31,24 @@ def plain_torch(_: Weights, __: str = "") -> TorchBackend:
 class Wrong(TorchBackend):
     """A device that errs."""
 
-    def step(self, *args: Any, **kwargs: Any) -> Loss:
-        loss = super().step(*args, **kwargs)
+    def step(self, given: StepInput, gradients: Parameters) -> Loss:
+        loss = super().step(given, gradients)
         return Loss(1.01 * loss.value, loss.picture_grad, loss.gain_grad, loss.bias_grad)
 
 
 class Broken(TorchBackend):
     """A device that lacks an operation."""
 
-    def step(self, *args: Any, **kwargs: Any) -> Loss:
+    def step(self, given: StepInput, gradients: Parameters) -> Loss:
         raise NotImplementedError("no cumprod here\nsecond line")
 
 
 class Mad(TorchBackend):
     """A device whose gradients are not numbers."""
 
-    def step(self, *args: Any, **kwargs: Any) -> Loss:
-        loss = super().step(*args, **kwargs)
-        args[7].means[0] = np.nan
+    def step(self, given: StepInput, gradients: Parameters) -> Loss:
+        loss = super().step(given, gradients)
+        gradients.means[0] = np.nan
         return loss
 
 

@@ -15,7 +15,7 @@ from torch.profiler import ProfilerActivity, profile
 from codec.camera import Camera
 from tests.support.reference_render import turned_camera
 from trainer.pictures.shot import Shot
-from trainer.step.backend import CpuBackend
+from trainer.step.backend import CpuBackend, StepInput
 from trainer.step.device.torchblend import PAIR_BYTES, SLAB, blend
 from trainer.step.device.torchproject import CONIC_A, CONIC_C, DRAWN, OPACITY, RED, X, Y
 from trainer.step.device.torchraster import TorchBackend
@@ -58,8 +58,8 @@ def stepped(
     gradients = Parameters(*(np.full_like(a, 7) for a in values.arrays))
     gain, bias = np.array([1.1, 0.9, 1], np.float32), np.array([0.02, -0.01, 0], np.float32)
     view = View.prepare(camera, NEAR_M)
-    loss = backend.step(values, rows, view, shot, gain, bias, trainable, gradients)
-    return loss, gradients
+    given = StepInput(values, rows, view, shot, gain, bias, trainable)
+    return backend.step(given, gradients), gradients
 
 
 @given(

@@ -1,0 +1,35 @@
+"""aiohttp's plain answer from memory, to be measured beside: `python bareresponse.py FOLDER`.
+
+It checks nothing, logs nothing and has no conditions: the floor of what aiohttp costs. Prints the
+port once it listens on it, and serves FOLDER under /v1/streams/ until it is ended.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from pathlib import Path
+
+from aiohttp import web
+
+
+def read_bodies(root: Path) -> dict[str, bytes]:
+    """The bytes that each path serves."""
+    files = [path for path in root.rglob("*") if path.is_file()]
+    return {f"/v1/streams/{path.relative_to(root)}": path.read_bytes() for path in files}
+
+
+async def serve(bodies: dict[str, bytes]) -> None:
+    async def answer(request: web.BaseRequest) -> web.StreamResponse:
+        body = bodies.get(request.path)
+        return web.Response(body=body, status=200 if body is not None else 404)
+
+    runner = web.ServerRunner(web.Server(answer, access_log=None))
+    await runner.setup()
+    await web.TCPSite(runner, "127.0.0.1", 0).start()
+    print(runner.addresses[0][1], flush=True)
+    await asyncio.Event().wait()
+
+
+if __name__ == "__main__":
+    asyncio.run(serve(read_bodies(Path(sys.argv[1]))))

@@ -1,0 +1,1 @@
+"""Gaussians as integers: steps, equal forms, curves through space, and floats as they are."""

@@ -1,0 +1,293 @@
+"""Gaussians as integers on the lattice of a stream (codec/FORMAT.md, section 8).
+
+Rule: what makes floats of integers does the operations that FORMAT.md states, in its order and
+precision, so that any decoder gives the same bits. What a quantiser chooses is free.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from codec.errors import InvalidError
+from codec.kernel import kernel
+from codec.lattice.orientation import canonical, nearest_form
+from codec.lattice.quantise import (
+    BASE_COLOUR,
+    BASE_LOG_SCALE,
+    BASE_ROTATION,
+    MAX_OPACITY_LEVELS,
+    from_luma,
+    opacity_logits,
+    position_step_m,
+    to_luma,
+)
+from codec.pose import Doubles
+from codec.splats import SH_C0, Splats, array_shapes, sh_count
+
+Ints = npt.NDArray[np.int32]
+Bytes = npt.NDArray[np.uint8]
+Flags = npt.NDArray[np.bool_]
+
+POSITION_LIMIT = 1 << 23
+"""Magnitude that no integer coordinate reaches, so that f32 holds it and any difference exactly."""
+
+MIN_STEP, MAX_STEP = 1e-6, 1e6
+MAX_BASE = 1e3
+
+SCALES, TURNS, COLOURS = 0, 3, 6
+"""Where the attributes of a kind begin. The opacity is the last attribute."""
+
+OPACITY_LEVELS = 41
+"""Coarse: opacity changes most from slice to slice, and shows least."""
+
+MAX_HOLD = 4
+"""Steps by which a number that is held may miss."""
+
+TAME = 1e30
+"""Magnitude from which a value is not tried on the lattice."""
+
+
+def num_attributes(sh_degree: int) -> int:
+    """One-byte attributes of a Gaussian: 3 scales, 3 turns, 3 K colours, the opacity."""
+    return COLOURS + 3 * sh_count(sh_degree) + 1
+
+
+@dataclass(frozen=True, slots=True)
+class Lattice:
+    """The distances between neighbouring values; raises InvalidError for one out of bounds.
+
+    They are float32 numbers, so that a writer calculates with what a reader reads.
+    """
+
+    position_m: float
+    log_scale: float
+    rotation: float
+    """Step of a quaternion component."""
+    colour: float
+    """Step of a spherical harmonic coefficient of Y, Co or Cg."""
+    opacity_levels: int
+    """Opacities from 0 to 1, both included."""
+    log_scale_base: float = 0.0
+    """The log-scale of the integer 0."""
+
+    def __post_init__(self) -> None:
+        for name in ("position_m", "log_scale", "rotation", "colour"):
+            step = getattr(self, name)
+            if not MIN_STEP <= step <= MAX_STEP and step != np.float32(MIN_STEP):
+                raise InvalidError(f"lattice: {name} {step:g} is not in {MIN_STEP:g}..{MAX_STEP:g}")
+            object.__setattr__(self, name, float(np.float32(step)))
+        if not abs(self.log_scale_base) <= MAX_BASE:
+            raise InvalidError(
+                f"lattice: log_scale_base {self.log_scale_base:g} is not in {-MAX_BASE:g}.."
+                f"{MAX_BASE:g}"
+            )
+        object.__setattr__(self, "log_scale_base", float(np.float32(self.log_scale_base)))
+        if not 2 <= self.opacity_levels <= MAX_OPACITY_LEVELS:
+            raise InvalidError(
+                f"lattice: opacity_levels {self.opacity_levels} is not in 2..{MAX_OPACITY_LEVELS}"
+            )
+
+    def floats(self) -> npt.NDArray[np.float32]:
+        """(5,) float32: the steps and the base of the log-scales."""
+        steps = self.position_m, self.log_scale, self.rotation, self.colour
+        return np.array((*steps, self.log_scale_base), np.float32)
+
+    @staticmethod
+    def suiting(splats: Splats, grown: float = 1.0) -> Lattice:
+        """A lattice for a stream of Gaussians like `splats`. The step of positions follows their
+        sizes, for a scene may have any scale; grown: how much larger they will be."""
+        return Lattice(
+            position_step_m(splats) * grown,
+            BASE_LOG_SCALE,
+            BASE_ROTATION,
+            BASE_COLOUR,
+            OPACITY_LEVELS,
+        )
+
+    def coarser(self, factor: float) -> Lattice:
+        """The lattice with steps of `factor` times the size, but for the opacity."""
+        return replace(
+            self,
+            position_m=self.position_m * factor,
+            log_scale=self.log_scale * factor,
+            rotation=self.rotation * factor,
+            colour=self.colour * factor,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class States:
+    """N Gaussians as integers."""
+
+    positions: Ints  # (N, 3) int32, magnitude below POSITION_LIMIT
+    attributes: Bytes  # (N, 7 + 3 K) uint8: two's complement, but the opacity, the last, unsigned
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    @property
+    def sh_degree(self) -> int:
+        return math.isqrt((self.attributes.shape[1] - COLOURS - 1) // 3) - 1
+
+    @staticmethod
+    def zeros(count: int, sh_degree: int) -> States:
+        return States(
+            np.zeros((count, 3), np.int32), np.zeros((count, num_attributes(sh_degree)), np.uint8)
+        )
+
+    def take(self, rows: npt.NDArray[np.integer] | npt.NDArray[np.bool_] | slice) -> States:
+        """Those at `rows`, in that order."""
+        if isinstance(rows, slice):
+            return States(self.positions[rows], self.attributes[rows])
+        if rows.dtype == np.bool_:
+            rows = np.flatnonzero(rows)
+        # Several times as fast as indexing with an array.
+        return States(self.positions.take(rows, axis=0), self.attributes.take(rows, axis=0))
+
+    def put(self, rows: npt.NDArray[np.integer] | slice, states: States) -> None:
+        """Replaces those at `rows`."""
+        if isinstance(rows, slice):
+            self.positions[rows], self.attributes[rows] = states.positions, states.attributes
+            return
+        _put(rows, states.positions, states.attributes, self.positions, self.attributes)
+
+    def numbers(self) -> Doubles:
+        """(N, 3 + A) float64: the integers, signed as they are meant."""
+        numbers = np.empty((len(self), 3 + self.attributes.shape[1]))
+        numbers[:, :3] = self.positions
+        numbers[:, 3:] = self.attributes.view(np.int8)
+        numbers[:, -1] = self.attributes[:, -1]
+        return numbers
+
+    def copy(self) -> States:
+        return States(self.positions.copy(), self.attributes.copy())
+
+    @staticmethod
+    def concatenate(parts: Sequence[States]) -> States:
+        return States(
+            np.concatenate([part.positions for part in parts]),
+            np.concatenate([part.attributes for part in parts]),
+        )
+
+
+@kernel(nogil=True)
+def _put(rows, positions, attributes, to_positions, to_attributes):  # type: ignore[no-untyped-def]
+    for i in range(rows.shape[0]):
+        for axis in range(3):
+            to_positions[rows[i], axis] = positions[i, axis]
+        for a in range(attributes.shape[1]):
+            to_attributes[rows[i], a] = attributes[i, a]
+
+
+def lattice_values(splats: Splats, lattice: Lattice, before: States | None = None) -> Doubles:
+    """(N, 3 + A) float64: position and attributes of `splats` in steps of `lattice`, not rounded.
+
+    Of the equal forms of a Gaussian it is the one nearest to `before`, what the same Gaussians
+    were; without it the canonical one.
+    """
+    count, coefficients = len(splats), splats.sh.shape[1]
+    with np.errstate(over="ignore", invalid="ignore"):
+        means = splats.means.astype(np.float64)
+        if before is None:
+            scales, quats = canonical(splats.log_scales, splats.quats)
+        else:
+            signed = before.attributes.view(np.int8).astype(np.float64)
+            scales, quats = nearest_form(
+                splats.log_scales,
+                splats.quats,
+                signed[:, SCALES:TURNS] * lattice.log_scale + lattice.log_scale_base,
+                signed[:, TURNS:COLOURS] * lattice.rotation,
+            )
+        rgb = splats.sh.astype(np.float64)
+        if splats.sh_degree == 0:
+            # Colour below black is drawn black; without view dependence nothing is lost by this.
+            rgb = np.maximum(rgb, -0.5 / SH_C0)
+        values = np.empty((count, 3 + COLOURS + 3 * coefficients + 1))
+        values[:, :3] = means / lattice.position_m
+        attributes = values[:, 3:]
+        attributes[:, SCALES:TURNS] = (scales - lattice.log_scale_base) / lattice.log_scale
+        attributes[:, TURNS:COLOURS] = quats[:, 1:] / lattice.rotation
+        colours = to_luma(rgb).transpose(0, 2, 1) / lattice.colour  # (N, 3, K): all Y, then Co, Cg
+        attributes[:, COLOURS:-1] = colours.reshape(count, 3 * coefficients)
+        attributes[:, -1] = splats.opacities.astype(np.float64) * (lattice.opacity_levels - 1)
+    clipped: Doubles = np.clip(values, -TAME, TAME)
+    return clipped
+
+
+def quantise(
+    splats: Splats, lattice: Lattice, before: States | None = None, hold: float = 0.5
+) -> tuple[States, Flags]:
+    """`splats` on the lattice, and (N,) which of them fit; the others must escape.
+
+    before: what the same Gaussians were. Of the equal forms of a Gaussian the one nearest to it is
+    taken, and a value within `hold` steps of the one before stays that one; from 0.5, which rounds
+    to the nearest, upwards differences get fewer and errors larger; at most MAX_HOLD.
+    """
+    if not 0 <= hold <= MAX_HOLD:
+        raise InvalidError(f"lattice: hold {hold:g} is not in 0..{MAX_HOLD}")
+    return round_values(lattice_values(splats, lattice, before), lattice, before, hold)
+
+
+def round_values(
+    values: Doubles, lattice: Lattice, before: States | None = None, hold: float = 0.5
+) -> tuple[States, Flags]:
+    """`lattice_values` as integers, and which rows fit; see `quantise`."""
+    rounded = np.rint(values)
+    if before is not None and hold > 0.5:
+        held = before.numbers()
+        rounded = np.where(np.abs(values - held) <= hold, held, rounded)
+    # An axis thinner than the lattice holds is flat all the same.
+    sizes = rounded[:, 3 + SCALES : 3 + TURNS]
+    np.maximum(sizes, -128, out=sizes)
+    low = np.full(values.shape[1], -128.0)
+    high = np.full(values.shape[1], 127.0)
+    low[:3], high[:3] = 1 - POSITION_LIMIT, POSITION_LIMIT - 1
+    low[-1], high[-1] = 0, lattice.opacity_levels - 1
+    fits: Flags = np.all((rounded >= low) & (rounded <= high), axis=1)
+    inside = np.clip(rounded, low, high)
+    positions = inside[:, :3].astype(np.int32)
+    return States(positions, inside[:, 3:].astype(np.int16).astype(np.uint8)), fits
+
+
+def dequantise(states: States, lattice: Lattice) -> Splats:
+    """The Gaussians that `states` mean."""
+    arrays = tuple(np.empty(s, np.float32) for s in array_shapes(len(states), states.sh_degree))
+    logits = opacity_logits(lattice.opacity_levels)
+    # With NUMBA_DISABLE_JIT the kernel is numpy, which warns of an overflow.
+    with np.errstate(over="ignore", invalid="ignore"):
+        dequantise_into(states.positions, states.attributes, lattice.floats(), logits, *arrays)
+    return Splats(*arrays)
+
+
+@kernel(nogil=True, error_model="numpy")
+def dequantise_into(  # type: ignore[no-untyped-def]
+    positions, attributes, steps, logits, means, log_scales, quats, logit_opacities, sh
+):
+    """Fills a row of the last five for each row of the first two. Without fastmath: FORMAT.md says
+    the order of every operation. steps: `Lattice.floats`."""
+    position_m, log_scale, rotation, colour = steps[0], steps[1], steps[2], steps[3]
+    log_scale_base = steps[4]
+    one, zero = np.float32(1), np.float32(0)
+    coefficients = sh.shape[1]
+    for i in range(positions.shape[0]):
+        for axis in range(3):
+            means[i, axis] = np.float32(positions[i, axis]) * position_m
+            size = np.float32(np.int8(attributes[i, axis])) * log_scale
+            log_scales[i, axis] = size + log_scale_base
+        x = np.float32(np.int8(attributes[i, 3])) * rotation
+        y = np.float32(np.int8(attributes[i, 4])) * rotation
+        z = np.float32(np.int8(attributes[i, 5])) * rotation
+        quats[i, 0] = np.sqrt(max(one - ((x * x + y * y) + z * z), zero))
+        quats[i, 1], quats[i, 2], quats[i, 3] = x, y, z
+        for k in range(coefficients):
+            sh[i, k, 0], sh[i, k, 1], sh[i, k, 2] = from_luma(
+                np.float32(np.int8(attributes[i, 6 + k])) * colour,
+                np.float32(np.int8(attributes[i, 6 + coefficients + k])) * colour,
+                np.float32(np.int8(attributes[i, 6 + 2 * coefficients + k])) * colour,
+            )
+        logit_opacities[i] = logits[attributes[i, 6 + 3 * coefficients]]

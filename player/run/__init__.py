@@ -1,0 +1,1 @@
+"""The work of swings-play: playing a stream, and drawing a single frame."""

@@ -1,0 +1,64 @@
+"""A single frame: one picture of it, or a film of a camera that goes around it."""
+
+from __future__ import annotations
+
+import math
+
+from codec.framerange import FrameRange
+from codec.progressline import counted
+from player.config import PlayConfig
+from player.script.openscene import Scene
+from player.show.filesinks import open_sink
+from player.show.sink import to_bytes, write_png
+from player.view.path import CameraPath, Size, orbit
+
+
+def draw_still(config: PlayConfig) -> str:
+    """Draws the frame of `config.still` to `config.capture`; gives a line that says so.
+
+    Nothing is fetched but what this frame needs. Raises a SwingsError or an OSError, and leaves no
+    half of a file then.
+    """
+    still, out = config.still, config.capture
+    assert still is not None
+    assert out is not None
+    with Scene.open(
+        config.source,
+        layers=config.layers,
+        renderer=config.renderer,
+        gl=config.gl,
+        delivery=config.delivery,
+        max_gaussians=config.max_gaussians,
+    ) as scene:
+        frame = still.of(scene.fps)
+        scene.frames(frame, frame + 1)  # raises where there is no such frame
+        if config.turntable is None:
+            # As a capture of the whole stream shows it.
+            whole = FrameRange(0, scene.num_frames)
+            camera = config.camera.of(scene.manifest, config.size, whole)(frame)
+            write_png(out, to_bytes(scene.render(frame, camera, background=config.background)))
+            drawn, size = "a picture", Size(camera.width_px, camera.height_px)
+        else:
+            count = max(1, round(config.turntable * scene.fps))
+            path = _around(config, scene, count)
+            first = path(0)
+            size = Size(first.width_px, first.height_px)
+            with open_sink(out, scene.fps, size) as sink, counted("drawing") as show:
+                for number in range(count):
+                    picture = scene.render(frame, path(number), background=config.background)
+                    sink.write(number, to_bytes(picture))
+                    show(number + 1, count)
+            drawn = f"{count} pictures"
+        return (
+            f"{drawn} of frame {frame} of {scene.name}, {size.width_px}x{size.height_px}, "
+            f"by {scene.renderer}: {out}"
+        )
+
+
+def _around(config: PlayConfig, scene: Scene, count: int) -> CameraPath:
+    """The cameras of `count` pictures: once around from one that stands, else the path itself."""
+    pictures = FrameRange(0, count)
+    path = config.camera.of(scene.manifest, config.size, pictures)
+    if config.camera.moves:
+        return path
+    return orbit(scene.manifest, path(0), pictures, 2 * math.pi)

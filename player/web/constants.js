@@ -1,0 +1,137 @@
+/** Written by scripts/webmodules from the package's own constants. */
+
+// pyproject.toml
+export const PLAYER_VERSION = "0.1.0";
+
+// player.render.recipe
+export const LOW_PASS_PX2 = 0.3;
+export const JACOBIAN_CLAMP = 1.3;
+export const ALPHA_MAX = 0.99;
+export const ALPHA_MIN = 0.00392156862745098;
+export const MAX_EXTENT_SIGMA = 3.33;
+export const SH_C1 = 0.4886025119029199;
+export const MAX_DRAWN_SH_DEGREE = 1;
+
+// codec.splats
+export const SH_C0 = 0.28209479177387814;
+export const MAX_SH_DEGREE = 3;
+
+// codec.slice
+export const MAX_SWIN_SIZE = 255;
+export const HIDDEN = 255;
+
+// codec.camera
+export const MAX_IMAGE_PX = 16384;
+
+// codec.stream.manifest
+export const VERSION = 2;
+export const MAX_MANIFEST_BYTES = 1048576;
+export const MAX_CAMERAS = 256;
+export const MIN_FPS = 0.001;
+export const MAX_FPS = 1000;
+export const MAX_POSTER_BYTES = 255;
+
+// codec.stream.reader
+export const DEFAULT_MAX_GAUSSIANS = 4194304;
+export const FLOAT_COPIES = 5;
+
+// codec.slots.slotlayout
+export const MAX_SLOTS = 1048576;
+export const MAX_NUM_GS = 16777216;
+export const MAX_SEGMENT_SLOTS = 268435456;
+export const MAX_LAYERS = 16;
+export const MAX_SEGMENT_FRAMES = 4096;
+export const MAX_CHUNK_BYTES = 248512624;
+
+// codec.lattice.lattice
+export const POSITION_LIMIT = 8388608;
+export const MIN_STEP = 1e-6;
+export const MAX_STEP = 1000000;
+export const MAX_BASE = 1000;
+
+// codec.lattice.quantise
+export const MAX_OPACITY_LEVELS = 256;
+export const MAX_LOGIT = 16;
+
+// codec.slots.slotchunk
+export const CHUNK_MAGIC = "SWG2";
+export const CHUNK_HEAD = "<4sBBBBi";
+export const CHUNK_KINDS = { MASK: 0, CHANGE: 1, SNAPSHOT: 2 };
+export const HAS_STARTS = 1;
+
+// codec.slots.slotchange
+export const CHANGE_COUNTS = "<5I";
+
+// codec.slots.residual
+export const LONG = 255;
+export const MAX_GAP_BITS = 25;
+
+// codec.slots.mask
+export const CONTEXTS = 37;
+export const FIRST_OF_B = 32;
+export const CONTEXT_OF_C = 36;
+
+// codec.slots.rangecoder
+export const WHOLE_RANGE = 4294967295;
+export const LEAST_RANGE = 16777216;
+export const FIRST_PROBABILITY = 32768;
+export const MOST_COUNTED = 127;
+
+// codec.slots.update
+export const KEPT = 0;
+export const ENDED = 1;
+export const PREDICTED = 2;
+export const NEW = 3;
+
+// codec.slots.slotstate
+export const UNKNOWN = 0;
+export const EMPTY = 1;
+export const ON_LATTICE = 2;
+export const ESCAPED = 3;
+
+// codec.slots.slotdecoder
+export const MIN_LOG_BYTES = 16777216;
+export const LOG_SHARE = 6;
+
+// codec.stream.object
+export const SKIPPABLE_MAGIC = 407710288;
+export const TABLE_MAGIC = "SWGO";
+export const OBJECT_HEAD = "<II4sBBHI";
+export const OBJECT_ENTRY = "<iII";
+export const MAX_CHUNKS = 16384;
+export const MAX_OBJECT_BYTES = 1073741824;
+
+// codec.coders.coder
+export const CODERS = { ZSTD: 1, GZIP: 2 };
+
+// codec.coders.gzip
+export const MAX_EXPANSION = 1032;
+
+// codec.stream.index
+export const INDEX_HEAD = "<IIII";
+export const INDEX_LAYER = "<Q32sf";
+export const INDEX_SIDE = "<Q32s";
+export const INDEX_CHECKSUM = "<I";
+
+// codec.stream.integrity
+export const MAX_INDEX_BYTES = 268435456;
+
+// codec.stream.playrecord
+export const PACKETS_KEY = "frames";
+export const MAX_RECORD_BYTES = 67108864;
+export const MAX_MESSAGE_CHARS = 500;
+
+// codec.stream.storyboard
+export const MAX_STORYBOARD_TILES = 60;
+export const STORYBOARD_COLUMNS = 10;
+export const STORYBOARD_PER_S = 4;
+
+/**
+ * codec.stream.playrecord
+ * @typedef {{ kind: "start", fromFrame: number, numFrames: number, manifest: Uint8Array }} StartRecord
+ * @typedef {{ kind: "slice", birth: number, packets: Uint8Array[], mask: Uint8Array | null, firstLayer: number }} SliceRecord
+ * @typedef {{ kind: "snapshot", frame: number, firstLayer: number, packets: Uint8Array[] }} SnapshotRecord
+ * @typedef {{ kind: "end", numFrames: number }} EndRecord
+ * @typedef {{ kind: "error", message: string }} ErrorRecord
+ * @typedef {StartRecord | SliceRecord | SnapshotRecord | EndRecord | ErrorRecord} PlayRecord
+ */

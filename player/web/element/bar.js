@@ -1,0 +1,114 @@
+import { icon } from "./icons.js";
+import { node } from "./nodes.js";
+
+/** @typedef {import("./commands.js").Command} Command */
+/** @typedef {import("./menu.js").Choice} Choice */
+
+/** The row of buttons under the picture. */
+export class Bar {
+  /**
+   * @param {object} parts
+   * @param {import("./scrubber.js").Scrubber} parts.scrubber
+   * @param {HTMLElement} parts.badge
+   * @param {import("./menu.js").Menu} parts.menu
+   * @param {Choice[]} choices
+   * @param {Command[]} commands
+   * @param {() => void} togglePlaying
+   * @param {() => void} toggleFullScreen
+   */
+  constructor({ scrubber, badge, menu }, choices, commands, togglePlaying, toggleFullScreen) {
+    this.playButton = button("play", "Play", "K", togglePlaying);
+    this.fullButton = button("full", "Full screen", "F", toggleFullScreen);
+    this.choices = choices;
+    this.commands = commands;
+    this.selects = choices.map((choice) => {
+      const select = node("select", { class: `${choice.name} wide`, "aria-label": choice.label });
+      select.addEventListener("change", () => choice.choose(Number(select.value)));
+      return select;
+    });
+    /** @type {Map<string, HTMLButtonElement>} */
+    this.buttons = new Map();
+    for (const { name, label, icon: iconName, key, place, run } of commands) {
+      if (place === "menu") continue;
+      const made = button(name, label, key.toUpperCase(), run);
+      made.append(icon(iconName));
+      made.classList.toggle("wide", place === "wide");
+      this.buttons.set(name, made);
+    }
+    const { headset, ...others } = Object.fromEntries(this.buttons);
+    headset.hidden = true;
+    this.headset = headset;
+    this.root = node(
+      "div",
+      { class: "bar", part: "bar" },
+      scrubber.root,
+      this.playButton,
+      scrubber.time,
+      badge,
+      node("span", { class: "space" }),
+      ...Object.values(others),
+      ...this.selects,
+      headset,
+      menu.button,
+      this.fullButton,
+    );
+    this.showPlaying(false);
+    this.showFull(false);
+    this.showChoices();
+  }
+
+  /** @param {boolean} isPlaying */
+  showPlaying(isPlaying) {
+    if (isPlaying) rename(this.playButton, "Pause", "K", "pause");
+    else rename(this.playButton, "Play", "K", "play");
+  }
+
+  /** @param {boolean} isFull */
+  showFull(isFull) {
+    if (isFull) rename(this.fullButton, "Exit full screen", "F", "window");
+    else rename(this.fullButton, "Full screen", "F", "full");
+  }
+
+  /** Shows which toggles are on. */
+  showToggles() {
+    for (const { name, isOn } of this.commands) {
+      if (isOn) this.buttons.get(name)?.setAttribute("aria-pressed", String(isOn()));
+    }
+  }
+
+  /** Fills the selects, and shows their values. */
+  showChoices() {
+    for (const [n, { values, now }] of this.choices.entries()) {
+      const options = values().map(({ value, label }) => new Option(label, String(value)));
+      this.selects[n].replaceChildren(...options);
+      this.selects[n].value = String(now());
+    }
+  }
+}
+
+/**
+ * @param {string} name
+ * @param {string} label
+ * @param {string} key
+ * @param {() => void} action
+ */
+function button(name, label, key, action) {
+  const title = key === "" ? label : `${label} (${key})`;
+  const made = node("button", { class: name, "aria-label": label, title });
+  made.addEventListener("click", action);
+  return made;
+}
+
+/**
+ * @param {HTMLButtonElement} made
+ * @param {string} label
+ * @param {string} key
+ * @param {import("./icons.js").IconName} iconName
+ */
+function rename(made, label, key, iconName) {
+  // What is written anew is laid out anew, ten times a second.
+  if (made.getAttribute("aria-label") === label && made.firstChild) return;
+  made.replaceChildren(icon(iconName));
+  made.setAttribute("aria-label", label);
+  made.title = `${label} (${key})`;
+}

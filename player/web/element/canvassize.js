@@ -1,0 +1,71 @@
+/** More pixels than this for each CSS pixel cost more than they show. */
+const MOST_PIXEL_RATIO = 2;
+
+/** How many device pixels a canvas covers: follows its layout, the browser's zoom, and the screen. */
+export class CanvasSize {
+  #listening = new AbortController();
+
+  /**
+   * @param {HTMLCanvasElement} canvas
+   * @param {() => void} onChange
+   */
+  constructor(canvas, onChange) {
+    this.onChange = onChange;
+    this.cssWidthPx = canvas.clientWidth;
+    this.cssHeightPx = canvas.clientHeight;
+    /** @type {ResizeObserverSize | null} in device pixels, where the browser knows them */
+    this.devicePx = null;
+    this.observer = new ResizeObserver(([entry]) => {
+      const { contentRect, devicePixelContentBoxSize } = entry;
+      this.cssWidthPx = contentRect.width;
+      this.cssHeightPx = contentRect.height;
+      this.devicePx = devicePixelContentBoxSize?.[0] ?? null;
+      this.onChange();
+    });
+    try {
+      this.observer.observe(canvas, { box: "device-pixel-content-box" });
+    } catch {
+      this.observer.observe(canvas); // Safari knows no device pixels
+    }
+    this.#followRatio();
+  }
+
+  /** A query for one resolution changes once: then another one is asked for. */
+  #followRatio() {
+    const query = matchMedia(`(resolution: ${devicePixelRatio}dppx)`);
+    const follow = () => {
+      this.#followRatio();
+      this.onChange();
+    };
+    query.addEventListener("change", follow, { once: true, signal: this.#listening.signal });
+  }
+
+  /** Pixels of a picture for each CSS pixel. */
+  get pixelRatio() {
+    return Math.min(MOST_PIXEL_RATIO, devicePixelRatio || 1);
+  }
+
+  get widthPx() {
+    return this.#pixels(this.cssWidthPx, this.devicePx?.inlineSize);
+  }
+
+  get heightPx() {
+    return this.#pixels(this.cssHeightPx, this.devicePx?.blockSize);
+  }
+
+  /**
+   * @param {number} cssPx
+   * @param {number | undefined} devicePx
+   */
+  #pixels(cssPx, devicePx) {
+    const soughtPx = cssPx * this.pixelRatio;
+    // Rounded as the browser does it, unless that is of another ratio, or more than the most.
+    const isOf = devicePx !== undefined && Math.abs(devicePx - soughtPx) < 1;
+    return Math.max(1, isOf ? devicePx : Math.round(soughtPx));
+  }
+
+  dispose() {
+    this.observer.disconnect();
+    this.#listening.abort();
+  }
+}

@@ -1,0 +1,111 @@
+/**
+ * What a person can have the player do, by a button of the bar, an entry of the menu or a key.
+ * @typedef {object} Command
+ * @property {string} name class of its button in the bar
+ * @property {string} label
+ * @property {import("./icons.js").IconName} icon
+ * @property {string} key as the keyboard's event names it, in lower case
+ * @property {"bar" | "wide" | "menu"} place in the bar; in a wide bar, and else in the menu; in the menu
+ * @property {() => void} run
+ * @property {() => boolean} [isOn] of a toggle
+ */
+
+/**
+ * The commands of a player, in the order of the bar and of the menu.
+ * @param {import("./swingsplayer.js").SwingsPlayerElement} element
+ * @param {import("./stereocontrols.js").StereoControls} stereo
+ * @param {{ share: () => void, copyEmbedCode: () => void }} sharing
+ * @param {import("./statistics.js").Statistics} statistics
+ * @param {{ toggle: () => void }} keyList
+ * @returns {Command[]}
+ */
+export function commandsOf(element, stereo, sharing, statistics, keyList) {
+  return [
+    {
+      name: "share",
+      label: "Share this moment and view",
+      icon: "share",
+      key: "",
+      place: "wide",
+      run: () => sharing.share(),
+    },
+    {
+      name: "embed",
+      label: "Copy the embed code",
+      icon: "embed",
+      key: "",
+      place: "menu",
+      run: () => sharing.copyEmbedCode(),
+    },
+    {
+      name: "loop",
+      label: "Loop",
+      icon: "loop",
+      key: "o",
+      place: "wide",
+      run: () => element.toggleLoop(),
+      isOn: () => element.isLooping,
+    },
+    {
+      name: "reset",
+      label: "Reset the view",
+      icon: "reset",
+      key: "r",
+      place: "wide",
+      run: () => element.resetView(),
+    },
+    {
+      name: "side-by-side",
+      label: "Side-by-side stereo view",
+      icon: "sideBySide",
+      key: "b",
+      place: "wide",
+      run: () => stereo.toggleSideBySide(),
+      isOn: () => stereo.isSideBySide,
+    },
+    ...(element.hasGyroscope ? [gyroscopeOf(element)] : []),
+    {
+      name: "statistics",
+      label: "Statistics",
+      icon: "stats",
+      key: "i",
+      place: "menu",
+      run: () => element.toggleStats(),
+      isOn: () => statistics.isOn,
+    },
+    {
+      name: "keys",
+      label: "Keys",
+      icon: "keys",
+      key: "?",
+      place: "menu",
+      run: () => keyList.toggle(),
+    },
+    {
+      name: "headset",
+      label: "Show on the VR headset",
+      icon: "headset",
+      key: "v",
+      place: "bar",
+      run: () => stereo.toggleHeadset(),
+      isOn: () => stereo.isWorn,
+    },
+  ];
+}
+
+/**
+ * For phones alone.
+ * @param {import("./swingsplayer.js").SwingsPlayerElement} element
+ * @returns {Command}
+ */
+function gyroscopeOf(element) {
+  return {
+    name: "gyroscope",
+    label: "Look around by turning the phone",
+    icon: "phone",
+    key: "",
+    place: "menu",
+    run: () => element.toggleGyroscope(),
+    isOn: () => element.isGyroscopeOn,
+  };
+}

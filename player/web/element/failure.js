@@ -1,0 +1,54 @@
+import { node } from "./nodes.js";
+
+/** What a person reads in the place of a message with a URL or a status: the first that fits. */
+const SENTENCES = /** @type {[RegExp, string][]} */ ([
+  [/HTTP 40[13]\b/, "You have no access to this video."],
+  [/HTTP (404|410)\b/, "This video does not exist, or is not here any more."],
+  [/HTTP 5\d\d\b/, "The host of this video has a problem. Try again in a while."],
+  [/does not let pages of other hosts/, "The host of this video does not let this page show it."],
+  [/https?:|file:/, "This video cannot be played."],
+]);
+
+/** Messages of one sentence are shown as they are, longer ones folded. */
+const MOST_CHARS = 120;
+
+/** @param {string} message */
+export function sentenceOf(message) {
+  const found = SENTENCES.find(([pattern]) => pattern.test(message));
+  if (found) return found[1];
+  if (message.length > MOST_CHARS) return "This video cannot be played.";
+  return message.endsWith(".") ? message : `${message}.`;
+}
+
+/** The panel that says why nothing plays, with a button to try again and the folded details. */
+export class Failure {
+  /** @param {() => void} retry */
+  constructor(retry) {
+    this.sentence = node("p", { class: "sentence" });
+    this.retryButton = node("button", { class: "retry" }, "Try again");
+    this.retryButton.addEventListener("click", retry);
+    this.details = node("p", { class: "note" });
+    this.fold = node("details", {}, node("summary", {}, "Details"), this.details);
+    const parts = [this.sentence, this.retryButton, this.fold];
+    this.root = node("div", { class: "failure", role: "alert", hidden: true }, ...parts);
+  }
+
+  /**
+   * @param {string} message
+   * @param {boolean} mayRetry
+   */
+  show(message, mayRetry) {
+    const sentence = sentenceOf(message);
+    this.sentence.textContent = sentence;
+    this.details.textContent = message;
+    this.retryButton.hidden = !mayRetry;
+    this.fold.hidden = sentence === message || sentence === `${message}.`;
+    this.fold.open = false;
+    this.root.hidden = false;
+  }
+
+  clear() {
+    this.details.textContent = "";
+    this.root.hidden = true;
+  }
+}

@@ -1,0 +1,71 @@
+import { deviceTurn, turnBetween } from "../view/deviceturn.js";
+
+/** Whether this device may report its orientation. Many computers have the event, but never send it. */
+export function hasGyroscope() {
+  const isTouched = globalThis.matchMedia?.("(pointer: coarse)").matches ?? false;
+  return isTouched && globalThis.isSecureContext && "DeviceOrientationEvent" in globalThis;
+}
+
+/** Turns the camera as a phone is turned. Events: `change` (this.isOn). */
+export class Gyroscope extends EventTarget {
+  isOn = false;
+  /** @type {import("../view/deviceturn.js").DeviceTurn | null} */
+  #last = null;
+  #listening = new AbortController();
+
+  /** @param {import("../view/camerakeys.js").Moved} player */
+  constructor(player) {
+    super();
+    this.player = player;
+  }
+
+  /**
+   * Begins or ends. iOS asks for permission, for which a person must have pressed something just now.
+   * @returns {Promise<boolean>} whether it is on; false too where the person or the page refuses it
+   */
+  async toggle() {
+    if (this.isOn) {
+      this.end();
+      return false;
+    }
+    const events = /** @type {any} */ (globalThis).DeviceOrientationEvent;
+    if (events === undefined) return false;
+    try {
+      const answer = (await events.requestPermission?.()) ?? "granted";
+      if (answer !== "granted") return false;
+    } catch {
+      return false; // not called in a click
+    }
+    if (this.isOn) return true;
+    this.#last = null;
+    this.#listening = new AbortController();
+    const turn = (/** @type {DeviceOrientationEvent} */ event) => this.#turn(event);
+    globalThis.addEventListener("deviceorientation", turn, { signal: this.#listening.signal });
+    this.#set(true);
+    return true;
+  }
+
+  end() {
+    this.#listening.abort();
+    if (this.isOn) this.#set(false);
+  }
+
+  /** @param {DeviceOrientationEvent} event */
+  #turn({ alpha, beta, gamma }) {
+    if (alpha === null || beta === null || gamma === null) return;
+    const turn = deviceTurn(alpha, beta, gamma);
+    const last = this.#last;
+    // A phone that lies flat has no heading: the last one stays.
+    this.#last = { ...turn, headingRad: turn.headingRad ?? last?.headingRad ?? null };
+    const { motion } = this.player;
+    if (last === null || motion === null || motion.isInFlight) return;
+    motion.turn(...turnBetween(last, this.#last));
+    this.player.moved();
+  }
+
+  /** @param {boolean} isOn */
+  #set(isOn) {
+    this.isOn = isOn;
+    this.dispatchEvent(new Event("change"));
+  }
+}

@@ -1,0 +1,52 @@
+import { node } from "./nodes.js";
+
+const SHORT_MS = 2000;
+
+/** One line above the picture: a message for a moment, or else the first condition that holds. */
+export class Hints {
+  #timer = 0;
+  #brief = "";
+  /** @type {Map<string, string>} */
+  #conditions = new Map();
+
+  constructor() {
+    this.root = node("div", { class: "note soft", role: "status" });
+  }
+
+  /**
+   * @param {string} message
+   * @param {number} [forMs]
+   */
+  say(message, forMs = SHORT_MS) {
+    this.#brief = message;
+    clearTimeout(this.#timer);
+    this.#timer = setTimeout(() => {
+      this.#brief = "";
+      this.#show();
+    }, forMs);
+    this.#show();
+  }
+
+  /**
+   * A condition of this name holds from now on; "": no longer.
+   * @param {string} name
+   * @param {string} message
+   */
+  hold(name, message) {
+    if (message) this.#conditions.set(name, message);
+    else this.#conditions.delete(name);
+    this.#show();
+  }
+
+  clear() {
+    clearTimeout(this.#timer);
+    this.#brief = "";
+    this.#conditions.clear();
+    this.#show();
+  }
+
+  #show() {
+    const [condition = ""] = this.#conditions.values();
+    this.root.textContent = this.#brief || condition;
+  }
+}

@@ -1,0 +1,135 @@
+import { cameraKeys } from "../view/camerakeys.js";
+
+export const RATES = [0.25, 0.5, 1, 1.5, 2];
+
+/** An arrow key and J or L move by so much, or by a share of a clip that is shorter. */
+const STEP_S = 5;
+const JUMP_S = 10;
+const STEP_SHARE = 0.1;
+const JUMP_SHARE = 0.2;
+
+/**
+ * @typedef {object} KeyAction
+ * @property {string[]} keys as the keyboard's events name them, in lower case
+ * @property {string} label
+ * @property {(key: string) => void} run
+ */
+
+/**
+ * The keys of a player, in the order of the list that people see. They are those of YouTube where that
+ * has them.
+ * @param {import("./swingsplayer.js").SwingsPlayerElement} element
+ * @param {import("./webplayer.js").WebPlayer} player
+ * @param {import("./commands.js").Command[]} commands
+ * @returns {KeyAction[]}
+ */
+export function keysOf(element, player, commands) {
+  const lastFrame = () => player.numFrames - 1;
+  const moveBy = (/** @type {number} */ frames) => {
+    if (player.manifest === null) return;
+    const frame = player.isSeeking ? player.soughtFrame : Math.max(0, player.shownFrame);
+    player.seek(Math.max(0, Math.min(lastFrame(), frame + frames)));
+  };
+  const moveByS = (/** @type {number} */ seconds, /** @type {number} */ share) => {
+    const { fps } = player.manifest ?? { fps: 30 };
+    const most = player.live ? Infinity : share * player.numFrames;
+    const frames = Math.max(1, Math.round(Math.min(Math.abs(seconds) * fps, most)));
+    moveBy(Math.sign(seconds) * frames);
+  };
+  const step = (/** @type {number} */ frames) => {
+    element.pause();
+    moveBy(frames);
+  };
+  const seekTo = (/** @type {number} */ frame) => {
+    if (player.manifest !== null) player.seek(frame);
+  };
+  const changeRate = (/** @type {number} */ by) => {
+    const at = RATES.findIndex((rate) => rate >= element.playbackRate);
+    element.playbackRate = RATES[Math.max(0, Math.min(RATES.length - 1, at + by))];
+  };
+  return [
+    { keys: [" ", "k"], label: "Play or pause", run: () => element.togglePlaying() },
+    { keys: ["arrowleft"], label: "Back 5 s", run: () => moveByS(-STEP_S, STEP_SHARE) },
+    { keys: ["arrowright"], label: "Forward 5 s", run: () => moveByS(STEP_S, STEP_SHARE) },
+    { keys: ["j"], label: "Back 10 s", run: () => moveByS(-JUMP_S, JUMP_SHARE) },
+    { keys: ["l"], label: "Forward 10 s", run: () => moveByS(JUMP_S, JUMP_SHARE) },
+    { keys: [","], label: "Previous frame", run: () => step(-1) },
+    { keys: ["."], label: "Next frame", run: () => step(1) },
+    { keys: ["home"], label: "To the start", run: () => seekTo(0) },
+    {
+      keys: ["end"],
+      label: "To the end, or to the live edge",
+      run: () => (player.live ? element.goLive() : seekTo(lastFrame())),
+    },
+    {
+      keys: [..."0123456789"],
+      label: "To a tenth of the clip",
+      run: (digit) => seekTo(Math.floor((Number(digit) * player.numFrames) / 10)),
+    },
+    { keys: ["<"], label: "Slower", run: () => changeRate(-1) },
+    { keys: [">"], label: "Faster", run: () => changeRate(1) },
+    { keys: ["f"], label: "Full screen", run: () => element.toggleFullScreen() },
+    { keys: ["c"], label: "Copy a link to this moment and view", run: () => element.copyLink() },
+    ...commands
+      .filter(({ key }) => key !== "")
+      .map(({ key, label, run }) => ({ keys: [key], label, run })),
+    ...cameraActions(player),
+  ];
+}
+
+/** How the list of keys describes those of the camera, together where they do the like. */
+const CAMERA_KEYS = /** @type {[string[], string][]} */ ([
+  [["w", "a", "s", "d"], "Turn the camera; in flight, move it"],
+  [["shift+w", "shift+a", "shift+s", "shift+d"], "Move the camera"],
+  [["+", "="], "Move closer"],
+  [["-"], "Move away"],
+  [["n", "]"], "Next camera of the rig"],
+  [["shift+n", "["], "Previous camera of the rig"],
+  [["g"], "Start or end the flight"],
+]);
+
+/**
+ * @param {import("./webplayer.js").WebPlayer} player
+ * @returns {KeyAction[]}
+ */
+function cameraActions(player) {
+  const actions = cameraKeys(player);
+  return CAMERA_KEYS.map(([keys, label]) => ({
+    keys: keys.filter((key) => Object.hasOwn(actions, key)),
+    label,
+    run: (/** @type {string} */ key) => actions[key](),
+  })).filter(({ keys }) => keys.length > 0);
+}
+
+/**
+ * Has the keys do what their table says. A focused part keeps the keys that it uses itself.
+ * @param {HTMLElement} element
+ * @param {KeyAction[]} actions
+ * @param {() => void} escape
+ * @param {AbortSignal} signal ends the listening
+ */
+export function listenToKeys(element, actions, escape, signal) {
+  const press = (/** @type {KeyboardEvent} */ event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const [target] = event.composedPath();
+    const key = event.key.toLowerCase();
+    const isOnButton = target instanceof HTMLButtonElement || isSummary(target);
+    if (key === "escape") return escape();
+    if (key === " " && (isOnButton || target instanceof HTMLSelectElement)) return;
+    if (target instanceof HTMLSelectElement && /^(arrow|home|end)/.test(key)) return;
+    const names = event.shiftKey ? [`shift+${key}`, key] : [key];
+    for (const name of names) {
+      const action = actions.find(({ keys }) => keys.includes(name));
+      if (action === undefined) continue;
+      event.preventDefault();
+      action.run(name);
+      return;
+    }
+  };
+  element.addEventListener("keydown", press, { signal });
+}
+
+/** @param {EventTarget} target */
+function isSummary(target) {
+  return target instanceof HTMLElement && target.localName === "summary";
+}

@@ -1,0 +1,106 @@
+/** The attributes of media elements that are properties too, and the sound's settings. */
+export class MediaAttributes extends HTMLElement {
+  #volume = 1;
+  /** @type {boolean | null} null: as the attribute */
+  #muted = null;
+
+  /** URL of the stream's folder; absolute when read. */
+  get src() {
+    return this.#url("src");
+  }
+
+  set src(url) {
+    this.setAttribute("src", url);
+  }
+
+  /** URL of a picture; absolute when read. */
+  get poster() {
+    return this.#url("poster");
+  }
+
+  set poster(url) {
+    this.setAttribute("poster", url);
+  }
+
+  get autoplay() {
+    return this.hasAttribute("autoplay");
+  }
+
+  set autoplay(value) {
+    this.toggleAttribute("autoplay", value);
+  }
+
+  get loop() {
+    return this.hasAttribute("loop");
+  }
+
+  set loop(value) {
+    this.toggleAttribute("loop", value);
+  }
+
+  /**
+   * What is fetched before `play()`: nothing, the description of the stream, or the first seconds too.
+   * @returns {"none" | "metadata" | "auto"}
+   */
+  get preload() {
+    const value = this.getAttribute("preload")?.toLowerCase();
+    return value === "none" || value === "metadata" ? value : "auto";
+  }
+
+  set preload(value) {
+    this.setAttribute("preload", value);
+  }
+
+  get defaultMuted() {
+    return this.hasAttribute("muted");
+  }
+
+  set defaultMuted(value) {
+    this.toggleAttribute("muted", value);
+  }
+
+  /** Streams have no sound yet: the value is kept, and has no effect. */
+  get muted() {
+    return this.#muted ?? this.defaultMuted;
+  }
+
+  set muted(value) {
+    const before = this.muted;
+    this.#muted = Boolean(value);
+    if (this.#muted !== before) this.queueEvent("volumechange");
+  }
+
+  /** 0 to 1. Streams have no sound yet: the value is kept, and has no effect. */
+  get volume() {
+    return this.#volume;
+  }
+
+  set volume(value) {
+    if (!Number.isFinite(value)) throw new TypeError(`volume: ${value} is not a number`);
+    if (value < 0 || value > 1) {
+      throw new DOMException(`volume: ${value} is not in the range 0 to 1`, "IndexSizeError");
+    }
+    if (value === this.#volume) return;
+    this.#volume = value;
+    this.queueEvent("volumechange");
+  }
+
+  /**
+   * Dispatches an event once the script that runs now is done, as media elements do.
+   * @param {string} type
+   * @param {() => void} [then] runs after the event's listeners
+   */
+  queueEvent(type, then) {
+    queueMicrotask(() => {
+      this.dispatchEvent(new Event(type));
+      then?.();
+    });
+  }
+
+  /** @param {string} name */
+  #url(name) {
+    const value = this.getAttribute(name);
+    if (!value) return "";
+    return URL.parse(value, document.baseURI)?.href ?? value;
+  }
+}

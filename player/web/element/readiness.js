@@ -1,0 +1,149 @@
+/** `networkState` of media elements. */
+export const NETWORK = { EMPTY: 0, IDLE: 1, LOADING: 2, NO_SOURCE: 3 };
+
+/** `readyState` of media elements. */
+export const READY = { NOTHING: 0, METADATA: 1, CURRENT: 2, FUTURE: 3, ENOUGH: 4 };
+
+/** Seconds between two `progress` events, as the HTML standard asks for. */
+const PROGRESS_S = 0.35;
+
+/** Nothing received for so long, with a picture to show: the source has fetched what it wants for now. */
+const QUIET_S = 0.5;
+
+/** Nothing received for so long while data is missing: `stalled`, as the HTML standard has it. */
+const STALLED_S = 3;
+
+/** Seconds of media ahead of the shown frame that count as enough to play through. */
+const ENOUGH_S = 2;
+
+/**
+ * How the play stands, as far as loading is concerned.
+ * @typedef {object} LoadState
+ * @property {number} fps
+ * @property {number} frame the worker's frame
+ * @property {number} endFrame the first frame that is missing
+ * @property {number} numFrames
+ * @property {boolean} live whether more frames may follow
+ * @property {boolean} waiting whether playback waits for data
+ * @property {boolean} playing whether the element is not paused
+ * @property {boolean} isShown whether a frame of the stream has been drawn
+ * @property {boolean} isSeeking whether the sought frame has not been drawn yet
+ * @property {number} receivedBytes so far
+ */
+
+/**
+ * `readyState` and `networkState` of a media element, and the events of their changes in the order of
+ * https://html.spec.whatwg.org/multipage/media.html#ready-states. It reads no clock.
+ */
+export class Readiness {
+  ready = READY.NOTHING;
+  network = NETWORK.EMPTY;
+  #hasLoaded = false;
+  #isStalled = false;
+  #receivedBytes = 0;
+  /** When bytes arrived last. */
+  #receivedS = 0;
+  #progressS = -Infinity;
+
+  /** Nothing is loaded any more, and nothing is loading. */
+  reset() {
+    this.ready = READY.NOTHING;
+    this.network = NETWORK.EMPTY;
+    this.#hasLoaded = false;
+    this.#isStalled = false;
+    this.#receivedBytes = 0;
+    this.#progressS = -Infinity;
+  }
+
+  /** A stream is selected. @returns {string[]} events */
+  select() {
+    this.network = NETWORK.LOADING;
+    return ["loadstart"];
+  }
+
+  /** Fetching stops for now, because enough is there or wanted. @returns {string[]} events */
+  suspend() {
+    if (this.network !== NETWORK.LOADING) return [];
+    this.network = NETWORK.IDLE;
+    return ["suspend"];
+  }
+
+  /** The manifest is there. @param {number} nowS @returns {string[]} events */
+  open(nowS) {
+    this.ready = READY.METADATA;
+    this.#receivedS = nowS;
+    return ["loadedmetadata"];
+  }
+
+  /**
+   * Takes in how the play stands at `nowS`.
+   * @param {LoadState} state
+   * @param {number} nowS
+   * @returns {string[]} events
+   */
+  update(state, nowS) {
+    if (this.ready === READY.NOTHING) return [];
+    return [...this.#load(state, nowS), ...this.#raise(readyOf(state), state.playing)];
+  }
+
+  /**
+   * @param {LoadState} state
+   * @param {number} nowS
+   */
+  #load({ receivedBytes, isShown, waiting }, nowS) {
+    /** @type {string[]} */
+    const events = [];
+    if (receivedBytes !== this.#receivedBytes) {
+      this.#receivedBytes = receivedBytes;
+      this.#receivedS = nowS;
+      this.#isStalled = false;
+      this.network = NETWORK.LOADING;
+      if (nowS - this.#progressS >= PROGRESS_S) {
+        this.#progressS = nowS;
+        events.push("progress");
+      }
+      return events;
+    }
+    const quietS = nowS - this.#receivedS;
+    if (this.network !== NETWORK.LOADING) return events;
+    if (isShown && !waiting) {
+      // The last bytes may have arrived too soon after a `progress` to be reported.
+      if (quietS >= QUIET_S) events.push("progress", ...this.suspend());
+    } else if (quietS >= STALLED_S && !this.#isStalled) {
+      this.#isStalled = true;
+      events.push("stalled");
+    }
+    return events;
+  }
+
+  /**
+   * @param {number} ready
+   * @param {boolean} playing
+   */
+  #raise(ready, playing) {
+    const before = this.ready;
+    this.ready = ready;
+    const events = [];
+    if (before >= READY.FUTURE && ready < READY.FUTURE && playing) {
+      events.push("timeupdate", "waiting");
+    }
+    if (ready >= READY.CURRENT && !this.#hasLoaded) {
+      this.#hasLoaded = true;
+      events.push("loadeddata");
+    }
+    if (before < READY.FUTURE && ready >= READY.FUTURE) {
+      events.push("canplay");
+      if (playing) events.push("playing");
+    }
+    if (before < READY.ENOUGH && ready === READY.ENOUGH) events.push("canplaythrough");
+    return events;
+  }
+}
+
+/** @param {LoadState} state */
+function readyOf({ fps, frame, endFrame, numFrames, live, waiting, playing, isShown, isSeeking }) {
+  if (!isShown || isSeeking) return READY.METADATA;
+  const isWhole = !live && endFrame >= numFrames;
+  if ((playing && waiting) || !(isWhole || endFrame > frame + 1)) return READY.CURRENT;
+  return isWhole || endFrame - frame >= ENOUGH_S * fps ? READY.ENOUGH : READY.FUTURE;
+}

@@ -1,0 +1,259 @@
+import { Painter } from "../renderer/painter.js";
+import { EYE_DISTANCE_M, oneEye, sideBySide } from "../stereo/eyes.js";
+import { Headset } from "../stereo/headset.js";
+import { CameraMotion } from "../view/cameramotion.js";
+import { pointAt, poseOf } from "../view/pose.js";
+import { length, subtract } from "../view/vectors.js";
+import { CanvasSize } from "./canvassize.js";
+import { FrameLoop } from "./frameloop.js";
+import { prefersStill } from "./motion.js";
+
+/** Side by side, the plane of the screen comes no nearer to the eyes. */
+const LEAST_FOCUS_M = 0.5;
+/** A browser that lets a request wait for longer than this draws no pictures of this page. */
+const IDLE_MS = 100;
+
+/** @typedef {import("../playback/playerworkers.js").PlayerWorkers} PlayerWorkers */
+/** @typedef {import("../playback/sortworker.js").SortedFrame} SortedFrame */
+
+/**
+ * How long the last frame took.
+ * @typedef {object} Timings
+ * @property {number} sortMs
+ * @property {number} uploadMs
+ * @property {number} drawMs until the calls were made; the device draws later
+ * @property {number} framesPerS
+ */
+
+/**
+ * The scene on a canvas, or on a headset: asks the sorter for orders, and draws when there is something
+ * else to see.
+ *
+ * Events: `frame` (a sorted frame is on the device; `lastSeeks`), `drawing` (the browser lets the page
+ * draw), `headset`, `select`, `lost`, `restored`, `gone` (of the WebGL context).
+ */
+export class SceneView extends EventTarget {
+  /** @param {HTMLCanvasElement} canvas Throws a RendererError without WebGL2. */
+  constructor(canvas) {
+    super();
+    this.canvas = canvas;
+    this.painter = new Painter(canvas);
+    this.loop = new FrameLoop((nowMs) => this.#drawOnCanvas(nowMs));
+    this.size = new CanvasSize(canvas, () => this.redraw());
+    /** @type {CameraMotion | null} */
+    this.motion = null;
+    /** @type {any} the manifest of what is open */
+    this.manifest = null;
+    /** @type {PlayerWorkers | null} */
+    this.workers = null;
+    /** @type {SortedFrame | null} that came, until the next picture */
+    this.sorted = null;
+    /** @type {Timings} */
+    this.timings = { sortMs: 0, uploadMs: 0, drawMs: 0, framesPerS: 0 };
+    /** The frame that the renderer holds; -1 before the first. */
+    this.shownFrame = -1;
+    /** Seeks that had been made when the worker showed that frame. */
+    this.lastSeeks = 0;
+    this.isSideBySide = false;
+    this.eyeDistanceM = EYE_DISTANCE_M;
+    /** @type {Headset | null} while a headset shows the scene, and the canvas does not */
+    this.headset = null;
+    this.isDisposed = false;
+    /** Whether the renderer lacks Gaussians, so that only a whole frame is of use. */
+    this.isEmpty = true;
+    this.needsDrawing = false;
+    this.drawnMs = 0;
+    this.painter.addEventListener("lost", () => this.#notify("lost"));
+    this.painter.addEventListener("gone", () => this.#notify("gone"));
+    this.painter.addEventListener("restored", () => {
+      this.isEmpty = true;
+      this.#notify("restored");
+      this.loop.request();
+    });
+  }
+
+  /**
+   * Draws another stream, or the same one again. Throws a RendererError if the device cannot hold it.
+   * @param {any} manifest
+   * @param {PlayerWorkers} workers
+   */
+  show(manifest, workers) {
+    this.motion ??= new CameraMotion(manifest, prefersStill); // a player that was parked keeps its camera
+    this.manifest = manifest;
+    this.workers = workers;
+    this.sorted = null;
+    this.isEmpty = true;
+    this.painter.prepare({
+      numSlots: manifest.numGs,
+      shDegree: manifest.shDegree,
+      nearM: manifest.nearM,
+      lattices: manifest.lattices,
+    });
+    this.headset?.replace();
+    this.redraw();
+  }
+
+  /** @param {SortedFrame} sorted @param {boolean} isHeld whether it is drawn even if the page is not */
+  receive(sorted, isHeld) {
+    this.sorted = sorted;
+    if (this.headset !== null) return;
+    if (isHeld && this.loop.waitedMs > IDLE_MS) this.loop.flush();
+    else this.loop.request();
+  }
+
+  /** The camera, the size or the number of pictures has changed. */
+  redraw() {
+    this.needsDrawing = true;
+    this.loop.request();
+  }
+
+  /** Whether the next picture would be the same as the last one. */
+  get isSettled() {
+    return this.sorted === null && (this.workers?.isSettled ?? true);
+  }
+
+  /** Where the camera is; null until a stream is open. */
+  get orbit() {
+    return this.motion?.orbit ?? null;
+  }
+
+  /**
+   * The point of the world that shows at a place of the canvas; null where nothing does.
+   * @param {number} xPx from the left, in CSS pixels
+   * @param {number} yPx from the top
+   */
+  pointAt(xPx, yPx) {
+    const { camera, painter, size } = this;
+    if (camera === null || this.isEmpty) return null;
+    const x = (xPx * size.pixelRatio) % camera.widthPx; // side by side there are two pictures
+    const y = yPx * size.pixelRatio;
+    const depthM = painter.renderer?.depthAt(camera, x, y) ?? null;
+    return depthM === null ? null : pointAt(camera, x, y, depthM);
+  }
+
+  /** The camera as it is now, as large as the canvas, or as one half of it side by side. */
+  get camera() {
+    const { orbit, manifest, size } = this;
+    const widthPx = this.isSideBySide ? Math.max(1, size.widthPx >> 1) : size.widthPx;
+    return orbit?.camera(manifest.defaultCamera, widthPx, size.heightPx) ?? null;
+  }
+
+  /**
+   * Shows the scene on a headset, at its true scale, from where the camera stands. A person must have
+   * pressed something just now. Throws a HeadsetError.
+   */
+  async enterHeadset() {
+    const headset = await Headset.begin(this.painter.context.gl);
+    if (this.isDisposed) {
+      headset.end();
+      return;
+    }
+    headset.addEventListener("select", () => this.#notify("select"));
+    headset.addEventListener("visibility", () => this.#notify("headset"));
+    headset.addEventListener("ended", () => {
+      this.headset = null;
+      this.redraw();
+      this.#notify("headset");
+    });
+    headset.run((ms, frame) => this.#drawInHeadset(headset, ms, frame));
+    this.headset = headset;
+    this.#notify("headset");
+  }
+
+  /** @param {number} nowMs */
+  #drawOnCanvas(nowMs) {
+    this.#notify("drawing");
+    if (this.headset !== null) return;
+    if (this.motion?.step(nowMs)) this.redraw();
+    const { camera, orbit } = this;
+    if (camera === null || orbit === null) return;
+    const focusM = length(subtract(orbit.centre, poseOf(camera).position));
+    const viewpoint = this.isSideBySide
+      ? sideBySide(camera, this.eyeDistanceM, Math.max(focusM, LEAST_FOCUS_M))
+      : oneEye(camera);
+    this.#draw(viewpoint, nowMs);
+  }
+
+  /**
+   * @param {Headset} headset
+   * @param {number} nowMs
+   * @param {XRFrame} frame
+   */
+  #drawInHeadset(headset, nowMs, frame) {
+    const { camera, orbit } = this;
+    if (camera === null || orbit === null) return;
+    const viewpoint = headset.viewpoint(frame, poseOf(camera), orbit.up);
+    if (viewpoint === null) return;
+    this.needsDrawing = true; // a headset starts each picture from nothing
+    this.#draw(viewpoint, nowMs);
+  }
+
+  /**
+   * Takes in what is new, and draws if there is something else to see.
+   * @param {import("../stereo/eyes.js").Viewpoint} viewpoint
+   * @param {number} nowMs
+   */
+  #draw(viewpoint, nowMs) {
+    const { painter, size } = this;
+    if (this.sorted !== null) this.#upload(this.sorted);
+    this.workers?.requestOrder(viewpoint.w2c, this.manifest.nearM);
+    if (!this.needsDrawing || this.isEmpty) return;
+    this.needsDrawing = false;
+    const beganMs = performance.now();
+    painter.draw(viewpoint, size.widthPx, size.heightPx);
+    this.timings.drawMs = performance.now() - beganMs;
+    const sinceMs = nowMs - this.drawnMs;
+    this.drawnMs = nowMs;
+    if (sinceMs > 0) {
+      const share = this.timings.framesPerS ? 0.1 : 1;
+      this.timings.framesPerS += share * (1000 / sinceMs - this.timings.framesPerS);
+    }
+  }
+
+  /** @param {SortedFrame} sorted */
+  #upload({ updates, order, frame, seeks, sortMs, isWhole }) {
+    this.sorted = null;
+    const { renderer } = this.painter;
+    if (renderer === null || (this.isEmpty && !isWhole)) return;
+    this.isEmpty = false;
+    const beganMs = performance.now();
+    renderer.update(updates, order);
+    this.timings.uploadMs = performance.now() - beganMs;
+    this.timings.sortMs = sortMs;
+    this.needsDrawing = true;
+    const isOther = frame !== this.shownFrame;
+    this.shownFrame = frame;
+    this.lastSeeks = seeks;
+    this.dispatchEvent(new CustomEvent("frame", { detail: isOther }));
+  }
+
+  /** @param {string} type */
+  #notify(type) {
+    this.dispatchEvent(new Event(type));
+  }
+
+  /** Gives back what the device holds; the canvas keeps its picture, and the camera stays. */
+  release() {
+    this.loop.stop();
+    this.painter.clear();
+    this.workers = null;
+    this.sorted = null;
+    this.isEmpty = true;
+  }
+
+  /** Ends what shows; the picture stays until the next one. */
+  close() {
+    this.release();
+    this.manifest = null;
+    this.motion = null;
+    this.shownFrame = -1;
+  }
+
+  dispose() {
+    this.isDisposed = true;
+    this.headset?.end();
+    this.close();
+    this.size.dispose();
+    this.painter.dispose();
+  }
+}

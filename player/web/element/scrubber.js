@@ -1,0 +1,144 @@
+import { node } from "./nodes.js";
+import { Storyboard } from "./storyboard.js";
+import { frameTimeText, positionText } from "./timetext.js";
+
+const THUMB_PX = 14;
+
+/**
+ * The scrub bar: the frame that shows, what has been loaded, and above the pointer the time and a small
+ * picture. While the thumb moves the player shows what it can of the frame there, and seeks it when the
+ * thumb is let go.
+ */
+export class Scrubber {
+  #scrubbing = false;
+  #request = 0;
+  #track = "";
+
+  /**
+   * @param {import("./webplayer.js").WebPlayer} player
+   * @param {AbortSignal} signal ends the listening
+   */
+  constructor(player, signal) {
+    this.player = player;
+    this.storyboard = new Storyboard();
+    this.hoverTime = node("span", { class: "hover-time" });
+    this.preview = node(
+      "div",
+      { class: "preview", "aria-hidden": "true", hidden: true },
+      this.storyboard.root,
+      this.hoverTime,
+    );
+    const attributes = { class: "scrub", type: "range", min: "0", max: "0", step: "1", value: "0" };
+    this.input = node("input", { ...attributes, "aria-label": "Seek" });
+    this.root = node("div", { class: "scrubber" }, this.preview, this.input);
+    this.time = node("span", { class: "time" }, "0:00 / 0:00");
+    this.input.addEventListener("input", () => this.#scrub());
+    this.input.addEventListener("change", () => {
+      cancelAnimationFrame(this.#request);
+      this.#request = 0;
+      this.#scrubbing = false;
+      this.preview.hidden = true;
+      player.seek(Number(this.input.value));
+    });
+    this.input.addEventListener("pointermove", (event) => {
+      if (event.pointerType === "mouse") this.#hover(event.offsetX);
+    });
+    this.input.addEventListener("pointerleave", () => (this.preview.hidden = !this.#scrubbing));
+    for (const type of ["opened", "grown"]) {
+      const fit = () => (this.input.max = String(Math.max(0, player.numFrames - 1)));
+      player.addEventListener(type, fit, { signal });
+    }
+    player.addEventListener("opened", () => this.storyboard.clear(), { signal });
+  }
+
+  get isScrubbing() {
+    return this.#scrubbing;
+  }
+
+  #scrub() {
+    const { input, player } = this;
+    this.#scrubbing = true;
+    const frame = Number(input.value);
+    this.#showTime(frame);
+    this.#showTrack();
+    this.#showPreview(frame);
+    if (this.#request !== 0) return;
+    this.#request = requestAnimationFrame(() => {
+      this.#request = 0;
+      /** @type {{ scrub?: (frame: number) => void }} */ (player).scrub?.(Number(input.value));
+    });
+  }
+
+  /** @param {number} atPx from the bar's left side */
+  #hover(atPx) {
+    const { player } = this;
+    if (this.#scrubbing || !player.manifest) return;
+    const last = player.numFrames - 1;
+    // The middle of the thumb stays within the bar by half its width.
+    const share = (atPx - THUMB_PX / 2) / (this.input.clientWidth - THUMB_PX);
+    this.#showPreview(Math.max(0, Math.min(last, Math.round(share * last))));
+  }
+
+  /** @param {number} frame */
+  #showPreview(frame) {
+    const { player, preview, hoverTime, storyboard } = this;
+    const { fps } = player.manifest ?? { fps: 30 };
+    hoverTime.textContent = frameTimeText(frame, player.numFrames, fps, player.live);
+    storyboard.show(player, frame);
+    preview.hidden = false;
+    const widthPx = this.root.clientWidth;
+    const halfPx = preview.offsetWidth / 2;
+    const share = frame / Math.max(1, player.numFrames - 1);
+    const atPx = THUMB_PX / 2 + (widthPx - THUMB_PX) * share;
+    preview.style.left = `${Math.max(halfPx, Math.min(widthPx - halfPx, atPx))}px`;
+  }
+
+  /** The frame that shows, unless a person moves the thumb. */
+  show() {
+    const { state } = this.player;
+    if (!this.#scrubbing) {
+      this.input.value = String(state.frame);
+      this.#showTime(state.frame);
+    }
+    this.#showTrack();
+  }
+
+  /** @param {number} frame */
+  #showTime(frame) {
+    const { player, time, input } = this;
+    const { fps } = player.manifest ?? { fps: 30 };
+    const text = positionText(frame, player.numFrames, fps, player.live);
+    if (time.textContent === text) return; // what is written anew is laid out anew
+    time.textContent = text;
+    input.setAttribute("aria-valuetext", text);
+  }
+
+  /** Colours the track: what was played, what has been loaded, and the rest. */
+  #showTrack() {
+    const { player, input } = this;
+    const { state, numFrames } = player;
+    const share = (/** @type {number} */ frame) =>
+      `${((100 * Math.max(0, Math.min(frame, numFrames - 1))) / Math.max(1, numFrames - 1)).toFixed(2)}%`;
+    const frame = Number(input.value);
+    /** @type {[number, number][]} */
+    const ranges = /** @type {any} */ (state).bufferedRanges ?? [[frame, state.endFrame]];
+    const stops = [`var(--played) ${share(frame)}`];
+    let at = frame;
+    for (const [first, end] of ranges) {
+      if (end - 1 <= at) continue;
+      const begin = Math.max(first, at);
+      stops.push(`var(--rest) ${share(at)} ${share(begin)}`);
+      stops.push(`var(--loaded) ${share(begin)} ${share(end - 1)}`);
+      at = end - 1;
+    }
+    stops.push(`var(--rest) ${share(at)}`);
+    const track = `linear-gradient(to right, ${stops.join(", ")})`;
+    if (this.#track === track) return;
+    this.#track = track;
+    input.style.setProperty("--track", track);
+  }
+
+  close() {
+    cancelAnimationFrame(this.#request);
+  }
+}

@@ -1,0 +1,75 @@
+/** Links to the moment and the view that show, and the code that embeds the player. */
+export class Sharing {
+  /**
+   * @param {import("./swingsplayer.js").SwingsPlayerElement} element
+   * @param {(message: string, forMs?: number) => void} hint shows a message
+   */
+  constructor(element, hint) {
+    this.element = element;
+    this.hint = hint;
+  }
+
+  /** The page that plays the stream. */
+  #page() {
+    const { element } = this;
+    const link = element.getAttribute("link");
+    if (link !== null) return new URL(link, document.baseURI);
+    const url = new URL(new URL("../watch.html", import.meta.url).href, document.baseURI);
+    url.searchParams.set("src", new URL(element.src, document.baseURI).href);
+    return url;
+  }
+
+  /** A link that opens the page at this moment and view; null before there is one. */
+  get link() {
+    const { element } = this;
+    if (!element.player?.manifest) return null;
+    const url = this.#page();
+    url.searchParams.set("t", element.currentTime.toFixed(2));
+    url.searchParams.set("view", element.view);
+    return url.href;
+  }
+
+  /** Opens the device's way to share the link; copies the link where there is none. */
+  async share() {
+    const url = this.link;
+    if (url === null) return;
+    if (navigator.share === undefined) return this.copyLink();
+    const title = this.element.player?.manifest.title || document.title;
+    try {
+      await navigator.share({ title, url });
+    } catch (error) {
+      // The person closed it.
+      if (error instanceof DOMException && error.name === "AbortError") return;
+      await this.copyLink();
+    }
+  }
+
+  async copyLink() {
+    const url = this.link;
+    if (url !== null) await this.#copy(url, "Link copied");
+  }
+
+  /** Copies the `<iframe>` of a page that shows the player. */
+  async copyEmbedCode() {
+    const url = this.#page();
+    for (const name of ["t", "view"]) url.searchParams.delete(name);
+    const source = url.href.replaceAll("&", "&amp;").replaceAll('"', "&quot;");
+    const code =
+      `<iframe src="${source}" width="720" height="405" style="border: 0" ` +
+      `allow="fullscreen; xr-spatial-tracking; clipboard-write; web-share"></iframe>`;
+    await this.#copy(code, "Embed code copied");
+  }
+
+  /**
+   * @param {string} text
+   * @param {string} done
+   */
+  async #copy(text, done) {
+    try {
+      await navigator.clipboard.writeText(text);
+      this.hint(done);
+    } catch {
+      this.hint(text, 10_000); // the browser forbids it; the person can copy it by hand
+    }
+  }
+}

@@ -1,0 +1,78 @@
+/** A frame below the fold of another origin's page gets no pictures, and may learn nothing else. */
+const STARVED_MS = 2000;
+
+/** Whether a picture on an element would be seen, or is needed all the same. */
+export class Sight {
+  #isIntersecting = false;
+  #isStarved = false;
+  #numHolds = 0;
+  #listening = new AbortController();
+
+  /**
+   * @param {Element} element
+   * @param {import("./frameloop.js").FrameLoop} loop
+   * @param {() => void} onChange isSeen has changed
+   */
+  constructor(element, loop, onChange) {
+    this.loop = loop;
+    this.onChange = onChange;
+    this.isSeen = false;
+    /** @type {import("../stereo/headset.js").Headset | null} which shows the scene in place of the page */
+    this.headset = null;
+    this.observer = new IntersectionObserver((entries) => {
+      this.#isIntersecting = entries[entries.length - 1].isIntersecting;
+      this.update();
+    });
+    this.observer.observe(element);
+    const { signal } = this.#listening;
+    document.addEventListener("visibilitychange", () => this.update(), { signal });
+  }
+
+  /** Whether something outside of the page shows the canvas. */
+  get isHeld() {
+    return this.#numHolds > 0;
+  }
+
+  /**
+   * Counts as seen until the returned function is called, wherever the element is: for picture in
+   * picture, `captureStream` and the like.
+   */
+  hold() {
+    let isHeld = true;
+    this.#numHolds += 1;
+    this.update();
+    return () => {
+      if (!isHeld) return;
+      isHeld = false;
+      this.#numHolds -= 1;
+      this.update();
+    };
+  }
+
+  /** The browser has let the player draw. */
+  noteFrame() {
+    if (!this.#isStarved) return;
+    this.#isStarved = false;
+    this.update();
+  }
+
+  /** To be called now and then while something is played. */
+  check() {
+    if (this.#isStarved || this.loop.waitedMs < STARVED_MS) return;
+    this.#isStarved = true;
+    this.update();
+  }
+
+  update() {
+    const isOnScreen = this.#isIntersecting && !document.hidden && !this.#isStarved;
+    const isSeen = this.isHeld || (this.headset === null ? isOnScreen : !this.headset.isHidden);
+    if (isSeen === this.isSeen) return;
+    this.isSeen = isSeen;
+    this.onChange();
+  }
+
+  dispose() {
+    this.observer.disconnect();
+    this.#listening.abort();
+  }
+}

@@ -1,0 +1,54 @@
+import { node } from "./nodes.js";
+import { storyboardLayout, tileOf } from "../format/storyboard.js";
+
+/** The small picture of a frame, from a stream's storyboard; hidden for a stream without one. */
+export class Storyboard {
+  constructor() {
+    this.root = node("div", { class: "tile", hidden: true });
+    this.image = new Image();
+    this.image.addEventListener("load", () => this.#show());
+    this.frame = 0;
+    /** @type {import("../format/storyboard.js").StoryboardLayout | null} */
+    this.layout = null;
+  }
+
+  /** Another stream, or none. */
+  clear() {
+    this.layout = null;
+    this.root.hidden = true;
+    this.image.removeAttribute("src");
+  }
+
+  /**
+   * Shows the picture of `frame`, once the storyboard is here: it is fetched at the first call. A live
+   * stream has none yet.
+   * @param {import("./webplayer.js").WebPlayer} player
+   * @param {number} frame
+   */
+  show(player, frame) {
+    const { manifest, live, numFrames, base } = player;
+    this.frame = frame;
+    if (!manifest?.storyboard || live) return;
+    if (this.layout === null) {
+      this.layout = storyboardLayout(numFrames, manifest.fps);
+      const path = manifest.storyboard.split("/").map(encodeURIComponent).join("/");
+      this.image.src = new URL(path, base).href;
+    }
+    this.#show();
+  }
+
+  #show() {
+    const { layout, image, root, frame } = this;
+    if (layout === null || !image.complete || image.naturalWidth === 0) return;
+    const { columns, rows } = layout;
+    const tile = tileOf(layout, frame);
+    const share = (/** @type {number} */ at, /** @type {number} */ count) =>
+      `${count > 1 ? (100 * at) / (count - 1) : 0}%`;
+    const { style } = root;
+    style.backgroundImage = `url("${image.src}")`;
+    style.backgroundSize = `${100 * columns}% ${100 * rows}%`;
+    style.backgroundPosition = `${share(tile % columns, columns)} ${share(Math.floor(tile / columns), rows)}`;
+    style.aspectRatio = `${image.naturalWidth / columns} / ${image.naturalHeight / rows}`;
+    root.hidden = false;
+  }
+}

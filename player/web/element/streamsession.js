@@ -1,0 +1,210 @@
+import { PlayerWorkers } from "../playback/playerworkers.js";
+import { edgeFrame } from "../source/liveedge.js";
+
+/**
+ * How a play stands.
+ * @typedef {object} PlayState
+ * @property {number} frame that shows
+ * @property {number} endFrame the first one that is not there
+ * @property {[number, number][]} bufferedRanges [first, end) of the frames that are there
+ * @property {boolean} playing
+ * @property {boolean} waiting for what has not come
+ * @property {number} stalls
+ * @property {number} layers of what shows
+ * @property {number | null} rateBps estimated throughput
+ * @property {number} receivedBytes
+ * @property {number} decodeMs of the last frame
+ */
+
+/** @type {PlayState} of a stream of which nothing is there yet */
+const START = {
+  frame: 0,
+  endFrame: 0,
+  bufferedRanges: [],
+  playing: false,
+  waiting: true,
+  stalls: 0,
+  layers: 0,
+  rateBps: null,
+  receivedBytes: 0,
+  decodeMs: 0,
+};
+
+/**
+ * A stream and the workers that play it, without pictures; see WebPlayer. All messages to the worker
+ * that decodes are posted here.
+ */
+export class StreamSession extends EventTarget {
+  /** @type {PlayerWorkers | null} null before they start, and while the player is parked */
+  workers = null;
+  /** @type {import("../playback/playerworkers.js").Source | null} */
+  source = null;
+  /** @type {any} what the stream's manifest says; null until it is open */
+  manifest = null;
+  numFrames = 0;
+  /** URL of the stream's folder, with a slash at its end. */
+  base = "";
+  /** Whether the stream may still grow. */
+  live = false;
+  /** @type {PlayState} */
+  state = START;
+  isSeeking = false;
+  /** Counts seeks: what was on its way when the last one began is not what it asked for. */
+  seeks = 0;
+  soughtFrame = 0;
+  /** Whether it plays whenever it may. */
+  wantsPlaying = false;
+  /** Whether it may play now. */
+  mayPlay = false;
+  /** @type {{ rate: number, loop: boolean, mostLayers: number | null }} */
+  #settings = { rate: 1, loop: false, mostLayers: null };
+
+  /**
+   * @param {number | null} frame to begin with; null: where the stream begins by itself
+   * @param {(sorted: import("../playback/sortworker.js").SortedFrame) => void} onSorted
+   */
+  startWorkers(frame, onSorted) {
+    if (this.source === null) throw new TypeError("no stream was chosen");
+    const onMessage = (/** @type {any} */ data) => this.#onMessage(data);
+    const start = { frame, seeks: this.seeks, ...this.#settings };
+    this.workers = new PlayerWorkers(this.source, start, onMessage, onSorted);
+  }
+
+  stopWorkers() {
+    this.workers?.terminate();
+    this.workers = null;
+    this.state = { ...this.state, playing: false };
+  }
+
+  /** @param {boolean} playing */
+  setPlaying(playing) {
+    this.wantsPlaying = playing;
+    this.#applyPlaying();
+  }
+
+  /** Lets it play, or pauses it until it may play again. @param {boolean} mayPlay */
+  allow(mayPlay) {
+    if (mayPlay === this.mayPlay) return;
+    this.mayPlay = mayPlay;
+    if (this.wantsPlaying) this.#applyPlaying();
+  }
+
+  #applyPlaying() {
+    const playing = this.wantsPlaying && this.mayPlay;
+    this.workers?.post({ kind: "play", playing });
+    this.state = { ...this.state, playing };
+    this.dispatch("state");
+  }
+
+  /** @param {number} frame */
+  seek(frame) {
+    this.soughtFrame = Math.max(0, Math.min(this.numFrames - 1, frame));
+    this.isSeeking = true;
+    this.seeks += 1;
+    this.workers?.post({ kind: "seek", frame: this.soughtFrame, seeks: this.seeks });
+    this.dispatch("seeking");
+  }
+
+  /**
+   * Shows a picture near `frame` while the user drags along the track: layer 0 of the nearest segment's
+   * first frame. `seek` ends it.
+   * @param {number} frame
+   */
+  scrub(frame) {
+    this.workers?.post({ kind: "scrub", frame });
+  }
+
+  /** Goes on to the edge of a live stream. */
+  seekEdge() {
+    const edge = edgeFrame(this.manifest, this.numFrames);
+    if (this.state.frame < edge) this.seek(edge);
+  }
+
+  /** @param {number} rate */
+  setRate(rate) {
+    this.#settings.rate = rate;
+    this.workers?.post({ kind: "rate", rate });
+  }
+
+  /** @param {boolean} loop */
+  setLoop(loop) {
+    this.#settings.loop = loop;
+    this.workers?.post({ kind: "loop", loop });
+  }
+
+  /** Shows this many layers at most. @param {number} most */
+  setLayers(most) {
+    this.#settings.mostLayers = most;
+    this.workers?.post({ kind: "layers", most });
+  }
+
+  /** All that shows is sent to the renderer once more. */
+  resend() {
+    this.workers?.post({ kind: "resend" });
+  }
+
+  /** @param {any} data */
+  #onMessage(data) {
+    switch (data.kind) {
+      case "opened": {
+        const isFirst = this.manifest === null;
+        this.manifest = data.manifest;
+        this.numFrames = data.numFrames;
+        this.base = data.base;
+        this.live = data.manifest.live;
+        this.#applyPlaying();
+        this.onOpened(isFirst);
+        break;
+      }
+      case "grown":
+        this.numFrames = data.numFrames;
+        this.live = data.live;
+        this.dispatch("grown");
+        break;
+      case "state":
+        this.state = data;
+        this.dispatch("state");
+        break;
+      case "ended":
+        this.wantsPlaying = false;
+        this.state = { ...this.state, playing: false };
+        this.dispatch("ended");
+        break;
+      case "failed":
+        this.fail(data.message);
+        break;
+      default:
+        this.dispatch(data.kind, data.message);
+    }
+  }
+
+  /** The stream is open. @param {boolean} isFirst whether for the first time */
+  onOpened(isFirst) {
+    if (isFirst) this.dispatch("opened");
+  }
+
+  /** @param {string} message */
+  fail(message) {
+    this.dispatch("failed", message);
+  }
+
+  /**
+   * @param {string} type
+   * @param {string | null} [detail]
+   */
+  dispatch(type, detail = null) {
+    this.dispatchEvent(new CustomEvent(type, { detail }));
+  }
+
+  /** Ends the play; another stream can be opened. */
+  close() {
+    this.stopWorkers();
+    this.source = null;
+    this.manifest = null;
+    this.state = START;
+    this.live = false;
+    this.isSeeking = false;
+    this.wantsPlaying = false;
+    this.#settings = { rate: 1, loop: false, mostLayers: null };
+  }
+}

@@ -1,0 +1,169 @@
+import { GaussianFeed } from "../feed/gaussianfeed.js";
+import { poseOf } from "../view/pose.js";
+
+/** @typedef {import("../feed/gaussianfeed.js").FeedStream} FeedStream */
+
+/**
+ * What a video in a scene is made with.
+ * @typedef {object} SceneVideoOptions
+ * @property {string} url of the stream's folder
+ * @property {boolean} [autoplay] plays once it is open; true by default
+ * @property {boolean} [loop] starts again at the end; true by default
+ * @property {number} [maxGaussians] a stream with more is refused; 2^22 by default
+ * @property {boolean} [otherHosts] the stream's objects may be on other hosts than its manifest
+ */
+
+/**
+ * Where a camera is and how it looks, as engines with y up and -z ahead have it.
+ * @typedef {object} SceneCamera
+ * @property {[number, number, number]} position metres
+ * @property {number[]} axes of the camera in the world: right, up and backward, three numbers each
+ * @property {number} fovDeg vertical
+ * @property {number} nearM metres
+ */
+
+/**
+ * A stream that plays by itself in the scene of another renderer, with the names of media elements.
+ *
+ * Events: `ended`, `trouble` and `failed` (detail: a message, or null when the trouble is over).
+ */
+export class SceneVideo extends EventTarget {
+  #feed;
+  #paused;
+  #loop;
+  #rate = 1;
+  #soughtFrame = 0;
+
+  /** @param {SceneVideoOptions} options */
+  constructor({ url, autoplay = true, loop = true, maxGaussians, otherHosts }) {
+    super();
+    this.#paused = !autoplay;
+    this.#loop = loop;
+    this.#feed = new GaussianFeed(url, { maxGaussians, otherHosts });
+    /** @type {Promise<FeedStream>} rejects with the reason if the stream cannot be opened */
+    this.opened = this.#feed.opened.then((stream) => this.#begin(stream));
+    this.opened.catch(() => {});
+    this.#feed.addEventListener("ended", () => (this.#paused = true));
+    for (const type of ["ended", "trouble", "failed"]) {
+      this.#feed.addEventListener(type, (event) => {
+        const { detail } = /** @type {CustomEvent<string | null>} */ (event);
+        this.dispatchEvent(new CustomEvent(type, { detail }));
+      });
+    }
+  }
+
+  /** The stream's description; null until it is open. */
+  get stream() {
+    return this.#feed.stream;
+  }
+
+  /** What each slot shows, as of the last `take`. */
+  get gaussians() {
+    return this.#feed.gaussians;
+  }
+
+  get paused() {
+    return this.#paused;
+  }
+
+  /** Seconds; NaN until it is open. */
+  get duration() {
+    const { stream } = this;
+    return stream ? stream.numFrames / stream.fps : NaN;
+  }
+
+  /** Of the frame that shows, or is sought, in seconds. */
+  get currentTime() {
+    const { stream } = this;
+    const frame = this.#feed.isSeeking ? this.#soughtFrame : Math.max(0, this.#feed.frame);
+    return stream ? frame / stream.fps : 0;
+  }
+
+  /** Throws an error until the stream is open. */
+  set currentTime(seconds) {
+    const { stream } = this;
+    if (!Number.isFinite(seconds)) throw new TypeError(`currentTime: ${seconds} is not a time`);
+    if (stream === null) throw new Error("the stream is not open yet; await opened first");
+    const frame = Math.round(seconds * stream.fps);
+    this.#soughtFrame = Math.max(0, Math.min(stream.numFrames - 1, frame));
+    this.#feed.seek(this.#soughtFrame);
+  }
+
+  get loop() {
+    return this.#loop;
+  }
+
+  set loop(value) {
+    this.#loop = value;
+    if (this.stream !== null) this.#feed.setLoop(value);
+  }
+
+  /** 1 is the stream's own pace. */
+  get playbackRate() {
+    return this.#rate;
+  }
+
+  set playbackRate(rate) {
+    if (!(rate > 0 && rate < Infinity)) {
+      throw new RangeError(`playbackRate: ${rate} is not a positive number`);
+    }
+    this.#rate = rate;
+    if (this.stream !== null) this.#feed.setRate(rate);
+  }
+
+  /** Plays, as soon as the stream is open; after the end from the first frame. */
+  play() {
+    this.#paused = false;
+    if (this.stream !== null) this.#feed.play();
+  }
+
+  pause() {
+    this.#paused = true;
+    if (this.stream !== null) this.#feed.pause();
+  }
+
+  /**
+   * Brings `gaussians` to the frame that is due: to be called for each picture.
+   * @returns {Uint32Array | null} the slots that have changed, if any
+   */
+  take() {
+    return this.#feed.take();
+  }
+
+  /** Where the stream's own camera is. */
+  async defaultCamera() {
+    const { defaultCamera, nearM } = await this.opened;
+    return sceneCamera(defaultCamera, nearM);
+  }
+
+  /** Ends the play and its workers. */
+  dispose() {
+    this.#paused = true;
+    this.#feed.close();
+  }
+
+  /** @param {FeedStream} stream */
+  #begin(stream) {
+    this.#feed.setLoop(this.#loop);
+    if (this.#rate !== 1) this.#feed.setRate(this.#rate);
+    if (!this.#paused) this.#feed.play();
+    return stream;
+  }
+}
+
+/**
+ * @param {import("../format/camera.js").Camera} camera
+ * @param {number} nearM
+ * @returns {SceneCamera}
+ */
+function sceneCamera(camera, nearM) {
+  const { position, right, down, forward } = poseOf(camera);
+  const [up, backward] = [down, forward].map((axis) => axis.map((value) => -value));
+  const fovRad = 2 * Math.atan(camera.heightPx / 2 / camera.fyPx);
+  return {
+    position: [position[0], position[1], position[2]],
+    axes: [...right, ...up, ...backward],
+    fovDeg: (180 / Math.PI) * fovRad,
+    nearM,
+  };
+}

@@ -1,0 +1,151 @@
+import { inflatePacket, isGzip, limitBytes } from "../format/packet.js";
+
+/** So much of what shows next is inflated, in seconds. */
+const AHEAD_S = 1;
+const LEAST_AHEAD_FRAMES = 16;
+/** Packets that are inflated at a time. */
+const BATCH = 16;
+
+/** @typedef {{ birth: number, part: string, packet: Uint8Array }} Arrived */
+
+/**
+ * Passes the packets of a cache to a StreamPlay, inflated: those of the segment where it begins, those
+ * that show soon, and what comes late to what has shown.
+ */
+export class ChunkFeed {
+  /**
+   * @param {import("../source/segmentcache.js").SegmentCache} cache
+   * @param {import("./streamplay.js").StreamPlay} play
+   * @param {import("../format/manifest.js").Manifest} manifest
+   * @param {number} firstFrame
+   * @param {number} numLayers that are passed on
+   * @param {number} rate of playing
+   */
+  constructor(cache, play, manifest, firstFrame, numLayers, rate) {
+    this.cache = cache;
+    this.play = play;
+    this.manifest = manifest;
+    this.numLayers = numLayers;
+    /** What begins here is joined by its snapshots. */
+    this.startFrame = cache.segmentOf(firstFrame) * manifest.segmentFrames;
+    /** Behind the last frame whose packets are passed on. */
+    this.endFrame = this.startFrame;
+    /** @type {Arrived[]} in the order in which they are inflated */
+    this.queue = [];
+    this.isRunning = false;
+    this.isClosed = false;
+    /** @type {unknown} */
+    this.failure = null;
+    /** Called when something was passed on, or has failed. */
+    this.onData = () => {};
+    /** @type {import("../source/segmentcache.js").PacketListener} */
+    this.listener = (birth, part, packet) => {
+      if (birth < this.startFrame || birth >= this.endFrame) return;
+      this.#enqueue(birth, part, packet);
+      this.#run();
+    };
+    cache.listeners.add(this.listener);
+    this.advance(firstFrame + 1, rate);
+  }
+
+  /**
+   * Passes on what shows soon.
+   * @param {number} nextFrame
+   * @param {number} rate of playing
+   */
+  advance(nextFrame, rate) {
+    const frames = AHEAD_S * this.manifest.fps * Math.max(1, rate);
+    const endFrame = Math.ceil(nextFrame + Math.max(LEAST_AHEAD_FRAMES, frames));
+    for (; this.endFrame < endFrame; this.endFrame++) this.#lookUp(this.endFrame, 0);
+    this.#run();
+  }
+
+  /**
+   * Passes on so many layers from now on; new ones also of what shows already.
+   * @param {number} numLayers
+   * @param {number} frame that shows
+   */
+  setLayers(numLayers, frame) {
+    const known = this.numLayers;
+    this.numLayers = numLayers;
+    const { segmentFrames } = this.manifest;
+    const first = this.cache.segmentOf(frame) * segmentFrames;
+    for (let birth = first; birth < this.endFrame; birth++) this.#lookUp(birth, known);
+    this.#run();
+  }
+
+  /**
+   * Enqueues what is here of a frame.
+   * @param {number} birth
+   * @param {number} firstLayer
+   */
+  #lookUp(birth, firstLayer) {
+    const { cache, manifest } = this;
+    const segment = cache.segmentOf(birth);
+    const isFirst = birth % manifest.segmentFrames === 0;
+    const mask = firstLayer === 0 ? cache.mask(birth) : null;
+    if (mask !== null) this.#enqueue(birth, "masks", mask);
+    for (let layer = firstLayer; layer < this.numLayers; layer++) {
+      const snapshot = isFirst ? cache.snapshot(segment, layer) : null;
+      if (snapshot !== null) this.#enqueue(birth, `snapshot-${layer}`, snapshot);
+      const change = cache.change(birth, layer);
+      if (change !== null) this.#enqueue(birth, `${layer}`, change);
+    }
+  }
+
+  /**
+   * @param {number} birth
+   * @param {string} part
+   * @param {Uint8Array} packet
+   */
+  #enqueue(birth, part, packet) {
+    const isSnapshot = part.startsWith("snapshot-");
+    // A segment that is joined begins with its snapshots alone.
+    if (birth === this.startFrame && !isSnapshot) return;
+    if (part !== "masks" && Number(part.replace("snapshot-", "")) >= this.numLayers) return;
+    this.queue.push({ birth, part, packet });
+  }
+
+  async #run() {
+    if (this.isRunning) return;
+    this.isRunning = true;
+    try {
+      while (this.queue.length > 0 && !this.isClosed) {
+        const batch = this.queue.splice(0, BATCH);
+        const chunks = await Promise.all(batch.map((arrived) => this.#inflated(arrived)));
+        if (this.isClosed) return;
+        for (const [n, { birth, part }] of batch.entries()) this.#pass(birth, part, chunks[n]);
+        this.onData();
+      }
+    } catch (error) {
+      this.failure = error;
+      this.onData();
+    } finally {
+      this.isRunning = false;
+    }
+  }
+
+  /** @param {Arrived} arrived @returns {Uint8Array | Promise<Uint8Array>} */
+  #inflated({ part, packet }) {
+    return isGzip(packet) ? inflatePacket(packet, limitBytes(this.manifest, part)) : packet;
+  }
+
+  /**
+   * @param {number} birth
+   * @param {string} part
+   * @param {Uint8Array} chunk
+   */
+  #pass(birth, part, chunk) {
+    const layer = Number(part.replace("snapshot-", ""));
+    if (part === "masks") this.play.addMask(birth, chunk);
+    else if (part.startsWith("snapshot-")) this.play.addSnapshot(birth, layer, chunk);
+    else this.play.addChange(birth, layer, chunk);
+  }
+
+  close() {
+    this.isClosed = true;
+    this.onData = () => {};
+    this.queue = [];
+    this.cache.listeners.delete(this.listener);
+  }
+}

@@ -1,0 +1,109 @@
+import { floatWords, latticeWords, roomFor } from "../renderer/resident.js";
+
+/** A lattice entry has its layer above the 24 bits of its slot; a stream has 2^24 slots at most. */
+const SLOT_MASK = 0xffffff;
+
+/**
+ * Words for the renderer's textures; see renderer/resident.js.
+ * @typedef {{ lattice: Uint32Array, floats: Uint32Array }} Words
+ */
+
+/**
+ * What the renderer has not been given yet. However long it asks for nothing, at most one entry is
+ * kept for each slot: the newest.
+ */
+export class PendingUpdates {
+  /**
+   * @param {number} numSlots
+   * @param {number} shDegree
+   */
+  constructor(numSlots, shDegree) {
+    this.numSlots = numSlots;
+    this.latticeWords = latticeWords(shDegree);
+    this.floatWords = floatWords(shDegree);
+    /** @type {Words[]} */
+    this.updates = [];
+    this.numEntries = 0;
+  }
+
+  /** @param {Words} words are kept, not copied */
+  add({ lattice, floats }) {
+    if (lattice.length + floats.length === 0) return;
+    this.updates.push({ lattice, floats });
+    this.numEntries += this.#countLattice(lattice) + this.#countFloats(floats);
+    if (this.numEntries > this.numSlots) this.#merge();
+  }
+
+  /** All that is pending, oldest first; none of it is pending afterwards. @returns {Words[]} */
+  take() {
+    const { updates } = this;
+    this.clear();
+    return updates;
+  }
+
+  clear() {
+    this.updates = [];
+    this.numEntries = 0;
+  }
+
+  /** @param {Uint32Array} words */
+  #countLattice(words) {
+    return Math.floor(words.length / this.latticeWords);
+  }
+
+  /** @param {Uint32Array} words */
+  #countFloats(words) {
+    return Math.floor(words.length / this.floatWords);
+  }
+
+  /** Leaves the newest entry of each slot. */
+  #merge() {
+    const isTaken = new Uint8Array(this.numSlots);
+    const lattice = new Newest(isTaken, this.numEntries, this.latticeWords, 3);
+    const floats = new Newest(isTaken, this.numEntries, this.floatWords, 0);
+    for (const update of this.updates.reverse()) {
+      // The renderer writes the floats of an update after its lattice.
+      floats.addBackwards(update.floats);
+      lattice.addBackwards(update.lattice);
+    }
+    this.updates = [{ lattice: lattice.words, floats: floats.words }];
+    this.numEntries = lattice.count + floats.count;
+  }
+}
+
+/** The entries of slots that are not taken yet. */
+class Newest {
+  /**
+   * @param {Uint8Array} isTaken of each slot; is written
+   * @param {number} most entries
+   * @param {number} wordsEach
+   * @param {number} slotWord the word of an entry that has its slot
+   */
+  constructor(isTaken, most, wordsEach, slotWord) {
+    this.isTaken = isTaken;
+    this.room = new Uint32Array(most * wordsEach);
+    this.wordsEach = wordsEach;
+    this.slotWord = slotWord;
+    this.count = 0;
+  }
+
+  /** @param {Uint32Array} words the last entry first */
+  addBackwards(words) {
+    const { isTaken, room, wordsEach, slotWord } = this;
+    for (let i = Math.floor(words.length / wordsEach) - 1; i >= 0; i--) {
+      const from = i * wordsEach;
+      const slot = words[from + slotWord] & SLOT_MASK;
+      if (isTaken[slot]) continue;
+      isTaken[slot] = 1;
+      const to = this.count * wordsEach;
+      for (let n = 0; n < wordsEach; n++) room[to + n] = words[from + n];
+      this.count++;
+    }
+  }
+
+  get words() {
+    const words = roomFor(this.count, this.wordsEach);
+    words.set(this.room.subarray(0, this.count * this.wordsEach));
+    return words;
+  }
+}

@@ -1,0 +1,56 @@
+import { ChunkFeed } from "./chunkfeed.js";
+import { Playback } from "./playback.js";
+import { StreamPlay } from "./streamplay.js";
+
+/**
+ * One run through a stream, from a frame to the end or to a seek: the source that brings what is
+ * missing, the chunks, and the clock.
+ */
+export class Round {
+  /**
+   * @param {import("../source/source.js").SourceStream} stream
+   * @param {import("../source/source.js").SourcePlay} source
+   * @param {number} firstFrame
+   * @param {number} numLayers shown at most
+   * @param {number} rate
+   */
+  constructor(stream, source, firstFrame, numLayers, rate) {
+    const { cache, manifest, numFrames } = stream;
+    this.stream = stream;
+    this.source = source;
+    this.chunks = new StreamPlay(manifest);
+    this.feed = new ChunkFeed(cache, this.chunks, manifest, firstFrame, numLayers, rate);
+    this.playback = new Playback(this.chunks, manifest.fps, numFrames, firstFrame);
+    this.playback.live = manifest.live;
+    this.playback.setRate(rate);
+  }
+
+  /** What ended it; null while nothing did. */
+  get failure() {
+    return this.source.failure ?? this.feed.failure;
+  }
+
+  /** The first frame that cannot show before more is received. */
+  get endFrame() {
+    const { playback, stream } = this;
+    const end = stream.cache.endOf(playback.nextFrame, stream.numFrames);
+    return Math.max(playback.endFrame, end);
+  }
+
+  /** Brings what is missing from another source play from now on. @param {import("../source/source.js").SourcePlay} source */
+  replaceSource(source) {
+    this.source.close();
+    this.source = source;
+  }
+
+  /** Ends it, but for its source. */
+  detach() {
+    this.feed.close();
+    return this.source;
+  }
+
+  close() {
+    this.feed.close();
+    this.source.close();
+  }
+}

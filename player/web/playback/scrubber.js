@@ -1,0 +1,82 @@
+import { inflatePacket, isGzip, limitBytes } from "../format/packet.js";
+import { StreamPlay } from "./streamplay.js";
+
+/**
+ * Pictures while the thumb of the track moves: layer 0 of the snapshot nearest to it, from the cache
+ * or by one request at a time, of which the newest target counts.
+ */
+export class Scrubber {
+  /**
+   * @param {import("../source/source.js").SourceStream} stream
+   * @param {(shown: import("./playback.js").Shown) => void} show
+   * @param {() => void} onFetch called before something is requested
+   */
+  constructor(stream, show, onFetch) {
+    this.stream = stream;
+    this.show = show;
+    this.onFetch = onFetch;
+    /** Whether the thumb is held. */
+    this.isActive = false;
+    /** @type {number | null} segment whose picture is wanted */
+    this.target = null;
+    /** @type {number | null} segment whose picture shows */
+    this.shown = null;
+    this.isRunning = false;
+    this.abort = new AbortController();
+  }
+
+  /** Shows a picture near `frame`, as soon as there is one. @param {number} frame */
+  scrub(frame) {
+    const { manifest, numFrames } = this.stream;
+    if (!this.isActive) this.abort = new AbortController();
+    this.isActive = true;
+    const last = Math.ceil(numFrames / manifest.segmentFrames) - 1;
+    this.target = Math.max(0, Math.min(last, Math.round(frame / manifest.segmentFrames)));
+    this.#run();
+  }
+
+  async #run() {
+    if (this.isRunning) return;
+    this.isRunning = true;
+    const { signal } = this.abort;
+    while (this.isActive && this.target !== null && this.target !== this.shown) {
+      const segment = this.target;
+      try {
+        if (this.stream.cache.snapshot(segment, 0) === null) {
+          this.onFetch();
+          await this.stream.fetchSnapshot(segment, 0, signal);
+        }
+        await this.#showSegment(segment, signal);
+      } catch {
+        // There is no picture of this segment; the next target may have one.
+      }
+      if (this.target === segment) this.target = null;
+    }
+    this.isRunning = false;
+    // It was ended and begun again meanwhile.
+    if (this.isActive && this.abort.signal !== signal) this.#run();
+  }
+
+  /** @param {number} segment @param {AbortSignal} signal */
+  async #showSegment(segment, signal) {
+    const { manifest, cache } = this.stream;
+    const packet = cache.snapshot(segment, 0);
+    if (packet === null) return;
+    const limit = limitBytes(manifest, "snapshot-0");
+    const chunk = isGzip(packet) ? await inflatePacket(packet, limit) : packet;
+    if (signal.aborted) return;
+    const frame = segment * manifest.segmentFrames;
+    const chunks = new StreamPlay(manifest);
+    chunks.addSnapshot(frame, 0, chunk);
+    this.show({ frame, isJoin: true, updates: chunks.join(frame) });
+    this.shown = segment;
+  }
+
+  /** The thumb was let go: aborts what was requested. */
+  end() {
+    this.isActive = false;
+    this.target = null;
+    this.shown = null;
+    this.abort.abort();
+  }
+}

@@ -1,0 +1,300 @@
+import { edgeFrame } from "../source/liveedge.js";
+import { buffersOf } from "./packing.js";
+import { Round } from "./round.js";
+import { Scrubber } from "./scrubber.js";
+
+const STATE_PERIOD_S = 0.1;
+/** What shows within so many seconds is not asked for again when more layers are wanted. */
+const SOON_S = 0.5;
+/** The next round of a loop is asked for so many seconds before it begins. */
+const NEXT_ROUND_S = 5;
+
+/** @typedef {import("../source/source.js").SourceStream} SourceStream */
+
+const nowS = () => performance.now() / 1000;
+
+/**
+ * Where messages go.
+ * @typedef {object} Outlet
+ * @property {(message: object) => void} post to the page
+ * @property {(shown: object, transfer: Transferable[]) => void} show to the thread that sorts
+ * @property {(error: unknown) => void} fail
+ */
+
+/**
+ * How a play begins; what is left out is as in a player that was just made.
+ * @typedef {object} Start
+ * @property {number | null} [frame] null: the first one, or the edge of a live stream
+ * @property {number} [seeks] that the page has made
+ * @property {number} [rate]
+ * @property {boolean} [loop]
+ * @property {number | null} [mostLayers] null: all of them
+ */
+
+/** Plays one stream, from its opening on: rounds of a loop, seeks, scrubbing, layers. */
+export class StreamPlayer {
+  /**
+   * @param {SourceStream} stream
+   * @param {import("../source/fetcher.js").Fetcher} fetcher
+   * @param {Outlet} outlet
+   * @param {Start} [start]
+   */
+  constructor(stream, fetcher, outlet, { frame, seeks, rate, loop, mostLayers } = {}) {
+    this.stream = stream;
+    this.fetcher = fetcher;
+    this.outlet = outlet;
+    this.loop = loop ?? false;
+    this.playing = false;
+    /** Of the page's seeks the last one that it knows of. */
+    this.seeks = seeks ?? 0;
+    this.rate = rate ?? 1;
+    this.mostLayers = mostLayers ?? stream.manifest.numLayers;
+    this.decodeMs = 0;
+    this.postedS = 0;
+    this.isClosed = false;
+    /** @type {number | undefined} */
+    this.timer = undefined;
+    /** @type {Round | null} of a loop, begun ahead */
+    this.nextRound = null;
+    this.scrubber = new Scrubber(
+      stream,
+      (shown) => this.show(shown),
+      () => this.round.source.close(),
+    );
+    const { manifest, numFrames } = stream;
+    this.round = this.#newRound(frame ?? (manifest.live ? edgeFrame(manifest, numFrames) : 0));
+    this.wake();
+  }
+
+  get playback() {
+    return this.round.playback;
+  }
+
+  /**
+   * Goes to `frame`. A live stream that plays has too little to go on with behind its edge.
+   * @param {number} frame
+   * @param {number} seeks how many that makes
+   */
+  seek(frame, seeks) {
+    this.seeks = seeks;
+    const { manifest, numFrames } = this.stream;
+    const isBound = manifest.live && this.playing;
+    const most = Math.max(edgeFrame(manifest, numFrames), this.playback.frame);
+    this.begin(isBound ? Math.min(frame, most) : frame);
+  }
+
+  /** Shows a picture near `frame` while the thumb moves; a seek ends it. @param {number} frame */
+  scrub(frame) {
+    this.scrubber.scrub(frame);
+  }
+
+  /** Takes in that a live stream has more frames, or has ended. */
+  grow() {
+    this.playback.numFrames = this.stream.numFrames;
+    this.playback.live = this.stream.manifest.live;
+    this.wake();
+  }
+
+  /** Plays from `frame` on, with what is here. @param {number} frame */
+  begin(frame) {
+    const isScrubbed = this.scrubber.isActive;
+    this.scrubber.end();
+    const first = Math.max(0, Math.min(this.stream.numFrames - 1, Math.round(frame)));
+    const stepped = isScrubbed ? null : this.playback.stepTo(first);
+    if (stepped !== null) {
+      this.round.feed.advance(this.playback.nextFrame, this.rate);
+      if (!this.round.source.moveTo(first, true)) this.round.replaceSource(this.#newSource(first));
+      this.show(stepped);
+    } else this.#replaceRound(this.#newRound(first, this.round));
+    this.reportPosition();
+    this.wake();
+  }
+
+  /**
+   * @param {number} firstFrame
+   * @param {Round | null} [before] whose source goes on, if it need not ask for anything else
+   */
+  #newRound(firstFrame, before = null) {
+    const { stream, mostLayers } = this;
+    const goesOn = before !== null && before.source.moveTo(firstFrame, false);
+    const source = goesOn ? before.detach() : this.#newSource(firstFrame);
+    source.onData = () => this.wake();
+    const round = new Round(stream, source, firstFrame, mostLayers, this.rate);
+    round.feed.onData = () => this.wake();
+    return round;
+  }
+
+  /** @param {number} firstFrame */
+  #newSource(firstFrame) {
+    const source = this.stream.play({ firstFrame, mostLayers: this.mostLayers, nowS });
+    source.onData = () => this.wake();
+    return source;
+  }
+
+  /** @param {Round} round */
+  #replaceRound(round) {
+    this.#dropNextRound();
+    const { stalls } = this.playback;
+    if (round.source === this.round.source) this.round.detach();
+    else this.round.close();
+    this.round = round;
+    round.playback.stalls = stalls;
+    round.playback.setPlaying(this.playing);
+  }
+
+  #dropNextRound() {
+    this.nextRound?.close();
+    this.nextRound = null;
+  }
+
+  /** Begins the next round of a loop ahead, once this one has all that it asks for. */
+  #prepareRound() {
+    const { loop, playing, playback, stream } = this;
+    const restS = (stream.numFrames - playback.nextFrame) / (playback.fps * this.rate);
+    const isDue = loop && playing && !stream.manifest.live && restS < NEXT_ROUND_S;
+    if (!isDue || !this.round.source.isDone || this.scrubber.isActive) {
+      if (!loop) this.#dropNextRound();
+      return;
+    }
+    this.nextRound ??= this.#newRound(0);
+    this.nextRound.source.reportPosition(playback.nextFrame - stream.numFrames, false, this.rate);
+    if (this.nextRound.failure !== null) throw this.nextRound.failure;
+    this.nextRound.source.step();
+  }
+
+  /** The last frame shows: begins again, or ends. */
+  #end() {
+    if (!this.loop) {
+      this.playing = false;
+      this.playback.setPlaying(false);
+      this.outlet.post({ kind: "ended" });
+      return;
+    }
+    const seamS = this.playback.dueS ?? nowS();
+    const round = this.nextRound ?? this.#newRound(0);
+    this.nextRound = null;
+    round.playback.notBeforeS = seamS;
+    round.playback.waiting = false;
+    this.#replaceRound(round);
+    this.reportPosition();
+    this.wake();
+  }
+
+  /**
+   * Shows this many layers at most, from what is not here on; more of them a little sooner.
+   * @param {number} most
+   */
+  setLayers(most) {
+    const { playback, round } = this;
+    if (most === this.mostLayers) return;
+    const isMore = most > this.mostLayers;
+    this.mostLayers = most;
+    this.#dropNextRound();
+    if (!playback.isJoined || !this.playing) {
+      this.#replaceRound(this.#newRound(playback.frame));
+    } else {
+      const soon = playback.nextFrame + (isMore ? Math.round(SOON_S * playback.fps) : 0);
+      round.feed.setLayers(most, playback.frame);
+      round.replaceSource(this.#newSource(Math.min(soon, this.stream.numFrames - 1)));
+    }
+    this.reportPosition();
+    this.wake();
+  }
+
+  /** Plays, from the beginning after the end, or pauses. @param {boolean} playing */
+  setPlaying(playing) {
+    this.playing = playing;
+    if (playing && this.playback.hasEnded) this.begin(0);
+    else if (playing && this.scrubber.isActive) this.begin(this.playback.frame);
+    this.playback.setPlaying(playing);
+    this.reportPosition();
+  }
+
+  /** @param {number} rate */
+  setRate(rate) {
+    this.rate = rate;
+    this.playback.setRate(rate);
+    this.nextRound?.playback.setRate(rate);
+  }
+
+  /** Looks at once at what is to be done. */
+  wake() {
+    clearTimeout(this.timer);
+    if (!this.isClosed) this.timer = setTimeout(() => this.step(), 0);
+  }
+
+  step() {
+    const { round, playback, playing } = this;
+    try {
+      if (round.failure !== null) throw round.failure;
+      if (this.scrubber.isActive) return;
+      const { cache, numFrames, manifest } = this.stream;
+      cache.setPlayhead(playback.nextFrame, this.loop && !manifest.live ? numFrames : null);
+      const waitS = round.source.step();
+      const beganMs = performance.now();
+      const shown = playback.tick(nowS());
+      if (shown !== null) {
+        this.decodeMs = performance.now() - beganMs;
+        this.show(shown);
+      }
+      round.feed.advance(playback.nextFrame, this.rate);
+      if (shown !== null || !playing) this.reportPosition();
+      this.#prepareRound();
+      this.postState();
+      if (playback.hasEnded && playing) this.#end();
+      const restS = Math.min(waitS, this.playback.restS(nowS()) ?? 1);
+      clearTimeout(this.timer);
+      this.timer = setTimeout(() => this.step(), 1000 * restS);
+    } catch (error) {
+      this.close();
+      this.outlet.fail(error);
+    }
+  }
+
+  /** @param {import("./playback.js").Shown} shown */
+  show(shown) {
+    const { numGs, shDegree } = this.stream.manifest;
+    const message = { ...shown, numSlots: numGs, shDegree, seeks: this.seeks };
+    this.outlet.show(message, shown.updates.flatMap(buffersOf));
+  }
+
+  /** Sends all that shows to a renderer that has lost it. */
+  resend() {
+    if (this.playback.isJoined) this.show(this.playback.resend());
+  }
+
+  /** Reports the position to the source. */
+  reportPosition() {
+    const { playback, playing, round } = this;
+    const frame = playing ? playback.nextFrame : playback.frame;
+    round.source.reportPosition(frame, !playing, this.rate);
+  }
+
+  /** Posts the state to the page, ten times a second at most. */
+  postState() {
+    const { playback, round, stream } = this;
+    if (nowS() - this.postedS < STATE_PERIOD_S) return;
+    this.postedS = nowS();
+    this.outlet.post({
+      kind: "state",
+      frame: playback.frame,
+      endFrame: round.endFrame,
+      bufferedRanges: stream.cache.ranges(stream.numFrames),
+      playing: this.playing,
+      waiting: playback.waiting,
+      stalls: playback.stalls,
+      layers: playback.play.layers,
+      rateBps: round.source.rateBps,
+      receivedBytes: this.fetcher.receivedBytes,
+      decodeMs: this.decodeMs,
+    });
+  }
+
+  close() {
+    this.isClosed = true;
+    clearTimeout(this.timer);
+    this.#dropNextRound();
+    this.scrubber.end();
+    this.round.close();
+  }
+}

@@ -1,0 +1,46 @@
+import { SPLAT } from "./glsl.js";
+import { makeProgram } from "./program.js";
+import { makeTexture } from "./resident.js";
+
+/** A pixel that is less opaque than this has no depth. */
+const LEAST_ALPHA = 0.25;
+
+/** Draws the depths of Gaussians into one pixel, and reads it. */
+export class DepthQuery {
+  /**
+   * @param {WebGL2RenderingContext} gl which can draw into floats
+   * @param {Record<string, number>} defines of the program that draws the picture
+   */
+  constructor(gl, defines) {
+    this.gl = gl;
+    this.splats = makeProgram(gl, SPLAT, { ...defines, DEPTH: 1 });
+    this.texture = makeTexture(gl);
+    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA16F, 1, 1);
+    this.framebuffer = gl.createFramebuffer();
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.framebuffer);
+    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.texture, 0);
+  }
+
+  /** Binds what `draw` draws into: the pixel as a picture's first. */
+  begin() {
+    const { gl } = this;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.framebuffer);
+    gl.clearColor(0, 0, 0, 0);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+  }
+
+  /** The mean depth of what shows, weighed as colours are, metres; null: hardly anything shows. */
+  end() {
+    const { gl } = this;
+    const pixel = new Float32Array(4);
+    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.FLOAT, pixel);
+    const [sum, , , alpha] = pixel;
+    return alpha > LEAST_ALPHA ? sum / alpha : null;
+  }
+
+  close() {
+    this.gl.deleteTexture(this.texture);
+    this.gl.deleteFramebuffer(this.framebuffer);
+    this.gl.deleteProgram(this.splats.program);
+  }
+}

@@ -1,0 +1,107 @@
+import { RendererError } from "./program.js";
+
+/** A lost context that has not come back in this time, with the page in view, counts as gone. */
+const RESTORE_LIMIT_MS = 10_000;
+
+/** @type {SharedContext | null} */
+let shared = null;
+
+/**
+ * The one WebGL2 context of a page, on a canvas that is in no document. All players draw with it, and
+ * copy their pictures to canvases of their own: browsers keep about 16 contexts for a page, and a
+ * canvas with a copy still has its picture when the context is lost.
+ *
+ * Events: `lost`, `restored` (everything on the device must be made anew), `gone` (it did not come back).
+ */
+export class SharedContext extends EventTarget {
+  /** Counts the caller as a user. Throws a RendererError if the browser has no WebGL2. */
+  static acquire() {
+    shared ??= new SharedContext();
+    shared.#numUsers += 1;
+    return shared;
+  }
+
+  #numUsers = 0;
+  #restoreTimer = 0;
+  #listening = new AbortController();
+
+  constructor() {
+    super();
+    this.canvas = document.createElement("canvas");
+    const gl = this.canvas.getContext("webgl2", { antialias: false, alpha: false });
+    if (gl === null) {
+      throw new RendererError(
+        "This browser does not support WebGL2; use a current browser or another device",
+      );
+    }
+    this.gl = gl;
+    /** Whether it was lost for good: users acquire another one. */
+    this.isGone = false;
+    const { signal } = this.#listening;
+    this.canvas.addEventListener("webglcontextlost", (event) => this.#lose(event), { signal });
+    this.canvas.addEventListener("webglcontextrestored", () => this.#restore(), { signal });
+  }
+
+  get isLost() {
+    return this.gl.isContextLost();
+  }
+
+  /**
+   * Makes the canvas large enough for a picture. It shrinks only for a single user: pictures of many
+   * sizes would have it made anew for each of them.
+   * @param {number} widthPx
+   * @param {number} heightPx
+   */
+  fit(widthPx, heightPx) {
+    const { canvas } = this;
+    const isShared = this.#numUsers > 1;
+    const width = isShared ? Math.max(canvas.width, widthPx) : widthPx;
+    const height = isShared ? Math.max(canvas.height, heightPx) : heightPx;
+    if (canvas.width !== width) canvas.width = width;
+    if (canvas.height !== height) canvas.height = height;
+  }
+
+  /** One user less; the last one gives the context back to the browser. */
+  release() {
+    this.#numUsers -= 1;
+    if (this.#numUsers > 0) return;
+    this.#leave();
+    this.gl.getExtension("WEBGL_lose_context")?.loseContext();
+  }
+
+  /** @param {Event} event */
+  #lose(event) {
+    event.preventDefault(); // without it the context never comes back
+    if (!this.isLost) return;
+    this.dispatchEvent(new Event("lost"));
+    this.#limitWait();
+  }
+
+  #limitWait() {
+    clearTimeout(this.#restoreTimer);
+    this.#restoreTimer = setTimeout(() => {
+      if (!document.hidden) {
+        this.#leave();
+        this.dispatchEvent(new Event("gone"));
+        return;
+      }
+      // A page in the background may get no context until it shows.
+      const { signal } = this.#listening;
+      const again = () => this.isLost && this.#limitWait();
+      document.addEventListener("visibilitychange", again, { once: true, signal });
+    }, RESTORE_LIMIT_MS);
+  }
+
+  #restore() {
+    clearTimeout(this.#restoreTimer);
+    this.dispatchEvent(new Event("restored"));
+  }
+
+  /** No longer the page's context. */
+  #leave() {
+    clearTimeout(this.#restoreTimer);
+    this.#listening.abort();
+    this.isGone = true;
+    if (shared === this) shared = null;
+  }
+}

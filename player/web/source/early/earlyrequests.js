@@ -1,0 +1,62 @@
+/**
+ * Requests that a page sends while the player itself is still on its way. Runs in the page; the
+ * worker's part is in earlyresponses.js.
+ */
+
+/**
+ * A request whose response nobody has taken yet.
+ * @typedef {object} EarlyRequest
+ * @property {Promise<Response>} response
+ * @property {AbortController} abort
+ */
+
+/** @typedef {{ url: string, port: MessagePort }} EarlyOffer a response on its way to a worker */
+
+/** The page's own script and the player are bundled apart from each other. */
+const shared = /** @type {{ swingsEarly?: Map<string, EarlyRequest> }} */ (globalThis);
+const requests = (shared.swingsEarly ??= new Map());
+
+/** @param {string} url */
+export function requestEarly(url) {
+  const abort = new AbortController();
+  const response = fetch(url, { cache: "no-store", signal: abort.signal });
+  response.catch(() => {}); // the worker tries again, and reports it
+  requests.set(url, { response, abort });
+}
+
+/**
+ * Hands the early responses for `urls` over to a worker: each can be taken once.
+ * @param {string[]} urls
+ * @param {AbortSignal} signal ends them
+ * @returns {EarlyOffer[]} to be posted, with their ports transferred
+ */
+export function offerEarly(urls, signal) {
+  const offers = [];
+  for (const url of urls) {
+    const request = requests.get(url);
+    if (request === undefined) continue;
+    requests.delete(url);
+    const { port1, port2 } = new MessageChannel();
+    signal.addEventListener("abort", () => request.abort.abort());
+    port2.onmessage = () => request.abort.abort();
+    send(request, port2);
+    offers.push({ url, port: port1 });
+  }
+  return offers;
+}
+
+/**
+ * @param {EarlyRequest} request
+ * @param {MessagePort} port
+ */
+async function send({ response, abort }, port) {
+  try {
+    const { status, headers, body } = await response;
+    const head = { status, headers: [...headers] };
+    port.postMessage({ ...head, body }, body === null ? [] : [body]);
+  } catch {
+    // No network, or a browser that cannot transfer streams: the worker asks by itself.
+    abort.abort();
+    port.postMessage(null);
+  }
+}

@@ -1,0 +1,32 @@
+/**
+ * `fetch` for a worker whose page may have sent the request already; see earlyrequests.js.
+ */
+
+/** @typedef {import("./earlyrequests.js").EarlyOffer} EarlyOffer */
+
+/** @type {Map<string, MessagePort>} by URL */
+const ports = new Map();
+
+/** Takes in what the page offers. @param {EarlyOffer[]} offers */
+export function expectEarly(offers) {
+  for (const { url, port } of offers) ports.set(url, port);
+}
+
+/**
+ * The response to a GET: the page's own, if it has asked for this URL, else a new one.
+ * @param {string} url
+ * @param {RequestInit} [init]
+ * @returns {Promise<Response>} rejects as `fetch` does
+ */
+export async function fetchOnce(url, init = {}) {
+  const port = ports.get(url);
+  if (port === undefined) return fetch(url, init);
+  ports.delete(url);
+  const { signal } = init;
+  signal?.addEventListener("abort", () => port.postMessage("abort"));
+  const early = await new Promise((resolve) => (port.onmessage = ({ data }) => resolve(data)));
+  signal?.throwIfAborted();
+  if (early === null) return fetch(url, init);
+  const { status, headers, body } = early;
+  return new Response(body, { status, headers });
+}

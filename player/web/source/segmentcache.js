@@ -1,0 +1,302 @@
+/** Held unless a page asks for another limit. */
+export const DEFAULT_BUFFER_BYTES = 64e6;
+
+/** What a packet takes in memory besides its own bytes. */
+const PACKET_OVERHEAD_BYTES = 128;
+
+/** Segments that begin to show within so many seconds are not evicted. */
+export const AHEAD_S = 20;
+
+const EMPTY = new Uint8Array(0);
+
+/**
+ * The packets of one segment that are here. An array of packets goes by frame, counted from the
+ * segment's first one.
+ * @typedef {object} HeldSegment
+ * @property {number} numBytes
+ * @property {(Uint8Array | null)[]} masks
+ * @property {(Uint8Array | null)[][]} changes by layer
+ * @property {(Uint8Array | null)[]} snapshots by layer
+ */
+
+/**
+ * Called for each packet that is new in a cache: `part` is `masks`, a layer or `snapshot-` and a layer.
+ * @typedef {(birth: number, part: string, packet: Uint8Array) => void} PacketListener
+ */
+
+/**
+ * The packets of a stream that have been received, as they were received: coded. Holds at most
+ * `limitBytes`, or else what plays next, for which sources ask only while `hasRoomFor` allows it. Loops, seeks and steps read from it.
+ *
+ * A packet of no bytes means that nothing changes; one that is missing is null.
+ */
+export class SegmentCache {
+  /**
+   * @param {import("../format/manifest.js").Manifest} manifest
+   * @param {number} limitBytes
+   */
+  constructor({ segmentFrames, numLayers, fps }, limitBytes = DEFAULT_BUFFER_BYTES) {
+    this.segmentFrames = segmentFrames;
+    this.numLayers = numLayers;
+    this.limitBytes = limitBytes;
+    this.numBytes = 0;
+    /** @type {Map<number, HeldSegment>} the least recently used first */
+    this.segments = new Map();
+    /** @type {Set<PacketListener>} */
+    this.listeners = new Set();
+    this.aheadSegments = Math.ceil((AHEAD_S * fps) / segmentFrames);
+    this.playhead = 0;
+    /** @type {number | null} segments of the stream, if segment 0 plays after the last one */
+    this.loopSegments = null;
+  }
+
+  /**
+   * Sets which segments play next.
+   * @param {number} frame that shows next
+   * @param {number | null} loopFrames length of the stream if it plays in a loop
+   */
+  setPlayhead(frame, loopFrames) {
+    this.playhead = this.segmentOf(Math.max(0, frame));
+    this.loopSegments = loopFrames === null ? null : Math.ceil(loopFrames / this.segmentFrames);
+    const shown = this.segments.get(this.playhead);
+    if (shown === undefined) return;
+    this.segments.delete(this.playhead);
+    this.segments.set(this.playhead, shown);
+  }
+
+  /** @param {number} frame */
+  segmentOf(frame) {
+    return Math.floor(frame / this.segmentFrames);
+  }
+
+  /** @param {number} birth @param {Uint8Array} packet */
+  addMask(birth, packet) {
+    this.#put(birth, "masks", this.#hold(birth).masks, birth % this.segmentFrames, packet);
+  }
+
+  /** @param {number} birth @param {number} layer @param {Uint8Array} packet */
+  addChange(birth, layer, packet) {
+    const row = this.#hold(birth).changes[layer];
+    this.#put(birth, `${layer}`, row, birth % this.segmentFrames, packet);
+  }
+
+  /** @param {number} frame @param {number} layer @param {Uint8Array} packet */
+  addSnapshot(frame, layer, packet) {
+    this.#put(frame, `snapshot-${layer}`, this.#hold(frame).snapshots, layer, packet);
+  }
+
+  /**
+   * Adds the packets of an object; a frame without one changes nothing.
+   * @param {import("../format/streamindex.js").SegmentRecord} record
+   * @param {string} part
+   * @param {Map<number, Uint8Array>} packets by birth
+   */
+  addObject({ firstFrame, numFrames }, part, packets) {
+    const layer = Number(part.replace("snapshot-", ""));
+    if (part.startsWith("snapshot-")) {
+      const packet = packets.get(firstFrame);
+      if (packet !== undefined) this.addSnapshot(firstFrame, layer, packet);
+      return;
+    }
+    for (let birth = firstFrame; birth < firstFrame + numFrames; birth++) {
+      const packet = packets.get(birth) ?? EMPTY;
+      if (part === "masks") this.addMask(birth, packet);
+      else this.addChange(birth, layer, packet);
+    }
+  }
+
+  /** @param {number} birth */
+  mask(birth) {
+    return this.#held(birth)?.masks[birth % this.segmentFrames] ?? null;
+  }
+
+  /** @param {number} birth @param {number} layer */
+  change(birth, layer) {
+    return this.#held(birth)?.changes[layer][birth % this.segmentFrames] ?? null;
+  }
+
+  /** @param {number} segment @param {number} layer */
+  snapshot(segment, layer) {
+    return this.segments.get(segment)?.snapshots[layer] ?? null;
+  }
+
+  /** Whether the mask and layer 0 of a slice are here. @param {number} birth */
+  hasSlice(birth) {
+    return this.mask(birth) !== null && this.change(birth, 0) !== null;
+  }
+
+  /** Whether layer 0 of a frame is here, for one that follows the frame before. @param {number} frame */
+  hasFrame(frame) {
+    const isFirst = frame % this.segmentFrames === 0;
+    return this.hasSlice(frame) || (isFirst && this.snapshot(this.segmentOf(frame), 0) !== null);
+  }
+
+  /**
+   * Whether all packets of an object are here.
+   * @param {number} segment
+   * @param {string} part
+   * @param {number} numFrames of the segment
+   */
+  hasObject(segment, part, numFrames) {
+    const held = this.segments.get(segment);
+    if (held === undefined) return false;
+    if (part.startsWith("snapshot-")) return held.snapshots[Number(part.slice(9))] !== null;
+    const row = part === "masks" ? held.masks : held.changes[Number(part)];
+    return isWhole(row, 0, numFrames);
+  }
+
+  /**
+   * Whether a segment shows with all of these layers after the segment before: its first frame by
+   * changes, or by snapshots.
+   * @param {number} segment
+   * @param {number} numFrames of the segment
+   * @param {number} numLayers
+   */
+  isComplete(segment, numFrames, numLayers) {
+    const held = this.segments.get(segment);
+    if (held === undefined || !this.hasAllChanges(segment, numFrames, numLayers)) return false;
+    return held.snapshots
+      .slice(0, numLayers)
+      .every(
+        (snapshot, layer) =>
+          snapshot !== null || (held.masks[0] !== null && held.changes[layer][0] !== null),
+      );
+  }
+
+  /**
+   * Whether all slices behind the first one of a segment are here.
+   * @param {number} segment
+   * @param {number} numFrames of the segment
+   * @param {number} numLayers
+   */
+  hasAllChanges(segment, numFrames, numLayers) {
+    const held = this.segments.get(segment);
+    if (held === undefined || !isWhole(held.masks, 1, numFrames)) return false;
+    return held.changes.slice(0, numLayers).every((row) => isWhole(row, 1, numFrames));
+  }
+
+  /**
+   * The layers whose snapshot is not here.
+   * @param {number} segment
+   * @param {number} numLayers
+   */
+  missingSnapshots(segment, numLayers) {
+    const layers = Array.from({ length: numLayers }, (_, layer) => layer);
+    return layers.filter((layer) => this.snapshot(segment, layer) === null);
+  }
+
+  /** The first frame from `frame` on that is not here. @param {number} frame @param {number} numFrames */
+  endOf(frame, numFrames) {
+    let end = frame;
+    while (end < numFrames && this.hasFrame(end)) end += 1;
+    return end;
+  }
+
+  /**
+   * The frames that are here, as [first, end) pairs in order.
+   * @param {number} numFrames
+   * @returns {[number, number][]}
+   */
+  ranges(numFrames) {
+    /** @type {[number, number][]} */
+    const found = [];
+    for (const segment of [...this.segments.keys()].sort((a, b) => a - b)) {
+      const endFrame = Math.min(numFrames, (segment + 1) * this.segmentFrames);
+      for (let frame = segment * this.segmentFrames; frame < endFrame; frame++) {
+        if (!this.hasFrame(frame)) continue;
+        const last = found.at(-1);
+        if (last !== undefined && last[1] === frame) last[1] = frame + 1;
+        else found.push([frame, frame + 1]);
+      }
+    }
+    return found;
+  }
+
+  /**
+   * Whether a segment should be asked for: what plays before it leaves room.
+   * @param {number} segment
+   */
+  hasRoomFor(segment) {
+    const distance = this.#distance(segment);
+    if (distance <= 1) return true;
+    let keptBytes = 0;
+    for (const [known, { numBytes }] of this.segments)
+      if (this.#distance(known) < distance) keptBytes += numBytes;
+    return keptBytes < this.limitBytes;
+  }
+
+  /** @param {number} birth */
+  #held(birth) {
+    return birth < 0 ? undefined : this.segments.get(this.segmentOf(birth));
+  }
+
+  /** @param {number} birth */
+  #hold(birth) {
+    const segment = this.segmentOf(birth);
+    let held = this.segments.get(segment);
+    if (held === undefined) {
+      const row = () => new Array(this.segmentFrames).fill(null);
+      const layers = Array.from({ length: this.numLayers }, (_, layer) => layer);
+      const snapshots = new Array(this.numLayers).fill(null);
+      held = { numBytes: 0, masks: row(), changes: layers.map(row), snapshots };
+      this.segments.set(segment, held);
+    }
+    return held;
+  }
+
+  /**
+   * @param {number} birth
+   * @param {string} part
+   * @param {(Uint8Array | null)[]} row
+   * @param {number} at in the row
+   * @param {Uint8Array} packet
+   */
+  #put(birth, part, row, at, packet) {
+    if (row[at] !== null) return;
+    row[at] = packet;
+    const numBytes = PACKET_OVERHEAD_BYTES + packet.length;
+    this.#hold(birth).numBytes += numBytes;
+    this.numBytes += numBytes;
+    for (const listener of this.listeners) listener(birth, part, packet);
+    while (this.numBytes > this.limitBytes && this.#evictOne(this.segmentOf(birth)));
+  }
+
+  /**
+   * Evicts the segment that is needed last; gives whether there was one.
+   * @param {number} newest the segment that was added to: it was just asked for
+   */
+  #evictOne(newest) {
+    let victim = null;
+    let farthest = -1;
+    const isLoop = this.loopSegments !== null;
+    for (const segment of this.segments.keys()) {
+      const distance = this.#distance(segment);
+      if (segment === newest || distance <= (isLoop ? 1 : this.aheadSegments)) continue;
+      // Without a loop nobody knows what plays again: the least recently used one, the first, goes.
+      const rank = isLoop ? distance : 0;
+      if (rank <= farthest) continue;
+      farthest = rank;
+      victim = segment;
+    }
+    if (victim === null) return false;
+    this.numBytes -= this.segments.get(victim)?.numBytes ?? 0;
+    this.segments.delete(victim);
+    return true;
+  }
+
+  /** Segments until this one plays; Infinity if it does not without a seek. @param {number} segment */
+  #distance(segment) {
+    if (segment >= this.playhead) return segment - this.playhead;
+    return this.loopSegments === null ? Infinity : segment + this.loopSegments - this.playhead;
+  }
+}
+
+/**
+ * @param {(Uint8Array | null)[]} row
+ * @param {number} first
+ * @param {number} end
+ */
+function isWhole(row, first, end) {
+  for (let at = first; at < end; at++) if (row[at] === null) return false;
+  return true;
+}

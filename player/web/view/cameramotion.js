@@ -1,0 +1,400 @@
+import { boundsOf, excessOf } from "./bounds.js";
+import { between, eased, FLIGHT_S } from "./flight.js";
+import { Flick } from "./flick.js";
+import { Orbit, TURN_RAD_PER_PX } from "./orbit.js";
+import { poseOf } from "./pose.js";
+import { add, cross, dot, length, subtract, times, unit } from "./vectors.js";
+
+/** @typedef {import("./vectors.js").Vector} Vector */
+/** @typedef {import("./pose.js").Pose} Pose */
+/** @typedef {"turn" | "pan"} Drag */
+/** @typedef {keyof typeof DIRECTIONS} Direction */
+
+/** A camera that was let go keeps 1/e of its speed after this time. */
+const DRIFT_S = 0.25;
+/** The same beyond the bounds. */
+const STOP_S = 0.04;
+/** What is beyond the bounds falls to 1/e in this time. */
+const SPRING_S = 0.12;
+/** A flying camera takes this long to follow a key. */
+const FOLLOW_S = 0.1;
+/** Speed of a flying camera, as a share each second of the rig's typical distance to the centre. */
+const FLY_SHARE = 0.5;
+/** A drag beyond the bounds by this much moves the camera a quarter as far: radians, factors' logs, shares. */
+const SOFT = 0.2;
+/** Beyond this, in the same units, a camera is brought back; within, it is put onto the bounds. */
+const LEAST_EXCESS = 1e-4;
+/** Slower than this, in the same units each second, a camera rests. */
+const LEAST_SPEED = 2e-3;
+/** A picture that took longer moves the camera by no more than this. */
+const LONGEST_STEP_S = 0.25;
+/** Before the first picture of a motion there may have been none for long. */
+const FIRST_STEP_S = 1 / 60;
+/** What was tapped comes nearer by this factor. */
+const FOCUS_SHARE = 0.7;
+/** To the right, down and forward. */
+const DIRECTIONS = {
+  right: [1, 0, 0],
+  left: [-1, 0, 0],
+  forward: [0, 0, 1],
+  back: [0, 0, -1],
+};
+
+/**
+ * How the camera moves: gestures and a time in, a pose out. It knows no clock and no page.
+ *
+ * A drag that was let go runs out; what lies beyond the bounds of the scene springs back; flights lead
+ * to other places, and any other motion ends them.
+ */
+export class CameraMotion {
+  /** @type {{ from: import("./flight.js").Place, to: import("./flight.js").Place, elapsedS: number, base: Pose } | null} */
+  #flight = null;
+  /** @type {{ what: Drag, speed: number[] } | null} turn: radians; pan: shares of the distance; a second */
+  #drift = null;
+  #flick = new Flick();
+  #isHeld = false;
+  #lastMs = -Infinity;
+  #wasMoving = false;
+  /** @type {Set<Direction>} where keys that are held down push the camera */
+  #pushes = new Set();
+  /** Metres a second, in the world. */
+  #velocity = [0, 0, 0];
+  #isFlying = false;
+  /** Which camera of the rig the last flight has led to. */
+  cameraIndex;
+
+  /**
+   * @param {import("./orbit.js").OrbitScene} scene
+   * @param {() => boolean} isReduced whether the person asked for less motion: then all goes at once
+   */
+  constructor(scene, isReduced = () => false) {
+    this.orbit = new Orbit(scene);
+    this.bounds = boundsOf(scene);
+    this.isReduced = isReduced;
+    this.cameras = scene.cameras;
+    this.homeIndex = scene.cameras.findIndex(({ name }) => name === scene.defaultCamera.name);
+    this.cameraIndex = this.homeIndex;
+  }
+
+  /** Whether drags turn the camera on the spot, and keys move it. */
+  get isFlying() {
+    return this.#isFlying;
+  }
+
+  /** Whether the camera is on its way to another place. */
+  get isInFlight() {
+    return this.#flight !== null;
+  }
+
+  /** Whether the next step may move the camera. */
+  get isMoving() {
+    const { excess } = this;
+    return (
+      this.#flight !== null ||
+      this.#drift !== null ||
+      this.#pushes.size > 0 ||
+      length(this.#velocity) > 0 ||
+      (!this.#isHeld && !this.#isWithin(excess))
+    );
+  }
+
+  /** By how much the camera is out of the scene's bounds. */
+  get excess() {
+    const { orbit, bounds } = this;
+    return excessOf(bounds, orbit.pose, this.#isFlying ? null : orbit.distanceM);
+  }
+
+  /** A pointer takes hold of the camera, which stops. */
+  grab() {
+    this.#isHeld = true;
+    this.#stop();
+    this.#flick = new Flick();
+  }
+
+  /** The pointers have let go of it. @param {Drag} what they did last @param {number} atMs */
+  release(what, atMs) {
+    if (!this.#isHeld) return;
+    this.#isHeld = false;
+    const speed = this.#flick.speed(atMs);
+    if (this.isReduced() || !speed.some((x) => Math.abs(x) > LEAST_SPEED)) return;
+    this.#drift = { what, speed };
+  }
+
+  /**
+   * @param {number} rightPx
+   * @param {number} downPx
+   * @param {number} atMs
+   */
+  dragTurn(rightPx, downPx, atMs) {
+    // What is near follows the pointer: the scene as it turns, or the surroundings in flight.
+    const radPerPx = this.#isFlying ? TURN_RAD_PER_PX / 2 : -TURN_RAD_PER_PX;
+    const by = [rightPx * radPerPx, downPx * radPerPx];
+    this.#flick.add(atMs, by);
+    this.turn(by[0], by[1]);
+  }
+
+  /**
+   * @param {number} rightPx
+   * @param {number} downPx
+   * @param {number} focalPx
+   * @param {number} atMs
+   */
+  dragPan(rightPx, downPx, focalPx, atMs) {
+    const by = [rightPx / focalPx, downPx / focalPx];
+    this.#flick.add(atMs, by);
+    this.#pan(by[0], by[1]);
+  }
+
+  /** Turns around the centre, in flight on the spot. @param {number} leftRad @param {number} upRad */
+  turn(leftRad, upRad) {
+    this.#flight = null;
+    const { orbit, excess } = this;
+    if (this.#isFlying) orbit.rebase(orbit.pose, orbit.pose.position);
+    const left = resisted(leftRad, excess.headingRad);
+    orbit.turn(left, resisted(upRad, -excess.pitchRad));
+  }
+
+  /** @param {number} right @param {number} down in distances to the centre */
+  #pan(right, down) {
+    this.#flight = null;
+    const { orbit, excess } = this;
+    const distanceM = this.#isFlying ? this.bounds.scaleM : orbit.distanceM;
+    if (distanceM <= 0) return;
+    const { right: rightAxis, down: downAxis } = orbit.pose;
+    const by = times(add(times(rightAxis, -right), times(downAxis, -down)), distanceM);
+    const outM = dot(by, excess.offM) > 0 ? length(excess.offM) : 0;
+    const share = resisted(1, outM / distanceM);
+    if (this.#isFlying) orbit.shift(times(by, share));
+    else orbit.dragPan(right * share, down * share, 1);
+  }
+
+  /** Makes the distance to the centre `factor` times what it was. @param {number} factor */
+  scale(factor) {
+    if (!(factor > 0)) return;
+    this.#flight = null;
+    const { orbit, excess } = this;
+    if (this.#isFlying) {
+      orbit.shift(times(orbit.pose.forward, -Math.log(factor) * this.bounds.scaleM));
+    } else orbit.scale(Math.exp(resisted(Math.log(factor), excess.logDistance)));
+  }
+
+  /** Nearer by so many steps of a wheel. @param {number} steps */
+  approach(steps) {
+    this.scale(0.9 ** steps);
+  }
+
+  /** Flies back to the first view. */
+  reset() {
+    this.fly(false);
+    this.cameraIndex = this.homeIndex;
+    this.flyTo(this.orbit.home);
+  }
+
+  /** Flies to a camera of the rig; counted around its ends. @param {number} index */
+  flyToCamera(index) {
+    const count = this.cameras.length;
+    this.cameraIndex = ((index % count) + count) % count;
+    this.fly(false);
+    if (this.cameraIndex === this.homeIndex) this.flyTo(this.orbit.home);
+    else
+      this.flyTo({ pose: poseOf(this.cameras[this.cameraIndex]), centre: this.orbit.home.centre });
+  }
+
+  /**
+   * Flies until a point is in the middle, and the camera turns around it.
+   * @param {Vector} point of the world, metres
+   */
+  focusOn(point) {
+    this.fly(false);
+    const { pose } = this.orbit;
+    const towards = subtract(point, pose.position);
+    const forward = unit(towards);
+    const aside = cross(forward, this.bounds.up);
+    if (!(length(towards) > 0) || length(aside) < 1e-3) return;
+    const right = unit(aside);
+    const centre = this.#nearCentre(pose.position, point);
+    const awayM = length(subtract(centre, pose.position));
+    const leastM = Math.min(awayM, this.bounds.distanceM[0]);
+    const position = subtract(centre, times(forward, Math.max(FOCUS_SHARE * awayM, leastM)));
+    this.flyTo({ pose: { position, right, down: cross(forward, right), forward }, centre });
+  }
+
+  /**
+   * The last point on the way from a camera to what it looks at that is still worth turning around.
+   * @param {Vector} from
+   * @param {Vector} to
+   */
+  #nearCentre(from, to) {
+    const { centre, focusM } = this.bounds;
+    const way = subtract(to, from);
+    const start = subtract(from, centre);
+    const [a, b] = [dot(way, way), dot(start, way)];
+    const root = b * b - a * (dot(start, start) - focusM * focusM);
+    const share = root > 0 ? (Math.sqrt(root) - b) / a : -b / a;
+    return add(from, times(way, share > 0 ? Math.min(1, share) : 1));
+  }
+
+  /** @param {import("./flight.js").Place} to */
+  flyTo(to) {
+    this.#stop();
+    const { orbit } = this;
+    if (this.isReduced()) {
+      orbit.rebase(to.pose, to.centre);
+      return;
+    }
+    const from = { pose: orbit.pose, centre: orbit.centre };
+    orbit.rebase(from.pose, from.centre);
+    this.#flight = { from, to, elapsedS: 0, base: orbit.base };
+  }
+
+  /** Begins or ends fly mode. @param {boolean} isFlying */
+  fly(isFlying) {
+    if (isFlying === this.#isFlying) return;
+    this.#stop();
+    this.letGo();
+    const { orbit, bounds } = this;
+    const { pose } = orbit;
+    if (isFlying) orbit.rebase(pose, pose.position);
+    else {
+      const aheadM = dot(subtract(bounds.centre, pose.position), pose.forward);
+      const distanceM = Math.min(Math.max(aheadM, bounds.scaleM / 4), bounds.distanceM[1]);
+      const ahead = add(pose.position, times(pose.forward, distanceM));
+      orbit.rebase(pose, this.#nearCentre(pose.position, ahead));
+    }
+    this.#isFlying = isFlying;
+  }
+
+  /** Pushes the camera in a direction until it is let go. @param {Direction} direction */
+  push(direction) {
+    this.#flight = null;
+    this.#drift = null;
+    this.#pushes.add(direction);
+  }
+
+  /** Ends a push, or all of them. @param {Direction | null} direction */
+  letGo(direction = null) {
+    if (direction === null) this.#pushes.clear();
+    else this.#pushes.delete(direction);
+  }
+
+  /**
+   * Moves the camera on to a time.
+   * @param {number} nowMs
+   * @returns {boolean} whether it has moved, and may go on
+   */
+  step(nowMs) {
+    const sinceS = (nowMs - this.#lastMs) / 1000;
+    this.#lastMs = nowMs;
+    const stepS = Math.min(this.#wasMoving ? Math.max(sinceS, 0) : FIRST_STEP_S, LONGEST_STEP_S);
+    const flew = this.#stepFlight(stepS);
+    const drifted = this.#stepDrift(stepS);
+    const pushed = this.#stepPush(stepS);
+    const settled = !this.#isHeld && this.#flight === null && this.#settle(stepS);
+    this.#wasMoving = flew || drifted || pushed || settled;
+    return this.#wasMoving;
+  }
+
+  /** @param {number} stepS */
+  #stepFlight(stepS) {
+    const flight = this.#flight;
+    if (flight === null) return false;
+    const { orbit } = this;
+    if (orbit.base !== flight.base || !orbit.isAtBase) {
+      this.#flight = null; // something else has moved the camera
+      return false;
+    }
+    flight.elapsedS += stepS;
+    const share = Math.min(1, flight.elapsedS / FLIGHT_S);
+    const { pose, centre } = between(flight.from, flight.to, eased(share));
+    orbit.rebase(pose, centre);
+    flight.base = pose;
+    if (share === 1) this.#flight = null;
+    return true;
+  }
+
+  /** @param {number} stepS */
+  #stepDrift(stepS) {
+    const drift = this.#drift;
+    if (drift === null) return false;
+    const outside = this.#isWithin(this.excess) ? DRIFT_S : STOP_S;
+    // The whole way of a speed that falls evenly: it does not depend on how long the steps are.
+    const wayS = DRIFT_S * (1 - Math.exp(-stepS / DRIFT_S));
+    const [x, y] = drift.speed.map((speed) => speed * wayS);
+    if (drift.what === "turn") this.turn(x, y);
+    else this.#pan(x, y);
+    drift.speed = drift.speed.map((speed) => speed * Math.exp(-stepS / outside));
+    if (drift.speed.every((speed) => Math.abs(speed) < LEAST_SPEED)) this.#drift = null;
+    return true;
+  }
+
+  /** @param {number} stepS */
+  #stepPush(stepS) {
+    if (this.#pushes.size === 0 && length(this.#velocity) === 0) return false;
+    const { orbit, bounds } = this;
+    const { right, down, forward } = orbit.pose;
+    const [x, y, z] = [...this.#pushes].map((name) => DIRECTIONS[name]).reduce(add, [0, 0, 0]);
+    const direction = add(add(times(right, x), times(down, y)), times(forward, z));
+    const wanted = times(direction, FLY_SHARE * bounds.scaleM);
+    const stay = this.isReduced() ? 0 : Math.exp(-stepS / FOLLOW_S);
+    const last = this.#velocity;
+    this.#velocity = add(times(last, stay), times(wanted, 1 - stay));
+    const isSlow = length(this.#velocity) < LEAST_SPEED * bounds.scaleM;
+    if (isSlow && this.#pushes.size === 0) this.#velocity = [0, 0, 0];
+    orbit.shift(times(add(last, this.#velocity), stepS / 2));
+    return true;
+  }
+
+  /** Brings the camera nearer to the bounds. @param {number} stepS */
+  #settle(stepS) {
+    const { orbit, bounds, excess } = this;
+    if (this.#isWithin(excess)) return false;
+    const before = orbit.pose;
+    const isLast = this.isReduced() || this.#isWithin(excess, 2);
+    const share = isLast ? 1 : 1 - Math.exp(-stepS / SPRING_S);
+    orbit.turn(-share * excess.headingRad, share * excess.pitchRad);
+    if (excess.logDistance !== 0) {
+      const { zoom } = orbit;
+      orbit.scale(Math.exp(-share * excess.logDistance));
+      // A link may have put the base so far away that the zoom ends.
+      if (orbit.zoom === zoom) orbit.rebase(orbit.pose, orbit.centre);
+    }
+    this.#bringBack(times(excess.offM, -share));
+    const after = orbit.pose;
+    const movedM = length(subtract(after.position, before.position));
+    // Where no move brings the camera nearer, it stays.
+    return movedM > 1e-6 * bounds.scaleM || length(subtract(after.forward, before.forward)) > 1e-6;
+  }
+
+  /** @param {Vector} byM */
+  #bringBack(byM) {
+    const { orbit } = this;
+    const { distanceM, pose } = orbit;
+    if (this.#isFlying || orbit.centre !== orbit.home.centre || distanceM <= 0) {
+      if (length(byM) > 0) orbit.shift(byM);
+      return;
+    }
+    // As a pan, so that it goes on turning around the scene's centre.
+    orbit.dragPan(-dot(byM, pose.right), -dot(byM, pose.down), distanceM);
+  }
+
+  /** @param {import("./bounds.js").Excess} excess @param {number} factor */
+  #isWithin({ logDistance, pitchRad, headingRad, offM }, factor = 1) {
+    const shares = [logDistance, pitchRad, headingRad, length(offM) / this.bounds.scaleM];
+    return shares.every((share) => Math.abs(share) <= factor * LEAST_EXCESS);
+  }
+
+  #stop() {
+    this.#flight = null;
+    this.#drift = null;
+    this.#velocity = [0, 0, 0];
+  }
+}
+
+/**
+ * A motion, less of it the farther it leads beyond the bounds.
+ * @param {number} by
+ * @param {number} excess in the direction of `by`
+ */
+function resisted(by, excess) {
+  return by * excess <= 0 ? by : by / (1 + Math.abs(excess) / SOFT) ** 2;
+}

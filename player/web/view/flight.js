@@ -1,0 +1,55 @@
+import { add, length, subtract, times } from "./vectors.js";
+import { axesOf, quaternionOf, slerp } from "./turn.js";
+
+/** @typedef {import("./vectors.js").Vector} Vector */
+/** @typedef {import("./pose.js").Pose} Pose */
+
+/**
+ * A camera, and what it turns around.
+ * @typedef {object} Place
+ * @property {Pose} pose
+ * @property {Vector} centre metres
+ */
+
+export const FLIGHT_S = 0.8;
+
+/** The share of the way at a share of the time: starts and ends at rest. @param {number} share 0 to 1 */
+export function eased(share) {
+  return share * share * share * (share * (6 * share - 15) + 10);
+}
+
+/**
+ * The place at a share of the way from one to another. The camera turns evenly around a centre that
+ * moves in a straight line, and the distance to it grows or shrinks evenly, as factors go.
+ * @param {Place} from
+ * @param {Place} to
+ * @param {number} share 0 to 1
+ * @returns {Place}
+ */
+export function between(from, to, share) {
+  if (share <= 0) return from;
+  if (share >= 1) return to;
+  const axes = axesOf(slerp(quaternionOf(from.pose), quaternionOf(to.pose), share));
+  const centre = mixed(from.centre, to.centre, share);
+  const [start, end] = [from, to].map(seenOf);
+  let seen = mixed(start, end, share);
+  const [startM, endM, mixedM] = [start, end, seen].map(length);
+  if (startM > 0 && endM > 0 && mixedM > 0.1 * Math.min(startM, endM)) {
+    seen = times(seen, (startM * (endM / startM) ** share) / mixedM);
+  }
+  const away = [axes.right, axes.down, axes.forward].map((axis, i) => times(axis, seen[i]));
+  return { pose: { position: subtract(centre, away.reduce(add)), ...axes }, centre };
+}
+
+/** The centre as the camera sees it: to the right, down and forward. @param {Place} place */
+function seenOf({ pose, centre }) {
+  const towards = subtract(centre, pose.position);
+  return [pose.right, pose.down, pose.forward].map((axis) =>
+    axis.reduce((sum, x, i) => sum + x * towards[i], 0),
+  );
+}
+
+/** @param {Vector} a @param {Vector} b @param {number} share */
+function mixed(a, b, share) {
+  return add(times(a, 1 - share), times(b, share));
+}

@@ -1,0 +1,52 @@
+/**
+ * Bundles a source of player/web: `node webbundle.mjs ESBUILD SOURCE FORMAT` writes the script to stdout.
+ * CSS and GLSL in templates lose their comments and spaces, as the code around them does.
+ */
+import { readFile } from "node:fs/promises";
+
+const [esbuild, source, format] = process.argv.slice(2);
+const { build } = await import(esbuild);
+
+/** @param {string} text */
+const css = (text) =>
+  text
+    .replace(/\/\*.*?\*\//gs, "")
+    .replace(/\s+/g, " ")
+    .replace(/ ?([{};,]) ?/g, "$1");
+
+/** A line of the preprocessor stays one, and `a - -b` keeps its spaces. @param {string} text */
+const glsl = (text) =>
+  text
+    .split("\n")
+    .map((line) => line.replace(/\/\/.*/, "").trim())
+    .filter((line) => line !== "")
+    .map((line) => (line.startsWith("#") ? line : line.replace(/ ?([*/=<>(){};,?:&|]) ?/g, "$1")))
+    .join("\n");
+
+const compact = {
+  name: "compact-templates",
+  setup(/** @type {any} */ { onLoad }) {
+    onLoad({ filter: /\.js$/ }, async ({ path }) => {
+      const code = await readFile(path, "utf8");
+      const contents = code
+        .replace(/(\/\* css \*\/ `)([^`]*)`/g, (_, begin, text) => `${begin}${css(text)}\``)
+        .replace(/(\/\* glsl \*\/ `)([^`]*)`/g, (_, begin, text) => `${begin}${glsl(text)}\``);
+      return { contents, loader: "js" };
+    });
+  },
+};
+
+const { outputFiles } = await build({
+  entryPoints: [source],
+  bundle: true,
+  minify: true,
+  write: false,
+  format,
+  target: "es2022",
+  charset: "utf8",
+  legalComments: "none",
+  logLevel: "warning",
+  define: { SWINGS_BUNDLE: "true" },
+  plugins: [compact],
+});
+process.stdout.write(outputFiles[0].text);

@@ -1,0 +1,71 @@
+"""The bundle of player/web: a page and three scripts instead of a hundred modules.
+
+Run by scripts/webbundle. The bundle is committed, so that whoever installs swings needs no Node.js;
+a test compares it with the sources.
+"""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+WEB = ROOT / "player" / "web"
+ESBUILD = ROOT / "tests" / "player" / "web" / "node_modules" / "esbuild" / "lib" / "main.js"
+
+MODULES = {
+    "player.js": "element/swingsplayer.js",
+    "playworker.js": "playback/playworker.js",
+    "sortworker.js": "playback/sortworker.js",
+}
+"""Each module of the bundle and the source that it begins with."""
+
+PAGE_SCRIPT, PAGE_SOURCE = "page.js", "watch.js"
+"""The script that pages have inline, so that the first requests leave with the page itself."""
+
+PAGE = "watch.html"
+
+_SCRIPTS = """\
+    <script type="module" src="./watch.js"></script>
+    <script type="module" src="./element/swingsplayer.js"></script>
+"""
+_HEAD_END = "  </head>\n"
+
+
+def bundle() -> dict[str, str]:
+    """The files of player/web/bundle by name. Raises CalledProcessError if a source is wrong."""
+    files = {name: _bundled(source, "esm") for name, source in MODULES.items()}
+    files[PAGE_SCRIPT] = _bundled(PAGE_SOURCE, "iife")
+    files[PAGE] = _page((WEB / PAGE).read_text(encoding="utf-8"), files[PAGE_SCRIPT])
+    return files
+
+
+def _bundled(source: str, form: str) -> str:
+    script = Path(__file__).with_suffix(".mjs")
+    command = ["node", str(script), str(ESBUILD), str(WEB / source), form]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    return done.stdout
+
+
+def _page(source: str, script: str) -> str:
+    """The page of the bundle: its own script inline, and all others asked for at once."""
+    assert source.count(_SCRIPTS) == source.count(_HEAD_END) == 1
+    loads = "".join(f'    <link rel="modulepreload" href="./{name}" />\n' for name in MODULES)
+    scripts = f'    <script>{script.strip()}</script>\n    <script type="module" src="./player.js"'
+    page = source.replace(_SCRIPTS, f"{scripts}></script>\n")
+    return page.replace(_HEAD_END, loads + _HEAD_END)
+
+
+def main() -> None:
+    folder = WEB / "bundle"
+    folder.mkdir(exist_ok=True)
+    files = bundle()
+    for path in folder.iterdir():
+        if path.name not in files:
+            path.unlink()
+    for name, text in files.items():
+        (folder / name).write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

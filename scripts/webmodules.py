@@ -1,0 +1,150 @@
+"""The modules of player/web that repeat what Python and GLSL sources say; a test compares them.
+
+Run by scripts/webmodules.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import struct
+import tomllib
+from enum import Enum, EnumType
+from importlib.resources import files
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from codec import camera, slice, splats
+from codec.coders import coder, gzip
+from codec.lattice import lattice, quantise
+from codec.slots import (
+    mask,
+    rangecoder,
+    residual,
+    slotchange,
+    slotchunk,
+    slotdecoder,
+    slotlayout,
+    slotstate,
+    update,
+)
+from codec.stream import index, integrity, manifest, object, playrecord, reader, storyboard
+from player.render import recipe
+
+ROOT = Path(__file__).parents[1]
+WEB = ROOT / "player" / "web"
+
+CONSTANTS: dict[ModuleType, str] = {
+    recipe: "LOW_PASS_PX2 JACOBIAN_CLAMP ALPHA_MAX ALPHA_MIN MAX_EXTENT_SIGMA SH_C1 "
+    "MAX_DRAWN_SH_DEGREE=MAX_SH_DEGREE",
+    splats: "SH_C0 MAX_SH_DEGREE",
+    slice: "MAX_SWIN_SIZE HIDDEN",
+    camera: "MAX_IMAGE_PX",
+    manifest: "VERSION MAX_MANIFEST_BYTES MAX_CAMERAS MIN_FPS MAX_FPS MAX_POSTER_BYTES",
+    reader: "DEFAULT_MAX_GAUSSIANS FLOAT_COPIES",
+    slotlayout: "MAX_SLOTS MAX_NUM_GS=MAX_SLOTS_OF_LANES MAX_SEGMENT_SLOTS MAX_LAYERS "
+    "MAX_SEGMENT_FRAMES MAX_CHUNK_BYTES=MAX_SLOT_CHUNK_BYTES",
+    lattice: "POSITION_LIMIT MIN_STEP MAX_STEP MAX_BASE",
+    quantise: "MAX_OPACITY_LEVELS MAX_LOGIT",
+    slotchunk: "CHUNK_MAGIC=SLOT_MAGIC CHUNK_HEAD=SLOT_HEADER CHUNK_KINDS=Kind "
+    "HAS_STARTS=FLAG_SLOT_OFFSETS",
+    slotchange: "CHANGE_COUNTS=COUNTS",
+    residual: "LONG MAX_GAP_BITS=MAX_LENGTH",
+    mask: "CONTEXTS FIRST_OF_B CONTEXT_OF_C",
+    rangecoder: "WHOLE_RANGE=WHOLE LEAST_RANGE=LEAST FIRST_PROBABILITY MOST_COUNTED",
+    update: "KEPT ENDED PREDICTED NEW",
+    slotstate: "UNKNOWN EMPTY ON_LATTICE ESCAPED",
+    slotdecoder: "MIN_LOG_BYTES LOG_SHARE",
+    object: "SKIPPABLE_MAGIC TABLE_MAGIC OBJECT_HEAD=HEAD OBJECT_ENTRY=ENTRY "
+    "MAX_CHUNKS=MAX_CHUNKS_PER_OBJECT MAX_OBJECT_BYTES",
+    coder: "CODERS=Coder",
+    gzip: "MAX_EXPANSION",
+    index: "INDEX_HEAD=HEAD INDEX_LAYER=LAYER INDEX_SIDE=SIDE INDEX_CHECKSUM=CHECKSUM",
+    integrity: "MAX_INDEX_BYTES",
+    playrecord: "PACKETS_KEY MAX_RECORD_BYTES MAX_MESSAGE_CHARS",
+    storyboard: "MAX_STORYBOARD_TILES=MAX_TILES STORYBOARD_COLUMNS=COLUMNS "
+    "STORYBOARD_PER_S=TILES_PER_S",
+}
+"""By module the constants that the browser needs; NAME=OTHER: the module calls it OTHER."""
+
+RECORDS = {
+    "start": playrecord.StartRecord,
+    "slice": playrecord.SliceRecord,
+    "snapshot": playrecord.SnapshotRecord,
+    "end": playrecord.EndRecord,
+    "error": playrecord.ErrorRecord,
+}
+"""The records of a play by their kind."""
+
+TYPES = {
+    "int": "number",
+    "str": "string",
+    "bytes": "Uint8Array",
+    "bytes | None": "Uint8Array | null",
+    "tuple[bytes, ...]": "Uint8Array[]",
+}
+
+
+def value(found: Any) -> str:
+    """A constant as JavaScript has it: of a Struct its format, of an enum its names and numbers."""
+    if isinstance(found, struct.Struct):
+        return json.dumps(found.format)
+    if isinstance(found, bytes):
+        return json.dumps(found.decode("ascii"))
+    if isinstance(found, EnumType):
+        members: list[Enum] = list(found)
+        return "{ " + ", ".join(f"{one.name}: {one.value}" for one in members) + " }"
+    if isinstance(found, float):
+        return f"{found:.17g}" if found.is_integer() else repr(found).replace("e-0", "e-")
+    return json.dumps(found)
+
+
+def constants() -> str:
+    """What the browser shares with the package: numbers, layouts and the shapes of play records."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    lines = ["/** Written by scripts/webmodules from the package's own constants. */"]
+    version = value(project["version"])
+    lines += ["", "// pyproject.toml", f"export const PLAYER_VERSION = {version};"]
+    for module, names in CONSTANTS.items():
+        lines += ["", f"// {module.__name__}"]
+        for name in names.split():
+            ours, _, theirs = name.partition("=")
+            lines.append(f"export const {ours} = {value(getattr(module, theirs or ours))};")
+    lines += ["", "/**", f" * {playrecord.__name__}"]
+    for kind, record in RECORDS.items():
+        fields = "".join(
+            f", {camel(field.name)}: {TYPES[str(field.type)]}"
+            for field in dataclasses.fields(record)
+        )
+        lines.append(f' * @typedef {{{{ kind: "{kind}"{fields} }}}} {record.__name__}')
+    union = " | ".join(record.__name__ for record in RECORDS.values())
+    return "\n".join([*lines, f" * @typedef {{{union}}} PlayRecord", " */"]) + "\n"
+
+
+def camel(name: str) -> str:
+    first, *rest = name.split("_")
+    return first + "".join(map(str.capitalize, rest))
+
+
+def glsl() -> str:
+    """The shaders that OpenGL and WebGL2 share."""
+    lines = ["/** Written by scripts/webmodules from player/render/gl/shaders. */"]
+    for name in ("splat", "screen"):
+        text = (files("player.render.gl") / "shaders" / f"{name}.glsl").read_text(encoding="utf-8")
+        lines += ["", f"export const {name.upper()} = /* glsl */ `", text.rstrip(), "`;"]
+    return "\n".join(lines) + "\n"
+
+
+def modules() -> dict[Path, str]:
+    """What each generated file holds."""
+    return {WEB / "constants.js": constants(), WEB / "renderer" / "glsl.js": glsl()}
+
+
+def main() -> None:
+    for path, text in modules().items():
+        path.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,111 @@
+"""The input of a policy when packets may be sent, and its possible decisions.
+
+Rule: a policy sees one `DecisionContext` and its own state, nothing else; any policy implements
+`Policy`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from .holding import Holding
+from .media import Media
+from .playout import PlayoutClock
+
+MAX_LAYERS = 16
+"""More than any stream has."""
+
+
+@dataclass(frozen=True, slots=True)
+class SendSlices:
+    """Send the layers first_layer..end_layer-1 of the slices `births`."""
+
+    births: range
+    first_layer: int
+    end_layer: int
+
+    def add_to(self, holding: Holding) -> None:
+        """Notes in `holding` that they are there."""
+        for birth in self.births:
+            holding.add(birth, self.first_layer, self.end_layer)
+
+
+@dataclass(frozen=True, slots=True)
+class SendSnapshots:
+    """Send the snapshots of these layers at `frame`, the first of a segment."""
+
+    frame: int
+    first_layer: int
+    end_layer: int
+
+    def add_to(self, holding: Holding) -> None:
+        """Notes in `holding` that they are there."""
+        holding.add_snapshots(self.frame, self.first_layer, self.end_layer)
+
+
+Send = SendSlices | SendSnapshots
+
+
+@dataclass(slots=True)
+class DecisionContext:
+    """The sender's knowledge of one client and its link, for one decision."""
+
+    media: Media
+    holding: Holding
+    """The packets that the client will hold once everything sent has arrived."""
+    clock: PlayoutClock
+    """The client's playback, derived from its status reports and acknowledgements."""
+    now_s: float
+    rate_bps: float
+    """Estimated throughput; a guess until there is an estimate."""
+    measured: bool
+    """Whether rate_bps is an estimate."""
+    queued_bytes: float
+    """Sent, but not acknowledged."""
+    latency_s: float
+    """Seconds from the sending of a byte over an idle link to its acknowledgement."""
+    next_frame: int
+    """The first frame that the client has not shown."""
+    end_birth: int
+    """The first slice that may not be sent yet."""
+    max_lead_s: float
+    """Seconds of media that may be sent ahead."""
+    run_s: float
+    """Seconds of the link that one answer may fill."""
+    max_layers: int = MAX_LAYERS
+    """Layers that may be sent, however many there are: a server under load has no more to give."""
+
+    @property
+    def num_layers(self) -> int:
+        """Layers that there are to choose from."""
+        return min(self.media.num_layers, self.max_layers)
+
+    def due_s(self, birth: int) -> float:
+        """When the slice shows first; now, before the client has begun to play."""
+        frame = max(birth, self.clock.first_frame)
+        if self.clock.started_s is None:
+            return self.now_s + (frame - self.clock.first_frame) / self.media.fps
+        if self.clock.stalled(self.now_s):
+            return self.now_s + (frame - self.clock.end_frame) / self.media.fps
+        return self.clock.due_s(frame)
+
+    def comes_s(self, num_bytes: float, rate_bps: float) -> float:
+        """When `num_bytes` that are sent now have come, over a link of `rate_bps`."""
+        return self.now_s + self.latency_s + 8 * (self.queued_bytes + num_bytes) / rate_bps
+
+    def run_length(self, num_bytes: float, rate_bps: float) -> int:
+        """How many packets of `num_bytes` one answer may send over a link of `rate_bps`."""
+        return max(1, int(rate_bps * self.run_s / 8 / max(1.0, num_bytes)))
+
+
+class Policy(Protocol):
+    """Chooses what one client is sent next."""
+
+    @property
+    def mends(self) -> bool:
+        """Whether it may still send layers of a slice when layer 0 of later ones is sent."""
+        ...
+
+    def choose(self, context: DecisionContext) -> Send | None:
+        """The packets to send now; None if none are worth sending until something changes."""
+        ...

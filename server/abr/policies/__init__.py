@@ -1,1 +1,0 @@
-"""Policies: what a client is sent next. Each is one file.."""

@@ -1,0 +1,80 @@
+"""POST /v1/streams/{stream}/play/{play}: a client reports its playback status.
+
+Rule: a flood of reports costs only its requests. A play reads only the newest report, when it next
+updates its session. If another worker runs the play, that worker is asked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Coroutine
+from typing import Any
+
+from codec.errors import InvalidError
+from server.abr.clientstatus import RATE_HEADER, ClientStatus
+from server.exchange.errors import RequestError
+from server.exchange.response import Response
+from server.operate.workers.playmessage import PlayAnswer, PlayQuestion, worker_of
+from server.state.register import StatusOutcome
+from server.state.serverstate import ServerState
+
+from .call import Call
+
+
+def answer_status(call: Call) -> Response | Coroutine[Any, Any, Response]:
+    """204, or an error that says what is wrong with it."""
+    state, token = call.state, call.names["play"]
+    stream, body, place = call.name("stream"), call.request.body, worker_of(token)
+    if state.peers is not None and place is not None and place != state.number:
+        return _ask(call, place, PlayQuestion(token, stream, body))
+    return _response(call, _report(state, token, stream, body))
+
+
+async def ask_rate_bps(state: ServerState, token: str, now_s: float) -> float | None:
+    """The estimated rate of the play `token`, asked of the worker that runs or ran it; None if that
+    worker has no estimate or does not answer."""
+    place = worker_of(token)
+    if state.peers is None or place is None or place == state.number:
+        return state.plays.rate_bps(token, now_s)
+    answer = await state.peers.ask(place, PlayQuestion(token, "").pack())
+    return PlayAnswer.unpack(answer).rate_bps if answer else None
+
+
+def answer_peer(state: ServerState, question: bytes, now_s: float) -> bytes:
+    """The packed PlayAnswer to another worker's PlayQuestion."""
+    asked = PlayQuestion.unpack(question)
+    if asked.body is None:
+        return PlayAnswer("", state.plays.rate_bps(asked.token, now_s)).pack()
+    return _report(state, asked.token, asked.stream, asked.body).pack()
+
+
+async def _ask(call: Call, place: int, question: PlayQuestion) -> Response:
+    peers = call.state.peers
+    assert peers is not None
+    answer = await peers.ask(place, question.pack())
+    # A worker that has died, or begun anew, runs no such play.
+    unknown = PlayAnswer(StatusOutcome.UNKNOWN)
+    return _response(call, PlayAnswer.unpack(answer) if answer else unknown)
+
+
+def _report(state: ServerState, token: str, stream: str, body: bytes) -> PlayAnswer:
+    plays = state.plays
+    entry = plays.find(token, stream)
+    if entry is None:
+        return PlayAnswer(StatusOutcome.UNKNOWN)
+    try:
+        status = ClientStatus.from_json(body)
+    except InvalidError as error:
+        return PlayAnswer(StatusOutcome.REFUSED, problem=str(error))
+    return PlayAnswer(plays.report(token, stream, status), entry.rate_bps)
+
+
+def _response(call: Call, answer: PlayAnswer) -> Response:
+    call.state.metrics.status_reports.add(1, answer.outcome)
+    if answer.outcome == StatusOutcome.REFUSED:
+        raise RequestError(400, f"client status of a play: {answer.problem}")
+    if answer.outcome == StatusOutcome.UNKNOWN:
+        raise RequestError(404, "no such play, or it has ended")
+    fields = {"Cache-Control": "no-store"}
+    if answer.rate_bps is not None:
+        fields[RATE_HEADER] = str(round(answer.rate_bps))
+    return Response(204, fields)

@@ -1,0 +1,1 @@
+"""The limits of one client around aiohttp: connections, time, and bytes that wait."""

@@ -1,0 +1,297 @@
+"""One client's connection: aiohttp speaks HTTP on it, within bounds of time and of bytes.
+
+Rule: whatever a client sends or does not send, it costs a bounded amount of memory for a bounded
+time, and never more than its own connection.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from aiohttp import web
+from aiohttp.abc import AbstractStreamWriter
+
+from server.exchange.tcpinfo import TcpInfo, read_tcp_info, unacked_bytes
+from server.operate.prometheus import Metrics
+
+from .timeouts import TimeoutConfig
+
+READ_BYTES: Final = 16 * 1024
+"""Bytes that are read in one go."""
+
+MAX_AHEAD_BYTES: Final = 64 * 1024
+"""Bytes of a head, or of what comes behind a request that is being answered."""
+
+QUEUE_BYTES: Final = 8 * 1024
+"""Bytes that may wait in the process before no more are written."""
+
+PIECES_BYTES: Final = 16 * 1024 * 1024
+"""Bytes of bodies that may wait in the process, about, shared by all connections."""
+
+MIN_PIECE_BYTES: Final = 16 * 1024
+MAX_PIECE_BYTES: Final = 512 * 1024
+
+LINGER_S: Final = 2.0
+"""Seconds for the end of a connection after its last response."""
+
+LAST_CALL_S: Final = 0.5
+"""Seconds for the first request of a client that was accepted just before the server stopped."""
+
+HALF_CLOSED_S: Final = 0.05
+"""Seconds for the next request of a client that has closed its side, if it sent more than one."""
+
+_INCOMING: Final = memoryview(bytearray(READ_BYTES))
+"""Where bytes come in, of one connection after the other: each takes them before the next reads."""
+
+
+Refused = Callable[[str, int, str], None]
+"""Told of each request that was refused before it was read: address, status, and why."""
+
+
+def refusal(status: int, phrase: str, *fields: str) -> bytes:
+    """A response without a body, after which the connection ends."""
+    lines = (f"HTTP/1.1 {status} {phrase}", *fields, "Content-Length: 0", "Connection: close")
+    return "".join(f"{line}\r\n" for line in (*lines, "")).encode()
+
+
+@dataclass(frozen=True, slots=True)
+class Clients:
+    """The shared state of all connections of a worker."""
+
+    make_http: Callable[[], asyncio.Protocol]
+    """Makes aiohttp's protocol of a connection."""
+    refused: Refused
+    timeouts: TimeoutConfig
+    metrics: Metrics
+    connections: set[ClientConnection] = field(default_factory=set)
+    """The open connections."""
+
+
+class ClientConnection(asyncio.BufferedProtocol):
+    """Passes on to aiohttp what comes in, and ends the connection of a client that takes too long,
+    or sends too much."""
+
+    transport: asyncio.Transport
+
+    def __init__(
+        self, clients: Clients, address: str, closed: Callable[[ClientConnection], None]
+    ) -> None:
+        """address: of the client. closed: called once at the end of a connection that `began`."""
+        self._clients = clients
+        self._http = clients.make_http()
+        self.address = address
+        self._closed = closed
+        self.began = False
+        """Whether there was a connection, after any handshake; if so, it reports its end itself."""
+        self.cut = ""
+        """Why it is over: "gone", "stalled" or "stopped"; empty while it is not."""
+        self.needs_client = False
+        """Whether the request has no answer once its client has closed its side."""
+        self._writer: AbstractStreamWriter | None = None  # of the newest response, if any
+        self._answering = False
+        self._begun = False  # whether a part of one has come since the last
+        self._stopping = False
+        self._ending = False  # whether the last response has been sent
+        self._half_closed = False
+        self._ahead_bytes = 0
+        self._before_bytes = 0  # written in the responses before the newest
+        self._taken_bytes = 0  # of all that was written
+        self._window: tuple[float, int] | None = None  # when it began, what had arrived by then
+
+    # What asyncio calls.
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self.began = True
+        self.transport = transport
+        self._socket: Any = transport.get_extra_info("socket")
+        self._loop = asyncio.get_running_loop()
+        self._deadline_s = self._request_deadline_s()
+        # A piece that the kernel does not take is enough to wait for.
+        transport.set_write_buffer_limits(high=QUEUE_BYTES)
+        self._http.connection_made(transport)
+
+    def get_buffer(self, sizehint: int) -> memoryview:
+        return _INCOMING
+
+    def buffer_updated(self, nbytes: int) -> None:
+        if not (self._answering or self._begun or self._ending):
+            # From the first byte on, whatever trickles in later.
+            self._begun = True
+            self._deadline_s = self._request_deadline_s()
+        self._ahead_bytes += nbytes
+        if self._ahead_bytes > MAX_AHEAD_BYTES and not self._ending:
+            if not self._answering:
+                self._refuse(431, "Request Header Fields Too Large", "the head is too long")
+            self._end("flood", "flood")
+        else:
+            self._http.data_received(bytes(_INCOMING[:nbytes]))
+
+    def eof_received(self) -> bool:
+        self._half_closed = True
+        if self.needs_client:
+            self.abort("gone")
+            return False
+        self._loop.call_later(HALF_CLOSED_S, self._close_if_idle)
+        # A client that has sent its last request may close that side. TLS cannot keep the other.
+        return self.transport.get_extra_info("sslcontext") is None
+
+    def pause_writing(self) -> None:
+        self._http.pause_writing()
+
+    def resume_writing(self) -> None:
+        self._http.resume_writing()
+
+    def connection_lost(self, error: Exception | None) -> None:
+        self.cut = self.cut or "gone"
+        self._bound_leftover()
+        self._http.connection_lost(error)
+        self._closed(self)
+
+    # What the application calls.
+
+    def begin(self, writer: AbstractStreamWriter) -> None:
+        """A request has come whole, but for its body; `writer` will write the response."""
+        self._before_bytes = self._sent_bytes()
+        self._writer = writer
+        self._answering, self._begun, self._ahead_bytes = True, False, 0
+
+    def end(self, closing: bool) -> None:
+        """The response is on its way. closing: whether it is the last."""
+        self._answering, self._ending, self._ahead_bytes = False, closing, 0
+        self._deadline_s = self._loop.time() + (
+            LINGER_S if closing else self._clients.timeouts.keepalive_timeout_s
+        )
+        if self._stopping:
+            self._loop.call_soon(self._close_if_idle)
+        elif self._half_closed:
+            self._loop.call_later(HALF_CLOSED_S, self._close_if_idle)
+
+    @property
+    def is_answering(self) -> bool:
+        """Whether a request has begun whose response is not on its way yet."""
+        return self._answering
+
+    def take_sent_bytes(self) -> int:
+        """Bytes that were written since it was asked last."""
+        sent_bytes = self._sent_bytes()
+        taken, self._taken_bytes = sent_bytes - self._taken_bytes, sent_bytes
+        return taken
+
+    def hold_at_most(self, queue_bytes: int) -> None:
+        """Lets about `queue_bytes` wait in the process, and as many unsent in the kernel."""
+        self.transport.set_write_buffer_limits(high=queue_bytes, low=queue_bytes // 4)
+        if hasattr(socket, "TCP_NOTSENT_LOWAT"):
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, queue_bytes)
+
+    @property
+    def piece_bytes(self) -> int:
+        """How much of a body is written in one go: the transport keeps what the kernel does not
+        take."""
+        share_bytes = PIECES_BYTES // max(1, len(self._clients.connections))
+        return max(MIN_PIECE_BYTES, min(MAX_PIECE_BYTES, share_bytes))
+
+    def queued_bytes(self) -> int:
+        """Bytes written but not yet acknowledged by the client's side, as far as one can see."""
+        return self.transport.get_write_buffer_size() + unacked_bytes(self._socket)
+
+    def tcp_info(self) -> TcpInfo | None:
+        """The kernel's figures of the connection; None if it reports none, or none any more."""
+        return read_tcp_info(self._socket)
+
+    # How it ends.
+
+    def check(self, now_s: float) -> None:
+        """Ends the connection if its client takes too long. To be called twice a second or so."""
+        if self._has_stalled(now_s):
+            self._end("stalled", "write")
+        elif self._answering or now_s < self._deadline_s or self.transport.is_closing():
+            return
+        elif self._ending:
+            self.abort()
+        elif self._begun:
+            self._clients.metrics.timeouts.add(1, "head")
+            note = "the request was not complete in time"
+            self._refuse(408, "Request Timeout", note)
+        else:
+            self._clients.metrics.timeouts.add(1, "idle")
+            self.transport.close()
+
+    def stop(self) -> None:
+        """Closes the connection as soon as no response is on its way. A request is still answered
+        if the connection was accepted a moment ago."""
+        self._stopping = True
+        if self._writer is None or self._begun:
+            self._deadline_s = min(self._deadline_s, self._request_deadline_s())
+        else:
+            self._close_if_idle()
+
+    def abort(self, why: str = "stopped") -> None:
+        """Ends the connection now."""
+        self.cut = self.cut or why
+        self.transport.abort()
+
+    def _refuse(self, status: int, phrase: str, note: str) -> None:
+        self._clients.refused(self.address, status, note)
+        self.transport.write(refusal(status, phrase))
+        self.transport.close()
+
+    def _end(self, why: str, kind: str) -> None:
+        self._clients.metrics.timeouts.add(1, kind)
+        self.abort(why)
+
+    def _close_if_idle(self) -> None:
+        if not self._answering:
+            self.transport.close()
+
+    def _bound_leftover(self) -> None:
+        """Has the kernel forget after a while the bytes that the client has not taken yet: as long
+        as an honest client takes for them, for a nearly closed window counts as silence."""
+        if hasattr(socket, "TCP_USER_TIMEOUT"):
+            timeouts, seconds = self._clients.timeouts, self._clients.timeouts.write_timeout_s
+            if self.cut != "stalled":
+                seconds += unacked_bytes(self._socket) / max(1.0, timeouts.least_rate_bytes)
+            with suppress(OSError):
+                milliseconds = max(1, round(1000 * seconds))
+                self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, milliseconds)
+
+    def _request_deadline_s(self) -> float:
+        """When a request must have come of which the first byte comes now."""
+        timeout_s = self._clients.timeouts.request_timeout_s
+        return self._loop.time() + (min(timeout_s, LAST_CALL_S) if self._stopping else timeout_s)
+
+    def _sent_bytes(self) -> int:
+        """Bytes written so far, to the kernel or to the transport."""
+        return self._before_bytes + (self._writer.output_size if self._writer is not None else 0)
+
+    def _has_stalled(self, now_s: float) -> bool:
+        """Whether the client has had something to take for all of the last `write_timeout_s`, and
+        took less of it than `least_rate_bytes` a second."""
+        queued_bytes = self.queued_bytes()
+        if not queued_bytes:
+            self._window = None
+            return False
+        arrived_bytes = self._sent_bytes() - queued_bytes
+        if self._window is None:
+            self._window = now_s, arrived_bytes
+        began_s, before_bytes = self._window
+        timeouts = self._clients.timeouts
+        if now_s - began_s < timeouts.write_timeout_s:
+            return False
+        self._window = now_s, arrived_bytes
+        least_bytes = timeouts.least_rate_bytes * timeouts.write_timeout_s
+        return arrived_bytes - before_bytes < max(1.0, least_bytes)
+
+
+def connection_of(request: web.BaseRequest) -> ClientConnection:
+    """The connection on which a request came. Raises ConnectionResetError if it is over."""
+    if request.transport is None:
+        raise ConnectionResetError("the client has gone")
+    connection = request.transport.get_protocol()
+    assert isinstance(connection, ClientConnection)
+    return connection

@@ -1,0 +1,1 @@
+"""Requests and responses as values: conditions, ranges and tags, without sockets."""

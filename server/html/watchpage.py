@@ -1,0 +1,167 @@
+"""The page of one stream: the player, and around it what a page to be shared has."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from html import escape
+
+from .htmlpage import STYLE, hash_source, page, read_text
+from .webplayer import WebPlayer
+
+_STYLE = f"{STYLE}\n{read_text('watch.css')}"
+
+_BODY = """<header>{back}<h1>{title}</h1></header>
+<main><swings-player src="{stream}"{poster}>{picture}</swings-player></main>
+<script>{script}</script>
+<noscript><p>This page needs JavaScript. On a desktop: swings-play {url}</p></noscript>
+<footer><p class="quiet">{about}</p>{more}</footer>
+<script type="module" src="{player}"></script>"""
+
+_BACK = '<a href="../"><span aria-hidden="true">&lsaquo; </span>Streams</a>'
+
+_MORE = """<button popovertarget="embed">Embed</button>
+<button popovertarget="desktop">Download</button>
+<div popover id="embed"><h2>Embed this stream</h2>
+<pre id="code">{embed}</pre><button data-copy="code">Copy</button></div>
+<div popover id="desktop"><h2>Play in a window</h2>
+<pre id="play">swings-play {url}</pre><button data-copy="play">Copy</button>
+<h2>Download as a video file</h2>
+<pre id="save">swings-play {url} --capture {name}.mp4</pre>
+<button data-copy="save">Copy</button></div>"""
+
+_FRAME = (
+    '<iframe src="{url}" title="{title}" width="{width_px}" height="{height_px}" '
+    'style="border: 0" allow="fullscreen; xr-spatial-tracking; clipboard-write"></iframe>'
+)
+
+_META = """<meta property="og:{name}" content="{content}">
+"""
+_SHARED = """<meta name="description" content="{about}">
+<meta name="twitter:card" content="{card}">
+<link rel="canonical" href="{url}">
+<link rel="alternate" type="application/json+oembed" href="{oembed}" title="{title}">
+"""
+
+WIDTH_PX = 720
+"""Width of the frame in the code to embed a stream."""
+
+
+@dataclass(frozen=True, slots=True)
+class WatchedStream:
+    """What the page shows of a stream."""
+
+    name: str
+    """Needs no quoting anywhere."""
+    title: str
+    about: str
+    """A description in one line."""
+    origin: str
+    """scheme://host of the server."""
+    aspect: float
+    """Width of the picture as a share of its height."""
+    poster: str = ""
+    """Path of the poster behind the stream's URL, quoted; empty where it has none."""
+
+    @property
+    def url(self) -> str:
+        """The address of the page."""
+        return f"{self.origin}/watch/{self.name}"
+
+    @property
+    def data_url(self) -> str:
+        """The address of the stream, without a slash at its end."""
+        return f"{self.origin}/v1/streams/{self.name}"
+
+
+def security(player: WebPlayer) -> str:
+    """The content security policy of the page. Pages of other hosts may show it in a frame."""
+    return (
+        f"default-src 'none'; script-src 'self' {hash_source(player.page_script)}; "
+        f"worker-src 'self'; connect-src 'self'; img-src 'self' data:; media-src 'self'; "
+        f"style-src {hash_source(_STYLE)}; base-uri 'none'; form-action 'none'; "
+        "require-trusted-types-for 'script'; trusted-types swings-worker"
+    )
+
+
+def watch_page(stream: WatchedStream, player: WebPlayer, shared: bool) -> str:
+    """shared: whether anyone may open the page by its address; else the page names no address that
+    leads elsewhere than below its own."""
+    data = f"../v1/streams/{stream.name}"
+    poster = f"{data}/{stream.poster}" if stream.poster else ""
+    modules = [f"../web/{name}" for name in player.modules]
+    head = "".join(f'<link rel="modulepreload" href="{url}">\n' for url in modules)
+    more = _MORE.format(embed=escape(frame_html(stream)), url=stream.url, name=stream.name)
+    body = _BODY.format(
+        back=_BACK if shared else "",
+        title=escape(stream.title),
+        stream=f"{data}/",
+        poster=f' poster="{poster}"' if poster else "",
+        picture=f'<img src="{poster}" alt="" fetchpriority="high">' if poster else "",
+        script=player.page_script,
+        url=stream.url,
+        about=escape(stream.about),
+        more=more if shared else "",
+        player=modules[0],
+    )
+    return page(stream.title, body, head + (_shared_html(stream) if shared else ""), _STYLE)
+
+
+def _shared_html(stream: WatchedStream) -> str:
+    """What chats and social networks read."""
+    width_px, height_px = frame_px(stream.aspect)
+    graph = {
+        "title": stream.title,
+        "description": stream.about,
+        "type": "video.other",
+        "url": stream.url,
+        "video:url": stream.url,
+        "video:type": "text/html",
+        "video:width": str(width_px),
+        "video:height": str(height_px),
+    }
+    if stream.poster:
+        graph["image"] = f"{stream.data_url}/{stream.poster}"
+    lines = [_META.format(name=name, content=escape(text)) for name, text in graph.items()]
+    return "".join(lines) + _SHARED.format(
+        about=escape(stream.about),
+        card="summary_large_image" if stream.poster else "summary",
+        url=stream.url,
+        oembed=f"{stream.data_url}/oembed.json",
+        title=escape(stream.title),
+    )
+
+
+def frame_px(
+    aspect: float, max_width_px: int | None = None, max_height_px: int | None = None
+) -> tuple[int, int]:
+    """Width and height of the frame to embed, within both limits."""
+    width_px = min(WIDTH_PX, max_width_px or WIDTH_PX)
+    if max_height_px is not None:
+        width_px = min(width_px, int(max_height_px * aspect))
+    width_px = max(1, width_px)
+    return width_px, max(1, int(width_px / aspect))
+
+
+def frame_html(stream: WatchedStream, size_px: tuple[int, int] | None = None) -> str:
+    """The code that shows the stream on another page. size_px: width and height."""
+    width_px, height_px = size_px or frame_px(stream.aspect)
+    title = escape(stream.title)
+    return _FRAME.format(url=stream.url, title=title, width_px=width_px, height_px=height_px)
+
+
+def oembed(
+    stream: WatchedStream, max_width_px: int | None = None, max_height_px: int | None = None
+) -> dict[str, object]:
+    """The response of oEmbed 1.0 (https://oembed.com) for the page."""
+    size_px = frame_px(stream.aspect, max_width_px, max_height_px)
+    found: dict[str, object] = {
+        "version": "1.0",
+        "type": "video",
+        "provider_name": "swings",
+        "provider_url": f"{stream.origin}/",
+        "title": stream.title,
+        "html": frame_html(stream, size_px),
+        "width": size_px[0],
+        "height": size_px[1],
+    }
+    return found

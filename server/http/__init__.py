@@ -1,1 +1,0 @@
-"""HTTP/1.1 for one server: one strict grammar, and bytes that leave from where they lie."""

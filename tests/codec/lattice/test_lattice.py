@@ -1,0 +1,117 @@
+"""The lattice: its bounds, and what a quantiser guarantees (codec/FORMAT.md, section 8.1)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from codec.errors import InvalidError
+from codec.lattice.lattice import (
+    MAX_HOLD,
+    MIN_STEP,
+    POSITION_LIMIT,
+    Lattice,
+    dequantise,
+    quantise,
+)
+from codec.lattice.orientation import canonical
+from codec.lattice.quantise import to_luma
+from codec.splats import SH_C0
+from tests.support.slots.rotating import figure, turned
+from tests.support.slots.updates import LATTICE, patternless_splats
+
+MINE = replace(LATTICE, log_scale_base=-4.0)
+
+
+def with_step(name: str, step: float) -> Lattice:
+    return replace(LATTICE, **{name: step})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", ["position_m", "log_scale", "rotation", "colour"])
+def test_steps_have_bounds(name: str) -> None:
+    for step in (0.0, 9e-7, 1.1e6, -1.0, float("inf"), float("nan")):
+        with pytest.raises(InvalidError, match=name):
+            with_step(name, step)
+    least = with_step(name, MIN_STEP)
+    # The nearest f32 lies below the least step, and is one all the same.
+    assert getattr(least, name) == np.float32(MIN_STEP)
+    assert replace(least) == least
+    assert getattr(with_step(name, 1e6), name) == 1e6
+
+
+def test_the_base_and_the_opacity_levels_have_bounds() -> None:
+    for base in (1000.1, -1000.1, float("inf"), float("nan")):
+        with pytest.raises(InvalidError, match="log_scale_base"):
+            replace(LATTICE, log_scale_base=base)
+    for base in (-1e3, 0.1, 1e3):
+        assert replace(LATTICE, log_scale_base=base).log_scale_base == np.float32(base)
+    for levels in (1, 257):
+        with pytest.raises(InvalidError, match="opacity_levels"):
+            replace(LATTICE, opacity_levels=levels)
+
+
+def test_what_comes_back_is_within_half_a_step() -> None:
+    splats = patternless_splats(np.random.default_rng(0), 500, 0)
+    splats = replace(splats, log_scales=splats.log_scales - np.float32(4))
+    states, fits = quantise(splats, MINE)
+    assert fits.mean() > 0.9
+    found = dequantise(states, MINE)
+    for steps, errors in (
+        (MINE.position_m, found.means - splats.means),
+        # A Gaussian may be given with its axes in another order.
+        (MINE.log_scale, np.sort(found.log_scales) - np.sort(splats.log_scales)),
+        (MINE.rotation, (found.quats - canonical(splats.log_scales, splats.quats)[1])[:, 1:]),
+        (MINE.colour, to_luma((found.sh - np.maximum(splats.sh, -0.5 / SH_C0)).astype(np.float64))),
+        (1 / (MINE.opacity_levels - 1), found.opacities - splats.opacities),
+    ):
+        assert abs(errors[fits]).max() <= 0.5 * steps + 1e-5
+
+
+def test_a_flat_axis_is_taken_to_the_lowest_scale_and_a_long_one_escapes() -> None:
+    splats = patternless_splats(np.random.default_rng(1), 3, 0)
+    low, high = (MINE.log_scale_base + MINE.log_scale * n for n in (-128, 127))
+    sizes = np.array([[low - 50, -4, -4], [high + 1, -4, -4], [-1e30, -4, -4]], np.float32)
+    states, fits = quantise(replace(splats, log_scales=sizes), MINE)
+    assert fits.tolist() == [True, False, True]
+    assert dequantise(states, MINE).log_scales[[0, 2]].min(axis=1).tolist() == [low, low]
+    far = np.array([[POSITION_LIMIT - 1, 0, 0], [POSITION_LIMIT, 0, 0], [1e37, 0, 0]], np.float32)
+    means = far * np.float32(MINE.position_m)
+    same = np.full((3, 3), -4, np.float32)
+    _, fits = quantise(replace(splats, means=means, log_scales=same), MINE)
+    assert fits.tolist() == [True, False, False]
+
+
+def test_what_is_near_enough_is_held() -> None:
+    splats = patternless_splats(np.random.default_rng(2), 200, 0)
+    splats = replace(splats, log_scales=splats.log_scales - np.float32(4))
+    before, _ = quantise(splats, MINE)
+    shift = np.float32(1.4 * MINE.position_m)
+    moved = replace(splats, means=splats.means + shift)
+    held, _ = quantise(moved, MINE, before, hold=2)
+    assert (held.positions == before.positions).all()
+    followed, _ = quantise(moved, MINE, before)
+    assert (followed.positions > before.positions).all()
+    for hold in (-0.1, MAX_HOLD + 0.1, float("nan")):
+        with pytest.raises(InvalidError, match="hold"):
+            quantise(moved, MINE, before, hold)
+
+
+def test_the_form_of_what_goes_on_does_not_jump() -> None:
+    """While it turns, and its axes change places in size: a small step stays small."""
+    first = figure(100)
+    states, _ = quantise(first, LATTICE)
+    jumps = 0
+    for frame in range(1, 40):
+        sizes = -3 + np.sin(0.05 * frame + np.arange(3, dtype=np.float32))
+        now = turned(replace(first, log_scales=np.tile(sizes, (100, 1))), 0.02 * frame)
+        after, _ = quantise(now, LATTICE, states if frame > 1 else None)
+        fresh, _ = quantise(now, LATTICE)
+        if frame > 1:
+            old, new, alone = (dequantise(one, LATTICE) for one in (states, after, fresh))
+            assert abs(old.log_scales - new.log_scales).max() < 0.2
+            assert abs(old.quats - new.quats)[:, 1:].max() < 0.1
+            jumps += int((abs(old.log_scales - alone.log_scales) > 0.2).any(axis=1).sum())
+        states = after
+    assert jumps > 100

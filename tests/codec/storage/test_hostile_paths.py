@@ -1,0 +1,110 @@
+"""Paths in what strangers wrote never reach the file system.
+
+The objects lie in a folder beside the stream, and the manifest says so in every way there is.
+Whoever followed it would find them there and succeed; so everybody must miss them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from codec.errors import CodecError, SwingsError
+from codec.interop.exporting import export_stream
+from codec.interop.formats import SplatFormat
+from codec.storage.folder import FolderStorage
+from codec.stream import StreamWriter
+from codec.stream.reader import StreamReader
+from codec.tools.audit import verify_stream
+from player.network.fetch import Fetcher, FetchError
+from player.source.opener import opened
+from server.library import Library, ServedStream
+from server.library.streamview import view_of
+from tests.support.delivery.assembled import assembled
+from tests.support.tiny_stream import tiny_slice, write_tiny
+
+
+@pytest.fixture(params=["../secret", "{root}/secret", "file://{root}/secret", "x/../../secret"])
+def astray(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """A stream whose manifest names the way to its objects in a folder that is none of its own."""
+    path = tmp_path / "stream"
+    write_tiny(path, 6)
+    shutil.move(path / "segments", tmp_path / "secret")
+    (path / "segments").mkdir()
+    way = request.param.replace("{root}", str(tmp_path))
+    value = json.loads((path / "manifest.json").read_bytes())
+    value["object_url"] = way + "/{segment}/{layer}"
+    value["poster"] = way + "/0/0"
+    value["title"] = way + "/0/0"
+    value["default_camera"] = value["cameras"][0]["name"] = "../secret/0/0"
+    (path / "manifest.json").write_text(json.dumps(value), encoding="utf-8")
+    return path
+
+
+def play(path: Path) -> None:
+    with opened(str(path)) as source:
+        list(assembled(source))
+
+
+def read_served(path: Path) -> None:
+    manifest_json, index = (path / "manifest.json").read_bytes(), (path / "index.bin").read_bytes()
+    ServedStream("x", FolderStorage(path), view_of(manifest_json, index)).read_object(0, 0)
+
+
+READERS: dict[str, Callable[[Path], object]] = {
+    "verify": verify_stream,
+    "reader": lambda path: StreamReader(path).slice(0, 1),
+    "export": lambda path: export_stream(
+        path, path.parent / "out.ply", 0, None, SplatFormat.PLY, None
+    ),
+    "player": play,
+    "server": read_served,
+}
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_nobody_follows_the_manifest_out_of_its_folder(astray: Path, reader: str) -> None:
+    with pytest.raises(CodecError, match=r"segments/0/(0|snapshot-0) is missing"):
+        READERS[reader](astray)
+
+
+def test_a_writer_writes_into_its_own_folder(astray: Path) -> None:
+    path = astray.parent / "written"
+    before = sorted(astray.parent.iterdir())
+    hostile = StreamReader(astray).manifest
+    with StreamWriter.create(path, hostile) as writer:
+        for birth in range(hostile.first_birth, 4):
+            writer.append(tiny_slice(birth))
+    assert verify_stream(path).num_frames == 4
+    assert sorted(astray.parent.iterdir()) == sorted([*before, path])
+    assert sorted(p.name for p in path.iterdir()) == ["index.bin", "manifest.json", "segments"]
+
+
+@pytest.mark.parametrize(
+    "name", ["..", ".", "../stream", "/", "stream/../../stream", "stream\0", "", "stream/"]
+)
+def test_the_name_of_a_stream_is_looked_up_and_never_joined(tmp_path: Path, name: str) -> None:
+    write_tiny(tmp_path / "root" / "served", 4)
+    write_tiny(tmp_path / "stream", 4)
+    library = Library(tmp_path / "root", 0.0)
+    asyncio.run(library.look())
+    assert library.find(name) is None
+    assert library.find("served") is not None
+
+
+@pytest.mark.parametrize("via", [None, ("127.0.0.1", 9)])
+def test_a_player_fetches_no_files(tmp_path: Path, via: tuple[str, int] | None) -> None:
+    (tmp_path / "secret").write_text("secret", encoding="utf-8")
+    fetcher = Fetcher(via)
+    try:
+        with pytest.raises(FetchError):
+            fetcher.get(f"file://{tmp_path}/secret", 100)
+    finally:
+        fetcher.close()
+    with pytest.raises(SwingsError, match="only http"), opened(f"file://{tmp_path}/secret"):
+        pass

@@ -1,0 +1,280 @@
+"""The rows of conformance/hostile.json: bytes that break a rule of FORMAT.md, or seem to.
+
+A reader's verdict on a row is "taken", "corrupt" or "unsupported".
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import zstandard
+
+Row = dict[str, Any]
+TAKEN, CORRUPT, UNSUPPORTED = "taken", "corrupt", "unsupported"
+NOT_AN_INTEGER = (
+    "a number such as 3.0 where an integer belongs: JSON libraries that cannot tell may take it"
+)
+
+
+def hostile_rows(stream: Path) -> list[Row]:
+    """All rows; `stream` is what they were made from."""
+    files = {
+        "manifest": (stream / "manifest.json").read_bytes(),
+        "index": (stream / "index.bin").read_bytes(),
+        "object": (stream / "segments/1/0").read_bytes(),
+    }
+    return [
+        *_manifests(json.loads(files["manifest"])),
+        *_indexes(files["index"], len(json.loads(files["manifest"])["slots"]), stream.name),
+        *_objects(files["object"]),
+        *_packets(),
+        *_records(),
+    ]
+
+
+def _row(what: str, name: str, data: bytes, verdict: str, **more: object) -> Row:
+    return {"what": what, "name": name, "verdict": verdict, "hex": data.hex(), **more}
+
+
+# --- Section 4 ---
+
+
+def _manifests(value: dict[str, Any]) -> Iterator[Row]:
+    def row(name: str, verdict: str, /, **changes: object) -> Row:
+        data = json.dumps(value | changes).encode()
+        more = {"lenient": NOT_AN_INTEGER} if name.endswith("with a point") else {}
+        return _row("manifest", name, data, verdict, **more)
+
+    lattice, camera = value["lattice"], value["cameras"][0]
+
+    def first_lattice(**changes: object) -> list[Any]:
+        return [lattice[0] | changes, *lattice[1:]]
+
+    yield row("as it was written", TAKEN)
+    yield row("a key that no reader knows", TAKEN, colour_space="srgb")
+    for version in (0, 1, 3):
+        yield row(f"version {version}", UNSUPPORTED, version=version)
+    yield row("version with a point", CORRUPT, version=2.0)
+    for key in value:
+        if key not in ("poster", "title", "capture_frame", "object_url"):
+            yield row(f"{key} is null", CORRUPT, **{key: None})
+            without = {name: one for name, one in value.items() if name != key}
+            yield _row("manifest", f"no {key}", json.dumps(without).encode(), CORRUPT)
+    for fps in (0.000999, 0, -1, 1000.5, "25"):
+        yield row(f"fps {fps!r}", CORRUPT, fps=fps)
+    for fps in (0.001, 1000):
+        yield row(f"fps {fps}", TAKEN, fps=fps)
+    yield row("num_gs is not swin_size times the slots", CORRUPT, num_gs=value["num_gs"] + 1)
+    yield row("num_gs with a point", CORRUPT, num_gs=float(value["num_gs"]))
+    yield row("swin_size 0", CORRUPT, swin_size=0)
+    yield row("swin_size 256", CORRUPT, swin_size=256, num_gs=256 * sum(value["slots"]))
+    yield row("segment_frames 0", CORRUPT, segment_frames=0)
+    yield row("segment_frames 4097", CORRUPT, segment_frames=4097)
+    yield row("sh_degree 4", CORRUPT, sh_degree=4)
+    yield row("slots without a number", CORRUPT, slots=[], lattice=[], num_gs=0)
+    yield row("slots with true", CORRUPT, slots=[True, *value["slots"][1:]])
+    yield row("a layer of no slots", CORRUPT, slots=[0, sum(value["slots"])])
+    yield row("fewer lattices than layers", CORRUPT, lattice=lattice[:1])
+    yield row("lattices that are numbers", CORRUPT, lattice=[1] * len(lattice))
+    for key, number in (
+        ("colour", 9.9e-7),
+        ("colour", 1.1e6),
+        ("opacity_levels", 257),
+        ("opacity_levels", 1),
+        ("log_scale_base", -1001),
+        ("log_scale_base", "0"),
+        ("position_m", 0),
+    ):
+        yield row(f"{key} {number!r} in a lattice", CORRUPT, lattice=first_lattice(**{key: number}))
+    yield row("near_m 0", CORRUPT, near_m=0)
+    yield row("bounds the wrong way round", CORRUPT, bounds=value["bounds"][::-1])
+    yield row("two cameras of one name", CORRUPT, cameras=[camera, camera])
+    yield row("no camera", CORRUPT, cameras=[])
+    yield row("a default camera that is not there", CORRUPT, default_camera="nobody's")
+    yield row(
+        "a camera that is scaled",
+        CORRUPT,
+        cameras=[camera | {"w2c": [2 * n for n in camera["w2c"]]}],
+    )
+    mirrored = [-camera["w2c"][0], *camera["w2c"][1:]]
+    yield row("a camera that is mirrored", CORRUPT, cameras=[camera | {"w2c": mirrored}])
+    yield row("a camera without a focal length", CORRUPT, cameras=[camera | {"fx_px": 0}])
+    yield row("an object URL without {layer}", CORRUPT, object_url="segments/{segment}")
+    yield row("an object URL of three", CORRUPT, object_url="{segment}/{layer}/{other}")
+    yield row("a title of 2001 characters", CORRUPT, title="x" * 2001)
+    yield row("a poster of 256 bytes", CORRUPT, poster="x" * 256)
+    yield row("a poster outside of the stream, which is ignored", TAKEN, poster="../x.jpg")
+    for name, data in (
+        ("no bytes", b""),
+        ("not UTF-8", b"\xff\xfe"),
+        ("null", b"null"),
+        ("an array", b"[]"),
+        ("arrays in arrays", b"[" * 20_000),
+        ("NaN", b'{"version": 2, "fps": NaN}'),
+        ("cut short", json.dumps(value).encode()[:-2]),
+    ):
+        yield _row("manifest", name, data, CORRUPT)
+
+
+# --- Section 5 ---
+
+
+def _indexes(index: bytes, num_layers: int, stream: str) -> Iterator[Row]:
+    size = 60 + 84 * num_layers
+
+    def row(name: str, data: bytes, verdict: str = CORRUPT, **more: object) -> Row:
+        return _row("index", name, data, verdict, stream=f"streams/{stream}", **more)
+
+    def changed(place: int, fmt: str, value: float) -> bytes:
+        """A field of the second record changed, under a CRC that is right."""
+        made = bytearray(index)
+        struct.pack_into(fmt, made, size + place, value)
+        struct.pack_into("<I", made, 2 * size - 4, zlib.crc32(made[size : 2 * size - 4]))
+        return bytes(made)
+
+    whole = len(index) // size
+    yield row("as it was written", index, TAKEN, num_segments=whole)
+    yield row("nothing yet", b"", TAKEN, num_segments=0)
+    yield row("a record that is cut short", index[:-1], TAKEN, num_segments=whole - 1)
+    yield row("a last record of zeros", index + bytes(size), TAKEN, num_segments=whole)
+    yield row("a record of zeros amid others", index[:size] + bytes(size) + index[2 * size :])
+    yield row("a wrong CRC", index[: size + 8] + bytes([index[size + 8] ^ 1]) + index[size + 9 :])
+    yield row("a segment is missing", index[:size] + index[2 * size :])
+    yield row("another first frame", changed(4, "<I", 6))
+    yield row("a short segment amid others", changed(8, "<I", 4))
+    yield row("a segment without frames", changed(8, "<I", 0))
+    yield row("a reserved field", changed(12, "<I", 1))
+    yield row("an object that is too large", changed(16, "<Q", 2**30 + 1))
+    yield row("an infinite PSNR", changed(56, "<f", float("inf")))
+
+
+# --- Section 6 ---
+
+
+def _objects(data: bytes) -> Iterator[Row]:
+    def changed(place: int, value: bytes) -> bytes:
+        return data[:place] + value + data[place + len(value) :]
+
+    count = struct.unpack_from("<I", data, 16)[0]
+    assert count > 1
+    yield _row("object", "as it was written", data, TAKEN)
+    for name, place, value, verdict in (
+        ("another magic of a skippable frame", 0, b"\x51", CORRUPT),
+        ("another length of the table", 4, b"\0", CORRUPT),
+        ("another magic", 8, b"X", CORRUPT),
+        ("version 1", 12, b"\1", UNSUPPORTED),
+        ("version 3", 12, b"\3", UNSUPPORTED),
+        ("a coder that its packets are not of", 13, b"\2", CORRUPT),
+        ("coder 3", 13, b"\3", UNSUPPORTED),
+        ("a reserved field", 14, b"\1", CORRUPT),
+        ("no chunks", 16, struct.pack("<I", 0), CORRUPT),
+        ("16385 chunks", 16, struct.pack("<I", 16385), CORRUPT),
+        ("births that do not rise", 20, struct.pack("<i", 1000), CORRUPT),
+        ("a packet that begins at 0", 24, struct.pack("<I", 0), CORRUPT),
+        ("a packet longer than the object", 28, struct.pack("<I", 2**32 - 1), CORRUPT),
+    ):
+        yield _row("object", name, changed(place, value), verdict)
+    yield _row("object", "cut short", data[:-1], CORRUPT)
+    yield _row("object", "a byte more", data + b"\0", CORRUPT)
+    yield _row("object", "half a head", data[:10], CORRUPT)
+
+
+def _packets() -> Iterator[Row]:
+    content = bytes(range(100))
+    zstd = zstandard.ZstdCompressor(write_checksum=True).compress(content)
+    deflate = zlib.compressobj(9, zlib.DEFLATED, -15)
+    body = deflate.compress(content) + deflate.flush()
+    tail = struct.pack("<II", zlib.crc32(content), len(content))
+    gzip = bytes.fromhex("1f8b08000000000002ff") + body + tail
+
+    def row(name: str, data: bytes, verdict: str = CORRUPT, limit_bytes: int = 1 << 16) -> Row:
+        return _row("packet", name, data, verdict, limit_bytes=limit_bytes)
+
+    yield row("zstd", zstd, TAKEN)
+    yield row("gzip", gzip, TAKEN)
+    for coder, data, checksum_at in (("zstd", zstd, -1), ("gzip", gzip, -5)):
+        yield row(f"{coder}: more than may be there", data, limit_bytes=99)
+        yield row(f"{coder}: two packets", data + data)
+        yield row(f"{coder}: a byte more", data + b"\0")
+        yield row(f"{coder}: cut short", data[:-1])
+        altered = bytearray(data)
+        altered[checksum_at] ^= 1
+        yield row(f"{coder}: a wrong checksum", bytes(altered))
+    yield row(
+        "zstd: no size",
+        zstandard.ZstdCompressor(write_content_size=False, write_checksum=True).compress(content),
+    )
+    yield row("zstd: no checksum", zstandard.ZstdCompressor(write_checksum=False).compress(content))
+    yield row("zstd: says 2 GB", bytes.fromhex("28b52ffda4000000800100007878"))
+    yield row("zstd: skippable", struct.pack("<II", 0x184D2A50, 4) + b"none")
+    yield row("gzip: with a name", gzip[:3] + b"\x08" + gzip[4:10] + b"x\0" + gzip[10:])
+    yield row("gzip: says more than it holds", gzip[:-4] + struct.pack("<I", 101))
+    yield row("gzip: says 1 GB", gzip[:-4] + struct.pack("<I", 1 << 30))
+    yield row("of no coder", b"SWG2" + content)
+    yield row("the first bytes alone", zstd[:4])
+
+
+# --- Section 12 ---
+
+
+def _records() -> Iterator[Row]:
+    a_slice = {"kind": "slice", "birth": 1, "frames": [b"a"], "mask": b"m"}
+    snapshot = {"kind": "snapshot", "frame": 0, "first": 0, "frames": [b"a"]}
+    start = {"kind": "start", "from": 0, "num_frames": 1, "manifest": b""}
+
+    def row(name: str, value: object, verdict: str = CORRUPT) -> Row:
+        body: bytes = msgpack.packb(value)
+        return _row("record", name, struct.pack("<I", len(body)) + body, verdict)
+
+    for value in (start, a_slice, snapshot, {"kind": "end", "num_frames": 9}):
+        yield row(f"{value['kind']}", value, TAKEN)
+        for key in value:
+            yield row(
+                f"{value['kind']} without {key}", {k: v for k, v in value.items() if k != key}
+            )
+    yield row("error", {"kind": "error", "message": "gone"}, TAKEN)
+    yield row("a key that no reader knows", snapshot | {"colour": b"red"}, TAKEN)
+    above = {key: value for key, value in a_slice.items() if key != "mask"} | {"first": 2}
+    yield row("a slice of layer 2", above, TAKEN)
+    yield row("a slice of layer 2 with a mask, which is ignored", above | {"mask": b"m"}, TAKEN)
+    yield row("a slice of a mask alone", a_slice | {"frames": []}, TAKEN)
+    wrong: tuple[tuple[str, object], ...] = (
+        ("no map", None), ("an array", []), ("an empty map", {}), ("a number for a key", {1: 2}),
+        ("another kind", {"kind": "other"}), ("a kind that is a number", {"kind": 7}),
+        ("from -1", start | {"from": -1}), ("from true", start | {"from": True}),
+        ("a manifest that is a text", start | {"manifest": "text"}),
+        ("packets that are texts", a_slice | {"frames": ["text"]}),
+        ("packets in a map", a_slice | {"frames": {}}),
+        ("a birth of 41 bits", a_slice | {"birth": 1 << 40}),
+        ("a birth that is a float", a_slice | {"birth": 1.0}),
+        ("first that is a float", above | {"first": 1.0}),
+        ("17 packets", a_slice | {"frames": [b""] * 17}),
+        ("a mask that is a text", a_slice | {"mask": "text"}),
+        ("a mask in an array", a_slice | {"mask": [b""]}),
+        ("first -1", above | {"first": -1}), ("first 16", above | {"first": 16}),
+        ("layers 15 and 16", above | {"first": 15, "frames": [b""] * 2}),
+        ("a slice of layer 2 without packets", above | {"frames": []}),
+        ("a snapshot without packets", snapshot | {"frames": []}),
+        ("a snapshot with a number for a packet", snapshot | {"frames": [0]}),
+        ("a snapshot of layer 16", snapshot | {"first": 16}),
+        ("a snapshot of layers 15 and 16", snapshot | {"first": 15, "frames": [b""] * 2}),
+        ("first false", snapshot | {"first": False}),
+        ("frame -1", snapshot | {"frame": -1}), ("frame 2^31", snapshot | {"frame": 1 << 31}),
+        ("num_frames 2^31", {"kind": "end", "num_frames": 1 << 31}),
+        ("a message of bytes", {"kind": "error", "message": b"bytes"}),
+        ("a message of 65537 bytes", {"kind": "error", "message": "x" * 65_537}),
+        ("an ext type", {"kind": "end", "num_frames": msgpack.ExtType(4, b"x")}),
+        ("an unknown key with a map", snapshot | {"more": {}}),
+        ("9 keys", snapshot | {f"key {n}": b"" for n in range(5)}),
+    )  # fmt: skip
+    for name, broken in wrong:
+        yield row(name, broken)
+    deep = b"\x81\xa6frames" + b"\x91" * 20_000
+    yield _row("record", "arrays in arrays", struct.pack("<I", len(deep)) + deep, CORRUPT)
+    yield _row("record", "a length over 2^26", struct.pack("<I", 2**26 + 1), CORRUPT)

@@ -1,0 +1,168 @@
+"""The conformance suite: the package and the plain reader, which was written from FORMAT.md alone,
+pass it; the writer still makes the chunks of its streams."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from codec.coders.coder import Coder
+from codec.errors import CodecError, CorruptError, UnsupportedError
+from codec.stream import StreamReader
+from codec.stream.integrity import CheckedObject, read_index
+from codec.stream.manifest import Manifest
+from codec.stream.object import HEAD, packet_content
+from codec.stream.playrecord import RecordParser
+from codec.tools.audit import verify_stream
+from tests.goldens.cases import CASES, Case, made_updates
+from tests.goldens.decoder import Unsupported
+from tests.goldens.folder import StreamFolder, read_manifest
+from tests.goldens.folder import read_index as read_index_plainly
+from tests.goldens.objects import decode_object, inflate
+from tests.goldens.statehash import state_sha256
+from tests.goldens.suite import FOLDER, read_order, read_table, stream_name, write_suite
+from tests.support.slots.plain import encoded_chunks, held
+from tests.support.slots.played import played
+
+STREAMS, ORDERS, HOSTILE = map(read_table, ("streams.json", "orders.json", "hostile.json"))
+
+
+def names(rows: list[dict[str, Any]]) -> list[str]:
+    return [f"{n}-{row.get('name', row.get('stream'))}" for n, row in enumerate(rows)]
+
+
+def test_the_tables_are_as_regenerate_writes_them(tmp_path: Path) -> None:
+    """Those that follow from the streams: what is coded may be coded better one day."""
+    write_suite(tmp_path)
+    for name in ("streams.json", "orders.json"):
+        assert (tmp_path / name).read_bytes() == (FOLDER / name).read_bytes()
+    assert sum(path.stat().st_size for path in FOLDER.rglob("*")) < 1_000_000
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_the_writer_makes_the_chunks_of_the_streams(case: Case) -> None:
+    made = encoded_chunks(case.layout, made_updates(case))
+    for coder in Coder:
+        stream = StreamFolder(FOLDER / stream_name(case, coder))
+        for segment, record in enumerate(stream.index):
+            births = range(record.first_frame, record.first_frame + record.num_frames)
+            assert stream.chunks(segment, "masks") == {b: made.masks[b] for b in births}
+            for layer in range(len(case.slots)):
+                changes = {b: made.changes[b][layer] for b in births}
+                assert stream.chunks(segment, f"{layer}") == changes
+                snapshot = {births[0]: made.snapshots[births[0]][layer]}
+                assert stream.chunks(segment, f"snapshot-{layer}") == snapshot
+
+
+def test_the_streams_hold_what_they_are_for() -> None:
+    sums: dict[str, list[int]] = {}
+    for case in CASES:
+        updates = encoded_chunks(case.layout, made_updates(case)).changes
+        changes = [change for row in updates for change in row if change]
+        heads = [
+            [int.from_bytes(c[at : at + 4], "little") for c in changes] for at in (12, 16, 20, 24)
+        ]
+        sums[case.name] = [*map(sum, heads), sum(change[6] for change in changes)]
+        assert case.still != bool(changes)
+    predicted, new, longs, escapes, late = map(list, zip(*sums.values(), strict=True))
+    assert [n > 0 for n in predicted] == [True, True, False, True, True]
+    assert [n > 0 for n in new] == [True, True, False, True, True]
+    assert longs[3] > 5
+    assert [n > 0 for n in escapes] == [False, False, False, False, True]
+    assert [n > 0 for n in late] == [False, False, False, False, True]
+
+
+@pytest.mark.parametrize("row", STREAMS, ids=names(STREAMS))
+def test_a_stream(row: dict[str, Any]) -> None:
+    path, wanted = FOLDER / row["stream"], row["state_sha256"]
+    coder = 2 if path.name.endswith("gzip") else 1
+    assert all(
+        HEAD.unpack_from(p.read_bytes())[3:5] == (2, coder) for p in path.glob("segments/*/*")
+    )
+    assert verify_stream(path).num_frames == len(wanted)
+    reader = StreamReader(path)
+    for frame, hashes in enumerate(wanted):
+        numbers = range(1, reader.manifest.num_layers + 1)
+        assert [state_sha256(held(reader.decoder_at(frame, n))) for n in numbers] == hashes
+
+
+@pytest.mark.parametrize("row", ORDERS, ids=names(ORDERS))
+def test_an_order_of_arrival(row: dict[str, Any]) -> None:
+    arrivals, wanted = read_order(row)
+    is_altered = any(len(event) == 4 for event in row["events"])
+    try:
+        found = [state_sha256(one) for one in played(arrivals)]
+    except CodecError:
+        assert is_altered
+    else:
+        assert found == wanted
+
+
+@pytest.mark.parametrize("row", HOSTILE, ids=names(HOSTILE))
+def test_a_hostile_file(row: dict[str, Any]) -> None:
+    assert verdict_of_package(row) == verdict_of_plain_reader(row) == row["verdict"]
+
+
+def verdict_of_package(row: dict[str, Any]) -> str:
+    data = bytes.fromhex(row["hex"])
+    try:
+        match row["what"]:
+            case "manifest":
+                Manifest.from_json(data)
+            case "index":
+                manifest = Manifest.from_json(
+                    (FOLDER / row["stream"] / "manifest.json").read_bytes()
+                )
+                records = read_index(data, manifest)
+                assert len(records) == row.get("num_segments", len(records))
+            case "object":
+                check_object(data)
+            case "packet":
+                packet_content(data, row["limit_bytes"])
+            case "record":
+                assert len(RecordParser().feed(data)) == 1
+    except UnsupportedError:
+        return "unsupported"
+    except CorruptError:
+        return "corrupt"
+    return "taken"
+
+
+def check_object(data: bytes) -> None:
+    """Reads `data` as layer 0 of segment 1 of the first stream, whose index says its size."""
+    reader = StreamReader(FOLDER / STREAMS[0]["stream"])
+    record = reader.records[1]
+    sizes = (len(data), *record.object_bytes[1:])
+    hashes = (hashlib.sha256(data).digest(), *record.object_sha256[1:])
+    named = replace(record, object_bytes=sizes, object_sha256=hashes)
+    found = CheckedObject.check("", data, reader.manifest, named, 0)
+    for entry in found.entries:
+        found.content(entry.birth)
+
+
+def verdict_of_plain_reader(row: dict[str, Any]) -> str:
+    data = bytes.fromhex(row["hex"])
+    try:
+        match row["what"]:
+            case "object":
+                decode_object(data)
+            case "packet":
+                inflate(data, row["limit_bytes"])
+            case "manifest":
+                # Of what decoding does not need it reads nothing.
+                if read_manifest(data) == StreamFolder(FOLDER / STREAMS[0]["stream"]).shape:
+                    return str(row["verdict"])
+            case "index":
+                shape = read_manifest((FOLDER / row["stream"] / "manifest.json").read_bytes())
+                read_index_plainly(data, shape)
+            case _:  # it reads no play records
+                return str(row["verdict"])
+    except Unsupported:
+        return "unsupported"
+    except (AssertionError, ValueError, RecursionError):
+        return "corrupt"
+    return "taken"

@@ -1,0 +1,148 @@
+"""swings-play --background in files: any colour behind the Gaussians, or an alpha channel."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from codec.errors import InvalidError
+from codec.splats import Splats
+from codec.stream import StreamReader
+from player import Scene
+from player.config import PlayConfig
+from player.render.cpu import render_splats
+from player.render.renderer import RendererKind
+from player.run.playback import play
+from player.run.stills import draw_still
+from player.show.background import Colour
+from player.show.sink import Bytes, Floats, to_bytes
+from player.view.moment import Moment
+from tests.support.hosted_streams import write_stream
+
+FRAME, WHITE, BLUE = 9, (1.0, 1.0, 1.0), (0.2, 0.4, 1.0)
+SH_C0 = 0.28209479177387814
+
+
+@pytest.fixture(scope="module")
+def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("backgrounds") / "stream"
+    write_stream(path, 13)
+    return path
+
+
+def colours_and_cover(stream: Path) -> tuple[Floats, Floats]:
+    """What the frame shows on black, and how much of each pixel is covered: the picture that white
+    Gaussians make."""
+    reader = StreamReader(stream)
+    splats = reader.active_splats(FRAME, reader.manifest.num_layers)
+    white = np.zeros_like(splats.sh)
+    white[:, 0] = 0.5 / SH_C0
+    bare = Splats(*splats.arrays[:-1], white)
+    camera, near_m = reader.manifest.camera(None), reader.manifest.near_m
+    cover = render_splats(bare, camera, near_m)[..., :1]
+    assert 0.2 < float(cover.mean()) < 0.95  # there is something to tell
+    return render_splats(splats, camera, near_m), cover
+
+
+def before(stream: Path, background: Colour) -> Bytes:
+    """The frame before a background, by hand."""
+    colours, cover = colours_and_cover(stream)
+    return to_bytes((colours + (1 - cover) * background).astype(np.float32))
+
+
+def config(stream: Path, out: Path, background: Colour | None, **more: Any) -> PlayConfig:
+    cpu = RendererKind.CPU
+    return PlayConfig(str(stream), capture=out, background=background, renderer=cpu, **more)
+
+
+def read(path: Path) -> Bytes:
+    return np.asarray(Image.open(path))
+
+
+def assert_same(found: Bytes, expected: Bytes) -> None:
+    assert found.shape == expected.shape
+    assert int(np.abs(found.astype(int) - expected).max()) <= 1  # as rounded
+
+
+@pytest.mark.parametrize("background", [WHITE, BLUE])
+def test_stills_and_captures_stand_before_any_colour(
+    background: Colour, stream: Path, tmp_path: Path
+) -> None:
+    expected = before(stream, background)
+    draw_still(config(stream, tmp_path / "still.png", background, still=Moment(FRAME)))
+    assert_same(read(tmp_path / "still.png"), expected)
+    play(config(stream, tmp_path / "all", background))
+    assert_same(read(tmp_path / "all" / f"frame_{FRAME:05d}.png"), expected)
+    turn = tmp_path / "turn"
+    draw_still(config(stream, turn, background, still=Moment(FRAME), turntable=0.1))
+    assert_same(read(tmp_path / "turn" / "frame_00000.png"), expected)
+
+
+@pytest.mark.parametrize("kind", ["still", "folder"])
+def test_a_transparent_png_composited_elsewhere_is_the_picture_on_that_colour(
+    kind: str, stream: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out.png" if kind == "still" else tmp_path / "out"
+    if kind == "still":
+        draw_still(config(stream, out, None, still=Moment(FRAME)))
+    else:
+        play(config(stream, out, None))
+        out /= f"frame_{FRAME:05d}.png"
+    image = Image.open(out)
+    assert image.mode == "RGBA"
+    colours, cover = colours_and_cover(stream)
+    assert_same(read(out)[..., 3:], to_bytes(cover))
+    # Pillow's own "over" takes straight alpha, as every program does that reads PNG.
+    for background in (WHITE, BLUE, (0.0, 0.0, 0.0)):
+        ground = Image.new("RGBA", image.size, tuple(round(255 * part) for part in background))
+        shown = np.asarray(Image.alpha_composite(ground, image))[..., :3].astype(int)
+        exact = to_bytes((colours + (1 - cover) * background).astype(np.float32))
+        # What is brighter than its alpha allows cannot be said in straight alpha.
+        sayable = (colours <= cover).all(axis=-1)
+        assert sayable.mean() > 0.8
+        assert int(np.abs(shown - exact)[sayable].max()) <= 2
+
+
+def test_a_scene_gives_backgrounds_too(stream: Path) -> None:
+    with Scene.open(stream, renderer="cpu") as scene:
+        colours, cover = colours_and_cover(stream)
+        np.testing.assert_allclose(scene.render(FRAME), colours, atol=1e-5)
+        on_white = scene.render(FRAME, background=WHITE)
+        np.testing.assert_allclose(on_white, colours + 1 - cover, atol=2e-4)
+        clear = scene.render(FRAME, background=None)
+        assert clear.shape[2] == 4
+        np.testing.assert_allclose(clear[..., :3] * clear[..., 3:], colours, atol=1e-5)
+        assert scene.render(FRAME).shape[2] == 3
+
+
+def test_opengl_covers_what_the_cpu_covers(stream: Path) -> None:
+    pytest.importorskip("moderngl")
+    with Scene.open(stream, renderer="cpu") as by_cpu, Scene.open(stream, renderer="gl") as by_gl:
+        for background in (None, BLUE):
+            expected = by_cpu.render(FRAME, background=background)
+            try:
+                found = by_gl.render(FRAME, background=background)
+            except InvalidError:
+                pytest.skip("OpenGL does not work here")
+            if background is None:  # premultiplied: what little covers has any colour
+                expected, found = expected * expected[..., 3:], found * found[..., 3:]
+            np.testing.assert_allclose(found, expected, atol=4e-3)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"capture": Path("turn.mp4")}, "turn.mp4: an .mp4 has no alpha channel"),
+        ({}, "name it with --capture"),
+        ({"viser": 8080}, "--background cannot be combined with --viser"),
+    ],
+)
+def test_transparency_is_refused_where_there_is_none(
+    options: dict[str, object], message: str
+) -> None:
+    with pytest.raises(InvalidError, match=message):
+        PlayConfig("stream", background=None, **options)  # type: ignore[arg-type]

@@ -1,0 +1,284 @@
+"""swings-play --still: one frame to a picture or a turn around it, and never half of a file."""
+
+from __future__ import annotations
+
+import math
+import resource
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from PIL import Image
+
+from codec.errors import InvalidError
+from codec.framerange import FrameRange
+from codec.stream import StreamReader
+from player import Scene
+from player.config import CameraPathName, PlayConfig
+from player.render.cpu import render_splats
+from player.render.renderer import RendererKind
+from player.run.playback import play
+from player.run.stills import draw_still
+from player.show.sink import Bytes, to_bytes
+from player.view.moment import Moment
+from player.view.path import Size, orbit
+from tests.support.commands import command, environment, run, run_ok
+from tests.support.hosted_streams import static_host, write_stream
+from tests.support.slots.slot_streams import write_busy_stream
+from tests.support.slots.updates import small_layout
+
+CPU = RendererKind.CPU
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("library")
+    write_stream(root / "whole", 13)
+    write_busy_stream(root / "slots", 40, small_layout(4, (60, 60), 0, 15))
+    for path in root.iterdir():
+        with Scene.open(path, renderer="cpu") as scene:
+            scene.render(0)  # compiles, which a process with a full disk could not keep
+    return root
+
+
+def picture(path: Path) -> Bytes:
+    return np.asarray(Image.open(path))
+
+
+@pytest.mark.parametrize("camera", ["default", "camera:c1", "orbit"])
+def test_a_still_is_the_frame_of_a_capture(library: Path, tmp_path: Path, camera: str) -> None:
+    config = PlayConfig(
+        str(library / "slots"),
+        camera=CameraPathName(camera),
+        size=Size(50, 40),
+        layers=1,
+        renderer=CPU,
+        capture=tmp_path / "all",
+    )
+    play(config)
+    still = replace(config, still=Moment(31), capture=tmp_path / "still.png")
+    line = draw_still(still)
+    assert line.startswith("a picture of frame 31 of ")
+    assert line.endswith(f"slots, 50x40, by CPU: {tmp_path}/still.png")
+    expected = picture(tmp_path / "all" / "frame_00031.png")
+    np.testing.assert_array_equal(picture(tmp_path / "still.png"), expected)
+
+
+def test_the_command_draws_a_still_of_a_url(library: Path, tmp_path: Path) -> None:
+    out = tmp_path / "still.png"
+    with static_host(library) as host:
+        options = ("--still", 9, "--capture", out, "--camera", "camera:c2", "--renderer", "cpu")
+        told = run_ok("swings-play", f"{host}/whole", *options)
+    assert told == f"a picture of frame 9 of {host}/whole, 64x48, by CPU: {out}\n"
+    with Scene.open(library / "whole", renderer="cpu") as scene:
+        np.testing.assert_array_equal(picture(out), to_bytes(scene.render(9, "c2")))
+
+
+def test_a_turntable_goes_once_around_and_the_frame_stands(library: Path, tmp_path: Path) -> None:
+    config = PlayConfig(
+        str(library / "whole"),
+        still=Moment(7),
+        turntable=0.2,
+        capture=tmp_path / "turn",
+        renderer=CPU,
+    )
+    assert draw_still(config).startswith("6 pictures of frame 7 of ")
+    reader = StreamReader(library / "whole")
+    manifest, splats = reader.manifest, reader.active_splats(7, 3)
+    path = orbit(manifest, manifest.camera(), FrameRange(0, 6), 2 * math.pi)
+    names = sorted(file.name for file in (tmp_path / "turn").iterdir())
+    assert names == [f"frame_{n:05d}.png" for n in range(6)]
+    for number, name in enumerate(names):
+        expected = to_bytes(render_splats(splats, path(number), manifest.near_m))
+        np.testing.assert_array_equal(picture(tmp_path / "turn" / name), expected)
+    assert len({picture(tmp_path / "turn" / name).tobytes() for name in names}) == 6
+
+
+def test_a_turntable_may_swing_and_be_a_video(library: Path, tmp_path: Path) -> None:
+    out = tmp_path / "turn.mp4"
+    options = ("--still", 7, "--turntable", 0.5, "--capture", out, "--camera", "orbit:40")
+    told = run_ok("swings-play", library / "whole", *options, "--renderer", "cpu")
+    assert told.startswith("15 pictures of frame 7 of ")
+    with av.open(str(out)) as container:
+        rate = container.streams.video[0].average_rate
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    assert len(frames) == 15
+    assert rate == 30
+    assert [path.name for path in tmp_path.iterdir()] == ["turn.mp4"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--still", 3), "name it with --capture"),
+        (
+            ("--still=-1", "--capture", "o.png"),
+            "neither a frame, such as 30, nor a time, such as 2.5s",
+        ),
+        (("--still", "3m", "--capture", "o.png"), "'3m' is neither a frame"),
+        (("--still", 3, "--capture", "o.mp4"), "name a .png file"),
+        (("--still", 3, "--capture", "absent/o.png"), "there is no folder absent"),
+        (("--turntable", 3, "--capture", "o.mp4"), "choose its frame with --still"),
+        (("--still", 3, "--turntable", 3, "--capture", "o.png"), "name an .mp4 file, or a folder"),
+        (("--still", 3, "--turntable", 0, "--capture", "o.mp4"), "more than 0"),
+        (("--still", 3, "--turntable", "nan", "--capture", "o.mp4"), "more than 0"),
+        (("--still", 3, "--turntable", "1e9", "--capture", "o.mp4"), "at most 3600 seconds"),
+        (
+            ("--still", 3, "--capture", "o.png", "--frames", "3:4"),
+            "--frames cannot be combined with --still",
+        ),
+        (
+            ("--still", 3, "--capture", "o.png", "--loop", "2"),
+            "--loop cannot be combined with --still",
+        ),
+        (
+            ("--still", 3, "--capture", "o.png", "--report", "r.json"),
+            "--report cannot be combined with --still",
+        ),
+        (
+            ("--still", 3, "--capture", "o.png", "--plot", "p.png"),
+            "--plot cannot be combined with --still",
+        ),
+    ],
+)
+def test_options_that_do_not_go_together(
+    options: tuple[object, ...], message: str, tmp_path: Path
+) -> None:
+    arguments = ["player", "somewhere", *map(str, options)]
+    code = "import sys, player.__main__ as m; sys.argv = sys.argv[1:]; m.main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        cwd=tmp_path,
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert len([line for line in done.stderr.splitlines() if message in line]) == 1, done.stderr
+
+
+def test_a_frame_that_is_not_there_leaves_nothing(library: Path, tmp_path: Path) -> None:
+    config = PlayConfig(
+        str(library / "whole"), still=Moment(13), capture=tmp_path / "o.png", renderer=CPU
+    )
+    with pytest.raises(InvalidError, match=r"frames 13:14: .*whole has frames 0:13"):
+        draw_still(config)
+    with pytest.raises(InvalidError, match="has frames 0:13"):
+        draw_still(replace(config, turntable=2.0, capture=tmp_path / "o"))
+    assert list(tmp_path.iterdir()) == []
+
+
+def turning(library: Path, out: Path) -> Sequence[str]:
+    """A command that takes long."""
+    options = ("--still", 3, "--turntable", 3000, "--capture", out, "--renderer", "cpu")
+    return command("swings-play", library / "slots", *options)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_leaves_no_half_video(
+    library: Path, tmp_path: Path, number: signal.Signals
+) -> None:
+    out = tmp_path / "out.mp4"
+    out.write_bytes(b"what was there before")
+    process = subprocess.Popen(
+        turning(library, out),
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    partial, until_s = tmp_path / ".out.mp4.tmp", time.monotonic() + 100
+    while not (partial.exists() and partial.stat().st_size > 0):
+        assert process.poll() is None
+        assert time.monotonic() < until_s
+        time.sleep(0.05)
+    process.send_signal(number)
+    assert process.communicate(timeout=60) == ("", "")
+    assert process.returncode == 128 + number
+    assert [path.name for path in tmp_path.iterdir()] == ["out.mp4"]
+    assert out.read_bytes() == b"what was there before"
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_the_wait_for_a_host_that_is_silent(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        url = f"http://127.0.0.1:{listener.getsockname()[1]}/s"
+        words = (url, "--still", 3, "--capture", tmp_path / "out.png")
+        process = subprocess.Popen(
+            command("swings-play", *words), env=environment(), stderr=subprocess.PIPE, text=True
+        )
+        connection, _ = listener.accept()
+        with connection:
+            assert connection.recv(4) == b"GET "
+            process.send_signal(number)
+            began_s = time.monotonic()
+            assert process.communicate(timeout=60)[1] == ""
+            assert time.monotonic() - began_s < 10
+    assert process.returncode == 128 + number
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("options", "limit_bytes"),
+    [
+        (("--still", 3, "--capture", "OUT/out.png", "--size", "400x300"), 1000),
+        (("--still", 3, "--turntable", 20, "--capture", "OUT/out.mp4"), 20_000),
+        (("--capture", "OUT/out.mp4", "--camera", "orbit", "--size", "400x300"), 5_000),
+    ],
+)
+def test_a_full_disk_leaves_nothing_and_names_the_file(
+    library: Path, tmp_path: Path, options: tuple[object, ...], limit_bytes: int
+) -> None:
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, limit_bytes))
+
+    words = [str(word).replace("OUT", str(tmp_path)) for word in options]
+    done = subprocess.run(
+        command("swings-play", library / "slots", *words, "--renderer", "cpu"),
+        env=environment(),
+        preexec_fn=limit,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 1, done.stderr
+    line = done.stderr.strip()
+    assert line.startswith("swings-play: ")
+    assert "\n" not in line
+    assert "File too large" in line
+    assert f"{tmp_path}/out." in line
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_real_full_disk(library: Path, tmp_path: Path) -> None:
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=16k", "none", str(disk)], capture_output=True
+    )
+    if mounted.returncode:
+        pytest.skip("a small disk cannot be mounted here")
+    try:
+        for options in (("--still", 3), ("--still", 3, "--turntable", 20), ()):
+            out = disk / ("out.mp4" if len(options) != 2 else "out.png")
+            words = (*options, "--capture", out, "--size", "400x300", "--renderer", "cpu")
+            done = run("swings-play", library / "slots", *words)
+            assert done.returncode == 1
+            assert "No space left on device" in done.stderr
+            assert str(out) in done.stderr
+            assert done.stderr.count("\n") == 1
+            assert list(disk.iterdir()) == []
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)

@@ -1,0 +1,413 @@
+"""A stream in a script: exact frames in any order, from any place, and nothing left behind."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from codec.camera import Camera
+from codec.errors import CorruptError, InvalidError, SwingsError
+from codec.framerange import FrameRange
+from codec.stream import StreamReader, StreamWriter
+from codec.stream.index import pack_record
+from codec.tools.static import export_static
+from player import Scene
+from player.config import PlayConfig
+from player.network.fetch import FetchError
+from player.network.retry import RetryConfig
+from player.render.cpu import CpuRenderer, render_splats
+from player.render.renderer import RendererKind
+from player.run.playback import play
+from player.script.openscene import Floats
+from player.show.sink import to_bytes
+from player.source.opener import SourceConfig
+from tests.support.commands import ROOT
+from tests.support.drawn import same_splats
+from tests.support.hosted_streams import (
+    SEGMENT_FRAMES,
+    SLICE_SIZE,
+    SWIN_SIZE,
+    ServerProcess,
+    random_slice,
+    served,
+    small_manifest,
+    static_host,
+    write_stream,
+)
+from tests.support.slots.slot_streams import write_busy_stream, write_slot_stream
+from tests.support.slots.updates import small_layout
+
+HASTY = SourceConfig(RetryConfig(0.0))
+
+NUM_FRAMES = 33
+STREAMS = ("whole", "busy", "patternless")
+"""Slices that are sent whole, and slots that last."""
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("library")
+    write_stream(root / "whole", NUM_FRAMES)
+    write_busy_stream(root / "busy", NUM_FRAMES, small_layout(4, (60, 60), 0, 7))
+    write_slot_stream(root / "patternless", NUM_FRAMES, small_layout(5, (9, 7), 0, 6))
+    return root
+
+
+@pytest.fixture(scope="module")
+def server(library: Path) -> Iterator[ServerProcess]:
+    with served(library) as server:
+        yield server
+
+
+@pytest.fixture(scope="module")
+def expected(library: Path) -> dict[tuple[str, int, int], Floats]:
+    """By stream, layers and frame the picture from the second camera, each by a reader of its
+    own."""
+    pictures = {}
+    for name in STREAMS:
+        for layers in (1, 2):
+            for frame in range(NUM_FRAMES):
+                reader = StreamReader(library / name)
+                splats, near_m = reader.active_splats(frame, layers), reader.manifest.near_m
+                picture = render_splats(splats, reader.manifest.camera("c1"), near_m)
+                pictures[name, layers, frame] = picture
+    return pictures
+
+
+@pytest.mark.parametrize("name", STREAMS)
+@settings(max_examples=25, deadline=None)
+@given(
+    walk=st.lists(st.tuples(st.integers(0, NUM_FRAMES - 1), st.booleans()), max_size=12),
+    layers=st.sampled_from((1, 2)),
+)
+def test_any_walk_through_the_frames_is_exact(
+    library: Path,
+    expected: dict[tuple[str, int, int], Floats],
+    name: str,
+    walk: list[tuple[int, bool]],
+    layers: int,
+) -> None:
+    reader = StreamReader(library / name)
+    with Scene.open(library / name, layers=layers, renderer="cpu") as scene:
+        for frame, drawn in walk:
+            if drawn:
+                picture = scene.render(frame, "c1")
+                np.testing.assert_array_equal(picture, expected[name, layers, frame])
+            else:
+                assert same_splats(scene.splats(frame), reader.active_splats(frame, layers))
+
+
+@pytest.mark.parametrize("name", STREAMS)
+@pytest.mark.parametrize("version", ["3.3", "4.3"])
+def test_opengl_draws_a_frame_the_same_wherever_the_scene_was_before(
+    library: Path, name: str, version: str
+) -> None:
+    with Scene.open(library / name, renderer="gl", gl=version) as scene:
+        try:
+            first = scene.render(0)
+        except SwingsError as error:
+            pytest.skip(f"OpenGL: {error}")
+        for frame in (9, 10, 11, 10, 13, 30, 2, 3, 0):
+            with Scene.open(library / name, renderer="gl", gl=version) as fresh:
+                picture = scene.render(frame)
+                np.testing.assert_array_equal(picture, fresh.render(frame))
+        np.testing.assert_array_equal(picture, first)
+
+
+def test_every_place_gives_the_same(library: Path, server: ServerProcess, tmp_path: Path) -> None:
+    reader = StreamReader(library / "busy")
+    export_static(library / "busy", tmp_path / "static")
+    with static_host(tmp_path) as export, static_host(library) as host:
+        for source in (
+            str(library / "busy"),
+            f"{host}/busy",
+            f"{host}/busy/manifest.json",
+            f"{server.url}/watch/busy",
+            f"{server.url}/v1/streams/busy",
+            f"{export}/static",
+        ):
+            with Scene.open(source, renderer="cpu") as scene:
+                assert scene.num_frames == NUM_FRAMES
+                for frame in (20, 3, 4):
+                    assert same_splats(scene.splats(frame), reader.active_splats(frame, 2))
+
+
+def test_objects_may_lie_where_the_manifest_says(tmp_path: Path) -> None:
+    stream = write_stream(tmp_path / "s", 13)
+    manifest = StreamReader(stream).manifest
+    elsewhere = replace(manifest, object_url="../blobs/l{layer}-s{segment}")
+    (tmp_path / "blobs").mkdir()
+    splats = StreamReader(stream).active_splats(9, 3)
+    for path in sorted((stream / "segments").glob("*/*")):
+        path.rename(tmp_path / "blobs" / f"l{path.name}-s{path.parent.name}")
+    (stream / "manifest.json").write_bytes(elsewhere.to_json())
+    with static_host(tmp_path) as host, Scene.open(f"{host}/s") as scene:
+        assert same_splats(scene.splats(9), splats)
+
+
+def test_a_server_has_the_objects_itself_wherever_the_manifest_says(tmp_path: Path) -> None:
+    stream = write_stream(tmp_path / "s", 13, object_url="https://cdn.example/{layer}/{segment}")
+    with served(tmp_path) as server, Scene.open(f"{server.url}/watch/s") as scene:
+        assert same_splats(scene.splats(9), StreamReader(stream).active_splats(9, 3))
+
+
+def test_pictures_are_those_that_swings_play_captures(library: Path, tmp_path: Path) -> None:
+    for name in STREAMS:
+        config = PlayConfig(
+            str(library / name),
+            capture=tmp_path / name,
+            renderer=RendererKind.CPU,
+            frames=FrameRange(4, 12),
+        )
+        play(config)
+        with Scene.open(library / name, renderer="cpu") as scene:
+            for frame in scene.frames(4, 12):
+                file = tmp_path / name / f"frame_{frame:05d}.png"
+                np.testing.assert_array_equal(
+                    to_bytes(scene.render(frame)), np.asarray(Image.open(file))
+                )
+
+
+def test_a_camera_by_name_by_value_and_in_another_size(library: Path) -> None:
+    reader = StreamReader(library / "whole")
+    splats, manifest = reader.active_splats(5, 3), reader.manifest
+
+    def drawn(camera: Camera) -> Floats:
+        return render_splats(splats, camera, manifest.near_m)
+
+    with Scene.open(library / "whole", renderer="cpu") as scene:
+        assert scene.fps == manifest.fps
+        assert [camera.name for camera in scene.cameras] == ["c0", "c1", "c2", "c3"]
+        by_default = scene.render(5)
+        assert by_default.dtype == np.float32
+        assert by_default.shape == (48, 64, 3)
+        np.testing.assert_array_equal(by_default, drawn(manifest.camera()))
+        np.testing.assert_array_equal(scene.render(5, "c2"), drawn(manifest.camera("c2")))
+        moved = replace(manifest.camera("c2"), fx_px=80.0)
+        np.testing.assert_array_equal(scene.render(5, moved), drawn(moved))
+        fitted = manifest.camera("c3").fitted(50, 70)
+        np.testing.assert_array_equal(scene.render(5, "c3", (50, 70)), drawn(fitted))
+        with pytest.raises(InvalidError, match="no camera is called 'nobody'; there are c0, c1"):
+            scene.render(5, "nobody")
+
+
+def test_going_on_takes_what_is_new_and_no_more(library: Path) -> None:
+    with Scene.open(library / "whole", renderer="cpu") as scene:
+        scene.render(5)
+        renderer = scene._renderer
+        assert renderer is not None
+        slice_bytes = random_slice(0).num_bytes
+        # Going back takes the whole window: nothing is known of what the slices replaced.
+        for frame, slices in ((6, 1), (6, 0), (8, 2), (7, SWIN_SIZE), (7 + SWIN_SIZE, SWIN_SIZE)):
+            before = renderer.uploaded_bytes
+            scene.render(frame)
+            assert renderer.uploaded_bytes - before == slices * slice_bytes
+
+
+def test_it_works_where_an_event_loop_runs_as_in_a_notebook(
+    library: Path, server: ServerProcess
+) -> None:
+    async def cell() -> Floats:
+        with Scene.open(f"{server.url}/watch/whole", renderer="cpu") as scene:
+            return scene.render(12, "c1", (32, 24))
+
+    with Scene.open(library / "whole", renderer="cpu") as scene:
+        np.testing.assert_array_equal(asyncio.run(cell()), scene.render(12, "c1", (32, 24)))
+
+
+def test_no_thread_is_left_behind(library: Path, server: ServerProcess) -> None:
+    before = set(threading.enumerate())
+    for source in (str(library / "busy"), f"{server.url}/watch/busy"):
+        with Scene.open(source) as scene:
+            scene.render(3)
+        assert set(threading.enumerate()) == before
+    for source in (f"{server.url}/watch/absent", "http://127.0.0.1:9", str(library / "absent")):
+        with pytest.raises(SwingsError):
+            Scene.open(source, delivery=HASTY)
+        assert set(threading.enumerate()) == before
+
+
+def test_a_script_that_never_closes_a_scene_ends(server: ServerProcess) -> None:
+    code = f"""
+from player import Scene
+scene = Scene.open({server.url + "/watch/busy"!r}, renderer="cpu")
+print(scene.render(7).shape)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60
+    )
+    assert (done.returncode, done.stdout) == (0, "(48, 64, 3)\n"), done.stderr
+
+
+def test_the_package_alone_loads_nothing() -> None:
+    code = (
+        "import sys, player\n"
+        "heavy = {'numpy', 'numba', 'moderngl', 'aiohttp'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+        "from player import Scene\n"
+        "assert 'av' not in sys.modules and 'glfw' not in sys.modules\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_what_is_not_there_gets_one_line(library: Path) -> None:
+    path = library / "whole"
+    with Scene.open(path, renderer="cpu") as scene:
+        for frame in (-1, NUM_FRAMES):
+            for ask in (scene.splats, scene.render):
+                with pytest.raises(InvalidError, match=f"has 33 frames; there is no frame {frame}"):
+                    ask(frame)
+        for first, end in ((30, 34), (33, None), (-1, 3), (5, 5)):
+            with pytest.raises(InvalidError, match="whole has frames 0:33"):
+                scene.frames(first, end)
+        assert scene.frames() == range(NUM_FRAMES)
+        assert scene.frames(7) == range(7, NUM_FRAMES)
+    for ask in (scene.splats, scene.render):
+        with pytest.raises(InvalidError, match="whole: the scene is closed; open it again"):
+            ask(3)
+    scene.close()
+    with pytest.raises(InvalidError, match="the scene is closed"), scene:
+        pass
+
+
+def test_what_cannot_be_opened_gets_one_line(library: Path, server: ServerProcess) -> None:
+    for source, message in (
+        (library / "absent", "absent is not a folder"),
+        (f"{server.url}/watch/absent", "absent/manifest.json"),
+        (server.url, "serves 3 streams"),
+        ("http://127.0.0.1:9/s", "cannot connect"),
+        ("ftp://host/s", "only http:// and https:// URLs and folders"),
+        ("http://", "it has no host"),
+    ):
+        with pytest.raises(SwingsError, match=message) as caught:
+            Scene.open(source, delivery=HASTY)
+        assert "\n" not in str(caught.value)
+    with pytest.raises(InvalidError, match="renderer 'magic' is not one of auto, gl, cpu"):
+        Scene.open(library / "whole", renderer="magic")
+    with pytest.raises(InvalidError, match="OpenGL version '2' is not one of auto"):
+        Scene.open(library / "whole", gl="2")
+    with pytest.raises(InvalidError, match="has 3 layers"):
+        Scene.open(library / "whole", layers=4)
+
+
+def test_a_picture_that_cannot_be_drawn_spoils_none_after_it(
+    library: Path, expected: dict[tuple[str, int, int], Floats], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*arguments: object) -> None:
+        raise KeyboardInterrupt
+
+    with Scene.open(library / "busy", layers=2, renderer="cpu") as scene:
+        scene.render(3)
+        with monkeypatch.context() as patch:
+            patch.setattr(CpuRenderer, "render", interrupted)
+            with pytest.raises(KeyboardInterrupt):
+                scene.render(30)
+        for frame in (4, 30):
+            picture = scene.render(frame, "c1")
+            np.testing.assert_array_equal(picture, expected["busy", 2, frame])
+
+
+def test_another_thread_is_told_to_open_a_scene_of_its_own(library: Path) -> None:
+    told: list[str] = []
+
+    def other(scene: Scene) -> None:
+        try:
+            scene.render(3)
+        except InvalidError as error:
+            told.append(str(error))
+
+    with Scene.open(library / "whole", renderer="cpu") as scene:
+        scene.render(3)
+        thread = threading.Thread(target=other, args=(scene,))
+        thread.start()
+        thread.join()
+    assert "another thread already draws" in told[0]
+
+
+def test_a_live_stream_grows_when_it_is_asked_to(tmp_path: Path) -> None:
+    with static_host(tmp_path) as host:
+        with StreamWriter.create(tmp_path / "s", small_manifest()) as writer:
+            births = iter(range(1 - SWIN_SIZE, 3 * SEGMENT_FRAMES))
+            for birth in births:
+                writer.append(random_slice(birth, SLICE_SIZE))
+                if birth == SEGMENT_FRAMES:
+                    break
+            with Scene.open(f"{host}/s") as scene:
+                assert (scene.num_frames, scene.manifest.live) == (SEGMENT_FRAMES, True)
+                with pytest.raises(InvalidError, match=f"there is no frame {SEGMENT_FRAMES}"):
+                    scene.splats(SEGMENT_FRAMES)
+                for birth in births:
+                    writer.append(random_slice(birth, SLICE_SIZE))
+                    if birth == 2 * SEGMENT_FRAMES:
+                        break
+                assert scene.refresh() == SEGMENT_FRAMES
+                assert scene.refresh() == 0
+                found = scene.splats(SEGMENT_FRAMES + 1)
+            for birth in births:
+                writer.append(random_slice(birth, SLICE_SIZE))
+        expected = StreamReader(tmp_path / "s").active_splats(SEGMENT_FRAMES + 1, 3)
+        assert same_splats(found, expected)
+
+
+def test_a_stranger_leads_neither_elsewhere_nor_into_much_memory(tmp_path: Path) -> None:
+    write_stream(tmp_path / "away", 13, object_url="http://127.0.0.2:9/{layer}/{segment}")
+    much = write_stream(tmp_path / "much", 13)
+    records = [
+        replace(record, object_bytes=(1 << 29, *record.object_bytes[1:]))
+        for record in StreamReader(much).records
+    ]
+    (much / "index.bin").write_bytes(b"".join(map(pack_record, records)))
+    with static_host(tmp_path) as host:
+        with (
+            Scene.open(f"{host}/away") as scene,
+            pytest.raises(FetchError, match=r"leads to another host, 127\.0\.0\.2:9"),
+        ):
+            scene.splats(3)
+        with pytest.raises(CorruptError, match=r"/much/index.bin: .* names an object of 536870912"):
+            Scene.open(f"{host}/much")
+
+
+def test_a_broken_object_is_named(tmp_path: Path) -> None:
+    stream = write_stream(tmp_path / "s", 13)
+    path = stream / "segments" / "1" / "2"
+    path.write_bytes(path.read_bytes()[:-1] + b"!")
+    with static_host(tmp_path) as host, Scene.open(f"{host}/s") as scene:
+        scene.splats(SEGMENT_FRAMES - 1)
+        with pytest.raises(CorruptError, match=r"/s/segments/1/2: .*hash differs"):
+            scene.splats(SEGMENT_FRAMES)
+        path.unlink()
+        with pytest.raises(CorruptError, match="/s/segments/1/2 is missing"):
+            scene.splats(SEGMENT_FRAMES)
+        assert len(scene.splats(SEGMENT_FRAMES - 1))
+
+
+def test_a_server_that_comes_back_is_asked_again(library: Path) -> None:
+    with (
+        served(library) as first,
+        Scene.open(f"{first.url}/watch/whole", delivery=SourceConfig(RetryConfig(3.0))) as scene,
+    ):
+        first.kill()
+        second: list[ServerProcess] = []
+        timer = threading.Timer(0.3, lambda: second.append(ServerProcess(library, first.port)))
+        timer.start()
+        try:
+            assert len(scene.splats(20))
+        finally:
+            timer.join()
+            second[0].kill()
+        with pytest.raises(FetchError, match="cannot connect"):
+            scene.splats(3)

@@ -1,0 +1,220 @@
+"""A stream in viser, by a real server: the page is there, and what a frame shows is sent."""
+
+from __future__ import annotations
+
+import importlib.util
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+from urllib.request import urlopen
+
+import numpy as np
+import pytest
+from hypothesis import given
+
+from codec.errors import InvalidError
+from codec.pose import quat_of
+from codec.splats import SH_C0, Splats
+from player import Scene
+from player.config import PlayConfig, parse_port
+from player.script.viserview import ViserView, viser_arrays
+from tests.support.commands import command, environment, run
+from tests.support.drawn import drawn_splats
+from tests.support.hosted_streams import write_stream
+
+HAS_VISER = importlib.util.find_spec("viser") is not None
+needs_viser = pytest.mark.skipif(not HAS_VISER, reason="viser is not installed (extra viser)")
+
+NUM_FRAMES = 13
+
+
+@pytest.fixture(scope="module")
+def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_stream(tmp_path_factory.mktemp("viser") / "s", NUM_FRAMES, fps=50.0)
+
+
+@given(drawn_splats(position=10.0, log_scale=(-5.0, 1.0)))
+def test_covariances_colours_and_opacities_are_those_of_the_gaussians(splats: Splats) -> None:
+    centres, covariances, colours, opacities = viser_arrays(splats)
+    np.testing.assert_array_equal(centres, splats.means)
+    assert covariances.shape == (len(splats), 3, 3)
+    for n in range(len(splats)):
+        w, *axis = splats.quats[n].astype(np.float64) / np.linalg.norm(splats.quats[n])
+        x, y, z = axis
+        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        turn = np.eye(3) + 2 * w * cross + 2 * cross @ cross  # Rodrigues
+        variances = np.exp(2 * splats.log_scales[n].astype(np.float64))
+        expected = turn @ np.diag(variances) @ turn.T
+        np.testing.assert_allclose(covariances[n], expected, atol=1e-5 * variances.max())
+    light = 0.5 + SH_C0 * splats.sh[:, 0].astype(np.float64)
+    np.testing.assert_allclose(colours, np.clip(light, 0, 1), atol=1e-6)
+    share = 1 / (1 + np.exp(-splats.logit_opacities.astype(np.float64)))
+    np.testing.assert_allclose(opacities[:, 0], share, atol=1e-6)
+
+
+def sent(splats: Splats) -> bytes:
+    """The Gaussians as a browser gets them: rows of 3 float32, a gap, 6 float16, RGBA."""
+    centres, covariances, colours, opacities = viser_arrays(splats)
+    rows = np.zeros((len(splats), 32), np.uint8)
+    rows[:, :12] = np.ascontiguousarray(centres).view(np.uint8)
+    upper = covariances[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]].astype(np.float16)
+    rows[:, 16:28] = np.ascontiguousarray(upper).view(np.uint8)
+    rows[:, 28:] = (np.concatenate([colours, opacities], axis=1) * 255).astype(np.uint8)
+    return rows.tobytes()
+
+
+@contextmanager
+def browser(url: str) -> Iterator[Any]:
+    """A connection as a browser has it."""
+    import viser
+    from websockets.sync.client import connect
+    from websockets.typing import Subprotocol
+
+    with connect(
+        url.replace("http", "ws"),
+        subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
+        max_size=None,
+        compression=None,
+    ) as connection:
+        yield connection
+
+
+def received(connection: Any, wanted: bytes) -> bool:
+    """Whether `wanted` comes soon."""
+    until_s = time.monotonic() + 20
+    with suppress(TimeoutError):
+        while wanted not in connection.recv(timeout=max(until_s - time.monotonic(), 0.01)):
+            pass
+        return True
+    return False
+
+
+@needs_viser
+def test_the_page_is_there_and_a_frame_is_sent(stream: Path) -> None:
+    before = set(threading.enumerate())
+    with Scene.open(stream) as scene, ViserView(scene, 0) as view:
+        with urlopen(view.url, timeout=10) as answer:
+            assert b"<html" in answer.read().lower()
+        with browser(view.url) as connection:
+            assert received(connection, sent(scene.splats(0)))
+            view.show(7)
+            assert received(connection, sent(scene.splats(7)))
+        with browser(view.url) as late:
+            assert received(late, sent(scene.splats(7)))
+        url = view.url
+    with pytest.raises(OSError, match="refused"):
+        urlopen(url, timeout=10)
+    assert set(threading.enumerate()) == before
+
+
+@needs_viser
+def test_what_is_seen_first_is_what_the_camera_sees(stream: Path) -> None:
+    with Scene.open(stream) as scene, ViserView(scene, 0, camera=scene.camera("c1")) as view:
+        start, camera = view.server.initial_camera, scene.camera("c1")
+        np.testing.assert_allclose(start.position, camera.position)
+        forward = start.look_at - start.position
+        np.testing.assert_allclose(forward / np.linalg.norm(forward), camera.forward, atol=1e-9)
+        np.testing.assert_allclose(start.up, -camera.down)
+        assert start.fov == pytest.approx(2 * np.arctan(24 / 60))
+        names = [f"/cameras/{n} c{n}" for n in range(4)]
+        frustums = [view.server.scene.get_handle_by_name(name) for name in names]
+        for frustum, one in zip(frustums, scene.cameras, strict=True):
+            np.testing.assert_allclose(frustum.position, one.position)
+            np.testing.assert_allclose(
+                np.abs(frustum.wxyz @ quat_of(one.w2c[:3, :3].T)), 1, atol=1e-6
+            )
+            assert frustum.aspect == pytest.approx(64 / 48)
+            assert frustum.visible == (one.name != "c1")
+
+
+@needs_viser
+def test_it_plays_in_time_and_goes_where_the_slider_says(stream: Path) -> None:
+    with Scene.open(stream) as scene, ViserView(scene, 0, range(2, 12)) as view:
+        shown: list[int] = []
+        show = view.show
+
+        def noting(frame: int) -> None:
+            shown.append(frame)
+            show(frame)
+
+        view.show = noting  # type: ignore[method-assign]
+        view.play(0.5)
+        # 25 frames in 0.5 s, again and again from 2 to 11; some may be left out.
+        assert 5 < len(shown) <= 26
+        assert set(shown) <= set(range(2, 12))
+        assert sum(b < a for a, b in pairwise(shown)) in (1, 2, 3)
+        view.playing = False
+        view.frame = 9
+        view.play(0.1)
+        assert shown[-1] == 9
+        at = len(shown)
+        view.play(0.1)
+        assert len(shown) == at
+        view.playing = True
+        view.play(0.1)
+        assert shown[at] in (10, 11)
+
+
+@needs_viser
+def test_a_stream_of_one_frame_can_be_looked_at(tmp_path: Path) -> None:
+    with Scene.open(write_stream(tmp_path / "s", 1)) as scene, ViserView(scene, 0) as view:
+        view.play(0.1)
+        assert view.frame == 0
+
+
+@needs_viser
+def test_the_command_shows_a_stream_until_it_is_ended(stream: Path) -> None:
+    process = subprocess.Popen(
+        command("swings-play", stream, "--viser", 0, "--frames", "3:9", "--camera", "camera:c2"),
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    while not (line := process.stdout.readline()).startswith("showing "):
+        assert line
+    url = line.split()[-1]
+    with Scene.open(stream) as scene, browser(url) as connection:
+        assert received(connection, sent(scene.splats(5)))
+    process.send_signal(signal.SIGTERM)
+    assert process.communicate(timeout=30)[1] == ""
+    assert process.returncode == 128 + signal.SIGTERM
+
+
+@pytest.mark.skipif(HAS_VISER, reason="viser is installed")
+def test_one_line_says_how_to_install_it(stream: Path) -> None:
+    done = run("swings-play", stream, "--viser")
+    assert (done.returncode, done.stdout) == (1, "")
+    expected = "viser is not installed; install it with pip install '.[viser]' in the swings folder"
+    assert done.stderr == f"swings-play: {expected}\n"
+    with Scene.open(stream) as scene, pytest.raises(InvalidError, match="viser is not installed"):
+        ViserView(scene)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("s", "--viser", "s"), "'s' is not a port; put SOURCE before --viser"),
+        (("s", "--viser", "65536"), "'65536' is not a port"),
+        (("s", "--viser", "--capture", "o.mp4"), "--capture cannot be combined with --viser"),
+        (("s", "--viser", "--still", "3"), "--still cannot be combined with --viser"),
+        (("s", "--viser", "--loop", "2"), "--loop cannot be combined with --viser"),
+        (("s", "--viser", "--renderer", "cpu"), "--renderer cannot be combined with --viser"),
+    ],
+)
+def test_options_that_do_not_go_with_viser(words: tuple[str, ...], message: str) -> None:
+    done = run("swings-play", *words)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert message in done.stderr
+
+
+def test_the_port_may_be_left_out() -> None:
+    assert PlayConfig("s").viser is None
+    assert [parse_port(words) for words in ([], ["0"], ["9000"])] == [8080, 0, 9000]

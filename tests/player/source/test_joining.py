@@ -1,0 +1,236 @@
+"""Streams from every source: wherever a player joins, and whatever breaks or is left out, it shows
+what the stream holds."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from codec.errors import SwingsError
+from codec.framerange import FrameRange
+from codec.slice import window_births
+from codec.slots.slotlayout import SlotLayout
+from codec.slots.update import Update
+from codec.stream import StreamReader, StreamWriter
+from codec.stream.manifest import MASKS, snapshot_part
+from codec.tools.audit import verify_stream
+from codec.tools.slotcensus import count_slots, summarise_slots
+from codec.tools.static import export_static
+from player.network.fetch import Fetcher
+from player.network.retry import RetryConfig
+from player.source.opener import opened
+from player.source.served import ServedSource
+from tests.support.delivery.assembled import Assembled, assembled, checked, read_all, slices_of
+from tests.support.hosted_streams import ServerProcess, served, static_host, wait_for_stream
+from tests.support.slots.slot_streams import (
+    slot_manifest,
+    write_slot_stream,
+)
+from tests.support.slots.updates import patternless_updates, small_layout
+
+NUM_FRAMES = 14
+
+
+def check_play(reader: StreamReader, got: list[Assembled], frames: FrameRange, layers: int) -> None:
+    """Each birth once, the first window whole, and every frame as the reader has it."""
+    manifest = reader.manifest
+    swin_size, end = manifest.swin_size, frames.end or reader.num_frames
+    births = range(window_births(frames.first, swin_size).start, end)
+    slices = slices_of(got)
+    assert [slice.birth for slice in slices] == list(births)
+    assert all(slice.rows is None for slice in slices[:swin_size])
+    assert all(slice.rows is not None for slice in slices[swin_size:])
+    assert {one.layers for one in got} == {layers}
+    assert [one.frame for one in checked(reader, got, layers)] == list(range(frames.first, end))
+
+
+def packet_bytes(reader: StreamReader, first: int, end: int, layers: int) -> int:
+    """What the slices born after the first frame of the segment of `first` and before `end` take,
+    and the snapshots that they follow."""
+    manifest = reader.manifest
+    segment = manifest.segment_of(first)
+    start = segment * manifest.segment_frames
+    snapshots = [reader.read_object(segment, snapshot_part(n)).packet(start) for n in range(layers)]
+    slices = [
+        reader.read_object(manifest.segment_of(birth), part).packet(birth)
+        for birth in range(start + 1, end)
+        for part in (MASKS, *range(layers))
+    ]
+    return sum(map(len, snapshots + slices))
+
+
+layouts = st.builds(
+    small_layout,
+    swin_size=st.sampled_from([1, 2, 5]),
+    slots=st.sampled_from([(1,), (5, 3), (2, 9, 4)]),
+    sh_degree=st.sampled_from([0, 1]),
+    segment_frames=st.sampled_from([1, 3, 4, 20]),
+)
+
+
+@given(layouts, st.integers(0, 1 << 32))
+@settings(max_examples=10, deadline=None)
+def test_a_folder_joined_at_any_frame(layout: SlotLayout, seed: int) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = write_slot_stream(Path(folder) / "s", NUM_FRAMES, layout, seed)
+        reader = StreamReader(path)
+        num_layers = reader.manifest.num_layers
+        for first in range(NUM_FRAMES):
+            layers = 1 + first % num_layers
+            frames = FrameRange(first, min(first + 8, NUM_FRAMES))
+            got = read_all(str(path), frames, layers)
+            check_play(reader, got, frames, layers)
+            fetched = sum(received.wire_bytes for received in got)
+            assert fetched == packet_bytes(reader, first, frames.end or 0, layers)
+        check_play(reader, read_all(str(path), FrameRange()), FrameRange(), num_layers)
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("library")
+    write_slot_stream(root / "one", NUM_FRAMES, small_layout(3, (6, 4, 5), 1, 5), fps=300.0)
+    return root
+
+
+@pytest.fixture(scope="module")
+def server(library: Path) -> Iterator[ServerProcess]:
+    with served(library) as server:
+        yield server
+
+
+def test_a_model_that_stands_still_takes_nothing_after_its_first_frame(
+    library: Path, server: ServerProcess, tmp_path: Path
+) -> None:
+    path, layout = library / "still", small_layout(2, (40, 30), 0, 10)
+    first, *_ = patternless_updates(layout, 1)
+    with StreamWriter.create(path, slot_manifest(layout, fps=300.0)) as writer:
+        writer.append(first)
+        for birth in range(30):
+            writer.append(Update.keeping(birth, layout))
+            assert writer.slice_bytes == 0
+    reader = StreamReader(path)
+    assert all(record.side_bytes[0] == 20 for record in reader.records)
+    assert all(size == 20 for record in reader.records for size in record.object_bytes)
+    export_static(path, tmp_path / "gzip")
+    assert verify_stream(tmp_path / "gzip").num_frames == verify_stream(path).num_frames == 30
+    assert summarise_slots(reader, count_slots(reader)).kept == (40, 30)
+    wait_for_stream(server, "still")
+    with static_host(library) as host:
+        urls = f"{host}/still", f"{server.url}/watch/still"
+        for source in (str(path), str(tmp_path / "gzip"), *urls):
+            got = read_all(source, FrameRange(), 2)
+            check_play(reader, got, FrameRange(), 2)
+            assert not any(one.wire_bytes for one in got[1:])
+
+
+@pytest.mark.parametrize("layers", [1, 2, 3])
+def test_a_host_and_a_server_joined_at_any_frame(
+    library: Path, server: ServerProcess, layers: int
+) -> None:
+    reader = StreamReader(library / "one")
+    with static_host(library) as host:
+        for first in range(NUM_FRAMES):
+            for end in (None, first + 1, min(first + 4, NUM_FRAMES)):
+                frames = FrameRange(first, end)
+                local = read_all(str(library / "one"), frames, layers)
+                check_play(reader, local, frames, layers)
+                for url in (f"{host}/one", f"{server.url}/watch/one"):
+                    got = read_all(url, frames, layers)
+                    check_play(reader, got, frames, layers)
+                    told = [received.wire_bytes for received in got]
+                    assert told == [received.wire_bytes for received in local]
+
+
+def test_the_first_frame_carries_what_came_before_it(library: Path) -> None:
+    reader = StreamReader(library / "one")
+    told = [one.wire_bytes for one in read_all(str(library / "one"), FrameRange(8, 11), 2)]
+    takes = [packet_bytes(reader, 8, frame, 2) for frame in (9, 10, 11)]
+    assert told == [takes[0], takes[1] - takes[0], takes[2] - takes[1]]
+    # At a segment's first frame there is nothing but the snapshot.
+    told = [one.wire_bytes for one in read_all(str(library / "one"), FrameRange(5, 6), 2)]
+    assert told == [packet_bytes(reader, 5, 6, 2)]
+
+
+def test_snapshots_are_fetched_of_the_first_segment_only(
+    library: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+    read_object = StreamReader.read_object
+
+    def noting(self: StreamReader, segment: int, part: int | str) -> object:
+        asked.append((segment, part))
+        return read_object(self, segment, part)
+
+    monkeypatch.setattr(StreamReader, "read_object", noting)
+    read_all(str(library / "one"), FrameRange(7), 2)
+    assert asked == [
+        *((1, part) for part in ("snapshot-0", "snapshot-1", "masks", 0, 1)),
+        *((2, part) for part in ("masks", 0, 1)),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("part", "message"),
+    [("masks", "segments/1/masks"), ("1", "segments/1/1"), ("snapshot-0", "segments/1/snapshot-0")],
+)
+def test_a_damaged_object_is_named(tmp_path: Path, part: str, message: str) -> None:
+    path = write_slot_stream(tmp_path / "s", 8)
+    damaged = path / "segments" / "1" / part
+    damaged.write_bytes(damaged.read_bytes()[:-1] + b"x")
+    with static_host(tmp_path) as host:
+        for source in (str(path), f"{host}/s"):
+            with pytest.raises(SwingsError, match=message):
+                read_all(source, FrameRange(5))
+
+
+def test_a_folder_still_written_is_followed(tmp_path: Path) -> None:
+    layout = small_layout(2, (5, 3), 0, 4)
+    updates = iter(patternless_updates(layout, 11))
+    with StreamWriter.create(tmp_path / "s", slot_manifest(layout, live=True)) as writer:
+        for update in updates:
+            writer.append(update)
+            if update.birth == 3:
+                break
+        got = []
+        with opened(str(tmp_path / "s"), FrameRange(2)) as source:
+            assert source.frames.end is None
+            for one in assembled(source):
+                got.append(one)
+                if one.frame == 3:
+                    for update in updates:
+                        writer.append(update)
+                    writer.close()
+    # The last segment is short.
+    check_play(StreamReader(tmp_path / "s"), got, FrameRange(2), 2)
+
+
+def test_a_killed_server_that_comes_back_is_not_noticed(tmp_path: Path) -> None:
+    root = tmp_path / "library"
+    write_slot_stream(root / "long", 250, small_layout(3, (4, 3), 0, 40), fps=100.0)
+    reader = StreamReader(root / "long")
+    server = ServerProcess(root)
+    source = ServedSource(
+        "s",
+        f"{server.url}/v1/streams/long",
+        Fetcher(),
+        FrameRange(),
+        2,
+        RetryConfig(20, first_delay_s=0.05, max_delay_s=0.05),
+    )
+    got: list[Assembled] = []
+    try:
+        for one in checked(reader, assembled(source), 2):
+            got.append(one)
+            if one.frame == 20:
+                server.kill()
+                server = ServerProcess(root, server.port)
+    finally:
+        source.close()
+        server.kill()
+    # At a segment's first frame the new connection begins anew, and the window comes again.
+    assert [one.layers for one in got] == [2] * 250

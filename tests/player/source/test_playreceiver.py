@@ -1,0 +1,243 @@
+"""Responses of any server that keeps the format: layers that come apart, late or never, connections
+that break.
+
+Nothing here has a socket; the records are made from the packets on disk.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from codec.errors import CodecError, CorruptError
+from codec.framerange import FrameRange
+from codec.stream import StreamReader
+from codec.stream.playrecord import SliceRecord, SnapshotRecord
+from player.playout.assembler import Assembler
+from player.playout.timeline import PlayedMedia
+from player.source.playreceiver import PlayReceiver
+from player.source.source import Packets
+from server.abr.holding import Holding
+from tests.support.delivery.playrecords import slice_record, snapshot_record
+from tests.support.hostile import flips
+from tests.support.slots.screen import Screen
+from tests.support.slots.slot_streams import write_slot_stream
+from tests.support.slots.updates import small_layout
+
+NUM_FRAMES = 24
+SWIN_SIZE, SEGMENT_FRAMES, LAYERS = 3, 5, 3
+
+
+@pytest.fixture(scope="module")
+def reader(tmp_path_factory: pytest.TempPathFactory) -> StreamReader:
+    layout = small_layout(SWIN_SIZE, (5, 4, 6), 0, SEGMENT_FRAMES)
+    path = write_slot_stream(tmp_path_factory.mktemp("streams") / "s", NUM_FRAMES, layout)
+    return StreamReader(path)
+
+
+Sent = SliceRecord | SnapshotRecord
+
+
+def response(reader: StreamReader, frame: int, rng: np.random.Generator) -> Iterator[Sent]:
+    """What a server may send from `frame` on: layer 0 in order, of the others anything, each packet
+    once, at any time after it could be made."""
+    start = frame // SEGMENT_FRAMES * SEGMENT_FRAMES
+    first = start + 1
+    leaves_out, delays = rng.choice([0.0, 0.2, 0.6]), rng.choice([0, 2, 9])
+    waiting: list[tuple[int, Sent]] = []
+    together = int(rng.integers(1, LAYERS + 1))
+    yield snapshot_record(reader, start, 0, together)
+    for layer in range(together, LAYERS):
+        if rng.random() >= leaves_out:
+            late = first + int(rng.integers(delays + 1))
+            waiting.append((late, snapshot_record(reader, start, layer, layer + 1)))
+    for birth in range(first, NUM_FRAMES):
+        if birth % SEGMENT_FRAMES == 0 and rng.random() < 0.5:
+            layer = int(rng.integers(LAYERS))
+            record = snapshot_record(reader, birth, layer, LAYERS)
+            waiting.append((birth + int(rng.integers(-2, delays + 1)), record))
+        together = int(rng.integers(1, LAYERS + 1))
+        for layer in range(together, LAYERS):
+            if rng.random() >= leaves_out:
+                late = birth + int(rng.integers(delays + 1))
+                waiting.append((late, slice_record(reader, birth, layer, layer + 1)))
+        yield slice_record(reader, birth, 0, together)
+        yield from (record for at, record in waiting if at <= birth)
+        waiting = [(at, record) for at, record in waiting if at > birth]
+
+
+@given(first=st.integers(0, NUM_FRAMES - 1), seed=st.integers(0, 1 << 32))
+@settings(max_examples=60, deadline=None)
+def test_whatever_comes_late_or_never_only_what_is_known_shows(
+    reader: StreamReader, first: int, seed: int
+) -> None:
+    """A frame shows as soon as layer 0 of it is there, with what has come by then."""
+    rng = np.random.default_rng(seed)
+    breaks = rng.choice([0.0, 0.02, 0.1])
+    manifest = reader.manifest
+    receiver = PlayReceiver("S", manifest, LAYERS, FrameRange(first))
+    assembler = Assembler(manifest, LAYERS, first)
+    holding = Holding(PlayedMedia(manifest), first)
+    seen = Holding(PlayedMedia(manifest), first)
+    screen = Screen(reader, first)
+    frame, waiting = first, list[Packets]()
+    while frame < NUM_FRAMES:
+        asked = first if frame == first else receiver.rejoin(NUM_FRAMES)
+        for record in response(reader, asked, rng):
+            one = receiver.ingest(record)
+            if one is None:  # it came before the break
+                continue
+            waiting.append(one)
+            one.add_to(holding)
+            while frame < holding.end_frame:
+                used = [p for p in waiting if p.first_frame <= frame]
+                waiting = [p for p in waiting if p.first_frame > frame]
+                for packets in used:
+                    packets.add_to(seen)
+                screen.put(assembler.assemble(frame, used), seen.whole_layers(frame))
+                frame += 1
+            if rng.random() < breaks:
+                break
+
+
+def take(receiver: PlayReceiver, *records: Sent) -> list[int]:
+    return [packets.first_frame for packets in of_use(receiver, *records)]
+
+
+def of_use(receiver: PlayReceiver, *records: Sent) -> list[Packets]:
+    """What is made of `records`, which are all of use."""
+    taken = [receiver.ingest(record) for record in records]
+    assert None not in taken
+    return [packets for packets in taken if packets is not None]
+
+
+Make = Callable[[StreamReader], Sent]
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda r: SliceRecord(7, (b"",)), "the slice born at 7 has no mask"),
+        (lambda r: SliceRecord(7, (), b""), "the slice born at 7 has no layers"),
+        (
+            lambda r: slice_record(r, 8, 0, 1),
+            "the slice born at 8 arrived before the slice born at 7",
+        ),
+        (lambda r: slice_record(r, 7, 0, 3), "a slice has layer 2; this play has 2 layers"),
+        (lambda r: slice_record(r, 7, 2, 3), "a slice has layer 2; this play has 2 layers"),
+        (lambda r: snapshot_record(r, 10, 1, 3), "a snapshot has layer 2; this play has 2 layers"),
+        (
+            lambda r: SnapshotRecord(6, 0, (b"",)),
+            "a snapshot of frame 6 arrived, which does not begin a segment",
+        ),
+    ],
+)
+def test_what_breaks_a_rule_is_named(reader: StreamReader, make: Make, message: str) -> None:
+    receiver = PlayReceiver("S", reader.manifest, 2, FrameRange(6))
+    take(receiver, snapshot_record(reader, 5, 0, 1), slice_record(reader, 6, 0, 1))
+    with pytest.raises(CorruptError, match=f"^S: .*{message}") as caught:
+        take(receiver, make(reader))
+    assert "\n" not in str(caught.value)
+    # What was refused has altered nothing.
+    assert take(receiver, slice_record(reader, 7, 0, 1)) == [7]
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda r: slice_record(r, 6, 0, 1), "the slice born at 6 arrived before a snapshot"),
+        (
+            lambda r: snapshot_record(r, 10, 0, 1),
+            "begins with layer 0 of the snapshot of frame 10, not",
+        ),
+        (
+            lambda r: snapshot_record(r, 5, 1, 2),
+            "layer 1 of the snapshot of frame 5, not with layer 0 of the snapshot of frame 5",
+        ),
+    ],
+)
+def test_a_play_begins_with_the_snapshot_of_its_segment(
+    reader: StreamReader, make: Make, message: str
+) -> None:
+    receiver = PlayReceiver("S", reader.manifest, 2, FrameRange(6))
+    with pytest.raises(CorruptError, match=message):
+        take(receiver, make(reader))
+
+
+def assemble(reader: StreamReader, *records: Sent) -> list[int]:
+    """The births of the slices that frames 6 and 7 take in, of records behind a good start."""
+    receiver = PlayReceiver("S", reader.manifest, LAYERS, FrameRange(6))
+    start = snapshot_record(reader, 5, 0, 1), slice_record(reader, 6, 0, 1)
+    assembler = Assembler(reader.manifest, LAYERS, 6)
+    made = assembler.assemble(6, of_use(receiver, *start))
+    made += assembler.assemble(7, of_use(receiver, *records))
+    return [slice.birth for slice in made]
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda r: SliceRecord(7, (b"",), b"zz"), "the mask of the slice born at 7: packet"),
+        (
+            lambda r: SliceRecord(7, (b"zz",), slice_record(r, 7, 0, 1).mask),
+            "layer 0 of the slice born at 7: packet",
+        ),
+        (
+            lambda r: SliceRecord(7, (b"",), slice_record(r, 8, 0, 1).mask),
+            "the mask of the slice born at 7: byte 8: mask: birth 8",
+        ),
+        (
+            lambda r: SliceRecord(
+                7, slice_record(r, 8, 0, 1).packets, slice_record(r, 7, 0, 1).mask
+            ),
+            "layer 0 of the slice born at 7: byte 8: change: birth 8",
+        ),
+    ],
+)
+def test_what_is_wrong_inside_is_named_when_it_is_due(
+    reader: StreamReader, make: Make, message: str
+) -> None:
+    record = make(reader)
+    with pytest.raises(CorruptError, match=f"^S: .*{message}"):
+        assemble(reader, record)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda r: SnapshotRecord(5, 1, (b"zz",)), "layer 1 of the snapshot of frame 5: packet"),
+        (
+            lambda r: SnapshotRecord(5, 2, snapshot_record(r, 5, 1, 2).packets),
+            "layer 2 of the snapshot of frame 5: byte 5: snapshot: of layer 1",
+        ),
+        (
+            lambda r: SnapshotRecord(5, 1, snapshot_record(r, 10, 1, 2).packets),
+            "layer 1 of the snapshot of frame 5: byte 8: snapshot: of frame 10",
+        ),
+    ],
+)
+def test_a_late_snapshot_that_is_wrong_is_named(
+    reader: StreamReader, make: Make, message: str
+) -> None:
+    with pytest.raises(CorruptError, match=f"^S: .*{message}"):
+        assemble(reader, make(reader), slice_record(reader, 7, 0, 1))
+
+
+def test_any_bytes_give_slices_or_a_codec_error(reader: StreamReader) -> None:
+    good = slice_record(reader, 7, 0, 1)
+    assert good.mask is not None
+    wrong: list[Sent] = [
+        *(SliceRecord(7, good.packets, mask) for mask in flips(good.mask)),
+        *(SliceRecord(7, (packet,), good.mask) for packet in flips(good.packets[0])),
+    ]
+    refused = 0
+    for record in wrong:
+        try:
+            assemble(reader, record)
+        except CodecError:
+            refused += 1
+    assert refused > len(wrong) // 2

@@ -1,0 +1,241 @@
+"""A player tells its server how it stands: over real sockets, and whatever a server answers."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from codec.framerange import FrameRange
+from player.config import PlayConfig
+from player.network.fetch import Fetcher
+from player.playout.clock import Clock
+from player.playout.queues import Events
+from player.playout.threads import STATUS_MOST_S, Threads
+from player.playout.timeline import Playout
+from player.render.renderer import RendererKind
+from player.run.playback import play
+from player.source.served import ServedSource
+from player.source.source import LastPlay
+from player.view.path import Size
+from server.abr.clientstatus import FRAME_HEADER, PLAY_HEADER, RATE_HEADER, ClientStatus
+from tests.player.source.test_served import ALL, HEAD, HOLD, QUICK, answer, script, start
+from tests.support.server.running_server import (
+    SWIN_SIZE,
+    Running,
+    make_stream,
+    quick_config,
+    running,
+)
+from tests.support.waiting import wait_until
+
+pytestmark = pytest.mark.realtime
+
+FPS, LEAD_S = 20, 0.6
+
+NAMED = HEAD.replace(b"\r\n\r\n", f"\r\n{PLAY_HEADER}: abc-_1\r\n\r\n".encode())
+
+
+@contextmanager
+def in_thread(root: Path) -> Iterator[Running]:
+    """A server on an event loop in a thread."""
+    found: list[Running] = []
+    ready, stop = threading.Event(), threading.Event()
+
+    async def serve() -> None:
+        async with running(root, quick_config(max_lead_s=LEAD_S)) as server:
+            found.append(server)
+            ready.set()
+            await asyncio.to_thread(stop.wait)
+
+    thread = threading.Thread(target=lambda: asyncio.run(serve()))
+    thread.start()
+    try:
+        assert ready.wait(30)
+        yield found[0]
+    finally:
+        stop.set()
+        thread.join()
+
+
+def test_a_server_does_not_count_a_pause_as_shown(tmp_path: Path) -> None:
+    make_stream(tmp_path / "long", 160, fps=FPS)
+    with in_thread(tmp_path) as server:
+        metrics = server.state.metrics
+
+        def births() -> int:
+            """Slices that were sent, less those of the first window."""
+            return round(metrics.packets.value("0")) - (SWIN_SIZE - 1)
+
+        def num_reports() -> int:
+            return round(
+                metrics.status_reports.value("taken") + metrics.status_reports.value("replaced")
+            )
+
+        url = f"{server.url}/v1/streams/long"
+        source = ServedSource("S", url, Fetcher(), FrameRange(), None)
+        clock = Clock(real=True)
+        events = Events(Playout(source.manifest, 0, 160), clock)
+        with Threads(source, events):
+            for _ in range(5):
+                due = events.wait_for_frame()
+                assert due is not None
+            clock.stop()
+            events.time_changed()
+            before = num_reports()
+            # The first may have been on its way, the last may not have been looked at.
+            wait_until(lambda: num_reports() > before + 2)
+            status = events.client_status(0, 0)
+            assert status is not None
+            assert status.paused
+            assert status.frame is not None
+            most = max(births(), status.frame + round(LEAD_S * FPS))
+            time.sleep(1.5)
+            assert births() <= most
+            clock.start()
+            events.time_changed()
+            wait_until(lambda: births() > most + FPS)
+        source.close()
+        assert metrics.status_reports.value("refused") == 0
+
+
+NO_INDEX = b"HTTP/1.1 404 No\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+"""To who wants to know the stream by more than its manifest."""
+
+
+def served(url: str) -> ServedSource:
+    return ServedSource("S", f"{url}/v1/streams/s", Fetcher(), FrameRange(), None, QUICK)
+
+
+def test_a_server_that_names_no_play_is_told_nothing() -> None:
+    with script(answer(start(), *ALL)) as host:
+        source = served(host.url)
+        assert not source.send_status(ClientStatus(1))
+        assert len(host.asked) == 1
+        source.close()
+
+
+@pytest.mark.parametrize(
+    ("status", "listens", "asked"),
+    [(b"405 No", False, 1), (b"404 No", True, 1), (b"500 No", True, 2)],
+)
+def test_what_a_server_answers_decides_who_is_told_more(
+    status: bytes, listens: bool, asked: int
+) -> None:
+    told = b"HTTP/1.1 %s\r\nContent-Length: 0\r\nConnection: close\r\n\r\n" % status
+    with script(answer(start()).replace(HEAD, NAMED) + HOLD, told, told) as host:
+        source = served(host.url)
+        assert source.send_status(ClientStatus(1)) == listens
+        if listens:
+            assert source.send_status(ClientStatus(2))
+        assert host.asked[1:] == ["/v1/streams/s/play/abc-_1"] * asked
+        assert host.requests[1].startswith(b"POST ")
+        source.close()
+
+
+def test_a_lost_status_report_is_not_repeated() -> None:
+    with script(answer(start()).replace(HEAD, NAMED) + HOLD, b"", b"junk\r\n\r") as host:
+        source = served(host.url)
+        assert source.send_status(ClientStatus(1))
+        assert source.send_status(ClientStatus(2))
+        source.interrupt()
+        assert not source.send_status(ClientStatus(3))
+        source.close()
+
+
+def test_a_new_connection_names_the_last_play() -> None:
+    cut = answer(start(), *ALL[:3]).replace(HEAD, NAMED)
+    with script(cut, answer(start(), *ALL)) as host:
+        source = served(host.url)
+        packets = source.packets()
+        for _ in range(4):
+            next(packets)
+        assert PLAY_HEADER.encode() not in host.requests[0]
+        assert f"{PLAY_HEADER}: abc-_1".encode() in host.requests[1]
+        source.close()
+
+
+def test_a_new_connection_is_told_at_once_how_the_playback_stands() -> None:
+    """It would take a player that holds seconds of media for one that waits for its first picture,
+    and send it few layers."""
+    cut = answer(start(), *ALL[:4]).replace(HEAD, NAMED)
+    again = answer(start(), *ALL).replace(HEAD, NAMED.replace(b"abc-_1", b"abc-_2")) + HOLD
+    heard = b"HTTP/1.1 204 Heard\r\nConnection: close\r\n\r\n"
+    with script(cut, again, heard, NO_INDEX) as host:
+        source = served(host.url)
+        events = Events(Playout(source.manifest, 0, 5), Clock(real=True))
+        began_s = time.monotonic()
+        with Threads(source, events):
+            wait_until(lambda: len(host.asked) >= 3)
+            took_s = time.monotonic() - began_s
+        source.close()
+        assert host.asked[2] == "/v1/streams/s/play/abc-_2"
+        assert took_s < STATUS_MOST_S
+
+
+@pytest.mark.parametrize(
+    ("said", "sent"), [(b"5000000", b"5000000"), (b"nan", b""), (b"-1", b""), (b"0", b"")]
+)
+def test_a_new_connection_says_what_the_server_said_of_the_link(said: bytes, sent: bytes) -> None:
+    cut = answer(start(), *ALL[:3]).replace(HEAD, NAMED)
+    heard = b"HTTP/1.1 204 Heard\r\n%s: %s\r\nConnection: close\r\n\r\n"
+    heard %= RATE_HEADER.encode(), said
+    with script(cut, heard, NO_INDEX, answer(start(), *ALL)) as host:
+        source = served(host.url)
+        assert source.send_status(ClientStatus(1))
+        packets = source.packets()
+        for _ in range(4):
+            next(packets)
+        assert RATE_HEADER.encode() not in host.requests[0]
+        line = b"\r\n%s: %s\r\n" % (RATE_HEADER.encode(), sent)
+        assert (line in host.requests[3]) == bool(sent)
+        assert (RATE_HEADER.encode() in host.requests[3]) == bool(sent)
+        assert source.play == LastPlay("", float(sent) if sent else None)
+        source.close()
+
+
+def test_a_new_connection_says_which_frame_shows_next() -> None:
+    cut = answer(start(), *ALL[:3]).replace(HEAD, NAMED)
+    heard = b"HTTP/1.1 204 Heard\r\nConnection: close\r\n\r\n"
+    with script(cut, heard, NO_INDEX, answer(start(), *ALL)) as host:
+        source = served(host.url)
+        source.send_status(ClientStatus(2))
+        packets = source.packets()
+        for _ in range(4):
+            next(packets)
+        assert FRAME_HEADER.encode() not in host.requests[0]
+        assert b"\r\n%s: 2\r\n" % FRAME_HEADER.encode() in host.requests[3]
+        source.close()
+
+
+def test_a_server_that_was_started_again_goes_by_what_the_last_one_said(tmp_path: Path) -> None:
+    make_stream(tmp_path / "long", 160, fps=FPS)
+    with in_thread(tmp_path) as server:
+        url = f"{server.url}/v1/streams/long"
+        # Its name means nothing to this one.
+        last = LastPlay("0-" + "a" * 22, 7e6)
+        source = ServedSource("S", url, Fetcher(), FrameRange(), None, last_play=last)
+        assert source.play.token != last.token
+        assert source.play.rate_bps == 7e6
+        source.close()
+
+
+def test_a_loop_names_the_play_before(tmp_path: Path) -> None:
+    whole = answer(start(), *ALL).replace(HEAD, NAMED)
+    with script(whole, whole) as host:
+        config = PlayConfig(
+            f"{host.url}/v1/streams/s",
+            loop=2,
+            capture=tmp_path / "out",
+            size=Size(32, 24),
+            renderer=RendererKind.CPU,
+        )
+        assert play(config).totals.frames == 10
+        first, second = (request for request in host.requests if request.startswith(b"GET "))
+        assert PLAY_HEADER.encode() not in first
+        assert f"{PLAY_HEADER}: abc-_1".encode() in second

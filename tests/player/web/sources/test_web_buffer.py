@@ -1,0 +1,230 @@
+"""What was received stays: loops, seeks and scrubbing read it from the browser player's buffer."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from codec.tools.static import export_static
+from tests.support.commands import ROOT
+from tests.support.hosted_streams import folder_files, served, static_host
+from tests.support.slots.slot_streams import write_busy_stream
+from tests.support.slots.updates import small_layout
+from tests.support.web.browsercode import BrowserCode
+from tests.support.web.canvas import ELEMENT, PLAYER, STATE
+from tests.support.web.chromium import Page
+from tests.support.web.nodeprocess import Json
+
+NUM_FRAMES = 45
+SEGMENT_FRAMES = 15
+NUM_LAYERS = 3
+HOSTS = ["static", "server"]
+
+LOOP = """
+const { player } = document.querySelector("swings-player");
+let [rounds, last] = [0, player.state.frame];
+await new Promise((resolve) => {
+  const look = () => {
+    rounds += player.state.frame < last ? 1 : 0;
+    last = player.state.frame;
+    if (rounds < value) return;
+    player.removeEventListener("state", look);
+    resolve();
+  };
+  player.addEventListener("state", look);
+});
+return player.state.receivedBytes;
+"""
+"""Waits for the end of `value` more rounds; gives the bytes received by then."""
+
+SEEK = """
+const player = document.querySelector("swings-player").player;
+for (const frame of value) player.seek(frame);
+const whole = () => player.shownFrame === value.at(-1) && !player.isSeeking;
+await new Promise((resolve, reject) => {
+  const endMs = performance.now() + 20000;
+  const look = () => {
+    if (whole() && player.state.frame === value.at(-1) && player.state.layers === 3) resolve();
+    else if (performance.now() > endMs) reject(new Error(JSON.stringify(player.state)));
+    else setTimeout(look, 10);
+  };
+  look();
+});
+return player.state.receivedBytes;
+"""
+"""Seeks one after another without waiting; returns once the last one shows with all layers."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A stream of 1.5 s, its static export, and the page."""
+    folder = tmp_path_factory.mktemp("buffer")
+    layout = small_layout(1, (200, 200, 100), 0, SEGMENT_FRAMES)
+    write_busy_stream(folder / "stream", NUM_FRAMES, layout)
+    export_static(folder / "stream", folder / "static")
+    (folder / "web").symlink_to(ROOT / "player" / "web")
+    return folder
+
+
+@contextmanager
+def hosted(folder: Path, kind: str) -> Iterator[str]:
+    """The URL of the stream's page."""
+    if kind == "static":
+        with static_host(folder) as url:
+            yield f"{url}/web/watch.html?src=../static"
+    else:
+        with served(folder) as server:
+            yield f"{server.url}/watch/stream?"
+
+
+def opened(page: Page, url: str) -> None:
+    page.open(f"{url}&autoplay=0", 160, 120)
+    page.wait(f"{PLAYER}?.shownFrame >= 0", 60)
+
+
+@pytest.mark.parametrize("kind", HOSTS)
+def test_a_loop_is_received_once_and_goes_on_without_its_host(
+    page: Page, folder: Path, kind: str
+) -> None:
+    with hosted(folder, kind) as url:
+        opened(page, f"{url}&loop=1")
+        page.run(f"{PLAYER}.setPlaying(true)")
+        first = page.run(LOOP, 1)
+        page.run(f"window.waits = 0; {ELEMENT}.addEventListener('waiting', () => waits++)")
+        page.run(f"{PLAYER}.setRate(3)")
+        assert page.run(LOOP, 17) - first < 0.02 * first
+    page.run(LOOP, 2)
+    assert page.run(f"return [waits, {STATE}.stalls, {STATE}.layers]") == [0, 0, NUM_LAYERS]
+    assert page.run(f"return {STATE}.bufferedRanges") == [[0, NUM_FRAMES]]
+    assert not [line for line in page.complaints if "ERR_CONNECTION_REFUSED" not in line]
+
+
+@pytest.mark.parametrize("kind", HOSTS)
+def test_a_hundred_paused_seeks_all_show_all_layers(page: Page, folder: Path, kind: str) -> None:
+    rng = random.Random(kind)
+    with hosted(folder, kind) as url:
+        opened(page, url)
+        left = 100
+        while left > 0:
+            count = min(left, rng.choice((1, 1, 2, 7)))
+            received = page.run(SEEK, [rng.randrange(NUM_FRAMES) for _ in range(count)])
+            left -= count
+    # All is here now.
+    for _ in range(5):
+        assert page.run(SEEK, [rng.randrange(NUM_FRAMES)]) == received
+
+
+def cached(browser: BrowserCode, actions: list[list[object]], limit_segments: float = 100) -> Json:
+    """What a cache for segments of a second holds after each action."""
+    return browser.ask(
+        "cached",
+        fps=4,
+        segmentFrames=4,
+        numLayers=2,
+        numFrames=160,
+        limitBytes=limit_segments * SEGMENT_BYTES,
+        actions=actions,
+    )
+
+
+PACKET_BYTES = 872
+SEGMENT_BYTES = 9 * 1000
+"""Of `whole`: with 128 bytes for each packet."""
+
+
+def whole(segment: int) -> list[list[object]]:
+    """Adds a segment of layer 0."""
+    births = range(4 * segment, 4 * segment + 4)
+    slices = [
+        one
+        for birth in births
+        for one in (["addMask", birth, PACKET_BYTES], ["addChange", birth, 0, PACKET_BYTES])
+    ]
+    return [*slices, ["addSnapshot", 4 * segment, 0, PACKET_BYTES]]
+
+
+def segments_in(found: Json) -> set[int]:
+    return {frame // 4 for first, end in found["ranges"] for frame in range(first, end)}
+
+
+def test_a_frame_is_buffered_with_its_mask_and_layer_0(browser: BrowserCode) -> None:
+    found = cached(
+        browser,
+        [
+            ["addChange", 5, 0, 10],
+            ["addMask", 5, 0],
+            ["addChange", 6, 1, 10],
+            ["addMask", 6, 0],
+            ["addSnapshot", 4, 0, 10],
+            ["addSnapshot", 8, 1, 10],
+        ],
+    )
+    ranges = [one["ranges"] for one in found]
+    assert ranges == [[], [[5, 6]], [[5, 6]], [[5, 6]], [[4, 6]], [[4, 6]]]
+    twice = cached(browser, [["addMask", 5, 100], ["addMask", 5, 900]])
+    assert [one["numBytes"] for one in twice] == [228, 228]
+
+
+def test_the_least_recently_used_segment_goes_but_never_what_plays_next(
+    browser: BrowserCode,
+) -> None:
+    actions = [one for segment in (30, 31, 32, 0, 1) for one in whole(segment)]
+    actions += [["setPlayhead", 4 * 30, None], ["setPlayhead", 0, None]]
+    held = []
+    for segment in (2, 3, 4, 5, 25):
+        actions += whole(segment)
+        held.append(cached(browser, actions, limit_segments=5)[-1])
+    first = {0, 1, 2}
+    assert [segments_in(one) for one in held] == [
+        first | {30, 32},
+        first | {30, 3},
+        first | {3, 4},
+        first | {3, 4, 5},
+        first | {3, 4, 5, 25},
+    ]
+    assert [one["hasRoom"] for one in held] == [True, True, False, False, False]
+    assert held[2]["numBytes"] == 5 * SEGMENT_BYTES
+
+
+def test_in_a_loop_what_has_just_played_is_needed_last(browser: BrowserCode) -> None:
+    actions = [one for segment in range(5, 10) for one in whole(segment)]
+    actions += [["setPlayhead", 4 * 10, 160], *whole(10), *whole(11)]
+    found = cached(browser, actions, limit_segments=5)[-1]
+    assert segments_in(found) == {5, 6, 7, 10, 11}
+    assert found["numBytes"] == 5 * SEGMENT_BYTES
+    # 6 plays after 10, 11 and 5.
+    assert found["hasRoom"]
+
+
+def test_a_seek_aborts_what_the_last_one_asked_for(browser: BrowserCode, folder: Path) -> None:
+    files = folder_files(folder / "static")
+    found = browser.ask("aborted", files=files, frames=[20, 40])
+    parts = ["snapshot-0", "masks", "0"]
+    first = [[f"segments/1/{part}", True] for part in parts]
+    assert found["asked"][:3] == first
+    assert found["asked"][-3:] == [[f"segments/2/{part}", False] for part in parts]
+    assert all(isAborted for name, isAborted in found["asked"] if "segments/1" in name)
+    assert found["failures"] == [None, None]
+
+
+def test_scrubbing_keeps_one_request_underway_and_the_last_target_counts(
+    browser: BrowserCode, folder: Path
+) -> None:
+    files = folder_files(folder / "static")
+    found = browser.ask("scrubbed", files=files, frames=[0, 16, 31, 14, 29, 44])
+    # 44 is nearest to the last segment's start; 0 came after three moves, when 14 was wanted.
+    assert found == {"asked": [0, 1, 2], "shown": [0, 1, 2], "mostUnderway": 1}
+
+
+@pytest.mark.parametrize("kind", HOSTS)
+def test_the_picture_follows_the_thumb(page: Page, folder: Path, kind: str) -> None:
+    with hosted(folder, kind) as url:
+        opened(page, f"{url}&buffer-mb=0.001")
+        for frame, picture in ((29, 30), (18, 15), (44, 30)):
+            page.run(f"{PLAYER}.scrub({frame})")
+            page.wait(f"{PLAYER}.shownFrame === {picture}")
+        page.run(SEEK, [22])

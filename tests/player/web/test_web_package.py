@@ -1,0 +1,267 @@
+"""The npm package: packed, type-checked, bundled, and played by the engines of others."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import tarfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from codec.stream.reader import StreamReader
+from codec.tools.static import export_static
+from player.render.cpu import render_splats
+from player.render.recipe import ALPHA_MIN
+from scripts.npmpackage import assemble, pack, write_types
+from tests.support.hosted_streams import static_host, write_stream
+from tests.support.web.canvas import psnr_db
+from tests.support.web.chromium import Page, why_not
+from tests.support.web.nodeprocess import NODE, SCRIPTS
+
+ROOT = Path(__file__).parents[3]
+PACKAGES = SCRIPTS / "node_modules"
+EXAMPLE_HOST = "https://streams.example.com"
+MOST_LINES = 10
+NUM_FRAMES = 30
+ELEMENT = "document.querySelector('swings-player')"
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of somebody's project, with the packed package, but its types, in node_modules."""
+    if why_not() is not None or not (PACKAGES / "esbuild").is_dir():
+        pytest.skip("needs the npm packages of the tests: scripts/setup dev")
+    path = tmp_path_factory.mktemp("project")
+    (path / "assembled").mkdir()
+    assemble(path / "assembled")
+    tarball = pack(path / "assembled", path)
+    with tarfile.open(tarball) as packed:
+        packed.extractall(path / "unpacked", filter="data")
+    (path / "npm").mkdir()
+    shutil.move(path / "unpacked" / "package", path / "npm" / "swings-player")
+    for name in ("@sparkjsdev", "playcanvas", "three"):
+        (path / "npm" / name).symlink_to(PACKAGES / name)
+    (path / "node_modules").symlink_to("npm")
+    return path
+
+
+@pytest.fixture(scope="module")
+def host(installed: Path) -> Iterator[str]:
+    """The URL of that folder, with streams of one layer: stream/, and harmonics/ of degree 1."""
+    # Of one layer: which others are there in time is the link's doing.
+    for name, sh_degree in (("stream", 0), ("harmonics", 1)):
+        write_stream(installed / f"{name}-trained", NUM_FRAMES, 150, sh_degree, layers=(1.0,))
+        export_static(installed / f"{name}-trained", installed / name)
+    with static_host(installed) as url:
+        yield url
+
+
+def test_it_has_what_its_description_names(installed: Path) -> None:
+    package = installed / "npm" / "swings-player"
+    description = json.loads((package / "package.json").read_text(encoding="utf-8"))
+    assert f'version = "{description["version"]}"' in (ROOT / "pyproject.toml").read_text()
+    for name, targets in description["exports"].items():
+        module = targets["default"] if isinstance(targets, dict) else targets
+        assert "*" in name or (package / module).is_file(), name
+    assert {path.name for path in (package / "workers").iterdir()} == {
+        *("feedworker.js", "playworker.js", "sortworker.js"),
+    }
+    # Nothing of the tests, nothing of three.js and the others.
+    assert sum(path.stat().st_size for path in package.rglob("*")) < 2_000_000
+
+
+CONSUMER = """
+import "swings-player";
+import { SwingsPlayerElement } from "swings-player";
+import { GaussianFeed } from "swings-player/feed";
+import { Fetcher, openSource, Playback, StreamPlay } from "swings-player/core";
+
+const player: SwingsPlayerElement = document.createElement("swings-player");
+player.preload = "metadata";
+const playing: Promise<void> = player.play();
+const end: number = player.buffered.end(0);
+player.requestVideoFrameCallback((nowMs: number, { mediaTime }) => nowMs + mediaTime);
+const media: MediaStream = player.captureStream(30);
+const feed = new GaussianFeed("stream", { otherHosts: true });
+const means: Float32Array = feed.gaussians.means;
+const numGs: Promise<number> = feed.opened.then((stream) => stream.numGs);
+const fps: Promise<number> = openSource("stream/", new Fetcher()).then(({ manifest }) => {
+  new Playback(new StreamPlay(manifest), manifest.fps, 1, 0);
+  return manifest.fps;
+});
+// @ts-expect-error: no such mode
+player.preload = "everything";
+// @ts-expect-error: a number of seconds
+player.currentTime = "1";
+export { playing, end, media, means, numGs, fps };
+"""
+IN_PLAYCANVAS = """
+import { Application, Entity } from "playcanvas";
+import { RECIPE, SwingsEntity } from "swings-player/playcanvas";
+
+const app = new Application(document.createElement("canvas"));
+Object.assign(app.scene.gsplat, RECIPE);
+const entity = new SwingsEntity(app, { url: "stream", loop: false });
+entity.currentTime = 1;
+export const camera: Promise<Entity> = entity.defaultCamera();
+// @ts-expect-error: it has no stream
+export const empty = new SwingsEntity(app, { loop: false });
+"""
+STRICT = ["--strict", "--noEmit", "--target", "es2024", "--module", "es2022"]
+LIBRARIES = ["--moduleResolution", "bundler", "--lib", "es2024,dom,dom.iterable"]
+
+
+@pytest.mark.slow
+def test_its_types_hold_in_a_strict_project(installed: Path) -> None:
+    package = installed / "npm" / "swings-player"
+    write_types(package)
+    description = json.loads((package / "package.json").read_text(encoding="utf-8"))
+    for targets in description["exports"].values():
+        assert isinstance(targets, str) or (package / targets["types"]).is_file()
+    # The types of PlayCanvas need others, which npm would install with it.
+    for name, text, flags in (
+        ("consumer.ts", CONSUMER, []),
+        ("inplaycanvas.ts", IN_PLAYCANVAS, ["--skipLibCheck"]),
+    ):
+        (installed / name).write_text(text, encoding="utf-8")
+        command = [str(PACKAGES / ".bin" / "tsc"), *STRICT, *LIBRARIES, *flags, name]
+        done = subprocess.run(command, cwd=installed, capture_output=True, text=True)
+        assert done.stdout == ""
+
+
+CORE = """
+import { Fetcher, openSource, Round, Scene } from "swings-player/core";
+
+const nowS = () => performance.now() / 1000;
+const stream = await openSource(process.argv[2], new Fetcher());
+const { manifest } = stream;
+const play = stream.play({ firstFrame: 7, mostLayers: manifest.numLayers, nowS });
+const round = new Round(stream, play, 7, manifest.numLayers, 1);
+const scene = new Scene(manifest.numGs, manifest.shDegree, manifest.layout.lattices);
+let shown = null;
+while (shown === null) {
+  play.step();
+  if (round.failure) throw round.failure;
+  shown = round.playback.tick(nowS());
+  await new Promise((resolve) => setTimeout(resolve, 20));
+}
+round.close();
+scene.put(shown);
+const { frame, slots, gaussians } = scene.take();
+console.log(JSON.stringify({ frame, count: slots.length, x: gaussians.means[0] }));
+"""
+
+
+def test_its_core_reads_a_stream_without_a_page(installed: Path, host: str) -> None:
+    assert NODE is not None
+    (installed / "core.mjs").write_text(CORE, encoding="utf-8")
+    command = [NODE, "core.mjs", f"{host}/stream/"]
+    done = subprocess.run(command, cwd=installed, capture_output=True, text=True, timeout=60)
+    assert done.stderr == ""
+    found = json.loads(done.stdout)
+    splats = StreamReader(installed / "stream-trained").active_splats(7, 1)
+    # What is not visible is not handed over.
+    visible = 1 / (1 + np.exp(-splats.logit_opacities)) >= ALPHA_MIN
+    assert (found["frame"], found["count"]) == (7, visible.sum())
+    assert np.float32(found["x"]) in splats.means[:, 0]
+
+
+PAGE = '<!doctype html><link rel="icon" href="data:," />'
+
+
+def test_it_plays_from_a_bundle(page: Page, installed: Path, host: str) -> None:
+    """esbuild leaves the workers' URLs alone: they lie beside the bundle's folder."""
+    (installed / "page.js").write_text('import "swings-player";', encoding="utf-8")
+    command = [str(PACKAGES / ".bin" / "esbuild"), "page.js", "--bundle", "--format=esm"]
+    subprocess.run([*command, "--outdir=built/app", "--log-level=error"], cwd=installed, check=True)
+    workers = installed / "npm" / "swings-player" / "workers"
+    shutil.copytree(workers, installed / "built" / "workers")
+    (installed / "bundled.html").write_text(
+        f'{PAGE}<script type="module" src="built/app/page.js"></script>'
+        '<swings-player src="stream" autoplay></swings-player>'
+    )
+    page.open(f"{host}/bundled.html", 320, 240)
+    page.wait(f"{ELEMENT}.ended", 60)
+    assert not page.complaints
+
+
+def test_a_second_copy_only_warns(page: Page, installed: Path, host: str) -> None:
+    """Unbundled from a plain server, beside the player of another folder."""
+    (installed / "other").symlink_to(ROOT / "player" / "web")
+    (installed / "twice.html").write_text(
+        f'{PAGE}<script type="module" src="npm/swings-player/element/swingsplayer.js"></script>'
+        '<script type="module" src="other/element/swingsplayer.js"></script>'
+        '<swings-player src="stream" autoplay></swings-player>'
+    )
+    page.open(f"{host}/twice.html", 320, 240)
+    page.wait(f"{ELEMENT}.currentTime > 0.1", 60)
+    (complaint,) = page.complaints
+    version = page.run(f"return {ELEMENT}.constructor.version")
+    assert complaint == (
+        f"swings-player {version} was loaded where {version} already is <swings-player>; "
+        "the first one stays"
+    )
+
+
+def open_example(page: Page, installed: Path, host: str, name: str, kept: str, stream: str) -> None:
+    """Opens an example in a page of 320 by 240; `kept` is the name of what plays, for the test."""
+    text = (ROOT / "examples" / f"{name}.html").read_text(encoding="utf-8")
+    (script,) = re.findall(r'<script type="module">\n(.*?) *</script>', text, re.DOTALL)
+    assert script.count("\n") <= MOST_LINES
+    text = text.replace(script, f"{script}window.video = {kept}.video; window.kept = {kept};")
+    text = text.replace(f"{EXAMPLE_HOST}/stream", f"{host}/{stream}").replace(EXAMPLE_HOST, host)
+    (installed / f"{name}.html").write_text(text, encoding="utf-8")
+    page.open(f"{host}/{name}.html", 320, 240)
+
+
+SETTLED = """(() => {
+  const now = [video.currentTime, video.paused].join();
+  window.looks = now === window.before ? (window.looks ?? 0) + 1 : 0;
+  window.before = now;
+  return window.looks > 30;
+})()"""
+
+
+@pytest.mark.parametrize(
+    ("name", "kept", "stream", "least_psnr_db"),
+    [
+        ("spark", "mesh", "stream", 48.0),
+        ("spark", "mesh", "harmonics", 27.0),
+        ("playcanvas", "video", "stream", 35.0),
+    ],
+)
+def test_an_engine_plays_it(
+    page: Page,
+    installed: Path,
+    host: str,
+    name: str,
+    kept: str,
+    stream: str,
+    least_psnr_db: float,
+) -> None:
+    """The examples: the picture is that of the CPU renderer, as far as the engine's recipe goes.
+
+    Spark: 52.7 dB, and 28.1 with random harmonics, whose colours leave 0 to 1 far more than
+    trained ones. PlayCanvas: 36.9, for it cuts Gaussians off at 2.83 sigma and blurs them less.
+    """
+    open_example(page, installed, host, name, kept, stream)
+    page.wait("window.video?.currentTime > 0.1", 60)
+    page.run("kept.pause(); kept.currentTime = 0.5")
+    assert page.run("return [video.paused, video.loop, kept.currentTime]") == [True, True, 0.5]
+    page.wait(SETTLED, 60)
+    page.screenshot(installed / f"{name}.png")
+    assert page.run("return kept.currentTime") == 0.5
+    assert not page.complaints
+    reader = StreamReader(installed / f"{stream}-trained")
+    picture = np.asarray(Image.open(installed / f"{name}.png").convert("RGB")) / 255
+    camera = reader.manifest.camera().resized(320, 240)
+    expected = render_splats(reader.active_splats(15, 1), camera, reader.manifest.near_m)
+    assert psnr_db(picture, expected.clip(0, 1)) >= least_psnr_db
+    page.run("kept.dispose()")
+    assert page.run("return video.paused")

@@ -1,0 +1,83 @@
+"""The pages of the server in Chromium: accessible by axe-core, searched, sorted, framed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from tests.support.hosted_streams import ServerProcess, served, wait_for_stream, write_stream
+from tests.support.web.chromium import Page
+
+PLAYER = "document.querySelector('swings-player')?.player"
+NUM_STREAMS = 12
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
+    """One with twelve streams, of which number n has n + 1 seconds, and one that is broken."""
+    root = tmp_path_factory.mktemp("root")
+    for n in range(NUM_STREAMS):
+        write_stream(root / f"s{n}", 2 * n + 2, slice_size=8, fps=2, title=f"Take {n} of the walk")
+    (root / "broken").mkdir()
+    (root / "broken" / "manifest.json").write_text("{}")
+    with served(root) as running:
+        wait_for_stream(running, f"s{NUM_STREAMS - 1}")
+        yield running
+
+
+def shown(page: Page) -> list[str]:
+    titles: list[str] = page.run(
+        "return [...document.querySelectorAll('li:not([hidden]) .title')].map((e) => e.textContent)"
+    )
+    return titles
+
+
+def test_cards_are_found_and_sorted(page: Page, server: ServerProcess) -> None:
+    page.open(server.url, 900, 700)
+    titles = [f"Take {n} of the walk" for n in range(NUM_STREAMS)]
+    assert shown(page) == titles
+    assert page.axe() == []
+    page.run(
+        """const box = document.querySelector("input");
+        box.value = "walk 7";
+        box.dispatchEvent(new Event("input"));"""
+    )
+    assert shown(page) == [titles[7]]
+    assert page.run("return document.querySelector('output').textContent") == "1 of 12 streams"
+    page.run(
+        """const [box, select] = document.querySelectorAll("input, select");
+        box.value = "";
+        box.dispatchEvent(new Event("input"));
+        select.value = "longest";
+        select.dispatchEvent(new Event("change"));"""
+    )
+    assert shown(page) == titles[::-1]
+    page.click("summary")
+    assert page.axe() == []
+    assert not page.complaints
+
+
+def test_the_page_of_a_stream(page: Page, server: ServerProcess) -> None:
+    page.open(f"{server.url}/watch/s3?autoplay=0", 390, 844)
+    page.wait(f"{PLAYER}?.shownFrame >= 0", 60)
+    assert page.axe() == []
+    page.click("button[popovertarget=embed]")
+    page.wait("document.querySelector('#embed').matches(':popover-open')")
+    assert page.axe() == []
+    page.press("Escape")
+    page.click("header a")
+    page.wait("location.pathname === '/'")
+    assert not page.complaints
+
+
+def test_in_a_frame_the_player_is_alone(page: Page, server: ServerProcess) -> None:
+    page.open(f"{server.url}/healthz", 640, 480)
+    page.run(
+        """document.body.innerHTML = '<iframe width=320 height=180 src="/watch/s3?autoplay=0">';"""
+    )
+    page.enter("/watch/")
+    page.wait(f"{PLAYER}?.shownFrame >= 0", 60)
+    size = "document.querySelector('swings-player').getBoundingClientRect()"
+    assert page.run(f"return [{size}.width, {size}.height, {size}.top]") == [320, 180, 0]
+    assert page.run("return document.querySelector('header').checkVisibility()") is False

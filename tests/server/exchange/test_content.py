@@ -1,0 +1,134 @@
+"""Conditional and partial requests, against a naive reading of RFC 9110, sections 13 and 14."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from multidict import CIMultiDict
+
+from server.exchange.content import IMMUTABLE, Content, accepted_codings, respond
+from server.exchange.errors import RequestError
+from server.exchange.request import Request
+
+DATA = bytes(range(100))
+TAG, CODED, OTHER = '"f00d"', '"f00d-zstd"', '"beef"'
+
+
+def content(coding: str) -> Content:
+    return Content(DATA, len(DATA), "f00d", "application/octet-stream", IMMUTABLE, coding)
+
+
+def request(method: str, fields: dict[str, str]) -> Request:
+    return Request(method, "/x", "", "h", CIMultiDict(fields))
+
+
+TAGS = st.lists(
+    st.sampled_from([TAG, CODED, OTHER, f"W/{TAG}", f"W/{CODED}", "*", "", "f00d"]), max_size=3
+).map(", ".join)
+RANGES = st.one_of(
+    st.tuples(st.integers(0, 120), st.integers(0, 120)).map(
+        lambda pair: f"bytes={pair[0]}-{pair[1]}"
+    ),
+    st.integers(0, 120).map(lambda n: f"bytes={n}-"),
+    st.integers(0, 120).map(lambda n: f"bytes=-{n}"),
+    st.sampled_from(["bytes=0-1,3-4", "lines=1-2", "bytes", ""]),
+)
+FIELDS = st.fixed_dictionaries(
+    {},
+    optional={
+        "if-match": TAGS,
+        "if-none-match": TAGS,
+        "range": RANGES,
+        "if-range": st.sampled_from(
+            [TAG, CODED, OTHER, f"W/{TAG}", "Tue, 01 Jan 2030 00:00:00 GMT"]
+        ),
+        "accept-encoding": st.sampled_from(
+            ["zstd", "gzip, ZSTD;q=0.1", "zstd;q=0", "zstd; q=0.000", "*", "", "br"]
+        ),
+    },
+)
+
+
+def listed(text: str) -> list[str]:
+    return [part.strip() for part in text.split(",")]
+
+
+def model(method: str, fields: dict[str, str], can_code: bool) -> tuple[int, bytes, str]:
+    """Status, body and tag, by the steps of section 13.2.2."""
+    takes = fields.get("accept-encoding", "") in ("zstd", "gzip, ZSTD;q=0.1")
+    coded = can_code and takes and "range" not in fields
+    tag = CODED if coded else TAG
+    if "if-match" in fields and not {tag, "*"} & set(listed(fields["if-match"])):
+        return 412, b"", tag
+    if "if-none-match" in fields:
+        weak = [part.removeprefix("W/") for part in listed(fields["if-none-match"])]
+        if tag in weak or "*" in weak:
+            return 304, b"", tag
+    status, body = 200, DATA
+    text = fields.get("range", "")
+    if text.startswith("bytes=") and "," not in text and fields.get("if-range", tag) == tag:
+        first, _, last = text.removeprefix("bytes=").partition("-")
+        if not first:
+            status, body = 206, DATA[-int(last) :] if int(last) else b""
+        elif not last or int(first) <= int(last):
+            stop = int(last) + 1 if last else len(DATA)
+            status, body = 206, DATA[int(first) : stop]
+        if status == 206 and not body:
+            return 416, b"", tag
+    return status, b"" if method == "HEAD" else body, tag
+
+
+@given(st.sampled_from(["GET", "HEAD"]), FIELDS, st.booleans())
+def test_it_is_as_the_rfc_says(method: str, fields: dict[str, str], can_code: bool) -> None:
+    status, body, tag = model(method, fields, can_code)
+    asked = request(method, fields)
+    if status in (412, 416):
+        with pytest.raises(RequestError) as caught:
+            respond(asked, content("zstd" if can_code else ""))
+        assert caught.value.status == status
+        if status == 416:
+            assert caught.value.headers["Content-Range"] == "bytes */100"
+        return
+    response = respond(asked, content("zstd" if can_code else ""))
+    assert (response.status, bytes(response.body)) == (status, body)
+    assert response.fields["ETag"] == tag
+    assert ("Content-Encoding" in response.fields) == (tag == CODED)
+    # A cache must know what else there is, whatever this client was given.
+    assert ("Vary" in response.fields) == can_code
+    assert not (status == 206 and tag == CODED)
+    if status == 206:
+        first, last = response.fields["Content-Range"][6:].split("/")[0].split("-")
+        assert DATA[int(first) : int(last) + 1] == body or method == "HEAD"
+    if method == "HEAD" and status == 200:
+        assert response.length == len(DATA)
+
+
+def test_bytes_on_their_way_are_counted() -> None:
+    counted: list[int] = []
+    one = Content(DATA, len(DATA), "f00d", "text/plain", IMMUTABLE, count=counted.append)
+    respond(request("GET", {}), one)
+    respond(request("GET", {"range": "bytes=5-9"}), one)
+    respond(request("GET", {"if-none-match": TAG}), one)
+    respond(request("HEAD", {}), one)
+    assert counted == [100, 5]
+
+
+@pytest.mark.parametrize(
+    ("text", "codings"),
+    [
+        ("", {""}),
+        ("zstd, gzip", {"zstd", "gzip"}),
+        ("ZSTD;q=1.0", {"zstd"}),
+        ("zstd;q=0", set()),
+        ("zstd ; Q = 0.0, gzip;q=0.001", {"gzip"}),
+        ("identity;q=0, *", {"*"}),
+    ],
+)
+def test_codings_that_are_accepted(text: str, codings: set[str]) -> None:
+    assert accepted_codings(text) == codings
+
+
+@given(st.text(max_size=60))
+def test_any_text_names_codings(text: str) -> None:
+    assert all(name == name.strip() for name in accepted_codings(text))

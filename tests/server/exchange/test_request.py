@@ -1,0 +1,92 @@
+"""Targets and fields: any text gives a request or an error, and what was written is read back."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from multidict import CIMultiDict
+
+from server.exchange.errors import RequestError
+from server.exchange.request import Request, body_bytes, read_request
+
+PATHS = st.text("".join(chr(c) for c in range(0x21, 0x7F) if chr(c) not in "?#"), max_size=30)
+QUERIES = st.text("".join(chr(c) for c in range(0x21, 0x7F) if chr(c) != "#"), max_size=20)
+HOSTS = st.sampled_from(["h", "a.example:8080", "127.0.0.1:1", "[::1]:65535", "[2001:db8::1]"])
+FIELDS = st.lists(st.tuples(st.text(min_size=1, max_size=12), st.text(max_size=30)), max_size=6)
+
+
+def read(target: str, *fields: tuple[str, str], method: str = "GET") -> Request:
+    return read_request(method, target, CIMultiDict(fields))
+
+
+@given(
+    st.sampled_from(["GET", "OPTIONS", "POST"]),
+    st.text(max_size=60) | st.text("/*?#:[]%@ h\x00\udcff", max_size=12),
+    FIELDS,
+    st.text(max_size=30) | HOSTS,
+)
+def test_any_text_gives_a_request_or_an_error(
+    method: str, target: str, fields: list[tuple[str, str]], host: str
+) -> None:
+    try:
+        request = read(target, *fields, ("Host", host), method=method)
+    except RequestError as caught:
+        request, error = None, caught
+    if request is None:
+        assert error.status in (400, 411)
+        assert str(error).isascii()
+        assert str(error).isprintable()
+        return
+    for text in (request.path, request.query, request.host):
+        assert text.isascii()
+        assert text.isprintable()
+        assert " " not in text
+    assert request.path.startswith("/") or (method, request.path) == ("OPTIONS", "*")
+
+
+@given(PATHS, st.none() | QUERIES, HOSTS, st.none() | HOSTS)
+def test_a_target_is_read_back(
+    path: str, query: str | None, host: str, authority: str | None
+) -> None:
+    target = f"/{path}" + ("" if query is None else f"?{query}")
+    before = "" if authority is None else f"http://{authority}"
+    request = read(before + target, ("Host", host))
+    assert (request.path, request.query) == (f"/{path}", query or "")
+    assert request.host == (authority or host)
+
+
+@given(st.sampled_from(["GET", "HEAD", "POST"]), st.sampled_from(["", "?q"]), FIELDS)
+@example("GET", "", [("Accept-Encoding", "br, zstd;q=0.5")])
+@example("GET", "", [("If-None-Match", "*")])
+@example("GET", "", [("RANGE", "bytes=0-")])
+@example("GET", "", [("If-Match", "x")])
+@example("GET", "", [("If-Range", "x")])
+def test_a_plain_request_gets_all_of_it_as_it_lies(
+    method: str, query: str, fields: list[tuple[str, str]]
+) -> None:
+    fields = [(name, value) for name, value in fields if name.lower() != "transfer-encoding"]
+    request = Request(method, "/x", query[1:], "h", CIMultiDict(fields))
+    choosing = {"range", "if-range", "if-match", "if-none-match"}
+    coded = any(n.lower() == "accept-encoding" and "zstd" in v for n, v in fields)
+    chooses = coded or any(name.lower() in choosing for name, _ in fields)
+    assert request.is_plain == (method == "GET" and not query and not chooses)
+
+
+def test_lines_of_one_field_are_one_list() -> None:
+    request = read("/", ("If-None-Match", '"a"'), ("if-none-match", '"b"'))
+    assert request.joined("If-None-Match") == '"a", "b"'
+    assert request.joined("If-Match") == ""
+
+
+def test_a_body_is_bounded_and_has_a_length() -> None:
+    with pytest.raises(RequestError, match="Transfer-Encoding") as caught:
+        read("/", ("Transfer-Encoding", "chunked"))
+    assert caught.value.status == 411
+    for length, expects, status in ((1025, "100-continue", 413), (9, "the-unexpected", 417)):
+        request = read("/", ("Content-Length", str(length)), ("Expect", expects))
+        with pytest.raises(RequestError) as caught:
+            body_bytes(request, 1024)
+        assert caught.value.status == status
+    assert body_bytes(read("/", ("Content-Length", "1024")), 1024) == 1024
+    assert body_bytes(read("/"), 1024) == 0

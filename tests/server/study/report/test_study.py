@@ -1,0 +1,194 @@
+"""swings-abr from end to end: a report that depends on its settings only, and clear refusals."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+
+from server.study.__main__ import main
+from server.study.config import StudyConfig, parse_bitrate
+from server.study.policies.choice import POLICIES
+from server.study.report.study import run_study
+from tests.support import commands
+from tests.support.slots.folder import write_slots
+
+FILES = ["index.html", "plays.csv", "summary.json"]
+
+
+@pytest.fixture(scope="module")
+def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("study") / "stream"
+    write_slots(path, 16)
+    return path
+
+
+@pytest.fixture(scope="module")
+def traces(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three of them, of both kinds."""
+    path = tmp_path_factory.mktemp("traces")
+    (path / "lte").mkdir()
+    for name, rates in (("fast", (4000, 900)), ("slow", (700, 300, 1500))):
+        steps = [{"duration_ms": 800, "bandwidth_kbps": r, "latency_ms": 25} for r in rates]
+        (path / "lte" / f"{name}.json").write_text(json.dumps(steps))
+    (path / "mahimahi").write_text("".join(f"{n}\n" for n in range(0, 900, 7)))
+    return path
+
+
+@pytest.fixture(scope="module")
+def report(stream: Path, traces: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Made by the command, on two processes."""
+    out = tmp_path_factory.mktemp("out") / "deep" / "report"
+    told = commands.run_ok(
+        "swings-abr", stream, "--traces", traces, "--out", out, "--jobs", 2, "--generate", 1,
+        "--length", 4, "--loads", 0.7, 1.5, "--seed", 5,
+    )  # fmt: skip
+    assert "sweep" in told
+    assert str(out / "index.html") in told
+    return out
+
+
+def test_the_report_is_whole(report: Path) -> None:
+    assert sorted(path.name for path in report.iterdir()) == FILES
+    assert [path.name for path in report.parent.iterdir()] == ["report"]
+    plays = list(csv.DictReader((report / "plays.csv").read_text().splitlines()))
+    assert len(plays) == 4 * 2 * len(POLICIES)
+    assert len({(one["trace"], one["load"], one["policy"]) for one in plays}) == len(plays)
+    for one in plays:
+        # The bound of the oracle is one.
+        assert float(one["quality_db"]) <= float(one["oracle_quality_db"]) + 1e-3
+        assert 0 <= float(one["wasted"]) < 1
+    summary = json.loads((report / "summary.json").read_text())
+    names = ["mahimahi", "lte/fast.json", "lte/slow.json", "generated/000005"]
+    assert summary["traces"] == names
+    assert [one["load"] for one in summary["loads"]] == [0.7, 1.5, None]
+    assert not summary["knows_psnr"]
+
+
+def test_the_page_needs_nothing_but_itself(report: Path) -> None:
+    page = (report / "index.html").read_text()
+    assert not re.search(r"<script|<link|<img|@import|https?://(?!www\.w3\.org/)", page)
+    pictures = re.findall(r"<svg.*?</svg>", page, flags=re.DOTALL)
+    assert len(pictures) == 3
+    ids: list[str] = []
+    for picture in pictures:
+        root = ET.fromstring(picture)
+        own = {node.attrib["id"] for node in root.iter() if "id" in node.attrib}
+        used = set(re.findall(r'(?:url\(#|href="#)([^)"]+)', picture))
+        assert used <= own
+        ids += own
+    assert len(ids) == len(set(ids))
+    assert all(name in page for name in (*POLICIES, "lte/slow.json", "estimated from the sizes"))
+
+
+def test_equal_settings_give_equal_bytes(
+    report: Path, stream: Path, traces: Path, tmp_path: Path
+) -> None:
+    config = StudyConfig(
+        stream,
+        tmp_path / "again",
+        traces,
+        generate=1,
+        length_s=4,
+        loads=(0.7, 1.5),
+        seed=5,
+        jobs=1,
+    )
+    steps: list[tuple[int, int]] = []
+    run_study(config, lambda done, of: steps.append((done, of)))
+    assert steps == [(done, 8) for done in range(9)]
+    for name in FILES:
+        assert (config.out / name).read_bytes() == (report / name).read_bytes(), name
+
+
+def test_a_bitrate_and_a_half_and_a_case_to_draw(
+    stream: Path, traces: Path, tmp_path: Path
+) -> None:
+    config = StudyConfig(
+        stream,
+        tmp_path / "out",
+        traces,
+        policies=("bola", "dynamic"),
+        loads=(1.0,),
+        half="tune",
+        length_s=2,
+        as_bitrate=parse_bitrate("36M"),
+        timeline="lte/fast.json@1",
+        jobs=1,
+    )
+    (summary,) = run_study(config)
+    assert summary.plays == 2
+    written = json.loads((config.out / "summary.json").read_text())
+    assert written["need_bps"] == pytest.approx(36e6)
+    assert written["traces"] == ["mahimahi", "lte/fast.json"]
+    page = (config.out / "index.html").read_text()
+    assert page.count("<svg") == 2  # without ours there is nothing to compare
+
+
+CASES: list[tuple[list[str], int, str]] = [
+    ([], 2, "--traces DIR or --generate N"),
+    (["--traces", "{tmp}/absent"], 1, "absent is not a folder"),
+    (["--traces", "{tmp}/empty"], 1, "empty holds no traces"),
+    (["--traces", "{tmp}/wrong"], 1, "notes.txt"),
+    (["--generate", "1", "--half", "report"], 1, "is in half 'report'"),
+    (["--generate", "1", "--policies", "bola,mine"], 2, "mine"),
+    (["--generate", "1", "--as-bitrate", "fast"], 2, "36M"),
+    (["--generate", "1", "--loads", "0"], 1, "load is 0"),
+    (["--generate", "1", "--loads", "1", "1"], 2, "each only once"),
+    (["--generate", "1", "--length", "0"], 2, "length is 0"),
+    (["--generate", "1", "--timeline", "x@1"], 1, "generated/000000@0.6"),
+    (["--generate", "1", "--out", "{tmp}/full"], 1, "full is not empty"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "code", "word"), CASES)
+def test_mistakes_are_told_and_nothing_is_written(
+    arguments: list[str],
+    code: int,
+    word: str,
+    stream: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for folder in ("empty", "wrong", "full"):
+        (tmp_path / folder).mkdir()
+        if folder != "empty":
+            (tmp_path / folder / "notes.txt").write_text("not a trace")
+    monkeypatch.setenv("COLUMNS", "200")
+    given = [argument.replace("{tmp}", str(tmp_path)) for argument in arguments]
+    if "--out" not in given:
+        given += ["--out", str(tmp_path / "out")]
+    monkeypatch.setattr(sys, "argv", ["swings-abr", str(stream), *given])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    err = capsys.readouterr().err
+    assert ended.value.code == code, err
+    assert word in err
+    assert "Traceback" not in err
+    if code == 1:
+        assert err.startswith("swings-abr: ")
+        assert err.count("\n") == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["empty", "full", "wrong"]
+
+
+def test_a_stream_that_is_not_one_is_named(
+    traces: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out = tmp_path / "out"
+    monkeypatch.setattr(
+        sys, "argv", ["swings-abr", str(traces), "--traces", str(traces), "--out", str(out)]
+    )
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 1
+    assert "manifest.json" in capsys.readouterr().err
+    assert not out.exists()

@@ -1,0 +1,234 @@
+"""What clients tell of their plays, over real sockets, and what the server makes of it."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import pytest
+
+from codec.stream.playrecord import RecordParser
+from server.abr.clientstatus import PLAY_HEADER, ClientStatus
+from server.abr.session import PlaySession
+from server.exchange.exchange import Exchange
+from server.operate.overload import Overload, OverloadConfig
+from tests.support.server.running_server import (
+    SWIN_SIZE,
+    Running,
+    eventually,
+    make_stream,
+    on_server,
+    quick_config,
+    running,
+)
+
+FPS, LEAD_S = 20, 0.6
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("root")
+    make_stream(folder / "walk", 23, fps=300)
+    make_stream(folder / "long", 240, fps=FPS)
+    return folder
+
+
+async def read_on(response: aiohttp.ClientResponse) -> None:
+    """Reads until somebody cancels it."""
+    parser = RecordParser()
+    async for piece in response.content.iter_any():
+        parser.feed(piece)
+
+
+NONSENSE = (b"", b"[]", b"{}", b'{"frame": -1}', b'{"frame": 1, "busy": 2}', b"\xff")
+
+
+def test_a_status_report_is_accepted_or_refused_in_one_line(
+    root: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        reports = server.state.metrics.status_reports
+
+        async def post(url: str, body: bytes, **headers: str) -> tuple[int, str]:
+            async with client.post(url, data=body, headers=headers) as response:
+                text = await response.text()
+                assert response.headers["Cache-Control"] == "no-store"
+                return response.status, text
+
+        async with client.get("/v1/streams/long/play?layers=1") as response:
+            token = response.headers[PLAY_HEADER]
+            assert len(token) >= 22  # 128 bits
+            assert PLAY_HEADER in response.headers["Access-Control-Expose-Headers"]
+            url = f"/v1/streams/long/play/{token}"
+            assert await post(url, ClientStatus(1, 0.5, paused=True).to_json()) == (204, "")
+            assert await post(url, b'{"buffer_s": 2}') == (204, "")
+            assert reports.value("taken") + reports.value("replaced") == 2
+            for body in NONSENSE:
+                status, text = await post(url, body)
+                assert status == 400, body
+                assert text.startswith('{"error": "client status of a play: '), text
+                assert "\n" not in text
+            assert (await post(url, b" " * 1024))[0] == 400
+            assert (await post(url, b" " * 1025))[0] == 413
+            status, text = await post(url, b"not gzip", **{"Content-Encoding": "gzip"})
+            assert status == 400, text
+            assert reports.value("refused") == len(NONSENSE) + 2
+            for other in (f"/v1/streams/walk/play/{token}", f"{url}x"):
+                status, text = await post(other, b'{"frame": 1}')
+                assert status == 404
+                assert "no such play" in text
+            assert reports.value("unknown") == 2
+            assert (await post(f"/v1/streams/long/play/{'a' * 65}", b"{}"))[0] == 404
+            async with client.get(url) as wrong:
+                assert wrong.status == 405
+            async with client.options(url) as may:
+                assert "POST" in may.headers["Access-Control-Allow-Methods"]
+                assert PLAY_HEADER in may.headers["Access-Control-Allow-Headers"]
+            response.close()
+        await eventually(lambda: not len(server.state.plays))
+        assert (await post(url, b'{"frame": 1}'))[0] == 404
+
+    on_server(root, check)
+    assert not caplog.records
+
+
+def test_a_body_that_does_not_come_is_not_waited_for(root: Path) -> None:
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        async with client.get("/v1/streams/long/play?layers=1") as response:
+            path = f"/v1/streams/long/play/{response.headers[PLAY_HEADER]}"
+            reading = asyncio.create_task(read_on(response))
+            for length, body, status in (
+                ("Content-Length: 9", "{", b"408"),
+                ("Transfer-Encoding: chunked", "9\r\n{", b"411"),
+            ):
+                head = f"POST {path} HTTP/1.1\r\nHost: x\r\n{length}\r\n\r\n"
+                reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
+                writer.write((head + body).encode())
+                assert (await reader.readline()).split()[1] == status
+                writer.close()
+                await writer.wait_closed()
+            reading.cancel()
+
+    on_server(root, check, quick_config(write_timeout_s=0.5))
+
+
+def test_a_paused_client_is_sent_its_lead_and_no_more(root: Path) -> None:
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        sent = server.state.metrics.packets
+
+        def births() -> int:
+            """Slices that were sent, less those of the first window."""
+            return round(sent.value("0")) - (SWIN_SIZE - 1)
+
+        async with client.get("/v1/streams/long/play?layers=1") as response:
+            reading = asyncio.create_task(read_on(response))
+            token = response.headers[PLAY_HEADER]
+            entry = server.state.plays.find(token, "long")
+            assert entry is not None
+
+            async def report(status: ClientStatus) -> None:
+                url = f"/v1/streams/long/play/{token}"
+                async with client.post(url, data=status.to_json()) as answer:
+                    assert answer.status == 204
+                await eventually(lambda: entry.status is None)
+
+            await eventually(lambda: births() > 10)
+            await report(ClientStatus(10, paused=True))
+            # The report may arrive late on a busy machine: slices sent before it stay sent.
+            most = max(births(), 10 + round(LEAD_S * FPS))
+            await asyncio.sleep(1.5)
+            assert births() <= most
+            await report(ClientStatus(10))
+            await eventually(lambda: births() > most + FPS)
+            reading.cancel()
+
+    on_server(root, check, quick_config(max_lead_s=LEAD_S))
+
+
+def test_a_client_that_comes_back_does_not_start_blind(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known: list[float | None] = []
+
+    class Noting(PlaySession):
+        def __init__(self, *values: Any, **named: Any) -> None:
+            known.append(values[6])
+            super().__init__(*values, **named)
+
+    monkeypatch.setattr("server.answers.play.PlaySession", Noting)
+
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        async def play(last: str) -> str:
+            url = "/v1/streams/walk/play?layers=4"
+            async with client.get(url, headers={PLAY_HEADER: last}) as response:
+                await response.read()
+                return response.headers[PLAY_HEADER]
+
+        plays = server.state.plays
+        first = await play("")
+        await eventually(lambda: not len(plays))
+        plays.begin(first, "walk").rate_bps = 5e6  # whatever was measured here
+        plays.end(first, asyncio.get_running_loop().time())
+        second = await play(first)
+        assert second != first
+        await play("never-given")
+        assert known == [None, 5e6, None]
+        await eventually(lambda: not len(plays))
+        plays.begin(second, "walk").rate_bps = 6e6
+        await play(second)  # a seek: the old play runs on
+        assert known[-1] == 6e6
+        plays.end(second, 0.0)
+
+    on_server(root, check)
+
+
+def test_the_log_says_how_a_play_went(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    finished: list[Exchange] = []
+
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        app = server.server.app
+        finish = app.finished
+
+        def note(exchange: Exchange, now_s: float) -> None:
+            finished.append(exchange)
+            finish(exchange, now_s)
+
+        monkeypatch.setattr(app, "finished", note)
+        async with client.get("/v1/streams/walk/play?layers=3") as response:
+            await response.read()
+        async with client.get("/v1/streams/long/play?layers=1") as response:
+            response.close()
+        await eventually(lambda: len(finished) == 2)
+
+    on_server(root, check)
+    whole, left = finished
+    assert (whole.status, whole.facts["outcome"], whole.facts["layers"]) == (200, "complete", 3.0)
+    assert (left.status, left.facts["outcome"]) == (499, "gone")
+
+
+MADE_UP = "0-made_up_by_a_client_0000", "0-" + "A" * 42, "", "nonsense"
+
+
+def test_under_load_only_a_play_of_this_server_goes_on(root: Path) -> None:
+    url = "/v1/streams/walk/play?until=1&layers=1"
+
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        async def status(token: str) -> int:
+            async with client.get(url, headers={PLAY_HEADER: token}) as response:
+                await response.read()
+                return response.status
+
+        async with client.get(url) as response:
+            issued = response.headers[PLAY_HEADER]
+        async with running(root) as other, client.get(other.url + url) as response:
+            of_other = response.headers[PLAY_HEADER]
+        server.state.overload = Overload(OverloadConfig(recover_per_s=1e-6), max_plays=512)
+        server.state.overload.load = 1.0
+        altered = issued[:-1] + ("A" if issued[-1] != "A" else "B")
+        for token in (*MADE_UP, of_other, altered):
+            assert await status(token) == 503, token
+        assert await status(issued) == 200
+
+    on_server(root, check)

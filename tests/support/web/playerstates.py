@@ -1,0 +1,245 @@
+"""The states of the browser player, each reached as a person would reach it."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from codec.stream.poster import POSTER_NAME, write_poster
+from codec.stream.storyboard import STORYBOARD_NAME, write_storyboard
+from codec.tools.static import export_static
+from player.render.cpu import render_splats
+from tests.support.commands import ROOT
+from tests.support.hosted_streams import ring_of_cameras, static_host, write_stream
+from tests.support.web.chromium import Page
+from tests.support.web.publisher import Publisher
+
+ELEMENT = "document.querySelector('swings-player')"
+PLAYER = f"{ELEMENT}.player"
+NUM_FRAMES = 120
+NO_WEBGL = "HTMLCanvasElement.prototype.getContext = () => null;"
+
+
+@dataclass(frozen=True, slots=True)
+class Screen:
+    """A device to look at."""
+
+    name: str
+    width_px: int
+    height_px: int
+    touch: bool = False
+    scale: int = 1
+
+
+SCREENS = (
+    Screen("phone", 390, 844, touch=True, scale=3),
+    Screen("laptop", 1440, 900),
+    Screen("large", 2560, 1440),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Hosts:
+    """Where the streams are."""
+
+    url: str
+    silent_url: str
+    """A host that accepts connections and never answers."""
+    folder: Path
+
+
+@contextlib.contextmanager
+def hosting(folder: Path) -> Iterator[Hosts]:
+    """Hosts of the player, a clip with pictures in static/, and a live stream in live/ whose writer
+    has stopped after two segments."""
+    cameras = tuple(camera.scaled(10) for camera in ring_of_cameras())
+    stream = write_stream(
+        folder / "stream",
+        NUM_FRAMES,
+        cameras=cameras,
+        poster=POSTER_NAME,
+        storyboard=STORYBOARD_NAME,
+    )
+    write_poster(stream, render_splats)
+    write_storyboard(stream, render_splats)
+    export_static(stream, folder / "static")
+    bare = write_stream(folder / "bare", 30)
+    export_static(bare, folder / "exported")
+    Publisher(folder / "exported", folder / "live").publish(2)
+    (folder / "web").symlink_to(ROOT / "player" / "web")
+    with socket.create_server(("127.0.0.1", 0)) as silent, static_host(folder) as url:
+        yield Hosts(url, f"http://127.0.0.1:{silent.getsockname()[1]}/stream", folder)
+
+
+@dataclass(frozen=True, slots=True)
+class Reached:
+    """A page in Chromium, and what opens the player there."""
+
+    page: Page
+    hosts: Hosts
+    screen: Screen
+
+    def watch(self, query: str, script: str | None = None, **options: object) -> None:
+        """Opens the player's page with `query`."""
+        scripts: list[Path] = []
+        if script is not None:
+            path = self.hosts.folder / "before.js"
+            path.write_text(script, encoding="utf-8")
+            scripts.append(path)
+        size = (self.screen.width_px, self.screen.height_px)
+        context = {
+            "deviceScaleFactor": self.screen.scale,
+            "isMobile": self.screen.touch,
+            **options,
+        }
+        address = f"{self.hosts.url}/web/watch.html?{query}"
+        self.page.open(address, *size, self.screen.touch, scripts, context)
+
+    def wait(self, condition: str) -> None:
+        """Until the player is in this condition."""
+        frame = f"{ELEMENT}?.shadowRoot.querySelector('.frame')"
+        self.page.wait(f"{frame}?.dataset.condition === '{condition}'", 60)
+
+    def click(self, part: str) -> None:
+        self.page.run(f"{ELEMENT}.shadowRoot.querySelector('{part}').click()")
+
+
+def _start(at: Reached) -> None:
+    at.watch("src=../static&autoplay=0")
+    at.wait("start")
+
+
+def _loading(at: Reached, **options: object) -> None:
+    at.watch("src=../static&autoplay=0", None, **options)
+    poster = f"{at.hosts.url}/static/poster.jpg"
+    at.page.wait(f"{ELEMENT}?.player")
+    at.page.run(f"{ELEMENT}.poster = '{poster}'; {ELEMENT}.src = '{at.hosts.silent_url}'")
+    at.wait("loading")
+
+
+def _playing(at: Reached) -> None:
+    at.watch("src=../static&t=0.5")
+    at.wait("playing")
+
+
+def _idle(at: Reached) -> None:
+    at.watch("src=../static")
+    bar = f"{ELEMENT}?.shadowRoot.querySelector('.bar')"
+    at.page.wait(f"{bar} && getComputedStyle({bar}).opacity === '0'", 60)
+
+
+def _paused(at: Reached, **options: object) -> None:
+    at.watch("src=../static&t=1", None, **options)
+    at.page.wait(f"{PLAYER}?.shownFrame > 35", 60)
+    at.page.run(f"{ELEMENT}.pause()")
+    at.wait("paused")
+
+
+def _ended(at: Reached) -> None:
+    at.watch("src=../static&loop=0&t=3.5")
+    at.wait("ended")
+
+
+def _waiting(at: Reached) -> None:
+    at.watch("src=../live&t=0")
+    at.wait("waiting")
+
+
+def _stopped(at: Reached) -> None:
+    at.watch("src=../live&t=0")
+    note = f"{ELEMENT}?.shadowRoot.querySelector('.note.soft')"
+    at.page.wait(f"{note}?.textContent.includes('has stopped')", 60)
+
+
+def _failed(at: Reached) -> None:
+    at.watch("src=../nothing")
+    at.wait("failed")
+
+
+def _failed_details(at: Reached) -> None:
+    _failed(at)
+    at.click("summary")
+
+
+def _no_webgl(at: Reached) -> None:
+    at.watch("src=../static", NO_WEBGL)
+    at.wait("failed")
+
+
+def _context_lost(at: Reached) -> None:
+    _paused(at)
+    at.page.run(f"{PLAYER}.dispatchEvent(new Event('contextlost'))")
+
+
+def _menu(at: Reached) -> None:
+    _paused(at)
+    at.click(".more")
+
+
+def _speed(at: Reached) -> None:
+    _menu(at)
+    at.click("[data-name=rate]")
+
+
+def _keys(at: Reached) -> None:
+    _paused(at)
+    at.page.press("?")
+
+
+def _statistics(at: Reached) -> None:
+    _paused(at)
+    at.page.press("i")
+
+
+def _preview(at: Reached) -> None:
+    _paused(at)
+    scrub = f"{ELEMENT}.shadowRoot.querySelector('.scrub')"
+    at.page.run(f"{scrub}.value = 90; {scrub}.dispatchEvent(new Event('input'))")
+    at.page.wait(f"!{ELEMENT}.shadowRoot.querySelector('.tile').hidden")
+
+
+def _forced_colours(at: Reached) -> None:
+    _paused(at, forcedColors="active")
+
+
+def _forced_menu(at: Reached) -> None:
+    _forced_colours(at)
+    at.click(".more")
+
+
+def _still(at: Reached) -> None:
+    at.watch("src=../static&autoplay=1", reducedMotion="reduce")
+    at.wait("start")
+
+
+def _still_loading(at: Reached) -> None:
+    _loading(at, reducedMotion="reduce")
+
+
+STATES: dict[str, Callable[[Reached], None]] = {
+    "start": _start,
+    "loading": _loading,
+    "playing": _playing,
+    "idle": _idle,
+    "paused": _paused,
+    "ended": _ended,
+    "waiting": _waiting,
+    "stopped": _stopped,
+    "failed": _failed,
+    "failed-details": _failed_details,
+    "no-webgl": _no_webgl,
+    "context-lost": _context_lost,
+    "menu": _menu,
+    "speed": _speed,
+    "keys": _keys,
+    "statistics": _statistics,
+    "preview": _preview,
+    "forced-colours": _forced_colours,
+    "forced-menu": _forced_menu,
+    "reduced-motion": _still,
+    "reduced-motion-loading": _still_loading,
+}
+"""How each state is reached, by its name."""
