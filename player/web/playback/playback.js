@@ -85,6 +85,10 @@ export class Playback {
    */
   tick(nowS) {
     this.#reach();
+    if (this.isEarly(nowS)) {
+      this.waiting = false;
+      return null;
+    }
     if (!this.isJoined) return this.#join(nowS);
     if (!this.playing || this.hasEnded) {
       this.waiting = false;
@@ -143,9 +147,14 @@ export class Playback {
     return { frame, isJoin: before.isJoin, updates: [...before.updates, ...updates] };
   }
 
+  /** Whether its first frame is not due yet: that of the round before still shows. @param {number} nowS */
+  isEarly(nowS) {
+    return !this.isJoined && this.notBeforeS > nowS;
+  }
+
   /** Seconds until something may be due; null: not before something comes. @param {number} nowS */
   restS(nowS) {
-    if (!this.isJoined && this.notBeforeS > nowS) return this.notBeforeS - nowS;
+    if (this.isEarly(nowS)) return this.notBeforeS - nowS;
     if (this.dueS === null) return this.play.isLate ? REFINE_S : null;
     return Math.max(0, this.dueS - nowS);
   }
@@ -169,8 +178,8 @@ export class Playback {
   /** @param {number} nowS */
   #join(nowS) {
     const frame = this.nextFrame;
-    this.waiting = nowS >= this.notBeforeS && !this.play.has(frame);
-    if (this.waiting || nowS < this.notBeforeS) return null;
+    this.waiting = !this.play.has(frame);
+    if (this.waiting) return null;
     const updates = this.play.join(frame);
     this.isJoined = true;
     this.nextFrame = frame + 1;

@@ -273,7 +273,7 @@ export class StreamPlayer {
   /** Posts the state to the page, ten times a second at most. */
   postState() {
     const { playback, round, stream } = this;
-    if (nowS() - this.postedS < STATE_PERIOD_S) return;
+    if (nowS() - this.postedS < STATE_PERIOD_S || playback.isEarly(nowS())) return;
     this.postedS = nowS();
     this.outlet.post({
       kind: "state",

@@ -160,7 +160,7 @@ export class ServedPlay {
 
   /** The first frames from `endBirth` on that are not here; null if there are none. @returns {Gap | null} */
   #findGap() {
-    const { stream, mostLayers, firstFrame } = this;
+    const { stream, firstFrame } = this;
     const { cache, numFrames, manifest } = stream;
     for (;;) {
       if (this.endBirth >= numFrames) {
@@ -170,11 +170,9 @@ export class ServedPlay {
       const segment = this.#segmentOf(this.endBirth);
       const start = segment * manifest.segmentFrames;
       const size = stream.framesIn(segment);
-      const isJoin = segment === this.#segmentOf(firstFrame);
-      const snapshots = isJoin ? cache.missingSnapshots(segment, mostLayers) : [];
-      const isHere = isJoin
-        ? cache.hasAllChanges(segment, size, mostLayers)
-        : cache.isComplete(segment, size, mostLayers);
+      const isJoin = this.#isJoin(segment);
+      const snapshots = this.#missingSnapshots(segment);
+      const isHere = this.#hasChanges(segment);
       if (isHere && snapshots.length === 0) {
         this.endBirth = start + size;
         continue;
@@ -319,8 +317,35 @@ export class ServedPlay {
     const { cache, manifest } = this.stream;
     const isFar = () =>
       this.endBirth > this.nextFrame + this.#mostAhead + manifest.segmentFrames ||
-      !cache.hasRoomFor(this.#segmentOf(this.endBirth));
+      (!this.#isRefining && !cache.hasRoomFor(this.#segmentOf(this.endBirth)));
     while (!this.isClosed && isFar()) await this.#position();
+  }
+
+  /** Whether layers of a still picture are missing: they may come behind what shows later. */
+  get #isRefining() {
+    if (!this.paused) return false;
+    const segment = this.#segmentOf(this.nextFrame);
+    return !this.#hasChanges(segment) || this.#missingSnapshots(segment).length > 0;
+  }
+
+  /** Whether all changes of a segment that this play needs are here. @param {number} segment */
+  #hasChanges(segment) {
+    const { stream, mostLayers } = this;
+    const size = stream.framesIn(segment);
+    return this.#isJoin(segment)
+      ? stream.cache.hasAllChanges(segment, size, mostLayers)
+      : stream.cache.isComplete(segment, size, mostLayers);
+  }
+
+  /** Layers whose snapshots this play needs and lacks. @param {number} segment */
+  #missingSnapshots(segment) {
+    const { cache } = this.stream;
+    return this.#isJoin(segment) ? cache.missingSnapshots(segment, this.mostLayers) : [];
+  }
+
+  /** Whether this play begins in a segment. @param {number} segment */
+  #isJoin(segment) {
+    return segment === this.#segmentOf(this.firstFrame);
   }
 
   /** Resolves at the next report of the position, or when the play is closed. */
