@@ -25,8 +25,15 @@ KID = r"[A-Za-z0-9_-]{1,32}"
 
 _PREFIX = re.compile(rf"/t/([1-9][0-9]{{0,11}})\.({KID})\.([A-Za-z0-9_-]{{43}})(/.*)", re.ASCII)
 
-_TOKEN = re.compile(rf"[1-9][0-9]{{0,11}}\.{KID}\.[A-Za-z0-9_-]{{20,}}", re.ASCII)
+_DOT = r"(?:\.|%2[eE])"
+
+_TOKEN = re.compile(rf"[1-9][0-9]{{0,11}}{_DOT}{KID}{_DOT}[A-Za-z0-9_-]{{20,}}", re.ASCII)
 """A signature wherever it stands, as in the query of a page, whole or most of it."""
+
+_SLASH = "(?:/|%2[fF])"
+
+_EDGE_DIGEST = re.compile(rf"({_SLASH}n{_SLASH})(?:[A-Za-z0-9_-]|%(?!2[fF])){{16,}}", re.ASCII)
+"""A digest that nginx verifies, wherever it stands: with the expiry it opens a stream's objects."""
 
 _OF_STREAM = re.compile(r"/(?:v1/streams|watch)/([A-Za-z0-9._-]+)(?:/.*)?", re.ASCII)
 
@@ -135,7 +142,7 @@ def without_signatures(text: str) -> str:
         # Whatever stands there: of a URL that was cut or mistyped, nearly all of it may hold.
         _, found, rest = text[3:].partition("/")
         text = f"/t/***{found}{rest}"
-    return _TOKEN.sub("***", text)
+    return _EDGE_DIGEST.sub(r"\1***", _TOKEN.sub("***", text))
 
 
 def needs_signature(path: str) -> bool:

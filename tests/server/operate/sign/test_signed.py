@@ -179,6 +179,8 @@ def test_a_server_of_one_process_reads_its_keys_again_on_sighup(
 def test_the_log_has_no_signature(folder: Path, tmp_path: Path, signer: Signer) -> None:
     root, keys = folder / "root", folder / "keys"
     good, all_of_it = signer.sign("walk", soon()), signer.sign("*", soon())
+    digest = "Q0jYl9-_0nGvXJmV4tTzAA"
+    edge = f"/n/{digest}{good}"
     paths = (
         f"{good}{STREAM}/manifest.json",  # 200
         f"{good}{STREAM}/segments/9/9",  # 404
@@ -191,19 +193,24 @@ def test_the_log_has_no_signature(folder: Path, tmp_path: Path, signer: Signer) 
         f"{good[:-1]}/watch/walk",
         f"{good[:9]}%2E{good[9:]}/watch/walk",
         good,
+        f"{edge}{STREAM}/segments/0/0",
+        f"/web/none?u={edge.replace('/', '%2F').replace('.', '%2E')}",
+        f"/web/watch.html?src=http://host{edge}{STREAM}&{good.replace('.', '%2E')}",
         f"/web/watch.html?src=http%3A%2F%2Fhost{good.replace('/', '%2F')}%2Fv1%2Fstreams%2Fwalk",
     )
     with server_process(root, tmp_path, "--keys", keys) as server:
         statuses = [get(server.port, path).status for path in paths]
-        ask(f"http://127.0.0.1:{server.port}{good}{STREAM}/play", "OPTIONS")
+        for prefix in (good, edge):
+            ask(f"http://127.0.0.1:{server.port}{prefix}{STREAM}/play", "OPTIONS")
     assert statuses[:2] == [200, 404]
-    assert 200 not in statuses[2:-1]
+    assert 200 not in statuses[2:-2]
     text = server.log.read_text()
-    assert text.count("/t/***/") == 8
+    assert text.count("/t/***/") == 11
     assert "path=/v1/streams/walk/manifest.json" in text
     for prefix in (good, all_of_it):
         signature = prefix.rpartition(".")[2]
         assert signature[:20] not in text, text
+    assert digest[:16] not in text, text
 
 
 def test_other_machines_are_let_in_on_purpose_only(folder: Path) -> None:
