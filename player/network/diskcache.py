@@ -1,4 +1,4 @@
-"""Objects on disk, for who plays a stream again: named by their hash, so none is ever out of date.
+"""Objects on disk, for streams played again: named by their hash, so none is ever stale.
 
 Several players may share a folder. It never fails a play: what cannot be kept is fetched again.
 """
@@ -80,7 +80,7 @@ class DiskCache:
             path.parent.mkdir(exist_ok=True)
             try:
                 temporary.write_bytes(data)
-                # Not synced: after a power cut the hash tells.
+                # Not synced: after a power cut the hash shows what is damaged.
                 os.replace(temporary, path)
             finally:
                 temporary.unlink(missing_ok=True)

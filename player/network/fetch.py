@@ -1,4 +1,4 @@
-"""HTTP for one thread that may block: connections whose loop runs only while somebody waits.
+"""HTTP for one thread that may block: an event loop that runs only while a caller waits.
 
 Rule: whatever goes wrong on the network leaves here as one of the errors below. Nothing is read
 ahead of its reader, so a player that is busy holds the server back.
@@ -46,7 +46,7 @@ class FetchConfig:
 
 
 class Fetcher:
-    """Requests over connections that are kept, for one reader, who waits for one at a time.
+    """Requests over persistent connections, for one reader that waits for one at a time.
 
     `interrupt` may come from any thread, everything else from one thread at a time.
     """
@@ -60,7 +60,7 @@ class Fetcher:
         logins: Mapping[Origin, str] | None = None,
     ) -> None:
         """via: address of a relay that every request goes through instead of to its host.
-        received: is told how many bytes of a body each read gave. pool: of another Fetcher,
+        received: called with the number of bytes of each read of a body. pool: of another Fetcher,
         which closes it; without it there is one of its own. logins: see `logins_of`."""
         self._via = via
         self.config = config or FetchConfig()
@@ -91,12 +91,12 @@ class Fetcher:
         return self._run(self._open(url, headers), url)
 
     def ask(self, url: str, headers: Mapping[str, str], limit_bytes: int) -> Asked:
-        """A GET whose answer is read whenever somebody waits, see `wait`: it may be that of several
-        at a time. Close it."""
+        """A GET that is read in the background whenever the caller waits on this fetcher, see
+        `wait`. Several may run at a time. Close it."""
         return Asked(self, url, headers, limit_bytes)
 
     def wait(self, timeout_s: float) -> None:
-        """Returns when something of what was asked for has come, or after `timeout_s`."""
+        """Returns when bytes of any `ask` have arrived, or after `timeout_s`."""
         self._run(self._wait(timeout_s), "")
 
     async def _wait(self, timeout_s: float) -> None:
@@ -127,11 +127,11 @@ class Fetcher:
         return Fetcher(self._via, self.config, self._received, self._pool, self._logins)
 
     def another(self, config: FetchConfig) -> Fetcher:
-        """One more, for another thread, that goes the same way. Close it."""
+        """Another fetcher by the same route, for another thread. Close it."""
         return Fetcher(self._via, config, logins=self._logins)
 
     def interrupt(self) -> None:
-        """Makes whoever waits, now or later, raise StoppedError."""
+        """Makes a caller that waits, now or later, raise StoppedError."""
         with self._lock:
             self._stopped = True
             if self._waiting is not None:
@@ -257,7 +257,7 @@ class Asked:
             task.cancel()
             task.get_loop().run_until_complete(asyncio.wait([task]))
         elif not task.cancelled():
-            task.exception()  # seen, if nobody has looked
+            task.exception()  # marks it as retrieved
         if self.response is not None:
             self.response.close()
 

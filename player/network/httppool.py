@@ -1,6 +1,6 @@
-"""HTTP by httpcore, on a loop that runs only while somebody waits, directly or through a proxy.
+"""HTTP by httpcore, directly or through a proxy, on a loop that runs only while a caller waits.
 
-httpcore loads at the first request, because many a play needs no network.
+httpcore is imported at the first request, because playing from a folder needs no network.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A stream's files from whichever of its hosts has them.
 
-Rule: what has come of a file is not asked for again; a host that fails is left for the next one.
+Rule: received bytes of a file are not requested again; after a failure the next host is tried.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from .requesttarget import joined
 from .retry import Retry, RetryConfig
 
 PROGRESS_BYTES = 4096
-"""A try that brought less has brought nothing: or who sends byte after byte is waited for."""
+"""Fewer bytes than this count as no progress, so a host that trickles bytes is not waited for."""
 
 
 @dataclass(slots=True)
 class Found:
-    """A file, or what has come of it."""
+    """A file, or the part of it that was received."""
 
     url: str = ""
     data: bytearray = field(default_factory=bytearray)

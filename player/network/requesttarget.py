@@ -17,7 +17,7 @@ from urllib.parse import quote, unquote, urljoin, urlsplit
 from .faults import FetchError
 
 PORTS = {"http": 80, "https": 443}
-"""Where a URL leads that names no port."""
+"""Default port by scheme."""
 
 Origin = tuple[str, str, int]
 """Scheme, host and port."""
@@ -25,16 +25,16 @@ Origin = tuple[str, str, int]
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Where a request goes."""
+    """The origin, path and credentials of a request."""
 
     origin: Origin
     path: str
-    """With the query, in ASCII; percent signs stay, because they quote already."""
+    """With the query, in ASCII; percent signs stay, because they are escapes already."""
     authorization: str | None
 
     @staticmethod
     def of(url: str) -> Target:
-        """Raises ValueError for what is not a URL of the web."""
+        """Raises ValueError if `url` is not a URL of the web."""
         parts = urlsplit(url)
         host = parts.hostname
         if parts.scheme not in PORTS or not host or not host.isprintable() or " " in host:
@@ -66,7 +66,7 @@ def logins_of(urls: Iterable[str]) -> dict[Origin, str]:
     """The Authorization header for each host that one of `urls` has a name or password for."""
     logins = {}
     for url in urls:
-        with suppress(ValueError):  # whoever fetches it says what is wrong with it
+        with suppress(ValueError):  # the request for it will report the error
             target = Target.of(url)
             if target.authorization is not None:
                 logins[target.origin] = target.authorization

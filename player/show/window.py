@@ -30,7 +30,7 @@ IDLE_S = 0.005
 
 
 Note = Callable[[FrameRecord, bool], None]
-"""Told of each frame, and whether it was drawn: not where a newer one was due by then."""
+"""Called with each frame, and whether it was drawn: it is not if a newer one was due by then."""
 
 
 def show_window(

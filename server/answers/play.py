@@ -9,6 +9,7 @@ import asyncio
 import logging
 import math
 import random
+import time
 from collections.abc import Sequence
 from urllib.parse import parse_qsl
 
@@ -109,7 +110,8 @@ async def play(call: Call) -> StreamedResponse:
     # know a newer rate, but may have died: ask it only if nothing is known locally.
     fields, now_s = call.request.fields, asyncio.get_running_loop().time()
     token = fields.get(PLAY_HEADER, "")
-    if not state.overload.accepts_plays(len(state.plays), is_issued(token, state.play_secret)):
+    continues = is_issued(token, state.play_secret, time.time())
+    if not state.overload.accepts_plays(len(state.plays), continues):
         state.metrics.refused.add(1, "play_load")
         message = f"the server is full, with {len(state.plays)} plays; try again later"
         after_s = max(RETRY_AFTER_S, state.overload.retry_after_s)
@@ -138,7 +140,7 @@ class _Play:
         layers = query.num_layers
         policy = Sweep() if layers is None else FixedLayers(layers)
         # A status report may arrive at another worker, which finds this worker by the token.
-        self._token = token = make_token(state.number, state.play_secret)
+        self._token = token = make_token(state.number, state.play_secret, time.time())
         self._address = call.address
         self.fields = {"Content-Type": CONTENT_TYPE, "Cache-Control": "no-store"}
         self.fields[PLAY_HEADER] = token
@@ -161,8 +163,8 @@ class _Play:
             query.from_frame,
             query.until_frame,
             rate_bps,
-            # Clients that begin together, as at the start of a show, shall not burst in step; and
-            # where there are many, each is sent more at a time, but less often.
+            # Clients that begin together, as at the start of a show, must not burst in step. With
+            # many plays, each is sent more at a time, but less often.
             rest_share=random.random() + len(state.plays) / PLAYS_PER_REST,
         )
         next_frame = parse_frame(asked.get(FRAME_HEADER, ""))

@@ -46,11 +46,11 @@ HALF_CLOSED_S: Final = 0.05
 """Seconds for the next request of a client that has closed its side, if it sent more than one."""
 
 _INCOMING: Final = memoryview(bytearray(READ_BYTES))
-"""Where bytes come in, of one connection after the other: each takes them before the next reads."""
+"""Buffer that all connections read into in turn: each copies its bytes before the next one reads."""
 
 
 Refused = Callable[[str, int, str], None]
-"""Told of each request that was refused before it was read: address, status, and why."""
+"""Called for each request that was refused before it was read: address, status, and why."""
 
 
 def refusal(status: int, phrase: str, *fields: str) -> bytes:

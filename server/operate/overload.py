@@ -104,11 +104,11 @@ class Overload:
         room = (config.refuse_from - self.load) / (config.refuse_from - config.shed_from)
         return max(1, min(num_layers, 1 + math.floor(num_layers * room)))
 
-    def accepts_plays(self, num_plays: int, goes_on: bool = False) -> bool:
-        """Whether one more may begin while `num_plays` run. goes_on: whether it goes on with one
-        whose connection or worker was lost: it was part of the load before, at which refusing it
-        would leave a picture standing still."""
-        has_time = goes_on or self.load < self._config.refuse_from
+    def accepts_plays(self, num_plays: int, continues: bool = False) -> bool:
+        """Whether one more play may begin while `num_plays` run. continues: whether it continues a
+        play that lost its connection or worker. That play was part of the load before, and its
+        viewer's picture stands still until it continues."""
+        has_time = continues or self.load < self._config.refuse_from
         return has_time and num_plays < self._max_plays
 
     @property

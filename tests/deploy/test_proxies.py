@@ -264,6 +264,9 @@ def test_nginx_sends_signed_objects_from_disk(root: Path, tmp_path: Path) -> Non
                 assert status(good, f"/v1/streams/walk/{path}") == 200
                 assert status(good, f"/v1/streams/other/{path}") == 403
             assert status(good, "/watch/walk") == 200
+            for path in (OBJECT, "/v1/streams/walk/index.bin"):
+                got, headers, _ = proxy.ask(good + path, None, "OPTIONS")
+                assert (got, "Range" in headers["Access-Control-Allow-Headers"]) == (204, True)
             assert status(good, f"{OBJECT}?anything") == 200
             assert status(good, f"{other}?anything") == 403
             # What is verified here does not open what swings-serve verifies.

@@ -114,7 +114,7 @@ def look_for_room(ray: Any, config: TrainConfig, console: Console) -> None:
 
 
 def num_workers(ray: Any, config: TrainConfig) -> int:
-    """For how many workers the nodes have room that there are now, if nobody else works there."""
+    """Number of workers that fit on the nodes that are up now, if nothing else runs there."""
     claims = {"CPU": config.worker_cpus, "GPU": config.worker_gpus}
     return sum(
         min(int(node["Resources"].get(kind, 0) / much) for kind, much in claims.items() if much)
@@ -124,7 +124,7 @@ def num_workers(ray: Any, config: TrainConfig) -> int:
 
 
 def _check_listens(address: str) -> None:
-    """Raises InvalidError where nobody listens at HOST:PORT; Ray would try for minutes."""
+    """Raises InvalidError if no process listens at HOST:PORT; Ray would try for minutes."""
     host, colon, port = address.removeprefix("ray://").rpartition(":")
     if not colon or not port.isdigit():
         return  # auto and local, and whatever else Ray knows

@@ -17,10 +17,10 @@ from .task import STATE_FOLDER
 Arrays = dict[str, npt.NDArray[Any]]
 
 MAX_STATE_BYTES = 1 << 34
-"""Of one file: tens of millions of Gaussians."""
+"""Largest accepted file: tens of millions of Gaussians."""
 
 MANIFEST_PATH = f"{STATE_FOLDER}/{MANIFEST_NAME}"
-"""The stream's, as genesis leaves it."""
+"""The stream's manifest as genesis leaves it."""
 
 
 def pack_arrays(arrays: Arrays) -> bytes:

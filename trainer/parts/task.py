@@ -1,4 +1,4 @@
-"""What a worker is told: the run, and which piece of it to train."""
+"""A worker's task: the run, and the piece of it to train."""
 
 from __future__ import annotations
 
@@ -11,15 +11,16 @@ from trainer.run.config import TrainConfig
 from .cut import Part
 
 STATE_FOLDER = ".parts"
-"""In the stream's place, until the stream is finished: what workers leave for others."""
+"""Folder inside the stream, until it is finished, with the files that workers leave for others."""
 
 
 ACTIVE_IN_SEAM = 0.5
-"""Of the usual share of active slots, what is trained in a seam, on both sides of it: that some go
-over is motion enough."""
+"""Factor on the share of active slots in a seam, on both sides of it: the slots that go over move
+already."""
 
 ITERATIONS_IN_SEAM = 2.0
-"""Times the usual iterations of a window: what goes over is new to those that train along."""
+"""Factor on the iterations of a window in a seam: slots that go over are new to the part that keeps
+training the others."""
 
 
 def whole_segments(frames: int, segment_frames: int) -> int:
@@ -71,7 +72,7 @@ class Task:
     run: Run
     kind: Kind
     number: int = 0
-    """Of the part."""
+    """Number of the part."""
 
     @property
     def part(self) -> Part:
@@ -104,7 +105,7 @@ class Task:
 
     @property
     def needs(self) -> tuple[Task, ...]:
-        """What must have been done before."""
+        """The tasks that must be done before."""
         match self.kind:
             case Kind.GENESIS:
                 return ()

@@ -32,7 +32,7 @@ def read_keys(path: Path) -> dict[str, bytes]:
         if not line.strip() or line.startswith("#"):
             continue
         match = _LINE.fullmatch(line.strip())
-        # The line itself stays untold: it may be a secret.
+        # The message does not quote the line: it may be a secret.
         if match is None:
             raise InvalidError(f"{path}: line {number} is not NAME:SECRET, 16 bytes or more in hex")
         if match[1] in keys:

@@ -16,22 +16,32 @@ import msgpack
 
 _TOKEN = re.compile(r"(0|[1-9][0-9]{0,2})-[A-Za-z0-9_-]{16,60}", re.ASCII)
 
+_ISSUED = re.compile(r"[0-9]{1,3}-([0-9a-f]{9})[A-Za-z0-9_-]{42}", re.ASCII)
+
+MAX_TOKEN_AGE_S = 86_400
+"""Age at which a token lets nobody continue a play any more, seconds."""
+
 _MAC_BYTES = 15
 
 _MAC_CHARS = 20
 """Length of an HMAC of _MAC_BYTES in base64."""
 
 
-def make_token(number: int, secret: bytes) -> str:
-    """A new token of a play in worker `number`; it cannot be guessed. secret: the server's."""
-    text = f"{number}-{secrets.token_urlsafe(16)}"
+def make_token(number: int, secret: bytes, now_s: float) -> str:
+    """A new token of a play in worker `number`; it cannot be guessed. secret: the server's; now_s:
+    Unix time."""
+    text = f"{number}-{int(now_s):09x}{secrets.token_urlsafe(16)}"
     return text + _mac(text, secret)
 
 
-def is_issued(token: str, secret: bytes) -> bool:
-    """Whether `make_token` made `token` with this secret, in whichever worker."""
+def is_issued(token: str, secret: bytes, now_s: float) -> bool:
+    """Whether `make_token` made `token` with this secret, in any worker, within MAX_TOKEN_AGE_S."""
+    match = _ISSUED.fullmatch(token)
+    if match is None:
+        return False
     text, mac = token[:-_MAC_CHARS], token[-_MAC_CHARS:]
-    return hmac.compare_digest(_mac(text, secret).encode(), mac.encode())
+    is_ours = hmac.compare_digest(_mac(text, secret), mac)
+    return is_ours and now_s < int(match[1], 16) + MAX_TOKEN_AGE_S
 
 
 def _mac(text: str, secret: bytes) -> str:

@@ -48,8 +48,8 @@ def test_all_layers_below_the_first_step_and_one_at_the_last() -> None:
 def test_who_comes_back_is_let_in_where_a_new_play_is_not() -> None:
     overload = settled(0.99)
     assert not overload.accepts_plays(0)
-    assert overload.accepts_plays(0, goes_on=True)
-    assert not Overload(OverloadConfig(), max_plays=3).accepts_plays(3, goes_on=True)
+    assert overload.accepts_plays(0, continues=True)
+    assert not Overload(OverloadConfig(), max_plays=3).accepts_plays(3, continues=True)
 
 
 def test_layers_go_before_plays_are_refused() -> None:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from server.abr.clientstatus import MAX_BODY_BYTES, TOKEN
 from server.operate.workers.peers import MAX_MESSAGE_BYTES
 from server.operate.workers.playmessage import (
+    MAX_TOKEN_AGE_S,
     PlayAnswer,
     PlayQuestion,
     is_issued,
@@ -19,31 +20,38 @@ from server.operate.workers.playmessage import (
 )
 
 SECRET = bytes(range(32))
+NOW_S = 1_790_000_000.0
 
 
 @given(st.integers(0, 511))
 def test_a_token_tells_its_worker_and_nothing_else(number: int) -> None:
-    token = make_token(number, SECRET)
+    token = make_token(number, SECRET, NOW_S)
     assert worker_of(token) == number
     assert re.fullmatch(TOKEN, token)
-    assert token != make_token(number, SECRET)
+    assert token != make_token(number, SECRET, NOW_S)
 
 
 @given(st.integers(0, 511), st.integers(0, 63), st.characters(codec="utf-8"))
 def test_a_token_is_issued_by_a_server_with_its_secret(number: int, at: int, char: str) -> None:
-    token = make_token(number, SECRET)
-    assert is_issued(token, SECRET)
-    assert not is_issued(token, bytes(32))
+    token = make_token(number, SECRET, NOW_S)
+    assert is_issued(token, SECRET, NOW_S)
+    assert not is_issued(token, bytes(32), NOW_S)
     at %= len(token)
     altered = token[:at] + char + token[at + 1 :]
-    assert is_issued(altered, SECRET) == (altered == token)
-    assert not is_issued(token[:-1], SECRET)
-    assert not is_issued(token + "A", SECRET)
+    assert is_issued(altered, SECRET, NOW_S) == (altered == token)
+    assert not is_issued(token[:-1], SECRET, NOW_S)
+    assert not is_issued(token + "A", SECRET, NOW_S)
+
+
+def test_a_token_is_too_old_after_a_day() -> None:
+    token = make_token(1, SECRET, NOW_S)
+    assert is_issued(token, SECRET, NOW_S + MAX_TOKEN_AGE_S - 1)
+    assert not is_issued(token, SECRET, NOW_S + MAX_TOKEN_AGE_S)
 
 
 @given(st.text(st.characters(codec="utf-8"), max_size=64))
 def test_a_token_of_nobody_is_not_issued(token: str) -> None:
-    assert not is_issued(token, SECRET)
+    assert not is_issued(token, SECRET, NOW_S)
 
 
 @pytest.mark.parametrize(
