@@ -46,7 +46,7 @@ HALF_CLOSED_S: Final = 0.05
 """Seconds for the next request of a client that has closed its side, if it sent more than one."""
 
 _INCOMING: Final = memoryview(bytearray(READ_BYTES))
-"""Buffer that all connections read into in turn: each copies its bytes before the next one reads."""
+"""Buffer that all connections read into in turn: each copies its bytes before the next reads."""
 
 
 Refused = Callable[[str, int, str], None]
