@@ -146,7 +146,8 @@ def caddy(backend: int, folder: Path, open_root: Path | None = None) -> Iterator
         (DEPLOY / "Caddyfile").read_text(),
         {
             r"^\{$": "{\n\tadmin off",
-            r"^video\.example\.org": f"http://127.0.0.1:{port}",
+            # `h` is the host of the requests that no honest client makes.
+            r"^video\.example\.org \{": f"http://127.0.0.1:{port}, http://h:{port} {{\n\tlog",
             r"127\.0\.0\.1:8080": f"127.0.0.1:{backend}",
         },
     )

@@ -1,0 +1,84 @@
+"""Bodies whose end two readers could see in two places: a proxy and swings-serve must not."""
+
+from __future__ import annotations
+
+import json
+import re
+import socket
+import ssl
+import time
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from tests.deploy.proxied import Proxy, caddy, find_program, nginx
+from tests.server.hostile.requestcases import smuggling
+from tests.server.hostile.serverprocess import server_process
+from tests.support.hosted_streams import write_stream
+
+WAIT_S = 1.5
+"""Time for what a proxy has to say to a request that it takes for incomplete."""
+
+
+def targets_of_nginx(folder: Path) -> Counter[str]:
+    """The targets in the access log, by how often they were requested."""
+    text = (folder / "access.log").read_text()
+    return Counter(re.findall(r'"[A-Z]+ (\S+) HTTP/[0-9.]+"', text))
+
+
+def targets_of_caddy(folder: Path) -> Counter[str]:
+    """The targets in the log, by how often they were requested."""
+    records = map(json.loads, (folder / "out.log").read_text().splitlines())
+    return Counter(record["request"]["uri"] for record in records if "request" in record)
+
+
+PROXIES = {"nginx": (nginx, targets_of_nginx), "caddy": (caddy, targets_of_caddy)}
+
+
+def send(proxy: Proxy, sent: bytes) -> None:
+    """Sends a request and what hides in it over one connection, and waits for the responses."""
+    with suppress(OSError), socket.create_connection(("127.0.0.1", proxy.port), WAIT_S) as plain:
+        sock: socket.socket = plain
+        if proxy.tls:
+            context = ssl._create_unverified_context()  # made by the test a moment ago
+            context.set_alpn_protocols(["http/1.1"])
+            sock = context.wrap_socket(plain)
+        with sock:
+            sock.sendall(sent)
+            end_s = time.monotonic() + WAIT_S
+            while time.monotonic() < end_s and sock.recv(1 << 16):
+                pass
+
+
+@pytest.mark.parametrize("name", sorted(PROXIES))
+def test_a_proxy_and_the_server_read_the_same_requests(name: str, tmp_path: Path) -> None:
+    """Every request that the server reads is one that the proxy has read."""
+    needed = (name, "openssl") if name == "nginx" else (name,)
+    for program in needed:
+        if find_program(program) is None:
+            pytest.skip(f"{program} is not installed")
+    start, targets_of = PROXIES[name]
+    folder, root = tmp_path / name, tmp_path / "root"
+    folder.mkdir()
+    write_stream(root / "walk", 4, fps=10.0)
+    # Each case has targets of its own, as long as they were: lengths in it stay true.
+    requests = [
+        case.sent.replace(b"/poison", b"/pois%02d" % number).replace(
+            b"/nobody", b"/nobo%02d" % number
+        )
+        for number, case in enumerate(smuggling())
+    ]
+    with (
+        server_process(root, tmp_path, "--log", "json") as server,
+        start(server.port, folder) as proxy,
+        ThreadPoolExecutor(16) as pool,
+    ):
+        list(pool.map(lambda sent: send(proxy, sent), requests))
+    lines = [json.loads(line) for line in server.log.read_text().splitlines() if line[:1] == "{"]
+    read = Counter(line["path"] for line in lines if line.get("path"))
+    forwarded = targets_of(folder)
+    assert sum(read.values()) >= 1, "nothing came through"
+    assert not read - forwarded, "the server read what the proxy did not"
