@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import sys
+import threading
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -28,6 +32,9 @@ class ServeCommand:
     check_config: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print the settings that would be used as lines of an environment file, and exit. Every option
     can also be set by an environment variable: --max-plays by SWINGS_SERVE_MAX_PLAYS."""
+    end_with_stdin: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """End when standard input is closed, so that the server does not outlive the process that
+    started it."""
     server: tyro.conf.OmitArgPrefixes[ServerConfig] = field(default_factory=ServerConfig)
     """Limits, access, log and cache of the server."""
 
@@ -36,7 +43,16 @@ def run(command: ServeCommand) -> None:
     listener = bind(command.host, command.port)
     url = url_of(listener, "http" if command.server.tls_cert is None else "https")
     service = Service(command.root, command.server, listener)
+    if command.end_with_stdin:
+        threading.Thread(target=_end_with_stdin, daemon=True).start()
     service.run(ready=lambda: print(f"serving {url}", flush=True))
+
+
+def _end_with_stdin() -> None:
+    """Ends this process, like Ctrl-C, when standard input is closed."""
+    while sys.stdin.buffer.read(4096):
+        pass
+    os.kill(os.getpid(), signal.SIGINT)
 
 
 def main() -> None:

@@ -27,7 +27,7 @@ from .capture import Capture, CaptureCamera, PictureSource
 from .held_out import read_held_out
 from .lens import Lens, check_optics
 from .points import read_points
-from .video import VideoSource, check_synchronised, check_video_size, probe_video, turned_doubts
+from .video import VideoSource, check_synchronised, check_video_size, probe_video
 
 POSES_NAME = "poses_bounds.npy"
 POINTS_NAME = "points.npz"
@@ -73,7 +73,6 @@ def open_dynerf(root: Path) -> Capture:
         near_m=depths[0] if depths else None,
         far_m=depths[1] if depths else None,
         opener=open_images,
-        doubts=tuple(turned_doubts(videos, facts)),
     )
 
 

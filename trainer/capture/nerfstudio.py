@@ -50,7 +50,7 @@ from .masks import mask_source
 from .picturefiles import natural_order, picture_source, read_fps, require_files, safe_path
 from .points import points_depths, read_ply, read_points
 from .transforms import TRANSFORMS_NAME, Transforms, read_entries
-from .video import VideoSource, check_synchronised, check_video_size, probe_video, turned_doubts
+from .video import VideoSource, check_synchronised, check_video_size, probe_video
 
 
 def open_nerfstudio(root: Path) -> Capture:
@@ -81,7 +81,6 @@ def open_nerfstudio(root: Path) -> Capture:
         near_m=near_m,
         far_m=far_m,
         opener=footage.open,
-        doubts=footage.doubts,
     )
 
 
@@ -110,7 +109,6 @@ class _Footage:
     fps: float | None
     open: Callable[[int], PictureSource]
     """Of the camera of this index."""
-    doubts: tuple[str, ...] = ()
 
 
 def _filmed(
@@ -129,7 +127,7 @@ def _filmed(
         source = VideoSource(videos[index], cameras[index], num_frames)
         return straight_source(source, cameras[index], rig[index].entry.lens)
 
-    return _Footage(num_frames, fps, open_video, tuple(turned_doubts(videos, facts)))
+    return _Footage(num_frames, fps, open_video)
 
 
 def _photographed(

@@ -47,12 +47,6 @@ TO_SDR = (
 )
 """Filters of ffmpeg that make SDR of HDR."""
 
-TURNING = "ffmpeg -i IN.mp4 -c:v libx264 -crf 12 OUT.mp4"
-"""Turns pictures as the file says, and drops that note."""
-
-MAX_NAMED = 4
-"""Videos named in a line."""
-
 
 @dataclass(frozen=True, slots=True)
 class VideoFacts:
@@ -63,8 +57,8 @@ class VideoFacts:
     num_frames: int
     fps: float
     turned_deg: int = 0
-    """Angle by which a player turns the pictures, 0 to 359, counterclockwise: phones film upright
-    in this way. Pictures are read without it."""
+    """Angle by which the pictures are turned when they are read, 0, 90, 180 or 270,
+    counterclockwise: phones note it in the file. The size is that of the turned pictures."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,11 +94,13 @@ def probe_video(path: Path) -> VideoFacts:
                 num_frames = len(_read_times(path, container, stream).frames)
             size = stream.codec_context.width, stream.codec_context.height
         with translated(), _open_container(path) as container:
-            turned_deg = _turned(container, _video_stream(path, container))
+            turned_deg = _turned(path, container, _video_stream(path, container))
     except av.error.FFmpegError as error:
         raise CaptureError(f"{path}: not a video that can be read: {error.strerror}") from error
     if num_frames == 0:
         raise CaptureError(f"{path}: the video has no frames")
+    if turned_deg in (90, 270):
+        size = size[::-1]
     return VideoFacts(*size, num_frames, fps, turned_deg)
 
 
@@ -118,30 +114,21 @@ def _check_transfer(path: Path, transfer: int) -> None:
         )
 
 
-def _turned(container: av.container.InputContainer, stream: av.video.stream.VideoStream) -> int:
+def _turned(
+    path: Path, container: av.container.InputContainer, stream: av.video.stream.VideoStream
+) -> int:
     """`VideoFacts.turned_deg`, which the first picture holds; 0 if that cannot be decoded."""
     stream.codec_context.thread_count = 1
     with suppress(av.error.FFmpegError):
         for picture in container.decode(stream):
-            return int(picture.rotation) % 360
+            turned_deg = int(picture.rotation) % 360
+            if turned_deg % 90:
+                raise CaptureError(
+                    f"{path}: the file turns its pictures by {turned_deg} degrees; only quarter "
+                    "turns are read: write it upright first, with ffmpeg -i IN.mp4 OUT.mp4"
+                )
+            return turned_deg
     return 0
-
-
-def turned_doubts(videos: Sequence[Path], facts: Sequence[VideoFacts]) -> list[str]:
-    """A line about videos that players turn, while their poses fit the pictures as they are
-    coded."""
-    turned = [
-        f"{path.name} ({fact.turned_deg} degrees)"
-        for path, fact in zip(videos, facts, strict=True)
-        if fact.turned_deg
-    ]
-    if not turned:
-        return []
-    more = f" and {len(turned) - MAX_NAMED} more" if len(turned) > MAX_NAMED else ""
-    return [
-        f"video players turn {', '.join(turned[:MAX_NAMED])}{more}, but swings does not: if the "
-        f"poses are those of the turned pictures, write turned videos first, with {TURNING}"
-    ]
 
 
 def check_synchronised(videos: Sequence[Path], facts: Sequence[VideoFacts]) -> None:
@@ -185,18 +172,13 @@ def _has_variable_rate(path: Path) -> bool:
 def check_video_size(path: Path, facts: VideoFacts, camera: Camera, declared_in: Path) -> None:
     """Raises CaptureError unless the video has the size of its camera, which `declared_in`
     declares."""
-    size_px, declared_px = (facts.width_px, facts.height_px), (camera.width_px, camera.height_px)
-    if size_px == declared_px[::-1] != declared_px and facts.turned_deg in (90, 270):
-        raise CaptureError(
-            f"{path}: is {facts.width_px}x{facts.height_px} px, and players turn it by "
-            f"{facts.turned_deg} degrees; {declared_in.name} declares the turned size. Write the "
-            f"turned pictures first, with {TURNING}"
-        )
-    if size_px != declared_px:
-        raise CaptureError(
-            f"{path}: is {facts.width_px}x{facts.height_px} px; {declared_in.name} declares "
-            f"{camera.width_px}x{camera.height_px} px"
-        )
+    if (facts.width_px, facts.height_px) == (camera.width_px, camera.height_px):
+        return
+    turned = f", turned by {facts.turned_deg} degrees as the file says" if facts.turned_deg else ""
+    raise CaptureError(
+        f"{path}: is {facts.width_px}x{facts.height_px} px{turned}; {declared_in.name} declares "
+        f"{camera.width_px}x{camera.height_px} px"
+    )
 
 
 class VideoSource:
@@ -294,12 +276,15 @@ class VideoSource:
         )
 
     def _as_rgb(self, picture: av.VideoFrame) -> Picture:
-        if (picture.width, picture.height) != (self._camera.width_px, self._camera.height_px):
+        quarters = int(picture.rotation) % 360 // 90
+        size_px = (picture.width, picture.height)[:: -1 if quarters % 2 else 1]
+        if size_px != (self._camera.width_px, self._camera.height_px):
             raise CaptureError(
-                f"{self._path}: a frame is {picture.width}x{picture.height} px, not "
+                f"{self._path}: a frame is {size_px[0]}x{size_px[1]} px, not "
                 f"{self._camera.width_px}x{self._camera.height_px} px"
             )
-        return np.ascontiguousarray(picture.to_ndarray(format="rgb24"), np.uint8)
+        upright = np.rot90(picture.to_ndarray(format="rgb24"), quarters)
+        return np.ascontiguousarray(upright, np.uint8)
 
 
 def _open_container(path: Path) -> av.container.InputContainer:

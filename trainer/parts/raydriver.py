@@ -69,6 +69,10 @@ def train_in_parts(config: TrainConfig, address: str, console: Console) -> Manif
     by then stays, and --resume goes on from it.
     """
     config.check_slices()
+    if config.serve is not None:
+        raise InvalidError(
+            "--serve serves what this process trains; with --ray run swings-serve beside it"
+        )
     files = open_growing(config.target, SHAPE)
     if config.resume:
         finished = finish_outputs(config)

@@ -62,7 +62,6 @@ def check_capture(config: TrainConfig, console: Console = SILENT) -> list[str]:
                 "labels      numbers, as no font here has all letters of the names: " + numbers
             )
     doubts = [
-        *capture.doubts,
         *rig_doubts(capture),
         *cut_doubts,
         *coverage_doubts(capture),

@@ -121,6 +121,9 @@ class TrainConfig:
     snapshot_every: int = 30
     """Frames between pictures of a held-out view (capture, rendered, error) in snapshots/ in the
     work folder; 0 draws none."""
+    serve: Annotated[int | None, tyro.conf.arg(metavar="PORT")] = None
+    """Serve the stream on this port of this machine while it is trained, for the browser player; 0
+    picks a free port. The server ends with the run. It logs to serve.log in the work folder."""
     title: str = ""
     """Title of the stream; by default the name of the capture's folder."""
     cache_bytes: int = DEFAULT_MAX_BYTES
@@ -137,6 +140,8 @@ class TrainConfig:
             raise InvalidError(f"fps {self.fps:g}: choose {MIN_FPS:g} to {MAX_FPS:g}")
         if self.point_share is not None and not 0 <= self.point_share <= 1:
             raise InvalidError(f"point_share {self.point_share:g}: choose 0 to 1")
+        if self.serve is not None and not 0 <= self.serve <= 65535:
+            raise InvalidError(f"serve {self.serve}: choose a port, 0 to 65535")
         if self.snapshot_every < 0:
             raise InvalidError(f"snapshot_every {self.snapshot_every}: choose 0 or more")
         if not self.worker_cpus > 0:

@@ -6,7 +6,7 @@ import logging
 import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -33,6 +33,7 @@ from .checkpoint import (
 )
 from .config import TrainConfig
 from .finished import finish_outputs, show_finished
+from .liveview import LiveView
 from .monitor import Monitor
 from .outputs import (
     bare_targets,
@@ -121,12 +122,21 @@ def train_stream(
         if finished is not None:
             show_finished(config, console)
             return finished
+    view = _live_view(config, console)
     start = _checked(config, console)
     on_checked()
     _announce(start, console)
     clear_bare(start.bare)
     config.work_folder.mkdir(parents=True, exist_ok=True)
-    return _train(start, console, observers)
+    with view or nullcontext():
+        return _train(start, console, [*observers, *([view] if view else [])])
+
+
+def _live_view(config: TrainConfig, console: Console) -> LiveView | None:
+    if config.serve is None:
+        return None
+    say = partial(console.print, highlight=False, markup=False, soft_wrap=True)
+    return LiveView(config.target, config.serve, config.work_folder, say)
 
 
 @dataclass(frozen=True, slots=True)

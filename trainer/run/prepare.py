@@ -69,7 +69,7 @@ class Prepared:
     @property
     def doubts(self) -> list[str]:
         """What may make the stream worse than the user expects, a line each."""
-        return [*self.capture.doubts, *rig_doubts(self.capture), *self.near_doubts]
+        return [*rig_doubts(self.capture), *self.near_doubts]
 
 
 def prepare(config: TrainConfig) -> Prepared:
