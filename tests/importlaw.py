@@ -31,7 +31,7 @@ FLOORS: dict[str, tuple[tuple[str, ...], ...]] = {
     "trainer": (
         ("trainer", "trainer/lease"),
         ("trainer/capture",),
-        ("trainer/pictures", "trainer/seed", "trainer/synth"),
+        ("trainer/calibration", "trainer/pictures", "trainer/seed", "trainer/synth"),
         ("trainer/step", "trainer/rig"),
         ("trainer/step/device",),
         ("trainer/fit", "trainer/score"),

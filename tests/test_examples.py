@@ -20,8 +20,6 @@ from tests.support.tiny_stream import tiny_manifest, write_tiny
 
 SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
 NUM_FRAMES = 40
-ELSEWHERE = {"import_rig.py": "test_examples_rig.py"}
-"""Scripts that another test runs."""
 
 
 @pytest.fixture(scope="module")
@@ -102,10 +100,6 @@ def test_every_script_has_a_test_and_a_row() -> None:
     table = (ROOT / "examples" / "README.md").read_text(encoding="utf-8")
     assert len(SCRIPTS) >= 5
     for script in SCRIPTS:
-        if script.name in ELSEWHERE:
-            other = ROOT / "tests" / ELSEWHERE[script.name]
-            assert script.name in other.read_text(encoding="utf-8")
-        else:
-            assert f'run_example("{script.name}"' in tested, script
-            assert len(script.read_text(encoding="utf-8").splitlines()) <= 60, script
+        assert f'run_example("{script.name}"' in tested, script
+        assert len(script.read_text(encoding="utf-8").splitlines()) <= 60, script
         assert f"]({script.name})" in table, script

@@ -1,4 +1,4 @@
-"""swings-synth, swings-train and swings-eval: parse, build a config, run."""
+"""swings-synth, swings-capture, swings-train and swings-eval: parse, build a config, run."""
 
 from __future__ import annotations
 
@@ -51,6 +51,15 @@ def train() -> None:
 
     what = "Trains a capture into a stream."
     run_command(TrainConfig, _train, "swings-train", what, parse_with_preset)
+
+
+def capture() -> None:
+    from trainer.calibration.rigimport import CaptureConfig, import_calibration
+
+    what = "Makes a capture of a calibrated rig and its videos."
+    run_command(
+        CaptureConfig, lambda config: say(import_calibration(config)), "swings-capture", what
+    )
 
 
 def evaluate() -> None:

@@ -21,6 +21,7 @@ ENTRY = {
     "swings-serve": "server.__main__:main",
     "swings-play": "player.__main__:main",
     "swings-abr": "server.study.__main__:main",
+    "swings-capture": "trainer.__main__:capture",
     "swings-sign": "server.operate.sign.__main__:main",
 }
 

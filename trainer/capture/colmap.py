@@ -61,30 +61,13 @@ MODEL_NAME = "sparse"
 def open_colmap(root: Path) -> Capture:
     """The capture in a folder of this layout. Raises CaptureError."""
     model = find_model(root)
-    optics_path, optics = read_optics(model)
-    posed_path, images = read_posed(model)
     by_frame = (root / FRAMES_NAME).is_dir()
     if not by_frame and not (root / IMAGES_NAME).is_dir():
         raise CaptureError(
             f"{root / FRAMES_NAME}: is missing, and so is {IMAGES_NAME}/; the pictures belong there"
         )
-    found: dict[str, tuple[Camera, Lens, PurePosixPath]] = {}
-    for image in images:
-        path = safe_path(image.name, posed_path)
-        name = _camera_name(path, by_frame)
-        if name in found:
-            raise CaptureError(
-                f"{posed_path}: {image.name} and {found[name][2]} are both camera {name}; "
-                "a model must hold one frame, one image per camera"
-            )
-        if image.optics_id not in optics:
-            raise CaptureError(
-                f"{posed_path}: image {image.name} names camera {image.optics_id}, "
-                f"which {optics_path.name} does not have"
-            )
-        camera, lens = _camera(name, optics[image.optics_id], image, optics_path, posed_path)
-        found[name] = camera, lens, path
-    names = sorted(found, key=natural_order)
+    optics_path, found = cameras_of_model(model, by_frame)
+    names = list(found)
     cameras = [found[name][0] for name in names]
     pictures = root / (FRAMES_NAME if by_frame else IMAGES_NAME)
     if by_frame:
@@ -122,6 +105,35 @@ def open_colmap(root: Path) -> Capture:
         far_m=depths[1] if depths else None,
         opener=open_images,
     )
+
+
+def cameras_of_model(
+    model: Path, by_frame: bool = False
+) -> tuple[Path, dict[str, tuple[Camera, Lens, PurePosixPath]]]:
+    """The file of cameras in a model folder; and camera, lens and image of each camera, by name, in
+    natural order.
+
+    by_frame: whether images are named <camera>.png in a folder of their frame. Raises CaptureError.
+    """
+    optics_path, optics = read_optics(model)
+    posed_path, images = read_posed(model)
+    found: dict[str, tuple[Camera, Lens, PurePosixPath]] = {}
+    for image in images:
+        path = safe_path(image.name, posed_path)
+        name = _camera_name(path, by_frame)
+        if name in found:
+            raise CaptureError(
+                f"{posed_path}: {image.name} and {found[name][2]} are both camera {name}; "
+                "a model must hold one frame, one image per camera"
+            )
+        if image.optics_id not in optics:
+            raise CaptureError(
+                f"{posed_path}: image {image.name} names camera {image.optics_id}, "
+                f"which {optics_path.name} does not have"
+            )
+        camera, lens = _camera(name, optics[image.optics_id], image, optics_path, posed_path)
+        found[name] = camera, lens, path
+    return optics_path, {name: found[name] for name in sorted(found, key=natural_order)}
 
 
 def pinhole_and_lens(optics: Optics) -> tuple[tuple[float, float, float, float], Lens] | None:

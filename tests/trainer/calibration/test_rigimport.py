@@ -1,10 +1,8 @@
-"""examples/import_rig.py makes of an OpenCV calibration the cameras that were calibrated."""
+"""swings-capture import makes the cameras that were calibrated, of OpenCV's and COLMAP's files."""
 
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +10,9 @@ import numpy as np
 import pytest
 
 from codec.camera import Camera
-from tests.support.commands import ROOT, run_ok
+from tests.support.commands import run, run_ok
 from tests.support.tiny_capture import tiny_rig, write_video
+from tests.support.tiny_models import write_model
 from trainer.capture.layout import open_capture
 
 LENS = [-0.02, 0.003, 0.001, -0.002]
@@ -61,16 +60,6 @@ def as_toml(tables: dict[str, dict[str, Any]]) -> str:
     return "\n".join([*lines, "[metadata]", "adjusted = true", ""])
 
 
-def imported(*arguments: object) -> subprocess.CompletedProcess[str]:
-    script = ROOT / "examples" / "import_rig.py"
-    return subprocess.run(
-        [sys.executable, "-W", "error", str(script), *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-
-
 @pytest.mark.parametrize(("kind", "as_matrix"), [("toml", False), ("json", True)])
 def test_a_calibrated_rig_becomes_a_capture(kind: str, as_matrix: bool, tmp_path: Path) -> None:
     cameras = tiny_rig(7)
@@ -80,8 +69,8 @@ def test_a_calibrated_rig_becomes_a_capture(kind: str, as_matrix: bool, tmp_path
     tables = calibration_of(cameras, as_matrix)
     rig = tmp_path / f"rig.{kind}"
     rig.write_text(as_toml(tables) if kind == "toml" else json.dumps(tables))
-    done = imported(rig, tmp_path / "c", "--unit", "mm")
-    assert (done.returncode, done.stderr) == (0, "")
+    told = run_ok("swings-capture", "import", rig, tmp_path / "c", "--unit", "mm")
+    assert told.strip() == f"{tmp_path / 'c'}: 7 cameras, 3 frames"
     capture = open_capture(tmp_path / "c")
     assert capture.num_frames == 3
     for entry, camera in zip(capture.cameras, cameras, strict=True):
@@ -93,20 +82,42 @@ def test_a_calibrated_rig_becomes_a_capture(kind: str, as_matrix: bool, tmp_path
     assert "cameras     7" in run_ok("swings-train", tmp_path / "c", "--check", tmp_path / "r.png")
 
 
+@pytest.mark.parametrize("binary", [True, False])
+def test_a_model_of_the_first_frames_becomes_a_capture(binary: bool, tmp_path: Path) -> None:
+    cameras = tiny_rig(4)
+    (tmp_path / "c/videos").mkdir(parents=True)
+    for index, camera in enumerate(cameras):
+        write_video(tmp_path / "c/videos" / f"{camera.name}.mp4", index, 2)
+    names = [f"{camera.name}.png" for camera in cameras]
+    write_model(tmp_path / "sparse", cameras, names, binary, "OPENCV", LENS)
+    run_ok("swings-capture", "import", tmp_path / "sparse", tmp_path / "c")
+    for entry, camera in zip(open_capture(tmp_path / "c").cameras, cameras, strict=True):
+        assert entry.camera.name == camera.name
+        np.testing.assert_allclose(entry.camera.w2c, camera.w2c, atol=1e-9)
+        np.testing.assert_allclose(entry.camera.intrinsics, camera.intrinsics, atol=1e-9)
+    again = run("swings-capture", "import", tmp_path / "sparse", tmp_path / "c")
+    assert "transforms.json exists; remove it first" in again.stderr
+
+
 def test_what_cannot_be_imported_is_one_line(tmp_path: Path) -> None:
     cameras = tiny_rig(2)
     (tmp_path / "c/videos").mkdir(parents=True)
     for index, camera in enumerate(cameras):
         write_video(tmp_path / "c/videos" / f"{camera.name}.mp4", index, 1)
     for change, message in (
-        ({"name": "elsewhere"}, "must have the same names"),
+        ({"name": "elsewhere"}, "give both the same names"),
+        ({"size": [64]}, "size is not numbers of the expected shape"),
+        ({"rotation": [1, 2]}, "rotation is neither rvec nor a 3x3 matrix"),
+        ({"translation": [0, "x", 1]}, "translation is not numbers"),
+        ({"translation": [0, float("nan"), 1]}, "not finite"),
+        ({"size": [64, 20]}, "is 64x36 px"),
         ({"fisheye": True}, "fisheye lenses are not read"),
         ({"distortions": [0, 0, 0, 0, 0, 0.1]}, "more than k1, k2, p1, p2, k3"),
     ):
         tables = calibration_of(cameras, as_matrix=True)
         tables["cam_1"] |= change
         (tmp_path / "rig.json").write_text(json.dumps(tables))
-        done = imported(tmp_path / "rig.json", tmp_path / "c")
+        done = run("swings-capture", "import", tmp_path / "rig.json", tmp_path / "c")
         assert (done.returncode, done.stderr.count("\n")) == (1, 1), done.stderr
         assert message in done.stderr
-    assert not (tmp_path / "c/transforms.json").exists()
+        assert not (tmp_path / "c/transforms.json").exists()

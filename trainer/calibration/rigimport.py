@@ -1,0 +1,102 @@
+"""swings-capture import: a calibration and its videos as a capture of the nerfstudio layout."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import tyro
+
+from codec.files import write_atomic
+from trainer.capture.layout import open_capture
+from trainer.capture.transforms import TRANSFORMS_NAME
+from trainer.errors import CaptureError
+
+from .calibration import CalibratedCamera, read_calibration
+
+METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+
+VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".webm", ".avi")
+
+_OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+"""OpenCV's cameras have y down and z forward, nerfstudio's y up and z backwards."""
+
+
+@dataclass(frozen=True)
+class CaptureConfig:
+    """Makes a capture of a calibration and the videos of its cameras."""
+
+    action: tyro.conf.Positional[Literal["import"]]
+    """What to do."""
+    calibration: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="CALIBRATION")]]
+    """Calibration: a .toml or .json with OpenCV's parameters, as caliscope, Pose2Sim and anipose
+    write it, or the folder of a sparse COLMAP model with an image for each camera."""
+    capture: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="CAPTURE")]]
+    """Folder that holds the videos, and gets transforms.json."""
+    videos: str = "videos"
+    """Folder of the videos within CAPTURE; each is named like its camera, as cam1.mp4 for cam1."""
+    unit: Literal["m", "cm", "mm"] = "m"
+    """Unit of the calibration's positions. A COLMAP model has none; its unit is taken as metres."""
+
+
+def import_calibration(config: CaptureConfig) -> str:
+    """Writes transforms.json and opens the capture that it makes; gives a line about it.
+
+    Raises CaptureError before anything is written if cameras and videos do not match, and for a
+    capture that cannot be opened.
+    """
+    target = config.capture / TRANSFORMS_NAME
+    if target.exists():
+        raise CaptureError(f"{target} exists; remove it first")
+    cameras = read_calibration(config.calibration, METRES[config.unit])
+    videos = _videos(config)
+    names = {each.camera.name for each in cameras}
+    if names != videos.keys():
+        raise CaptureError(
+            f"{config.calibration} has cameras {_listed(names)}, and "
+            f"{config.capture / config.videos} videos {_listed(videos.keys())}: give both the same "
+            "names"
+        )
+    frames = [_entry(each, videos[each.camera.name]) for each in cameras]
+    text = json.dumps({"camera_model": "OPENCV", "frames": frames}, indent=1)
+    write_atomic(target, text.encode())
+    try:
+        capture = open_capture(config.capture)
+    except CaptureError:
+        target.unlink()
+        raise
+    return f"{config.capture}: {len(cameras)} cameras, {capture.num_frames} frames"
+
+
+def _videos(config: CaptureConfig) -> Mapping[str, str]:
+    """Paths within the capture, by the names of their cameras."""
+    folder = config.capture / config.videos
+    if not folder.is_dir():
+        raise CaptureError(f"{folder}: no such folder; --videos names the one with the videos")
+    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in VIDEO_SUFFIXES)
+    return {path.stem: path.relative_to(config.capture).as_posix() for path in found}
+
+
+def _listed(names: Any) -> str:
+    return ", ".join(sorted(names)) or "none"
+
+
+def _entry(calibrated: CalibratedCamera, video: str) -> dict[str, Any]:
+    """The entry of `frames` for one camera."""
+    camera = calibrated.camera
+    pose = np.linalg.inv(camera.w2c) @ _OPENGL_FROM_OPENCV
+    return {
+        "file_path": video,
+        "transform_matrix": pose.tolist(),
+        "w": camera.width_px,
+        "h": camera.height_px,
+        "fl_x": camera.fx_px,
+        "fl_y": camera.fy_px,
+        "cx": camera.cx_px,
+        "cy": camera.cy_px,
+        **asdict(calibrated.lens),
+    }
