@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -139,6 +140,14 @@ MAX_TURN_S = 3600.0
 """Longest turn of the camera around a still, seconds."""
 
 
+class PictureKind(StrEnum):
+    """What a picture shows."""
+
+    COLOUR = "colour"
+    DEPTH = "depth"
+    MASK = "mask"
+
+
 @dataclass(frozen=True, slots=True)
 class PlayConfig:
     """The stream to play, and how to show it."""
@@ -154,7 +163,8 @@ class PlayConfig:
     """Number of layers of each slice, 1 to all. auto adapts it to the rate of the link in a window
     and with --link, and uses all layers otherwise."""
     camera: Annotated[CameraPathName, CAMERA] = CameraPathName("default")
-    """Camera path: default, camera:NAME, orbit, orbit:DEGREES, or a .json file of key frames."""
+    """Camera path: default, camera:NAME, orbit, orbit:DEGREES, or a .json file of key frames, or
+    of a path of nerfstudio's or Blender's."""
     size: Annotated[Size | None, SIZE] = None
     """Size of the picture, such as 1280x720. Without this option, it is the camera's size."""
     frames: Annotated[FrameRange, FRAMES] = field(default_factory=FrameRange)
@@ -198,6 +208,10 @@ class PlayConfig:
     still: Annotated[Moment | None, MOMENT] = None
     """Draw only this frame, or the frame at this time (2.5s), to the .png file of --capture. All
     layers are drawn unless --layers is given."""
+    picture: PictureKind = PictureKind.COLOUR
+    """What --still and --turntable draw, into PNGs: colour; depth along the viewing axis in
+    thousandths of the stream's unit (16 bits, 0 where nothing is); or mask, what the Gaussians
+    cover (8 bits)."""
     turntable: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
     """Move the camera around the still once in this time, or along --camera if that path moves.
     --capture names the .mp4 file or folder of PNGs."""
@@ -241,6 +255,7 @@ class PlayConfig:
         if self.profile is not None:
             self._check_profile()
         self._check_background()
+        self._check_picture()
         written = (
             ("report", self.report),
             ("plot", self.plot),
@@ -313,6 +328,17 @@ class PlayConfig:
             raise InvalidError(
                 f"{self.capture}: an .mp4 has no alpha channel for --background transparent; "
                 "write a folder of PNGs instead"
+            )
+
+    def _check_picture(self) -> None:
+        if self.picture is PictureKind.COLOUR:
+            return
+        self._refuse(f"--picture {self.picture}", ("--background", self.background != BLACK))
+        if self.still is None:
+            raise InvalidError(f"--picture {self.picture} needs a still; choose it with --still")
+        if self.capture is not None and self.capture.suffix.lower() == ".mp4":
+            raise InvalidError(
+                f"{self.capture}: --picture {self.picture} is written as PNGs; name a folder"
             )
 
     @property

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
+from codec.camera import Camera
 from codec.framerange import FrameRange
 from codec.progressline import counted
-from player.config import PlayConfig
+from player.config import PictureKind, PlayConfig
 from player.script.openscene import Scene
 from player.show.filesinks import open_sink
-from player.show.sink import to_bytes, write_png
+from player.show.sink import Bytes, Words, to_bytes, write_png
 from player.view.path import CameraPath, Size, orbit
 
 
@@ -36,7 +39,7 @@ def draw_still(config: PlayConfig) -> str:
             # As a capture of the whole stream shows it.
             whole = FrameRange(0, scene.num_frames)
             camera = config.camera.of(scene.manifest, config.size, whole)(frame)
-            write_png(out, to_bytes(scene.render(frame, camera, background=config.background)))
+            write_png(out, _drawn(config, scene, frame, camera))
             drawn, size = "a picture", Size(camera.width_px, camera.height_px)
         else:
             count = max(1, round(config.turntable * scene.fps))
@@ -45,14 +48,24 @@ def draw_still(config: PlayConfig) -> str:
             size = Size(first.width_px, first.height_px)
             with open_sink(out, scene.fps, size) as sink, counted("drawing") as show:
                 for number in range(count):
-                    picture = scene.render(frame, path(number), background=config.background)
-                    sink.write(number, to_bytes(picture))
+                    sink.write(number, _drawn(config, scene, frame, path(number)))
                     show(number + 1, count)
             drawn = f"{count} pictures"
         return (
             f"{drawn} of frame {frame} of {scene.name}, {size.width_px}x{size.height_px}, "
-            f"by {scene.renderer}: {out}"
+            f"by {scene.renderer or 'CPU'}: {out}"
         )
+
+
+def _drawn(config: PlayConfig, scene: Scene, frame: int, camera: Camera) -> Bytes | Words:
+    """The picture of `config.picture`, as it is written."""
+    match config.picture:
+        case PictureKind.DEPTH:
+            depth_mm = 1000 * np.nan_to_num(scene.depth(frame, camera))
+            return np.rint(np.minimum(depth_mm, np.iinfo(np.uint16).max)).astype(np.uint16)
+        case PictureKind.MASK:
+            return to_bytes(scene.render(frame, camera, background=None)[:, :, 3])
+    return to_bytes(scene.render(frame, camera, background=config.background))
 
 
 def _around(config: PlayConfig, scene: Scene, count: int) -> CameraPath:

@@ -25,6 +25,7 @@ from codec.stream import StreamReader
 from codec.stream.index import INDEX_NAME
 from codec.stream.manifest import Manifest
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
+from player.render.depth import render_depth
 from player.render.gl import create_renderer
 from player.render.renderer import GlVersion, Renderer, RendererKind
 from player.show.background import BLACK, Colour, on_background
@@ -194,6 +195,17 @@ class Scene:
             # What it holds by now is not known; the next picture starts with another one.
             self._stop_drawing()
             raise
+
+    def depth(
+        self,
+        frame: int,
+        camera: Camera | str | None = None,
+        size: tuple[int, int] | None = None,
+    ) -> Floats:
+        """(H, W) float32 depth of what shows in `frame`, metres along the viewing axis; NaN where
+        Gaussians cover less than half of a pixel. The CPU draws it. camera, size: as in `render`.
+        """
+        return render_depth(self.splats(frame), self.camera(camera, size), self.manifest.near_m)
 
     def _drawing(self) -> Renderer:
         """The renderer, which belongs to the thread that draws first."""

@@ -16,7 +16,7 @@ import numpy as np
 from codec.files import DISK_ERRORS, replacing
 from player.view.path import Size
 
-from .sink import Bytes, FrameSink, SinkError, check_output, write_png
+from .sink import Bytes, FrameSink, SinkError, Words, check_output, write_png
 
 VIDEO_CRF = 16
 """Constant rate factor of libx264: visually lossless."""
@@ -60,7 +60,7 @@ class PngSink:
         self._folder = folder
         self._written: list[Path] = []
 
-    def write(self, frame: int, picture: Bytes) -> None:
+    def write(self, frame: int, picture: Bytes | Words) -> None:
         path = self._folder / f"frame_{frame:05d}.png"
         write_png(path, picture)
         self._written.append(path)
@@ -107,7 +107,7 @@ class VideoSink:
         self._stream = stream
         self._written = 0
 
-    def write(self, frame: int, picture: Bytes) -> None:
+    def write(self, frame: int, picture: Bytes | Words) -> None:
         padded = np.ascontiguousarray(np.pad(picture, self._padding, mode="edge"))
         image = av.VideoFrame.from_ndarray(padded, format="rgb24")
         image = image.reformat(format="yuv420p", dst_colorspace="ITU709")

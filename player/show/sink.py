@@ -13,6 +13,7 @@ from codec.errors import InvalidError, SwingsError
 from codec.files import replacing
 
 Bytes = npt.NDArray[np.uint8]
+Words = npt.NDArray[np.uint16]
 Floats = npt.NDArray[np.float32]
 
 OTHER_SUFFIXES = {".avi", ".gif", ".jpeg", ".jpg", ".m4v", ".mkv", ".mov", ".png", ".webm"}
@@ -26,8 +27,9 @@ class SinkError(SwingsError):
 class FrameSink(Protocol):
     """Takes pictures in frame order."""
 
-    def write(self, frame: int, picture: Bytes) -> None:
-        """picture: (H, W, 3) uint8 RGB, row 0 on top; (H, W, 4) RGBA where PNGs are written."""
+    def write(self, frame: int, picture: Bytes | Words) -> None:
+        """picture: (H, W, 3) uint8 RGB, row 0 on top; where PNGs are written also (H, W, 4) RGBA,
+        or (H, W) grey of uint8 or uint16."""
         ...
 
 
@@ -36,8 +38,9 @@ def to_bytes(picture: Floats) -> Bytes:
     return np.rint(np.clip(picture, 0, 1) * 255).astype(np.uint8)
 
 
-def write_png(path: Path, picture: Bytes) -> None:
-    """Puts the picture, (H, W, 3) RGB or (H, W, 4) RGBA, at `path`: all of it or nothing."""
+def write_png(path: Path, picture: Bytes | Words) -> None:
+    """Puts the picture, (H, W, 3) RGB, (H, W, 4) RGBA or (H, W) grey of 8 or 16 bits, at `path`:
+    all of it or nothing."""
     with replacing(path) as temporary:
         Image.fromarray(picture).save(temporary, "PNG", compress_level=4)
 

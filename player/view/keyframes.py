@@ -3,6 +3,8 @@
     [{"frame": 0, "position": [0, 1, -3], "look_at": [0, 1, 0], "fov_deg": 50},
      {"frame": 90, "w2c": [16 numbers, row by row]}]
 
+The paths of nerfstudio and of Blender's NeRF add-ons are read, too (foreignpaths.py).
+
 A key frame has `position` with `look_at` (and `up` if wanted), or `w2c`, a world-to-camera matrix
 (x right, y down, z forward). `fov_deg` is the vertical field of view; without it the default
 camera's stays.
@@ -23,6 +25,8 @@ import numpy as np
 from codec.camera import Camera
 from codec.errors import InvalidError, SwingsError
 from codec.pose import Doubles, look_at, quat_of, rotation_of, slerp, world_to_camera
+
+from .foreignpaths import keyframes_of
 
 MAX_FILE_BYTES = 16 << 20
 KEYS = {"frame", "w2c", "position", "look_at", "up", "fov_deg"}
@@ -51,6 +55,11 @@ def read_keyframes(path: Path, camera: Camera, up: Doubles) -> Callable[[int], C
         raise InvalidError(f"camera path {path}: {error.strerror}") from error
     except (ValueError, RecursionError) as error:
         raise InvalidError(f"camera path {path} is not JSON: {error}") from error
+    if isinstance(value, dict):
+        try:
+            value = keyframes_of(value, camera.width_px / camera.height_px)
+        except InvalidError as error:
+            raise InvalidError(f"camera path {path}: {error}") from error
     if not isinstance(value, list) or not value:
         raise InvalidError(f"camera path {path} is not a list of key frames")
     keyframes: list[Keyframe] = []

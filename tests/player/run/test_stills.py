@@ -72,6 +72,29 @@ def test_a_still_is_the_frame_of_a_capture(library: Path, tmp_path: Path, camera
     np.testing.assert_array_equal(picture(tmp_path / "still.png"), expected)
 
 
+@pytest.mark.parametrize("kind", ["depth", "mask"])
+def test_depth_and_mask_are_grey_pictures(library: Path, tmp_path: Path, kind: str) -> None:
+    out = tmp_path / "still.png"
+    options = ("--still", 9, "--capture", out, "--renderer", "cpu", "--picture", kind)
+    run_ok("swings-play", library / "whole", *options)
+    with Scene.open(library / "whole", renderer="cpu") as scene:
+        depth_mm = 1000 * np.nan_to_num(scene.depth(9))
+        alpha = scene.render(9, background=None)[:, :, 3]
+    found = picture(out)
+    if kind == "mask":
+        np.testing.assert_array_equal(found, to_bytes(alpha))
+        assert found.dtype == np.uint8
+        return
+    assert found.dtype == np.uint16
+    np.testing.assert_array_equal(found, np.rint(depth_mm))
+    assert (found > 0).any()
+    assert ((found > 0) == (alpha >= 0.5)).mean() > 0.99
+    film = run("swings-play", library / "whole", *options[:3], "x.mp4", *options[4:],
+               "--turntable", 1)  # fmt: skip
+    assert "written as PNGs; name a folder" in film.stderr
+    assert run("swings-play", library / "whole", "--picture", kind).returncode == 2
+
+
 def test_the_command_draws_a_still_of_a_url(library: Path, tmp_path: Path) -> None:
     out = tmp_path / "still.png"
     with static_host(library) as host:
