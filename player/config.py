@@ -23,7 +23,7 @@ from player.network.retry import RetryConfig
 from player.playout.clock import MAX_RATE, MIN_RATE
 from player.render.renderer import GlVersion, RendererKind
 from player.show.background import BLACK, TRANSPARENT, Colour
-from player.show.sink import check_output, check_still
+from player.show.sink import VIDEO_SUFFIXES, check_output, check_still
 from player.source.locate import split_source
 from player.source.opener import SourceConfig
 from player.view.moment import MOMENT, Moment
@@ -157,8 +157,8 @@ class PlayConfig:
     at which a stream's files are hosted. Several such URLs of one stream may be given, separated by
     commas: if a host stops answering, the player switches to the next URL."""
     capture: Annotated[Path | None, tyro.conf.arg(metavar="OUT")] = None
-    """Write every frame, exactly once, to this .mp4 file or folder of PNGs. Without this option,
-    the stream plays in a window."""
+    """Write every frame, exactly once, to this .mp4 (H.264), .mov (ProRes 4444) or folder of PNGs.
+    Without this option, the stream plays in a window."""
     layers: Annotated[int | None, LAYERS] = None
     """Number of layers of each slice, 1 to all. auto adapts it to the rate of the link in a window
     and with --link, and uses all layers otherwise."""
@@ -204,7 +204,7 @@ class PlayConfig:
     record: Annotated[Path | None, tyro.conf.arg(metavar="JSON")] = None
     """Record your camera movements in the window to this file, for use with --camera."""
     background: Annotated[Colour | None, BACKGROUND] = BLACK
-    """Colour behind the Gaussians; transparent gives PNGs an alpha channel."""
+    """Colour behind the Gaussians; transparent gives PNGs and a .mov an alpha channel."""
     still: Annotated[Moment | None, MOMENT] = None
     """Draw only this frame, or the frame at this time (2.5s), to the .png file of --capture. All
     layers are drawn unless --layers is given."""
@@ -214,7 +214,7 @@ class PlayConfig:
     cover (8 bits)."""
     turntable: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
     """Move the camera around the still once in this time, or along --camera if that path moves.
-    --capture names the .mp4 file or folder of PNGs."""
+    --capture names the .mp4 or .mov file or folder of PNGs."""
     viser: Annotated[int | None, PORT] = None
     """Show the stream in a browser with viser (pip install '.[viser]' in the swings folder), at
     this port or the next free port. Without PORT, the port is 8080."""
@@ -323,11 +323,11 @@ class PlayConfig:
         if self.background is not TRANSPARENT:
             return
         if self.capture is None:
-            raise InvalidError("--background transparent needs PNG output; name it with --capture")
+            raise InvalidError("--background transparent needs --capture with PNGs or a .mov")
         if self.capture.suffix.lower() == ".mp4":
             raise InvalidError(
                 f"{self.capture}: an .mp4 has no alpha channel for --background transparent; "
-                "write a folder of PNGs instead"
+                "write a .mov or a folder of PNGs instead"
             )
 
     def _check_picture(self) -> None:
@@ -336,7 +336,7 @@ class PlayConfig:
         self._refuse(f"--picture {self.picture}", ("--background", self.background != BLACK))
         if self.still is None:
             raise InvalidError(f"--picture {self.picture} needs a still; choose it with --still")
-        if self.capture is not None and self.capture.suffix.lower() == ".mp4":
+        if self.capture is not None and self.capture.suffix.lower() in VIDEO_SUFFIXES:
             raise InvalidError(
                 f"{self.capture}: --picture {self.picture} is written as PNGs; name a folder"
             )

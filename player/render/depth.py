@@ -30,5 +30,6 @@ def render_depth(splats: Splats, camera: Camera, near_m: float) -> Floats:
     sh = ((values - 0.5) / SH_C0).astype(np.float32)[:, None, :]
     picture = render_splats(replace(splats, sh=sh), camera, near_m)
     weighted_m, covered = picture[:, :, 0], picture[:, :, 1]
-    depth_m: Floats = weighted_m / np.maximum(covered, LEAST_COVERAGE)
-    return np.where(covered >= LEAST_COVERAGE, depth_m, np.float32(np.nan))
+    depth_m = weighted_m / np.maximum(covered, LEAST_COVERAGE)
+    depth_m[covered < LEAST_COVERAGE] = np.nan
+    return depth_m

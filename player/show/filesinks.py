@@ -1,12 +1,13 @@
-"""Pictures into files: an .mp4, or a folder of PNGs.
+"""Pictures into files: an .mp4, a .mov with alpha, or a folder of PNGs.
 
 Rule: a file under its final name is whole. What is being written has a temporary name.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
@@ -21,6 +22,33 @@ from .sink import Bytes, FrameSink, SinkError, Words, check_output, write_png
 VIDEO_CRF = 16
 """Constant rate factor of libx264: visually lossless."""
 
+
+@dataclass(frozen=True, slots=True)
+class VideoFormat:
+    """How a kind of video file is encoded."""
+
+    container: str
+    encoder: str
+    pixels: str
+    """Pixel format, as FFmpeg names it."""
+    picture: str
+    """Format of the pictures that are written: rgb24 or rgba."""
+    options: Mapping[str, str]
+    multiple_px: int
+    """Width and height are multiples of this: the last column or row is repeated."""
+
+
+FORMATS = {
+    # Equal pictures should give equal files. x264's macroblock tree does not: with AVX-512 its
+    # bytes differ from run to run.
+    ".mp4": VideoFormat(
+        "mp4", "libx264", "yuv420p", "rgb24",
+        {"crf": str(VIDEO_CRF), "preset": "fast", "x264-params": "mbtree=0"}, 2,
+    ),
+    ".mov": VideoFormat("mov", "prores_ks", "yuva444p10le", "rgba", {"profile": "4444"}, 1),
+}  # fmt: skip
+"""By suffix: H.264 in 8 bits 4:2:0, and ProRes 4444, which keeps the alpha channel; BT.709."""
+
 # As FFmpeg numbers them.
 _BT709 = 1
 _LIMITED_RANGE = 1
@@ -34,7 +62,7 @@ def open_sink(path: Path, fps: float, size: Size) -> Iterator[FrameSink]:
     no video, but the PNGs that are written.
     """
     check_output(path)
-    if path.suffix.lower() != ".mp4":
+    if path.suffix.lower() not in FORMATS:
         pictures = PngSink(path)
         try:
             yield pictures
@@ -75,42 +103,39 @@ class PngSink:
 
 
 class VideoSink:
-    """H.264 in an .mp4, 8 bits, 4:2:0, BT.709. `finish` makes it whole; `close` in any case."""
+    """A video of FORMATS. `finish` makes it whole; `close` in any case."""
 
     def __init__(self, path: Path, temporary: Path, fps: float, size: Size) -> None:
         """path: what errors call it. temporary: what is written."""
         self._path = path
-        # 4:2:0 wants even sizes: the last column or row is repeated.
-        self._padding = ((0, size.height_px % 2), (0, size.width_px % 2), (0, 0))
-        self._container = av.open(str(temporary), "w", format="mp4")
+        self._format = form = FORMATS[path.suffix.lower()]
+        more_px = -size.height_px % form.multiple_px, -size.width_px % form.multiple_px
+        self._padding = ((0, more_px[0]), (0, more_px[1]), (0, 0))
+        self._container = av.open(str(temporary), "w", format=form.container)
         try:
-            stream = self._container.add_stream(
-                "libx264", rate=Fraction(fps).limit_denominator(1001)
-            )
-            stream.width = size.width_px + size.width_px % 2
-            stream.height = size.height_px + size.height_px % 2
-            stream.pix_fmt = "yuv420p"
-            # Equal pictures should give equal files. x264's macroblock tree does not: with AVX-512
-            # its bytes differ from run to run.
-            stream.options = {
-                "crf": str(VIDEO_CRF),
-                "preset": "fast",
-                "x264-params": "mbtree=0",
-            }
+            rate = Fraction(fps).limit_denominator(1001)
+            stream: av.VideoStream = self._container.add_stream(form.encoder, rate=rate)  # type: ignore[assignment]
+            stream.width = size.width_px + more_px[1]
+            stream.height = size.height_px + more_px[0]
+            stream.pix_fmt = form.pixels
+            stream.options = dict(form.options)
             stream.codec_context.colorspace = _BT709
             stream.codec_context.color_primaries = _BT709
             stream.codec_context.color_trc = _BT709
             stream.codec_context.color_range = _LIMITED_RANGE
-        except Exception as error:  # PyAV knows no libx264: ValueError, or an FFmpeg error
+        except Exception as error:  # PyAV lacks the encoder: ValueError, or an FFmpeg error
             self.close()
-            raise SinkError(f"{path}: this PyAV cannot encode H.264: {error}") from error
+            raise SinkError(f"{path}: this PyAV has no encoder {form.encoder}: {error}") from error
         self._stream = stream
         self._written = 0
 
     def write(self, frame: int, picture: Bytes | Words) -> None:
-        padded = np.ascontiguousarray(np.pad(picture, self._padding, mode="edge"))
-        image = av.VideoFrame.from_ndarray(padded, format="rgb24")
-        image = image.reformat(format="yuv420p", dst_colorspace="ITU709")
+        form = self._format
+        padded = np.pad(picture, self._padding, mode="edge")
+        if form.picture == "rgba" and padded.shape[2] == 3:
+            padded = np.pad(padded, ((0, 0), (0, 0), (0, 1)), constant_values=255)
+        image = av.VideoFrame.from_ndarray(np.ascontiguousarray(padded), format=form.picture)
+        image = image.reformat(format=form.pixels, dst_colorspace="ITU709")
         image.pts = self._written
         self._written += 1
         try:

@@ -16,7 +16,9 @@ Bytes = npt.NDArray[np.uint8]
 Words = npt.NDArray[np.uint16]
 Floats = npt.NDArray[np.float32]
 
-OTHER_SUFFIXES = {".avi", ".gif", ".jpeg", ".jpg", ".m4v", ".mkv", ".mov", ".png", ".webm"}
+VIDEO_SUFFIXES = {".mp4", ".mov"}
+
+OTHER_SUFFIXES = {".avi", ".gif", ".jpeg", ".jpg", ".m4v", ".mkv", ".png", ".webm"}
 """Names that ask for something other than a folder."""
 
 
@@ -58,13 +60,13 @@ def check_still(path: Path) -> None:
 def check_output(path: Path) -> None:
     """Raises InvalidError when no capture can be written to `path`."""
     if path.suffix.lower() in OTHER_SUFFIXES:
-        raise InvalidError(f"{path}: name an .mp4 file, or a folder for PNGs")
-    if path.suffix.lower() == ".mp4":
+        raise InvalidError(f"{path}: name an .mp4 or .mov file, or a folder for PNGs")
+    if path.suffix.lower() in VIDEO_SUFFIXES:
         if path.is_dir():
             raise InvalidError(f"{path} is a folder")
         if not path.parent.is_dir():
             raise InvalidError(f"{path}: there is no folder {path.parent}")
     elif path.exists() and not path.is_dir():
-        raise InvalidError(f"{path} is a file; name an .mp4 file, or a folder for PNGs")
+        raise InvalidError(f"{path} is a file; name an .mp4 or .mov file, or a folder for PNGs")
     elif path.is_dir() and any(path.glob("frame_*.png")):
         raise InvalidError(f"{path} already contains frames; remove them or name another folder")

@@ -33,7 +33,8 @@ CAMERA = Camera("c", 48, 32, 40, 40, 24, 16, np.eye(4))
 @pytest.mark.parametrize("depth_m", [0.7, 3.0, 400.0])
 def test_a_wall_has_its_depth_along_the_axis_everywhere(depth_m: float) -> None:
     depth = render_depth(wall(depth_m, 0.98), CAMERA, NEAR_M)
-    assert (depth.shape, depth.dtype) == ((32, 48), np.float32)
+    assert depth.shape == (32, 48)
+    assert depth.dtype == np.float32
     np.testing.assert_allclose(depth, depth_m, rtol=1e-4)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import av
 import numpy as np
 import pytest
 from PIL import Image
@@ -107,6 +108,24 @@ def test_a_transparent_png_composited_elsewhere_is_the_picture_on_that_colour(
         assert int(np.abs(shown - exact)[sayable].max()) <= 2
 
 
+@pytest.mark.parametrize("background", [None, BLUE])
+def test_a_mov_has_the_colours_and_the_alpha_of_pngs(
+    background: Colour | None, stream: Path, tmp_path: Path
+) -> None:
+    play(config(stream, tmp_path / "all", background))
+    expected = read(tmp_path / "all" / f"frame_{FRAME:05d}.png").astype(int)
+    play(config(stream, tmp_path / "all.mov", background))
+    with av.open(str(tmp_path / "all.mov")) as video:
+        frames = [frame.to_ndarray(format="rgba") for frame in video.decode(video=0)]
+    found = frames[FRAME].astype(int)
+    cover = expected[..., 3] if background is None else np.full(found.shape[:2], 255)
+    assert found.shape[:2] == expected.shape[:2]
+    assert np.abs(found[..., 3] - cover).max() <= 2
+    # ProRes compresses colours; those of pixels that hardly show do not matter.
+    error = np.abs(found[..., :3] - expected[..., :3]) * (cover[..., None] / 255)
+    assert error.mean() < 2.5
+
+
 def test_a_scene_gives_backgrounds_too(stream: Path) -> None:
     with Scene.open(stream, renderer="cpu") as scene:
         colours, cover = colours_and_cover(stream)
@@ -137,7 +156,7 @@ def test_opengl_covers_what_the_cpu_covers(stream: Path) -> None:
     ("options", "message"),
     [
         ({"capture": Path("turn.mp4")}, "turn.mp4: an .mp4 has no alpha channel"),
-        ({}, "name it with --capture"),
+        ({}, "needs --capture with PNGs or a .mov"),
         ({"viser": 8080}, "--background cannot be combined with --viser"),
     ],
 )

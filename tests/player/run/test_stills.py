@@ -150,7 +150,10 @@ def test_a_turntable_may_swing_and_be_a_video(library: Path, tmp_path: Path) -> 
         (("--still", 3, "--capture", "o.mp4"), "name a .png file"),
         (("--still", 3, "--capture", "absent/o.png"), "there is no folder absent"),
         (("--turntable", 3, "--capture", "o.mp4"), "choose its frame with --still"),
-        (("--still", 3, "--turntable", 3, "--capture", "o.png"), "name an .mp4 file, or a folder"),
+        (
+            ("--still", 3, "--turntable", 3, "--capture", "o.png"),
+            "name an .mp4 or .mov file, or a folder",
+        ),
         (("--still", 3, "--turntable", 0, "--capture", "o.mp4"), "more than 0"),
         (("--still", 3, "--turntable", "nan", "--capture", "o.mp4"), "more than 0"),
         (("--still", 3, "--turntable", "1e9", "--capture", "o.mp4"), "at most 3600 seconds"),
