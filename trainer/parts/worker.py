@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from codec.slots.update import Update
 from codec.splats import Splats
-from codec.storage.growingplace import GrowingPiece, GrowingStorage
+from codec.storage.growingplace import GrowingPiece, GrowingPlace
 from codec.storage.openstorage import open_growing
 from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest
 from codec.stream.writer import SHAPE, StreamWriter
@@ -116,7 +116,7 @@ class Worker:
     prepared: Prepared
     cache: FrameCache
     pictures: CapturePictures
-    files: GrowingStorage
+    files: GrowingPlace
     reporter: _Reporter
     timer: KeepTimer
 
