@@ -1,4 +1,4 @@
-"""What a place must be able to do so that one writer can make a stream in it.
+"""The storage that one writer needs to write a stream.
 
 Rule: whatever a killed writer leaves, the log names only files that are there, whole.
 """

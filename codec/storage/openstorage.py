@@ -24,7 +24,7 @@ def is_url(target: Target) -> bool:
 
 
 def parse_target(text: str) -> Target:
-    """What the user typed: a Path, or a URL as it is."""
+    """An argument of a command: a Path, or a URL as typed."""
     return text if is_url(text) else Path(text)
 
 

@@ -75,8 +75,8 @@ class SweepConfig:
 
 
 class UrgencyTimeConstant:
-    """How long packets can wait, as a mean over the last seconds: what a link has done it may do
-    again, but a short drop alone says little.
+    """Time constants of urgency, for layer 0 and for the other layers, as means over the last
+    seconds: what a link has done it may do again, but a short drop alone says little.
 
     Layer 0 is sent ever farther ahead for as long as the link carries more than the stream: what
     is to spare pays for it, so that nothing else comes later, and an outage finds it there.

@@ -275,6 +275,6 @@ def _records() -> Iterator[Row]:
     )  # fmt: skip
     for name, broken in wrong:
         yield row(name, broken)
-    deep = b"\x81\xa6frames" + b"\x91" * 20_000
+    deep = b"\x81\xa7packets" + b"\x91" * 20_000
     yield _row("record", "arrays in arrays", struct.pack("<I", len(deep)) + deep, CORRUPT)
     yield _row("record", "a length over 2^26", struct.pack("<I", 2**26 + 1), CORRUPT)

@@ -83,10 +83,10 @@ def test_byte_by_byte() -> None:
 
 def test_the_bytes_are_pinned() -> None:
     record = SliceRecord(-1, (b"ab",), None, 2)
-    body = b"\x84\xa4kind\xa5slice\xa5birth\xff\xa6frames\x91\xc4\x02ab\xa5first\x02"
+    body = b"\x84\xa4kind\xa5slice\xa5birth\xff\xa7packets\x91\xc4\x02ab\xa5first\x02"
     assert encode_record(record) == struct.pack("<I", len(body)) + body
     record = SliceRecord(3, (), b"m")
-    body = b"\x84\xa4kind\xa5slice\xa5birth\x03\xa6frames\x90\xa4mask\xc4\x01m"
+    body = b"\x84\xa4kind\xa5slice\xa5birth\x03\xa7packets\x90\xa4mask\xc4\x01m"
     assert encode_record(record) == struct.pack("<I", len(body)) + body
     snapshot = msgpack.unpackb(encode_record(SnapshotRecord(30, 2, (b"a", b"b")))[4:])
     assert snapshot == {"kind": "snapshot", "frame": 30, "first": 2, "packets": [b"a", b"b"]}
