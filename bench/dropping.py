@@ -91,9 +91,9 @@ class Outcome:
     """Key of STYLES."""
     name: str
     share: float
-    """Of the Gaussians of a slice."""
+    """Share of the Gaussians of a slice."""
     bytes_per_frame: float
-    """Everything that one fetches who plays from frame 0, over the frames."""
+    """Bytes fetched by a player that starts at frame 0, per frame."""
     psnr_db: float
     """Mean over held-out cameras and scored frames."""
     picture: Bytes

@@ -1,4 +1,4 @@
-"""What all commands share: parsing, exit codes, and one clear line instead of a traceback."""
+"""The frame of all commands: parsing, exit codes, and one clear line instead of a traceback."""
 
 from __future__ import annotations
 
@@ -181,7 +181,7 @@ def run_command(
 
 
 def _forget_output() -> None:
-    """What waits to be printed goes nowhere, so that the end of the process does not fail, too."""
+    """Discards buffered output, so that flushing it when the process exits does not fail again."""
     with suppress(OSError, ValueError):  # a test's output has no descriptor
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())

@@ -49,8 +49,8 @@ class MissingFolderError(CorruptError, FileNotFoundError):
 
 
 class UnreadableError(CorruptError):
-    """What is there cannot be read now: no permission, no descriptor left, a store that does not
-    answer. The same may be well later."""
+    """A file exists but cannot be read now: no permission, no descriptor left, a store that does
+    not answer. A later try may succeed."""
 
 
 class UnwritableError(CodecError):

@@ -19,7 +19,7 @@ from typing import BinaryIO
 from .errors import CorruptError, InvalidError, UnreadableError
 
 DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
-"""What a disk that is full, broken or read-only says when something is written."""
+"""Error numbers of a write to a disk that is full, broken or read-only."""
 
 Opener = Callable[[str, int], int]
 """Gives the descriptor of the file at a path, opened with flags of `os`."""

@@ -28,7 +28,7 @@ class Motion:
 
     @property
     def num_bytes(self) -> int:
-        """What it takes in memory."""
+        """Bytes in memory."""
         return self.rows.nbytes + self.before.num_bytes + self.after.num_bytes
 
     def at(self, share: float) -> Splats:

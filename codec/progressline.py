@@ -29,9 +29,9 @@ class Stage:
     """How far a command is at a moment."""
 
     what: str
-    """What is being done, or what of it."""
+    """The work, or its current step."""
     share: float | None
-    """What is done of everything, 0 to 1; None while nobody knows how much there is."""
+    """Completed share of the work, 0 to 1; None while its amount is unknown."""
     elapsed_s: float
     left_s: float | None
     """None until it can be estimated."""

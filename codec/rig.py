@@ -1,5 +1,5 @@
-"""What the poses of several cameras say together: where they look, which way is up, and how deep
-the scene is."""
+"""Estimates from the poses of several cameras: where they look, which way is up, and how deep the
+scene is."""
 
 from __future__ import annotations
 

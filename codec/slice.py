@@ -59,7 +59,7 @@ class Slice:
 
     @property
     def num_bytes(self) -> int:
-        """What the slice takes in memory: of one with rows, these alone."""
+        """Bytes in memory; a slice with `rows` holds only those Gaussians."""
         rows_bytes = 0 if self.rows is None else self.rows.nbytes
         motion_bytes = 0 if self.motion is None else self.motion.num_bytes
         return self.splats.num_bytes + self.start_offsets.nbytes + rows_bytes + motion_bytes

@@ -90,7 +90,7 @@ class Splats:
 
     @property
     def num_bytes(self) -> int:
-        """What the arrays take in memory."""
+        """Bytes of all arrays in memory."""
         return sum(array.nbytes for array in self.arrays)
 
     @property

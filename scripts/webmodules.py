@@ -16,7 +16,7 @@ from types import ModuleType
 from typing import Any
 
 from codec import camera, slice, splats
-from codec.coders import coder, gzip
+from codec.coders import coder, gzip, zstd
 from codec.lattice import lattice, quantise
 from codec.slots import (
     mask,
@@ -41,10 +41,11 @@ CONSTANTS: dict[ModuleType, str] = {
     splats: "SH_C0 MAX_SH_DEGREE",
     slice: "MAX_SWIN_SIZE HIDDEN",
     camera: "MAX_IMAGE_PX",
-    manifest: "VERSION MAX_MANIFEST_BYTES MAX_CAMERAS MIN_FPS MAX_FPS MAX_POSTER_BYTES",
+    manifest: "VERSION MAX_MANIFEST_BYTES MAX_CAMERAS MIN_FPS MAX_FPS "
+    "MAX_TEXT_CHARS MAX_POSTER_BYTES",
     reader: "DEFAULT_MAX_GAUSSIANS FLOAT_COPIES",
     slotlayout: "MAX_SLOTS MAX_NUM_GS=MAX_SLOTS_OF_LANES MAX_SEGMENT_SLOTS MAX_LAYERS "
-    "MAX_SEGMENT_FRAMES MAX_CHUNK_BYTES=MAX_SLOT_CHUNK_BYTES",
+    "MAX_SEGMENT_FRAMES MAX_CHUNK_BYTES=MAX_SLOT_CHUNK_BYTES COUNTS_BYTES",
     lattice: "POSITION_LIMIT MIN_STEP MAX_STEP MAX_BASE",
     quantise: "MAX_OPACITY_LEVELS MAX_LOGIT",
     slotchunk: "CHUNK_MAGIC=SLOT_MAGIC CHUNK_HEAD=SLOT_HEADER CHUNK_KINDS=Kind "
@@ -59,10 +60,11 @@ CONSTANTS: dict[ModuleType, str] = {
     object: "SKIPPABLE_MAGIC TABLE_MAGIC OBJECT_HEAD=HEAD OBJECT_ENTRY=ENTRY "
     "MAX_CHUNKS=MAX_CHUNKS_PER_OBJECT MAX_OBJECT_BYTES",
     coder: "CODERS=Coder",
-    gzip: "MAX_EXPANSION",
+    gzip: "GZIP_MAGIC=MAGIC MAX_EXPANSION",
+    zstd: "ZSTD_MAGIC=MAGIC",
     index: "INDEX_HEAD=HEAD INDEX_LAYER=LAYER INDEX_SIDE=SIDE INDEX_CHECKSUM=CHECKSUM",
     integrity: "MAX_INDEX_BYTES",
-    playrecord: "PACKETS_KEY MAX_RECORD_BYTES MAX_MESSAGE_CHARS",
+    playrecord: "PACKETS_KEY MAX_RECORD_BYTES MAX_MESSAGE_CHARS MAX_KEYS MAX_ITEMS MAX_TEXT_BYTES",
     storyboard: "MAX_STORYBOARD_TILES=MAX_TILES STORYBOARD_COLUMNS=COLUMNS "
     "STORYBOARD_PER_S=TILES_PER_S",
 }
@@ -87,11 +89,12 @@ TYPES = {
 
 
 def value(found: Any) -> str:
-    """A constant as JavaScript has it: of a Struct its format, of an enum its names and numbers."""
+    """A constant in JavaScript: a Struct becomes its format, an enum an object with its numbers,
+    and bytes that are not ASCII an array."""
     if isinstance(found, struct.Struct):
         return json.dumps(found.format)
     if isinstance(found, bytes):
-        return json.dumps(found.decode("ascii"))
+        return json.dumps(found.decode("ascii") if found.isascii() else list(found))
     if isinstance(found, EnumType):
         members: list[Enum] = list(found)
         return "{ " + ", ".join(f"{one.name}: {one.value}" for one in members) + " }"

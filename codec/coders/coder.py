@@ -26,10 +26,10 @@ class Coder(IntEnum):
     """How packets are coded: the number stands in the head of an object."""
 
     ZSTD = 1
-    """What a writer takes."""
+    """The default of a writer."""
 
     GZIP = 2
-    """What browsers inflate with DecompressionStream: for plain web servers."""
+    """For plain web servers: browsers inflate it with DecompressionStream."""
 
 
 def coder_of(packet: bytes | memoryview) -> Coder:

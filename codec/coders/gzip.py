@@ -62,7 +62,7 @@ def compress(content: bytes, edges: Sequence[int] = ()) -> bytes:
 
 
 def content_bytes(packet: bytes | memoryview, limit_bytes: int) -> int:
-    """What `packet` says it inflates to. Raises CorruptError if it cannot, or over the limit."""
+    """Declared content size of `packet`, bytes. Raises CorruptError if wrong or over the limit."""
     if len(packet) < len(HEAD) + TRAILER.size or packet[: len(MAGIC)] != MAGIC:
         raise CorruptError("packet: is not a gzip member without flags")
     size = int(TRAILER.unpack_from(packet, len(packet) - TRAILER.size)[1])

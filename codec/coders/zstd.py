@@ -49,7 +49,7 @@ def compress(content: bytes, edges: Sequence[int] = ()) -> bytes:
 
 
 def content_bytes(packet: bytes | memoryview, limit_bytes: int) -> int:
-    """What `packet` says it decompresses to. Raises CorruptError if unsaid or over the limit."""
+    """Declared content size of `packet`, bytes. Raises CorruptError if unsaid or over the limit."""
     try:
         parameters = zstandard.get_frame_parameters(packet)
     except zstandard.ZstdError as error:

@@ -37,7 +37,7 @@ from codec.stream.writer import StreamWriter
 
 from .errorbound import HOLD, KINDS, ErrorBound, steps_of
 from .importscore import ImportScore, cameras_around
-from .numberedfiles import find_files
+from .numberedfiles import FPS_NAME, find_files
 from .slotfiller import SlotFiller, SlotPlan
 from .survey import Survey, read_frame
 
@@ -53,8 +53,6 @@ SEGMENT_FRAMES = 15
 LONGEST_SEGMENT_S = 10.0
 STILL_FPS = 30.0
 """Frame rate of a single file, in which nothing moves."""
-FPS_NAME = "fps.txt"
-"""A file in the folder with the frames per second, a number, as captures may have."""
 
 WRITE_STEPS = 4
 """Steps that writing a frame counts for, where looking at it first counts for one: it takes about

@@ -9,6 +9,9 @@ from pathlib import Path
 from codec.errors import InvalidError
 from codec.interop.formats import READ, has_known_suffix
 
+FPS_NAME = "fps.txt"
+"""A file in a folder of a sequence or of pictures with the frames per second, a number."""
+
 
 def find_files(source: Path) -> list[Path]:
     """The file `source`, or those of the folder `source` by the last number in their names.

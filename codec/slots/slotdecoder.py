@@ -431,7 +431,8 @@ class SlotDecoder:
 
 
 def _with_motion(changed: Slice, rows: Ints, before: Splats) -> Slice:
-    """`changed`, whose `rows` held `before`. One that shows only later goes no way until then."""
+    """`changed`, whose `rows` held `before`. Gaussians that start
+    later do not move before they start."""
     assert changed.rows is not None
     places = np.searchsorted(changed.rows, rows)
     shows = changed.start_offsets[places] == 0

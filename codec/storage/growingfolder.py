@@ -72,12 +72,9 @@ class GrowingFolder(FolderStorage):
             leftover.unlink()
 
     def add(self, entry: int, files: Mapping[str, bytes]) -> None:
-        folder = self._folder / self._shape.folder
         for name, data in files.items():
-            path = folder / str(entry) / name
-            path.parent.mkdir(exist_ok=True)
-            write_atomic(path, data)
-        sync_folder(folder)
+            self.put(f"{self._shape.folder}/{entry}/{name}", data)
+        sync_folder(self._folder / self._shape.folder)
 
     def append(self, log_bytes: int, records: bytes) -> None:
         append_durably(self._folder / self._shape.log, log_bytes, records)

@@ -1,4 +1,4 @@
-"""What a place must be able to do so that one writer can make a stream in it.
+"""The storage that one writer needs to write a stream.
 
 Rule: whatever a killed writer leaves, the log names only files that are there, whole.
 """
@@ -24,12 +24,9 @@ class Shape:
     """Parent of the entries' folders: the files of entry n lie in its folder n."""
 
 
-class GrowingPlace(Protocol):
-    """A place that one writer fills, entry by entry."""
-
-    @property
-    def name(self) -> str:
-        """Name of the place in messages."""
+class GrowingPlace(Storage, Protocol):
+    """A storage that one writer fills, entry by entry, with its log. Where it can tell, a second
+    writer of the log gets an InvalidError. Each file is there whole or not at all."""
 
     def add(self, entry: int, files: Mapping[str, bytes]) -> None:
         """Puts the files of an entry, by their names in its folder."""
@@ -39,11 +36,6 @@ class GrowingPlace(Protocol):
 
     def finish(self, head: bytes) -> None:
         """Replaces the head; nothing is appended after it."""
-
-
-class GrowingStorage(Storage, GrowingPlace, Protocol):
-    """A storage that grows, with its log. Where it can tell, a second writer of the log gets an
-    InvalidError. Each file is there whole or not at all."""
 
     def names(self) -> set[str]:
         """Names of the files and folders directly in the place."""
@@ -75,7 +67,7 @@ class GrowingPiece:
     Several pieces of one place may grow at a time. What a killed writer left is written again.
     """
 
-    def __init__(self, storage: GrowingStorage, shape: Shape) -> None:
+    def __init__(self, storage: GrowingPlace, shape: Shape) -> None:
         self._storage = storage
         self._shape = shape
         self.name = storage.name

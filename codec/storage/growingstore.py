@@ -29,7 +29,7 @@ class GrowingStore(StorePrefix):
         self._log = b""  # whole records
         self._version: Version | None = None  # of the log in the store; None: there is none
         self._own: dict[str, Version] = {}
-        """What was put for an entry that the log does not name yet."""
+        """Versions of the files put for an entry that the log does not name yet, by path."""
 
     def check_unused(self) -> None:
         names = self.names()

@@ -77,11 +77,11 @@ REQUESTS = 16
 Value = TypeVar("Value")
 
 Version = dict[str, str]
-"""Of an object, as a store tells it. Another content has another version."""
+"""An object's version as the store reports it; it changes with the content."""
 
 
 class StorePrefix:
-    """What lies below a URL such as `s3://bucket/streams`."""
+    """The files below a URL such as `s3://bucket/streams`."""
 
     def __init__(self, url: str, store: ObjectStore, retry: RetryPolicy, prefix: str = "") -> None:
         """Use `open_store`. prefix: in `store`, of every path; empty, or with '/' at its end."""
@@ -124,7 +124,7 @@ class StorePrefix:
         return self._asked(path, lambda: self._get(path, limit_bytes, offset))
 
     def version(self, path: str) -> Version | None:
-        """Of the object at `path`; None if there is none. Raises UnreadableError."""
+        """The version of the object at `path`; None if there is none. Raises UnreadableError."""
         import obstore
 
         found = self._asked(path, lambda: obstore.head(self._store, self._prefix + path))
@@ -264,7 +264,7 @@ class StorePrefix:
         yield from self._asked(folder, listed) or ()
 
     def _asked(self, path: str, ask: Callable[[], Value]) -> Value | None:
-        """What `ask` gives; None if there is no such object. Raises UnreadableError."""
+        """The result of `ask`; None if there is no such object. Raises UnreadableError."""
         import obstore.exceptions
 
         try:
@@ -287,7 +287,7 @@ def _version(found: Mapping[str, Any]) -> Version:
 
 
 def open_store(url: str, *, patient: bool = False) -> StorePrefix:
-    """What lies below `url`, see `connect`."""
+    """The storage below `url`, see `connect`."""
     return StorePrefix(url, *connect(url, patient=patient))
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from .folder import FolderStorage
 from .growingfolder import GrowingFolder
-from .growingplace import GrowingStorage, Shape
+from .growingplace import GrowingPlace, Shape
 from .growingstore import GrowingStore
 from .objectstore import open_store
 from .storage import Storage
@@ -24,7 +24,7 @@ def is_url(target: Target) -> bool:
 
 
 def parse_target(text: str) -> Target:
-    """What the user typed: a Path, or a URL as it is."""
+    """An argument of a command: a Path, or a URL as typed."""
     return text if is_url(text) else Path(text)
 
 
@@ -35,7 +35,7 @@ def open_storage(place: Place) -> Storage:
     return open_store(str(place)) if is_url(place) else FolderStorage(Path(place))
 
 
-def open_growing(target: Target, shape: Shape) -> GrowingStorage:
+def open_growing(target: Target, shape: Shape) -> GrowingPlace:
     """The storage at `target`, to be written to; nothing is written yet. Raises InvalidError for a
     URL that cannot be one."""
     return (

@@ -1,4 +1,4 @@
-"""What a place must be able to do so that streams can be read from it.
+"""The storage that a reader of streams needs.
 
 Rule: a path is relative, with '/' between its parts. Only regular files below the place are read,
 and never more bytes than the caller has room for.
@@ -13,7 +13,7 @@ from typing import Protocol, runtime_checkable
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """What is known of a file without reading it. Another content has another stamp."""
+    """Metadata of a file, known without reading it; it changes with the content."""
 
     size_bytes: int
     identity: tuple[int | str, ...]
@@ -26,7 +26,7 @@ class Storage(Protocol):
 
     @property
     def name(self) -> str:
-        """What people call the place."""
+        """Name of the place in messages."""
 
     @property
     def last_name(self) -> str:
@@ -48,7 +48,7 @@ class Storage(Protocol):
         does."""
 
     def stamp(self, path: str) -> Stamp | None:
-        """Of what is at `path`, readable or not; None if there is nothing.
+        """The stamp of the file at `path`, readable or not; None if there is nothing.
 
         Raises UnreadableError if the place does not tell.
         """

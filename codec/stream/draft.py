@@ -53,14 +53,15 @@ def _measured(
 
 @dataclass(frozen=True, slots=True)
 class Draft:
-    """What a writer holds between two segments."""
+    """A writer's state between two segments."""
 
     manifest: Manifest
     quality: Quality | None
     encoder: SlotEncoder
     """Never altered, like the decoder; what follows is a copy that went on."""
     decoder: SlotDecoder | None
-    """What a reader has by now; only for the quality, and from frame 0 on."""
+    """The state of a reader that has read everything so far; only to measure quality, and from
+    frame 0 on."""
     packets: dict[Part, Packets]
     whole: Whole
     """Makes an update of a slice that is sent whole."""

@@ -30,7 +30,7 @@ assert CHECKSUM.size == 4
 
 @dataclass(frozen=True, slots=True)
 class SegmentRecord:
-    """What the index says of one segment; the tuples have one entry for each layer."""
+    """The record of one segment in the index; the tuples have one entry for each layer."""
 
     segment: int
     first_frame: int

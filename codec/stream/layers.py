@@ -41,7 +41,7 @@ def given_rank(splats: Splats) -> Floats:
 
 
 class Rank(StrEnum):
-    """What orders a slice into layers; RANKS says how.
+    """The measure by which a slice is ordered into layers; RANKS has the functions.
 
     An importance that does not follow from the Gaussians alone, such as what they add to pictures,
     is given by the order of the slice, with `given`.

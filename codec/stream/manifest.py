@@ -19,7 +19,8 @@ from codec.camera import MAX_NAME_CHARS, Camera
 from codec.errors import CorruptError, InvalidError, UnsupportedError
 from codec.lattice.lattice import Lattice
 from codec.slice import window_births
-from codec.slots.slotlayout import MAX_LAYERS, SlotLayout
+from codec.slots.slotlayout import MAX_LAYERS as MAX_LAYERS
+from codec.slots.slotlayout import SlotLayout
 
 from .manifestjson import (
     lattice_of,
@@ -129,6 +130,7 @@ class Manifest:
     def __post_init__(self) -> None:
         _ = self.slot_layout  # has rules of its own
         self._check_sizes()
+        self._check_view()
         self._check_cameras()
         self._check_texts()
 
@@ -138,7 +140,7 @@ class Manifest:
         if not 0 <= self.capture_frame < 1 << 31:
             raise InvalidError(f"manifest: capture_frame {self.capture_frame} is out of range")
 
-    def _check_cameras(self) -> None:
+    def _check_view(self) -> None:
         if not (math.isfinite(self.near_m) and self.near_m > 0):
             raise InvalidError(f"manifest: near_m {self.near_m} is not positive")
         corners = np.array(self.bounds, np.float64)
@@ -146,6 +148,8 @@ class Manifest:
             raise InvalidError("manifest: bounds are not two corners of three numbers")
         if (corners[0] > corners[1]).any():
             raise InvalidError("manifest: the lower corner of the bounds is above the upper one")
+
+    def _check_cameras(self) -> None:
         if not 1 <= len(self.cameras) <= MAX_CAMERAS:
             raise InvalidError(f"manifest: {len(self.cameras)} cameras, not 1..{MAX_CAMERAS}")
         names = {camera.name for camera in self.cameras}

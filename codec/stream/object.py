@@ -15,10 +15,10 @@ from itertools import pairwise
 from codec.coders.coder import Coder, EncodedChunk, coder_of, compress, decompress
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
 
+from .manifest import VERSION
+
 SKIPPABLE_MAGIC = 0x184D2A50
 TABLE_MAGIC = b"SWGO"
-VERSION = 2
-"""1 was a draft that no released program wrote."""
 
 # skippable magic, bytes that follow, table magic, version, coder, zero, number of chunks
 HEAD = struct.Struct("<II4sBBHI")

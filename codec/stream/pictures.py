@@ -28,7 +28,7 @@ PICTURE_TYPES = {
     ".png": "image/png",
     ".webp": "image/webp",
 }
-"""What a picture's name may end in, and the media type of its content. None of them can hold a
+"""Accepted suffixes of a picture's name, and the media type of each. None of them can hold a
 script, as SVG can."""
 
 MAGICS = {"image/jpeg": b"\xff\xd8\xff", "image/png": b"\x89PNG\r\n\x1a\n", "image/webp": b"RIFF"}
@@ -89,5 +89,5 @@ def check_pictures(place: Place, manifest: Manifest) -> None:
 
 
 def pixels_of(drawn: Floats) -> npt.NDArray[np.uint8]:
-    """What a renderer gave, in 8 bits."""
+    """A renderer's picture, values 0 to 1, as 8-bit pixels."""
     return np.rint(np.clip(drawn, 0, 1) * 255).astype(np.uint8)

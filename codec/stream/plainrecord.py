@@ -47,8 +47,8 @@ HEAD_LEVEL = 1
 """zstd level of what stands between packets."""
 
 Piece = tuple[bytes, int | None]
-"""What of a record goes out in one: the bytes, and of a packet of coder zstd the size of what is in
-it; else None."""
+"""A part of a record that is sent in one: its bytes, and the content size if it is a packet of
+coder zstd, else None."""
 
 
 class PlainRecordEncoder:
@@ -144,7 +144,7 @@ def _add_packet(pieces: list[Piece], head: bytearray, packet: bytes) -> bytearra
 
 
 def _bin_header(size: int) -> bytes:
-    """What msgpack writes before `size` bytes."""
+    """The msgpack header of a bin value of `size` bytes."""
     if size < 1 << 8:
         return struct.pack(">BB", 0xC4, size)
     if size < 1 << 16:

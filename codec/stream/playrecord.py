@@ -19,14 +19,17 @@ LENGTH = struct.Struct("<I")
 CONTENT_TYPE = "application/x-swings-play"
 """Content type of a response that is made of these records."""
 
-PACKETS_KEY = "frames"
-"""The key of the packets on the wire; it is older than the word packet."""
+PACKETS_KEY = "packets"
+"""The key of the packets on the wire."""
 
 MAX_MESSAGE_CHARS = 500
 """Characters of an error's message that are sent and taken."""
 
 MAX_KEYS = 8
 """Entries of a record's map; four are in use."""
+
+MAX_ITEMS = MAX_LAYERS
+"""Entries of an array in a record: its packets, one a layer."""
 
 MAX_TEXT_BYTES = 1 << 16
 """Longest text in a record, in bytes: one odd character makes Python hold it fourfold."""
@@ -193,7 +196,7 @@ def decode_record(body: bytes | memoryview) -> Record:
             list_hook=_flat_list,
             object_hook=_flat_map,
             max_str_len=MAX_TEXT_BYTES,
-            max_array_len=MAX_LAYERS,
+            max_array_len=MAX_ITEMS,
             max_map_len=MAX_KEYS,
             max_ext_len=0,
         )

@@ -13,7 +13,7 @@ from .reader import StreamReader
 from .writer import SHAPE
 
 POSTER_NAME = "poster.jpg"
-"""What the poster is called that `write_poster` writes."""
+"""File name of the poster that `write_poster` writes."""
 
 MAX_WIDTH_PX, MAX_HEIGHT_PX, QUALITY = 640, 1280, 85
 """Largest size of a written poster, and its JPEG quality: even noise stays below

@@ -25,8 +25,8 @@ DEFAULT_MAX_GAUSSIANS = 1 << 22
 """Gaussians of a stream that is opened unless more are allowed: at SH degree 0 about 1 GB."""
 
 FLOAT_COPIES = 5
-"""What a reader takes at most beside its libraries, in copies of all Gaussians as float32: export
-takes the most."""
+"""Peak memory of a reader, without its libraries, in copies of all Gaussians as float32: export
+needs the most."""
 
 
 def check_gaussians(manifest: Manifest, max_gaussians: int | None, name: str) -> None:

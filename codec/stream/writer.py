@@ -17,7 +17,7 @@ from codec.errors import InvalidError
 from codec.slice import Slice
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.update import Update
-from codec.storage.growingplace import GrowingPlace, Shape
+from codec.storage.growingplace import GrowingPiece, GrowingPlace, Shape
 from codec.storage.openstorage import Target, open_growing
 
 from .draft import Draft, Quality, Scores
@@ -41,7 +41,7 @@ class StreamWriter:
     def __init__(
         self,
         target: Target,
-        place: GrowingPlace,
+        place: GrowingPlace | GrowingPiece,
         manifest: Manifest,
         records: list[SegmentRecord],
         rank: Rank,
@@ -118,7 +118,7 @@ class StreamWriter:
     @classmethod
     def piece(
         cls,
-        place: GrowingPlace,
+        place: GrowingPlace | GrowingPiece,
         manifest: Manifest,
         segment: int,
         opening: Sequence[Update],

@@ -28,7 +28,7 @@ from player.render.renderer import Renderer, RendererKind
 from player.report.journal import MAX_ROWS, Journal
 from player.report.playsummary import PlayedOnce, PlaySummary, write_report
 from player.show.background import BLACK, on_background
-from player.show.errand import Errand
+from player.show.backgroundtask import BackgroundTask
 from player.show.sink import FrameSink, to_bytes
 from player.source.locate import check_url, is_url
 from player.source.opener import Opener
@@ -182,7 +182,7 @@ class _Playback:
         size = Size(camera.width_px, camera.height_px)
         window = GlWindow(size, config.name, config.gl)
         poster = PosterScreen(window, read_picture(found.poster), config.window_background)
-        preparing = Errand(self._rehearse_for_window)
+        preparing = BackgroundTask(self._rehearse_for_window)
         if poster.show_until(preparing.is_done):
             self._play_in(window, poster, size)
 

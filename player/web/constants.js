@@ -29,6 +29,7 @@ export const MAX_MANIFEST_BYTES = 1048576;
 export const MAX_CAMERAS = 256;
 export const MIN_FPS = 0.001;
 export const MAX_FPS = 1000;
+export const MAX_TEXT_CHARS = 2000;
 export const MAX_POSTER_BYTES = 255;
 
 // codec.stream.reader
@@ -42,6 +43,7 @@ export const MAX_SEGMENT_SLOTS = 268435456;
 export const MAX_LAYERS = 16;
 export const MAX_SEGMENT_FRAMES = 4096;
 export const MAX_CHUNK_BYTES = 248512624;
+export const COUNTS_BYTES = 20;
 
 // codec.lattice.lattice
 export const POSITION_LIMIT = 8388608;
@@ -105,7 +107,11 @@ export const MAX_OBJECT_BYTES = 1073741824;
 export const CODERS = { ZSTD: 1, GZIP: 2 };
 
 // codec.coders.gzip
+export const GZIP_MAGIC = [31, 139, 8, 0];
 export const MAX_EXPANSION = 1032;
+
+// codec.coders.zstd
+export const ZSTD_MAGIC = [40, 181, 47, 253];
 
 // codec.stream.index
 export const INDEX_HEAD = "<IIII";
@@ -117,9 +123,12 @@ export const INDEX_CHECKSUM = "<I";
 export const MAX_INDEX_BYTES = 268435456;
 
 // codec.stream.playrecord
-export const PACKETS_KEY = "frames";
+export const PACKETS_KEY = "packets";
 export const MAX_RECORD_BYTES = 67108864;
 export const MAX_MESSAGE_CHARS = 500;
+export const MAX_KEYS = 8;
+export const MAX_ITEMS = 16;
+export const MAX_TEXT_BYTES = 65536;
 
 // codec.stream.storyboard
 export const MAX_STORYBOARD_TILES = 60;

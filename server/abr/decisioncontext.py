@@ -8,12 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+from codec.stream.manifest import MAX_LAYERS
+
 from .holding import Holding
 from .media import Media
 from .playout import PlayoutClock
-
-MAX_LAYERS = 16
-"""More than any stream has."""
 
 
 @dataclass(frozen=True, slots=True)

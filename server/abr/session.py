@@ -12,9 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from codec.errors import InvalidError
+from codec.stream.manifest import MAX_LAYERS
 
 from .clientstatus import ClientStatus
-from .decisioncontext import MAX_LAYERS, DecisionContext, Policy, Send, SendSlices
+from .decisioncontext import DecisionContext, Policy, Send, SendSlices
 from .estimator import EstimatorConfig, RateEstimator
 from .holding import Holding
 from .media import Media

@@ -74,9 +74,9 @@ class SweepConfig:
             raise InvalidError(f"safety is {self.safety}; give over 0, at most 2")
 
 
-class Patience:
-    """How long packets can wait, as a mean over the last seconds: what a link has done it may do
-    again, but a short drop alone says little.
+class UrgencyTimeConstant:
+    """Time constants of urgency, for layer 0 and for the other layers, as means over the last
+    seconds: what a link has done it may do again, but a short drop alone says little.
 
     Layer 0 is sent ever farther ahead for as long as the link carries more than the stream: what
     is to spare pays for it, so that nothing else comes later, and an outage finds it there.
@@ -146,7 +146,7 @@ class Sweep:
 
     def __init__(self, config: SweepConfig | None = None) -> None:
         self._config = config or SweepConfig()
-        self._patience = Patience(self._config)
+        self._patience = UrgencyTimeConstant(self._config)
         self._patience_s = (0.0, 0.0)
 
     def choose(self, context: DecisionContext) -> Send | None:

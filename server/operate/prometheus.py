@@ -94,7 +94,7 @@ class Metrics:
         )
         self.plays = counter("plays", "Finished plays, by outcome.", "outcome")
         self.status_reports = counter(
-            "play_news", "Client status reports of plays, by outcome.", "outcome"
+            "play_status_reports", "Client status reports of plays, by outcome.", "outcome"
         )
         self.cache_hits = counter("cache_hits", "Objects found in memory.")
         self.cache_misses = counter("cache_misses", "Objects read from disk.")

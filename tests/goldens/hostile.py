@@ -224,8 +224,8 @@ def _packets() -> Iterator[Row]:
 
 
 def _records() -> Iterator[Row]:
-    a_slice = {"kind": "slice", "birth": 1, "frames": [b"a"], "mask": b"m"}
-    snapshot = {"kind": "snapshot", "frame": 0, "first": 0, "frames": [b"a"]}
+    a_slice = {"kind": "slice", "birth": 1, "packets": [b"a"], "mask": b"m"}
+    snapshot = {"kind": "snapshot", "frame": 0, "first": 0, "packets": [b"a"]}
     start = {"kind": "start", "from": 0, "num_frames": 1, "manifest": b""}
 
     def row(name: str, value: object, verdict: str = CORRUPT) -> Row:
@@ -243,27 +243,27 @@ def _records() -> Iterator[Row]:
     above = {key: value for key, value in a_slice.items() if key != "mask"} | {"first": 2}
     yield row("a slice of layer 2", above, TAKEN)
     yield row("a slice of layer 2 with a mask, which is ignored", above | {"mask": b"m"}, TAKEN)
-    yield row("a slice of a mask alone", a_slice | {"frames": []}, TAKEN)
+    yield row("a slice of a mask alone", a_slice | {"packets": []}, TAKEN)
     wrong: tuple[tuple[str, object], ...] = (
         ("no map", None), ("an array", []), ("an empty map", {}), ("a number for a key", {1: 2}),
         ("another kind", {"kind": "other"}), ("a kind that is a number", {"kind": 7}),
         ("from -1", start | {"from": -1}), ("from true", start | {"from": True}),
         ("a manifest that is a text", start | {"manifest": "text"}),
-        ("packets that are texts", a_slice | {"frames": ["text"]}),
-        ("packets in a map", a_slice | {"frames": {}}),
+        ("packets that are texts", a_slice | {"packets": ["text"]}),
+        ("packets in a map", a_slice | {"packets": {}}),
         ("a birth of 41 bits", a_slice | {"birth": 1 << 40}),
         ("a birth that is a float", a_slice | {"birth": 1.0}),
         ("first that is a float", above | {"first": 1.0}),
-        ("17 packets", a_slice | {"frames": [b""] * 17}),
+        ("17 packets", a_slice | {"packets": [b""] * 17}),
         ("a mask that is a text", a_slice | {"mask": "text"}),
         ("a mask in an array", a_slice | {"mask": [b""]}),
         ("first -1", above | {"first": -1}), ("first 16", above | {"first": 16}),
-        ("layers 15 and 16", above | {"first": 15, "frames": [b""] * 2}),
-        ("a slice of layer 2 without packets", above | {"frames": []}),
-        ("a snapshot without packets", snapshot | {"frames": []}),
-        ("a snapshot with a number for a packet", snapshot | {"frames": [0]}),
+        ("layers 15 and 16", above | {"first": 15, "packets": [b""] * 2}),
+        ("a slice of layer 2 without packets", above | {"packets": []}),
+        ("a snapshot without packets", snapshot | {"packets": []}),
+        ("a snapshot with a number for a packet", snapshot | {"packets": [0]}),
         ("a snapshot of layer 16", snapshot | {"first": 16}),
-        ("a snapshot of layers 15 and 16", snapshot | {"first": 15, "frames": [b""] * 2}),
+        ("a snapshot of layers 15 and 16", snapshot | {"first": 15, "packets": [b""] * 2}),
         ("first false", snapshot | {"first": False}),
         ("frame -1", snapshot | {"frame": -1}), ("frame 2^31", snapshot | {"frame": 1 << 31}),
         ("num_frames 2^31", {"kind": "end", "num_frames": 1 << 31}),
@@ -275,6 +275,6 @@ def _records() -> Iterator[Row]:
     )  # fmt: skip
     for name, broken in wrong:
         yield row(name, broken)
-    deep = b"\x81\xa6frames" + b"\x91" * 20_000
+    deep = b"\x81\xa7packets" + b"\x91" * 20_000
     yield _row("record", "arrays in arrays", struct.pack("<I", len(deep)) + deep, CORRUPT)
     yield _row("record", "a length over 2^26", struct.pack("<I", 2**26 + 1), CORRUPT)

@@ -176,7 +176,7 @@ CASES: dict[str, Case] = {
     ),
     "snapshot record": Case(
         lambda: record(
-            {"kind": "snapshot", "frame": 0, "first": 0, "frames": [bytes(4_000_000)] * 16}
+            {"kind": "snapshot", "frame": 0, "first": 0, "packets": [bytes(4_000_000)] * 16}
         ),
         lambda data: RecordParser().feed(data),
         RECORDS_BYTES,

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from codec.camera import Camera
+from codec.sequence.numberedfiles import FPS_NAME
 from trainer.errors import CaptureError
 from trainer.pixels import opened_picture, read_rgb
 
@@ -29,7 +30,6 @@ from .lens import Lens, straight_source
 FRAMES_NAME = "frames"
 IMAGES_NAME = "images"
 PICTURE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
-FPS_NAME = "fps.txt"
 
 _LAST_NUMBER = re.compile(r"(?:.*\D)?(\d{1,18})")
 

@@ -15,7 +15,7 @@ from codec.slice import Slice
 from codec.slots.update import PREDICTED, Update
 from codec.splats import Splats
 from trainer.lease.leases import Leases
-from trainer.lease.takeover import Held, Takeover
+from trainer.lease.takeover import Crossfade, PlayerState
 from trainer.step.raster import Parameters
 
 from .config import FitConfig
@@ -43,7 +43,7 @@ class Generations:
         self.num_gs = config.num_gs
         self.lifespans = Lifespans(config.num_gs, config.swin_size)
         self.adam = Adam(config.num_gs, config.sh_degree, config.optimiser)
-        self.takeover: Takeover | None = None
+        self.takeover: Crossfade | None = None
         """Where slots come to follow another training."""
         self.values = Parameters.zeros(2 * config.num_gs, config.sh_degree)
         self.values.quats[:, 0] = 1
@@ -122,7 +122,7 @@ class Generations:
                 array[rows] = decoded[changed]
         return updates
 
-    def held(self, update: Update) -> Held:
+    def held(self, update: Update) -> PlayerState:
         """What a player holds of the lane of `update`, which has just matured."""
         offsets = np.zeros(self.lifespans.slice_size, np.uint8)
         offsets[update.statuses >= PREDICTED] = update.start_offsets

@@ -21,7 +21,7 @@ from codec.slots.slotlayout import SlotLayout
 from codec.slots.update import KEPT, Update
 from codec.splats import Splats
 from trainer.lease.leases import Leases
-from trainer.lease.takeover import Held, Takeover
+from trainer.lease.takeover import Crossfade, PlayerState
 from trainer.pictures.feed import Pictures
 from trainer.step.backend import Backend, StepInput
 from trainer.step.contribution import summed_contribution
@@ -196,11 +196,12 @@ class Trainer:
             self._train(plan, self._steps - plan.before)
         self._generations.stagger(self._rng)
 
-    def spent(self, window: Window, num_bytes: int) -> None:
-        """Says what the update of `window`, which `windows` has just given, takes in the stream."""
+    def record_sent_bytes(self, window: Window, num_bytes: int) -> None:
+        """Records the bytes that the update of `window`, which `windows` has just given, takes in
+        the stream."""
         if self._leases is not None and self._leases.budget is not None and window.first_frame:
             sent = sum(int((update.statuses != KEPT).sum()) for update in window.updates)
-            self._leases.budget.spent(num_bytes, sent)
+            self._leases.budget.record_sent_bytes(num_bytes, sent)
 
     def contributions(self, window: Window) -> list[Doubles]:
         """For each slice of `window`, which `windows` has just given, (N,) what its Gaussians
@@ -272,11 +273,11 @@ class Trainer:
             self._leases.trained += by
         self._next_window = frame
 
-    def take_over(self, takeover: Takeover | None) -> None:
+    def take_over(self, takeover: Crossfade | None) -> None:
         """Has slots follow another training from the next window on; None: none from now on."""
         self._generations.takeover = takeover
 
-    def held(self, window: Window) -> list[Held]:
+    def held(self, window: Window) -> list[PlayerState]:
         """What a player holds of the lanes of `window`, which `windows` has just given; slots are
         leased."""
         return [self._generations.held(update) for update in window.updates]

@@ -31,7 +31,7 @@ class ByteBudget:
         price, owed = self._state
         return max(0, int((self.bytes_per_frame - owed / HORIZON_FRAMES) / price))
 
-    def spent(self, num_bytes: int, slots: int) -> None:
+    def record_sent_bytes(self, num_bytes: int, slots: int) -> None:
         """A slice with so many active slots took `num_bytes`."""
         if slots:
             price = num_bytes / slots

@@ -21,7 +21,7 @@ from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
 
 from .budget import ByteBudget
-from .takeover import NEAR_STEPS, Held
+from .takeover import NEAR_STEPS, PlayerState
 
 Ints = npt.NDArray[np.int32]
 Flags = npt.NDArray[np.bool_]
@@ -176,12 +176,12 @@ class Leases:
             high = np.concatenate([high, rows[best[worth]]])
         return low.astype(np.int32), high.astype(np.int32)
 
-    def held(self, birth: int, lane: slice, start_offsets: Bytes, splats: Splats) -> Held:
+    def held(self, birth: int, lane: slice, start_offsets: Bytes, splats: Splats) -> PlayerState:
         """What a player holds of `lane` from `birth` on, whose next life has not begun. splats: as
         they are drawn."""
         states = self.states.take(lane).copy()
         shows, escaped = self.is_shown[lane].copy(), self.is_other[lane] & self.is_shown[lane]
-        return Held(birth, states, shows, escaped, start_offsets, splats)
+        return PlayerState(birth, states, shows, escaped, start_offsets, splats)
 
     def mature(
         self,
@@ -190,7 +190,7 @@ class Leases:
         is_active: Flags,
         splats: Splats,
         start_offsets: Ints,
-        other: tuple[Flags, Held] | None = None,
+        other: tuple[Flags, PlayerState] | None = None,
     ) -> tuple[Update, Splats]:
         """What the slice born at `birth` says of its lane, whose trained Gaussians are `splats`;
         and those with the values that a player has from now on.
@@ -251,7 +251,7 @@ class Leases:
     def _follow(
         self,
         rows: npt.NDArray[np.int64],
-        theirs: Held,
+        theirs: PlayerState,
         statuses: npt.NDArray[np.uint8],
         held: States,
         is_shown: Flags,

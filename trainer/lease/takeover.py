@@ -36,7 +36,7 @@ as a difference. Farther away it is another Gaussian: between two frames it must
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
+class PlayerState:
     """What a player holds of the slots of one lane since the slice of `birth`."""
 
     birth: int
@@ -72,10 +72,10 @@ class Held:
         }
 
     @staticmethod
-    def from_arrays(arrays: Mapping[str, npt.NDArray[np.generic]]) -> Held:
+    def from_arrays(arrays: Mapping[str, npt.NDArray[np.generic]]) -> PlayerState:
         """The opposite of `to_arrays`."""
         given = dict(arrays)
-        return Held(
+        return PlayerState(
             int(given["birth"]),
             States(given["positions"], given["attributes"]),  # type: ignore[arg-type]
             given["shows"],  # type: ignore[arg-type]
@@ -85,14 +85,14 @@ class Held:
         )
 
 
-class Takeover:
+class Crossfade:
     """Which slots follow the other training by now. The same seed makes the same choices.
 
     Slots follow cell by cell of the scene: what one training splits between neighbours the other
     splits in another way, so a few of them alone show what neither has learned.
     """
 
-    def __init__(self, other: Mapping[int, Held], swin_size: int, seed: int) -> None:
+    def __init__(self, other: Mapping[int, PlayerState], swin_size: int, seed: int) -> None:
         """other: what the other training holds, by birth: of births that follow one another, one
         of each lane at least."""
         births = sorted(other)
@@ -111,7 +111,7 @@ class Takeover:
         self.follows = np.zeros(len(means), np.bool_)
         """(num_gs,) the slots that follow, in the newest life of their lane."""
 
-    def held(self, birth: int) -> Held | None:
+    def held(self, birth: int) -> PlayerState | None:
         """What the other training holds of the lane of `birth`; None outside the seam."""
         return self._other.get(birth)
 

@@ -13,7 +13,7 @@ from codec.stream.storyboard import write_storyboard
 from codec.stream.writer import SHAPE
 from player.render.cpu import render_splats
 
-from .leftovers import MANIFEST_PATH, MAX_STATE_BYTES, unpack_arrays
+from .part_state import MANIFEST_PATH, MAX_STATE_BYTES, unpack_arrays
 from .task import STATE_FOLDER, Kind, Run, Task
 
 

@@ -17,7 +17,7 @@ from rich.console import Console
 
 from codec.errors import InvalidError
 from codec.progressline import ProgressLine
-from codec.storage.growingplace import GrowingStorage
+from codec.storage.growingplace import GrowingPlace
 from codec.storage.openstorage import open_growing
 from codec.stream.index import SegmentRecord
 from codec.stream.manifest import Manifest
@@ -102,7 +102,7 @@ def train_in_parts(config: TrainConfig, address: str, console: Console) -> Manif
         raise
 
 
-def _begin(run: Run, files: GrowingStorage, resume: bool) -> bool:
+def _begin(run: Run, files: GrowingPlace, resume: bool) -> bool:
     """Notes what is trained; whether something of it is there."""
     # Without what changes no byte.
     config = replace(
@@ -123,7 +123,7 @@ def _begin(run: Run, files: GrowingStorage, resume: bool) -> bool:
 
 def _train(
     run: Run,
-    files: GrowingStorage,
+    files: GrowingPlace,
     resumed: bool,
     ray: Any,
     monitor: JoinMonitor,
@@ -170,7 +170,7 @@ def _train(
             monitor.progressed(*ray.get(tally.totals.remote()))
 
 
-def _tidy(files: GrowingStorage, task: Task) -> None:
+def _tidy(files: GrowingPlace, task: Task) -> None:
     """Deletes what no task needs any more once `task` is done and its segments are in the index."""
     files.delete(task.state_path("checkpoint"))
     if task.kind is not Kind.SEAM:

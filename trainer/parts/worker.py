@@ -17,29 +17,29 @@ import numpy.typing as npt
 
 from codec.slots.update import Update
 from codec.splats import Splats
-from codec.storage.growingplace import GrowingPiece, GrowingStorage
+from codec.storage.growingplace import GrowingPiece, GrowingPlace
 from codec.storage.openstorage import open_growing
 from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest
 from codec.stream.writer import SHAPE, StreamWriter
 from trainer.fit.config import FitConfig
 from trainer.fit.trainer import Observer, Progress, Trainer, Window
-from trainer.lease.takeover import Held, Takeover
+from trainer.lease.takeover import Crossfade, PlayerState
 from trainer.pictures.feed import CapturePictures
 from trainer.pictures.framecache import FrameCache
 from trainer.run.checkpoint import KEEP_S, GenesisKeeper, KeepTimer, arrays_of, update_of
 from trainer.run.prepare import Prepared, first_gaussians, make_manifest, prepare
 from trainer.score.meter import QualityMeter
 
-from .leftovers import (
+from .part_state import (
     MANIFEST_PATH,
     MAX_STATE_BYTES,
     Arrays,
-    below,
-    held_in,
     pack_arrays,
-    standing,
-    under,
+    part_state,
+    player_state_in,
     unpack_arrays,
+    with_prefix,
+    without_prefix,
 )
 from .task import Kind, Task
 
@@ -75,7 +75,7 @@ class _Piece:
 
     place: GrowingPiece
     writer: StreamWriter
-    opening: Held | None
+    opening: PlayerState | None
     """What a player holds before the newest segment; None before the stream."""
     updates: list[Update] = field(default_factory=list)
     """Those of the newest segment, as long as it is not whole."""
@@ -91,7 +91,7 @@ class _Piece:
             self.writer.append(update)
             self.updates.append(update)
 
-    def close_segment(self, held: Held) -> None:
+    def close_segment(self, held: PlayerState) -> None:
         """The newest segment is whole; a player holds `held` after it."""
         self.opening = held
         self.updates.clear()
@@ -102,9 +102,9 @@ class _Piece:
         if self.place.records:
             arrays["records"] = self.record_rows
         if self.opening is not None:
-            arrays |= under("opening", self.opening.to_arrays())
+            arrays |= with_prefix("opening", self.opening.to_arrays())
         for update in self.updates:
-            arrays |= under(update.birth, arrays_of(update))
+            arrays |= with_prefix(update.birth, arrays_of(update))
         return arrays
 
 
@@ -116,7 +116,7 @@ class Worker:
     prepared: Prepared
     cache: FrameCache
     pictures: CapturePictures
-    files: GrowingStorage
+    files: GrowingPlace
     reporter: _Reporter
     timer: KeepTimer
 
@@ -131,10 +131,10 @@ class Worker:
                 self._train_seam()
 
     def _resumed(self, manifest: Manifest, arrays: Arrays, fit: FitConfig | None = None) -> Trainer:
-        """A trainer that goes on from what `standing` or `_keep` gave, with the run's settings or
+        """A trainer that goes on from what `part_state` or `_keep` gave, with the run's settings or
         `fit`."""
         trainer = self._trainer(manifest, None, fit)
-        trainer.restore(below("state", arrays))
+        trainer.restore(without_prefix("state", arrays))
         return trainer
 
     def _trainer(
@@ -151,10 +151,10 @@ class Worker:
 
     def _keep(self, trainer: Trainer, piece: _Piece | None = None) -> None:
         """Leaves a checkpoint."""
-        arrays = under("state", trainer.state())
+        arrays = with_prefix("state", trainer.state())
         arrays["iterations"] = np.array(self.reporter.done)
         if piece is not None:
-            arrays |= under("piece", piece.to_arrays())
+            arrays |= with_prefix("piece", piece.to_arrays())
         self._leave("checkpoint", arrays)
 
     def _kept(self) -> Arrays | None:
@@ -176,7 +176,7 @@ class Worker:
         else:
             trainer = self._resumed(self._manifest(), kept)
         (held,) = trainer.held(next(trainer.windows()))
-        self._leave("state", standing(trainer, held))
+        self._leave("state", part_state(trainer, held))
 
     def _train_part(self) -> None:
         task, part, manifest = self.task, self.task.part, self._manifest()
@@ -190,17 +190,17 @@ class Worker:
             trainer = self._resumed(manifest, kept)
         if trainer.next_window < begin:
             trainer = self._approach(trainer, manifest)
-        if kept is not None and (of_piece := below("piece", kept)):
+        if kept is not None and (of_piece := without_prefix("piece", kept)):
             piece = self._resumed_piece(manifest, trainer.next_window, of_piece)
         elif part.number:
             before = self._left(task, f"approach-{begin - 1}")
-            piece = self._piece(manifest, begin, Held.from_arrays(before))
+            piece = self._piece(manifest, begin, PlayerState.from_arrays(before))
         else:
             piece = self._piece(manifest, 0, None)
-            piece.append([held_in(genesis).as_opening()])
+            piece.append([player_state_in(genesis).as_opening()])
         held = self._train_piece(trainer, piece, part.end_frame)
         piece.writer.close()  # the last segment of a stream may be short
-        self._leave("end", standing(trainer, held))
+        self._leave("end", part_state(trainer, held))
         self._leave("records", {"records": piece.record_rows})
 
     def _approach(self, trainer: Trainer, manifest: Manifest) -> Trainer:
@@ -209,37 +209,39 @@ class Worker:
         task, part, run = self.task, self.task.part, self.task.run
         for _ in self._windows(trainer, part.first_frame):
             self.timer.keep_if_due(partial(self._keep, trainer))
-        trainer = self._resumed(manifest, under("state", trainer.state()), run.seam_fit)
+        trainer = self._resumed(manifest, with_prefix("state", trainer.state()), run.seam_fit)
         for window in self._windows(trainer, task.frames.start):
             (held,) = trainer.held(window)
             self._leave(f"approach-{held.birth}", held.to_arrays())
             self.timer.keep_if_due(partial(self._keep, trainer))
-        return self._resumed(manifest, under("state", trainer.state()))
+        return self._resumed(manifest, with_prefix("state", trainer.state()))
 
     def _train_seam(self) -> None:
         task, part, run = self.task, self.task.part, self.task.run
         manifest, config, kept = self._manifest(), run.config, self._kept()
         approach = task.other(Kind.PART, part.number)
         other = {
-            birth: Held.from_arrays(self._left(approach, f"approach-{birth}"))
+            birth: PlayerState.from_arrays(self._left(approach, f"approach-{birth}"))
             for birth in task.frames
         }
         before = kept or self._left(task.other(Kind.PART, part.number - 1), "end")
         trainer = self._resumed(manifest, before, run.seam_fit)
-        trainer.take_over(Takeover(other, config.fit.swin_size, config.fit.seed))
+        trainer.take_over(Crossfade(other, config.fit.swin_size, config.fit.seed))
         if kept is None:
-            piece = self._piece(manifest, task.frames.start, held_in(before))
+            piece = self._piece(manifest, task.frames.start, player_state_in(before))
         else:
-            piece = self._resumed_piece(manifest, trainer.next_window, below("piece", kept))
+            piece = self._resumed_piece(
+                manifest, trainer.next_window, without_prefix("piece", kept)
+            )
         self._train_piece(trainer, piece, task.frames.stop)
         self._leave("records", {"records": piece.record_rows})
 
-    def _train_piece(self, trainer: Trainer, piece: _Piece, end_frame: int) -> Held:
+    def _train_piece(self, trainer: Trainer, piece: _Piece, end_frame: int) -> PlayerState:
         """Trains the windows before `end_frame` into `piece`; gives what a player holds then."""
         for window in self._windows(trainer, end_frame):
             piece.append(window.updates)
             if self.task.kind is Kind.PART:
-                trainer.spent(window, piece.writer.slice_bytes)
+                trainer.record_sent_bytes(window, piece.writer.slice_bytes)
             (held,) = trainer.held(window)
             if trainer.next_window % piece.writer.manifest.segment_frames == 0:
                 piece.close_segment(held)
@@ -257,7 +259,7 @@ class Worker:
             if window.first_frame + 1 == end_frame:
                 return
 
-    def _piece(self, manifest: Manifest, frame: int, opening: Held | None) -> _Piece:
+    def _piece(self, manifest: Manifest, frame: int, opening: PlayerState | None) -> _Piece:
         """A piece of the stream from `frame` on, before which a player holds `opening`."""
         place = GrowingPiece(self.files, SHAPE)
         quality = QualityMeter(self.cache, manifest)
@@ -268,11 +270,11 @@ class Worker:
 
     def _resumed_piece(self, manifest: Manifest, frame: int, arrays: Arrays) -> _Piece:
         """A piece that goes on with `frame` from what `_Piece.to_arrays` gave."""
-        of_opening, births = below("opening", arrays), arrays["births"]
-        opening = Held.from_arrays(of_opening) if of_opening else None
+        of_opening, births = without_prefix("opening", arrays), arrays["births"]
+        opening = PlayerState.from_arrays(of_opening) if of_opening else None
         piece = self._piece(manifest, frame - len(births), opening)
         piece.place.records += [record.tobytes() for record in arrays.get("records", ())]
-        piece.append([update_of(int(birth), below(birth, arrays)) for birth in births])
+        piece.append([update_of(int(birth), without_prefix(birth, arrays)) for birth in births])
         return piece
 
     def _manifest(self) -> Manifest:

@@ -11,9 +11,9 @@ from rich.console import Console
 from codec.framerange import FrameRange
 from codec.progressline import waiting
 from codec.rig import rig_centre
+from codec.sequence.numberedfiles import FPS_NAME
 from trainer.capture.capture import Capture, check_trainable
 from trainer.capture.layout import open_capture
-from trainer.capture.picturefiles import FPS_NAME
 from trainer.capture.points import read_points_file
 from trainer.rig.coverage import coverage_doubts
 from trainer.rig.doubts import picture_doubt, picture_doubts, rig_doubts

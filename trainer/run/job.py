@@ -241,7 +241,7 @@ def _train(start: _Start, console: Console, observers: Sequence[Observer]) -> Ma
             pictures.prefetch(frame + 1 + swin_size, frame)
             if window.updates:
                 outputs.deliver(window.updates)
-                trainer.spent(window, outputs.slice_bytes)
+                trainer.record_sent_bytes(window, outputs.slice_bytes)
             elif config.rank == CONTRIBUTION:
                 outputs.deliver(matured_by_contribution(trainer, window))
             else:

@@ -17,6 +17,7 @@ from codec.framerange import FrameRange
 from codec.interop.formats import read_splats
 from codec.lattice.lattice import Lattice
 from codec.lattice.quantise import layer_coarseness
+from codec.sequence.numberedfiles import FPS_NAME
 from codec.splats import Splats
 from codec.stream.layers import RANKS, split_layers
 from codec.stream.manifest import Manifest
@@ -24,7 +25,6 @@ from codec.stream.poster import POSTER_NAME
 from codec.stream.storyboard import STORYBOARD_NAME
 from trainer.capture.capture import Capture, check_trainable
 from trainer.capture.layout import open_capture
-from trainer.capture.picturefiles import FPS_NAME
 from trainer.capture.points import points_evenness, read_points_file
 from trainer.errors import CaptureError
 from trainer.fit.trainer import FALLBACK_FAR_M

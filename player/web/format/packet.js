@@ -1,12 +1,8 @@
 /** A packet is one chunk, compressed (FORMAT.md, section 6). The browser inflates gzip by itself. */
 
-import { CODERS, MAX_CHUNK_BYTES, MAX_EXPANSION } from "../constants.js";
+import { CODERS, GZIP_MAGIC, MAX_CHUNK_BYTES, MAX_EXPANSION, ZSTD_MAGIC } from "../constants.js";
 import { corrupt, FormatError, unsupported } from "./bytes/errors.js";
 
-const GZIP_MAGIC = 0x1f8b0800;
-const GZIP_START = [0x1f, 0x8b, 0x08, 0x00];
-const ZSTD_START = [0x28, 0xb5, 0x2f, 0xfd];
-const ZSTD_MAGIC = 0x28b52ffd;
 const LEAST_BYTES = 18;
 
 /**
@@ -22,12 +18,12 @@ export function limitBytes({ layout }, part) {
 
 /** @param {Uint8Array} packet */
 export function isGzip(packet) {
-  return GZIP_START.every((byte, i) => packet[i] === byte);
+  return isOfCoder(packet, CODERS.GZIP);
 }
 
 /** Whether a packet begins as those of `coder` do. @param {Uint8Array} packet @param {number} coder */
 export function isOfCoder(packet, coder) {
-  const start = coder === CODERS.GZIP ? GZIP_START : ZSTD_START;
+  const start = coder === CODERS.GZIP ? GZIP_MAGIC : ZSTD_MAGIC;
   return start.every((byte, i) => packet[i] === byte);
 }
 
@@ -74,10 +70,9 @@ export async function inflatePacket(packet, limitBytes) {
 function contentBytes(packet, limitBytes) {
   if (packet.length < LEAST_BYTES) throw corrupt(`packet: ${packet.length} bytes are too few`);
   const view = new DataView(packet.buffer, packet.byteOffset, packet.length);
-  const magic = view.getUint32(0);
-  if (magic === ZSTD_MAGIC)
+  if (isOfCoder(packet, CODERS.ZSTD))
     throw unsupported("packet: coder zstd; only gzip packets are supported here");
-  if (magic !== GZIP_MAGIC) throw corrupt("packet: is not a gzip member without flags");
+  if (!isGzip(packet)) throw corrupt("packet: is not a gzip member without flags");
   const size = view.getUint32(packet.length - 4, true);
   if (size === 0) throw corrupt("packet: is empty");
   if (size > MAX_EXPANSION * packet.length || size > limitBytes) {

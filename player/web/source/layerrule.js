@@ -13,8 +13,8 @@ const PLAN = {
 };
 
 /**
- * How a play stands.
- * @typedef {object} Standing
+ * The playback and its link at one moment.
+ * @typedef {object} PlaybackState
  * @property {number} nextFrame the frame that shows next
  * @property {boolean} paused
  * @property {number} rateBps what the link is taken to carry
@@ -51,7 +51,7 @@ export class LayerRule {
 
   /**
    * The segment that gets one more layer now; null if none is worth it.
-   * @param {Standing} standing
+   * @param {PlaybackState} standing
    */
   choose({ nextFrame, paused, rateBps, queuedBytes, rate }) {
     const { fps, segmentFrames } = this.manifest;

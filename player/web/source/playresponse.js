@@ -120,7 +120,7 @@ export async function openPlay(base, query, signal) {
 }
 
 /** How often and how long a server that is gone is tried again. */
-export class Patience {
+export class ServerRetry {
   /**
    * @param {import("./fetcher.js").Fetcher} fetcher whose `giveUpS` and `onTrouble` hold
    * @param {string} base URL of the stream

@@ -4,7 +4,7 @@ import { readObject } from "../format/objecttable.js";
 import { limitBytes } from "../format/packet.js";
 import { FIRST_PLAY } from "./addresses.js";
 import { SourceError } from "./fetcher.js";
-import { openPlay, Patience } from "./playresponse.js";
+import { openPlay, ServerRetry } from "./playresponse.js";
 import { SegmentCache } from "./segmentcache.js";
 import { ServedPlay } from "./servedplay.js";
 
@@ -49,7 +49,7 @@ export class ServedStream {
    * @param {number} [bufferBytes] most that is kept of it
    */
   static async open(base, fetcher, maxGaussians = null, bufferBytes) {
-    const patience = new Patience(fetcher, base);
+    const patience = new ServerRetry(fetcher, base);
     for (;;) {
       const opened = await patience.begin(() => openPlay(base, FIRST_PLAY));
       const stream = new ServedStream(base, fetcher, opened, bufferBytes);

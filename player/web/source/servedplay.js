@@ -1,6 +1,6 @@
 import { corrupt } from "../format/bytes/errors.js";
 import { isGzip, limitBytes } from "../format/packet.js";
-import { GoneError, openPlay, Patience } from "./playresponse.js";
+import { GoneError, openPlay, ServerRetry } from "./playresponse.js";
 import { AHEAD_S } from "./segmentcache.js";
 
 /** Seconds between two status reports to the server. */
@@ -49,7 +49,7 @@ export class ServedPlay {
     /** @type {PlayResponse | null} */
     this.response = null;
     this.moveOn = () => {};
-    this.patience = new Patience(stream.fetcher, stream.base);
+    this.patience = new ServerRetry(stream.fetcher, stream.base);
     // After the first report of the position.
     Promise.resolve()
       .then(() => this.#run())

@@ -16,7 +16,7 @@ OWN = "sweep"
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
+class PolicySummary:
     """A policy at a load, as means over the traces."""
 
     policy: str
@@ -49,7 +49,7 @@ class LoadSummary:
     bound_psnr_db: float
     base_rebuffering: float
     base_startup_s: float
-    standings: tuple[Standing, ...]
+    standings: tuple[PolicySummary, ...]
 
 
 def normalised_mean(plays: Sequence[Play], oracles: Sequence[Oracle]) -> float:
@@ -102,7 +102,7 @@ def _standing(
     outcomes: Sequence[Outcome],
     oracles: Sequence[Oracle],
     behind: Interval | None,
-) -> Standing:
+) -> PolicySummary:
     plays = [outcome.plays[number] for outcome in outcomes]
 
     def mean(value: Callable[[Play], float]) -> float:
@@ -110,7 +110,7 @@ def _standing(
 
     came_bytes = math.fsum(play.came_bytes for play in plays)
     wasted_bytes = math.fsum(play.wasted * play.came_bytes for play in plays)
-    return Standing(
+    return PolicySummary(
         policy=policy,
         quality_db=mean(lambda play: play.quality_db),
         normalised=normalised_mean(plays, oracles),

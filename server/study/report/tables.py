@@ -10,7 +10,7 @@ from rich.console import JustifyMethod
 from rich.table import Table
 
 from .bootstrap import Interval
-from .summary import OWN, LoadSummary, Standing
+from .summary import OWN, LoadSummary, PolicySummary
 
 HEAD = (
     "load",
@@ -60,7 +60,7 @@ def rows(summaries: Sequence[LoadSummary]) -> Iterator[tuple[str, ...]]:
         )
 
 
-def _row(load: str, one: Standing) -> tuple[str, ...]:
+def _row(load: str, one: PolicySummary) -> tuple[str, ...]:
     return (
         load,
         one.policy,

@@ -83,13 +83,13 @@ def test_byte_by_byte() -> None:
 
 def test_the_bytes_are_pinned() -> None:
     record = SliceRecord(-1, (b"ab",), None, 2)
-    body = b"\x84\xa4kind\xa5slice\xa5birth\xff\xa6frames\x91\xc4\x02ab\xa5first\x02"
+    body = b"\x84\xa4kind\xa5slice\xa5birth\xff\xa7packets\x91\xc4\x02ab\xa5first\x02"
     assert encode_record(record) == struct.pack("<I", len(body)) + body
     record = SliceRecord(3, (), b"m")
-    body = b"\x84\xa4kind\xa5slice\xa5birth\x03\xa6frames\x90\xa4mask\xc4\x01m"
+    body = b"\x84\xa4kind\xa5slice\xa5birth\x03\xa7packets\x90\xa4mask\xc4\x01m"
     assert encode_record(record) == struct.pack("<I", len(body)) + body
     snapshot = msgpack.unpackb(encode_record(SnapshotRecord(30, 2, (b"a", b"b")))[4:])
-    assert snapshot == {"kind": "snapshot", "frame": 30, "first": 2, "frames": [b"a", b"b"]}
+    assert snapshot == {"kind": "snapshot", "frame": 30, "first": 2, "packets": [b"a", b"b"]}
     start = msgpack.unpackb(encode_record(StartRecord(1, 2, b"m"))[4:])
     assert start == {"kind": "start", "from": 1, "num_frames": 2, "manifest": b"m"}
 
@@ -117,7 +117,7 @@ def test_noise(noise: bytes) -> None:
 
 
 def test_only_a_slice_that_begins_with_layer_0_has_a_mask() -> None:
-    value: dict[str, Any] = {"kind": "slice", "birth": 1, "frames": [b"a"]}
+    value: dict[str, Any] = {"kind": "slice", "birth": 1, "packets": [b"a"]}
     with pytest.raises(CorruptError, match="'slice' record without a valid 'mask'"):
         decode_record(msgpack.packb(value))
     for masked in ({"first": 0}, {}):

@@ -192,7 +192,7 @@ def test_play_records_in_pieces(browser: BrowserCode, piece_bytes: int) -> None:
 
 
 def test_lists_in_lists_do_not_exhaust_the_stack(browser: BrowserCode) -> None:
-    body = b"\x81\xa6frames" + b"\x91" * 1_000_000
+    body = b"\x81\xa7packets" + b"\x91" * 1_000_000
     assert not browser.takes("records", pieces=[(struct.pack("<I", len(body)) + body).hex()])
 
 

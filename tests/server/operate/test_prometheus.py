@@ -11,7 +11,7 @@ FAMILIES = {
     "swings_layer_bytes",
     "swings_play_packets",
     "swings_plays",
-    "swings_play_news",
+    "swings_play_status_reports",
     "swings_active_plays",
     "swings_cache_bytes",
     "swings_cache_hits",

@@ -208,11 +208,11 @@ def test_a_budget_is_kept_over_time() -> None:
     for _ in range(300):
         slots = budget.slots
         num_bytes = round(slots * rng.uniform(3, 9)) + 500
-        budget.spent(num_bytes, slots)
+        budget.record_sent_bytes(num_bytes, slots)
         sent += num_bytes
     assert abs(sent / 300 - 10_000) < 500
     for _ in range(100):  # nothing happens: what is saved is bounded
-        budget.spent(0, 0)
+        budget.record_sent_bytes(0, 0)
     assert budget.slots < 2 * 10_000 / 3
 
 
@@ -222,7 +222,7 @@ def test_a_trainer_keeps_to_the_bytes_that_it_may_send() -> None:
     active = []
     for window in trainer.windows():
         active.append(int((window.updates[-1].statuses != KEPT).sum()))
-        trainer.spent(window, 10 * active[-1])
+        trainer.record_sent_bytes(window, 10 * active[-1])
     assert active[0] >= 80  # of 90: all that show something
     assert max(active[1:]) <= 20 + 5  # the price is 5 at first; renewal comes on top
     assert min(active[1:]) >= 5

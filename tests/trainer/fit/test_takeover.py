@@ -14,7 +14,7 @@ from codec.lattice.lattice import States
 from codec.slots.slotencoder import SlotEncoder
 from codec.slots.update import Update
 from trainer.fit.trainer import Trainer
-from trainer.lease.takeover import Held, Takeover, turns
+from trainer.lease.takeover import Crossfade, PlayerState, turns
 
 from .test_leases import SLOTS, config, layout, sorted_rows
 from .test_trainer import NEAR_M, Rendered, start
@@ -35,14 +35,14 @@ def test_after_a_seam_the_other_training_goes_on_as_if_it_had_been_heard_from_th
 ):
     one, encoder, _ = trained(1, 0)
     other, other_encoder, _ = trained(1, 1)
-    held: dict[int, Held] = {}
+    held: dict[int, PlayerState] = {}
     theirs: dict[int, Update] = {}
     for window in other.windows():
         for update in window.updates:
             other_encoder.append(update)
             theirs[update.birth] = update
         held |= {h.birth: h for h in other.held(window)}
-    one.take_over(Takeover({birth: held[birth] for birth in SEAM}, 1, 0))
+    one.take_over(Crossfade({birth: held[birth] for birth in SEAM}, 1, 0))
     changed = []
     for window in one.windows():
         for update in window.updates:
@@ -88,7 +88,7 @@ def test_what_is_held_survives_as_arrays_and_as_an_opening() -> None:
     (update,) = window.updates
     encoder.append(update)
     (held,) = one.held(window)
-    again = Held.from_arrays(held.to_arrays())
+    again = PlayerState.from_arrays(held.to_arrays())
     for name, array in held.to_arrays().items():
         assert np.array_equal(array, again.to_arrays()[name])
     opened = SlotEncoder.opened(encoder.layout, [held.as_opening()])
@@ -99,13 +99,13 @@ def test_what_is_held_survives_as_arrays_and_as_an_opening() -> None:
 
 
 def test_a_seam_needs_births_that_follow_each_other() -> None:
-    held = Held(
+    held = PlayerState(
         0, States.zeros(2, 0), np.ones(2, np.bool_), np.zeros(2, np.bool_), np.zeros(2, np.uint8),
         start().take(np.arange(2)),
     )  # fmt: skip
     for births in ([], [1, 3]):
         with pytest.raises(InvalidError, match="seam"):
-            Takeover({birth: replace(held, birth=birth) for birth in births}, 1, 0)
+            Crossfade({birth: replace(held, birth=birth) for birth in births}, 1, 0)
 
 
 def test_a_trainer_jumps_only_after_genesis() -> None:

@@ -1,8 +1,7 @@
 /** The values in manifest.json, each of the type that the format says. All throw a FormatError. */
 
+import { MAX_TEXT_CHARS } from "../../constants.js";
 import { corrupt } from "./errors.js";
-
-const MAX_TEXT_CHARS = 2000;
 
 /**
  * The value of a key that must be there.

@@ -1,10 +1,7 @@
 /** The small part of msgpack that play records are made of. */
 
+import { MAX_ITEMS, MAX_KEYS, MAX_TEXT_BYTES } from "../../constants.js";
 import { corrupt } from "./errors.js";
-
-const MAX_KEYS = 8;
-const MAX_ITEMS = 16;
-const MAX_TEXT_BYTES = 2 ** 16;
 
 /**
  * One map with texts as keys; no value is a map, and arrays hold bytes only. Throws a FormatError.

@@ -1,14 +1,17 @@
 /** A change: what a slice brings to one layer (FORMAT.md, section 10). */
 
-import { CHANGE_COUNTS, LONG, MAX_GAP_BITS, POSITION_LIMIT } from "../../constants.js";
+import {
+  CHANGE_COUNTS,
+  COUNTS_BYTES,
+  LONG,
+  MAX_GAP_BITS,
+  POSITION_LIMIT,
+} from "../../constants.js";
 import { BitReader } from "../bytes/bitreader.js";
 import { ByteReader } from "../bytes/bytereader.js";
 import { corrupt } from "../bytes/errors.js";
 import { checkGaussians, readGaussians } from "../gaussians.js";
 import { CHANGE, expectChunk, readSlotHead } from "./slotchunk.js";
-
-/** Bytes of CHANGE_COUNTS. */
-const COUNTS_BYTES = 20;
 
 /**
  * @typedef {object} Change

@@ -147,7 +147,8 @@ def test_a_status_report_may_reach_any_worker(root: Path, tmp_path: Path) -> Non
                 wait_until(lambda p=place, t=play.token: tell(p, t, b'{"frame": 1}')[0] == 404)
         # What it counts it counts once, whoever was asked.
         text = get(server.port, "/metrics").body.decode()
-        assert re.search(r'^swings_play_news_total\{outcome="refused"\} [1-9]', text, re.MULTILINE)
+        name = "swings_play_status_reports_total"
+        assert re.search(rf'^{name}\{{outcome="refused"\}} [1-9]', text, re.MULTILINE)
 
 
 class Comers:

@@ -1,4 +1,4 @@
-"""What workers leave for each other, as bytes."""
+"""The state that one worker leaves in storage for the next, as bytes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from codec.stream.manifest import MANIFEST_NAME
 from trainer.fit.trainer import Trainer
-from trainer.lease.takeover import Held
+from trainer.lease.takeover import PlayerState
 
 from .task import STATE_FOLDER
 
@@ -35,22 +35,22 @@ def unpack_arrays(data: bytes) -> Arrays:
         return {name: file[name] for name in file.files}
 
 
-def under(name: str | int, arrays: Arrays) -> Arrays:
-    """With `name` before each of their own."""
+def with_prefix(name: str | int, arrays: Arrays) -> Arrays:
+    """`arrays` with the prefix `name` on each key."""
     return {f"{name}.{key}": array for key, array in arrays.items()}
 
 
-def below(name: str | int, arrays: Arrays) -> Arrays:
-    """The opposite of `under`."""
+def without_prefix(name: str | int, arrays: Arrays) -> Arrays:
+    """The arrays whose keys have the prefix `name`, without it; the opposite of `with_prefix`."""
     start = f"{name}."
     return {k.removeprefix(start): v for k, v in arrays.items() if k.startswith(start)}
 
 
-def standing(trainer: Trainer, held: Held) -> Arrays:
-    """Where a trainer stands, and what a player holds there."""
-    return {**under("state", trainer.state()), **under("held", held.to_arrays())}
+def part_state(trainer: Trainer, held: PlayerState) -> Arrays:
+    """The state of a trainer, and that of a player which has received all its slices."""
+    return {**with_prefix("state", trainer.state()), **with_prefix("held", held.to_arrays())}
 
 
-def held_in(arrays: Arrays) -> Held:
-    """What a player holds where a trainer stands."""
-    return Held.from_arrays(below("held", arrays))
+def player_state_in(arrays: Arrays) -> PlayerState:
+    """The player's state in the arrays of `part_state`."""
+    return PlayerState.from_arrays(without_prefix("held", arrays))

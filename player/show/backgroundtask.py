@@ -1,4 +1,4 @@
-"""Work that somebody waits for while doing something else."""
+"""Work on a thread, polled by the caller."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import threading
 from collections.abc import Callable
 
 
-class Errand:
+class BackgroundTask:
     """Runs `work` on a thread of its own, which does not keep the program from ending."""
 
     def __init__(self, work: Callable[[], object]) -> None:
         self._work = work
         self._error: BaseException | None = None
-        self._thread = threading.Thread(target=self._run, name="errand", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="background-task", daemon=True)
         self._thread.start()
 
     def _run(self) -> None:
