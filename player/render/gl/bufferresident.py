@@ -8,7 +8,6 @@ import numpy as np
 from codec.camera import Camera
 from codec.stream.manifest import Manifest
 
-from .. import recipe
 from ..pack import texels_per_gaussian
 from .depthsort import DepthSort
 from .glcontext import GlError, Unlocked
@@ -48,7 +47,7 @@ class BufferResident:
             "LANE_SLOTS": slice_size,
             "SLOTS": num_slots,
             "GROUP": GROUP,
-            "SH_DEGREE": min(manifest.sh_degree, recipe.MAX_SH_DEGREE),
+            "SH_DEGREE": min(manifest.sh_degree, 1),
             "RESIDENT_BUFFER": 1,
         }
         self._rows, self._changed = context.buffer(reserve=4), context.buffer(reserve=16)

@@ -9,7 +9,6 @@ import numpy.typing as npt
 from codec.camera import Camera
 from codec.stream.manifest import Manifest
 
-from .. import recipe
 from ..order import Order
 from ..pack import TEXTURE_WIDTH_PX, texels_per_gaussian
 from ..patch import PackedLanes, PackedSlice
@@ -43,7 +42,7 @@ class TextureResident:
         constants = {
             "TEXELS": texels,
             "COLUMNS": columns,
-            "SH_DEGREE": min(manifest.sh_degree, recipe.MAX_SH_DEGREE),
+            "SH_DEGREE": min(manifest.sh_degree, 1),
         }
         self._program = compile_program(context, "splat.glsl", constants)
         self._slots = context.buffer(reserve=4 * manifest.swin_size * lane_slots)
