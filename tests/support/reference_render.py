@@ -151,12 +151,15 @@ def cameras_all_round(count: int) -> list[Camera]:
     return [turned_camera(0.4 + 2 * pi * n / count, f"view{n}") for n in range(count)]
 
 
-def drawn_psnr_db(picture: npt.NDArray[np.float32], splats: Splats, camera: Camera) -> float:
+def drawn_psnr_db(
+    picture: npt.NDArray[np.floating], splats: Splats, camera: Camera, most: float = np.inf
+) -> float:
     """PSNR of `picture` against the reference in float64, over the pixels where that draws
-    anything, in dB; 1.0 is the peak. Nothing nearer than 0.2 m is drawn."""
+    anything, in dB; 1.0 is the peak. Nothing nearer than 0.2 m is drawn. most: pixels above it are
+    cut."""
     arrays = (torch.tensor(array, dtype=torch.float64) for array in splats.arrays)
     expected = render_reference(*arrays, camera, 0.2).numpy()
     drawn = (expected > 0).any(axis=2)
     assert drawn.mean() > 0.3
-    error = picture[drawn].astype(np.float64) - expected[drawn]
+    error = picture[drawn].astype(np.float64) - expected[drawn].clip(max=most)
     return float(-10 * np.log10(np.mean(error**2)))

@@ -23,18 +23,21 @@ vec4 texel(int slot, int n) {
 #endif
 }
 
-#ifdef STAGED
-uniform usampler2D staged;      // Gaussians that came last; their word SLOT_WORD has the slot
+#ifdef STAGED_WIDTH_PX
+uniform usampler2D staged;      // Gaussians that came last, as WebGL2 uploads them
+uniform int item_words;         // of one of them; 0: all slots in turn
+uniform int slot_word;          // which of these names the slot
 #endif
 
 int slot_of(int vertex) {
-#ifdef STAGED
-    int at = vertex * ITEM_WORDS + SLOT_WORD;
-    ivec2 there = ivec2(at / 4 % STAGED_WIDTH_PX, at / 4 / STAGED_WIDTH_PX);
-    return int(texelFetch(staged, there, 0)[at % 4] & 0xffffffu);
-#else
-    return vertex;
+#ifdef STAGED_WIDTH_PX
+    if (item_words > 0) {
+        int at = vertex * item_words + slot_word;
+        ivec2 there = ivec2(at / 4 % STAGED_WIDTH_PX, at / 4 / STAGED_WIDTH_PX);
+        return int(texelFetch(staged, there, 0)[at % 4] & 0xffffffu);
+    }
 #endif
+    return vertex;
 }
 
 void main() {
