@@ -4,13 +4,13 @@ camera moves a little.
 Usage: scripts/bench degrees [--gaussians N] [--size WxH] [--rounds N]
 
 First table: milliseconds of a picture at each degree, with a camera that stands still and one that
-moves 5 cm a picture, so that all colours are evaluated anew; degrees and cameras take turns, so that
-whatever else the machine does meets them alike. Times are medians of the CPU time of the whole
-process and of the clock; ratios are medians of the ratio to degree 0 in the same round.
-Second table, CPU renderer at degree 3: a camera that drifts sideways at some speed, 30 pictures a
-second. turn: of the median Gaussian from one picture to the next; evaluated: colours evaluated per
-picture, as a share of those that show; PSNR against colours that are all new, over the pixels that
-are drawn.
+moves 5 cm a picture, so that all colours are evaluated anew; degrees and cameras take turns, so
+that whatever else the machine does meets them alike. Times are medians, by the clock and of the
+process's CPU time, each beside that of degree 0.
+Second table, CPU renderer at degree 3: a camera that drifts sideways, 30 pictures a second. turn:
+of the median Gaussian from one picture to the next; evaluated: colours that were evaluated for a
+picture, as a share of those that show; PSNR against a picture whose colours are all new, over the
+pixels that are drawn.
 """
 
 from __future__ import annotations
@@ -21,10 +21,11 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
+import numpy.typing as npt
 from rich.console import Console
 from rich.table import Table
 
-from bench.play.play import SIZE, Drawing, open_renderers
+from bench.play.play import SIZE, UPLOAD_SIZE, Drawing, open_renderers
 from bench.play.roomful import SWIN_SIZE, first_window, manifest_of
 from codec.camera import Camera
 from codec.console import run_command
@@ -48,7 +49,7 @@ class DegreesBenchConfig:
 
     gaussians: int = 200_000
     """Gaussians of a frame, a multiple of 5."""
-    size: Annotated[Size, SIZE] = Size(640, 360)
+    size: Annotated[Size, SIZE] = UPLOAD_SIZE
     """Size of the pictures."""
     rounds: int = 15
     """Number of pictures in each median."""
@@ -75,6 +76,12 @@ def time_of(renderer: Drawing, camera: Camera) -> tuple[float, float]:
     return 1e3 * (time.perf_counter() - clock_s), 1e3 * (time.process_time() - cpu_s)
 
 
+def medians_of(times: list[tuple[float, float]]) -> npt.NDArray[np.float64]:
+    """By the clock and of the CPU; the first is not counted."""
+    medians: npt.NDArray[np.float64] = np.median(times[1:], axis=0)
+    return medians
+
+
 def costs(config: DegreesBenchConfig, table: Table) -> None:
     times: dict[tuple[str, int, str], list[tuple[float, float]]] = {}
     with ExitStack() as opened:
@@ -94,10 +101,8 @@ def costs(config: DegreesBenchConfig, table: Table) -> None:
                     taken = time_of(renderer, moving)
                     times.setdefault((name, sh_degree, "still"), []).append(taken)
     for (name, sh_degree, kind), found in times.items():
-        ours = np.array(found)[1:]  # the first is not counted
-        without = np.array(times[name, 0, kind])[1:]
-        clock_ms, cpu_ms = np.median(ours, axis=0)
-        ratio, cpu_ratio = np.median(ours / without, axis=0)
+        clock_ms, cpu_ms = medians_of(found)
+        ratio, cpu_ratio = medians_of(found) / medians_of(times[name, 0, kind])
         table.add_row(
             name, f"{sh_degree}", kind, f"{clock_ms:.1f}", f"{ratio:.3f}", f"{cpu_ms:.1f}",
             f"{cpu_ratio:.3f}",
