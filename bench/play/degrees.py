@@ -130,7 +130,7 @@ def drifts(config: DegreesBenchConfig, table: Table) -> None:
                 fresh.put(slice)
             wanted = fresh.render(0, camera)
             error = (picture - wanted)[(wanted > 0).any(axis=2)].astype(np.float64)
-            psnrs_db.append(-10 * np.log10(max(np.mean(error**2), 1e-12)))
+            psnrs_db.append(-10 * np.log10(max(float(np.mean(error**2)), 1e-12)))
         means = np.concatenate([slice.splats.means for slice in slices])
         distance_m = np.median(np.linalg.norm(means, axis=1))
         table.add_row(

@@ -126,15 +126,15 @@ def project(
 ) -> None:
     """Fills `projection` from the rows `rows` (M,) of `arrays`, in the order of `Splats.arrays`,
     with colours of every degree. camera: see camera_vector; seen: those of these arrays."""
-    *shape, sh = arrays
+    means, log_scales, quats, logits, sh = arrays
     higher = sh.shape[1] > 4
     project_kernel(
-        *shape, seen.dc if higher else sh, rows, camera, tiles_x, tiles_y,
-        projection.projected, projection.depths, projection.tile_boxes,
+        means, log_scales, quats, logits, seen.dc if higher else sh, rows, camera,
+        tiles_x, tiles_y, projection.projected, projection.depths, projection.tile_boxes,
     )  # fmt: skip
     if higher:
         turn = np.float32(np.copysign(seen.turn_rad**2, seen.turn_rad))
         colour_kernel(
-            arrays[0], sh, rows, camera, projection.tile_boxes, turn,
+            means, sh, rows, camera, projection.tile_boxes, turn,
             seen.dc, seen.seen_from, projection.projected,
         )  # fmt: skip
