@@ -211,7 +211,7 @@ def still_lattices(splats: Splats, plan: SlotPlan, rank: RankFunction) -> tuple[
     return tuple(plan.lattice.coarser(min(f, HOLD / 0.5)) for f in layer_coarseness(layers))
 
 
-def _fps_of(source: Path, num_files: int, options: ImportOptions) -> float:
+def fps_of(source: Path, num_files: int, options: ImportOptions) -> float:
     """Frames in a second, from the options or the folder. Raises InvalidError."""
     path = source / FPS_NAME
     fps = STILL_FPS if options.fps is None else options.fps
@@ -251,7 +251,7 @@ def import_stream(
     """
     all_files = find_files(source)
     files = [all_files[n] for n in options.frames.of(len(all_files), source)]
-    options = replace(options, fps=_fps_of(source, len(files), options))
+    options = replace(options, fps=fps_of(source, len(files), options))
     with making_folder(stream) as folder:
         num_steps = (1 + WRITE_STEPS) * len(files)
         survey, source_sh_degree, num_escaped = Survey(), 0, 0

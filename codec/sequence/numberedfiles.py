@@ -10,6 +10,12 @@ from codec.errors import InvalidError
 from codec.interop.formats import READ, has_known_suffix
 
 
+def number_of(path: Path) -> int | None:
+    """The last number in the name of `path`, without its suffix; None if it has none."""
+    digits = re.findall(r"[0-9]+", path.stem)
+    return int(digits[-1]) if digits else None
+
+
 def find_files(source: Path) -> list[Path]:
     """The file `source`, or those of the folder `source` by the last number in their names.
 
@@ -23,13 +29,13 @@ def find_files(source: Path) -> list[Path]:
     for path in sorted(source.iterdir()):
         if path.name.startswith(".") or not has_known_suffix(path):
             continue
-        digits = re.findall(r"[0-9]+", path.stem)
-        if not digits:
+        number = number_of(path)
+        if number is None:
             raise InvalidError(f"{path}: its name has no number to sort a sequence by")
         if not path.is_file():
             what = "a broken link" if path.is_symlink() else "not a regular file"
             raise InvalidError(f"{path} is {what}; replace or remove it")
-        first = numbered.setdefault(int(digits[-1]), path)
+        first = numbered.setdefault(number, path)
         if first is not path:
             raise InvalidError(f"{source}: {first.name} and {path.name} have the same number")
     if not numbered:

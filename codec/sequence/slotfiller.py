@@ -10,6 +10,7 @@ never against what was sent before; so errors do not add up.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,7 @@ from codec.lattice.lattice import (
 )
 from codec.lattice.morton import interleave
 from codec.pose import Doubles
+from codec.slots.slotstate import ESCAPED, Slots, empty_arrays, holds
 from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
 from codec.splats import Splats
 from codec.stream.layers import RankFunction, split_counts
@@ -79,6 +81,21 @@ class SlotFiller:
         self.statuses: Counts = np.zeros(4, np.int64)
         """How many slots were kept, ended, predicted, new so far, after the first file; empty ones
         count as kept."""
+
+    def go_on_after(self, layers: Sequence[Slots]) -> None:
+        """Goes on after what a stream's slots hold in each layer: the next file continues it."""
+        self._states = States.concatenate([slots.states for slots in layers]).copy()
+        conditions = np.concatenate([slots.conditions for slots in layers])
+        self._is_full = holds(conditions)
+        self._has_escaped = conditions == ESCAPED
+        self._slot_of_row = np.flatnonzero(self._is_full)
+        parts = []
+        for slots in layers:
+            rows = np.flatnonzero(holds(slots.conditions))
+            arrays = empty_arrays(len(rows), self._plan.sh_degree)
+            slots.draw(rows, self._plan.lattice, arrays)
+            parts.append(Splats(*arrays))
+        self._before = Splats.concatenate(parts)
 
     @property
     def errors(self) -> Doubles:

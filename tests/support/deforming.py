@@ -1,0 +1,62 @@
+"""A model under a deformation network: every Gaussian sways and jitters, some end, others begin,
+and each file has its own order."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from codec.splats import Floats, Splats
+from tests.support.trained_like import trained_like_splats
+
+FPS = 30.0
+SWAY_M = 0.12
+"""Amplitude of the motion, which is the same for neighbours."""
+SWAY_HZ = 0.35
+JITTER = 3e-4, 0.004, 0.002, 0.02
+"""Standard deviations of what the network adds in each frame to means (metres), log-scales,
+quaternions and logits of opacities."""
+BORN_SHARE = 0.005
+"""Share of the Gaussians that end in a frame, and make room for others."""
+ABSENT_SHARE = 0.002
+"""Largest share that a file lacks for a moment."""
+
+
+class Deforming:
+    """Gives one frame after the other. A model of SH degree 3 has strong view dependence."""
+
+    def __init__(self, count: int, sh_degree: int = 3, seed: int = 0) -> None:
+        self._rng = np.random.default_rng(seed)
+        self._count, self._degree = count, sh_degree
+        self._model = trained_like_splats(count, seed, sh_degree)
+        self._frame = 0
+
+    def next(self) -> Splats:
+        """The Gaussians of the next frame: at most `count`, in any order."""
+        rng, count = self._rng, self._count
+        if self._frame:
+            self._renew()
+        means, log_scales, quats, logits, sh = self._model.arrays
+        swayed = means + self._sway(means)
+        arrays = [
+            (array + rng.normal(0, sigma, array.shape)).astype(np.float32)
+            for array, sigma in zip((swayed, log_scales, quats, logits), JITTER, strict=True)
+        ]
+        here = rng.permutation(count)[: count - int(rng.integers(0, 1 + ABSENT_SHARE * count))]
+        self._frame += 1
+        return Splats(*arrays, sh).take(here)
+
+    def _renew(self) -> None:
+        """Others take the place of some."""
+        ended = np.flatnonzero(self._rng.random(self._count) < BORN_SHARE)
+        fresh = trained_like_splats(max(1, len(ended)), 1000 + self._frame, self._degree)
+        arrays = [array.copy() for array in self._model.arrays]
+        for array, other in zip(arrays, fresh.arrays, strict=True):
+            array[ended] = other[: len(ended)]
+        self._model = Splats(*arrays)
+
+    def _sway(self, means: Floats) -> Floats:
+        """(N, 3) metres, smooth in space and time."""
+        phase = 2 * np.pi * SWAY_HZ * self._frame / FPS
+        x, y, z = means.T.astype(np.float64)
+        turn = np.stack([np.sin(phase + 2 * y), np.sin(1.3 * phase + x), np.cos(phase + z)], axis=1)
+        return (SWAY_M * turn).astype(np.float32)
