@@ -21,9 +21,6 @@ SH_C0 = 0.28209479177387814
 
 MAX_SH_DEGREE = 3
 
-DRAWN_SH_DEGREE = 1
-"""Highest degree that the players draw. A stream may store more, which exports keep."""
-
 
 def sh_count(sh_degree: int) -> int:
     """Coefficients for each colour channel at `sh_degree`."""

@@ -30,14 +30,15 @@ from codec.slots import (
     update,
 )
 from codec.stream import index, integrity, manifest, object, playrecord, reader, storyboard
-from player.render import recipe
+from player.render import pack, recipe
 
 ROOT = Path(__file__).parents[1]
 WEB = ROOT / "player" / "web"
 
 CONSTANTS: dict[ModuleType, str] = {
-    recipe: "LOW_PASS_PX2 JACOBIAN_CLAMP ALPHA_MAX ALPHA_MIN MAX_EXTENT_SIGMA SH_C1 "
-    "MAX_DRAWN_SH_DEGREE=MAX_SH_DEGREE",
+    recipe: "LOW_PASS_PX2 JACOBIAN_CLAMP ALPHA_MAX ALPHA_MIN MAX_EXTENT_SIGMA SH_C1 SH_C2 SH_C3 "
+    "COLOUR_TURN_RAD",
+    pack: "COLOUR_COLUMNS",
     splats: "SH_C0 MAX_SH_DEGREE",
     slice: "MAX_SWIN_SIZE HIDDEN",
     camera: "MAX_IMAGE_PX",
@@ -130,7 +131,7 @@ def camel(name: str) -> str:
 def glsl() -> str:
     """The shaders that OpenGL and WebGL2 share."""
     lines = ["/** Written by scripts/webmodules from player/render/gl/shaders. */"]
-    for name in ("splat", "screen"):
+    for name in ("splat", "colours", "screen"):
         text = (files("player.render.gl") / "shaders" / f"{name}.glsl").read_text(encoding="utf-8")
         lines += ["", f"export const {name.upper()} = /* glsl */ `", text.rstrip(), "`;"]
     return "\n".join(lines) + "\n"

@@ -6,7 +6,6 @@ in it ever expires, so a player may hold or repeat it for as long as it likes.
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -25,7 +24,7 @@ from codec.lattice.quantise import layer_coarseness
 from codec.pose import Doubles
 from codec.slice import Slice
 from codec.slots.slotlayout import MAX_LAYERS, MAX_SEGMENT_SLOTS
-from codec.splats import DRAWN_SH_DEGREE, MAX_SH_DEGREE, Splats
+from codec.splats import MAX_SH_DEGREE, Splats
 from codec.stream.layers import RANKS, Rank, RankFunction, split_counts, split_layers
 from codec.stream.manifest import MAX_FPS, MIN_FPS, Manifest, Point
 from codec.stream.pictures import Draw
@@ -40,8 +39,6 @@ from .importscore import ImportScore, cameras_around
 from .numberedfiles import find_files
 from .slotfiller import SlotFiller, SlotPlan
 from .survey import Survey, read_frame
-
-_log = logging.getLogger(__name__)
 
 WIDTH_PX, HEIGHT_PX = 1280, 720
 VERTICAL_FOV_RAD = math.radians(50)
@@ -84,7 +81,7 @@ class ImportOptions:
     """Largest errors against the files."""
     sh_degree: int | None = None
     """Highest degree of spherical harmonics to keep, 0 to 3; files of lower degree stay as they
-    are. By default all degrees are kept for export; players draw up to degree 1."""
+    are. By default all degrees are kept."""
     title: str | None = None
     """Title of the stream; by default the name of the file or folder."""
 
@@ -126,7 +123,7 @@ class Imported:
     """How many slots were kept, ended, predicted, new after the first frame."""
     scores_db: tuple[tuple[float, ...], ...]
     """PSNR of some frames with 1, 2, ... layers, against the files, if there was something to draw
-    with. The files are drawn at `source_sh_degree`, the stream as players draw it."""
+    with, each drawn with all its harmonics."""
     source_sh_degree: int
     """Highest degree of harmonics in the files."""
 
@@ -259,8 +256,6 @@ def import_stream(
             splats = read_frame(file)
             source_sh_degree = max(source_sh_degree, splats.sh_degree)
             survey.take(file, options.kept(splats))
-            if not number:
-                _warn_of_undrawn(survey.sh_degree)
             progress(number + 1, num_steps)
         title = source.resolve().name if options.title is None else options.title
         rank = RANKS[_known(options.rank)]
@@ -309,18 +304,6 @@ def import_stream(
         () if score is None else tuple(score.scores_db),
         source_sh_degree,
     )
-
-
-def _warn_of_undrawn(sh_degree: int) -> None:
-    """Says what players leave out of a stream of `sh_degree`."""
-    if sh_degree > DRAWN_SH_DEGREE:
-        _log.warning(
-            "SH degree %d: the players draw harmonics up to degree %d only; the others are stored, "
-            "and kept for export; --sh-degree %d leaves them out and makes a smaller stream",
-            sh_degree,
-            DRAWN_SH_DEGREE,
-            DRAWN_SH_DEGREE,
-        )
 
 
 def _known(rank: Rank) -> Rank:

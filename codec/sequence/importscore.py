@@ -9,9 +9,8 @@ import numpy as np
 
 from codec.camera import Camera
 from codec.pose import Doubles, rotation_about
-from codec.similarity import harmonics
 from codec.slice import Slice
-from codec.splats import DRAWN_SH_DEGREE, SH_C0, Splats
+from codec.splats import Splats
 from codec.stream.pictures import Draw
 
 NUM_VIEWS = 3
@@ -21,9 +20,6 @@ SCORE_HEIGHT_PX = 270
 
 SAME_DB = 100.0
 """PSNR of pictures that are the same, or more alike than that."""
-
-BLOCK_ROWS = 1 << 16
-"""Gaussians whose harmonics are evaluated at once, which bounds the memory."""
 
 
 def cameras_around(front: Camera, centre: Doubles) -> list[Camera]:
@@ -50,26 +46,12 @@ def cameras_around(front: Camera, centre: Doubles) -> list[Camera]:
     return cameras
 
 
-def with_seen_colours(splats: Splats, position: Doubles) -> Splats:
-    """`splats` at SH degree 0, with the colours that harmonics of every degree give to a camera at
-    `position`, (3,) metres."""
-    sh = np.empty((len(splats), 1, 3), np.float32)
-    for start in range(0, len(splats), BLOCK_ROWS):
-        rows = slice(start, start + BLOCK_ROWS)
-        directions = splats.means[rows] - position
-        lengths = np.linalg.norm(directions, axis=1, keepdims=True)
-        directions /= np.maximum(lengths, np.finfo(np.float64).tiny)
-        basis = harmonics(directions)[:, : splats.sh.shape[1]]
-        sh[rows, 0] = np.einsum("nk,nkc->nc", basis, splats.sh[rows]) / SH_C0
-    return Splats(*splats.arrays[:4], sh)
-
-
 class ImportScore:
     """A Quality (codec.stream.draft) that compares with `source`: the caller sets it to the file of
     the frame before it appends that frame.
 
-    The stream is drawn as players draw it, the file with its harmonics of every degree: what
-    players leave out counts as an error.
+    Both are drawn with harmonics of every degree that they have: degrees that the stream leaves out
+    count as an error.
     """
 
     def __init__(self, draw: Draw, cameras: Sequence[Camera], near_m: float, every: int) -> None:
@@ -84,10 +66,7 @@ class ImportScore:
             return None
         errors = np.zeros(len(slices))
         for camera in self._cameras:
-            source = self.source
-            if source.sh_degree > DRAWN_SH_DEGREE:
-                source = with_seen_colours(source, camera.position)
-            wanted = self._drawn(source, camera)
+            wanted = self._drawn(self.source, camera)
             for n, part in enumerate(slices):
                 shown = part.splats.take(np.flatnonzero(part.active(birth, 1)))
                 errors[n] += np.mean((self._drawn(shown, camera) - wanted) ** 2)

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 from codec.errors import CodecError
-from codec.splats import DRAWN_SH_DEGREE
 from codec.storage.openstorage import Place
 from codec.stream.index import INDEX_NAME, SegmentRecord
 from codec.stream.integrity import check_index_end
@@ -141,9 +140,6 @@ def describe(summary: StreamSummary) -> str:
     state = "live, may still grow" if s.live else "finished"
     frames = "1 frame" if s.swin_size == 1 else f"{s.swin_size} frames"
     snapshots_bytes = s.size_bytes - s.played_bytes
-    undrawn = ""
-    if s.sh_degree > DRAWN_SH_DEGREE:
-        undrawn = f", of which players draw degree {DRAWN_SH_DEGREE}; exports keep all"
     size = (
         f"{s.played_bytes} bytes, {s.bytes_per_gaussian:.2f} bytes a Gaussian that is sent; "
         f"{snapshots_bytes} bytes of snapshots for joining players"
@@ -153,7 +149,7 @@ def describe(summary: StreamSummary) -> str:
         f"state        {state}",
         f"length       {s.num_frames} frames, {s.duration_s:.1f} s at {s.fps:g} fps",
         f"Gaussians    {s.num_gs} active, in leases of {frames}",
-        f"colour       SH degree {s.sh_degree}{undrawn}",
+        f"colour       SH degree {s.sh_degree}",
         f"cameras      {s.num_cameras}",
         f"segments     {s.num_segments} of {s.segment_frames} frames",
         f"size         {size}",

@@ -16,7 +16,6 @@ from codec.interop.formats import SplatFormat
 from codec.progressline import counted
 from codec.sequence.following import FollowOptions, follow_folder, stopped_by_interrupt
 from codec.sequence.importing import Imported, ImportOptions, import_stream
-from codec.splats import DRAWN_SH_DEGREE
 from codec.stream.pictures import Draw
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 
@@ -128,10 +127,10 @@ def import_files(config: Import, draw: Draw | None = None) -> str:
             f"PSNR         {told_db} dB with 1, 2, ... layers against the files, "
             f"at least {least:.1f} dB with all"
         )
-        if made.source_sh_degree > DRAWN_SH_DEGREE:
+        if made.source_sh_degree > manifest.sh_degree:
             lines.append(
-                f"             the files at SH degree {made.source_sh_degree}, the stream at "
-                f"{min(manifest.sh_degree, DRAWN_SH_DEGREE)} as players draw it"
+                f"             the files at SH degree {made.source_sh_degree}, "
+                f"the stream at {manifest.sh_degree}"
             )
     return "\n".join(lines)
 

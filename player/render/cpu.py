@@ -12,7 +12,8 @@ from codec.stream.manifest import Manifest
 
 from .arrivals import Arrivals, Glide
 from .blend import blend_tiles
-from .project import Projection, camera_vector, project_kernel
+from .colours import SeenColours, project
+from .project import Projection, camera_vector
 from .recipe import TILE_PX
 from .ring import Ring
 from .steptimes import StepTimes, step
@@ -64,7 +65,9 @@ class CpuRenderer:
     def render_again(self, frame: int, camera: Camera) -> Floats:
         # Drawn from where they are: a copy of all that shows would take a sixth of the time.
         rows = self._ring.active_rows(frame)
-        return _draw(self._ring.splats, rows, camera, self._near_m, self.times, self.alpha)
+        return _draw(
+            self._ring.splats, rows, camera, self._near_m, self._ring.seen, self.times, self.alpha
+        )
 
     def close(self) -> None:
         pass
@@ -79,7 +82,8 @@ def render_splats(splats: Splats, camera: Camera, near_m: float) -> Floats:
 
     near_m: Gaussians whose centre lies nearer along the viewing axis are not drawn, metres.
     """
-    return _draw(splats, np.arange(len(splats), dtype=np.int32), camera, near_m, None)
+    seen = SeenColours.none_of(len(splats), splats.sh_degree)
+    return _draw(splats, np.arange(len(splats), dtype=np.int32), camera, near_m, seen, None)
 
 
 def _draw(
@@ -87,6 +91,7 @@ def _draw(
     rows: Ints,
     camera: Camera,
     near_m: float,
+    seen: SeenColours,
     times: StepTimes | None,
     alpha: bool = False,
 ) -> Floats:
@@ -95,20 +100,8 @@ def _draw(
     tiles_x, tiles_y = tile_grid(camera.width_px, camera.height_px)
     with step(times, "sort_ms", _nothing):
         projection = Projection.allocate(len(rows))
-        project_kernel(
-            splats.means,
-            splats.log_scales,
-            splats.quats,
-            splats.logit_opacities,
-            splats.sh,
-            rows,
-            camera_vector(camera, near_m),
-            tiles_x,
-            tiles_y,
-            projection.projected,
-            projection.depths,
-            projection.tile_boxes,
-        )
+        vector = camera_vector(camera, near_m)
+        project(splats.arrays, rows, vector, tiles_x, tiles_y, projection, seen)
         lists = list_tiles(projection, tiles_x, tiles_y)
     with step(times, "draw_ms", _nothing):
         picture = np.empty((3 + alpha, tiles_y * TILE_PX, tiles_x * TILE_PX), np.float32)

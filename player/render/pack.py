@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from codec.kernel import kernel
 from codec.slice import HIDDEN, Slice
-from codec.splats import SH_C0
+from codec.splats import SH_C0, sh_count
 
 from .project import rotation_of
 from .recipe import ALPHA_MIN
@@ -25,10 +25,14 @@ NEVER = np.iinfo(np.int32).max
 """Start of a Gaussian that no frame shows."""
 
 
+COLOUR_COLUMNS = 2048
+"""Gaussians in a row of the texture of colours that harmonics of degree 2 and 3 give."""
+
+
 def texels_per_gaussian(sh_degree: int) -> int:
-    """Texels of four words: mean 3, opacity, covariance 6, colour 3, linear harmonics 9; the last
-    two words are free."""
-    return 6 if sh_degree >= 1 else 4
+    """Texels of four words: mean 3, opacity, covariance 6, colour 3, harmonics 3 each from degree 1
+    on; the last two words are free."""
+    return -(-(15 + 3 * (sh_count(sh_degree) - 1)) // 4)
 
 
 @kernel(nogil=True)
@@ -61,10 +65,9 @@ def _pack_rows(  # type: ignore[no-untyped-def]
         words[i, 9] = r20 * r20 + r21 * r21 + r22 * r22
         for c in range(3):
             words[i, 10 + c] = half + c0 * sh[i, 0, c]
-        if words.shape[1] > 16:
-            for k in range(3):
-                for c in range(3):
-                    words[i, 13 + 3 * k + c] = sh[i, 1 + k, c]
+        for k in range(sh.shape[1] - 1):
+            for c in range(3):
+                words[i, 13 + 3 * k + c] = sh[i, 1 + k, c]
 
 
 def pack_slice(slice: Slice, words: Floats, starts: Ints) -> None:

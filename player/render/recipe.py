@@ -6,8 +6,6 @@ squared Mahalanobis distance in pixels. Pixel (i, j) has its centre at (i + 0.5,
 background is black.
 """
 
-from codec.splats import DRAWN_SH_DEGREE
-
 LOW_PASS_PX2 = 0.3
 """Added to both variances of the projected Gaussian, px^2."""
 
@@ -26,11 +24,21 @@ contributing."""
 MAX_EXTENT_SIGMA = 3.33
 """Extent of a Gaussian's box: min(this, sqrt(2 ln(255 opacity))) standard deviations."""
 
-MAX_SH_DEGREE = DRAWN_SH_DEGREE
-"""The constant and the linear harmonics are drawn; a stream may have more."""
-
 SH_C1 = 0.4886025119029199
-"""Linear spherical harmonics; colour = max(0, 0.5 + C0 s0 - C1 y s1 + C1 z s2 - C1 x s3)."""
+SH_C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
+SH_C3 = (
+    0.5900435899266435,
+    2.890611442640554,
+    0.4570457994644658,
+    0.3731763325901154,
+    1.445305721320277,
+)
+"""Constants of the real spherical harmonics of degree 1, 2 and 3, those of 3D Gaussian Splatting:
+colour = max(0, 0.5 + sum of coefficients * harmonics), see codec/FORMAT.md."""
+
+COLOUR_TURN_RAD = 0.002
+"""A colour of degree 2 or 3 may be kept while the direction from the camera to the Gaussian turned
+by no more than this."""
 
 TILE_PX = 16
 """Side of a tile of the CPU rasteriser: one row of a tile is one vector of float32."""

@@ -6,7 +6,6 @@ that made the renderer.
 
 from __future__ import annotations
 
-import logging
 from enum import StrEnum
 from typing import Protocol
 
@@ -18,10 +17,7 @@ from codec.errors import UnsupportedError
 from codec.slice import Slice
 from codec.stream.manifest import Manifest
 
-from .recipe import MAX_SH_DEGREE
 from .steptimes import StepTimes
-
-log = logging.getLogger(__name__)
 
 Floats = npt.NDArray[np.float32]
 
@@ -110,10 +106,4 @@ def check_drawable(manifest: Manifest) -> None:
     if manifest.antialias:
         raise UnsupportedError(
             "the stream was trained with opacity compensation (antialias); recipe v1 lacks it"
-        )
-    if manifest.sh_degree > MAX_SH_DEGREE:
-        log.warning(
-            "the stream has harmonics of degree %d; recipe v1 draws only degrees up to %d",
-            manifest.sh_degree,
-            MAX_SH_DEGREE,
         )

@@ -9,6 +9,7 @@ from codec.errors import InvalidError
 from codec.slice import HIDDEN, Slice, blank_splats, kept_offsets, window_births
 from codec.splats import Splats
 
+from .colours import SeenColours
 from .lane import check_slice
 
 Rows = npt.NDArray[np.int32] | slice
@@ -33,6 +34,8 @@ class Ring:
         self.sh_degree = sh_degree
         self.splats = blank_splats(swin_size * slice_size, sh_degree)
         """All lanes, one after another, whether they show or not."""
+        self.seen = SeenColours.none_of(len(self.splats), sh_degree)
+        """The colours in which they were seen last."""
         self._start_offsets = np.zeros((swin_size, slice_size), np.uint8)
         self._births: list[int | None] = [None] * swin_size
 
@@ -62,6 +65,7 @@ class Ring:
         for array, changed in zip(self.splats.arrays, slice.splats.arrays, strict=True):
             array[first : first + self.slice_size][rows] = changed
         self._start_offsets[lane][rows] = slice.start_offsets
+        self.seen.forget(first, first + self.slice_size, rows)
 
     def active_rows(self, frame: int) -> npt.NDArray[np.int32]:
         """(M,) int32: the rows of `splats` that show at `frame`, oldest slice first."""

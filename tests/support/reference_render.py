@@ -5,18 +5,20 @@ With a scene and a camera to compare renderers by.
 
 from __future__ import annotations
 
+from math import pi, sqrt
+
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from codec.camera import Camera
-from codec.splats import SH_C0, Splats, sh_count
+from codec.splats import Splats, sh_count
 from player.render.recipe import (
     ALPHA_MAX,
     ALPHA_MIN,
     JACOBIAN_CLAMP,
     LOW_PASS_PX2,
-    SH_C1,
     TRANSMITTANCE_MIN,
 )
 
@@ -30,6 +32,30 @@ def rotations(quats: Tensor) -> Tensor:
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
     return torch.stack([torch.stack(row, 1) for row in rows], 1)
+
+
+def harmonics(directions: Tensor, count: int) -> Tensor:
+    """(N, count) the first real spherical harmonics, each normalised over the sphere, in the
+    directions (N, 3) of any length; those of odd order have the sign of 3D Gaussian Splatting."""
+    x, y, z = torch.nn.functional.normalize(directions, dim=1).unbind(1)
+    one = torch.ones_like(x)
+    every = [
+        sqrt(1 / (4 * pi)) * one,
+        *(sqrt(3 / (4 * pi)) * axis for axis in (-y, z, -x)),
+        sqrt(15 / (4 * pi)) * x * y,
+        -sqrt(15 / (4 * pi)) * y * z,
+        sqrt(5 / (16 * pi)) * (3 * z**2 - 1),
+        -sqrt(15 / (4 * pi)) * x * z,
+        sqrt(15 / (16 * pi)) * (x**2 - y**2),
+        -sqrt(35 / (32 * pi)) * y * (3 * x**2 - y**2),
+        sqrt(105 / (4 * pi)) * x * y * z,
+        -sqrt(21 / (32 * pi)) * y * (5 * z**2 - 1),
+        sqrt(7 / (16 * pi)) * z * (5 * z**2 - 3),
+        -sqrt(21 / (32 * pi)) * x * (5 * z**2 - 1),
+        sqrt(105 / (16 * pi)) * z * (x**2 - y**2),
+        -sqrt(35 / (32 * pi)) * x * (x**2 - 3 * y**2),
+    ]
+    return torch.stack(every[:count], 1)
 
 
 def render_reference(
@@ -68,14 +94,8 @@ def render_reference(
     centre = torch.stack(
         [camera.fx_px * x / z + camera.cx_px, camera.fy_px * y / z + camera.cy_px], 1
     )
-    colour = 0.5 + SH_C0 * sh[:, 0]
-    if sh.shape[1] >= 4:
-        position = torch.tensor(camera.position, dtype=dtype)
-        dx, dy, dz = torch.nn.functional.normalize(means - position, dim=1).unbind(1)
-        colour = colour + SH_C1 * (
-            dz[:, None] * sh[:, 2] - dy[:, None] * sh[:, 1] - dx[:, None] * sh[:, 3]
-        )
-    colour = colour.clamp(min=0)
+    directions = means - torch.tensor(camera.position, dtype=dtype)
+    colour = (0.5 + (harmonics(directions, sh.shape[1])[..., None] * sh).sum(1)).clamp(min=0)
     opacity = torch.sigmoid(logits)
     v, u = torch.meshgrid(
         torch.arange(camera.height_px, dtype=dtype) + 0.5,
@@ -124,3 +144,22 @@ def turned_camera(angle_rad: float = 0.4, name: str = "test") -> Camera:
     ]
     w2c[:3, 3] = (0.1, -0.2, 2.2)
     return Camera(name, 45, 37, 40.0, 43.0, 21.0, 20.0, w2c)
+
+
+def cameras_all_round(count: int) -> list[Camera]:
+    """`turned_camera` at even angles about the scene."""
+    return [turned_camera(0.4 + 2 * pi * n / count, f"view{n}") for n in range(count)]
+
+
+def drawn_psnr_db(
+    picture: npt.NDArray[np.floating], splats: Splats, camera: Camera, most: float = np.inf
+) -> float:
+    """PSNR of `picture` against the reference in float64, over the pixels where that draws
+    anything, in dB; 1.0 is the peak. Nothing nearer than 0.2 m is drawn. most: pixels above it are
+    cut."""
+    arrays = (torch.tensor(array, dtype=torch.float64) for array in splats.arrays)
+    expected = render_reference(*arrays, camera, 0.2).numpy()
+    drawn = (expected > 0).any(axis=2)
+    assert drawn.mean() > 0.3
+    error = picture[drawn].astype(np.float64) - expected[drawn].clip(max=most)
+    return float(-10 * np.log10(np.mean(error**2)))

@@ -8,8 +8,8 @@ import numpy as np
 from codec.camera import Camera
 from codec.stream.manifest import Manifest
 
-from .. import recipe
 from ..pack import texels_per_gaussian
+from .colourpass import ColourPass
 from .depthsort import DepthSort
 from .glcontext import GlError, Unlocked
 from .programs import compile_compute, compile_program, set_camera
@@ -48,7 +48,7 @@ class BufferResident:
             "LANE_SLOTS": slice_size,
             "SLOTS": num_slots,
             "GROUP": GROUP,
-            "SH_DEGREE": min(manifest.sh_degree, recipe.MAX_SH_DEGREE),
+            "SH_DEGREE": manifest.sh_degree,
             "RESIDENT_BUFFER": 1,
         }
         self._rows, self._changed = context.buffer(reserve=4), context.buffer(reserve=16)
@@ -57,6 +57,10 @@ class BufferResident:
         self._cull = compile_compute(context, "cull.glsl", {**constants, **self._sort.constants})
         self._groups = -(-num_slots // GROUP)
         self._program = compile_program(context, "splat.glsl", constants, version=430)
+        self._colours: ColourPass | None = None
+        if manifest.sh_degree >= 2:
+            self._colours = ColourPass(context, num_slots, self._near_m, constants, 430)
+            self._program["colours"] = 1
         self._quads = context.vertex_array(self._program, [(self._sort.order, "1u/i", "slot")])
 
     def upload(self, packed: PackedRows) -> int:
@@ -66,6 +70,8 @@ class BufferResident:
         self._lanes_buffer.write(lane, offset=lane.nbytes * packed.lane)
         if not len(packed.words):
             return 0
+        if self._colours is not None:
+            self._colours.forget(first_slot, self._slice_size)
         if packed.rows is None:
             self._gaussians.write(packed.words, offset=first_slot * self._gaussian_bytes)
             return packed.words.nbytes
@@ -88,6 +94,8 @@ class BufferResident:
         self._cull["near_bits"] = int(near_m.view(np.uint32))
         set_camera(self._cull, camera)
         self._gaussians.bind_to_storage_buffer(_GAUSSIANS)
+        if self._colours is not None:
+            self._colours.update(camera)
         self._lanes_buffer.bind_to_storage_buffer(_LANES)
         self._sort.bind()
         self._unlocked.compute(self._cull, self._groups)
@@ -96,6 +104,8 @@ class BufferResident:
     def draw(self, camera: Camera) -> None:
         set_camera(self._program, camera)
         self._gaussians.bind_to_storage_buffer(_GAUSSIANS)
+        if self._colours is not None:
+            self._colours.bind()
         self._unlocked.draw_command(self._quads, self._sort.command)
 
 

@@ -85,6 +85,7 @@ class Unlocked:
         self._library: ctypes.CDLL | None = None
         uint, sint = ctypes.c_uint, ctypes.c_int
         types: dict[str, tuple[Any, ...]] = {"glDrawArraysInstanced": (uint, sint, sint, sint)}
+        types["glDrawArrays"] = (uint, sint, sint)
         types["glFinish"] = ()
         if context.version_code >= 430:
             types["glBindBuffer"] = (uint, uint)
@@ -106,6 +107,14 @@ class Unlocked:
         # No instance at all: this only binds the program and its buffers.
         quads.render(moderngl.TRIANGLE_STRIP, vertices=4, instances=0)
         self._library.glDrawArraysInstanced(moderngl.TRIANGLE_STRIP, 0, 4, count)
+
+    def draw_points(self, points: moderngl.VertexArray, first: int, count: int) -> None:
+        """Draws the vertices from `first` on, each as a point."""
+        if self._library is None:
+            points.render(moderngl.POINTS, vertices=count, first=first)
+            return
+        points.render(moderngl.POINTS, vertices=0)
+        self._library.glDrawArrays(moderngl.POINTS, first, count)
 
     def draw_command(self, quads: moderngl.VertexArray, command: moderngl.Buffer) -> None:
         """Draws as many quads as the command in the GPU's own memory says."""

@@ -12,12 +12,16 @@ import numpy.typing as npt
 from codec.camera import Camera
 
 from .. import recipe
+from ..pack import COLOUR_COLUMNS
 from ..project import jacobian_limits
 
 Constants = Mapping[str, int | float | str]
 
 _RECIPE: Constants = {
     "SH_C1": recipe.SH_C1,
+    **{f"SH_C2_{n}": value for n, value in enumerate(recipe.SH_C2)},
+    **{f"SH_C3_{n}": value for n, value in enumerate(recipe.SH_C3)},
+    "COLOUR_COLUMNS": COLOUR_COLUMNS,
     "LOW_PASS_PX2": recipe.LOW_PASS_PX2,
     "MAX_EXTENT_SIGMA": recipe.MAX_EXTENT_SIGMA,
     "ALPHA_MIN": recipe.ALPHA_MIN,
@@ -66,6 +70,6 @@ def set_camera(program: moderngl.Program | moderngl.ComputeShader, camera: Camer
     }
     for name, value in values.items():
         uniform = program.get(name, None)
-        # A compiler leaves out what it finds unused: `position` without linear harmonics.
+        # A compiler leaves out what it finds unused: `position` but for linear harmonics.
         if isinstance(uniform, moderngl.Uniform):
             uniform.write(np.ascontiguousarray(value, np.float32))

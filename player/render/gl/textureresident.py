@@ -9,10 +9,10 @@ import numpy.typing as npt
 from codec.camera import Camera
 from codec.stream.manifest import Manifest
 
-from .. import recipe
 from ..order import Order
 from ..pack import TEXTURE_WIDTH_PX, texels_per_gaussian
 from ..patch import PackedLanes, PackedSlice
+from .colourpass import ColourPass
 from .glcontext import GlError, Unlocked
 from .programs import compile_program, set_camera
 
@@ -43,9 +43,15 @@ class TextureResident:
         constants = {
             "TEXELS": texels,
             "COLUMNS": columns,
-            "SH_DEGREE": min(manifest.sh_degree, recipe.MAX_SH_DEGREE),
+            "SH_DEGREE": manifest.sh_degree,
         }
         self._program = compile_program(context, "splat.glsl", constants)
+        self._colours: ColourPass | None = None
+        if manifest.sh_degree >= 2:
+            num_slots = manifest.swin_size * lane_slots
+            self._colours = ColourPass(context, num_slots, self._near_m, constants, 330)
+            self._program["colours"] = 1
+        self._lane_slots = lane_slots
         self._slots = context.buffer(reserve=4 * manifest.swin_size * lane_slots)
         self._quads = context.vertex_array(self._program, [(self._slots, "1u/i", "slot")])
 
@@ -58,9 +64,14 @@ class TextureResident:
             self._texture.write(
                 patch.texels, viewport=(patch.x_px, patch.y_px, width_px, height_px)
             )
+        if self._colours is not None:
+            self._colours.forget(packed.lane * self._lane_slots, self._lane_slots)
         return packed.num_bytes
 
     def sort(self, frame: int, camera: Camera) -> None:
+        if self._colours is not None:
+            self._texture.use(0)
+            self._colours.update(camera)
         self._shown = self._order.far_first(frame, camera.w2c, self._near_m)
 
     def draw(self, camera: Camera) -> None:
@@ -71,4 +82,6 @@ class TextureResident:
         self._slots.write(self._shown)
         set_camera(self._program, camera)
         self._texture.use(0)
+        if self._colours is not None:
+            self._colours.bind()
         self._unlocked.draw_quads(self._quads, len(self._shown))

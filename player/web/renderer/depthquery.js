@@ -1,6 +1,6 @@
 import { SPLAT } from "./glsl.js";
 import { makeProgram } from "./program.js";
-import { makeTexture } from "./resident.js";
+import { makeTexture } from "./texture.js";
 
 /** A pixel that is less opaque than this has no depth. */
 const LEAST_ALPHA = 0.25;

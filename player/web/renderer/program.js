@@ -1,13 +1,27 @@
 import {
   ALPHA_MAX,
   ALPHA_MIN,
+  COLOUR_COLUMNS,
   LOW_PASS_PX2,
   MAX_EXTENT_SIGMA,
   SH_C0,
   SH_C1,
+  SH_C2,
+  SH_C3,
 } from "../constants.js";
 
-const RECIPE = { ALPHA_MAX, ALPHA_MIN, LOW_PASS_PX2, MAX_EXTENT_SIGMA, SH_C0, SH_C1 };
+/** @type {Record<string, number>} */
+const RECIPE = {
+  ALPHA_MAX,
+  ALPHA_MIN,
+  COLOUR_COLUMNS,
+  LOW_PASS_PX2,
+  MAX_EXTENT_SIGMA,
+  SH_C0,
+  SH_C1,
+  ...Object.fromEntries(SH_C2.map((value, n) => [`SH_C2_${n}`, value])),
+  ...Object.fromEntries(SH_C3.map((value, n) => [`SH_C3_${n}`, value])),
+};
 const HEAD = `#version 300 es
 precision highp float;
 precision highp int;

@@ -1,14 +1,13 @@
-import { MAX_DRAWN_SH_DEGREE } from "../constants.js";
 import { ContextLostError, makeProgram, RendererError } from "./program.js";
 import { EXPAND_FLOATS, EXPAND_LATTICE } from "./shaders.js";
+import { makeTexture, STAGED_WIDTH_PX } from "./texture.js";
 
-const STAGED_WIDTH_PX = 1024;
 /** A texture that the frame before still reads from is not written. */
 const NUM_STAGED = 3;
 
-/** Texels of a drawn Gaussian. @param {number} shDegree */
-export function texelsPerGaussian(shDegree) {
-  return shDegree >= 1 ? 6 : 4;
+/** Texels of a drawn Gaussian, as pack.py has them. @param {number} shDegree */
+function texelsPerGaussian(shDegree) {
+  return Math.ceil((15 + 3 * ((shDegree + 1) ** 2 - 1)) / 4);
 }
 
 /** Words of a Gaussian on the lattice as it is uploaded. @param {number} shDegree */
@@ -41,7 +40,7 @@ export class Resident {
   constructor(gl, numSlots, shDegree, lattices) {
     this.gl = gl;
     this.shDegree = shDegree;
-    this.texels = texelsPerGaussian(Math.min(shDegree, MAX_DRAWN_SH_DEGREE));
+    this.texels = texelsPerGaussian(shDegree);
     this.columns = Math.floor(2048 / this.texels);
     this.widthPx = this.columns * this.texels;
     this.heightPx = Math.max(1, Math.ceil(numSlots / this.columns));
@@ -59,6 +58,8 @@ export class Resident {
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.texture, 0);
     this.staged = Array.from({ length: NUM_STAGED }, () => ({ texture: makeTexture(gl), rows: 0 }));
     this.nextStaged = 0;
+    /** @type {import("./colourpass.js").ColourPass | null} keeps the colours of what is put */
+    this.colours = null;
     this.uploadedBytes = 0;
     /** Nothing is read from it: the shaders count points. */
     this.points = gl.createVertexArray();
@@ -89,7 +90,7 @@ export class Resident {
    * @param {Uint32Array} words `latticeWords` each, in `roomFor` them
    */
   putLattice(words) {
-    this.#put(words, latticeWords(this.shDegree), this.lattice);
+    this.#put(words, latticeWords(this.shDegree), this.lattice, 3);
   }
 
   /**
@@ -97,18 +98,20 @@ export class Resident {
    * @param {Uint32Array} words the bits of `floatWords` floats each, in `roomFor` them
    */
   putFloats(words) {
-    this.#put(words, floatWords(this.shDegree), this.floats);
+    this.#put(words, floatWords(this.shDegree), this.floats, 0);
   }
 
   /**
    * @param {Uint32Array} words
    * @param {number} wordsEach
    * @param {import("./program.js").Program} program
+   * @param {number} slotWord which of a Gaussian's words names its slot
    */
-  #put(words, wordsEach, program) {
+  #put(words, wordsEach, program, slotWord) {
     if (words.length === 0) return;
     const { gl } = this;
-    this.#stage(words);
+    const staged = this.#stage(words);
+    const count = Math.floor(words.length / wordsEach);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.framebuffer);
     gl.viewport(0, 0, this.widthPx, this.heightPx);
     gl.disable(gl.BLEND);
@@ -116,10 +119,11 @@ export class Resident {
     gl.uniform1i(program.at("staged"), 0);
     gl.uniform2f(program.at("size_px"), this.widthPx, this.heightPx);
     gl.bindVertexArray(this.points);
-    gl.drawArrays(gl.POINTS, 0, Math.floor(words.length / wordsEach) * this.texels);
+    gl.drawArrays(gl.POINTS, 0, count * this.texels);
+    this.colours?.put(this.texture, staged, count, wordsEach, slotWord);
   }
 
-  /** Uploads `words` into the next staging texture, and binds it. @param {Uint32Array} words */
+  /** Uploads `words` into the next staging texture, binds and gives it. @param {Uint32Array} words */
   #stage(words) {
     const { gl } = this;
     const staged = this.staged[this.nextStaged];
@@ -152,6 +156,7 @@ export class Resident {
       gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, whole, rest.length / 4, 1, format, type, rest);
     }
     this.uploadedBytes += words.byteLength;
+    return staged.texture;
   }
 
   close() {
@@ -162,15 +167,4 @@ export class Resident {
     for (const { texture } of this.staged) gl.deleteTexture(texture);
     for (const { program } of [this.lattice, this.floats]) gl.deleteProgram(program);
   }
-}
-
-/** A texture without filters, bound. @param {WebGL2RenderingContext} gl */
-export function makeTexture(gl) {
-  const texture = gl.createTexture();
-  gl.bindTexture(gl.TEXTURE_2D, texture);
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE);
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
-  return texture;
 }

@@ -3,9 +3,9 @@
 /**
  * A program that stores a texel for each point.
  *
- * Makes the texels of a Gaussian from its numbers: mean 3, opacity, covariance 6, colour 3, linear
- * harmonics 9. Every texel is one point; all points of a Gaussian compute the same.
- * @param {string} main the vertex stage, which calls `finish`
+ * Makes the texels of a Gaussian from its numbers: mean 3, opacity, covariance 6, colour 3, then
+ * the harmonics from degree 1 on. Every texel is one point; all points of a Gaussian compute the same.
+ * @param {string} main the vertex stage, which has `coefficient` and calls `finish`
  */
 const expanding = (main) => /* glsl */ `
 #ifdef VERTEX_STAGE
@@ -20,8 +20,10 @@ uint word(int item, int n) {
   return texelFetch(staged, ivec2(at / 4 % STAGED_WIDTH_PX, at / 4 / STAGED_WIDTH_PX), 0)[at % 4];
 }
 
-void finish(uint slot, int n, vec3 mean, vec3 log_scales, vec4 quat, float opacity, vec3 dc,
-            vec3 first, vec3 second, vec3 third) {
+// Coefficient k, RGB, of the harmonics of an item.
+vec3 coefficient(int item, int k);
+
+void finish(int item, uint slot, int n, vec3 mean, vec3 log_scales, vec4 quat, float opacity) {
   vec4 q = quat / length(quat);
   mat3 turned = mat3(
     1.0 - 2.0 * (q.z * q.z + q.w * q.w), 2.0 * (q.y * q.z + q.x * q.w), 2.0 * (q.y * q.w - q.x * q.z),
@@ -30,14 +32,19 @@ void finish(uint slot, int n, vec3 mean, vec3 log_scales, vec4 quat, float opaci
   vec3 scales = exp(log_scales);
   mat3 stretched = mat3(turned[0] * scales.x, turned[1] * scales.y, turned[2] * scales.z);
   mat3 cov = stretched * transpose(stretched);
-  vec3 colour = 0.5 + SH_C0 * dc;
   vec4 found = vec4(0.0);
   if (n == 0) found = vec4(mean, opacity);
   else if (n == 1) found = vec4(cov[0][0], cov[0][1], cov[0][2], cov[1][1]);
-  else if (n == 2) found = vec4(cov[1][2], cov[2][2], colour.rg);
-  else if (n == 3) found = vec4(colour.b, first);
-  else if (n == 4) found = vec4(second, third.r);
-  else found = vec4(third.gb, 0.0, 0.0);
+  else {
+    if (n == 2) found.xy = vec2(cov[1][2], cov[2][2]);
+    // Word 10 is the first of the colour.
+    for (int i = n == 2 ? 2 : 0; i < 4; i++) {
+      int at = 4 * n + i - 10, k = at / 3;
+      if (k >= K) break;
+      float value = coefficient(item, k)[at % 3];
+      found[i] = k == 0 ? 0.5 + SH_C0 * value : value;
+    }
+  }
   texel = floatBitsToUint(found);
   ivec2 at = ivec2((int(slot) % COLUMNS) * TEXELS + n, int(slot) / COLUMNS);
   gl_Position = vec4((vec2(at) + 0.5) / size_px * 2.0 - 1.0, 0.0, 1.0);
@@ -69,7 +76,8 @@ int code_of(int item, int i) {
   return int(word(item, 4 + i / 4) << (24 - 8 * (i % 4))) >> 24;
 }
 
-vec3 rgb(int item, int c, float size) {
+vec3 coefficient(int item, int c) {
+  float size = more_steps[int(word(item, 3) >> 24)].x;
   float y = float(code_of(item, 3 + c)) * size;
   float co = float(code_of(item, 3 + K + c)) * size;
   float cg = float(code_of(item, 3 + 2 * K + c)) * size;
@@ -88,13 +96,7 @@ void main() {
   vec3 turn = vec3(code_of(item, 0), code_of(item, 1), code_of(item, 2)) * sizes.w;
   vec4 quat = vec4(sqrt(max(1.0 - dot(turn, turn), 0.0)), turn);
   float opacity = float(code_of(item, 3 + 3 * K) & 255) / more.y;
-#if K >= 4
-  vec3 first = rgb(item, 1, more.x), second = rgb(item, 2, more.x), third = rgb(item, 3, more.x);
-#else
-  vec3 first = vec3(0.0), second = vec3(0.0), third = vec3(0.0);
-#endif
-  finish(place & 0xffffffu, gl_VertexID % TEXELS, mean, a * sizes.y + sizes.z, quat, opacity,
-         rgb(item, 0, more.x), first, second, third);
+  finish(item, place & 0xffffffu, gl_VertexID % TEXELS, mean, a * sizes.y + sizes.z, quat, opacity);
 }
 `);
 
@@ -108,17 +110,15 @@ vec3 three(int item, int n) {
   return vec3(number(item, n), number(item, n + 1), number(item, n + 2));
 }
 
+vec3 coefficient(int item, int k) {
+  return three(item, 12 + 3 * k);
+}
+
 void main() {
   int item = gl_VertexID / TEXELS;
   uint slot = floatBitsToUint(number(item, 0));
   vec4 quat = vec4(number(item, 7), three(item, 8));
   float opacity = 1.0 / (1.0 + exp(-number(item, 11)));
-#if K >= 4
-  vec3 first = three(item, 15), second = three(item, 18), third = three(item, 21);
-#else
-  vec3 first = vec3(0.0), second = vec3(0.0), third = vec3(0.0);
-#endif
-  finish(slot, gl_VertexID % TEXELS, three(item, 1), three(item, 4), quat, opacity,
-         three(item, 12), first, second, third);
+  finish(item, slot, gl_VertexID % TEXELS, three(item, 1), three(item, 4), quat, opacity);
 }
 `);

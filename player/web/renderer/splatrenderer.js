@@ -1,8 +1,10 @@
-import { JACOBIAN_CLAMP, MAX_DRAWN_SH_DEGREE } from "../constants.js";
+import { JACOBIAN_CLAMP } from "../constants.js";
+import { ColourPass } from "./colourpass.js";
 import { DepthQuery } from "./depthquery.js";
 import { SCREEN, SPLAT } from "./glsl.js";
 import { makeProgram, RendererError } from "./program.js";
-import { makeTexture, Resident } from "./resident.js";
+import { Resident } from "./resident.js";
+import { makeTexture } from "./texture.js";
 
 /**
  * What a stream needs of the GPU.
@@ -25,9 +27,11 @@ export class SplatRenderer {
     this.isFine = gl.getExtension("EXT_color_buffer_float") !== null;
     this.resident = new Resident(gl, shape.numSlots, shape.shDegree, shape.lattices);
     const { columns, texels } = this.resident;
-    const degree = Math.min(shape.shDegree, MAX_DRAWN_SH_DEGREE);
-    const defines = { COLUMNS: columns, TEXELS: texels, SH_DEGREE: degree, STALE_ORDER: 1 };
+    const { shDegree } = shape;
+    const defines = { COLUMNS: columns, TEXELS: texels, SH_DEGREE: shDegree, STALE_ORDER: 1 };
     this.defines = defines;
+    this.colours = shDegree >= 2 ? new ColourPass(gl, shape, defines) : null;
+    this.resident.colours = this.colours;
     this.splats = makeProgram(gl, SPLAT, defines);
     this.screen = makeProgram(gl, SCREEN);
     this.order = gl.createBuffer();
@@ -80,6 +84,7 @@ export class SplatRenderer {
    */
   draw(camera, corner = { xPx: 0, yPx: 0 }, target = null) {
     const { gl } = this;
+    this.colours?.follow(positionOf(camera), this.resident.texture);
     const picture = this.#pictureOf(camera.widthPx, camera.heightPx);
     gl.bindFramebuffer(gl.FRAMEBUFFER, picture.framebuffer);
     gl.clearColor(0, 0, 0, 0);
@@ -127,6 +132,10 @@ export class SplatRenderer {
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     gl.useProgram(splats.program);
     this.#setCamera(camera, splats);
+    if (this.colours !== null) {
+      gl.activeTexture(gl.TEXTURE1);
+      gl.bindTexture(gl.TEXTURE_2D, this.colours.texture);
+    }
     gl.activeTexture(gl.TEXTURE0);
     gl.bindTexture(gl.TEXTURE_2D, this.resident.texture);
     gl.bindVertexArray(this.quads);
@@ -142,12 +151,12 @@ export class SplatRenderer {
     const m = camera.w2c;
     const rotation = [m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]]; // columns
     const [x, y, z] = [m[3], m[7], m[11]];
-    const position = [0, 1, 2].map((axis) => -(m[axis] * x + m[4 + axis] * y + m[8 + axis] * z));
     gl.uniform1i(splats.at("gaussians"), 0);
+    gl.uniform1i(splats.at("colours"), 1);
     gl.uniform1f(splats.at("near_m"), this.nearM);
     gl.uniformMatrix3fv(splats.at("rotation"), false, rotation);
     gl.uniform3f(splats.at("translation"), x, y, z);
-    gl.uniform3fv(splats.at("position"), position);
+    gl.uniform3fv(splats.at("position"), positionOf(camera));
     gl.uniform2f(splats.at("focal_px"), camera.fxPx, camera.fyPx);
     gl.uniform2f(splats.at("centre_px"), camera.cxPx, camera.cyPx);
     gl.uniform2f(splats.at("size_px"), camera.widthPx, camera.heightPx);
@@ -192,9 +201,15 @@ export class SplatRenderer {
     const { gl } = this;
     this.#dropPicture();
     this.depths?.close();
+    this.colours?.close();
     this.resident.close();
     gl.deleteBuffer(this.order);
     for (const array of [this.quads, this.nothing]) gl.deleteVertexArray(array);
     for (const { program } of [this.splats, this.screen]) gl.deleteProgram(program);
   }
+}
+
+/** Where the camera stands in the world, metres. @param {import("../format/camera.js").Camera} camera */
+function positionOf({ w2c: m }) {
+  return [0, 1, 2].map((axis) => -(m[axis] * m[3] + m[4 + axis] * m[7] + m[8 + axis] * m[11]));
 }

@@ -18,6 +18,9 @@ uniform vec2 focal_px;
 uniform vec2 centre_px;
 uniform vec2 limit;         // JACOBIAN_CLAMP * tan(fov / 2)
 uniform vec2 size_px;
+#if SH_DEGREE >= 2
+uniform usampler2D colours; // of each slot, see colours.glsl
+#endif
 #ifdef STALE_ORDER
 uniform float near_m;
 #endif
@@ -73,8 +76,13 @@ void main() {
 #endif
 
     conic_opacity = vec4(yy / det, -xy / det, xx / det, place.w);
+#if SH_DEGREE >= 2
+    ivec2 there = ivec2(int(slot) % COLOUR_COLUMNS, int(slot) / COLOUR_COLUMNS);
+    colour = uintBitsToFloat(texelFetch(colours, there, 0).rgb);
+#else
     colour = vec3(cov_last.zw, rest.x);
-#if SH_DEGREE >= 1
+#endif
+#if SH_DEGREE == 1
     vec4 more = texel(4);       // linear harmonics in z, red of x
     vec2 last = texel(5).xy;    // green and blue of x
     vec3 towards = normalize(place.xyz - position) * SH_C1;

@@ -69,7 +69,7 @@ def open_gl(version: GlVersion) -> Iterator[OpenGl]:
         renderer.close()
 
 
-@pytest.mark.parametrize("sh_degree", [0, 1, 2])
+@pytest.mark.parametrize("sh_degree", [0, 1, 2, 3])
 def test_parity_with_the_cpu(open_gl: OpenGl, sh_degree: int) -> None:
     manifest = small_manifest(slice_size=500, sh_degree=sh_degree)
     gl, cpu = open_gl(manifest), CpuRenderer(manifest)

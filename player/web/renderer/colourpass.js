@@ -1,0 +1,98 @@
+import { COLOUR_COLUMNS, COLOUR_TURN_RAD } from "../constants.js";
+import { COLOURS } from "./glsl.js";
+import { makeProgram } from "./program.js";
+import { makeTexture, STAGED_WIDTH_PX } from "./texture.js";
+
+/**
+ * The colour of each slot from harmonics of degree 2 or 3, in a texture for the splat shader.
+ *
+ * All are evaluated from one place, which follows the camera when that has moved so far that the
+ * direction to what is as near as the near plane may have turned by COLOUR_TURN_RAD.
+ */
+export class ColourPass {
+  /**
+   * @param {WebGL2RenderingContext} gl
+   * @param {{ numSlots: number, nearM: number }} shape
+   * @param {Record<string, number>} defines of the splat shader
+   */
+  constructor(gl, { numSlots, nearM }, defines) {
+    this.gl = gl;
+    this.numSlots = numSlots;
+    this.reachM = COLOUR_TURN_RAD * nearM;
+    this.heightPx = Math.max(1, Math.ceil(numSlots / COLOUR_COLUMNS));
+    this.texture = makeTexture(gl);
+    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32UI, COLOUR_COLUMNS, this.heightPx);
+    this.framebuffer = gl.createFramebuffer();
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.framebuffer);
+    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.texture, 0);
+    this.program = makeProgram(gl, COLOURS, { ...defines, STAGED_WIDTH_PX });
+    /** Nothing is read from it: the shader counts points. */
+    this.points = gl.createVertexArray();
+    /** @type {number[] | null} the place from which all colours are, metres */
+    this.seenFrom = null;
+  }
+
+  /**
+   * Evaluates all colours anew if the camera has moved far enough.
+   * @param {number[]} position of the camera in the world, metres
+   * @param {WebGLTexture} gaussians
+   */
+  follow(position, gaussians) {
+    const { seenFrom } = this;
+    if (seenFrom !== null) {
+      const moved = Math.hypot(...position.map((value, axis) => value - seenFrom[axis]));
+      if (moved <= this.reachM) return;
+    }
+    this.seenFrom = position;
+    // The second sampler needs a texture of its type, and reads nothing from it.
+    this.#evaluate(position, gaussians, gaussians, this.numSlots, 0, 0);
+  }
+
+  /**
+   * Evaluates the colours of Gaussians that were put into their slots.
+   * @param {WebGLTexture} gaussians
+   * @param {WebGLTexture} staged what was uploaded
+   * @param {number} count
+   * @param {number} itemWords of each
+   * @param {number} slotWord which of them names the slot
+   */
+  put(gaussians, staged, count, itemWords, slotWord) {
+    if (this.seenFrom === null) return; // all are evaluated before they are drawn
+    this.#evaluate(this.seenFrom, gaussians, staged, count, itemWords, slotWord);
+  }
+
+  /**
+   * @param {number[]} position
+   * @param {WebGLTexture} gaussians
+   * @param {WebGLTexture} staged
+   * @param {number} count
+   * @param {number} itemWords
+   * @param {number} slotWord
+   */
+  #evaluate(position, gaussians, staged, count, itemWords, slotWord) {
+    const { gl, program } = this;
+    gl.activeTexture(gl.TEXTURE1);
+    gl.bindTexture(gl.TEXTURE_2D, staged);
+    gl.activeTexture(gl.TEXTURE0);
+    gl.bindTexture(gl.TEXTURE_2D, gaussians);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.framebuffer);
+    gl.viewport(0, 0, COLOUR_COLUMNS, this.heightPx);
+    gl.disable(gl.BLEND);
+    gl.useProgram(program.program);
+    gl.uniform1i(program.at("gaussians"), 0);
+    gl.uniform1i(program.at("staged"), 1);
+    gl.uniform1i(program.at("item_words"), itemWords);
+    gl.uniform1i(program.at("slot_word"), slotWord);
+    gl.uniform3fv(program.at("position"), position);
+    gl.uniform2f(program.at("size_px"), COLOUR_COLUMNS, this.heightPx);
+    gl.bindVertexArray(this.points);
+    gl.drawArrays(gl.POINTS, 0, count);
+  }
+
+  close() {
+    this.gl.deleteTexture(this.texture);
+    this.gl.deleteFramebuffer(this.framebuffer);
+    this.gl.deleteVertexArray(this.points);
+    this.gl.deleteProgram(this.program.program);
+  }
+}
