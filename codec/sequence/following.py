@@ -156,14 +156,20 @@ def follow_folder(
         follower = _Follower.created(
             stream, first, replace(options, title=title), follow, troubles, poster
         )
-    with follower.writer as writer:
-        if first is not None:
-            follower.write(first)
-        progress(writer.next_birth, None)
-        while (arrival := waiting.next()) is not None:
-            follower.check_gap(arrivals.first_number, arrival)
-            follower.write(arrival)
+    writer = follower.writer
+    try:
+        with writer:
+            if first is not None:
+                follower.write(first)
             progress(writer.next_birth, None)
+            while (arrival := waiting.next()) is not None:
+                follower.check_gap(arrivals.first_number, arrival)
+                follower.write(arrival)
+                progress(writer.next_birth, None)
+    except BaseException:
+        kept = max(writer.durable_birth, 0)
+        _log.warning("%s stays live, with %d frames; --resume goes on from there", stream, kept)
+        raise
     if draw is not None and writer.manifest.poster is not None:
         write_poster(stream, draw)
     delays_s = follower.delays_s

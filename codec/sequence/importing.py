@@ -189,7 +189,8 @@ def make_plan(survey: Survey, options: ImportOptions) -> SlotPlan:
     size_m = survey.size_m if survey.num_gs else 1.0
     lattice = survey.lattice
     wanted = options.error.lattice(size_m, survey.lowest, survey.highest)
-    if lattice is None or 4 * lattice.position_m < wanted.position_m:
+    is_given = lattice is not None and 4 * lattice.position_m >= wanted.position_m
+    if lattice is None or not is_given:
         lattice = wanted
     slots = split_counts(max(1, survey.num_gs), options.shares)
     if not min(slots):  # no layer is empty
@@ -197,7 +198,7 @@ def make_plan(survey: Survey, options: ImportOptions) -> SlotPlan:
     bounds = np.array([options.error.of(kind) for kind in KINDS])
     bounds[0] *= size_m
     shares = options.shares if len(slots) == options.layers else (1.0,)
-    return SlotPlan(slots, shares, survey.sh_degree, lattice, bounds, *survey.box)
+    return SlotPlan(slots, shares, survey.sh_degree, lattice, bounds, *survey.box, is_given)
 
 
 def still_lattices(splats: Splats, plan: SlotPlan, rank: RankFunction) -> tuple[Lattice, ...]:

@@ -62,6 +62,8 @@ class SlotPlan:
     bounds: Doubles  # (5,) most that each of KINDS may be off; of positions in metres
     lower: Doubles  # (3,) metres, of the box along which newcomers are ordered
     upper: Doubles  # (3,)
+    is_given: bool = False
+    """Whether Gaussians lie on the lattice already, as those of another stream do."""
 
 
 class SlotFiller:
@@ -163,7 +165,11 @@ class SlotFiller:
     def _on_lattice(self, splats: Splats, before: States | None) -> tuple[States, Flags]:
         """`splats` as integers, and which of them are within the bounds."""
         lattice = self._plan.lattice
-        states, fits = as_given(splats, lattice)
+        if self._plan.is_given:
+            states, fits = as_given(splats, lattice)
+        else:
+            states = States.zeros(len(splats), splats.sh_degree)
+            fits = np.zeros(len(splats), np.bool_)
         rest = np.flatnonzero(~fits)
         if not len(rest):
             return states, fits
