@@ -243,12 +243,11 @@ class _Follower:
         survey, splats = Survey(), options.kept(first.splats)
         survey.take(Path(str(first.number)), splats)
         survey.num_gs = min(max(1, math.ceil(follow.room * len(splats))), MAX_SLOTS)
-        plan = make_plan(survey, options)
-        lattices = (plan.lattice,) * len(plan.slots)
+        plan = make_plan(survey, options, splats)
         fps = options.fps
         assert fps is not None
         manifest = replace(
-            make_manifest(survey, options, options.title or "", plan.slots, lattices),
+            make_manifest(survey, options, options.title or "", plan.slots, plan.lattices),
             segment_frames=int(np.clip(round(follow.segment_s * fps), 1, MAX_SEGMENT_FRAMES)),
             capture_frame=first.number,
             poster=poster,
@@ -263,11 +262,11 @@ class _Follower:
         """The follower that goes on with `stream`."""
         writer = StreamWriter.resume(stream, is_quick=True)
         manifest = writer.manifest
-        lattice, slots = manifest.lattice[0], manifest.slots
+        slots = manifest.slots
         lower, upper = (np.array(corner) for corner in manifest.bounds)
         shares = tuple(count / sum(slots) for count in slots)
-        bounds = HOLD * steps_of(lattice)
-        plan = SlotPlan(slots, shares, manifest.sh_degree, lattice, bounds, lower, upper)
+        bounds = HOLD * np.array([steps_of(lattice) for lattice in manifest.lattice])
+        plan = SlotPlan(slots, shares, manifest.sh_degree, manifest.lattice, bounds, lower, upper)
         filler = SlotFiller(plan, RANKS[options.rank])
         if writer.next_birth > 0:
             reader = StreamReader(stream, max_gaussians=None)

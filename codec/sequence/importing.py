@@ -79,6 +79,9 @@ class ImportOptions:
     """Keep every float of the files; every frame is then sent whole."""
     error: ErrorBound = field(default_factory=ErrorBound)
     """Largest errors against the files."""
+    by_paint: bool | None = None
+    """Scale the errors of each layer: larger where Gaussians paint little, smaller where they paint
+    much, with finer harmonics. By default with SH degrees 2 and 3."""
     sh_degree: int | None = None
     """Highest degree of spherical harmonics to keep, 0 to 3; files of lower degree stay as they
     are. By default all degrees are kept."""
@@ -184,8 +187,9 @@ def _segment_frames(survey: Survey, fps: float) -> int:
     return int(np.clip(round(1 / max(survey.moved_share, 1e-6)), SEGMENT_FRAMES, fitting))
 
 
-def make_plan(survey: Survey, options: ImportOptions) -> SlotPlan:
-    """How the slots of a stream of what `survey` found are laid out."""
+def make_plan(survey: Survey, options: ImportOptions, example: Splats) -> SlotPlan:
+    """How the slots of a stream of what `survey` found are laid out. example: a frame of it, by
+    which the layers are weighed."""
     size_m = survey.size_m if survey.num_gs else 1.0
     lattice = survey.lattice
     wanted = options.error.lattice(size_m, survey.lowest, survey.highest)
@@ -195,18 +199,32 @@ def make_plan(survey: Survey, options: ImportOptions) -> SlotPlan:
     slots = split_counts(max(1, survey.num_gs), options.shares)
     if not min(slots):  # no layer is empty
         slots = (sum(slots),)
-    bounds = np.array([options.error.of(kind) for kind in KINDS])
-    bounds[0] *= size_m
+    errors, lattices = (options.error,) * len(slots), (lattice,) * len(slots)
+    by_paint = options.by_paint if options.by_paint is not None else survey.sh_degree > 1
+    if by_paint and not is_given and survey.num_gs:
+        layers = split_layers(example, slots, RANKS[options.rank])
+        errors = tuple(
+            options.error.in_layer(coarseness, survey.sh_degree, survey.reach)
+            for coarseness in layer_coarseness([example.take(rows) for rows in layers])
+        )
+        lattices = tuple(
+            error.lattice(size_m, survey.lowest, survey.highest) for error in errors
+        )
+    bounds = np.array([[error.of(kind) for kind in KINDS] for error in errors])
+    bounds[:, 0] *= size_m
     shares = options.shares if len(slots) == options.layers else (1.0,)
-    return SlotPlan(slots, shares, survey.sh_degree, lattice, bounds, *survey.box, is_given)
+    return SlotPlan(slots, shares, survey.sh_degree, lattices, bounds, *survey.box, is_given)
 
 
 def still_lattices(splats: Splats, plan: SlotPlan, rank: RankFunction) -> tuple[Lattice, ...]:
     """The lattice of each layer of a single file: the less its Gaussians paint, the coarser, as far
     as the bounds allow. Such a value is rounded, so half a step off, where one of a sequence may be
     held HOLD steps off."""
+    if len(set(plan.lattices)) > 1:
+        return plan.lattices  # they differ by layer already
     layers = [splats.take(rows) for rows in split_layers(splats, plan.slots, rank)]
-    return tuple(plan.lattice.coarser(min(f, HOLD / 0.5)) for f in layer_coarseness(layers))
+    coarseness = layer_coarseness(layers)
+    return tuple(plan.lattices[0].coarser(min(f, HOLD / 0.5)) for f in coarseness)
 
 
 def fps_of(source: Path, num_files: int, options: ImportOptions) -> float:
@@ -260,8 +278,8 @@ def import_stream(
             progress(number + 1, num_steps)
         title = source.resolve().name if options.title is None else options.title
         rank = RANKS[_known(options.rank)]
-        plan = make_plan(survey, options)
-        filler, lattices = SlotFiller(plan, rank), (plan.lattice,) * len(plan.slots)
+        plan = make_plan(survey, options, options.kept(read_frame(files[0])))
+        filler, lattices = SlotFiller(plan, rank), plan.lattices
         is_still = len(files) == 1 and survey.lattice is None
         if is_still and not options.exact:
             lattices = still_lattices(options.kept(splats), plan, rank)

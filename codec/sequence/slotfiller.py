@@ -58,12 +58,13 @@ class SlotPlan:
     shares: tuple[float, ...]
     """Share of a file's Gaussians, by importance, in each layer."""
     sh_degree: int
-    lattice: Lattice
-    bounds: Doubles  # (5,) most that each of KINDS may be off; of positions in metres
+    lattices: tuple[Lattice, ...]
+    """Of each layer."""
+    bounds: Doubles  # (L, 5) most that each of KINDS may be off in a layer; of positions in metres
     lower: Doubles  # (3,) metres, of the box along which newcomers are ordered
     upper: Doubles  # (3,)
     is_given: bool = False
-    """Whether Gaussians lie on the lattice already, as those of another stream do."""
+    """Whether Gaussians lie on the lattices already, as those of another stream do."""
 
 
 class SlotFiller:
@@ -71,15 +72,18 @@ class SlotFiller:
 
     def __init__(self, plan: SlotPlan, rank: RankFunction) -> None:
         self._plan, self._rank = plan, rank
-        self._limits = plan.bounds / steps_of(plan.lattice) + SLACK
-        self._hold = float(np.clip(self._limits.min(), 0.5, HOLD))
+        self._edges = np.cumsum((0, *plan.slots))
+        steps = np.array([steps_of(lattice) for lattice in plan.lattices])
+        self._limits = plan.bounds / steps + SLACK  # (L, 5)
+        self._holds = np.clip(self._limits.min(axis=1), 0.5, HOLD)
         count = sum(plan.slots)
         self._before = Splats.empty(plan.sh_degree)
         self._slot_of_row: Rows = np.zeros(0, np.int64)  # of _before
         self._states = States.zeros(count, plan.sh_degree)
         self._is_full = np.zeros(count, np.bool_)
         self._has_escaped = np.zeros(count, np.bool_)
-        self._worst = np.zeros(len(KINDS))  # in steps
+        self.errors: Doubles = np.zeros(len(KINDS))
+        """The most that each of KINDS was off so far; of positions in metres."""
         self.statuses: Counts = np.zeros(4, np.int64)
         """How many slots were kept, ended, predicted, new so far, after the first file; empty ones
         count as kept."""
@@ -92,17 +96,12 @@ class SlotFiller:
         self._has_escaped = conditions == ESCAPED
         self._slot_of_row = np.flatnonzero(self._is_full)
         parts = []
-        for slots in layers:
+        for slots, lattice in zip(layers, self._plan.lattices, strict=True):
             rows = np.flatnonzero(holds(slots.conditions))
             arrays = empty_arrays(len(rows), self._plan.sh_degree)
-            slots.draw(rows, self._plan.lattice, arrays)
+            slots.draw(rows, lattice, arrays)
             parts.append(Splats(*arrays))
         self._before = Splats.concatenate(parts)
-
-    @property
-    def errors(self) -> Doubles:
-        """(5,) the most that each of KINDS was off so far; of positions in metres."""
-        return self._worst * steps_of(self._plan.lattice)
 
     def update(self, birth: int, splats: Splats) -> Update:
         """The update that makes the slots hold `splats`, of the next file, which has at most S
@@ -140,16 +139,25 @@ class SlotFiller:
         self, splats: Splats, rows: Rows, slots: Rows, before: States | None, statuses: Bytes
     ) -> None:
         """Puts the Gaussians `rows` into `slots`, which held `before`; fills `statuses`."""
-        # Block by block: numbers on the way to integers take eight bytes each.
-        for first in range(0, len(rows), BLOCK):
-            part = slice(first, first + BLOCK)
-            held = None if before is None else before.take(part)
-            self._fill_block(splats, rows[part], slots[part], held, statuses)
+        layers = np.searchsorted(self._edges, slots, side="right") - 1
+        for layer in range(len(self._plan.slots)):
+            here = np.flatnonzero(layers == layer)
+            # Block by block: numbers on the way to integers take eight bytes each.
+            for first in range(0, len(here), BLOCK):
+                part = here[first : first + BLOCK]
+                held = None if before is None else before.take(part)
+                self._fill_block(layer, splats, rows[part], slots[part], held, statuses)
 
     def _fill_block(
-        self, splats: Splats, rows: Rows, slots: Rows, before: States | None, statuses: Bytes
+        self,
+        layer: int,
+        splats: Splats,
+        rows: Rows,
+        slots: Rows,
+        before: States | None,
+        statuses: Bytes,
     ) -> None:
-        states, fits = self._on_lattice(splats.take(rows), before)
+        states, fits = self._on_lattice(layer, splats.take(rows), before)
         statuses[slots] = NEW
         if before is not None:
             kept = (states.positions == before.positions).all(axis=1)
@@ -162,9 +170,11 @@ class SlotFiller:
         self._is_full[slots] = True
         self._has_escaped[slots] = ~fits
 
-    def _on_lattice(self, splats: Splats, before: States | None) -> tuple[States, Flags]:
-        """`splats` as integers, and which of them are within the bounds."""
-        lattice = self._plan.lattice
+    def _on_lattice(
+        self, layer: int, splats: Splats, before: States | None
+    ) -> tuple[States, Flags]:
+        """`splats`, of `layer`, as integers, and which of them are within the bounds."""
+        lattice = self._plan.lattices[layer]
         if self._plan.is_given:
             states, fits = as_given(splats, lattice)
         else:
@@ -175,12 +185,13 @@ class SlotFiller:
             return states, fits
         left = None if before is None else before.take(rest)
         values = lattice_values(splats.take(rest), lattice, left)
-        rounded, inside = round_values(values, lattice, left, self._hold)
+        rounded, inside = round_values(values, lattice, left, float(self._holds[layer]))
         sizes = values[:, 3 + SCALES : 3 + TURNS]
         np.maximum(sizes, -128, out=sizes)  # what is thinner is flat
         errors = by_kind(abs(values - rounded.numbers()))
-        inside &= (errors <= self._limits).all(axis=1)
-        self._worst = np.maximum(self._worst, errors[inside].max(axis=0, initial=0))
+        inside &= (errors <= self._limits[layer]).all(axis=1)
+        worst = errors[inside].max(axis=0, initial=0) * steps_of(lattice)
+        self.errors = np.maximum(self.errors, worst)
         states.put(rest, rounded)
         fits[rest] = inside
         return states, fits
@@ -198,9 +209,8 @@ class SlotFiller:
         is_new = np.zeros(len(splats), np.bool_)
         is_new[newcomers] = True
         waiting = by_rank[is_new[by_rank]]  # the most important first
-        edges = np.cumsum((0, *plan.slots))
         free = np.flatnonzero(is_free)
-        free_of = np.split(free, np.searchsorted(free, edges[1:-1]))
+        free_of = np.split(free, np.searchsorted(free, self._edges[1:-1]))
         counts = _with_room(
             np.bincount(layers[waiting], minlength=len(plan.slots)),
             np.array([len(slots) for slots in free_of]),

@@ -10,7 +10,7 @@ import numpy as np
 from codec.errors import InvalidError
 from codec.interop.formats import read_splats
 from codec.lattice.lattice import Lattice
-from codec.lattice.quantise import POSITION_PER_SIZE, position_step_m
+from codec.lattice.quantise import POSITION_PER_SIZE, position_step_m, to_luma
 from codec.pose import Doubles
 from codec.slots.slotlayout import MAX_SLOTS
 from codec.splats import Splats
@@ -50,6 +50,8 @@ class Survey:
     lowest: float = 0.0
     highest: float = 0.0
     """The log-scales, without the few largest ones."""
+    reach: float = 0.0
+    """The largest magnitude of Y, Co, Cg of a harmonic coefficient."""
     lattice: Lattice | None = None
     """That the Gaussians of the first file that has any lie on already."""
     num_moved: int = 0
@@ -85,6 +87,7 @@ class Survey:
             self.lattice = find_lattice(splats)
             self.lowest, self.highest = lowest, highest
         self.lowest, self.highest = min(self.lowest, lowest), max(self.highest, highest)
+        self.reach = max(self.reach, float(abs(to_luma(splats.sh)).max()))
         self.lower = np.minimum(self.lower, lower)
         self.upper = np.maximum(self.upper, upper)
         self.size_m = min(self.size_m, position_step_m(splats) / POSITION_PER_SIZE)
