@@ -9,15 +9,15 @@ from codec.splats import Floats, Splats
 from tests.support.trained_like import trained_like_splats
 
 FPS = 30.0
-SWAY_M = 0.12
+SWAY_M = 0.13
 """Amplitude of the motion, which is the same for neighbours."""
-SWAY_HZ = 0.35
+SWAY_HZ = 0.38
 JITTER = 3e-4, 0.004, 0.002, 0.02
 """Standard deviations of what the network adds in each frame to means (metres), log-scales,
 quaternions and logits of opacities."""
-BORN_SHARE = 0.005
+BORN_SHARE = 0.008
 """Share of the Gaussians that end in a frame, and make room for others."""
-ABSENT_SHARE = 0.002
+ABSENT_SHARE = 0.004
 """Largest share that a file lacks for a moment."""
 
 
