@@ -38,7 +38,7 @@ from player.run.playback import WINDOW_PLAYOUT
 from player.source.opener import Opener
 from player.source.source import Source
 from player.view.path import Size, camera_path
-from tests.support.commands import started
+from tests.support.commands import command, environment
 from tests.support.deforming import Deforming
 
 SIZE = Size(640, 360)
@@ -46,8 +46,8 @@ PATIENCE_S = 60.0
 PIECES = 4
 """Writes that a file comes in."""
 WRITTEN_NAME = "written.json"
-WARM_S = 3.0
-"""What is shown before does not count: everything is loaded and compiled then."""
+WARM_S = 10.0
+"""A viewer joins the live edge so long after the start: by then all is loaded and compiled."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,15 +91,19 @@ def write(config: FollowConfig, folder: Path) -> None:
 
 
 @contextmanager
-def following(folder: Path, stream: Path, fps: float) -> Iterator[None]:
-    process = started("swings-stream", "import", folder, stream, "--follow", "--fps", f"{fps:g}")
-    try:
-        yield
-    finally:
-        process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=60)
-        if process.returncode:
-            raise SwingsError(f"swings-stream ended with {process.returncode}: {said[-2000:]}")
+def following(folder: Path, stream: Path, fps: float, said: list[str]) -> Iterator[None]:
+    """The command while the block runs, ended by Ctrl-C; fills in what it prints."""
+    words = command("swings-stream", "import", folder, stream, "--follow", "--fps", f"{fps:g}")
+    with open(stream.parent.parent / "said", "w+", encoding="utf-8") as printed:
+        process = subprocess.Popen(words, env=environment(), stdout=printed)
+        try:
+            yield
+        finally:
+            process.send_signal(signal.SIGINT)
+            if process.wait(timeout=60):
+                raise SwingsError(f"swings-stream ended with {process.returncode}")
+        printed.seek(0)
+        said += printed.read().splitlines()
 
 
 def watch(url: str, num_frames: int, shown_s: dict[int, float]) -> None:
@@ -163,9 +167,10 @@ def run(config: FollowConfig) -> None:
         folder.mkdir()
         stream.parent.mkdir()
         shown_s: dict[int, float] = {}
+        said: list[str] = []
         asked = [f"--gaussians={config.gaussians}", f"--fps={config.fps}"]
         asked += [f"--seconds={config.seconds}", f"--sh-degree={config.sh_degree}"]
-        with following(folder, stream, config.fps):
+        with following(folder, stream, config.fps, said):
             program = [sys.executable, __file__, *asked, "--write", str(folder)]
             writer = subprocess.Popen(program)
             until_there(stream / "segments" / "0")
@@ -182,6 +187,7 @@ def run(config: FollowConfig) -> None:
     console = Console(width=110)
     console.print(table)
     console.print("from the last byte of a file to its picture, drawn by a player over HTTP")
+    console.print(*said, sep="\n", markup=False)
 
 
 if __name__ == "__main__":

@@ -24,10 +24,12 @@ from codec.errors import InvalidError
 from codec.framerange import FrameRange
 from codec.progressline import Counter
 from codec.slots.slotlayout import MAX_SEGMENT_FRAMES, MAX_SLOTS
+from codec.slots.slotencoder import SlotEncoder
 from codec.slots.update import Update
-from codec.splats import Splats
+from codec.splats import Splats, array_shapes
 from codec.stream.layers import RANKS
 from codec.stream.manifest import Manifest
+from codec.stream.object import encode_packet
 from codec.stream.pictures import Draw
 from codec.stream.poster import POSTER_NAME, write_poster
 from codec.stream.reader import StreamReader
@@ -55,7 +57,7 @@ MAX_DELAYS = 10_000
 class FollowOptions:
     """Settings of --follow."""
 
-    segment_s: float = 0.3
+    segment_s: float = 0.2
     """Length of a segment. Viewers get a frame when its segment is written, so shorter is sooner;
     each segment costs disk space for a snapshot."""
     room: float = 1.25
@@ -137,6 +139,7 @@ def follow_folder(
     for name, given in (("--exact", options.exact), ("--frames", options.frames != FrameRange())):
         if given:
             raise InvalidError(f"{name} cannot be combined with --follow")
+    _rehearse()
     troubles = Troubles()
     arrivals = Arrivals(folder, None, follow.step, follow.patience_s, troubles, now_s)
     waiting = _Waiting(arrivals, follow, stop, now_s)
@@ -180,6 +183,26 @@ def follow_folder(
         str(troubles),
         statistics.median(delays_s) if delays_s else None,
     )
+
+
+def _rehearse() -> None:
+    """Loads and compiles all that a frame goes through, so that the first one need not wait."""
+    rng = np.random.default_rng(0)
+    options = ImportOptions(fps=1)
+    splats = Splats(
+        *(rng.normal(size=shape).astype(np.float32) for shape in array_shapes(64, 0))
+    )
+    survey = Survey()
+    survey.take(Path(), splats)
+    plan = make_plan(survey, options, splats)
+    manifest = make_manifest(survey, options, "", plan.slots, plan.lattices)
+    filler, encoder = SlotFiller(plan, RANKS[options.rank]), SlotEncoder(manifest.slot_layout)
+    moved = replace(splats, means=splats.means + np.float32(0.1))
+    for birth, frame in enumerate((splats, moved, moved.take(np.arange(64)[::-1]))):
+        encoded = encoder.append(filler.update(birth, frame))
+        assert encoded is not None
+        for chunk in (encoded.mask, *encoded.changes):
+            encode_packet(chunk, is_quick=True)
 
 
 class _Waiting:

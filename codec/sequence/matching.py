@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from codec.kernel import kernel
 from codec.pose import Doubles
 from codec.splats import SH_C0, Floats, Splats
 
@@ -56,12 +57,20 @@ def _keys(arrays: Sequence[Floats]) -> Keys:
     """(N,) the keys of the rows of `arrays`."""
     count = len(arrays[0])
     keys = np.zeros(count, np.uint64)
-    for array in arrays:
-        for column in array.reshape(count, -1).T if count else ():
-            keys ^= np.ascontiguousarray(column).view(np.uint32)
-            keys *= np.uint64(0x9E3779B97F4A7C15)
-            keys ^= keys >> np.uint64(29)
+    for array in arrays if count else ():
+        _stir(np.ascontiguousarray(array).reshape(count, -1).view(np.uint32), keys)
     return keys
+
+
+@kernel(nogil=True)
+def _stir(words, keys):  # type: ignore[no-untyped-def]
+    """Stirs the words of each row into its key."""
+    for i in range(words.shape[0]):
+        key = keys[i]
+        for column in range(words.shape[1]):
+            key = (key ^ np.uint64(words[i, column])) * np.uint64(0x9E3779B97F4A7C15)
+            key ^= key >> np.uint64(29)
+        keys[i] = key
 
 
 def match(before: Splats, after: Splats) -> tuple[Rows, Flags]:
