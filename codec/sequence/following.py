@@ -23,8 +23,8 @@ import numpy as np
 from codec.errors import InvalidError
 from codec.framerange import FrameRange
 from codec.progressline import Counter
-from codec.slots.slotlayout import MAX_SEGMENT_FRAMES, MAX_SLOTS
 from codec.slots.slotencoder import SlotEncoder
+from codec.slots.slotlayout import MAX_SEGMENT_FRAMES, MAX_SLOTS
 from codec.slots.update import Update
 from codec.splats import Splats, array_shapes
 from codec.stream.layers import RANKS
@@ -118,6 +118,10 @@ def stopped_by_interrupt() -> Iterator[threading.Event]:
         signal.signal(signal.SIGINT, before)
 
 
+def _nothing(done: int, total: int | None, what: str | None = None) -> None:
+    pass
+
+
 def follow_folder(
     folder: Path,
     stream: Path,
@@ -126,7 +130,7 @@ def follow_folder(
     resume: bool,
     stop: threading.Event,
     draw: Draw | None = None,
-    progress: Counter = lambda done, total: None,
+    progress: Counter = _nothing,
     now_s: Callable[[], float] = time.monotonic,
 ) -> Followed:
     """Writes the frames of `folder` to a live stream at `stream` as they come, and finishes it once
@@ -164,11 +168,11 @@ def follow_folder(
         with writer:
             if first is not None:
                 follower.write(first)
-            progress(writer.next_birth, None)
+            progress(writer.next_birth, None, f"frame {writer.next_birth}")
             while (arrival := waiting.next()) is not None:
                 follower.check_gap(arrivals.first_number, arrival)
                 follower.write(arrival)
-                progress(writer.next_birth, None)
+                progress(writer.next_birth, None, f"frame {writer.next_birth}")
     except BaseException:
         kept = max(writer.durable_birth, 0)
         _log.warning("%s stays live, with %d frames; --resume goes on from there", stream, kept)
@@ -189,9 +193,7 @@ def _rehearse() -> None:
     """Loads and compiles all that a frame goes through, so that the first one need not wait."""
     rng = np.random.default_rng(0)
     options = ImportOptions(fps=1)
-    splats = Splats(
-        *(rng.normal(size=shape).astype(np.float32) for shape in array_shapes(64, 0))
-    )
+    splats = Splats(*(rng.normal(size=shape).astype(np.float32) for shape in array_shapes(64, 0)))
     survey = Survey()
     survey.take(Path(), splats)
     plan = make_plan(survey, options, splats)

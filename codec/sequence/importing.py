@@ -57,9 +57,9 @@ WRITE_STEPS = 4
 """Steps that writing a frame counts for, where looking at it first counts for one: it takes about
 so much longer."""
 
-Progress = Callable[[int, int], None]
-"""Called after each step with the number of steps done and their total; they take about equally
-long."""
+Progress = Callable[[int, int, str], None]
+"""Called after each step with the number of steps done, their total, and what was done; steps take
+about equally long."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,9 +207,7 @@ def make_plan(survey: Survey, options: ImportOptions, example: Splats) -> SlotPl
             options.error.in_layer(coarseness, survey.sh_degree, survey.reach)
             for coarseness in layer_coarseness([example.take(rows) for rows in layers])
         )
-        lattices = tuple(
-            error.lattice(size_m, survey.lowest, survey.highest) for error in errors
-        )
+        lattices = tuple(error.lattice(size_m, survey.lowest, survey.highest) for error in errors)
     bounds = np.array([[error.of(kind) for kind in KINDS] for error in errors])
     bounds[:, 0] *= size_m
     shares = options.shares if len(slots) == options.layers else (1.0,)
@@ -247,7 +245,7 @@ def fps_of(source: Path, num_files: int, options: ImportOptions) -> float:
     return fps
 
 
-def _nothing(done: int, total: int) -> None:
+def _nothing(done: int, total: int, what: str) -> None:
     pass
 
 
@@ -275,7 +273,8 @@ def import_stream(
             splats = read_frame(file)
             source_sh_degree = max(source_sh_degree, splats.sh_degree)
             survey.take(file, options.kept(splats))
-            progress(number + 1, num_steps)
+            progress(number + 1, num_steps, f"looked at file {number + 1} of {len(files)}")
+        survey.warn_of_odd_files()
         title = source.resolve().name if options.title is None else options.title
         rank = RANKS[_known(options.rank)]
         plan = make_plan(survey, options, options.kept(read_frame(files[0])))
@@ -303,7 +302,8 @@ def import_stream(
                     update = filler.update(birth, kept)
                 num_escaped += int(np.count_nonzero(update.escaped))
                 writer.append(update)
-                progress(len(files) + WRITE_STEPS * (birth + 1), num_steps)
+                num_done = len(files) + WRITE_STEPS * (birth + 1)
+                progress(num_done, num_steps, f"wrote frame {birth + 1} of {len(files)}")
         first_bytes = sum(StreamReader(folder, max_gaussians=None).records[0].side_bytes[1:])
         if draw is not None:
             write_poster(folder, draw)

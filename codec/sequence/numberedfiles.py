@@ -9,6 +9,9 @@ from pathlib import Path
 from codec.errors import InvalidError
 from codec.interop.formats import READ, has_known_suffix
 
+MAX_NAMED = 5
+"""Gaps that a message names."""
+
 
 def number_of(path: Path) -> int | None:
     """The last number in the name of `path`, without its suffix; None if it has none."""
@@ -42,10 +45,22 @@ def find_files(source: Path) -> list[Path]:
         raise InvalidError(f"{source}: no file of Gaussians in this folder ({READ})")
     numbers = sorted(numbered)
     step = min((b - a for a, b in pairwise(numbers)), default=1)
-    for a, b in pairwise(numbers):
-        if b - a != step:
-            raise InvalidError(
-                f"{source}: number {a + step} is missing between {numbered[a].name} and "
-                f"{numbered[b].name}"
-            )
+    gaps = [(a, b) for a, b in pairwise(numbers) if b - a != step]
+    if gaps:
+        a, b = gaps[0]
+        raise InvalidError(
+            f"{source}: {_missing(gaps, step)} between {numbered[a].name} and {numbered[b].name}"
+        )
     return [numbered[number] for number in numbers]
+
+
+def _missing(gaps: list[tuple[int, int]], step: int) -> str:
+    """What is missing in `gaps` between two numbers each, the first of them last."""
+    ranges = [f"{a + step}" if b - a <= 2 * step else f"{a + step} to {b - step}" for a, b in gaps]
+    if len(gaps) == 1 and gaps[0][1] - gaps[0][0] <= 2 * step:
+        return f"number {ranges[0]} is missing"
+    if len(gaps) == 1:
+        return f"numbers {ranges[0]} are missing"
+    more = f" and in {len(gaps) - MAX_NAMED} more gaps" if len(gaps) > MAX_NAMED else ""
+    named = ", ".join(ranges[:MAX_NAMED])
+    return f"{len(gaps)} gaps; numbers {named} are missing{more}; the first is"

@@ -130,7 +130,7 @@ def test_resumed_it_goes_on_after_its_last_segment(tmp_path: Path) -> None:
     for number in range(8):
         write_frame(folder, number)
 
-    def interrupted(done: int, total: int | None) -> None:
+    def interrupted(done: int, total: int | None, what: str | None = None) -> None:
         if done == 5:
             raise KeyboardInterrupt
 
