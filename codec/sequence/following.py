@@ -311,8 +311,9 @@ class _Follower:
         missing = (following - arrival.number) // self._step
         if missing > MAX_GAP_S * self.writer.manifest.fps:
             raise InvalidError(
-                f"frames {arrival.number} to {following - 1} are missing, more than {MAX_GAP_S:g} s; "
-                "renumber the files and go on with --resume, or begin another stream"
+                f"frames {arrival.number} to {following - 1} are missing, more than "
+                f"{MAX_GAP_S:g} s; renumber the files and go on with --resume, or begin another "
+                "stream"
             )
 
     def write(self, arrival: Arrival) -> None:
