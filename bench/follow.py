@@ -46,8 +46,6 @@ PATIENCE_S = 60.0
 PIECES = 4
 """Writes that a file comes in."""
 WRITTEN_NAME = "written.json"
-WARM_S = 10.0
-"""A viewer joins the live edge so long after the start: by then all is loaded and compiled."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,12 +60,15 @@ class FollowConfig:
     """Length of the sequence."""
     sh_degree: int = 3
     """Degree of the spherical harmonics."""
+    join_s: float = 10.0
+    """Seconds after the first picture at which the viewer goes to the live edge, as somebody does
+    who comes later; pictures count from then on."""
     write: Path | None = None
     """Only write the files to this folder; what the command itself starts."""
 
     def __post_init__(self) -> None:
-        if self.gaussians < 1 or not self.fps > 0 or not self.seconds > WARM_S:
-            raise InvalidError(f"choose 1 Gaussian or more, and over {WARM_S:g} seconds")
+        if self.gaussians < 1 or not self.fps > 0 or not self.seconds > self.join_s > 0:
+            raise InvalidError("choose 1 Gaussian or more, and more seconds than before the join")
 
     @property
     def num_frames(self) -> int:
@@ -106,8 +107,9 @@ def following(folder: Path, stream: Path, fps: float, said: list[str]) -> Iterat
         said += printed.read().splitlines()
 
 
-def watch(url: str, num_frames: int, shown_s: dict[int, float]) -> None:
+def watch(url: str, config: FollowConfig, shown_s: dict[int, float]) -> None:
     """Plays from the live edge, as a window does on End; fills in when each frame was drawn."""
+    num_frames = config.num_frames
     clock = Clock(real=True)
     with closing(Opener(url)) as opener:
 
@@ -141,7 +143,7 @@ def watch(url: str, num_frames: int, shown_s: dict[int, float]) -> None:
                     frame = records[-1].frame
                     renderer.render_again(frame, path(frame))
                     shown_s.setdefault(frame, time.time())
-                    if not is_at_edge and time.monotonic() > began_s + WARM_S:
+                    if not is_at_edge and time.monotonic() > began_s + config.join_s:
                         conductor.seek_newest()
                         is_at_edge = True
                         shown_s.clear()
@@ -169,13 +171,14 @@ def run(config: FollowConfig) -> None:
         shown_s: dict[int, float] = {}
         said: list[str] = []
         asked = [f"--gaussians={config.gaussians}", f"--fps={config.fps}"]
-        asked += [f"--seconds={config.seconds}", f"--sh-degree={config.sh_degree}"]
+        asked += [f"--seconds={config.seconds}", f"--join-s={config.join_s}"]
+        asked += [f"--sh-degree={config.sh_degree}"]
         with following(folder, stream, config.fps, said):
             program = [sys.executable, __file__, *asked, "--write", str(folder)]
             writer = subprocess.Popen(program)
             until_there(stream / "segments" / "0")
             with serving(stream, "--log", "json", log=Path(made) / "log") as (_, port):
-                watch(f"http://127.0.0.1:{port}", config.num_frames, shown_s)
+                watch(f"http://127.0.0.1:{port}", config, shown_s)
             if writer.wait(timeout=PATIENCE_S):
                 raise SwingsError(f"the writer ended with {writer.returncode}")
         written_s = json.loads((folder / WRITTEN_NAME).read_text())

@@ -19,9 +19,12 @@ Above 0.5, so that noise about the middle between two steps is not sent."""
 
 KINDS = ("position", "size", "turn", "colour", "opacity")
 
-COARSER_POSITION, FINER_SIZE, FINER_COLOUR = 1.1, 1.7, 4.0
+COARSER_POSITION, FINER_SIZE, FINER_COLOUR, FINER_OPACITY = 1.8, 3.0, 5.0, 2.0
 """How the errors of a layer differ from those of each Gaussian by itself, at SH degree 3. Found by
 drawing: positions change all the time, so each of their bits costs most."""
+
+FINEST_OPACITY = HOLD / (MAX_OPACITY_LEVELS - 1)
+"""The smallest error of an opacity that a stream can keep."""
 
 TOP = 127
 """The integer of the largest log-scale that an attribute holds."""
@@ -53,10 +56,9 @@ class ErrorBound:
             value = getattr(self, field.name)
             if not 0 < value < float("inf"):
                 raise InvalidError(f"error {field.name} {value:g}: choose more than 0")
-        finest = HOLD / (MAX_OPACITY_LEVELS - 1)
-        if self.of("opacity") < finest:
+        if self.of("opacity") < FINEST_OPACITY * (1 - 1e-9):
             raise InvalidError(
-                f"error opacity {self.of('opacity'):g}: choose {finest:.4f} or more, "
+                f"error opacity {self.of('opacity'):g}: choose {FINEST_OPACITY:.4f} or more, "
                 "the finest step of a stream"
             )
 
@@ -79,6 +81,7 @@ class ErrorBound:
             size=self.size * coarseness / FINER_SIZE,
             turn=self.turn * coarseness,
             colour=min(colour, self.colour * max(coarseness, 1)),
+            opacity=max(self.opacity / FINER_OPACITY, FINEST_OPACITY * self.finer),
         )
 
     def lattice(self, size_m: float, lowest: float, highest: float) -> Lattice:

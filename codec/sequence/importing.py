@@ -23,7 +23,7 @@ from codec.lattice.lattice import Lattice
 from codec.lattice.quantise import layer_coarseness
 from codec.pose import Doubles
 from codec.slice import Slice
-from codec.slots.slotlayout import MAX_LAYERS, MAX_SEGMENT_SLOTS
+from codec.slots.slotlayout import MAX_LAYERS, MAX_SEGMENT_SLOTS, MAX_SLOTS
 from codec.splats import MAX_SH_DEGREE, Splats
 from codec.stream.layers import RANKS, Rank, RankFunction, split_counts, split_layers
 from codec.stream.manifest import MAX_FPS, MIN_FPS, Manifest, Point
@@ -46,6 +46,8 @@ NEAR_SHARE = 0.01
 """Nearest depth drawn, as a share of the bounds' half diagonal: one may walk into the model."""
 SHARES = (0.35, 0.15, 0.2, 0.3)
 """Shares of four layers; another number of layers has equal shares."""
+ROOM = 1.03
+"""Slots of a sequence whose errors differ by layer, as a multiple of its most Gaussians."""
 SEGMENT_FRAMES = 15
 LONGEST_SEGMENT_S = 10.0
 STILL_FPS = 30.0
@@ -196,11 +198,15 @@ def make_plan(survey: Survey, options: ImportOptions, example: Splats) -> SlotPl
     is_given = lattice is not None and 4 * lattice.position_m >= wanted.position_m
     if lattice is None or not is_given:
         lattice = wanted
-    slots = split_counts(max(1, survey.num_gs), options.shares)
+    by_paint = options.by_paint if options.by_paint is not None else survey.sh_degree > 1
+    # With room in each layer what is born finds a place where its errors suit it.
+    num_slots = survey.num_gs
+    if by_paint and survey.num_files > 1:
+        num_slots = min(math.ceil(ROOM * num_slots), MAX_SLOTS)
+    slots = split_counts(max(1, num_slots), options.shares)
     if not min(slots):  # no layer is empty
         slots = (sum(slots),)
     errors, lattices = (options.error,) * len(slots), (lattice,) * len(slots)
-    by_paint = options.by_paint if options.by_paint is not None else survey.sh_degree > 1
     if by_paint and not is_given and survey.num_gs:
         layers = split_layers(example, slots, RANKS[options.rank])
         errors = tuple(

@@ -30,7 +30,7 @@ from codec.lattice.morton import interleave
 from codec.pose import Doubles
 from codec.slots.slotstate import ESCAPED, Slots, empty_arrays, holds
 from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
-from codec.splats import Splats
+from codec.splats import Floats, Splats
 from codec.stream.layers import RankFunction, split_counts
 
 from .errorbound import HOLD, KINDS, by_kind, steps_of
@@ -117,7 +117,7 @@ class SlotFiller:
         self._empty(np.flatnonzero(statuses == ENDED))
         newcomers = np.flatnonzero(~lasts)
         if len(newcomers):
-            rows, places = self._placed(splats, newcomers, is_free)
+            rows, places = self._placed(splats, newcomers, is_free, slots)
             slots[rows] = places
         changed = np.flatnonzero(lasts & ~same)
         known = ~self._has_escaped[slots[changed]]
@@ -196,10 +196,16 @@ class SlotFiller:
         fits[rest] = inside
         return states, fits
 
-    def _placed(self, splats: Splats, newcomers: Rows, is_free: Flags) -> tuple[Rows, Rows]:
+    def _placed(
+        self, splats: Splats, newcomers: Rows, is_free: Flags, slot_of_row: Rows
+    ) -> tuple[Rows, Rows]:
         """The rows `newcomers` in some order, and a free slot for each: in the layer that its
         importance among all of `splats` gives it, or the nearest one with room. In a layer they
-        follow each other as neighbours do."""
+        follow each other as neighbours do, near the slots of their neighbours among those that
+        have one, so that what moves alike stands together and compresses well.
+
+        slot_of_row: of all `splats`, -1 for the newcomers.
+        """
         plan = self._plan
         by_rank = np.argsort(-self._rank(splats), kind="stable")
         layers = np.empty(len(splats), np.int64)
@@ -220,10 +226,19 @@ class SlotFiller:
         curve = interleave(cells.astype(np.int64))
         rows, places = [], []
         ends = np.cumsum(counts)
-        for end, count, slots in zip(ends, counts, free_of, strict=True):
+        layer_of_row = np.searchsorted(self._edges, slot_of_row, side="right") - 1
+        for layer, (end, count, slots) in enumerate(zip(ends, counts, free_of, strict=True)):
             part = slice(end - count, end)
-            rows.append(waiting[part][np.argsort(curve[part], kind="stable")])
-            places.append(slots[:count])
+            there = np.flatnonzero(layer_of_row == layer)
+            if not len(there) or not count:
+                rows.append(waiting[part][np.argsort(curve[part], kind="stable")])
+                places.append(slots[:count])
+                continue
+            nearest = _nearest_rows(splats.means[there], splats.means[waiting[part]])
+            wanted = slot_of_row[there[nearest]]
+            order = np.argsort(wanted, kind="stable")
+            rows.append(waiting[part][order])
+            places.append(slots[_spread(np.searchsorted(slots, wanted[order]), len(slots))])
         return np.concatenate(rows), np.concatenate(places)
 
     def _update_of(self, birth: int, statuses: Bytes, splats: Splats, slots: Rows) -> Update:
@@ -240,6 +255,21 @@ class SlotFiller:
             escaped,
             splats.take(row_of_slot[coded[escaped]]),
         )
+
+
+def _nearest_rows(points_m: Floats, from_m: Floats) -> Rows:
+    """(N,) which of `points_m` is nearest to each of `from_m`."""
+    from scipy.spatial import cKDTree  # loads slowly, and few commands need it
+
+    nearest: Rows = cKDTree(points_m).query(from_m)[1]
+    return nearest
+
+
+def _spread(wanted: Rows, room: int) -> Rows:
+    """(N,) different places below `room`, rising as `wanted` does, each near what is wanted."""
+    count = np.arange(len(wanted))
+    rising = np.maximum.accumulate(wanted - count) + count
+    return np.minimum(rising, room - len(wanted) + count)
 
 
 def _with_room(wanted: Counts, room: Counts) -> Counts:
