@@ -19,7 +19,7 @@ Above 0.5, so that noise about the middle between two steps is not sent."""
 
 KINDS = ("position", "size", "turn", "colour", "opacity")
 
-COARSER_POSITION, FINER_SIZE, FINER_COLOUR, FINER_OPACITY = 1.8, 3.0, 5.0, 2.0
+COARSER_POSITION, FINER_SIZE, FINER_COLOUR, FINER_OPACITY = 2.1, 3.0, 5.0, 2.0
 """How the errors of a layer differ from those of each Gaussian by itself, at SH degree 3. Found by
 drawing: positions change all the time, so each of their bits costs most."""
 

@@ -98,7 +98,8 @@ class Survey:
             self.lattice = find_lattice(splats)
             self.lowest, self.highest = lowest, highest
         self.lowest, self.highest = min(self.lowest, lowest), max(self.highest, highest)
-        self.reach = max(self.reach, float(abs(to_luma(splats.sh)).max()))
+        for coefficient in splats.sh.transpose(1, 0, 2):  # one by one, which bounds the memory
+            self.reach = max(self.reach, float(abs(to_luma(coefficient.astype(np.float64))).max()))
         self.lower = np.minimum(self.lower, lower)
         self.upper = np.maximum(self.upper, upper)
         self.size_m = min(self.size_m, position_step_m(splats) / POSITION_PER_SIZE)

@@ -17,6 +17,8 @@ JITTER = 3e-4, 0.004, 0.002, 0.02
 quaternions and logits of opacities."""
 BORN_SHARE = 0.008
 """Share of the Gaussians that end in a frame, and make room for others."""
+POOL = 4
+"""All Gaussians that there ever are, as a multiple of those of a frame."""
 ABSENT_SHARE = 0.004
 """Largest share that a file lacks for a moment."""
 
@@ -26,8 +28,11 @@ class Deforming:
 
     def __init__(self, count: int, sh_degree: int = 3, seed: int = 0) -> None:
         self._rng = np.random.default_rng(seed)
-        self._count, self._degree = count, sh_degree
-        self._model = trained_like_splats(count, seed, sh_degree)
+        self._count = count
+        # One surface with one colouring: who is born agrees with what is there.
+        self._pool = trained_like_splats(POOL * count, seed, sh_degree)
+        self._model = self._pool.take(slice(count))
+        self._num_born = count
         self._frame = 0
 
     def next(self) -> Splats:
@@ -37,21 +42,22 @@ class Deforming:
             self._renew()
         means, log_scales, quats, logits, sh = self._model.arrays
         swayed = means + self._sway(means)
-        arrays = [
+        means, log_scales, quats, logits = (
             (array + rng.normal(0, sigma, array.shape)).astype(np.float32)
             for array, sigma in zip((swayed, log_scales, quats, logits), JITTER, strict=True)
-        ]
+        )
         here = rng.permutation(count)[: count - int(rng.integers(0, 1 + ABSENT_SHARE * count))]
         self._frame += 1
-        return Splats(*arrays, sh).take(here)
+        return Splats(means, log_scales, quats, logits, sh).take(here)
 
     def _renew(self) -> None:
         """Others take the place of some."""
         ended = np.flatnonzero(self._rng.random(self._count) < BORN_SHARE)
-        fresh = trained_like_splats(max(1, len(ended)), 1000 + self._frame, self._degree)
+        born = (self._num_born + np.arange(len(ended))) % len(self._pool)
+        self._num_born += len(ended)
         arrays = [array.copy() for array in self._model.arrays]
-        for array, other in zip(arrays, fresh.arrays, strict=True):
-            array[ended] = other[: len(ended)]
+        for array, other in zip(arrays, self._pool.arrays, strict=True):
+            array[ended] = other[born]
         self._model = Splats(*arrays)
 
     def _sway(self, means: Floats) -> Floats:

@@ -165,7 +165,7 @@ def test_options_that_do_not_go_together(tmp_path: Path) -> None:
             followed(tmp_path / "files", tmp_path / "stream", options)
     for wrong in ({"room": 0.5}, {"step": 0}, {"segment_s": 0.0}, {"end_after_s": float("nan")}):
         with pytest.raises(InvalidError):
-            FollowOptions(**wrong)  # type: ignore[arg-type]
+            FollowOptions(**wrong)
     said = run("swings-stream", "import", "a", "b", "--resume")
     assert (said.returncode, "need --follow" in said.stderr) == (2, True)
 
