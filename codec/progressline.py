@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Self
+from typing import Protocol, Self
 
 from rich.console import Console
 from rich.live import Live
@@ -146,8 +146,12 @@ class ProgressLine:
             self._write()
 
 
-Counter = Callable[[int, int | None], None]
-"""Gets the number of steps that are done, and of all; None if that is not known."""
+class Counter(Protocol):
+    """Shows how far a command is."""
+
+    def __call__(self, done: int, total: int | None, what: str | None = None) -> None:
+        """done, total: the number of steps that are done, and of all; None if that is not known.
+        what: what was done last, in place of these numbers."""
 
 
 @contextmanager
@@ -162,13 +166,13 @@ def counted(
     begin_s = now_s()
     with ProgressLine(console or Console(stderr=True), now_s, every_s=10, first_s=10) as line:
 
-        def show(done: int, total: int | None) -> None:
+        def show(done: int, total: int | None, last: str | None = None) -> None:
             elapsed_s = now_s() - begin_s
             if total is None:
-                line.show(Stage(what, None, elapsed_s, None, (f"{done}",)))
+                line.show(Stage(what, None, elapsed_s, None, (last or f"{done}",)))
                 return
             left_s = elapsed_s / done * (total - done) if done else None
             share = done / total if total else 1.0
-            line.show(Stage(what, share, elapsed_s, left_s, (f"{done} of {total}",)))
+            line.show(Stage(what, share, elapsed_s, left_s, (last or f"{done} of {total}",)))
 
         yield show

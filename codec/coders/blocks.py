@@ -11,6 +11,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from codec.kernel import kernel
+
 MAX_JOINED_PLANES = 8
 """Planes tried in one block; bounds the work for chunks with many SH planes."""
 
@@ -27,21 +29,37 @@ def join_planes(content: memoryview, edges: Sequence[int]) -> list[int]:
         for a, b in pairwise(edges)
     ]
     totals = np.concatenate([np.zeros((1, 256), np.int64), np.cumsum(planes, axis=0)])
-    cost = [0.0]
-    origin = [0]
-    for end in range(1, len(edges)):
-        starts = np.arange(max(0, end - MAX_JOINED_PLANES), end)
-        counts = (totals[end] - totals[starts]).astype(np.float64)
-        sizes = counts.sum(axis=1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            bits = np.where(counts > 0, -counts * np.log2(counts / sizes[:, None]), 0).sum(axis=1)
-        last_value = 256 - np.argmax(counts[:, ::-1] > 0, axis=1)
-        coded = bits / 8 + TABLE_BYTES + TABLE_BYTES_PER_VALUE * last_value
-        total = np.minimum(coded, sizes + 3) + [cost[start] for start in starts]
-        best = int(np.argmin(total))
-        cost.append(float(total[best]))
-        origin.append(int(starts[best]))
+    origin = np.zeros(len(edges), np.int64)
+    _cheapest(totals, MAX_JOINED_PLANES, TABLE_BYTES, TABLE_BYTES_PER_VALUE, origin)
     chosen = [len(edges) - 1]
     while chosen[-1]:
-        chosen.append(origin[chosen[-1]])
+        chosen.append(int(origin[chosen[-1]]))
     return [edges[i] for i in reversed(chosen)]
+
+
+@kernel(nogil=True)
+def _cheapest(totals, most_planes, table_bytes, bytes_per_value, origin):  # type: ignore[no-untyped-def]
+    """Fills origin: where the block that ends at each edge should begin. totals: (E, 256) how often
+    each byte occurs before an edge."""
+    cost = np.zeros(totals.shape[0])
+    for end in range(1, totals.shape[0]):
+        best = np.inf
+        for start in range(max(0, end - most_planes), end):
+            size = 0
+            last_value = 0
+            for value in range(256):
+                count = totals[end, value] - totals[start, value]
+                if count > 0:
+                    size += count
+                    last_value = value
+            bits = 0.0
+            for value in range(last_value + 1):
+                count = totals[end, value] - totals[start, value]
+                if count > 0:
+                    bits -= count * np.log2(count / size)
+            coded = bits / 8 + table_bytes + bytes_per_value * (last_value + 1 if size else 256)
+            total = cost[start] + min(coded, size + 3.0)
+            if total < best:
+                best = total
+                origin[end] = start
+        cost[end] = best

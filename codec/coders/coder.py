@@ -42,14 +42,19 @@ def coder_of(packet: bytes | memoryview) -> Coder:
     raise CorruptError("packet: is neither a zstd frame nor a gzip member")
 
 
-def compress(content: bytes, edges: Sequence[int] = (), coder: Coder = Coder.ZSTD) -> bytes:
-    """`content` as one packet.
+def compress(
+    content: bytes,
+    edges: Sequence[int] = (),
+    coder: Coder = Coder.ZSTD,
+    is_quick: bool = False,
+) -> bytes:
+    """`content` as one packet; is_quick: zstd takes less time, and makes a little more of it.
 
     `edges` are the offsets, from 0 to the end, between its byte planes; without any it is float32.
     """
     if coder is Coder.GZIP:
         return gzip.compress(content, edges)
-    return zstd.compress(content, edges)
+    return zstd.compress(content, edges, is_quick)
 
 
 def decompress(packet: bytes | memoryview, limit_bytes: int) -> bytes:

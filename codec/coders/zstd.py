@@ -16,6 +16,10 @@ MAGIC = b"\x28\xb5\x2f\xfd"
 PLANES_LEVEL = 19
 """zstd level for quantised planes: a chunk is encoded once and fetched often."""
 
+QUICK_LEVEL = 6
+"""The same for a live stream, whose viewers wait for the encoder: 2 to 8 times as fast, for 6 %
+more bytes."""
+
 FLOATS_LEVEL = 3
 """zstd level for float32, which hardly shrinks however long one tries."""
 
@@ -26,15 +30,16 @@ MAX_EXPANSION = 1 << 15
 """zstd cannot inflate more: a block of 128 KiB takes 4 bytes at least."""
 
 
-def compress(content: bytes, edges: Sequence[int] = ()) -> bytes:
-    """`content` as one zstd frame.
+def compress(content: bytes, edges: Sequence[int] = (), is_quick: bool = False) -> bytes:
+    """`content` as one zstd frame; is_quick: in less time, and a little larger.
 
     `edges` are the offsets, from 0 to the end, between its byte planes; without any it is float32.
     """
     if not edges or not content:
         return zstandard.ZstdCompressor(level=FLOATS_LEVEL, write_checksum=True).compress(content)
+    level = QUICK_LEVEL if is_quick else PLANES_LEVEL
     parameters = zstandard.ZstdCompressionParameters.from_level(
-        PLANES_LEVEL, source_size=len(content), min_match=MIN_MATCH, write_checksum=True
+        level, source_size=len(content), min_match=MIN_MATCH, write_checksum=True
     )
     compressor = zstandard.ZstdCompressor(compression_params=parameters).compressobj(len(content))
     view = memoryview(content)

@@ -24,7 +24,6 @@ from codec.lattice.quantise import (
     from_luma,
     opacity_logits,
     position_step_m,
-    to_luma,
 )
 from codec.pose import Doubles
 from codec.splats import SH_C0, Splats, array_shapes, sh_count
@@ -184,6 +183,20 @@ def _put(rows, positions, attributes, to_positions, to_attributes):  # type: ign
             to_attributes[rows[i], a] = attributes[i, a]
 
 
+@kernel(nogil=True)
+def _luma_steps(sh, darkest, step, values):  # type: ignore[no-untyped-def]
+    """Fills (N, 3 K) values: all Y, then Co, Cg of (N, K, 3) coefficients, in steps."""
+    coefficients = sh.shape[1]
+    for i in range(sh.shape[0]):
+        for k in range(coefficients):
+            red = max(np.float64(sh[i, k, 0]), darkest)
+            green = max(np.float64(sh[i, k, 1]), darkest)
+            blue = max(np.float64(sh[i, k, 2]), darkest)
+            values[i, k] = (red + 2 * green + blue) / 4 / step
+            values[i, coefficients + k] = (red - blue) / 2 / step
+            values[i, 2 * coefficients + k] = (2 * green - red - blue) / 4 / step
+
+
 def lattice_values(splats: Splats, lattice: Lattice, before: States | None = None) -> Doubles:
     """(N, 3 + A) float64: position and attributes of `splats` in steps of `lattice`, not rounded.
 
@@ -203,17 +216,14 @@ def lattice_values(splats: Splats, lattice: Lattice, before: States | None = Non
                 signed[:, SCALES:TURNS] * lattice.log_scale + lattice.log_scale_base,
                 signed[:, TURNS:COLOURS] * lattice.rotation,
             )
-        rgb = splats.sh.astype(np.float64)
-        if splats.sh_degree == 0:
-            # Colour below black is drawn black; without view dependence nothing is lost by this.
-            rgb = np.maximum(rgb, -0.5 / SH_C0)
         values = np.empty((count, 3 + COLOURS + 3 * coefficients + 1))
         values[:, :3] = means / lattice.position_m
         attributes = values[:, 3:]
         attributes[:, SCALES:TURNS] = (scales - lattice.log_scale_base) / lattice.log_scale
         attributes[:, TURNS:COLOURS] = quats[:, 1:] / lattice.rotation
-        colours = to_luma(rgb).transpose(0, 2, 1) / lattice.colour  # (N, 3, K): all Y, then Co, Cg
-        attributes[:, COLOURS:-1] = colours.reshape(count, 3 * coefficients)
+        # Colour below black is drawn black; without view dependence nothing is lost by this.
+        darkest = -0.5 / SH_C0 if splats.sh_degree == 0 else -np.inf
+        _luma_steps(splats.sh, darkest, lattice.colour, attributes[:, COLOURS:-1])
         attributes[:, -1] = splats.opacities.astype(np.float64) * (lattice.opacity_levels - 1)
     clipped: Doubles = np.clip(values, -TAME, TAME)
     return clipped

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,12 +11,20 @@ from codec.errors import InvalidError
 from codec.lattice.lattice import COLOURS, SCALES, TURNS, Lattice
 from codec.lattice.quantise import MAX_OPACITY_LEVELS
 from codec.pose import Doubles
+from codec.splats import MAX_SH_DEGREE, sh_count
 
 HOLD = 0.75
 """Steps that a value may be off before it is sent again; a new one is rounded, so half a step off.
 Above 0.5, so that noise about the middle between two steps is not sent."""
 
 KINDS = ("position", "size", "turn", "colour", "opacity")
+
+COARSER_POSITION, FINER_SIZE, FINER_COLOUR, FINER_OPACITY = 2.1, 3.0, 5.0, 2.0
+"""How the errors of a layer differ from those of each Gaussian by itself, at SH degree 3. Found by
+drawing: positions change all the time, so each of their bits costs most."""
+
+FINEST_OPACITY = HOLD / (MAX_OPACITY_LEVELS - 1)
+"""The smallest error of an opacity that a stream can keep."""
 
 TOP = 127
 """The integer of the largest log-scale that an attribute holds."""
@@ -48,16 +56,33 @@ class ErrorBound:
             value = getattr(self, field.name)
             if not 0 < value < float("inf"):
                 raise InvalidError(f"error {field.name} {value:g}: choose more than 0")
-        finest = HOLD / (MAX_OPACITY_LEVELS - 1)
-        if self.of("opacity") < finest:
+        if self.of("opacity") < FINEST_OPACITY * (1 - 1e-9):
             raise InvalidError(
-                f"error opacity {self.of('opacity'):g}: choose {finest:.4f} or more, "
+                f"error opacity {self.of('opacity'):g}: choose {FINEST_OPACITY:.4f} or more, "
                 "the finest step of a stream"
             )
 
     def of(self, kind: str) -> float:
         """The bound of one of KINDS."""
         return float(getattr(self, kind)) / self.finer
+
+    def in_layer(self, coarseness: float, sh_degree: int, reach: float) -> ErrorBound:
+        """The bounds of a layer whose Gaussians show 1 / `coarseness` as much as the usual one, so
+        that all kinds of errors show about equally in a picture.
+
+        reach: the largest magnitude of a harmonic coefficient, which one byte must hold.
+        """
+        # The errors of all coefficients of a colour add up.
+        finer = FINER_COLOUR * (sh_count(sh_degree) / sh_count(MAX_SH_DEGREE))
+        colour = max(self.colour * coarseness / finer, HOLD * reach / TOP * self.finer)
+        return replace(
+            self,
+            position=self.position * coarseness * COARSER_POSITION,
+            size=self.size * coarseness / FINER_SIZE,
+            turn=self.turn * coarseness,
+            colour=min(colour, self.colour * max(coarseness, 1)),
+            opacity=max(self.opacity / FINER_OPACITY, FINEST_OPACITY * self.finer),
+        )
 
     def lattice(self, size_m: float, lowest: float, highest: float) -> Lattice:
         """The lattice that keeps these bounds.

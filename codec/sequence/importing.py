@@ -23,7 +23,7 @@ from codec.lattice.lattice import Lattice
 from codec.lattice.quantise import layer_coarseness
 from codec.pose import Doubles
 from codec.slice import Slice
-from codec.slots.slotlayout import MAX_LAYERS, MAX_SEGMENT_SLOTS
+from codec.slots.slotlayout import MAX_LAYERS, MAX_SEGMENT_SLOTS, MAX_SLOTS
 from codec.splats import MAX_SH_DEGREE, Splats
 from codec.stream.layers import RANKS, Rank, RankFunction, split_counts, split_layers
 from codec.stream.manifest import MAX_FPS, MIN_FPS, Manifest, Point
@@ -46,6 +46,8 @@ NEAR_SHARE = 0.01
 """Nearest depth drawn, as a share of the bounds' half diagonal: one may walk into the model."""
 SHARES = (0.35, 0.15, 0.2, 0.3)
 """Shares of four layers; another number of layers has equal shares."""
+ROOM = 1.03
+"""Slots of a sequence whose errors differ by layer, as a multiple of its most Gaussians."""
 SEGMENT_FRAMES = 15
 LONGEST_SEGMENT_S = 10.0
 STILL_FPS = 30.0
@@ -55,9 +57,9 @@ WRITE_STEPS = 4
 """Steps that writing a frame counts for, where looking at it first counts for one: it takes about
 so much longer."""
 
-Progress = Callable[[int, int], None]
-"""Called after each step with the number of steps done and their total; they take about equally
-long."""
+Progress = Callable[[int, int, str], None]
+"""Called after each step with the number of steps done, their total, and what was done; steps take
+about equally long."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +79,9 @@ class ImportOptions:
     """Keep every float of the files; every frame is then sent whole."""
     error: ErrorBound = field(default_factory=ErrorBound)
     """Largest errors against the files."""
+    by_paint: bool | None = None
+    """Scale the errors of each layer: larger where Gaussians paint little, smaller where they paint
+    much, with finer harmonics. By default with SH degrees 2 and 3."""
     sh_degree: int | None = None
     """Highest degree of spherical harmonics to keep, 0 to 3; files of lower degree stay as they
     are. By default all degrees are kept."""
@@ -182,31 +187,49 @@ def _segment_frames(survey: Survey, fps: float) -> int:
     return int(np.clip(round(1 / max(survey.moved_share, 1e-6)), SEGMENT_FRAMES, fitting))
 
 
-def make_plan(survey: Survey, options: ImportOptions) -> SlotPlan:
-    """How the slots of a stream of what `survey` found are laid out."""
+def make_plan(survey: Survey, options: ImportOptions, example: Splats) -> SlotPlan:
+    """How the slots of a stream of what `survey` found are laid out. example: a frame of it, by
+    which the layers are weighed."""
     size_m = survey.size_m if survey.num_gs else 1.0
     lattice = survey.lattice
     wanted = options.error.lattice(size_m, survey.lowest, survey.highest)
-    if lattice is None or 4 * lattice.position_m < wanted.position_m:
+    is_given = lattice is not None and 4 * lattice.position_m >= wanted.position_m
+    if lattice is None or not is_given:
         lattice = wanted
-    slots = split_counts(max(1, survey.num_gs), options.shares)
+    by_paint = options.by_paint if options.by_paint is not None else survey.sh_degree > 1
+    # With room in each layer what is born finds a place where its errors suit it.
+    num_slots = survey.num_gs
+    if by_paint and survey.num_files > 1:
+        num_slots = min(math.ceil(ROOM * num_slots), MAX_SLOTS)
+    slots = split_counts(max(1, num_slots), options.shares)
     if not min(slots):  # no layer is empty
         slots = (sum(slots),)
-    bounds = np.array([options.error.of(kind) for kind in KINDS])
-    bounds[0] *= size_m
+    errors, lattices = (options.error,) * len(slots), (lattice,) * len(slots)
+    if by_paint and not is_given and survey.num_gs:
+        layers = split_layers(example, slots, RANKS[options.rank])
+        errors = tuple(
+            options.error.in_layer(coarseness, survey.sh_degree, survey.reach)
+            for coarseness in layer_coarseness([example.take(rows) for rows in layers])
+        )
+        lattices = tuple(error.lattice(size_m, survey.lowest, survey.highest) for error in errors)
+    bounds = np.array([[error.of(kind) for kind in KINDS] for error in errors])
+    bounds[:, 0] *= size_m
     shares = options.shares if len(slots) == options.layers else (1.0,)
-    return SlotPlan(slots, shares, survey.sh_degree, lattice, bounds, *survey.box)
+    return SlotPlan(slots, shares, survey.sh_degree, lattices, bounds, *survey.box, is_given)
 
 
 def still_lattices(splats: Splats, plan: SlotPlan, rank: RankFunction) -> tuple[Lattice, ...]:
     """The lattice of each layer of a single file: the less its Gaussians paint, the coarser, as far
     as the bounds allow. Such a value is rounded, so half a step off, where one of a sequence may be
     held HOLD steps off."""
+    if len(set(plan.lattices)) > 1:
+        return plan.lattices  # they differ by layer already
     layers = [splats.take(rows) for rows in split_layers(splats, plan.slots, rank)]
-    return tuple(plan.lattice.coarser(min(f, HOLD / 0.5)) for f in layer_coarseness(layers))
+    coarseness = layer_coarseness(layers)
+    return tuple(plan.lattices[0].coarser(min(f, HOLD / 0.5)) for f in coarseness)
 
 
-def _fps_of(source: Path, num_files: int, options: ImportOptions) -> float:
+def fps_of(source: Path, num_files: int, options: ImportOptions) -> float:
     """Frames in a second, from the options or the folder. Raises InvalidError."""
     path = source / FPS_NAME
     fps = STILL_FPS if options.fps is None else options.fps
@@ -226,7 +249,7 @@ def _fps_of(source: Path, num_files: int, options: ImportOptions) -> float:
     return fps
 
 
-def _nothing(done: int, total: int) -> None:
+def _nothing(done: int, total: int, what: str) -> None:
     pass
 
 
@@ -246,7 +269,7 @@ def import_stream(
     """
     all_files = find_files(source)
     files = [all_files[n] for n in options.frames.of(len(all_files), source)]
-    options = replace(options, fps=_fps_of(source, len(files), options))
+    options = replace(options, fps=fps_of(source, len(files), options))
     with making_folder(stream) as folder:
         num_steps = (1 + WRITE_STEPS) * len(files)
         survey, source_sh_degree, num_escaped = Survey(), 0, 0
@@ -254,11 +277,12 @@ def import_stream(
             splats = read_frame(file)
             source_sh_degree = max(source_sh_degree, splats.sh_degree)
             survey.take(file, options.kept(splats))
-            progress(number + 1, num_steps)
+            progress(number + 1, num_steps, f"looked at file {number + 1} of {len(files)}")
+        survey.warn_of_odd_files()
         title = source.resolve().name if options.title is None else options.title
         rank = RANKS[_known(options.rank)]
-        plan = make_plan(survey, options)
-        filler, lattices = SlotFiller(plan, rank), (plan.lattice,) * len(plan.slots)
+        plan = make_plan(survey, options, options.kept(read_frame(files[0])))
+        filler, lattices = SlotFiller(plan, rank), plan.lattices
         is_still = len(files) == 1 and survey.lattice is None
         if is_still and not options.exact:
             lattices = still_lattices(options.kept(splats), plan, rank)
@@ -282,7 +306,8 @@ def import_stream(
                     update = filler.update(birth, kept)
                 num_escaped += int(np.count_nonzero(update.escaped))
                 writer.append(update)
-                progress(len(files) + WRITE_STEPS * (birth + 1), num_steps)
+                num_done = len(files) + WRITE_STEPS * (birth + 1)
+                progress(num_done, num_steps, f"wrote frame {birth + 1} of {len(files)}")
         first_bytes = sum(StreamReader(folder, max_gaussians=None).records[0].side_bytes[1:])
         if draw is not None:
             write_poster(folder, draw)

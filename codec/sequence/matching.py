@@ -6,13 +6,15 @@ sends of a Gaussian is held against the file, whatever was there before.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from codec.kernel import kernel
 from codec.pose import Doubles
-from codec.splats import SH_C0, Splats
+from codec.splats import SH_C0, Floats, Splats
 
 Rows = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
@@ -27,8 +29,8 @@ ORDER_SHARE = 0.5
 to identify them."""
 
 ORDER_REACH = 0.1
-"""Largest motion in a frame where the order identifies Gaussians, as a share of the scene's
-extent."""
+"""Largest motion in a frame where the order or the colours identify Gaussians, as a share of the
+scene's extent."""
 
 REACH = 4.0
 """Largest motion in a frame where it does not, as a multiple of the Gaussian's size."""
@@ -48,27 +50,41 @@ ROUNDS = 3
 
 def row_keys(splats: Splats) -> Keys:
     """(N,) uint64 that identify Gaussians: equal for equal bits, hardly ever for others."""
-    count = len(splats)
+    return _keys(splats.arrays)
+
+
+def _keys(arrays: Sequence[Floats]) -> Keys:
+    """(N,) the keys of the rows of `arrays`."""
+    count = len(arrays[0])
     keys = np.zeros(count, np.uint64)
-    for array in splats.arrays:
-        for column in array.reshape(count, -1).T if count else ():
-            keys ^= np.ascontiguousarray(column).view(np.uint32)
-            keys *= np.uint64(0x9E3779B97F4A7C15)
-            keys ^= keys >> np.uint64(29)
+    for array in arrays if count else ():
+        _stir(np.ascontiguousarray(array).reshape(count, -1).view(np.uint32), keys)
     return keys
+
+
+@kernel(nogil=True)
+def _stir(words, keys):  # type: ignore[no-untyped-def]
+    """Stirs the words of each row into its key."""
+    for i in range(words.shape[0]):
+        key = keys[i]
+        for column in range(words.shape[1]):
+            key = (key ^ np.uint64(words[i, column])) * np.uint64(0x9E3779B97F4A7C15)
+            key ^= key >> np.uint64(29)
+        keys[i] = key
 
 
 def match(before: Splats, after: Splats) -> tuple[Rows, Flags]:
     """(N,) the row of `before` that each Gaussian of `after` continues, or -1; and which of them
     are the same bit by bit. No row is continued twice.
 
-    Bits come first, then the order of the files where it means something, then place and looks.
+    Bits come first, then the bits of the colours alone, then the order of the files where it means
+    something, then place and looks.
     """
     if len(before) == len(after) and all(map(np.array_equal, before.arrays, after.arrays)):
         return np.arange(len(after)), np.ones(len(after), np.bool_)
     continued = _equal_pairs(before, after)
     same = continued >= 0
-    for pair in (_pair_by_order, _pair_by_place):
+    for pair in (_pair_by_colours, _pair_by_order, _pair_by_place):
         old = np.ones(len(before), np.bool_)
         old[continued[continued >= 0]] = False
         left, right = np.flatnonzero(old), np.flatnonzero(continued < 0)
@@ -123,6 +139,38 @@ def _looks(splats: Splats) -> Doubles:
     return np.column_stack([sizes, splats.opacities, colours]) / ALIKE
 
 
+def _pair_by_colours(
+    before: Splats, after: Splats, left: Rows, right: Rows, continued: Rows
+) -> None:
+    """Fills `continued` where the colours have the same bits, which no other Gaussian of either
+    file has: what a deformation network moves keeps them."""
+    old, new = _keys([before.sh[left]]), _keys([after.sh[right]])
+    old_keys, old_first, old_counts = np.unique(old, return_index=True, return_counts=True)
+    new_keys, new_first, new_counts = np.unique(new, return_index=True, return_counts=True)
+    old_first, old_keys = old_first[old_counts == 1], old_keys[old_counts == 1]
+    new_first, new_keys = new_first[new_counts == 1], new_keys[new_counts == 1]
+    _, i, j = np.intersect1d(old_keys, new_keys, assume_unique=True, return_indices=True)
+    a, b = left[old_first[i]], right[new_first[j]]
+    alike = _are_alike(before, after, a, b, _extent_m(before, left))
+    continued[b[alike]] = a[alike]
+
+
+def _extent_m(splats: Splats, rows: Rows) -> float:
+    """The longest side of a box around most of the Gaussians `rows`, metres."""
+    edges = np.quantile(splats.means[rows], (0.02, 0.98), axis=0)
+    return float(np.ptp(edges, axis=0).max())
+
+
+def _are_alike(before: Splats, after: Splats, a: Rows, b: Rows, extent_m: float) -> Flags:
+    """(M,) whether Gaussian a[i] of `before` may be b[i] of `after`, by its looks and by how far
+    it has moved."""
+    looks = abs(_looks(before.take(a)) - _looks(after.take(b))).max(axis=1, initial=0) <= 1
+    moves_m = np.linalg.norm(before.means[a].astype(np.float64) - after.means[b], axis=1)
+    sizes_m = np.exp(np.clip(before.log_scales[a].astype(np.float64).max(axis=1), -30, 30))
+    alike: Flags = looks & (moves_m <= ORDER_REACH * extent_m + sizes_m)
+    return alike
+
+
 def _pair_by_order(before: Splats, after: Splats, left: Rows, right: Rows, continued: Rows) -> None:
     """Fills `continued` where what stands at the same place of both files is alike, if it mostly
     is: of all rows, or, if as many are left, of these alone."""
@@ -131,15 +179,12 @@ def _pair_by_order(before: Splats, after: Splats, left: Rows, right: Rows, conti
         pairs.append((left, right))
     stays = np.intersect1d(left, right, assume_unique=True)
     pairs.append((stays, stays))
-    extent = float(np.ptp(np.quantile(before.means[left], (0.02, 0.98), axis=0), axis=0).max())
+    extent_m = _extent_m(before, left)
     best = (0, pairs[0][0][:0], pairs[0][1][:0])
     for a, b in pairs:
         if not len(a):
             continue
-        looks = abs(_looks(before.take(a)) - _looks(after.take(b))).max(axis=1) <= 1
-        moves_m = np.linalg.norm(before.means[a].astype(np.float64) - after.means[b], axis=1)
-        sizes_m = np.exp(np.clip(before.log_scales[a].astype(np.float64).max(axis=1), -30, 30))
-        alike = looks & (moves_m <= ORDER_REACH * extent + sizes_m)
+        alike = _are_alike(before, after, a, b, extent_m)
         if alike.mean() >= ORDER_SHARE and alike.sum() > best[0]:
             best = (int(alike.sum()), a[alike], b[alike])
     continued[best[2]] = best[1]

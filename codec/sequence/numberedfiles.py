@@ -12,6 +12,15 @@ from codec.interop.formats import READ, has_known_suffix
 FPS_NAME = "fps.txt"
 """A file in a folder of a sequence or of pictures with the frames per second, a number."""
 
+MAX_NAMED = 5
+"""Gaps that a message names."""
+
+
+def number_of(path: Path) -> int | None:
+    """The last number in the name of `path`, without its suffix; None if it has none."""
+    digits = re.findall(r"[0-9]+", path.stem)
+    return int(digits[-1]) if digits else None
+
 
 def find_files(source: Path) -> list[Path]:
     """The file `source`, or those of the folder `source` by the last number in their names.
@@ -26,23 +35,35 @@ def find_files(source: Path) -> list[Path]:
     for path in sorted(source.iterdir()):
         if path.name.startswith(".") or not has_known_suffix(path):
             continue
-        digits = re.findall(r"[0-9]+", path.stem)
-        if not digits:
+        number = number_of(path)
+        if number is None:
             raise InvalidError(f"{path}: its name has no number to sort a sequence by")
         if not path.is_file():
             what = "a broken link" if path.is_symlink() else "not a regular file"
             raise InvalidError(f"{path} is {what}; replace or remove it")
-        first = numbered.setdefault(int(digits[-1]), path)
+        first = numbered.setdefault(number, path)
         if first is not path:
             raise InvalidError(f"{source}: {first.name} and {path.name} have the same number")
     if not numbered:
         raise InvalidError(f"{source}: no file of Gaussians in this folder ({READ})")
     numbers = sorted(numbered)
     step = min((b - a for a, b in pairwise(numbers)), default=1)
-    for a, b in pairwise(numbers):
-        if b - a != step:
-            raise InvalidError(
-                f"{source}: number {a + step} is missing between {numbered[a].name} and "
-                f"{numbered[b].name}"
-            )
+    gaps = [(a, b) for a, b in pairwise(numbers) if b - a != step]
+    if gaps:
+        a, b = gaps[0]
+        raise InvalidError(
+            f"{source}: {_missing(gaps, step)} between {numbered[a].name} and {numbered[b].name}"
+        )
     return [numbered[number] for number in numbers]
+
+
+def _missing(gaps: list[tuple[int, int]], step: int) -> str:
+    """What is missing in `gaps` between two numbers each, the first of them last."""
+    ranges = [f"{a + step}" if b - a <= 2 * step else f"{a + step} to {b - step}" for a, b in gaps]
+    if len(gaps) == 1 and gaps[0][1] - gaps[0][0] <= 2 * step:
+        return f"number {ranges[0]} is missing"
+    if len(gaps) == 1:
+        return f"numbers {ranges[0]} are missing"
+    more = f" and in {len(gaps) - MAX_NAMED} more gaps" if len(gaps) > MAX_NAMED else ""
+    named = ", ".join(ranges[:MAX_NAMED])
+    return f"{len(gaps)} gaps; numbers {named} are missing{more}; the first is"

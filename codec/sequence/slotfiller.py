@@ -10,6 +10,7 @@ never against what was sent before; so errors do not add up.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,8 +28,9 @@ from codec.lattice.lattice import (
 )
 from codec.lattice.morton import interleave
 from codec.pose import Doubles
+from codec.slots.slotstate import ESCAPED, Slots, empty_arrays, holds
 from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
-from codec.splats import Splats
+from codec.splats import Floats, Splats
 from codec.stream.layers import RankFunction, split_counts
 
 from .errorbound import HOLD, KINDS, by_kind, steps_of
@@ -56,10 +58,13 @@ class SlotPlan:
     shares: tuple[float, ...]
     """Share of a file's Gaussians, by importance, in each layer."""
     sh_degree: int
-    lattice: Lattice
-    bounds: Doubles  # (5,) most that each of KINDS may be off; of positions in metres
+    lattices: tuple[Lattice, ...]
+    """Of each layer."""
+    bounds: Doubles  # (L, 5) most that each of KINDS may be off in a layer; of positions in metres
     lower: Doubles  # (3,) metres, of the box along which newcomers are ordered
     upper: Doubles  # (3,)
+    is_given: bool = False
+    """Whether Gaussians lie on the lattices already, as those of another stream do."""
 
 
 class SlotFiller:
@@ -67,23 +72,36 @@ class SlotFiller:
 
     def __init__(self, plan: SlotPlan, rank: RankFunction) -> None:
         self._plan, self._rank = plan, rank
-        self._limits = plan.bounds / steps_of(plan.lattice) + SLACK
-        self._hold = float(np.clip(self._limits.min(), 0.5, HOLD))
+        self._edges = np.cumsum((0, *plan.slots))
+        steps = np.array([steps_of(lattice) for lattice in plan.lattices])
+        self._limits = plan.bounds / steps + SLACK  # (L, 5)
+        self._holds = np.clip(self._limits.min(axis=1), 0.5, HOLD)
         count = sum(plan.slots)
         self._before = Splats.empty(plan.sh_degree)
         self._slot_of_row: Rows = np.zeros(0, np.int64)  # of _before
         self._states = States.zeros(count, plan.sh_degree)
         self._is_full = np.zeros(count, np.bool_)
         self._has_escaped = np.zeros(count, np.bool_)
-        self._worst = np.zeros(len(KINDS))  # in steps
+        self.errors: Doubles = np.zeros(len(KINDS))
+        """The most that each of KINDS was off so far; of positions in metres."""
         self.statuses: Counts = np.zeros(4, np.int64)
         """How many slots were kept, ended, predicted, new so far, after the first file; empty ones
         count as kept."""
 
-    @property
-    def errors(self) -> Doubles:
-        """(5,) the most that each of KINDS was off so far; of positions in metres."""
-        return self._worst * steps_of(self._plan.lattice)
+    def go_on_after(self, layers: Sequence[Slots]) -> None:
+        """Goes on after what a stream's slots hold in each layer: the next file continues it."""
+        self._states = States.concatenate([slots.states for slots in layers]).copy()
+        conditions = np.concatenate([slots.conditions for slots in layers])
+        self._is_full = holds(conditions)
+        self._has_escaped = conditions == ESCAPED
+        self._slot_of_row = np.flatnonzero(self._is_full)
+        parts = []
+        for slots, lattice in zip(layers, self._plan.lattices, strict=True):
+            rows = np.flatnonzero(holds(slots.conditions))
+            arrays = empty_arrays(len(rows), self._plan.sh_degree)
+            slots.draw(rows, lattice, arrays)
+            parts.append(Splats(*arrays))
+        self._before = Splats.concatenate(parts)
 
     def update(self, birth: int, splats: Splats) -> Update:
         """The update that makes the slots hold `splats`, of the next file, which has at most S
@@ -99,7 +117,7 @@ class SlotFiller:
         self._empty(np.flatnonzero(statuses == ENDED))
         newcomers = np.flatnonzero(~lasts)
         if len(newcomers):
-            rows, places = self._placed(splats, newcomers, is_free)
+            rows, places = self._placed(splats, newcomers, is_free, slots)
             slots[rows] = places
         changed = np.flatnonzero(lasts & ~same)
         known = ~self._has_escaped[slots[changed]]
@@ -121,16 +139,25 @@ class SlotFiller:
         self, splats: Splats, rows: Rows, slots: Rows, before: States | None, statuses: Bytes
     ) -> None:
         """Puts the Gaussians `rows` into `slots`, which held `before`; fills `statuses`."""
-        # Block by block: numbers on the way to integers take eight bytes each.
-        for first in range(0, len(rows), BLOCK):
-            part = slice(first, first + BLOCK)
-            held = None if before is None else before.take(part)
-            self._fill_block(splats, rows[part], slots[part], held, statuses)
+        layers = np.searchsorted(self._edges, slots, side="right") - 1
+        for layer in range(len(self._plan.slots)):
+            here = np.flatnonzero(layers == layer)
+            # Block by block: numbers on the way to integers take eight bytes each.
+            for first in range(0, len(here), BLOCK):
+                part = here[first : first + BLOCK]
+                held = None if before is None else before.take(part)
+                self._fill_block(layer, splats, rows[part], slots[part], held, statuses)
 
     def _fill_block(
-        self, splats: Splats, rows: Rows, slots: Rows, before: States | None, statuses: Bytes
+        self,
+        layer: int,
+        splats: Splats,
+        rows: Rows,
+        slots: Rows,
+        before: States | None,
+        statuses: Bytes,
     ) -> None:
-        states, fits = self._on_lattice(splats.take(rows), before)
+        states, fits = self._on_lattice(layer, splats.take(rows), before)
         statuses[slots] = NEW
         if before is not None:
             kept = (states.positions == before.positions).all(axis=1)
@@ -143,29 +170,42 @@ class SlotFiller:
         self._is_full[slots] = True
         self._has_escaped[slots] = ~fits
 
-    def _on_lattice(self, splats: Splats, before: States | None) -> tuple[States, Flags]:
-        """`splats` as integers, and which of them are within the bounds."""
-        lattice = self._plan.lattice
-        states, fits = as_given(splats, lattice)
+    def _on_lattice(
+        self, layer: int, splats: Splats, before: States | None
+    ) -> tuple[States, Flags]:
+        """`splats`, of `layer`, as integers, and which of them are within the bounds."""
+        lattice = self._plan.lattices[layer]
+        if self._plan.is_given:
+            states, fits = as_given(splats, lattice)
+        else:
+            states = States.zeros(len(splats), splats.sh_degree)
+            fits = np.zeros(len(splats), np.bool_)
         rest = np.flatnonzero(~fits)
         if not len(rest):
             return states, fits
         left = None if before is None else before.take(rest)
         values = lattice_values(splats.take(rest), lattice, left)
-        rounded, inside = round_values(values, lattice, left, self._hold)
+        rounded, inside = round_values(values, lattice, left, float(self._holds[layer]))
         sizes = values[:, 3 + SCALES : 3 + TURNS]
         np.maximum(sizes, -128, out=sizes)  # what is thinner is flat
         errors = by_kind(abs(values - rounded.numbers()))
-        inside &= (errors <= self._limits).all(axis=1)
-        self._worst = np.maximum(self._worst, errors[inside].max(axis=0, initial=0))
+        inside &= (errors <= self._limits[layer]).all(axis=1)
+        worst = errors[inside].max(axis=0, initial=0) * steps_of(lattice)
+        self.errors = np.maximum(self.errors, worst)
         states.put(rest, rounded)
         fits[rest] = inside
         return states, fits
 
-    def _placed(self, splats: Splats, newcomers: Rows, is_free: Flags) -> tuple[Rows, Rows]:
+    def _placed(
+        self, splats: Splats, newcomers: Rows, is_free: Flags, slot_of_row: Rows
+    ) -> tuple[Rows, Rows]:
         """The rows `newcomers` in some order, and a free slot for each: in the layer that its
         importance among all of `splats` gives it, or the nearest one with room. In a layer they
-        follow each other as neighbours do."""
+        follow each other as neighbours do, near the slots of their neighbours among those that
+        have one, so that what moves alike stands together and compresses well.
+
+        slot_of_row: of all `splats`, -1 for the newcomers.
+        """
         plan = self._plan
         by_rank = np.argsort(-self._rank(splats), kind="stable")
         layers = np.empty(len(splats), np.int64)
@@ -175,9 +215,8 @@ class SlotFiller:
         is_new = np.zeros(len(splats), np.bool_)
         is_new[newcomers] = True
         waiting = by_rank[is_new[by_rank]]  # the most important first
-        edges = np.cumsum((0, *plan.slots))
         free = np.flatnonzero(is_free)
-        free_of = np.split(free, np.searchsorted(free, edges[1:-1]))
+        free_of = np.split(free, np.searchsorted(free, self._edges[1:-1]))
         counts = _with_room(
             np.bincount(layers[waiting], minlength=len(plan.slots)),
             np.array([len(slots) for slots in free_of]),
@@ -187,10 +226,19 @@ class SlotFiller:
         curve = interleave(cells.astype(np.int64))
         rows, places = [], []
         ends = np.cumsum(counts)
-        for end, count, slots in zip(ends, counts, free_of, strict=True):
+        layer_of_row = np.searchsorted(self._edges, slot_of_row, side="right") - 1
+        for layer, (end, count, slots) in enumerate(zip(ends, counts, free_of, strict=True)):
             part = slice(end - count, end)
-            rows.append(waiting[part][np.argsort(curve[part], kind="stable")])
-            places.append(slots[:count])
+            there = np.flatnonzero(layer_of_row == layer)
+            if not len(there) or not count:
+                rows.append(waiting[part][np.argsort(curve[part], kind="stable")])
+                places.append(slots[:count])
+                continue
+            nearest = _nearest_rows(splats.means[there], splats.means[waiting[part]])
+            wanted = slot_of_row[there[nearest]]
+            order = np.argsort(wanted, kind="stable")
+            rows.append(waiting[part][order])
+            places.append(slots[_spread(np.searchsorted(slots, wanted[order]), len(slots))])
         return np.concatenate(rows), np.concatenate(places)
 
     def _update_of(self, birth: int, statuses: Bytes, splats: Splats, slots: Rows) -> Update:
@@ -207,6 +255,21 @@ class SlotFiller:
             escaped,
             splats.take(row_of_slot[coded[escaped]]),
         )
+
+
+def _nearest_rows(points_m: Floats, from_m: Floats) -> Rows:
+    """(N,) which of `points_m` is nearest to each of `from_m`."""
+    from scipy.spatial import cKDTree  # loads slowly, and few commands need it
+
+    nearest: Rows = cKDTree(points_m).query(from_m)[1]
+    return nearest
+
+
+def _spread(wanted: Rows, room: int) -> Rows:
+    """(N,) different places below `room`, rising as `wanted` does, each near what is wanted."""
+    count = np.arange(len(wanted))
+    rising = np.maximum.accumulate(wanted - count) + count
+    return np.minimum(rising, room - len(wanted) + count)
 
 
 def _with_room(wanted: Counts, room: Counts) -> Counts:

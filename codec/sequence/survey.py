@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 from codec.errors import InvalidError
 from codec.interop.formats import read_splats
 from codec.lattice.lattice import Lattice
-from codec.lattice.quantise import POSITION_PER_SIZE, position_step_m
+from codec.lattice.quantise import POSITION_PER_SIZE, position_step_m, to_luma
 from codec.pose import Doubles
 from codec.slots.slotlayout import MAX_SLOTS
 from codec.splats import Splats
@@ -18,12 +19,20 @@ from codec.splats import Splats
 from .findlattice import find_lattice
 from .matching import Keys, row_keys
 
+_log = logging.getLogger(__name__)
+
 CORE_SHARE = 0.98
 """Share of the centres, along each axis, that the bounds enclose: floaters lie far outside."""
 
 USUAL_SHARE = 0.999
 FAR = 2.0
 """A log-scale counts that is not larger, by more than FAR, than USUAL_SHARE of all."""
+
+
+ODD_FACTOR = 2.0
+"""A file is odd if it has so many times fewer or more Gaussians than the usual one."""
+MAX_NAMED = 5
+"""Files that a warning names."""
 
 
 def read_frame(path: Path) -> Splats:
@@ -50,6 +59,8 @@ class Survey:
     lowest: float = 0.0
     highest: float = 0.0
     """The log-scales, without the few largest ones."""
+    reach: float = 0.0
+    """The largest magnitude of Y, Co, Cg of a harmonic coefficient."""
     lattice: Lattice | None = None
     """That the Gaussians of the first file that has any lie on already."""
     num_moved: int = 0
@@ -57,6 +68,7 @@ class Survey:
     num_later: int = 0
     """All Gaussians after the first file."""
     _keys: Keys | None = None  # of the file before
+    _counts: list[tuple[Path, int]] = field(default_factory=list)
 
     def take(self, path: Path, splats: Splats) -> None:
         """Takes in the next file. Raises InvalidError if it does not fit those before."""
@@ -71,6 +83,7 @@ class Survey:
             self.num_later += len(keys)
             self.num_moved += int(np.count_nonzero(~np.isin(keys, self._keys)))
         self.num_files, self.sh_degree, self._keys = self.num_files + 1, splats.sh_degree, keys
+        self._counts.append((path, len(splats)))
         if not len(splats):
             return
         cut = (1 - CORE_SHARE) / 2
@@ -85,10 +98,30 @@ class Survey:
             self.lattice = find_lattice(splats)
             self.lowest, self.highest = lowest, highest
         self.lowest, self.highest = min(self.lowest, lowest), max(self.highest, highest)
+        for coefficient in splats.sh.transpose(1, 0, 2):  # one by one, which bounds the memory
+            self.reach = max(self.reach, float(abs(to_luma(coefficient.astype(np.float64))).max()))
         self.lower = np.minimum(self.lower, lower)
         self.upper = np.maximum(self.upper, upper)
         self.size_m = min(self.size_m, position_step_m(splats) / POSITION_PER_SIZE)
         self.num_gs = max(self.num_gs, len(splats))
+
+    def warn_of_odd_files(self) -> None:
+        """Names the files that have far fewer or far more Gaussians than the usual one: most often
+        they were cut off, or belong to something else."""
+        usual = float(np.median([count for _, count in self._counts] or [0]))
+        odd = [
+            f"{path.name} ({count})"
+            for path, count in self._counts
+            if not usual / ODD_FACTOR <= count <= usual * ODD_FACTOR
+        ]
+        if odd:
+            more = f" and {len(odd) - MAX_NAMED} more" if len(odd) > MAX_NAMED else ""
+            _log.warning(
+                "the usual file has %.0f Gaussians; far from it: %s%s",
+                usual,
+                ", ".join(odd[:MAX_NAMED]),
+                more,
+            )
 
     @property
     def box(self) -> tuple[Doubles, Doubles]:

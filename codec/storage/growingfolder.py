@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from codec.errors import InvalidError
@@ -72,9 +73,14 @@ class GrowingFolder(FolderStorage):
             leftover.unlink()
 
     def add(self, entry: int, files: Mapping[str, bytes]) -> None:
-        for name, data in files.items():
-            self.put(f"{self._shape.folder}/{entry}/{name}", data)
-        sync_folder(self._folder / self._shape.folder)
+        folder = self._folder / self._shape.folder
+        parent = folder / str(entry)
+        parent.mkdir(exist_ok=True)
+        # The disk makes several files last in about the time of one.
+        with ThreadPoolExecutor(max_workers=max(1, len(files))) as threads:
+            paths = [parent / name for name in files]
+            list(threads.map(write_atomic, paths, files.values()))
+        sync_folder(folder)
 
     def append(self, log_bytes: int, records: bytes) -> None:
         append_durably(self._folder / self._shape.log, log_bytes, records)

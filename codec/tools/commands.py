@@ -14,6 +14,7 @@ from codec.foreign.spz import SpzVersion
 from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat
 from codec.progressline import counted
+from codec.sequence.following import FollowOptions, follow_folder, stopped_by_interrupt
 from codec.sequence.importing import Imported, ImportOptions, import_stream
 from codec.stream.pictures import Draw
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
@@ -51,14 +52,25 @@ class Verify:
 
 @dataclass(frozen=True, slots=True)
 class Import:
-    """Make a stream from a file of Gaussians, or from a folder with one numbered file per frame."""
+    """Make a stream from a file of Gaussians, or from a folder with one numbered file per frame;
+    with --follow a live stream from a folder that is still being written."""
 
     input: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="INPUT")]]
     """A .ply, compressed .ply, .spz, .splat, bundled .sog, .glb or .gltf file, or a folder of such
     files, one per frame, sorted by number."""
     stream: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="STREAM")]]
     """Folder of the new stream."""
+    follow: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Write a live stream while files still come into the folder INPUT. Ctrl-C finishes the
+    stream; a stream that a signal or an error ended stays live, for --resume."""
+    resume: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """With --follow: go on with the live stream at STREAM, after its last finished segment."""
     options: Annotated[ImportOptions, tyro.conf.arg(name="")] = field(default_factory=ImportOptions)
+    live: FollowOptions = field(default_factory=FollowOptions)
+
+    def __post_init__(self) -> None:
+        if not self.follow and (self.resume or self.live != FollowOptions()):
+            raise InvalidError("--resume and --live need --follow")
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +104,8 @@ class Export:
 
 def import_files(config: Import, draw: Draw | None = None) -> str:
     """Does what `config` says; gives lines about it. draw: for the poster and PSNR."""
+    if config.follow:
+        return _follow_files(config, draw)
     with counted(f"importing {config.input.name}") as progress:
         made = import_stream(config.input, config.stream, config.options, draw, progress)
     manifest = made.manifest
@@ -118,6 +132,30 @@ def import_files(config: Import, draw: Draw | None = None) -> str:
                 f"             the files at SH degree {made.source_sh_degree}, "
                 f"the stream at {manifest.sh_degree}"
             )
+    return "\n".join(lines)
+
+
+def _follow_files(config: Import, draw: Draw | None) -> str:
+    with stopped_by_interrupt() as stop, counted(f"following {config.input.name}") as progress:
+        made = follow_folder(
+            config.input,
+            config.stream,
+            config.options,
+            config.live,
+            config.resume,
+            stop,
+            draw,
+            progress,
+        )
+    manifest = made.manifest
+    lines = [
+        f"{config.stream}: {manifest.title}, finished with {made.num_frames} frames at "
+        f"{manifest.fps:g} a second; {made.num_bytes} bytes"
+    ]
+    if made.median_delay_s is not None:
+        lines.append(f"delay        {made.median_delay_s:.2f} s from a file to its segment, median")
+    if made.troubles:
+        lines.append(f"troubles     {made.troubles}")
     return "\n".join(lines)
 
 

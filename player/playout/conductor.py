@@ -24,7 +24,7 @@ from .clock import Clock
 from .queues import Events, Handoff
 from .threads import Threads
 from .timeline import FrameRecord
-from .transport import Transport, next_rate
+from .transport import Transport, live_lead_s, next_rate
 
 log = logging.getLogger(__name__)
 
@@ -123,7 +123,11 @@ class Conductor:
         """Asks for the stream."""
         play = self._start_play(self._first_frame, 0.0)
         frames = play.source.frames
-        self.transport = Transport(frames.first, frames.end, play.source.manifest.fps, self._plays)
+        manifest = play.source.manifest
+        lead_s = live_lead_s(manifest.segment_frames / manifest.fps)
+        self.transport = Transport(
+            frames.first, frames.end, manifest.fps, self._plays, lead_s=lead_s
+        )
         self._current, self._target = play, frames.first
         return self
 

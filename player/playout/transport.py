@@ -15,7 +15,16 @@ RATES = (0.25, 0.5, 1.0, 1.5, 2.0, 4.0)
 
 
 LIVE_LEAD_S = 1.0
-"""How far from the edge of a live stream one begins: nearer, the picture would stand still."""
+"""How far from the edge of a live stream one begins, at most: nearer, the picture would stand still
+until the next segment."""
+
+LIVE_MARGIN_S = 0.1
+"""What a segment that was just written may be late by, beyond its length."""
+
+
+def live_lead_s(segment_s: float) -> float:
+    """How far from the edge of a live stream with segments of `segment_s` one begins, seconds."""
+    return min(LIVE_LEAD_S, segment_s + LIVE_MARGIN_S)
 
 
 @dataclass(slots=True)
@@ -30,6 +39,8 @@ class Transport:
     """How often it is played yet, this time included; math.inf for without end."""
     shown: int | None = None
     """The last frame that showed; None before the first one."""
+    lead_s: float = LIVE_LEAD_S
+    """How far from the edge of a live stream `newest` is."""
     known_end: int = 0
     """Frames before this one are there, of a stream whose end is not known."""
 
@@ -48,7 +59,7 @@ class Transport:
         """Where one goes to who wants to see what is newest."""
         if self.end_frame is not None:
             return self.last_frame
-        return self.seek(self.last_frame - round(LIVE_LEAD_S * self.fps))
+        return self.seek(self.last_frame - round(self.lead_s * self.fps))
 
     @property
     def at_end(self) -> bool:

@@ -153,6 +153,9 @@ def test_a_bad_folder_or_file_is_named_and_nothing_is_written(tmp_path: Path) ->
     (folder / "frame_2.ply").write_bytes(data)
     save(folder / "frame_4.ply", trained_like_splats(3))
     refused(r"take: number 3 is missing between frame_2\.ply and frame_4\.ply")
+    save(folder / "frame_9.ply", trained_like_splats(3))
+    refused(r"2 gaps; numbers 3, 5 to 8 are missing; the first is between frame_2\.ply and")
+    (folder / "frame_9.ply").unlink()
     (folder / "frame_3.ply").symlink_to("nowhere.ply")
     refused(r"take/frame_3\.ply is a broken link; replace or remove it")
     (folder / "frame_3.ply").unlink()
@@ -177,11 +180,25 @@ def test_a_bad_folder_or_file_is_named_and_nothing_is_written(tmp_path: Path) ->
     assert import_stream(folder, tmp_path / "s", ImportOptions()).manifest.fps == 12.5
 
 
+def test_odd_files_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    for number, count in enumerate((50, 55, 45, 3, 50, 150, 0)):
+        save(tmp_path / "take" / f"frame_{number}.ply", trained_like_splats(count))
+    told = []
+    import_stream(
+        tmp_path / "take", tmp_path / "s", OPTIONS, progress=lambda *step: told.append(step)
+    )
+    assert "the usual file has 50 Gaussians" in caplog.text
+    assert "frame_3.ply (3), frame_5.ply (150), frame_6.ply (0)" in caplog.text
+    assert [step[:2] for step in told[:2]] == [(1, 35), (2, 35)]
+    assert told[0][2] == "looked at file 1 of 7"
+    assert told[-1] == (35, 35, "wrote frame 7 of 7")
+
+
 def test_a_file_that_changes_while_it_is_imported_is_named(tmp_path: Path) -> None:
     for number in range(3):
         save(tmp_path / "take" / f"{number}.ply", trained_like_splats(5))
 
-    def grow(done: int, total: int) -> None:
+    def grow(done: int, total: int, what: str) -> None:
         if done == 3 + WRITE_STEPS:  # the first frame is written
             save(tmp_path / "take" / "1.ply", trained_like_splats(6))
 

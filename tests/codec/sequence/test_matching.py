@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from codec.pose import rotation_about
 from codec.sequence.matching import match, row_keys
 from codec.splats import Splats
+from tests.support.deforming import Deforming
 from tests.support.drawn import drawn_splats
 from tests.support.slots.rotating import figure, turned
 from tests.support.trained_like import trained_like_splats
@@ -50,6 +51,28 @@ def test_keys_tell_bits_apart() -> None:
     other[7, 3, 2] = np.nextafter(other[7, 3, 2], np.float32(9))
     changed = Splats(*splats.arrays[:4], other)
     assert np.flatnonzero(row_keys(changed) != row_keys(splats)).tolist() == [7]
+
+
+def test_colours_tell_what_a_deformation_network_moves_far() -> None:
+    """In any order, though most of it went farther than its neighbours are apart."""
+    deforming = Deforming(4000, 3)
+    before, after = deforming.next(), deforming.next()
+    continued, same = match(before, after)
+    goes_on = continued >= 0
+    assert goes_on.mean() > 0.97
+    equal = (before.sh[continued[goes_on]] == after.sh[goes_on]).all(axis=(1, 2))
+    assert equal.mean() > 0.99
+    assert not same.any()
+
+
+def test_colours_that_many_share_tell_nothing() -> None:
+    before = figure(2000)
+    grey = Splats(*before.arrays[:4], np.full((2000, 1, 3), 0.25, np.float32))
+    order = np.random.default_rng(1).permutation(2000)
+    after = turned(grey, 0.01).take(order)
+    continued, _ = match(grey, after)
+    right = continued == order
+    assert right[continued >= 0].mean() > 0.9
 
 
 @pytest.mark.parametrize("count", [3000, 12000])

@@ -35,7 +35,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_commands_run(folder: Path) -> None:
-    assert len(COMMANDS) == 8
+    assert len(COMMANDS) == 9
     assert {line.split()[0] for line in COMMANDS} <= set(ENTRY)
 
 

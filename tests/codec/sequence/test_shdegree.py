@@ -8,6 +8,7 @@ import pytest
 
 from codec.errors import InvalidError
 from codec.interop.formats import SplatFormat, write_splats
+from codec.sequence.errorbound import HOLD, KINDS, ErrorBound, steps_of
 from codec.sequence.importing import (
     Imported,
     ImportOptions,
@@ -18,6 +19,7 @@ from codec.stream import StreamReader
 from codec.tools.audit import describe, summarise
 from player.streamcommand import draw_poster
 from tests.support.commands import run
+from tests.support.deforming import Deforming
 from tests.support.trained_like import trained_like_splats
 
 COUNT = 400
@@ -78,3 +80,31 @@ def test_the_commands_say_so(model: Path, tmp_path: Path) -> None:
     done = run("swings-stream", "import", model, tmp_path / "t", "--sh-degree", 4)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == "swings-stream: sh-degree 4: choose 0 to 3\n"
+
+
+def test_errors_go_by_what_is_seen_of_them(tmp_path: Path) -> None:
+    """With harmonics of degree 3 a picture is better for it, and a frame that moves not larger."""
+    deforming = Deforming(3000, 3)
+    for number in range(3):
+        save(tmp_path / "seq" / f"{number}.ply", deforming.next())
+    evenly = imported(tmp_path / "seq", tmp_path / "evenly", by_paint=False)
+    made = imported(tmp_path / "seq", tmp_path / "made")
+    assert len(set(evenly.manifest.lattice)) == 1
+    position_m = [lattice.position_m for lattice in made.manifest.lattice]
+    assert position_m == sorted(position_m)
+    assert position_m[-1] > 2 * position_m[0]
+    assert made.scores_db[0][-1] > evenly.scores_db[0][-1] + 3
+    moved = [one.played_bytes - one.first_bytes for one in (made, evenly)]
+    assert moved[0] < 1.05 * moved[1]
+    for number, kind in enumerate(KINDS):
+        steps = [steps_of(lattice)[number] for lattice in made.manifest.lattice]
+        assert made.errors[kind] <= HOLD * max(steps) * (1 + 1e-4)
+
+
+def test_few_harmonics_keep_the_errors_of_each_gaussian(tmp_path: Path) -> None:
+    deforming = Deforming(200, 1)
+    for number in range(2):
+        save(tmp_path / "seq" / f"{number}.ply", deforming.next())
+    made = imported(tmp_path / "seq", tmp_path / "made")
+    assert len(set(made.manifest.lattice)) == 1
+    assert made.manifest.lattice[0].colour == pytest.approx(ErrorBound().colour / HOLD)

@@ -20,10 +20,11 @@ from tests.support.slots.rotating import figure, turned
 def planned(splats: Splats, slots: tuple[int, ...]) -> SlotPlan:
     """With shares as the slots have them."""
     error, size_m = ErrorBound(), 0.01
-    bounds = np.array([error.of(kind) for kind in KINDS]) * (size_m, 1, 1, 1, 1)
+    bounds = np.array([[error.of(kind) for kind in KINDS]] * len(slots))
+    bounds[:, 0] *= size_m
     lattice = error.lattice(size_m, -12, 0)
     shares = tuple(count / sum(slots) for count in slots)
-    return SlotPlan(slots, shares, 0, lattice, bounds, -np.ones(3), np.ones(3))
+    return SlotPlan(slots, shares, 0, (lattice,) * len(slots), bounds, -np.ones(3), np.ones(3))
 
 
 def counted(update: Update) -> list[int]:
@@ -105,11 +106,11 @@ def test_noise_about_the_middle_between_two_steps_is_held() -> None:
     splats = figure(200)
     plan = planned(splats, (200,))
     filler = SlotFiller(plan, coverage_rank)
-    step_m = plan.lattice.position_m
+    step_m = plan.lattices[0].position_m
     middle = np.floor(splats.means / step_m) * step_m + 0.5 * step_m
     rng = np.random.default_rng(0)
     first = filler.update(0, replace(splats, means=middle.astype(np.float32)))
-    decoded = dequantise(first.states, plan.lattice)
+    decoded = dequantise(first.states, plan.lattices[0])
     assert abs(np.sort(decoded.means, 0) - np.sort(middle, 0)).max() < 0.51 * step_m
     for number in range(1, 4):
         noisy = middle + rng.uniform(-0.2, 0.2, middle.shape) * step_m

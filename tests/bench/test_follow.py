@@ -1,0 +1,49 @@
+"""scripts/bench follow and shuffled: real commands and a real player, from files to pictures."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from bench.follow import WRITTEN_NAME, FollowConfig, run, write
+from bench.shuffled import ShuffledConfig
+from bench.shuffled import run as run_shuffled
+from codec.errors import InvalidError
+from codec.sequence.numberedfiles import find_files
+from codec.sequence.survey import read_frame
+
+
+def test_the_writer_keeps_its_rate(tmp_path: Path) -> None:
+    config = FollowConfig(gaussians=50, fps=20, seconds=0.5, join_s=0.1)
+    write(config, tmp_path)
+    written_s = json.loads((tmp_path / WRITTEN_NAME).read_text())
+    files = find_files(tmp_path)
+    assert len(files) == len(written_s) == 10
+    assert written_s[-1] - written_s[0] >= 9 / 20 - 0.05
+    assert {read_frame(file).sh_degree for file in files} == {3}
+    with pytest.raises(InvalidError, match="more seconds"):
+        FollowConfig(seconds=5, join_s=5)
+
+
+@pytest.mark.realtime
+def test_pictures_come_of_files(capfd: pytest.CaptureFixture[str]) -> None:
+    run(FollowConfig(gaussians=300, seconds=4, join_s=1, sh_degree=1))
+    told = capfd.readouterr().out
+    row = re.search(r"300 +│ 1 +│ 10 +│ (\d+) +│ ([0-9.]+) s", told)
+    assert row is not None, told
+    assert int(row[1]) > 5
+    assert 0 < float(row[2]) < 60
+    assert "finished with" in told
+    assert "s from a file to its segment" in told
+
+
+def test_a_long_sequence_is_measured(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    config = ShuffledConfig(gaussians=200, frames=3, files=tmp_path / "files")
+    run_shuffled(config)
+    assert len(find_files(tmp_path / "files")) == 3
+    told = capfd.readouterr().out
+    assert "bytes a frame" in told
+    assert re.search(r"200 +│ 3 +│ 3 +│ [0-9,]+ +│ [0-9.]+ +│ [0-9.]+ +│ [0-9,]+ MB", told), told
