@@ -14,13 +14,17 @@ import numpy as np
 MAX_JOINED_PLANES = 8
 """Planes tried in one block; bounds the work for chunks with many SH planes."""
 
-TABLE_BYTES = 12.0
-TABLE_BYTES_PER_VALUE = 0.25
-"""Estimated size of the Huffman table of a block: a fixed part, and one for each byte value up to
-the largest in the block."""
+Table = tuple[float, float]
+"""Estimated size of the Huffman table of a block in bytes: a fixed part, and one for each byte
+value up to the largest in the block."""
+
+TABLE: Table = 12.0, 0.25
+
+TABLES: tuple[Table, ...] = TABLE, (16.0, 0.15), (8.0, 0.25), (12.0, 0.1)
+"""Estimates to try where bytes matter more than time: each is the best one for some chunks."""
 
 
-def join_planes(content: memoryview, edges: Sequence[int]) -> list[int]:
+def join_planes(content: memoryview, edges: Sequence[int], table: Table = TABLE) -> list[int]:
     """Those of `edges` where blocks should end to cost least, by their entropy and their tables."""
     planes = [
         np.bincount(np.frombuffer(content[a:b], np.uint8), minlength=256)
@@ -36,7 +40,7 @@ def join_planes(content: memoryview, edges: Sequence[int]) -> list[int]:
         with np.errstate(divide="ignore", invalid="ignore"):
             bits = np.where(counts > 0, -counts * np.log2(counts / sizes[:, None]), 0).sum(axis=1)
         last_value = 256 - np.argmax(counts[:, ::-1] > 0, axis=1)
-        coded = bits / 8 + TABLE_BYTES + TABLE_BYTES_PER_VALUE * last_value
+        coded = bits / 8 + table[0] + table[1] * last_value
         total = np.minimum(coded, sizes + 3) + [cost[start] for start in starts]
         best = int(np.argmin(total))
         cost.append(float(total[best]))

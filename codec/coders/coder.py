@@ -9,6 +9,7 @@ from enum import IntEnum
 from codec.errors import CorruptError
 
 from . import gzip, zstd
+from .blocks import TABLE, Table
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,14 +43,20 @@ def coder_of(packet: bytes | memoryview) -> Coder:
     raise CorruptError("packet: is neither a zstd frame nor a gzip member")
 
 
-def compress(content: bytes, edges: Sequence[int] = (), coder: Coder = Coder.ZSTD) -> bytes:
+def compress(
+    content: bytes,
+    edges: Sequence[int] = (),
+    coder: Coder = Coder.ZSTD,
+    tables: Sequence[Table] = (TABLE,),
+) -> bytes:
     """`content` as one packet.
 
     `edges` are the offsets, from 0 to the end, between its byte planes; without any it is float32.
+    tables: see `join_planes`; the smallest result counts.
     """
     if coder is Coder.GZIP:
-        return gzip.compress(content, edges)
-    return zstd.compress(content, edges)
+        return gzip.compress(content, edges, tables)
+    return zstd.compress(content, edges, tables)
 
 
 def decompress(packet: bytes | memoryview, limit_bytes: int) -> bytes:
