@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from codec.errors import InvalidError
@@ -13,7 +14,6 @@ from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 
 from .colour import Colour, ColourOptions
 from .crop import Crop, CropOptions
-from .edit import Edit
 from .floaters import FloaterOptions, Floaters
 from .join import join_streams
 from .rewrite import Edited, Progress, open_source, rewrite
@@ -45,27 +45,21 @@ def edit_stream(
     that names the file at fault.
     """
     reader = open_source(stream, max_gaussians)
-    num_frames, manifest = reader.num_frames, reader.manifest
-    edit: Edit
+    manifest = reader.manifest
     match options:
         case CropOptions():
-            edit = Crop(options)
-        case TransformOptions():
-            edit = Transform(options, manifest)
+            return rewrite(reader, out, Crop(options), draw, progress)
         case ColourOptions():
-            edit = Colour(options, manifest)
-        case FloaterOptions():
-            edit = floaters = Floaters(options, manifest)
-            for frame in floaters.survey(Walk(reader)):
-                progress(frame + 1, 2 * num_frames)
-            return rewrite(
-                reader,
-                out,
-                edit,
-                draw,
-                lambda done, total: progress(total + done, 2 * total),
-            )
-    return rewrite(reader, out, edit, draw, progress)
+            return rewrite(reader, out, Colour(options, manifest), draw, progress)
+        case TransformOptions():
+            transform = Transform(options, manifest)
+            made = rewrite(reader, out, transform, draw, progress)
+            return replace(made, notes=transform.notes)
+    floaters, total = Floaters(options, manifest), 2 * reader.num_frames
+    for frame in floaters.survey(Walk(reader)):
+        progress(frame + 1, total)
+    made = rewrite(reader, out, floaters, draw, lambda done, half: progress(half + done, total))
+    return replace(made, notes=floaters.notes)
 
 
 def trim_stream(

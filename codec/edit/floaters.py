@@ -72,9 +72,11 @@ class Floaters(Edit):
         self._lives = Lives()
 
     @property
-    def num_floaters(self) -> int:
-        """Gaussians that no survey has found in view."""
-        return int(np.count_nonzero(~self._seen[: self._lives.count]))
+    def notes(self) -> tuple[str, ...]:
+        """How many floaters there are, once the stream is edited."""
+        count = self._lives.count
+        found = int(np.count_nonzero(~self._seen[:count]))
+        return (f"floaters     {found} of {count} Gaussians",)
 
     def survey(self, walk: Walk) -> Iterator[int]:
         """Looks at the whole stream, which comes before any use as an edit; gives each frame."""

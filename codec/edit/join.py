@@ -36,7 +36,7 @@ def join_streams(
     """
     total = sum(reader.num_frames for reader in readers)
     manifest = _manifest_of(readers)
-    done = copied = 0
+    done = copied = renumbered = 0
 
     def show(num_done: int) -> None:
         progress(num_done, total)
@@ -45,12 +45,16 @@ def join_streams(
         recoder = Recoder(files)
         for number, reader in enumerate(readers):
             is_last = number == len(readers) - 1
-            copied += _append(reader, files, recoder, done, is_last, show)
+            num_whole = _append(reader, files, recoder, done, is_last, show)
+            if done:
+                renumbered += num_whole
+            else:
+                copied += num_whole
             done += reader.num_frames
         recoder.end_segment()
         num_segments = files.num_segments
     source_bytes = sum(map(objects_bytes, readers))
-    return Edited(total, copied, num_segments, files.size_bytes, source_bytes)
+    return Edited(total, copied, renumbered, num_segments, files.size_bytes, source_bytes)
 
 
 def _append(
@@ -61,8 +65,8 @@ def _append(
     is_last: bool,
     progress: Callable[[int], None],
 ) -> int:
-    """Appends the stream of `reader` from frame `offset` on; gives the segments that are the same
-    byte for byte."""
+    """Appends the stream of `reader` from frame `offset` on; gives how many segments are
+    copied."""
     length, num_frames = reader.manifest.segment_frames, reader.num_frames
     walk, copied, at = Walk(reader), 0, 0
 
@@ -79,7 +83,8 @@ def _append(
     end = num_frames if is_last or at == num_frames else num_frames // length * length
     for first in range(at, end, length):
         births = range(first, min(first + length, end))
-        copied += copy_segment(reader, first // length, births, offset, files)
+        copy_segment(reader, first // length, births, offset, files)
+        copied += 1
         progress(offset + births[-1] + 1)
     if is_last or end == num_frames == at:
         return copied

@@ -118,7 +118,9 @@ class Keyframes:
 
     def box(self) -> tuple[Doubles, Doubles]:
         corners = [self.at(frame).box() for frame in self.frames]
-        return np.min([low for low, _ in corners], axis=0), np.max([up for _, up in corners], axis=0)
+        return np.min([low for low, _ in corners], axis=0), np.max(
+            [up for _, up in corners], axis=0
+        )
 
     @staticmethod
     def read(path: Path) -> Keyframes:

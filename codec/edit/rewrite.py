@@ -34,11 +34,15 @@ class Edited:
     num_frames: int
     num_copied: int
     """Segments whose objects are those of a source, byte for byte."""
+    num_renumbered: int
+    """Segments whose chunks are those of a source but for the frame numbers in them."""
     num_segments: int
     size_bytes: int
     """Size of all objects."""
     source_bytes: int
     """The same of the sources."""
+    notes: tuple[str, ...] = ()
+    """What else a person should know, line by line."""
 
 
 def open_source(stream: Place, max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS) -> StreamReader:
@@ -60,7 +64,9 @@ def objects_bytes(reader: StreamReader) -> int:
 
 
 @contextmanager
-def writing(out: Path, manifest: Manifest, coder: Coder, draw: Draw | None) -> Iterator[SegmentFiles]:
+def writing(
+    out: Path, manifest: Manifest, coder: Coder, draw: Draw | None
+) -> Iterator[SegmentFiles]:
     """Gives what the segments of a new stream at `out`, absent or an empty folder, are put into.
 
     It appears there, finished, when the block is left normally, and with a poster and a storyboard
@@ -98,6 +104,7 @@ def rewrite(
     return Edited(
         num_frames,
         recoder.num_copied,
+        0,
         len(reader.records),
         files.size_bytes,
         objects_bytes(reader),

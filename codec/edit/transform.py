@@ -72,7 +72,7 @@ class Transform(Edit):
     def __init__(self, options: TransformOptions, source: Manifest) -> None:
         """Raises InvalidError for a map that leaves the bounds of a lattice."""
         wanted = options.similarity()
-        self._source = source.lattice
+        self._wanted, self._source = wanted, source.lattice
         try:
             self._lattices = tuple(_scaled(lattice, wanted.scale) for lattice in source.lattice)
         except InvalidError as error:
@@ -85,6 +85,14 @@ class Transform(Edit):
         self.similarity = Similarity(wanted.scale, wanted.turn, offset)
         self._harmonics = _harmonics_matrix(wanted.turn, source.sh_degree)
         self.rounds = not self._on_axes
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The move, where it was rounded."""
+        if (self._wanted.offset == self.similarity.offset).all():
+            return ()
+        x, y, z = self.similarity.offset - self._wanted.offset
+        return (f"moved        {x:+.3g} {y:+.3g} {z:+.3g} m beside what was asked: whole steps",)
 
     def manifest(self, source: Manifest) -> Manifest:
         """That of the source with the lattices, cameras, bounds and near plane mapped."""

@@ -27,12 +27,13 @@ def trim(
     wanted = frames.of(reader.num_frames, reader.name)
     manifest = reader.manifest
     manifest = replace(manifest, capture_frame=manifest.capture_frame + wanted[0])
-    length, copied = manifest.segment_frames, 0
+    length, copied, renumbered = manifest.segment_frames, 0, 0
     with writing(out, manifest, coder_of_stream(reader), draw) as files:
         if wanted[0] % length == 0:
             for first in wanted[::length]:
                 births = range(first, min(first + length, wanted[-1] + 1))
-                copied += copy_segment(reader, first // length, births, -wanted[0], files)
+                is_same = copy_segment(reader, first // length, births, -wanted[0], files)
+                copied, renumbered = copied + is_same, renumbered + (not is_same)
                 progress(births[-1] + 1 - wanted[0], len(wanted))
         else:
             walk, recoder = Walk(reader), Recoder(files)
@@ -41,4 +42,6 @@ def trim(
                     progress(frame + 1 - wanted[0], len(wanted))
             recoder.end_segment()
         num_segments = files.num_segments
-    return Edited(len(wanted), copied, num_segments, files.size_bytes, objects_bytes(reader))
+    return Edited(
+        len(wanted), copied, renumbered, num_segments, files.size_bytes, objects_bytes(reader)
+    )
