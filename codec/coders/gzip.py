@@ -58,9 +58,9 @@ def compress(
     `edges` are the offsets, from 0 to the end, between its byte planes; without any it is float32.
     tables: see `join_planes`; the smallest result counts.
     """
-    view, ways = memoryview(content), {(0, len(content)): None}
-    if edges and content:
-        planes = sorted(set(edges))
+    view, planes = memoryview(content), sorted(set(edges))
+    ways: dict[tuple[int, ...], None] = {(0, len(content)): None}
+    if planes and content:
         ways = dict.fromkeys(tuple(join_planes(view, planes, table)) for table in tables)
     deflated = min(
         (_deflate(view, cuts, strategy) for cuts in ways for strategy in STRATEGIES), key=len

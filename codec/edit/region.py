@@ -46,7 +46,8 @@ class Box:
             )
 
     def holds(self, means: Doubles, frame: int) -> Flags:
-        inside: Flags = ((means >= self.lower) & (means <= self.upper)).all(axis=1)
+        outside = np.maximum(self.lower - means, means - self.upper).max(axis=1, initial=-np.inf)
+        inside: Flags = outside <= 0
         return inside
 
     def box(self) -> tuple[Doubles, Doubles]:
