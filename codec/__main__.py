@@ -1,4 +1,4 @@
-"""swings-stream: looks at a stream; imports and exports Gaussians."""
+"""swings-stream: looks at a stream, edits it; imports and exports Gaussians."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import tyro
 from codec.stream.pictures import Draw
 from codec.tools.audit import describe, summarise, verify_stream
 from codec.tools.commands import Export, Import, Info, Verify, export_files, import_files
+from codec.tools.editcommands import Edit, run_edit
 
 from .console import run_command, say
 
@@ -20,7 +21,7 @@ from .console import run_command, say
 class Command:
     """Which subcommand to run."""
 
-    action: Annotated[Info | Verify | Import | Export, tyro.conf.arg(name="")]
+    action: Annotated[Info | Verify | Import | Export | Edit, tyro.conf.arg(name="")]
 
 
 def run(command: Command, draw: Draw | None) -> None:
@@ -43,11 +44,13 @@ def run(command: Command, draw: Draw | None) -> None:
             say(import_files(config, draw))
         case Export() as config:
             say(export_files(config))
+        case Edit() as config:
+            say(run_edit(config, draw))
 
 
 def main(draw: Draw | None = None) -> None:
-    """draw: for the poster of what is imported; `player.streamcommand` hands it in."""
-    what = "Inspects a stream; imports and exports Gaussians."
+    """draw: for the poster of what is imported or edited; `player.streamcommand` hands it in."""
+    what = "Inspects and edits a stream; imports and exports Gaussians."
     run_command(Command, partial(run, draw=draw), "swings-stream", what)
 
 

@@ -44,7 +44,7 @@ FLOORS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("codec/slots",),
         ("codec/stream",),
         ("codec/foreign",),
-        ("codec/interop",),
+        ("codec/interop", "codec/edit"),
         ("codec/sequence",),
         ("codec/tools",),
     ),

@@ -16,13 +16,17 @@ from codec.kernel import kernel
 MAX_JOINED_PLANES = 8
 """Planes tried in one block; bounds the work for chunks with many SH planes."""
 
-TABLE_BYTES = 12.0
-TABLE_BYTES_PER_VALUE = 0.25
-"""Estimated size of the Huffman table of a block: a fixed part, and one for each byte value up to
-the largest in the block."""
+Table = tuple[float, float]
+"""Estimated size of the Huffman table of a block in bytes: a fixed part, and one for each byte
+value up to the largest in the block."""
+
+TABLE: Table = 12.0, 0.25
+
+TABLES: tuple[Table, ...] = TABLE, (16.0, 0.15), (8.0, 0.25), (12.0, 0.1)
+"""Estimates to try where bytes matter more than time: each is the best one for some chunks."""
 
 
-def join_planes(content: memoryview, edges: Sequence[int]) -> list[int]:
+def join_planes(content: memoryview, edges: Sequence[int], table: Table = TABLE) -> list[int]:
     """Those of `edges` where blocks should end to cost least, by their entropy and their tables."""
     planes = [
         np.bincount(np.frombuffer(content[a:b], np.uint8), minlength=256)
@@ -30,7 +34,7 @@ def join_planes(content: memoryview, edges: Sequence[int]) -> list[int]:
     ]
     totals = np.concatenate([np.zeros((1, 256), np.int64), np.cumsum(planes, axis=0)])
     origin = np.zeros(len(edges), np.int64)
-    _cheapest(totals, MAX_JOINED_PLANES, TABLE_BYTES, TABLE_BYTES_PER_VALUE, origin)
+    _cheapest(totals, MAX_JOINED_PLANES, *table, origin)
     chosen = [len(edges) - 1]
     while chosen[-1]:
         chosen.append(int(origin[chosen[-1]]))

@@ -14,7 +14,7 @@ from itertools import pairwise
 
 from codec.errors import CorruptError
 
-from .blocks import join_planes
+from .blocks import TABLE, Table, join_planes
 
 MAGIC = b"\x1f\x8b\x08\x00"
 """gzip, deflate, and no flag: neither name nor comment nor anything else in the head."""
@@ -50,14 +50,21 @@ def _deflate(content: memoryview, cuts: Sequence[int], strategy: int) -> bytes:
     return b"".join(parts)
 
 
-def compress(content: bytes, edges: Sequence[int] = ()) -> bytes:
+def compress(
+    content: bytes, edges: Sequence[int] = (), tables: Sequence[Table] = (TABLE,)
+) -> bytes:
     """`content` as one gzip member.
 
     `edges` are the offsets, from 0 to the end, between its byte planes; without any it is float32.
+    tables: see `join_planes`; the smallest result counts.
     """
-    view = memoryview(content)
-    cuts = join_planes(view, sorted(set(edges))) if edges and content else [0, len(content)]
-    deflated = min((_deflate(view, cuts, strategy) for strategy in STRATEGIES), key=len)
+    view, planes = memoryview(content), sorted(set(edges))
+    ways: dict[tuple[int, ...], None] = {(0, len(content)): None}
+    if planes and content:
+        ways = dict.fromkeys(tuple(join_planes(view, planes, table)) for table in tables)
+    deflated = min(
+        (_deflate(view, cuts, strategy) for cuts in ways for strategy in STRATEGIES), key=len
+    )
     return HEAD + deflated + TRAILER.pack(zlib.crc32(content), len(content))
 
 

@@ -9,7 +9,7 @@ import zstandard
 
 from codec.errors import CorruptError
 
-from .blocks import join_planes
+from .blocks import TABLE, Table, join_planes
 
 MAGIC = b"\x28\xb5\x2f\xfd"
 
@@ -30,23 +30,33 @@ MAX_EXPANSION = 1 << 15
 """zstd cannot inflate more: a block of 128 KiB takes 4 bytes at least."""
 
 
-def compress(content: bytes, edges: Sequence[int] = (), is_quick: bool = False) -> bytes:
+def compress(
+    content: bytes,
+    edges: Sequence[int] = (),
+    tables: Sequence[Table] = (TABLE,),
+    is_quick: bool = False,
+) -> bytes:
     """`content` as one zstd frame; is_quick: in less time, and a little larger.
 
     `edges` are the offsets, from 0 to the end, between its byte planes; without any it is float32.
+    tables: see `join_planes`; the smallest result counts.
     """
     if not edges or not content:
         return zstandard.ZstdCompressor(level=FLOATS_LEVEL, write_checksum=True).compress(content)
     level = QUICK_LEVEL if is_quick else PLANES_LEVEL
+    view, planes = memoryview(content), sorted(set(edges))
+    ways = dict.fromkeys(tuple(join_planes(view, planes, table)) for table in tables)
+    return min((_compress_blocks(view, cuts, level) for cuts in ways), key=len)
+
+
+def _compress_blocks(content: memoryview, cuts: Sequence[int], level: int) -> bytes:
     parameters = zstandard.ZstdCompressionParameters.from_level(
         level, source_size=len(content), min_match=MIN_MATCH, write_checksum=True
     )
     compressor = zstandard.ZstdCompressor(compression_params=parameters).compressobj(len(content))
-    view = memoryview(content)
-    cuts = join_planes(view, sorted(set(edges)))
     parts = []
     for start, end in pairwise(cuts):
-        parts.append(compressor.compress(view[start:end]))
+        parts.append(compressor.compress(content[start:end]))
         if end < len(content):
             parts.append(compressor.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK))
     parts.append(compressor.flush(zstandard.COMPRESSOBJ_FLUSH_FINISH))

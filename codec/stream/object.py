@@ -52,7 +52,7 @@ class ChunkEntry:
 def encode_packet(chunk: EncodedChunk, coder: Coder = Coder.ZSTD, is_quick: bool = False) -> bytes:
     """`chunk` as one packet with content size and checksum; a chunk of no bytes as no bytes.
     is_quick: see `compress`."""
-    return compress(chunk.data, chunk.edges, coder, is_quick) if chunk.data else b""
+    return compress(chunk.data, chunk.edges, coder, is_quick=is_quick) if chunk.data else b""
 
 
 def packet_content(packet: bytes | memoryview, limit_bytes: int) -> bytes:

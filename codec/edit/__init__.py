@@ -1,0 +1,1 @@
+"""Whole streams edited without training: crop, transform, colour, floaters, trim, join."""

@@ -1,0 +1,61 @@
+"""Segments of a stream as segments of another one, chunk by chunk as they are.
+
+A chunk and an object's table say the frame that they belong to. Where a segment keeps its place all
+of it is copied; where it moves, these frame numbers alone are others.
+"""
+
+from __future__ import annotations
+
+from codec.coders.coder import Coder, coder_of
+from codec.slots.slotchange import encoded_elsewhere
+from codec.slots.slotchunk import BIRTH_AT, Kind
+from codec.stream.integrity import CheckedObject
+from codec.stream.manifest import MASKS, Part, is_snapshot
+from codec.stream.object import encode_packet
+from codec.stream.reader import StreamReader
+
+from .segmentfiles import Scores, SegmentFiles
+
+
+def copy_segment(
+    reader: StreamReader, segment: int, births: range, offset: int, files: SegmentFiles
+) -> bool:
+    """Writes the slices of `births`, some of those of `segment`, as the next segment of `files`;
+    gives whether it is the same byte for byte.
+
+    offset: added to births; a whole number of segments. What comes from the slice that becomes
+    frame 0 is in the snapshots.
+    """
+    record, manifest = reader.records[segment], reader.manifest
+    whole = len(births) == record.num_frames
+    objects = {part: reader.read_object(segment, part) for part in manifest.parts}
+    psnr_db: Scores | None = record.psnr_db if whole else None
+    if whole and not offset:
+        files.add({part: found.data for part, found in objects.items()}, len(births), psnr_db)
+        return True
+    for part, found in objects.items():
+        for entry in found.entries:
+            birth = entry.birth + offset
+            if entry.birth in births and (birth or is_snapshot(part)):
+                files.put(part, birth, renumbered(found, entry.birth, offset, files.coder))
+    files.end_segment(len(births), psnr_db)
+    return False
+
+
+def renumbered(found: CheckedObject, birth: int, offset: int, coder: Coder) -> bytes:
+    """The packet of `birth` in `found` as that of `birth` + `offset`."""
+    packet = found.packet(birth)
+    if not offset and coder_of(packet) == coder:
+        return packet
+    content = bytearray(found.content(birth))
+    content[BIRTH_AT : BIRTH_AT + 4] = (birth + offset).to_bytes(4, "little", signed=True)
+    return encode_packet(
+        encoded_elsewhere(found.manifest.slot_layout, kind_of(found.part), bytes(content)), coder
+    )
+
+
+def kind_of(part: Part) -> Kind:
+    """What the chunks of `part` are."""
+    if part == MASKS:
+        return Kind.MASK
+    return Kind.SNAPSHOT if is_snapshot(part) else Kind.CHANGE

@@ -1,0 +1,74 @@
+"""Crop: only the Gaussians whose centres lie in a region stay, frame by frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from codec.errors import InvalidError
+from codec.lattice.lattice import Flags
+from codec.stream.manifest import Manifest, Point
+
+from .edit import Edit, Turn
+from .region import Box, Keyframes, Region, Sphere
+
+Corners = tuple[float, float, float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class CropOptions:
+    """Where to crop: exactly one of the regions."""
+
+    box: Annotated[Corners | None, tyro.conf.arg(metavar="X Y Z X Y Z")] = None
+    """Lower and upper corner of a box along the axes, metres."""
+    sphere: Annotated[
+        tuple[float, float, float, float] | None, tyro.conf.arg(metavar="X Y Z RADIUS")
+    ] = None
+    """Centre and radius of a sphere, metres."""
+    keyframes: Annotated[Path | None, tyro.conf.arg(metavar="JSON")] = None
+    """File of a region that changes over time: a list such as [{"frame": 0, "box": [X, Y, Z, X, Y,
+    Z]}, ...], or the same with "sphere": [X, Y, Z, RADIUS]. Between two keyframes it changes
+    evenly."""
+    outside: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Keep what lies outside the region instead."""
+
+    def region(self) -> Region:
+        """The region. Raises a SwingsError."""
+        if sum(one is not None for one in (self.box, self.sphere, self.keyframes)) != 1:
+            raise InvalidError("give exactly one of --box, --sphere and --keyframes")
+        if self.box is not None:
+            return Box.of(np.array(self.box))
+        if self.sphere is not None:
+            return Sphere.of(np.array(self.sphere))
+        assert self.keyframes is not None
+        return Keyframes.read(self.keyframes)
+
+
+class Crop(Edit):
+    """Keeps the Gaussians inside a region, or those outside it."""
+
+    def __init__(self, options: CropOptions) -> None:
+        """Raises a SwingsError."""
+        self._region, self._outside = options.region(), options.outside
+
+    def manifest(self, source: Manifest) -> Manifest:
+        """That of the source, with bounds that reach no farther than the region."""
+        if self._outside:
+            return source
+        low, high = self._region.box()
+        lower = np.clip(source.bounds[0], low, high)
+        upper = np.clip(source.bounds[1], low, high)
+        return replace(source, bounds=(_point(lower), _point(upper)))
+
+    def keeps(self, turn: Turn) -> Flags:
+        inside = self._region.holds(turn.means(), max(turn.frame, 0))
+        return ~inside if self._outside else inside
+
+
+def _point(values: np.ndarray) -> Point:
+    x, y, z = (float(value) for value in values)
+    return x, y, z

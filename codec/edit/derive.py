@@ -1,0 +1,94 @@
+"""The update that makes a lane of the edited stream hold what an edit wants there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from codec.lattice.lattice import Bytes, States, dequantise
+from codec.slots.slotstate import ESCAPED, ON_LATTICE, Rows, Slots, holds
+from codec.slots.update import ENDED, KEPT, NEW, PREDICTED, Update
+from codec.splats import Splats
+
+from .edit import Edit, Turn
+
+
+def derive(
+    birth: int, turns: Sequence[Turn], held: Sequence[Slots], edit: Edit, joins: bool = False
+) -> Update:
+    """The update born at `birth`, of all layers of a lane that holds `held` in the edited stream,
+    and should hold what `turns` hold in the source after `edit`.
+
+    joins: whether `held` may be of another stream, so that equal Gaussians are the same.
+    """
+    parts = [_Part(turn, slots, edit, joins) for turn, slots in zip(turns, held, strict=True)]
+    return Update(
+        birth,
+        np.concatenate([part.statuses for part in parts]),
+        States.concatenate([part.states for part in parts]),
+        np.concatenate([part.start_offsets for part in parts]),
+        np.concatenate([part.escaped for part in parts]),
+        Splats.concatenate([part.escapes for part in parts]),
+    )
+
+
+class _Part:
+    """One layer of the update."""
+
+    def __init__(self, turn: Turn, held: Slots, edit: Edit, joins: bool) -> None:
+        slots, said = turn.slots, turn.statuses
+        wanted = holds(slots.conditions) & edit.keeps(turn)
+        had = holds(held.conditions)
+        # What the edited stream holds of a Gaussian that is not new is that Gaussian, if anything.
+        goes_on = wanted & had & (said != NEW)
+        moves = np.flatnonzero(goes_on & (said == PREDICTED) & (held.conditions == ON_LATTICE))
+        fresh = np.flatnonzero(wanted & ~(goes_on & (said == KEPT)))
+        fresh = np.setdiff1d(fresh, moves, assume_unique=True)
+        self.statuses: Bytes = np.full(len(slots), KEPT, np.uint8)
+        self.statuses[~wanted & (had | (said == ENDED))] = ENDED
+        self.statuses[moves], self.statuses[fresh] = PREDICTED, NEW
+
+        states = States.zeros(len(slots), slots.states.sh_degree)
+        escaped = np.zeros(len(slots), np.bool_)
+        before = held.states.take(moves)
+        moved, fits = edit.states(turn.layer, slots.states.take(moves), before)
+        states.put(moves, moved)
+        self._escape(moves[~fits], escaped)
+        if edit.rounds:
+            same = (moved.positions == before.positions).all(axis=1)
+            same &= (moved.attributes == before.attributes).all(axis=1) & fits
+            self.statuses[moves[same]] = KEPT
+        inside = fresh[slots.conditions[fresh] == ON_LATTICE]
+        self._escape(fresh[slots.conditions[fresh] == ESCAPED], escaped)
+        brought, fits = edit.states(turn.layer, slots.states.take(inside), None)
+        states.put(inside, brought)
+        self._escape(inside[~fits], escaped)
+        starts = np.where(said == NEW, slots.starts, 0).astype(np.uint8)
+        if joins:
+            same = (held.conditions == ON_LATTICE) & (self.statuses == NEW) & ~escaped
+            same &= (states.positions == held.states.positions).all(axis=1) & (starts == 0)
+            same &= (states.attributes == held.states.attributes).all(axis=1)
+            self.statuses[same] = KEPT
+
+        coded = np.flatnonzero(self.statuses >= PREDICTED)
+        self.states = states.take(coded)
+        self.start_offsets = np.where(self.statuses == NEW, starts, 0).astype(np.uint8)[coded]
+        self.escaped = escaped[coded]
+        self.escapes = edit.splats(_floats(turn, coded[self.escaped]))
+
+    def _escape(self, rows: Rows, escaped: np.ndarray) -> None:
+        self.statuses[rows] = NEW
+        escaped[rows] = True
+
+
+def _floats(turn: Turn, rows: Rows) -> Splats:
+    """What the slots `rows` hold in the source, as players decode it."""
+    slots = turn.slots
+    splats = dequantise(slots.states.take(rows), turn.lattice)
+    place_of = np.full(len(slots), -1, np.int64)
+    place_of[slots.escape_rows] = np.arange(len(slots.escape_rows))
+    places = place_of[rows]
+    for array, source in zip(splats.arrays, slots.escapes.arrays, strict=True):
+        array[places >= 0] = source[places[places >= 0]]
+    return splats

@@ -1,0 +1,97 @@
+"""Slices of a source as slices of the edited stream, coded again; what comes out as it was keeps
+its packet."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from codec.coders.blocks import TABLES
+from codec.coders.coder import EncodedChunk, coder_of, compress
+from codec.slots.slotdecoder import SlotDecoder
+from codec.slots.slotencoder import SlotEncoder
+from codec.stream.manifest import MASKS, Part, snapshot_part
+
+from .derive import derive
+from .edit import Edit
+from .segmentfiles import SegmentFiles
+from .walk import SourceSlice, Walk
+
+
+class Recoder:
+    """Appends slices to `files`, and writes each segment that they complete."""
+
+    def __init__(self, files: SegmentFiles) -> None:
+        self._files = files
+        self._encoder = SlotEncoder(files.manifest.slot_layout)
+        self._num_frames = 0
+        """Frames in the segment that is not written yet."""
+        self._same_as: Walk | None = None
+        """Whose segment it is so far, packet for packet."""
+        self._keeps_pictures = False
+        self.num_copied = 0
+        """Segments written that a source has in the same place, byte for byte."""
+
+    def resume(self, decoder: SlotDecoder, offset: int) -> None:
+        """Goes on after what a reader of a source holds at the last frame of a segment, which is
+        in `files` already. offset: added to births."""
+        encoder = SlotEncoder.resumed(decoder)
+        lanes = encoder.lanes
+        encoder.lanes = [lanes[(n - offset) % len(lanes)] for n in range(len(lanes))]
+        encoder.next_birth += offset
+        self._encoder = encoder
+
+    def append(
+        self,
+        walk: Walk,
+        slices: Iterable[SourceSlice],
+        edit: Edit,
+        offset: int = 0,
+        joins: bool = False,
+    ) -> Iterator[int]:
+        """Appends `slices` of `walk`, the one born at b as the one born at b + `offset`; gives each
+        frame of the source once it is there. joins: see `derive`."""
+        layout, source_layout = self._encoder.layout, walk.reader.manifest.slot_layout
+        for source in slices:
+            birth = source.birth + offset
+            held = self._encoder.lanes[layout.lane(birth)]
+            update = derive(birth, list(source.turns(source_layout)), held, edit, joins)
+            encoded = self._encoder.append(update)
+            if encoded is None:
+                continue
+            chunks: list[tuple[Part, EncodedChunk]] = [(MASKS, encoded.mask)]
+            chunks += enumerate(encoded.changes)
+            if birth == layout.segment_start(birth):
+                snapshots = enumerate(self._encoder.snapshots())
+                chunks += [(snapshot_part(layer), chunk) for layer, chunk in snapshots]
+                self._same_as = walk if offset == 0 else None
+                self._keeps_pictures = edit.keeps_pictures
+            for part, chunk in chunks:
+                content, packet = walk.content(birth, part) if offset == 0 else (b"", b"")
+                if content != chunk.data or (packet and coder_of(packet) != self._files.coder):
+                    self._same_as, packet = None, self._packet(chunk)
+                self._files.put(part, birth, packet)
+            self._num_frames += 1
+            if birth + 1 == layout.segment_start(birth + 1):
+                self.end_segment()
+            yield source.birth
+
+    def end_segment(self) -> None:
+        """Writes what is left as the last segment."""
+        if not self._num_frames:
+            return
+        psnr_db = None
+        if self._same_as is not None:
+            reader = self._same_as.reader
+            record = reader.records[self._files.num_frames // reader.manifest.segment_frames]
+            if record.num_frames == self._num_frames:
+                self.num_copied += 1
+                psnr_db = record.psnr_db if self._keeps_pictures else None
+        self._files.end_segment(self._num_frames, psnr_db)
+        self._num_frames = 0
+
+    def _packet(self, chunk: EncodedChunk) -> bytes:
+        """`chunk` as a packet, the smallest of several: it shall not take more than the one that it
+        replaces."""
+        if not chunk.data:
+            return b""
+        return compress(chunk.data, chunk.edges, self._files.coder, TABLES)

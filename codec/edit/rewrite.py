@@ -1,0 +1,111 @@
+"""A stream with an edit applied to every frame, and what all edits have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from codec.coders.coder import Coder
+from codec.errors import InvalidError
+from codec.files import making_folder
+from codec.storage.openstorage import Place
+from codec.stream.manifest import MASKS, Manifest
+from codec.stream.object import CODER_OFFSET
+from codec.stream.pictures import Draw
+from codec.stream.poster import POSTER_NAME, write_poster
+from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
+from codec.stream.storyboard import STORYBOARD_NAME, write_storyboard
+
+from .edit import Edit
+from .recoder import Recoder
+from .segmentfiles import SegmentFiles
+from .walk import Walk
+
+Progress = Callable[[int, int], None]
+"""Called after each frame with the number of frames done and their total."""
+
+
+@dataclass(frozen=True, slots=True)
+class Edited:
+    """What an edit wrote."""
+
+    num_frames: int
+    num_copied: int
+    """Segments whose objects are those of a source, byte for byte."""
+    num_renumbered: int
+    """Segments whose chunks are those of a source but for the frame numbers in them."""
+    num_segments: int
+    size_bytes: int
+    """Size of all objects."""
+    source_bytes: int
+    """The same of the sources."""
+    notes: tuple[str, ...] = ()
+    """What else a person should know, line by line."""
+
+
+def open_source(stream: Place, max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS) -> StreamReader:
+    """A reader of `stream`. Raises InvalidError if it has no frames."""
+    reader = StreamReader(stream, max_gaussians)
+    if not reader.records:
+        raise InvalidError(f"{reader.name} has no frames yet; there is nothing to edit")
+    return reader
+
+
+def coder_of_stream(reader: StreamReader) -> Coder:
+    """The coder of a stream's first object."""
+    return Coder(reader.read_object(0, MASKS).data[CODER_OFFSET])
+
+
+def objects_bytes(reader: StreamReader) -> int:
+    """Size of all objects."""
+    return sum(sum(record.part_bytes) for record in reader.records)
+
+
+@contextmanager
+def writing(
+    out: Path, manifest: Manifest, coder: Coder, draw: Draw | None
+) -> Iterator[SegmentFiles]:
+    """Gives what the segments of a new stream at `out`, absent or an empty folder, are put into.
+
+    It appears there, finished, when the block is left normally, and with a poster and a storyboard
+    if there is something to draw them with; else nothing does.
+    """
+    pictures = (None, None) if draw is None else (POSTER_NAME, STORYBOARD_NAME)
+    manifest = replace(manifest, poster=pictures[0], storyboard=pictures[1])
+    with making_folder(out) as folder:
+        files = SegmentFiles(folder, manifest, coder)
+        yield files
+        files.finish()
+        if draw is not None:
+            write_poster(folder, draw)
+            write_storyboard(folder, draw)
+
+
+def rewrite(
+    reader: StreamReader,
+    out: Path,
+    edit: Edit,
+    draw: Draw | None,
+    progress: Progress,
+) -> Edited:
+    """Writes the stream of `reader`, as far as it has come, with `edit` to `out`; see `writing`.
+
+    Raises a SwingsError that names the file at fault.
+    """
+    manifest, num_frames = edit.manifest(reader.manifest), reader.num_frames
+    with writing(out, manifest, coder_of_stream(reader), draw) as files:
+        walk, recoder = Walk(reader), Recoder(files)
+        for slices in (walk.opening(0), walk.slices(range(1, num_frames))):
+            for birth in recoder.append(walk, slices, edit):
+                progress(birth + 1, num_frames)
+        recoder.end_segment()
+    return Edited(
+        num_frames,
+        recoder.num_copied,
+        0,
+        len(reader.records),
+        files.size_bytes,
+        objects_bytes(reader),
+    )

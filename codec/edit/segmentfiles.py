@@ -1,0 +1,87 @@
+"""The files of a stream that is made of packets: objects, index, manifest."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from codec.coders.coder import Coder
+from codec.files import write_atomic
+from codec.stream.index import INDEX_NAME, SegmentRecord, pack_record
+from codec.stream.manifest import MANIFEST_NAME, OBJECT_URL, Manifest, Part, object_file
+from codec.stream.object import join_packets
+
+Scores = tuple[float, ...]
+"""PSNR in dB of 1, 2, ... layers, as an index record has it."""
+
+
+class SegmentFiles:
+    """Writes the segments of a finished stream to a folder in order; holds the packets of one."""
+
+    def __init__(self, folder: Path, manifest: Manifest, coder: Coder) -> None:
+        """coder: of all packets that are put."""
+        self._folder = folder
+        # The objects lie here, whatever other place the manifest of a source names.
+        self.manifest = replace(manifest, live=False, object_url=OBJECT_URL)
+        self.coder = coder
+        self._packets: dict[Part, list[tuple[int, bytes]]] = {}
+        self._records: list[SegmentRecord] = []
+
+    @property
+    def num_frames(self) -> int:
+        """Frames in the segments that are written."""
+        return sum(record.num_frames for record in self._records)
+
+    @property
+    def num_segments(self) -> int:
+        """Segments that are written."""
+        return len(self._records)
+
+    @property
+    def size_bytes(self) -> int:
+        """Bytes of the objects that are written."""
+        return sum(sum(record.part_bytes) for record in self._records)
+
+    def put(self, part: Part, birth: int, packet: bytes) -> None:
+        """Takes a packet of the segment that is written next; one of no bytes changes nothing."""
+        self._packets.setdefault(part, []).append((birth, packet))
+
+    def end_segment(self, num_frames: int, psnr_db: Scores | None) -> None:
+        """Writes the packets as the next segment. psnr_db: None if unknown."""
+        objects = {
+            part: join_packets(self._packets.get(part, ()), self.coder)
+            for part in self.manifest.parts
+        }
+        self._packets = {}
+        self.add(objects, num_frames, psnr_db)
+
+    def add(self, objects: Mapping[Part, bytes], num_frames: int, psnr_db: Scores | None) -> None:
+        """Writes the objects of the next segment as they are."""
+        segment, layers = len(self._records), self.manifest.num_layers
+        data_of_parts = [objects[part] for part in self.manifest.parts]
+        for part, data in zip(self.manifest.parts, data_of_parts, strict=True):
+            path = object_file(self._folder, segment, part)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_atomic(path, data)
+        sizes = tuple(map(len, data_of_parts))
+        hashes = tuple(hashlib.sha256(data).digest() for data in data_of_parts)
+        self._records.append(
+            SegmentRecord(
+                segment,
+                segment * self.manifest.segment_frames,
+                num_frames,
+                sizes[:layers],
+                hashes[:layers],
+                (math.nan,) * layers if psnr_db is None else psnr_db,
+                sizes[layers:],
+                hashes[layers:],
+            )
+        )
+
+    def finish(self) -> None:
+        """Writes index and manifest."""
+        write_atomic(self._folder / INDEX_NAME, b"".join(map(pack_record, self._records)))
+        write_atomic(self._folder / MANIFEST_NAME, self.manifest.to_json())

@@ -1,0 +1,170 @@
+"""Transform: the scene is scaled, turned and moved, with its cameras and bounds.
+
+Scaling alters only the lattice, moving adds the same integers to all positions, and a turn that
+maps axes to axes permutes integers. Only other turns round each number anew.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from codec.camera import Camera
+from codec.errors import InvalidError
+from codec.lattice.lattice import (
+    COLOURS,
+    POSITION_LIMIT,
+    SCALES,
+    TURNS,
+    Flags,
+    Lattice,
+    States,
+    dequantise,
+    quantise,
+)
+from codec.pose import Doubles, rotation_about
+from codec.similarity import Similarity, turned_harmonics
+from codec.splats import Splats, sh_count
+from codec.stream.manifest import Manifest
+
+from .edit import HOLD, Edit
+
+ON_AXES = 1e-9
+"""How far a turn may be from one that maps axes to axes."""
+
+
+@dataclass(frozen=True, slots=True)
+class TransformOptions:
+    """A new place for the scene: scaled and turned about the origin, then moved."""
+
+    scale: float = 1.0
+    """Factor of all lengths."""
+    turn: Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
+    """Degrees of the turns about the world's x axis, then its y axis, then its z axis."""
+    move: Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
+    """Metres to move along the axes, after the scaling and the turns. It is rounded to a whole
+    number of position steps, a fraction of a Gaussian's size, unless the turn is an oblique one."""
+    about: Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
+    """Point that scaling and turns leave in place, metres."""
+
+    def similarity(self) -> Similarity:
+        """The map. Raises InvalidError."""
+        numbers = (self.scale, *self.turn, *self.move, *self.about)
+        if not (all(map(math.isfinite, numbers)) and self.scale > 0):
+            raise InvalidError("transform: numbers must be finite, and the scale above 0")
+        turn = np.eye(3)
+        for axis, degrees in zip(np.eye(3), self.turn, strict=True):
+            turn = rotation_about(axis, math.radians(degrees)) @ turn
+        if np.abs(turn - np.rint(turn)).max() < ON_AXES:
+            turn = np.rint(turn)
+        about = np.array(self.about)
+        return Similarity(self.scale, turn, np.array(self.move) + about - self.scale * turn @ about)
+
+
+class Transform(Edit):
+    """Maps every Gaussian by a similarity."""
+
+    def __init__(self, options: TransformOptions, source: Manifest) -> None:
+        """Raises InvalidError for a map that leaves the bounds of a lattice."""
+        wanted = options.similarity()
+        self._wanted, self._source = wanted, source.lattice
+        try:
+            self._lattices = tuple(_scaled(lattice, wanted.scale) for lattice in source.lattice)
+        except InvalidError as error:
+            raise InvalidError(f"scale {options.scale:g}: {error}") from error
+        # In whole steps of the most important layer its positions are exact.
+        self._on_axes = bool((wanted.turn == np.rint(wanted.turn)).all())
+        offset, step = wanted.offset, self._lattices[0].position_m
+        if self._on_axes:
+            offset = np.rint(offset / step) * step
+        self.similarity = Similarity(wanted.scale, wanted.turn, offset)
+        self._harmonics = _harmonics_matrix(wanted.turn, source.sh_degree)
+        self.rounds = not self._on_axes
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The move, where it was rounded."""
+        if (self._wanted.offset == self.similarity.offset).all():
+            return ()
+        x, y, z = self.similarity.offset - self._wanted.offset
+        return (f"moved        {x:+.3g} {y:+.3g} {z:+.3g} m beside what was asked: whole steps",)
+
+    def manifest(self, source: Manifest) -> Manifest:
+        """That of the source with the lattices, cameras, bounds and near plane mapped."""
+        cameras = tuple(map(self._camera, source.cameras))
+        corners = np.array(list(itertools.product(*np.transpose(source.bounds))))
+        mapped = self._places(corners)
+        (x, y, z), (u, v, w) = mapped.min(axis=0).tolist(), mapped.max(axis=0).tolist()
+        return replace(
+            source,
+            lattice=self._lattices,
+            cameras=cameras,
+            bounds=((x, y, z), (u, v, w)),
+            near_m=source.near_m * self.similarity.scale,
+        )
+
+    def states(self, layer: int, states: States, before: States | None) -> tuple[States, Flags]:
+        if self._on_axes:
+            return self._permuted(layer, states)
+        mapped = self.similarity.moved(dequantise(states, self._source[layer]))
+        return quantise(mapped, self._lattices[layer], before, HOLD)
+
+    def splats(self, splats: Splats) -> Splats:
+        return self.similarity.moved(splats)
+
+    def _permuted(self, layer: int, states: States) -> tuple[States, Flags]:
+        """`states` under a turn that maps axes to axes. A Gaussian is turned about its centre by
+        turning its quaternion's vector and permuting its own axes, which is the same."""
+        turn = self.similarity.turn
+        step = self._lattices[layer].position_m
+        shift = np.rint(self.similarity.offset / step)
+        numbers = states.numbers()
+        made = numbers.copy()
+        made[:, :3] = numbers[:, :3] @ turn.T + shift
+        attributes, given = made[:, 3:], numbers[:, 3:]
+        attributes[:, SCALES:TURNS] = given[:, SCALES:TURNS] @ np.abs(turn).T
+        attributes[:, TURNS:COLOURS] = given[:, TURNS:COLOURS] @ turn.T
+        count = len(self._harmonics)
+        colours = given[:, COLOURS:-1].reshape(-1, 3, count) @ self._harmonics.T
+        attributes[:, COLOURS:-1] = np.rint(colours).reshape(len(states), 3 * count)
+        fits: Flags = (np.abs(made[:, :3]) < POSITION_LIMIT).all(axis=1)
+        signed = attributes[:, :-1]
+        fits &= ((signed >= -128) & (signed <= 127)).all(axis=1)
+        made[~fits] = 0
+        return (
+            States(made[:, :3].astype(np.int32), made[:, 3:].astype(np.int16).astype(np.uint8)),
+            fits,
+        )
+
+    def _places(self, points: Doubles) -> Doubles:
+        """(N, 3) `points`, mapped."""
+        one = self.similarity
+        mapped: Doubles = points @ (one.scale * one.turn).T + one.offset
+        return mapped
+
+    def _camera(self, camera: Camera) -> Camera:
+        w2c = camera.w2c.copy()
+        w2c[:3, :3] = camera.w2c[:3, :3] @ self.similarity.turn.T
+        w2c[:3, 3] = -w2c[:3, :3] @ self._places(camera.position[None])[0]
+        return replace(camera, w2c=w2c)
+
+
+def _scaled(lattice: Lattice, scale: float) -> Lattice:
+    return replace(
+        lattice,
+        position_m=lattice.position_m * scale,
+        log_scale_base=lattice.log_scale_base + math.log(scale),
+    )
+
+
+def _harmonics_matrix(turn: Doubles, sh_degree: int) -> Doubles:
+    """(K, K) what a turn makes of the coefficients of a colour channel."""
+    count = sh_count(sh_degree)
+    unit = np.repeat(np.eye(count, dtype=np.float64)[:, :, None], 3, axis=2)
+    turned: Doubles = turned_harmonics(unit, turn)[:, :, 0].T  # type: ignore[arg-type]
+    return turned

@@ -1,0 +1,149 @@
+"""The subcommands of swings-stream edit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from codec.edit.colour import ColourOptions
+from codec.edit.crop import CropOptions
+from codec.edit.editing import edit_stream, join, trim_stream
+from codec.edit.floaters import FloaterOptions
+from codec.edit.rewrite import Edited
+from codec.edit.transform import TransformOptions
+from codec.framerange import FRAMES, FrameRange
+from codec.progressline import counted
+from codec.stream.pictures import Draw
+from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
+
+Source = tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="STREAM")]]
+Target = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
+
+
+@dataclass(frozen=True, slots=True)
+class Crop:
+    """Keep only the Gaussians whose centres lie in a region, frame by frame."""
+
+    stream: Source
+    """Folder of the stream, or its URL in an object store, such as s3://BUCKET/PATH."""
+    out: Target
+    """Folder of the new stream."""
+    options: Annotated[CropOptions, tyro.conf.arg(name="")] = field(default_factory=CropOptions)
+    max_gaussians: int = DEFAULT_MAX_GAUSSIANS
+    """Largest number of Gaussians a frame; a stream with more is refused."""
+
+
+@dataclass(frozen=True, slots=True)
+class Transform:
+    """Scale, turn and move the scene; cameras, bounds and near plane go along."""
+
+    stream: Source
+    """Folder of the stream, or its URL in an object store, such as s3://BUCKET/PATH."""
+    out: Target
+    """Folder of the new stream."""
+    options: Annotated[TransformOptions, tyro.conf.arg(name="")] = field(
+        default_factory=TransformOptions
+    )
+    max_gaussians: int = DEFAULT_MAX_GAUSSIANS
+    """Largest number of Gaussians a frame; a stream with more is refused."""
+
+
+@dataclass(frozen=True, slots=True)
+class Colour:
+    """Change exposure, white balance, or the gain of each channel."""
+
+    stream: Source
+    """Folder of the stream, or its URL in an object store, such as s3://BUCKET/PATH."""
+    out: Target
+    """Folder of the new stream."""
+    options: Annotated[ColourOptions, tyro.conf.arg(name="")] = field(default_factory=ColourOptions)
+    max_gaussians: int = DEFAULT_MAX_GAUSSIANS
+    """Largest number of Gaussians a frame; a stream with more is refused."""
+
+
+@dataclass(frozen=True, slots=True)
+class Floaters:
+    """Remove the Gaussians that too few cameras see at any time of their life."""
+
+    stream: Source
+    """Folder of the stream, or its URL in an object store, such as s3://BUCKET/PATH."""
+    out: Target
+    """Folder of the new stream."""
+    options: Annotated[FloaterOptions, tyro.conf.arg(name="")] = field(
+        default_factory=FloaterOptions
+    )
+    max_gaussians: int = DEFAULT_MAX_GAUSSIANS
+    """Largest number of Gaussians a frame; a stream with more is refused."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trim:
+    """Keep a range of frames. Segments whose frames keep their numbers are copied byte for byte."""
+
+    stream: Source
+    """Folder of the stream, or its URL in an object store, such as s3://BUCKET/PATH."""
+    out: Target
+    """Folder of the new stream."""
+    frames: Annotated[FrameRange, FRAMES]
+    """Range of frames A:B, A included, B not; A: runs to the last frame, :B begins at frame 0."""
+    max_gaussians: int = DEFAULT_MAX_GAUSSIANS
+    """Largest number of Gaussians a frame; a stream with more is refused."""
+
+
+@dataclass(frozen=True, slots=True)
+class Join:
+    """Put streams of the same layout one after another."""
+
+    stream: Source
+    """Folder of the first stream, or its URL in an object store, such as s3://BUCKET/PATH. The new
+    stream has its cameras and title."""
+    out: Target
+    """Folder of the new stream."""
+    then: Annotated[tuple[str, ...], tyro.conf.arg(metavar="STREAM [STREAM ...]")]
+    """The streams that follow, in order. They must agree with the first in frame rate, slots,
+    lattice, segments and SH degree, as parts and edits of one stream do."""
+    max_gaussians: int = DEFAULT_MAX_GAUSSIANS
+    """Largest number of Gaussians a frame; a stream with more is refused."""
+
+
+@dataclass(frozen=True, slots=True)
+class Edit:
+    """Edit a whole stream without training: crop, transform, colour, floaters, trim, join."""
+
+    edit: Annotated[Crop | Transform | Colour | Floaters | Trim | Join, tyro.conf.arg(name="")]
+
+
+def run_edit(config: Edit, draw: Draw | None = None) -> str:
+    """Does what `config` says; gives lines about it. draw: for poster and storyboard."""
+    edit = config.edit
+    with counted("editing") as progress:
+        match edit:
+            case Trim(frames=frames):
+                made = trim_stream(
+                    edit.stream, edit.out, frames, draw, progress, edit.max_gaussians
+                )
+            case Join(then=then):
+                streams = (edit.stream, *then)
+                made = join(streams, edit.out, draw, progress, edit.max_gaussians)
+            case _:
+                made = edit_stream(
+                    edit.stream, edit.out, edit.options, draw, progress, edit.max_gaussians
+                )
+    return _describe(edit.out, made)
+
+
+def _describe(out: Path, made: Edited) -> str:
+    share = 100 * made.size_bytes / made.source_bytes
+    noun = "segment" if made.num_segments == 1 else "segments"
+    copied = f"{made.num_copied} copied byte for byte"
+    if made.num_renumbered:
+        copied += f", {made.num_renumbered} with new frame numbers"
+    lines = [
+        f"{out}: {made.num_frames} frames in {made.num_segments} {noun}, {copied}",
+        f"size         {made.size_bytes} bytes, {share:.1f} % of {made.source_bytes}",
+        *made.notes,
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,101 @@
+"""What too few cameras see at any time of its life goes; all else stays as it was."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from codec.camera import Camera
+from codec.edit.editing import edit_stream
+from codec.edit.floaters import FloaterOptions
+from codec.errors import InvalidError
+from codec.lattice.lattice import Lattice, quantise
+from codec.pose import look_at
+from codec.slots.slotlayout import SlotLayout
+from codec.slots.update import KEPT, NEW, PREDICTED, Update
+from codec.splats import Splats
+from codec.stream import StreamReader, StreamWriter
+from codec.tools.audit import verify_stream
+from tests.support.slots.edited import frames_of, objects_bytes, segment_files
+from tests.support.slots.slot_streams import slot_manifest
+from tests.support.trained_like import trained_like_splats
+
+LATTICE = Lattice(0.01, 0.125, 1 / 60, 0.056, 41)
+
+
+def camera(name: str, x: float) -> Camera:
+    """One at (x, 0, -4) that looks at the origin, a right angle wide."""
+    pose = look_at(np.array([x, 0.0, -4.0]), np.zeros(3), np.array([0.0, -1.0, 0.0]))
+    return Camera(name, 100, 100, 50.0, 50.0, 50.0, 50.0, pose)
+
+
+PLACES = ((0.0, 0.0, 0.0), (0.0, 0.0, -9.0), (3.0, 0.0, -3.5), (0.0, 30.0, 0.0))
+"""Seen by both cameras; behind both; seen by the left one alone; beside both pictures."""
+
+
+def write(path: Path) -> Path:
+    """Six frames of four Gaussians at PLACES. The last one moves between the cameras in frame 4,
+    where the first one is replaced by one that nobody sees."""
+    layout = SlotLayout(1, (4,), 0, (LATTICE,), 3)
+    cameras = camera("a", -1.0), camera("b", 1.0)
+    manifest = slot_manifest(layout, cameras=cameras, default_camera="a", near_m=0.1)
+    arrays = trained_like_splats(4).arrays
+    with StreamWriter.create(path, manifest) as writer:
+        for birth in range(6):
+            places = np.array(PLACES, np.float32)
+            statuses = np.full(4, NEW if birth == 0 else KEPT, np.uint8)
+            if birth == 4:
+                statuses[:] = NEW, KEPT, KEPT, PREDICTED
+                places[0], places[3] = (0, 0, -20), (0, 0, 1)
+            states, _ = quantise(Splats(places, *arrays[1:]), LATTICE)
+            coded = np.flatnonzero(statuses >= PREDICTED)
+            none = np.zeros(len(coded), np.uint8)
+            writer.append(
+                Update(birth, statuses, states.take(coded), none, none.astype(bool), Splats.empty())
+            )
+    return path
+
+
+def depths(stream: Path) -> list[list[float]]:
+    """The z and y of each Gaussian, frame after frame."""
+    return [sorted(np.round(s.means[:, 2] + s.means[:, 1], 1).tolist()) for s in frames_of(stream)]
+
+
+def test_a_gaussian_stays_if_enough_cameras_see_it_at_any_time(tmp_path: Path) -> None:
+    source = write(tmp_path / "s")
+    made = edit_stream(source, tmp_path / "two", FloaterOptions(cameras=2))
+    verify_stream(tmp_path / "two")
+    # The fourth one moves into view, so it stays from its first frame on.
+    assert depths(tmp_path / "two") == [[0.0, 30.0]] * 4 + [[1.0]] * 2
+    assert made.notes == ("floaters     3 of 5 Gaussians",)
+    edit_stream(source, tmp_path / "one", FloaterOptions(cameras=1))
+    assert depths(tmp_path / "one") == [[-3.5, 0.0, 30.0]] * 4 + [[-3.5, 1.0]] * 2
+    assert objects_bytes(tmp_path / "two") < objects_bytes(source)
+
+
+def test_a_wide_margin_keeps_what_lies_beside_the_pictures(tmp_path: Path) -> None:
+    source = write(tmp_path / "s")
+    edit_stream(source, tmp_path / "t", FloaterOptions(cameras=2, margin=10))
+    assert all(-9.0 not in found for found in depths(tmp_path / "t"))
+    assert all(30.0 in found for found in depths(tmp_path / "t")[:4])
+
+
+def test_where_all_are_seen_nothing_changes(tmp_path: Path) -> None:
+    source = write(tmp_path / "s")
+    edit_stream(source, tmp_path / "t", FloaterOptions(cameras=2))
+    made = edit_stream(tmp_path / "t", tmp_path / "u", FloaterOptions(cameras=2))
+    assert segment_files(tmp_path / "u") == segment_files(tmp_path / "t")
+    assert made.num_copied == made.num_segments == 2
+
+
+def test_more_cameras_than_there_are_is_refused(tmp_path: Path) -> None:
+    source = write(tmp_path / "s")
+    assert len(StreamReader(source).manifest.cameras) == 2
+    with pytest.raises(InvalidError, match="has only 2"):
+        edit_stream(source, tmp_path / "t", FloaterOptions(cameras=3))
+    with pytest.raises(InvalidError, match="at least 1"):
+        FloaterOptions(cameras=0)
+    with pytest.raises(InvalidError, match="margin"):
+        FloaterOptions(margin=-1)

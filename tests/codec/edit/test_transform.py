@@ -1,0 +1,202 @@
+"""A transformed stream shows what transformed frames show, and costs no more."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from codec.edit.editing import edit_stream
+from codec.edit.transform import Transform, TransformOptions
+from codec.errors import InvalidError
+from codec.lattice.lattice import dequantise
+from codec.pose import Doubles
+from codec.similarity import harmonics
+from codec.splats import Splats
+from codec.stream import StreamReader
+from codec.tools.audit import verify_stream
+from player.render.cpu import render_splats
+from tests.support.slots.edited import (
+    frames_of,
+    least_psnr_db,
+    objects_bytes,
+    segment_files,
+    write_trained_like,
+)
+from tests.support.slots.slot_streams import gaussians, slot_manifest, write_slot_stream
+from tests.support.slots.updates import patternless_states, small_layout
+from tests.support.trained_like import covariances
+
+OBLIQUE = TransformOptions(1.3, (10, 20, 30), (0.5, -0.25, 1.0), (0, 1, 0))
+
+
+@pytest.mark.parametrize("swin_size", [1, 5])
+@pytest.mark.parametrize(
+    "options",
+    [
+        TransformOptions(scale=0.4),
+        TransformOptions(move=(0.3, -1.2, 2.5)),
+        TransformOptions(turn=(-90, 0, 0)),
+        OBLIQUE,
+    ],
+    ids=["scale", "move", "turn to z up", "oblique"],
+)
+def test_the_same_edit_made_on_exported_frames_gives_the_same_pictures(
+    options: TransformOptions, swin_size: int, tmp_path: Path
+) -> None:
+    source = write_trained_like(tmp_path / "s", swin_size)
+    edit_stream(source, tmp_path / "t", options)
+    verify_stream(tmp_path / "t")
+    exact = options.similarity()
+    assert least_psnr_db(source, tmp_path / "t", lambda splats, _: exact.moved(splats)) >= 45
+    # A move takes up to a byte more in a chunk: its first Gaussian is farther from the origin.
+    assert objects_bytes(tmp_path / "t") <= objects_bytes(source) * 1.001
+
+
+def test_a_stream_looks_to_its_cameras_as_it_did(tmp_path: Path) -> None:
+    source = write_slot_stream(tmp_path / "s", 3, small_layout(1, (40, 20), 1))
+    edit_stream(source, tmp_path / "t", TransformOptions(2.0, (0, 90, 0), (1, 2, 3), (4, 5, 6)))
+    before, after = StreamReader(source), StreamReader(tmp_path / "t")
+    assert after.manifest.near_m == 2 * before.manifest.near_m
+    for camera in before.manifest.cameras:
+        seen, again = (
+            render_splats(
+                reader.active_splats(1, 2),
+                reader.manifest.camera(camera.name),
+                reader.manifest.near_m,
+            )
+            for reader in (before, after)
+        )
+        assert seen.max() > 0.05
+        np.testing.assert_allclose(again, seen, atol=2e-3)
+
+
+def test_scaling_alone_copies_all_objects(tmp_path: Path) -> None:
+    source = write_trained_like(tmp_path / "s", 5)
+    made = edit_stream(source, tmp_path / "t", TransformOptions(scale=3.0))
+    assert made.num_copied == made.num_segments
+    assert segment_files(tmp_path / "t") == segment_files(source)
+    first, again = next(frames_of(source)), next(frames_of(tmp_path / "t"))
+    np.testing.assert_allclose(again.means, 3 * first.means, rtol=1e-6)
+    np.testing.assert_allclose(again.log_scales, first.log_scales + np.log(3), atol=1e-5)
+
+
+def test_four_quarter_turns_bring_everything_back(tmp_path: Path) -> None:
+    source = write_slot_stream(tmp_path / "0", 9, small_layout(2, (20, 10), 1))
+    for n in range(4):
+        quarter = TransformOptions(turn=(0, 90, 0))
+        edit_stream(tmp_path / str(n), tmp_path / str(n + 1), quarter)
+    verify_stream(tmp_path / "4")
+    for before, after in zip(frames_of(source), frames_of(tmp_path / "4"), strict=True):
+        # -128 has no opposite on the lattice: such a Gaussian has escaped, and its floats turn.
+        assert len(before) == len(after)
+        order = [np.lexsort(splats.means.T) for splats in (before, after)]
+        for a, b in zip(before.take(order[0]).arrays, after.take(order[1]).arrays, strict=True):
+            if a.shape != before.quats.shape:
+                np.testing.assert_allclose(a, b, atol=1e-4)
+
+
+def axis_turns() -> list[Doubles]:
+    """The 24 rotations that map axes to axes."""
+    found = []
+    for order in itertools.permutations(range(3)):
+        for signs in itertools.product((-1, 1), repeat=3):
+            turn = np.eye(3)[list(order)] * np.array(signs)[:, None]
+            if np.linalg.det(turn) > 0:
+                found.append(turn)
+    return found
+
+
+def seen_along(splats: Splats, directions: Doubles) -> Doubles:
+    """(N, J, 3) colours of `splats` along (J, 3) directions, less 0.5."""
+    basis = harmonics(directions)[:, : splats.sh.shape[1]]
+    seen: Doubles = np.einsum("jk,nkc->njc", basis, splats.sh.astype(np.float64))
+    return seen
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_a_turn_of_axes_permutes_integers_and_turns_colours(degree: int) -> None:
+    layout = small_layout(1, (60,), degree)
+    manifest = slot_manifest(layout)
+    (lattice,) = layout.lattices
+    states = patternless_states(np.random.default_rng(1), [161] * 60, degree)
+    splats = dequantise(states, lattice)
+    directions = np.random.default_rng(2).normal(size=(20, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    assert len(axis_turns()) == 24
+    for turn in axis_turns():
+        edit = Transform(TransformOptions(turn=euler_of(turn)), manifest)
+        np.testing.assert_array_equal(edit.similarity.turn, turn)
+        made, fits = edit.states(0, states, None)
+        assert fits.mean() > 0.3
+        kept, found = splats.take(np.flatnonzero(fits)), dequantise(made.take(fits), lattice)
+        np.testing.assert_allclose(found.means, kept.means @ turn.T, rtol=1e-6)
+        wanted = turn @ covariances(kept.log_scales, kept.quats) @ turn.T
+        got = covariances(found.log_scales, found.quats)
+        np.testing.assert_allclose(got, wanted, rtol=1e-3, atol=1e-4 * np.abs(wanted).max())
+        np.testing.assert_array_equal(found.logit_opacities, kept.logit_opacities)
+        # Degrees 0 and 1 are exact; of others each coefficient is rounded.
+        error = seen_along(found, directions @ turn.T) - seen_along(kept, directions)
+        assert np.abs(error).max() < (1e-4 if degree < 2 else 0.5)
+
+
+def euler_of(turn: Doubles) -> tuple[float, float, float]:
+    """Degrees about x, then y, then z."""
+    y = np.arcsin(np.clip(-turn[2, 0], -1, 1))
+    if abs(turn[2, 0]) > 0.5:
+        x, z = np.arctan2(-turn[1, 2], turn[1, 1]), 0.0
+    else:
+        x, z = np.arctan2(turn[2, 1], turn[2, 2]), np.arctan2(turn[1, 0], turn[0, 0])
+    a, b, c = np.degrees([x, y, z]).tolist()
+    return a, b, c
+
+
+@pytest.mark.parametrize("degree", [1, 3])
+def test_colours_turn_with_the_scene_at_any_angle(degree: int, tmp_path: Path) -> None:
+    layout = small_layout(1, (30, 20), degree)
+    source = write_slot_stream(tmp_path / "s", 3, layout)
+    edit_stream(source, tmp_path / "t", OBLIQUE)
+    verify_stream(tmp_path / "t")
+    exact = OBLIQUE.similarity()
+    directions = np.random.default_rng(2).normal(size=(20, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    for before, after in zip(frames_of(source), frames_of(tmp_path / "t"), strict=True):
+        moved = exact.moved(before)
+        near = np.abs(moved.means[:, None] - after.means[None]).max(axis=2).argmin(axis=1)
+        found = after.take(near)
+        assert np.abs(found.means - moved.means).max() < 0.03  # of steps of 0.013 and 0.026 m
+        error = seen_along(found, directions @ exact.turn.T) - seen_along(before, directions)
+        spread = seen_along(before, directions).std()
+        assert error.std() < 0.02 * spread
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        TransformOptions(scale=0),
+        TransformOptions(scale=float("nan")),
+        TransformOptions(scale=1e-9),
+        TransformOptions(move=(float("inf"), 0, 0)),
+    ],
+)
+def test_what_no_lattice_holds_is_refused(options: TransformOptions, tmp_path: Path) -> None:
+    source = write_slot_stream(tmp_path / "s", 3)
+    with pytest.raises(InvalidError, match=r"scale|finite"):
+        edit_stream(source, tmp_path / "t", options)
+    assert not (tmp_path / "t").exists()
+
+
+def test_what_moves_off_the_lattice_is_sent_as_floats(tmp_path: Path) -> None:
+    source = write_slot_stream(tmp_path / "s", 6, small_layout(2, (10, 5)))
+    far = TransformOptions(move=(83880, 0, 0))  # 2^23 steps of 0.01 m end 6 m behind that
+    edit_stream(source, tmp_path / "t", far)
+    verify_stream(tmp_path / "t")
+    for before, after in zip(frames_of(source), frames_of(tmp_path / "t"), strict=True):
+        moved = far.similarity().moved(before)
+        assert len(after) == len(moved)
+        np.testing.assert_allclose(
+            np.sort(after.means[:, 0]), np.sort(moved.means[:, 0]), atol=0.03
+        )
+    assert gaussians(before)

@@ -1,0 +1,72 @@
+"""Streams to edit, and what their frames look like."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from codec.camera import Camera
+from codec.sequence.importing import facing_camera
+from codec.splats import Splats
+from codec.stream import StreamReader, StreamWriter
+from codec.stream.draft import Quality
+from player.render.cpu import render_splats
+from tests.support.slots.slot_streams import slot_manifest
+from tests.support.slots.trained_updates import trained_like_layout, trained_like_updates
+
+NUM_FRAMES, SEGMENT_FRAMES = 14, 6
+
+FrameEdit = Callable[[Splats, int], Splats]
+"""Edits the Gaussians of one exported frame, given its number."""
+
+
+def write_trained_like(
+    path: Path, swin_size: int, num_gs: int = 800, quality: Quality | None = None
+) -> Path:
+    """A finished stream at `path` of NUM_FRAMES frames in segments of SEGMENT_FRAMES."""
+    layout = trained_like_layout(num_gs // swin_size, swin_size, SEGMENT_FRAMES)
+    with StreamWriter.create(path, slot_manifest(layout), quality=quality) as writer:
+        for update in trained_like_updates(layout, NUM_FRAMES, 0.3):
+            writer.append(update)
+    return path
+
+
+def segment_files(stream: Path) -> dict[str, bytes]:
+    """The objects of a stream."""
+    files = (path for path in (stream / "segments").rglob("*") if path.is_file())
+    return {str(path.relative_to(stream)): path.read_bytes() for path in files}
+
+
+def objects_bytes(stream: Path) -> int:
+    return sum(map(len, segment_files(stream).values()))
+
+
+def frames_of(stream: Path) -> Iterator[Splats]:
+    """What each frame shows, with all layers."""
+    reader = StreamReader(stream)
+    for frame in range(reader.num_frames):
+        yield reader.active_splats(frame, reader.manifest.num_layers)
+
+
+def overview(stream: Path) -> Camera:
+    """A small camera that sees the bounds of a stream."""
+    low, high = (np.array(corner) for corner in StreamReader(stream).manifest.bounds)
+    return facing_camera(low, high).scaled(0.2)
+
+
+def least_psnr_db(source: Path, edited: Path, edit: FrameEdit, every: int = 6) -> float:
+    """The least PSNR of pictures of the `edited` stream against those of the frames of `source`
+    with the same edit, from an overview and from the stream's own camera."""
+    worst = np.inf
+    cameras = (overview(edited), StreamReader(edited).manifest.camera())
+    pairs = enumerate(zip(frames_of(source), frames_of(edited), strict=True))
+    for frame, (exported, found) in pairs:
+        if frame % every:
+            continue
+        for camera in cameras:
+            wanted = np.clip(render_splats(edit(exported, frame), camera, 0.01), 0, 1)
+            error = np.clip(render_splats(found, camera, 0.01), 0, 1) - wanted
+            worst = min(worst, -10 * np.log10(np.mean(error**2) + 1e-12))
+    return float(worst)
