@@ -10,7 +10,7 @@ import numpy.typing as npt
 from codec.camera import Camera
 from codec.lattice.lattice import Lattice
 from codec.slice import Slice
-from codec.splats import Splats
+from codec.splats import Splats, sh_count
 from codec.stream.manifest import Manifest
 
 SWIN_SIZE = 5
@@ -18,8 +18,8 @@ RUN_ROWS = 500
 """Rows that change together where they do so in runs."""
 
 
-def manifest_of(num_gs: int, width_px: int, height_px: int) -> Manifest:
-    """The manifest of a stream of `num_gs` Gaussians a frame, without harmonics."""
+def manifest_of(num_gs: int, width_px: int, height_px: int, sh_degree: int = 0) -> Manifest:
+    """The manifest of a stream of `num_gs` Gaussians a frame."""
     focal_px = 0.9 * width_px
     size = (width_px, height_px, focal_px, focal_px, width_px / 2, height_px / 2)
     return Manifest(
@@ -28,7 +28,7 @@ def manifest_of(num_gs: int, width_px: int, height_px: int) -> Manifest:
         slots=(num_gs // SWIN_SIZE,),
         lattice=(Lattice(0.01, 1 / 8, 1 / 60, 1 / 20, 41),),
         segment_frames=30,
-        sh_degree=0,
+        sh_degree=sh_degree,
         antialias=False,
         near_m=0.2,
         bounds=((-3.0, -2.0, 0.0), (3.0, 2.0, 6.0)),
@@ -38,7 +38,7 @@ def manifest_of(num_gs: int, width_px: int, height_px: int) -> Manifest:
     )
 
 
-def slice_of(birth: int, count: int, total: int) -> Slice:
+def slice_of(birth: int, count: int, total: int, sh_degree: int = 0) -> Slice:
     """A room's worth of Gaussians: the more there are, the smaller each is."""
     rng = np.random.default_rng(birth + 100)
     arrays = (
@@ -46,7 +46,7 @@ def slice_of(birth: int, count: int, total: int) -> Slice:
         rng.normal(np.log(1.2 / total ** (1 / 2.2)), 0.7, (count, 3)),
         rng.normal(size=(count, 4)),
         rng.normal(0, 2, count),
-        rng.normal(0, 0.6, (count, 1, 3)),
+        rng.normal(0, 0.6, (count, sh_count(sh_degree), 3)),
     )
     splats = Splats(*(array.astype(np.float32) for array in arrays))
     return Slice(birth, splats, np.zeros(count, np.uint8))
@@ -55,7 +55,8 @@ def slice_of(birth: int, count: int, total: int) -> Slice:
 def first_window(manifest: Manifest) -> list[Slice]:
     """The slices that frame 0 shows."""
     births = range(1 - manifest.swin_size, 1)
-    return [slice_of(birth, manifest.slice_size, manifest.num_gs) for birth in births]
+    size = manifest.slice_size, manifest.num_gs, manifest.sh_degree
+    return [slice_of(birth, *size) for birth in births]
 
 
 def changed_slice(birth: int, share: float, scattered: bool, manifest: Manifest) -> Slice:

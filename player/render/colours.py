@@ -82,7 +82,8 @@ def colour_kernel(  # type: ignore[no-untyped-def]
     """Brings the colours of what shows up to date, in `projected`, `dc` and `seen_from`.
 
     sh (R, 9 or 16, 3). Of what `rows` (M,) names, a row without a tile does not show; the others
-    keep their colours while the square of the turn since is at most `turn`, rad^2.
+    keep their colours while the square of the turn since is at most `turn`, rad^2. If that is
+    negative, `dc` and `seen_from` may hold anything.
     """
     zero, half, one = np.float32(0), np.float32(0.5), np.float32(1)
     c0, c1 = np.float32(SH_C0), np.float32(SH_C1)
@@ -95,7 +96,7 @@ def colour_kernel(  # type: ignore[no-untyped-def]
         x, y, z = means[row, 0] - px, means[row, 1] - py, means[row, 2] - pz
         square = x * x + y * y + z * z
         mx, my, mz = seen_from[row, 0] - px, seen_from[row, 1] - py, seen_from[row, 2] - pz
-        if mx * mx + my * my + mz * mz <= turn * square:
+        if turn >= zero and mx * mx + my * my + mz * mz <= turn * square:
             continue
         inv = one / np.sqrt(square)
         x, y, z = x * inv, y * inv, z * inv
@@ -125,15 +126,15 @@ def project(
 ) -> None:
     """Fills `projection` from the rows `rows` (M,) of `arrays`, in the order of `Splats.arrays`,
     with colours of every degree. camera: see camera_vector; seen: those of these arrays."""
-    *shape, sh = arrays
+    means, log_scales, quats, logits, sh = arrays
     higher = sh.shape[1] > 4
     project_kernel(
-        *shape, seen.dc if higher else sh, rows, camera, tiles_x, tiles_y,
-        projection.projected, projection.depths, projection.tile_boxes,
+        means, log_scales, quats, logits, seen.dc if higher else sh, rows, camera,
+        tiles_x, tiles_y, projection.projected, projection.depths, projection.tile_boxes,
     )  # fmt: skip
     if higher:
         turn = np.float32(np.copysign(seen.turn_rad**2, seen.turn_rad))
         colour_kernel(
-            arrays[0], sh, rows, camera, projection.tile_boxes, turn,
+            means, sh, rows, camera, projection.tile_boxes, turn,
             seen.dc, seen.seen_from, projection.projected,
         )  # fmt: skip

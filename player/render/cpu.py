@@ -36,6 +36,11 @@ class CpuRenderer:
         self.times: StepTimes | None = None
         self.alpha = False
 
+    @property
+    def seen(self) -> SeenColours:
+        """The colours that are kept; a property for tests and benches."""
+        return self._ring.seen
+
     def put(self, slice: Slice) -> None:
         self._arrivals.append(slice.birth, slice)
 

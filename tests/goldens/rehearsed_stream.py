@@ -39,7 +39,7 @@ def _some_splats() -> Splats:
         np.full((_SLICE_SIZE, 3), -2.0),
         rng.normal(size=(_SLICE_SIZE, 4)),
         np.full(_SLICE_SIZE, 2.0),
-        rng.normal(size=(_SLICE_SIZE, 4, 3)),
+        rng.normal(size=(_SLICE_SIZE, 16, 3)),
     )
     return Splats(*(array.astype(np.float32) for array in arrays))
 
@@ -51,7 +51,7 @@ def _manifest(lattice: Lattice) -> Manifest:
         slots=(_SLICE_SIZE,),
         lattice=(lattice,),
         segment_frames=NUM_FRAMES,
-        sh_degree=1,
+        sh_degree=3,
         antialias=False,
         near_m=0.1,
         bounds=((-1.0, -1.0, 2.0), (1.0, 1.0, 5.0)),
@@ -68,5 +68,5 @@ def _update(birth: int, states: States) -> Update:
     coded = np.flatnonzero(statuses)
     nothing = np.zeros(len(coded), np.uint8)
     return Update(
-        birth, statuses, states.take(coded), nothing, nothing.astype(np.bool_), Splats.empty(1)
+        birth, statuses, states.take(coded), nothing, nothing.astype(np.bool_), Splats.empty(3)
     )

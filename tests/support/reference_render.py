@@ -157,8 +157,8 @@ def drawn_psnr_db(
     """PSNR of `picture` against the reference in float64, over the pixels where that draws
     anything, in dB; 1.0 is the peak. Nothing nearer than 0.2 m is drawn. most: pixels above it are
     cut."""
-    arrays = (torch.tensor(array, dtype=torch.float64) for array in splats.arrays)
-    expected = render_reference(*arrays, camera, 0.2).numpy()
+    means, log_scales, quats, logits, sh = (torch.tensor(a).double() for a in splats.arrays)
+    expected = render_reference(means, log_scales, quats, logits, sh, camera, 0.2).numpy()
     drawn = (expected > 0).any(axis=2)
     assert drawn.mean() > 0.3
     error = picture[drawn].astype(np.float64) - expected[drawn].clip(max=most)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from codec.errors import InvalidError
 from codec.slice import MAX_SWIN_SIZE
+from codec.splats import MAX_SH_DEGREE
 from trainer.lease.leases import LeaseConfig
 from trainer.step.backend import BackendName
 from trainer.step.device.pick import Picked, Weights, pick_backend
@@ -26,7 +27,8 @@ class FitConfig:
     that is sent whole. Leases work best with 1, because moving Gaussians can then follow every
     frame; Gaussians that are sent whole need more. Paper, section 8.1: 5."""
     sh_degree: int = 0
-    """Degree of the colour's spherical harmonics, 0 or 1. The paper trains 1 and streams 0."""
+    """Degree of the colour's spherical harmonics, 0 to 3: how much it may depend on where it is
+    seen from. The paper trains 1 and streams 0."""
     genesis_iterations: int = 3_000
     """Number of iterations of the first window (genesis), before its settling rounds; 0 if
     --initial gives its Gaussians. Paper: 30,000 on a GPU."""
@@ -83,8 +85,8 @@ class FitConfig:
             raise InvalidError(
                 f"num_gs {self.num_gs} is not a multiple of swin_size {self.swin_size}"
             )
-        if self.sh_degree not in (0, 1):
-            raise InvalidError(f"sh_degree {self.sh_degree}: choose 0 or 1")
+        if not 0 <= self.sh_degree <= MAX_SH_DEGREE:
+            raise InvalidError(f"sh_degree {self.sh_degree}: choose 0 to {MAX_SH_DEGREE}")
         if self.settle_rounds < 0:
             raise InvalidError(f"settle_rounds {self.settle_rounds}: choose 0 or more")
         if self.genesis_iterations < 0 or self.window_iterations < 1:

@@ -11,12 +11,14 @@ import numpy.typing as npt
 from codec.camera import Camera
 from codec.splats import array_shapes
 from player.render.blend import blend_tiles
-from player.render.project import PROJECTED, Projection, camera_vector, project_kernel
+from player.render.colours import ALWAYS, SeenColours, project
+from player.render.project import PROJECTED, Projection, camera_vector
 from player.render.recipe import TILE_PX
 from player.render.tiles import TileLists, list_tiles, reach_of, tile_grid
 
 from .active import Flags, active_tiles, trained_ends, with_neighbours
 from .blend_backward import G_BLUE, G_GREEN, G_RED, PAIR_GRADIENT, blend_tiles_backward
+from .colour_backward import colour_backward_kernel
 from .project_backward import project_backward_kernel
 
 Floats = npt.NDArray[np.float32]
@@ -118,10 +120,12 @@ def render(
         scratch.take("depths", count),
         scratch.take("boxes", count, 4).view(np.int32),
     )
-    project_kernel(
-        *parameters.arrays, rows, view.vector, view.tiles_x, view.tiles_y,
-        projection.projected, projection.depths, projection.tile_boxes,
-    )  # fmt: skip
+    # The colours of degree 2 and 3, of all rows; they are new in every step.
+    num_kept = len(parameters.means) if parameters.sh.shape[1] > 4 else 0
+    seen = SeenColours(
+        scratch.take("colours", num_kept, 1, 3), scratch.take("seen from", num_kept, 3), ALWAYS
+    )
+    project(parameters.arrays, rows, view.vector, view.tiles_x, view.tiles_y, projection, seen)
     reach = reach_of(projection)
     active = wanted = None
     if trainable is not None:
@@ -162,12 +166,19 @@ def backward(
         order, view.tiles_x, rendered.picture, picture_grad, pair_grads,
     )  # fmt: skip
     count = max(len(rendered.rows), 1)
+    trained = np.flatnonzero(moves).astype(np.int32)
     project_backward_kernel(
-        *parameters.arrays, rendered.rows, np.flatnonzero(moves).astype(np.int32), view.vector,
+        *parameters.arrays, rendered.rows, trained, view.vector,
         rendered.projection.projected, lists.pair_starts, pair_grads,
         np.float32(opacity_reg / count), np.float32(scale_reg / (3 * count)),
         *gradients.arrays,
     )  # fmt: skip
+    if parameters.sh.shape[1] > 4:
+        colour_backward_kernel(
+            parameters.means, parameters.sh, rendered.rows, trained, view.vector,
+            rendered.projection.projected, lists.pair_starts, pair_grads,
+            gradients.means, gradients.sh,
+        )  # fmt: skip
 
 
 def weighed(rendered: Rendered, planes: Floats) -> tuple[Floats, Floats, Floats]:

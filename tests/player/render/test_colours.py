@@ -91,7 +91,7 @@ def test_colours_stay_while_the_camera_hardly_moves() -> None:
     renderer.put(whole)
     here = turned_camera()
     renderer.render(0, here)
-    seen = renderer._ring.seen
+    seen = renderer.seen
     shown = seen.seen_from[:, 0] < 1e3
     assert COUNT / 2 < shown.sum() < COUNT  # the others are beside the picture
     distances = np.linalg.norm(whole.splats.means - here.position, axis=1)

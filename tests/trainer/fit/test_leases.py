@@ -31,9 +31,9 @@ from .test_trainer import NEAR_M, Rendered, start, truth
 SLOTS = {1: (40, 20, 30), 3: (12, 8, 10)}
 
 
-def layout(swin_size: int, *slots: int) -> SlotLayout:
+def layout(swin_size: int, *slots: int, sh_degree: int = 0) -> SlotLayout:
     lattices = (Lattice.suiting(truth(0)),) * len(slots)
-    return SlotLayout(swin_size, slots, 0, lattices, 15)
+    return SlotLayout(swin_size, slots, sh_degree, lattices, 15)
 
 
 def config(swin_size: int, **lease: float) -> FitConfig:
@@ -56,7 +56,8 @@ class Told:
     def __init__(self, leases: Leases, swin_size: int) -> None:
         self.leases, self.swin_size = leases, swin_size
         count = leases.slice_size
-        self.states = {lane: States.zeros(count, 0) for lane in range(swin_size)}
+        sh_degree = leases.states.sh_degree
+        self.states = {lane: States.zeros(count, sh_degree) for lane in range(swin_size)}
         self.starts = {lane: np.full(count, 1 << 30) for lane in range(swin_size)}
 
     def apply(self, update: Update) -> None:
@@ -85,14 +86,18 @@ def sorted_rows(splats: Splats) -> np.ndarray:
     return rows[np.lexsort(rows.T)]
 
 
-@pytest.mark.parametrize("swin_size", [1, 3])
-@pytest.mark.parametrize("share", [1.0, 0.3])
-def test_who_is_told_every_update_has_what_training_shows(swin_size: int, share: float) -> None:
+@pytest.mark.parametrize(
+    ("swin_size", "share", "sh_degree"),
+    [(1, 1.0, 0), (1, 0.3, 0), (3, 1.0, 0), (3, 0.3, 0), (1, 0.3, 3)],
+)
+def test_who_is_told_every_update_has_what_training_shows(
+    swin_size: int, share: float, sh_degree: int
+) -> None:
     pictures = Rendered()
     chosen = config(swin_size, active_share=share, refresh_share=0.05)
-    trainer = Trainer(
-        chosen, pictures, start(), NEAR_M, layout=layout(swin_size, *SLOTS[swin_size])
-    )
+    chosen = replace(chosen, sh_degree=sh_degree)
+    sizes = layout(swin_size, *SLOTS[swin_size], sh_degree=sh_degree)
+    trainer = Trainer(chosen, pictures, start().with_degree(sh_degree), NEAR_M, layout=sizes)
     told, kept = None, 0
     for window in trainer.windows():
         told = told or Told(trainer._leases, swin_size)  # type: ignore[arg-type]

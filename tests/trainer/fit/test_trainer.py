@@ -296,7 +296,7 @@ def test_the_colour_of_the_cameras_stays_identity_in_the_mean() -> None:
         {"num_gs": 0},
         {"swin_size": 0},
         {"swin_size": 256, "num_gs": 512},
-        {"sh_degree": 2},
+        {"sh_degree": 4},
         {"window_iterations": 0},
         {"newest_share": 1.5},
         {"seed": -1},

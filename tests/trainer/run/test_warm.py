@@ -48,7 +48,7 @@ for name, at, signature in sorted(known() - before, key=str):
 """
 
 
-@pytest.mark.parametrize("sh_degree", [0, 1])
+@pytest.mark.parametrize("sh_degree", [0, 1, 3])
 def test_training_compiles_nothing_that_was_not_compiled_ahead(
     sh_degree: int, tmp_path: Path
 ) -> None:

@@ -27,7 +27,7 @@ def parameters(splats: Splats) -> Parameters:
     return Parameters(*splats.arrays)
 
 
-@pytest.mark.parametrize("sh_degree", [0, 1])
+@pytest.mark.parametrize("sh_degree", [0, 1, 2, 3])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_picture_is_the_references(sh_degree: int, seed: int) -> None:
     splats, cam = scattered_splats(120, seed, sh_degree), turned_camera()
@@ -39,7 +39,7 @@ def test_the_picture_is_the_references(sh_degree: int, seed: int) -> None:
     assert -10 * np.log10(mse) > 80
 
 
-@pytest.mark.parametrize("sh_degree", [0, 1])
+@pytest.mark.parametrize("sh_degree", [0, 1, 2, 3])
 def test_gradients_are_the_references(sh_degree: int) -> None:
     splats, cam = scattered_splats(80, 3, sh_degree), turned_camera()
     rng = np.random.default_rng(7)
@@ -71,7 +71,7 @@ def test_gradients_are_the_references(sh_degree: int) -> None:
 @pytest.mark.parametrize("name", ARRAY_NAMES)
 def test_gradients_are_the_slopes_of_the_kernels_own_picture(name: str) -> None:
     """Central differences through the float32 kernels, along random directions."""
-    splats, cam = scattered_splats(12, 5, sh_degree=1), turned_camera()
+    splats, cam = scattered_splats(12, 5, sh_degree=3), turned_camera()
     # Opaque: the cut at alpha = 1/255, whose jump no gradient sees, then weighs little.
     splats.logit_opacities[:] = np.abs(splats.logit_opacities) + 1.5
     rng = np.random.default_rng(11)
@@ -88,7 +88,7 @@ def test_gradients_are_the_slopes_of_the_kernels_own_picture(name: str) -> None:
     rendered = render(values, rows, view)
     picture_grad = np.zeros_like(rendered.picture)
     picture_grad[:, : cam.height_px, : cam.width_px] = weights.transpose(2, 0, 1)
-    gradients = Parameters.zeros(len(splats), 1)
+    gradients = Parameters.zeros(len(splats), 3)
     backward(rendered, values, picture_grad, len(splats), gradients)
 
     gradient = getattr(gradients, name).astype(np.float64)

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from codec.camera import Camera
 from codec.splats import SH_C0
-from player.render.recipe import SH_C1
+from player.render.recipe import SH_C1, SH_C2, SH_C3
 from trainer.pictures.shot import Shot
 from trainer.step.backend import StepInput
 from trainer.step.loss import C1, C2, IGNORED, RADIUS_PX, TAPS, Loss
@@ -51,12 +51,34 @@ def _dissimilarity(pred: Tensor, target: Tensor, taps: Tensor) -> Tensor:
 
 
 def _colours(means: Tensor, sh: Tensor, position: Tensor) -> Tensor:
-    """(N, 3) of recipe v1, of SH degree 0 or 1."""
+    """(N, 3) of recipe v1, of any SH degree."""
     colours = 0.5 + SH_C0 * sh[:, 0]
     if sh.shape[1] >= 4:
         x, y, z = torch.nn.functional.normalize(means - position, dim=1).unsqueeze(-1).unbind(1)
         colours = colours + SH_C1 * (z * sh[:, 2] - y * sh[:, 1] - x * sh[:, 3])
+    if sh.shape[1] >= 9:
+        higher = torch.cat(_higher_harmonics(x, y, z)[: sh.shape[1] - 4], 1)
+        colours = colours + (higher[:, :, None] * sh[:, 4:]).sum(1)
     return colours.clamp(min=0)
+
+
+def _higher_harmonics(x: Tensor, y: Tensor, z: Tensor) -> list[Tensor]:
+    """(N, 1) each of degree 2 and 3, of unit vectors; see player.render.colours."""
+    xx, yy, zz = x * x, y * y, z * z
+    return [
+        SH_C2[0] * x * y,
+        -SH_C2[0] * y * z,
+        SH_C2[1] * (2 * zz - xx - yy),
+        -SH_C2[0] * x * z,
+        SH_C2[2] * (xx - yy),
+        -SH_C3[0] * y * (3 * xx - yy),
+        SH_C3[1] * x * y * z,
+        -SH_C3[2] * y * (4 * zz - xx - yy),
+        SH_C3[3] * z * (2 * zz - 3 * xx - 3 * yy),
+        -SH_C3[2] * x * (4 * zz - xx - yy),
+        SH_C3[4] * z * (xx - yy),
+        -SH_C3[0] * x * (xx - 3 * yy),
+    ]
 
 
 class DeviceBackend:

@@ -6,6 +6,7 @@ is checked then is all that is ours, colours, loss, regularisers and the way of 
 
 from __future__ import annotations
 
+from math import isqrt
 from typing import Any
 
 import numpy as np
@@ -60,7 +61,7 @@ def scene(sh_degree: int) -> Parameters:
 def stepped(
     backend: Backend, values: Parameters, shot: Shot, whole: bool = True
 ) -> tuple[Loss, Parameters]:
-    gradients = Parameters.zeros(COUNT, 1 if values.sh.shape[1] > 1 else 0)
+    gradients = Parameters.zeros(COUNT, isqrt(values.sh.shape[1]) - 1)
     rows = np.random.default_rng(4).permutation(COUNT)[: COUNT - 5].astype(np.int32)
     gain = np.array([1.1, 0.9, 1.0], np.float32)
     bias = np.array([0.02, -0.01, 0.0], np.float32)
@@ -118,7 +119,7 @@ def check(backend: Backend, sh_degree: int, half: bool, masked: bool = False) ->
         np.testing.assert_allclose(a, b, rtol=rtol, atol=share * np.abs(b).max())
 
 
-@pytest.mark.parametrize("sh_degree", [0, 1])
+@pytest.mark.parametrize("sh_degree", [0, 1, 2, 3])
 @pytest.mark.parametrize("half", [False, True])
 def test_a_step_gives_the_cpu_s_loss_and_gradients(
     backend: Backend, sh_degree: int, half: bool

@@ -65,7 +65,7 @@ def stepped(
 @given(
     seed=st.integers(0, 2**31),
     count=st.integers(1, 400),
-    sh_degree=st.sampled_from([0, 1]),
+    sh_degree=st.integers(0, 3),
     masked=st.booleans(),
     trained=st.floats(0, 1),
     batch_bytes=st.sampled_from([1, 3 * SLAB * PAIR_BYTES, 1 << 30]),
