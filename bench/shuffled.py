@@ -62,8 +62,9 @@ def run(config: ShuffledConfig) -> None:
         words = command("swings-stream", "import", folder, stream, "--fps", f"{FPS:g}")
         process = subprocess.Popen(words, env=environment())
         _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)  # it is waited for already
         if status:
-            raise SwingsError(f"the import ended with {os.waitstatus_to_exitcode(status)}")
+            raise SwingsError(f"the import ended with {process.returncode}")
         wall_s = time.monotonic() - begin_s
         reader = StreamReader(stream)
         records = reader.records

@@ -149,7 +149,7 @@ class ProgressLine:
 class Counter(Protocol):
     """Shows how far a command is."""
 
-    def __call__(self, done: int, total: int | None, what: str | None = None) -> None:
+    def __call__(self, done: int, total: int | None, what: str | None = None, /) -> None:
         """done, total: the number of steps that are done, and of all; None if that is not known.
         what: what was done last, in place of these numbers."""
 

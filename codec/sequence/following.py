@@ -35,9 +35,9 @@ from codec.stream.poster import POSTER_NAME, write_poster
 from codec.stream.reader import StreamReader
 from codec.stream.writer import StreamWriter
 
-from .arrivals import POLL_S, Arrival, Arrivals, Troubles
 from .errorbound import HOLD, steps_of
 from .importing import ImportOptions, fps_of, make_manifest, make_plan
+from .incomingfiles import POLL_S, Arrival, Arrivals, Troubles
 from .slotfiller import SlotFiller, SlotPlan
 from .survey import Survey
 

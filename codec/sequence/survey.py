@@ -29,6 +29,9 @@ FAR = 2.0
 """A log-scale counts that is not larger, by more than FAR, than USUAL_SHARE of all."""
 
 
+REACH_SHARE = 0.9999
+"""Share of the Gaussians whose colours the steps must hold; the others may be sent exactly."""
+
 ODD_FACTOR = 2.0
 """A file is odd if it has so many times fewer or more Gaussians than the usual one."""
 MAX_NAMED = 5
@@ -60,7 +63,7 @@ class Survey:
     highest: float = 0.0
     """The log-scales, without the few largest ones."""
     reach: float = 0.0
-    """The largest magnitude of Y, Co, Cg of a harmonic coefficient."""
+    """The largest magnitude of Y, Co, Cg of a harmonic coefficient, in all but very few."""
     lattice: Lattice | None = None
     """That the Gaussians of the first file that has any lie on already."""
     num_moved: int = 0
@@ -98,8 +101,12 @@ class Survey:
             self.lattice = find_lattice(splats)
             self.lowest, self.highest = lowest, highest
         self.lowest, self.highest = min(self.lowest, lowest), max(self.highest, highest)
+        strongest = np.zeros(len(splats))
         for coefficient in splats.sh.transpose(1, 0, 2):  # one by one, which bounds the memory
-            self.reach = max(self.reach, float(abs(to_luma(coefficient.astype(np.float64))).max()))
+            magnitudes = abs(to_luma(coefficient.astype(np.float64))).max(axis=1)
+            strongest = np.maximum(strongest, magnitudes)
+        reach = float(np.quantile(strongest, REACH_SHARE, method="higher"))
+        self.reach = max(self.reach, reach)
         self.lower = np.minimum(self.lower, lower)
         self.upper = np.maximum(self.upper, upper)
         self.size_m = min(self.size_m, position_step_m(splats) / POSITION_PER_SIZE)

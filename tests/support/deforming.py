@@ -46,7 +46,7 @@ class Deforming:
             (array + rng.normal(0, sigma, array.shape)).astype(np.float32)
             for array, sigma in zip((swayed, log_scales, quats, logits), JITTER, strict=True)
         )
-        here = rng.permutation(count)[: count - int(rng.integers(0, 1 + ABSENT_SHARE * count))]
+        here = rng.permutation(count)[: count - int(rng.integers(0, int(1 + ABSENT_SHARE * count)))]
         self._frame += 1
         return Splats(means, log_scales, quats, logits, sh).take(here)
 

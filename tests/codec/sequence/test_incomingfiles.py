@@ -8,7 +8,7 @@ import pytest
 
 from codec.errors import InvalidError
 from codec.interop.formats import SplatFormat, encode_splats, write_splats
-from codec.sequence.arrivals import MAX_LOGGED, SETTLE_S, Arrival, Arrivals, Troubles
+from codec.sequence.incomingfiles import MAX_LOGGED, SETTLE_S, Arrival, Arrivals, Troubles
 from tests.support.trained_like import trained_like_splats
 
 PATIENCE_S = 1.0
