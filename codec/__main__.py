@@ -1,4 +1,4 @@
-"""swings-stream: looks at a stream; imports and exports Gaussians."""
+"""swings-stream: looks at a stream; imports and exports Gaussians; makes one file of it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,18 @@ import tyro
 
 from codec.stream.pictures import Draw
 from codec.tools.audit import describe, summarise, verify_stream
-from codec.tools.commands import Export, Import, Info, Verify, export_files, import_files
+from codec.tools.commands import (
+    Export,
+    Import,
+    Info,
+    Pack,
+    Unpack,
+    Verify,
+    export_files,
+    import_files,
+    pack_files,
+    unpack_files,
+)
 
 from .console import run_command, say
 
@@ -20,7 +31,7 @@ from .console import run_command, say
 class Command:
     """Which subcommand to run."""
 
-    action: Annotated[Info | Verify | Import | Export, tyro.conf.arg(name="")]
+    action: Annotated[Info | Verify | Import | Export | Pack | Unpack, tyro.conf.arg(name="")]
 
 
 def run(command: Command, draw: Draw | None) -> None:
@@ -43,11 +54,15 @@ def run(command: Command, draw: Draw | None) -> None:
             say(import_files(config, draw))
         case Export() as config:
             say(export_files(config))
+        case Pack() as config:
+            say(pack_files(config))
+        case Unpack() as config:
+            say(unpack_files(config))
 
 
 def main(draw: Draw | None = None) -> None:
     """draw: for the poster of what is imported; `player.streamcommand` hands it in."""
-    what = "Inspects a stream; imports and exports Gaussians."
+    what = "Inspects a stream; imports and exports Gaussians; packs a stream into one file."
     run_command(Command, partial(run, draw=draw), "swings-stream", what)
 
 
