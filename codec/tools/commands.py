@@ -75,7 +75,8 @@ class Export:
     s3://BUCKET/PATH."""
     out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
     """Output file. With --frames, one numbered file for each frame: `name.ply` gives name_0000.ply
-    and so on. With --static, the output folder, or a .swings file to write the stream as one file."""
+    and so on. With --static, the output folder, or one file if its name ends with
+    .swings."""
     frame: int | None = None
     """Number of the frame, from 0 on."""
     frames: str | None = None
@@ -101,8 +102,9 @@ class Pack:
     opens. Nothing of the stream changes."""
 
     stream: tyro.conf.Positional[Stream]
-    """Folder of the stream, or its URL in an object store, such as s3://BUCKET/PATH. For browsers on
-    plain web servers, use export --static instead, with an OUT that ends with .swings."""
+    """Folder of the stream, or its URL in an object store, such as s3://BUCKET/PATH. A browser
+    plays it from a plain web server only if it is a static export: `export --static STREAM
+    OUT.swings` makes such a file at once."""
     out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT.swings")]]
     """File to write."""
 
