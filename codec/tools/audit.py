@@ -178,10 +178,11 @@ def verify_stream(place: Place, max_gaussians: int | None = DEFAULT_MAX_GAUSSIAN
     max_gaussians: see `check_gaussians`.
 
     Raises a CodecError for the first thing that is wrong, in the order manifest, index, objects,
-    pictures, records of a packed stream. Its message and `at` name the file and the first byte in it that may be wrong, as
-    exactly as the format allows: where the manifest stops being JSON, a field of the index or of an
-    object's table, the record or the compressed chunk whose checksum or content is wrong, or where
-    a file ends too early. Of two fields that contradict each other it is the first.
+    pictures, records of a packed stream. Its message and `at` name the file and the first byte in
+    it that may be wrong, as exactly as the format allows: where the manifest stops being JSON, a
+    field of the index or of an object's table, the record or the compressed chunk whose checksum or
+    content is wrong, or where a file ends too early. Of two fields that contradict each other it is
+    the first.
     """
     reader = StreamReader(place, max_gaussians)
     storage, manifest = reader.storage, reader.manifest

@@ -47,7 +47,7 @@ class RangeHost:
         fields = {"ETag": tag}
         found = re.fullmatch(r"bytes=(\d+)-(\d*)", handler.headers.get("Range", ""))
         if found and self.knows_ranges and handler.headers.get("If-Range", tag) == tag:
-            first, last = int(found[1]), int(found[2] or len(data) - 1)
+            first, last = int(found[1]), min(int(found[2] or len(data) - 1), len(data) - 1)
             if first >= len(data):
                 self._send(handler, 416, fields, b"")
                 return
