@@ -8,6 +8,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from mimetypes import guess_type
 from pathlib import Path
 
 
@@ -44,7 +45,7 @@ class RangeHost:
             self._send(handler, 404, {}, b"")
             return
         tag = f'"{hashlib.sha256(data).hexdigest()}"'
-        fields = {"ETag": tag}
+        fields = {"ETag": tag, "Content-Type": guess_type(path)[0] or "application/octet-stream"}
         found = re.fullmatch(r"bytes=(\d+)-(\d*)", handler.headers.get("Range", ""))
         if found and self.knows_ranges and handler.headers.get("If-Range", tag) == tag:
             first, last = int(found[1]), min(int(found[2] or len(data) - 1), len(data) - 1)
