@@ -129,7 +129,7 @@ def records() -> bytes:
 
 def packed(num_segments: int, poster: str | None = None) -> bytes:
     """A packed stream whose objects are not worth the name; nothing here reads them."""
-    manifest = replace(made_manifest(), poster=poster)
+    manifest = replace(made_manifest(), live=False, poster=poster)
     layers = manifest.num_layers
     count = manifest.segment_frames
     records = [

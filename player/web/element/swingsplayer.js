@@ -28,7 +28,7 @@ import { WebPlayer } from "./webplayer.js";
 const LONG_MS = 10_000;
 
 /**
- * `<swings-player src="URL of a stream's folder">`: plays a stream, with controls.
+ * `<swings-player src="URL of a stream's folder or file">`: plays a stream, with controls.
  *
  * Attributes: `src`, `autoplay`, `loop`, `preload`, `start` (seconds), `view` (as a share link has it),
  * `poster`, `muted`, `link` (the page that share links open), `max-gaussians`, `other-hosts`,

@@ -23,6 +23,8 @@ class RangeHost:
         self.cut_bytes: int | None = None
         """Each body breaks off after so many."""
         self.knows_ranges = True
+        self.cors = False
+        """Whether pages of other origins may read it."""
         self.gone = False
         """Whether every request is answered by hanging up."""
         self.refusals: list[tuple[int, dict[str, str]]] = []
@@ -63,6 +65,8 @@ class RangeHost:
         handler.send_response(status)
         for name, value in fields.items():
             handler.send_header(name, value)
+        if self.cors:
+            handler.send_header("Access-Control-Allow-Origin", "*")
         handler.send_header("Content-Length", str(len(body)))
         handler.end_headers()
         if self.cut_bytes is not None and len(body) > self.cut_bytes:

@@ -101,3 +101,13 @@ def test_a_page_plays_it_and_seeks_in_it_like_in_a_folder(page: Page, root: Path
         page.run(f"{PLAYER}.play()")
         page.wait(f"{PLAYER}.player.shownFrame === {NUM_FRAMES - 1}", 60)
         assert page.run(f"return {PLAYER}.error") is None
+
+
+def test_a_page_of_another_origin_plays_it(page: Page, root: Path) -> None:
+    """A range needs no permission of its own, and the size of the file stays hidden."""
+    with range_host(root) as host, range_host(root) as other:
+        other.cors = True
+        src = f"{other.url}/packed.swings"
+        page.open(f"{host.url}/web/watch.html?src={src}&autoplay=0", 320, 240)
+        page.wait(f"{PLAYER}?.player?.shownFrame >= 0", 60)
+        assert len(other.asked) > 3
