@@ -122,7 +122,7 @@ def test_what_cannot_be_packed_is_said_and_leaves_nothing(stream: Path, tmp_path
         with pytest.raises(InvalidError, match="live is live; pack it when it is finished"):
             pack_stream(tmp_path / "live", out)
     for name in ("one.zip", "one"):
-        with pytest.raises(InvalidError, match="ends with .swings"):
+        with pytest.raises(InvalidError, match=r"ends with \.swings"):
             pack_stream(stream, out.with_name(name))
     with pytest.raises(InvalidError, match="is not a packed stream"):
         unpack_stream(stream, tmp_path / "again")
