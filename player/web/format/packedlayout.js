@@ -115,7 +115,8 @@ export class PackedLayout {
     /** Where each segment begins. */
     this.starts = records.map((record) => {
       const start = at;
-      for (const part of this.parts) at += this.#headerBytes(record, part) + this.#size(record, part);
+      for (const part of this.parts)
+        at += this.#headerBytes(record, part) + this.#size(record, part);
       return start;
     });
     /** Where the objects end. */

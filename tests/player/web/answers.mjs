@@ -406,7 +406,9 @@ const ANSWERS = {
   /** The objects of a stream as they come, and its pictures' paths. */
   async allObjects({ url }) {
     try {
-      const stream = /** @type {HostedStream} */ (await openSource(url, new Fetcher({ giveUpS: 2 })));
+      const stream = /** @type {HostedStream} */ (
+        await openSource(url, new Fetcher({ giveUpS: 2 }))
+      );
       /** @type {Record<string, string>} */
       const found = {};
       for (const record of stream.records) {
