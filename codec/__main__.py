@@ -1,4 +1,4 @@
-"""swings-stream: looks at a stream, edits it; imports and exports Gaussians."""
+"""swings-stream: looks at a stream, edits and packs it; imports and exports Gaussians."""
 
 from __future__ import annotations
 
@@ -11,7 +11,18 @@ import tyro
 
 from codec.stream.pictures import Draw
 from codec.tools.audit import describe, summarise, verify_stream
-from codec.tools.commands import Export, Import, Info, Verify, export_files, import_files
+from codec.tools.commands import (
+    Export,
+    Import,
+    Info,
+    Pack,
+    Unpack,
+    Verify,
+    export_files,
+    import_files,
+    pack_files,
+    unpack_files,
+)
 from codec.tools.editcommands import Edit, run_edit
 
 from .console import run_command, say
@@ -21,7 +32,9 @@ from .console import run_command, say
 class Command:
     """Which subcommand to run."""
 
-    action: Annotated[Info | Verify | Import | Export | Edit, tyro.conf.arg(name="")]
+    action: Annotated[
+        Info | Verify | Import | Export | Edit | Pack | Unpack, tyro.conf.arg(name="")
+    ]
 
 
 def run(command: Command, draw: Draw | None) -> None:
@@ -46,11 +59,15 @@ def run(command: Command, draw: Draw | None) -> None:
             say(export_files(config))
         case Edit() as config:
             say(run_edit(config, draw))
+        case Pack() as config:
+            say(pack_files(config))
+        case Unpack() as config:
+            say(unpack_files(config))
 
 
 def main(draw: Draw | None = None) -> None:
     """draw: for the poster of what is imported or edited; `player.streamcommand` hands it in."""
-    what = "Inspects and edits a stream; imports and exports Gaussians."
+    what = "Inspects, edits and packs a stream; imports and exports Gaussians."
     run_command(Command, partial(run, draw=draw), "swings-stream", what)
 
 

@@ -121,6 +121,24 @@ def making_folder(path: Path) -> Iterator[Path]:
         raise
 
 
+@contextmanager
+def temporary_folder(path: Path) -> Iterator[Path]:
+    """Gives a new folder beside the file at `path`, for what the file is made of; leaving removes
+    it. What a killed process left is removed by the next one."""
+    temporary = path.with_name(f".{path.name}.parts")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(temporary, ignore_errors=True)
+    try:
+        temporary.mkdir()
+        yield temporary
+    except OSError as error:
+        if error.filename is not None and str(temporary) in os.fsdecode(error.filename):
+            error.filename = str(path)
+        raise
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
 def append_durably(path: Path, size_bytes: int, data: bytes) -> None:
     """Appends `data` to the file at `path`, which has `size_bytes`: all of it, or it raises."""
     with open(path, "ab", buffering=0) as file:
@@ -188,6 +206,23 @@ def read_bounded(
         data = file.read(size + 1) if size <= limit_bytes else None
     if data is None or len(data) > limit_bytes:
         raise CorruptError(f"{path} is longer than {limit_bytes} bytes")
+    return data
+
+
+def read_part(
+    path: Path, offset: int, size_bytes: int, *, opener: Opener = open_without_waiting
+) -> bytes:
+    """That many bytes of the regular file at `path`, from `offset` on.
+
+    Raises CorruptError if it cannot be read, or ends before them.
+    """
+    with opened_regular(path, opener) as file:
+        # Python allocates as much as it is asked to read, however short the file is.
+        left = max(os.fstat(file.fileno()).st_size - offset, 0)
+        file.seek(offset)
+        data = file.read(min(size_bytes, left))
+    if len(data) != size_bytes:
+        raise CorruptError(f"{path} ends before byte {offset + size_bytes}; was it replaced?")
     return data
 
 

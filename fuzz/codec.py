@@ -43,6 +43,7 @@ from codec.stream.object import (
     packet_content,
     read_object_table,
 )
+from codec.stream.packedlayout import read_layout
 from codec.stream.playrecord import RecordParser, encode_record
 
 from .foreign import fuzz_bundle, fuzz_inflated_glb, fuzz_inflated_sog, fuzz_webp
@@ -148,6 +149,23 @@ def fuzz_sealed_gzip(data: bytes) -> None:
     fuzz_packet(gzip.compress(b"")[:4] + bytes(4) + b"\x02\xff" + body + trailer)
 
 
+def fuzz_packed(data: bytes) -> None:
+    """A packed stream: whatever it says of sizes, all its files lie in it, one after another."""
+
+    def read(offset: int, most_bytes: int) -> tuple[bytes, int]:
+        return data[offset : offset + most_bytes], len(data)
+
+    layout = read_layout(read)
+    end = 0
+    for path, at, size_bytes in layout.files():
+        assert layout.find(path) == (at, size_bytes)
+        assert end < at <= at + size_bytes <= len(data)
+        end = at + size_bytes
+    places = list(layout.structure(lambda path: 0))
+    assert places[0][0] == 0
+    assert places[-1][0] + len(places[-1][1]) == layout.size_bytes == len(data)
+
+
 TARGETS: dict[str, Callable[[bytes], None]] = {
     "packet": fuzz_packet,
     "object": fuzz_object,
@@ -169,6 +187,7 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
     "webp": fuzz_webp,
     "inflated_sog": fuzz_inflated_sog,
     "inflated_glb": fuzz_inflated_glb,
+    "packed": fuzz_packed,
 }
 """The parsers by name. Only ever append: the first byte of an input counts in this order."""
 

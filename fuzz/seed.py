@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import gzip
+import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +17,9 @@ from codec.foreign.ply import encode_ply
 from codec.foreign.splat import encode_splat
 from codec.foreign.spz import ENTRY, HEADER_V4, MAGIC, encode_spz
 from codec.splats import Floats, Splats, sh_count
+from codec.stream.index import SegmentRecord, pack_record
 from codec.stream.manifest import Manifest
+from codec.stream.packedlayout import PackedHead, PackedLayout
 from codec.stream.playrecord import (
     EndRecord,
     ErrorRecord,
@@ -123,6 +127,36 @@ def records() -> bytes:
     return b"".join(map(encode_record, sent))
 
 
+def packed(num_segments: int, poster: str | None = None) -> bytes:
+    """A packed stream whose objects are not worth the name; nothing here reads them."""
+    manifest = replace(made_manifest(), live=False, poster=poster)
+    layers = manifest.num_layers
+    count = manifest.segment_frames
+    records = [
+        SegmentRecord(
+            n,
+            n * count,
+            count,
+            tuple(range(3, 3 + layers)),
+            (bytes(32),) * layers,
+            (math.nan,) * layers,
+            tuple(range(1, 2 + layers)),
+            (bytes(32),) * (layers + 1),
+        )
+        for n in range(num_segments)
+    ]
+    index, manifest_json = b"".join(map(pack_record, records)), manifest.to_json()
+    head = PackedHead(len(manifest_json), len(index), 5 if poster else 0, 0)
+    layout = PackedLayout(head, manifest, records)
+    made = bytearray(layout.size_bytes)
+    for at, piece in layout.structure(lambda path: 0):
+        made[at : at + len(piece)] = piece
+    for path, data in (("manifest.json", manifest_json), ("index.bin", index)):
+        at, size_bytes = layout.find(path) or (0, 0)
+        made[at : at + size_bytes] = data
+    return bytes(made)
+
+
 def seeds() -> Iterator[tuple[str, str, bytes]]:
     """(target, what it is, food) of every file; each gives a value."""
     yield "manifest", "plain", made_manifest().to_json()
@@ -145,6 +179,8 @@ def seeds() -> Iterator[tuple[str, str, bytes]]:
         yield "import", f"spz-v{version}", gzip.compress(content, mtime=0)
         yield "inflated_spz", str(version), content
     yield "splat", "six", encode_splat(made_splats(6, 0))
+    yield "packed", "two", packed(2)
+    yield "packed", "poster", packed(11, "art/köder.png")
     yield from slot_seeds()
     yield from foreign_seeds(made_splats(5, 0), made_splats(3, 1))
 

@@ -153,9 +153,10 @@ class PlayConfig:
     """The stream to play, and how to show it."""
 
     source: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="SOURCE")]]
-    """Folder of a stream, URL of a served stream (http://HOST:PORT, .../watch/NAME), or any URL
-    at which a stream's files are hosted. Several such URLs of one stream may be given, separated by
-    commas: if a host stops answering, the player switches to the next URL."""
+    """Folder of a stream or its .swings file, URL of a served stream (http://HOST:PORT,
+    .../watch/NAME), or any URL at which a stream's files, or its .swings file, are hosted. Several
+    such URLs of one stream may be given, separated by commas: if a host stops answering, the player
+    switches to the next URL."""
     capture: Annotated[Path | None, tyro.conf.arg(metavar="OUT")] = None
     """Write every frame, exactly once, to this .mp4 (H.264), .mov (ProRes 4444) or folder of PNGs.
     Without this option, the stream plays in a window."""

@@ -29,7 +29,18 @@ from codec.slots import (
     slotstate,
     update,
 )
-from codec.stream import index, integrity, manifest, object, playrecord, reader, storyboard
+from codec.stream import (
+    index,
+    integrity,
+    manifest,
+    object,
+    packedlayout,
+    pictures,
+    playrecord,
+    reader,
+    storyboard,
+    zipentry,
+)
 from player.render import pack, recipe
 
 ROOT = Path(__file__).parents[1]
@@ -65,6 +76,10 @@ CONSTANTS: dict[ModuleType, str] = {
     zstd: "ZSTD_MAGIC=MAGIC",
     index: "INDEX_HEAD=HEAD INDEX_LAYER=LAYER INDEX_SIDE=SIDE INDEX_CHECKSUM=CHECKSUM",
     integrity: "MAX_INDEX_BYTES",
+    pictures: "MAX_PICTURE_BYTES",
+    zipentry: "ZIP_LOCAL=LOCAL ZIP_LOCAL_MAGIC=LOCAL_MAGIC",
+    packedlayout: "PACKED_SUFFIX PACKED_EXTRA=EXTRA PACKED_EXTRA_ID=EXTRA_ID "
+    "PACKED_VERSION=LAYOUT_VERSION FIRST_PACKED_BYTES=FIRST_BYTES",
     playrecord: "PACKETS_KEY MAX_RECORD_BYTES MAX_MESSAGE_CHARS MAX_KEYS MAX_ITEMS MAX_TEXT_BYTES",
     storyboard: "MAX_STORYBOARD_TILES=MAX_TILES STORYBOARD_COLUMNS=COLUMNS "
     "STORYBOARD_PER_S=TILES_PER_S",

@@ -24,7 +24,8 @@ class ServeCommand:
     """Serve one stream, or a folder of streams."""
 
     root: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="ROOT")]]
-    """Folder of one stream or of several streams, or its URL in an object store: s3://BUCKET/PATH."""
+    """Folder of one stream, its .swings file, or a folder of several of them; or the URL of one of
+    these in an object store: s3://BUCKET/PATH."""
     host: str = "127.0.0.1"
     """Address to listen on; 0.0.0.0 for all IPv4 addresses, :: for all IPv4 and IPv6 addresses."""
     port: int = 8080

@@ -42,7 +42,7 @@ class Service:
     """The streams to serve, and how to serve them."""
 
     root: str
-    """Folder or URL of a stream, or of streams."""
+    """Folder, file or URL of a stream, or of streams."""
     config: ServerConfig
     listener: socket.socket
     play_secret: bytes = field(default_factory=partial(secrets.token_bytes, 32), repr=False)

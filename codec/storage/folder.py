@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from codec.errors import CorruptError, MissingFolderError, UnreadableError
-from codec.files import read_bounded
+from codec.files import read_bounded, read_part
 
 from .storage import Stamp
 
@@ -58,6 +58,9 @@ class FolderStorage:
             self._folder / path, limit_bytes, offset, if_missing=if_missing, opener=self._open
         )
 
+    def read_range(self, path: str, offset: int, size_bytes: int) -> bytes:
+        return read_part(self._folder / path, offset, size_bytes, opener=self._open)
+
     def stamp(self, path: str) -> Stamp | None:
         try:
             found = os.stat(self._folder / path)
@@ -77,16 +80,24 @@ class FolderStorage:
             return False
 
     def folders(self, files: Sequence[str]) -> dict[str, tuple[Stamp | None, ...]]:
-        try:
-            names = [name for name in os.listdir(self._folder) if not name.startswith(".")]
-        except OSError as error:
-            raise self._unlisted("", error) from error
         found = {}
-        for name in names:
+        for name in self._names():
             first = self.stamp(f"{name}/{files[0]}")
             if first is not None:
                 found[name] = (first, *(self.stamp(f"{name}/{file}") for file in files[1:]))
         return found
+
+    def files(self, suffix: str) -> dict[str, Stamp]:
+        names = (name for name in self._names() if name.endswith(suffix) and self.holds(name))
+        stamps = {name: self.stamp(name) for name in names}
+        return {name: stamp for name, stamp in stamps.items() if stamp is not None}
+
+    def _names(self) -> list[str]:
+        """Names of what is directly in the folder, but hidden ones."""
+        try:
+            return [name for name in os.listdir(self._folder) if not name.startswith(".")]
+        except OSError as error:
+            raise self._unlisted("", error) from error
 
     def sizes(self, folder: str) -> Iterator[tuple[str, int]]:
         for middle, _ in self._entries(folder):

@@ -238,6 +238,11 @@ class StorePrefix:
         rows = [tuple(stamps[n : n + width]) for n in range(0, len(stamps), width)]
         return {name: row for name, row in zip(names, rows, strict=True) if row[0] is not None}
 
+    def files(self, suffix: str) -> dict[str, Stamp]:
+        names = [name for name in self._level()[0] if name.endswith(suffix) and name[0] != "."]
+        stamps = {name: self.stamp(name) for name in names}
+        return {name: stamp for name, stamp in stamps.items() if stamp is not None}
+
     def _folders(self) -> list[str]:
         return [name for name in self._level()[1] if not name.startswith(".")]
 

@@ -63,3 +63,15 @@ class Storage(Protocol):
     def sizes(self, folder: str) -> Iterator[tuple[str, int]]:
         """The paths of the regular files two levels below the folder at `folder`, and their sizes
         in bytes. Raises UnreadableError."""
+
+    def files(self, suffix: str) -> dict[str, Stamp]:
+        """The names of the files directly in the place that end with `suffix`, but hidden ones, and
+        their stamps. Raises UnreadableError if the place does not tell."""
+
+
+@runtime_checkable
+class RangeStorage(Storage, Protocol):
+    """A place with files that can be read in parts."""
+
+    def read_range(self, path: str, offset: int, size_bytes: int) -> bytes:
+        """That many bytes of the file at `path`, which has them. Raises CorruptError."""

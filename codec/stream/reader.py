@@ -13,12 +13,13 @@ from codec.lattice.floats import bytes_per_gaussian
 from codec.slice import Slice, active_splats
 from codec.slots.slotdecoder import SlotDecoder
 from codec.splats import Splats
-from codec.storage.openstorage import Place, open_storage
+from codec.storage.openstorage import Place
 from codec.storage.storage import Storage
 
 from .index import INDEX_NAME, SegmentRecord, record_bytes
 from .integrity import MAX_INDEX_BYTES, CheckedObject, read_index
 from .manifest import MANIFEST_NAME, MAX_MANIFEST_BYTES, Manifest, Part, object_name
+from .packedstorage import open_place
 from .seeker import Seeker, join
 
 DEFAULT_MAX_GAUSSIANS = 1 << 22
@@ -57,7 +58,7 @@ class StreamReader:
     def __init__(self, place: Place, max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS) -> None:
         """max_gaussians: see `check_gaussians`; None for streams of one's own."""
         self._max_gaussians = max_gaussians
-        self.storage = open_storage(place)
+        self.storage = open_place(place)
         self.name = self.storage.name
         self.records: list[SegmentRecord] = []
         """One record for each finished segment."""

@@ -9,10 +9,12 @@ from codec.errors import CodecError
 from codec.storage.openstorage import Place
 from codec.stream.index import INDEX_NAME, SegmentRecord
 from codec.stream.integrity import check_index_end
+from codec.stream.packedstorage import PackedStorage
 from codec.stream.pictures import check_pictures
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
 
 from .objectaudit import verify_objects
+from .packing import verify_packed
 from .slotcensus import SlotSummary, count_slots, describe_slots, summarise_slots
 
 
@@ -172,18 +174,21 @@ def verify_stream(place: Place, max_gaussians: int | None = DEFAULT_MAX_GAUSSIAN
     max_gaussians: see `check_gaussians`.
 
     Raises a CodecError for the first thing that is wrong, in the order manifest, index, objects,
-    pictures. Its message and `at` name the file and the first byte in it that may be wrong, as
-    exactly as the format allows: where the manifest stops being JSON, a field of the index or of an
-    object's table, the record or the compressed chunk whose checksum or content is wrong, or where
-    a file ends too early. Of two fields that contradict each other it is the first.
+    pictures, records of a packed stream. Its message and `at` name the file and the first byte in
+    it that may be wrong, as exactly as the format allows: where the manifest stops being JSON, a
+    field of the index or of an object's table, the record or the compressed chunk whose checksum or
+    content is wrong, or where a file ends too early. Of two fields that contradict each other it is
+    the first.
     """
     reader = StreamReader(place, max_gaussians)
     storage, manifest = reader.storage, reader.manifest
-    index = storage.stamp(INDEX_NAME)
-    try:
-        check_index_end(0 if index is None else index.size_bytes, manifest, len(reader.records))
-    except CodecError as error:
-        raise error.within(storage.place(INDEX_NAME)) from error
+    if not isinstance(storage, PackedStorage):  # which has checked it
+        index = storage.stamp(INDEX_NAME)
+        try:
+            check_index_end(0 if index is None else index.size_bytes, manifest, len(reader.records))
+        except CodecError as error:
+            raise error.within(storage.place(INDEX_NAME)) from error
     verify_objects(reader)
     check_pictures(storage, manifest)
+    verify_packed(storage)
     return _summary(reader)

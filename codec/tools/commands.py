@@ -19,6 +19,7 @@ from codec.sequence.importing import Imported, ImportOptions, import_stream
 from codec.stream.pictures import Draw
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 
+from .packing import pack_stream, unpack_stream
 from .static import export_static
 
 Stream = Annotated[str, tyro.conf.arg(metavar="STREAM")]
@@ -29,7 +30,8 @@ class Info:
     """Describe a stream from its manifest, index and masks."""
 
     stream: tyro.conf.Positional[Stream]
-    """Folder of the stream, or its URL in an object store, such as s3://BUCKET/PATH."""
+    """Folder of the stream, its .swings file, or the URL of either in an object store, such as
+    s3://BUCKET/PATH."""
     json: bool = False
     """Print one JSON object instead of text."""
     plot: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
@@ -44,7 +46,8 @@ class Verify:
     """Read, check and decode every byte of a stream; name the first wrong file and byte."""
 
     stream: tyro.conf.Positional[Stream]
-    """Folder of the stream, or its URL in an object store, such as s3://BUCKET/PATH."""
+    """Folder of the stream, its .swings file, or the URL of either in an object store, such as
+    s3://BUCKET/PATH."""
     max_gaussians: int = DEFAULT_MAX_GAUSSIANS
     """Largest number of Gaussians a frame; a stream with more is refused, because a few kilobytes
     of file can ask for gigabytes of memory."""
@@ -79,10 +82,12 @@ class Export:
     the whole stream to a folder for plain web servers."""
 
     stream: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="STREAM")]]
-    """Folder of the stream, or its URL in an object store, such as s3://BUCKET/PATH."""
+    """Folder of the stream, its .swings file, or the URL of either in an object store, such as
+    s3://BUCKET/PATH."""
     out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
     """Output file. With --frames, one numbered file for each frame: `name.ply` gives name_0000.ply
-    and so on. With --static, the output folder."""
+    and so on. With --static, the output folder, or one file if its name ends with
+    .swings."""
     frame: int | None = None
     """Number of the frame, from 0 on."""
     frames: str | None = None
@@ -100,6 +105,29 @@ class Export:
     max_gaussians: int = DEFAULT_MAX_GAUSSIANS
     """Largest number of Gaussians a frame; a stream with more is refused, because a few kilobytes
     of file can ask for gigabytes of memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pack:
+    """Write a finished stream as one .swings file, which players read in place and any ZIP program
+    opens. Nothing of the stream changes."""
+
+    stream: tyro.conf.Positional[Stream]
+    """Folder of the stream, or its URL in an object store, such as s3://BUCKET/PATH. A browser
+    plays it from a plain web server only if it is a static export: `export --static STREAM
+    OUT.swings` makes such a file at once."""
+    out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT.swings")]]
+    """File to write."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unpack:
+    """Write the files of a .swings file to a folder: the stream that was packed, byte for byte."""
+
+    packed: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="FILE.swings")]]
+    """File made by pack, or its URL in an object store, such as s3://BUCKET/PATH."""
+    out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
+    """Folder of the stream, absent or empty."""
 
 
 def import_files(config: Import, draw: Draw | None = None) -> str:
@@ -197,6 +225,20 @@ def export_files(config: Export) -> str:
     total_bytes = sum(path.stat().st_size for path in written)
     noun = "file" if len(written) == 1 else "files"
     return f"{files}: {len(written)} {noun}, {total_bytes} bytes"
+
+
+def pack_files(config: Pack) -> str:
+    """Does what `config` says; gives a line about it."""
+    made = pack_stream(config.stream, config.out)
+    return f"{config.out}: {made.num_frames} frames in one file, {made.size_bytes} bytes"
+
+
+def unpack_files(config: Unpack) -> str:
+    """Does what `config` says; gives a line about it."""
+    made = unpack_stream(config.packed, config.out)
+    return (
+        f"{config.out}: {made.num_frames} frames in {made.num_files} files, {made.size_bytes} bytes"
+    )
 
 
 def _export_static(config: Export) -> str:

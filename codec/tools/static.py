@@ -11,7 +11,7 @@ from pathlib import Path
 
 from codec.coders.coder import Coder
 from codec.errors import InvalidError
-from codec.files import making_folder, write_atomic
+from codec.files import making_folder, temporary_folder, write_atomic
 from codec.slots.slotchange import encoded_elsewhere
 from codec.slots.slotchunk import Kind
 from codec.storage.openstorage import Place
@@ -19,10 +19,12 @@ from codec.stream.index import INDEX_NAME, SegmentRecord, pack_record
 from codec.stream.integrity import CheckedObject
 from codec.stream.manifest import MANIFEST_NAME, MASKS, OBJECT_URL, object_file
 from codec.stream.object import encode_packet, join_packets
+from codec.stream.packedlayout import PACKED_SUFFIX
 from codec.stream.pictures import read_picture
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS, StreamReader
 
 from .objectaudit import verify_objects
+from .packing import pack_stream
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,12 +42,18 @@ class StaticExport:
 def export_static(
     stream: Place, out: Path, max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS
 ) -> StaticExport:
-    """Writes the stream at `stream` to the folder `out`, absent or empty, coded with gzip.
+    """Writes the stream at `stream` to the folder `out`, absent or empty, coded with gzip; to one
+    file if `out` ends with `.swings`, see `pack_stream`.
 
     Every chunk is decoded and checked on the way, and its values stay as they are. A live stream is
     exported as far as it has come, and finished. `out` appears whole or not at all.
     max_gaussians: see `check_gaussians`. Raises a SwingsError that names the file at fault.
     """
+    if out.name.endswith(PACKED_SUFFIX):
+        with temporary_folder(out) as folder:
+            made = export_static(stream, folder / "stream", max_gaussians)
+            pack_stream(folder / "stream", out)
+        return made
     reader = StreamReader(stream, max_gaussians)
     if not reader.records:
         raise InvalidError(f"{reader.name} has no frames yet; there is nothing to export")

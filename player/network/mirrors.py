@@ -1,4 +1,4 @@
-"""A stream's files from whichever of its hosts has them.
+"""A stream's files from whichever of its hosts has them, one by one or in one large file.
 
 Rule: received bytes of a file are not requested again; after a failure the next host is tried.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import random
 import re
 import time
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, field
 
@@ -20,6 +21,24 @@ from .retry import Retry, RetryConfig
 
 PROGRESS_BYTES = 4096
 """Fewer bytes than this count as no progress, so a host that trickles bytes is not waited for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Extent:
+    """A run of bytes of a larger file, which stands for a file of its own."""
+
+    first_byte: int
+    num_bytes: int
+    file_bytes: int
+    """Of the larger file."""
+
+    def header(self, first_byte: int, end_byte: int) -> str:
+        """The Range for a part of it, whose bytes count from its own first one."""
+        return f"bytes={self.first_byte + first_byte}-{self.first_byte + end_byte - 1}"
+
+
+Find = Callable[[str], Extent]
+"""Where a file lies in a larger one, by its reference. Raises MissingError."""
 
 
 @dataclass(slots=True)
@@ -37,25 +56,47 @@ class Found:
 class Mirrors:
     """The same files below several URLs, of which one is asked at a time."""
 
-    def __init__(self, bases: tuple[str, ...], fetcher: Fetcher, retry: RetryConfig) -> None:
-        """bases: each ends with a slash."""
+    def __init__(
+        self,
+        bases: tuple[str, ...],
+        fetcher: Fetcher,
+        retry: RetryConfig,
+        find: Find | None = None,
+    ) -> None:
+        """bases: each ends with a slash; with `find`, each is the URL of a file that holds all the
+        others."""
         self._bases = bases
+        self._find = find
         self._fetcher = fetcher
         self._retry = retry
         self._at = 0
 
     def url(self, reference: str) -> str:
         """Where the file is that `reference` names, relative to the manifest. Raises FetchError."""
+        if self._find is not None:
+            return self._bases[self._at]
         base = self._bases[self._at] + MANIFEST_NAME
         return joined(base, reference, self._fetcher.config.other_hosts)
 
+    def name(self, reference: str) -> str:
+        """What errors call the file that `reference` names. Raises FetchError."""
+        url = self.url(reference)
+        return url if self._find is None else f"{url}/{reference}"
+
+    def extent(self, reference: str) -> Extent | None:
+        """Where it lies in the file at `url`; None if it is that file. Raises MissingError."""
+        return None if self._find is None else self._find(reference)
+
     def get(self, reference: str, limit_bytes: int) -> Found:
         """The file that `reference` names; see `url`. Raises FetchError."""
-        tries, found = _Tries(self, self._retry), Found()
+        tries, found, extent = _Tries(self, self._retry), Found(), self.extent(reference)
         while True:
             before, at = len(found.data), self._at
             try:
-                self._read(self.url(reference), limit_bytes, found)
+                if extent is None:
+                    self._read(self.url(reference), limit_bytes, found)
+                else:
+                    self._read_extent(self.url(reference), extent, limit_bytes, found)
                 return found
             except FetchError as error:
                 tries.failed(error, at, len(found.data) - before)
@@ -93,8 +134,26 @@ class Mirrors:
                 if len(found.data) > limit_bytes:
                     raise FetchError(f"{url} is longer than {limit_bytes} bytes")
 
+    def _read_extent(self, url: str, extent: Extent, limit_bytes: int, found: Found) -> None:
+        """Adds to `found` what is missing of an extent."""
+        if extent.num_bytes > limit_bytes:
+            raise FetchError(f"{url}: a file in it is longer than {limit_bytes} bytes")
+        begin = len(found.data)
+        asked = {"Range": extent.header(begin, extent.num_bytes)}
+        with closing(self._fetcher.open(url, asked)) as response:
+            check_range(response, extent.first_byte + begin, extent.file_bytes)
+            found.url, found.pieced = url, begin > 0
+            for piece in response.pieces():
+                found.data += piece
+                if len(found.data) > extent.num_bytes:
+                    raise FetchError(f"{url}: the host sent more bytes than requested")
+        if len(found.data) < extent.num_bytes:
+            raise BrokenError(f"{url}: the response ended early")
+
     def tail(self, reference: str, first_byte: int, limit_bytes: int) -> bytes:
         """The file from `first_byte` on, which may be empty. Raises FetchError."""
+        if self._find is not None:
+            return bytes(self.get(reference, limit_bytes).data)[first_byte:]
         retry = Retry(self._retry)
         while True:
             url = self.url(reference)
@@ -166,6 +225,7 @@ class Span:
         self._at_byte, self._end_byte = span
         self._reached_byte = self._at_byte  # by the tries before
         self._file_bytes = file_bytes
+        self._extent = mirrors.extent(reference)
         self.is_whole = span == (0, file_bytes)
         """Whether the whole file comes: it was asked for, or the host knows no ranges."""
         self._ask()
@@ -175,7 +235,11 @@ class Span:
         self._host = mirrors._at
         self.url = mirrors.url(self._reference)
         """Where it is asked for now."""
-        if (self._at_byte, self._end_byte) != (0, self._file_bytes):
+        self.name = mirrors.name(self._reference)
+        """What errors call it."""
+        if self._extent is not None:
+            fields["Range"] = self._extent.header(self._at_byte, self._end_byte)
+        elif (self._at_byte, self._end_byte) != (0, self._file_bytes):
             fields["Range"] = f"bytes={self._at_byte}-{self._end_byte - 1}"
         self._asked = mirrors._fetcher.ask(self.url, fields, self._file_bytes)
         self._is_checked = False
@@ -214,6 +278,9 @@ class Span:
 
     def _check(self, response: Response) -> None:
         """Looks whether it is an answer to what was asked for."""
+        if self._extent is not None:
+            check_range(response, self._extent.first_byte + self._at_byte, self._extent.file_bytes)
+            return
         if response.status == 206:
             total = range_total(response)
             if range_start(response) != self._at_byte:
@@ -231,6 +298,25 @@ class Span:
     def close(self) -> None:
         """Drops what did not come, and the connection with it."""
         self._asked.close()
+
+
+def check_range(response: Response, first_byte: int, file_bytes: int | None = None) -> int:
+    """Raises FetchError unless `response` has bytes from `first_byte` on of a file of `file_bytes`;
+    None allows any. Gives how many the file has."""
+    url = response.url
+    if response.status == 200:
+        raise FetchError(
+            f"{url}: the host does not send parts of a file, as a .swings file needs; use a host "
+            "that answers Range requests, or swings-stream unpack"
+        )
+    if response.status != 206:
+        raise refusal(url, response)
+    total = range_total(response)
+    if range_start(response) != first_byte or total is None:
+        raise BrokenError(f"{url}: the host sent another range than requested")
+    if file_bytes is not None and total != file_bytes:
+        raise FetchError(f"{url}: the stream was replaced by another one; play it again")
+    return total
 
 
 def refusal(url: str, response: Response) -> FetchError:

@@ -1,4 +1,5 @@
-"""A stream on any static host: manifest, index and objects fetched one by one."""
+"""A stream on any static host: manifest, index and objects fetched one by one, or as parts of the
+one file of a packed stream."""
 
 from __future__ import annotations
 
@@ -7,6 +8,7 @@ import logging
 import math
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from urllib.parse import urljoin
 
@@ -14,17 +16,24 @@ from codec.errors import CodecError, CorruptError, SwingsError
 from codec.framerange import FrameRange
 from codec.stream.index import SegmentRecord
 from codec.stream.integrity import CheckedObject
-from codec.stream.manifest import MANIFEST_NAME, MAX_MANIFEST_BYTES, Manifest, Part
+from codec.stream.manifest import (
+    MANIFEST_NAME,
+    MAX_MANIFEST_BYTES,
+    Manifest,
+    Part,
+    object_name,
+)
+from codec.stream.packedlayout import PackedLayout, read_layout
 from player.network.diskcache import DiskCache
-from player.network.faults import BrokenError, FetchError
+from player.network.faults import BrokenError, FetchError, MissingError
 from player.network.fetch import Fetcher
 from player.network.idle import IdleLimit
-from player.network.mirrors import Mirrors, Span, refusal
+from player.network.mirrors import Extent, Mirrors, Span, check_range, refusal
 from player.network.retry import RetryConfig
 from server.abr.clientstatus import ClientStatus
 from server.abr.session import Finished, WaitForFrames, WaitUntil
 
-from .hostedindex import REPLACED, HostedIndex
+from .hostedindex import MAX_HOSTED_INDEX_BYTES, REPLACED, HostedIndex
 from .hostedplay import Ask, HostedPlay, Wait
 from .segmentreader import SegmentReader
 from .source import LastPlay, Packets, check_frames, check_layers
@@ -47,10 +56,29 @@ class HostedPlace:
     """A stream on static hosts, and what is known of it."""
 
     bases: tuple[str, ...]
-    """URLs of its folder on each host, with a slash at the end."""
+    """URLs of its folder on each host, with a slash at the end; of a packed stream, of its file."""
     manifest: Manifest
     index: HostedIndex
     """Grows with what its sources read."""
+    layout: PackedLayout | None = None
+    """Of a packed stream."""
+
+    def mirrors(self, fetcher: Fetcher, retry: RetryConfig) -> Mirrors:
+        """Its hosts, to fetch its files from."""
+        return Mirrors(self.bases, fetcher, retry, None if self.layout is None else self._find)
+
+    def _find(self, path: str) -> Extent:
+        assert self.layout is not None
+        found = self.layout.find(path)
+        if found is None:
+            raise MissingError(f"{self.bases[0]} has no {path}")
+        return Extent(*found, self.layout.size_bytes)
+
+    def reference(self, segment: int, part: Part) -> str:
+        """What an object is called there."""
+        if self.layout is not None:
+            return object_name(segment, part)
+        return self.manifest.object_path(segment, part)
 
 
 def fetch_manifest(fetcher: Fetcher, url: str) -> tuple[Manifest, str] | None:
@@ -68,6 +96,38 @@ def fetch_manifest(fetcher: Fetcher, url: str) -> tuple[Manifest, str] | None:
         return Manifest.from_json(response.body), urljoin(response.url, ".")
     except CodecError as error:
         raise FetchError(f"{error.within(url)}; this is not a stream") from error
+
+
+def fetch_packed(fetcher: Fetcher, url: str) -> HostedPlace:
+    """The packed stream at `url`, by one request or two. Raises FetchError."""
+    read, place = bytearray(), url
+
+    def read_more(offset: int, most_bytes: int) -> tuple[bytes, int]:
+        nonlocal place
+        assert offset == len(read)
+        data, file_bytes, place = fetch_range(fetcher, place, offset, most_bytes)
+        read.extend(data)
+        return data, file_bytes
+
+    try:
+        layout = read_layout(read_more, MAX_HOSTED_INDEX_BYTES)
+    except CodecError as error:
+        raise FetchError(f"{error.within(url)}; this is not a stream") from error
+    index = HostedIndex(layout.manifest)
+    index.add(bytes(read[layout.head.index_at : layout.head.end]), url)
+    return HostedPlace((place,), layout.manifest, index, layout)
+
+
+def fetch_range(fetcher: Fetcher, url: str, offset: int, most_bytes: int) -> tuple[bytes, int, str]:
+    """The bytes of the file at `url` from `offset` on, so many at most and fewer only at its end;
+    the size of the file; and where redirects have led. Raises FetchError."""
+    asked = {"Range": f"bytes={offset}-{offset + most_bytes - 1}"}
+    with closing(fetcher.open(url, asked)) as response:
+        file_bytes = check_range(response, offset)
+        data = response.rest(most_bytes)
+        if len(data) != min(most_bytes, file_bytes - offset):
+            raise BrokenError(f"{url}: the response ended early")
+        return data, file_bytes, response.url
 
 
 class HostedSource:
@@ -91,7 +151,9 @@ class HostedSource:
         self.manifest = place.manifest
         self._index = place.index
         self._fetcher = fetcher
-        self._mirrors = Mirrors(place.bases, fetcher, retry or RetryConfig())
+        self._reference = place.reference
+        self._is_packed = place.layout is not None
+        self._mirrors = place.mirrors(fetcher, retry or RetryConfig())
         self._cache = cache
         self.adaptive = adaptive
         self._rate_bps = rate_bps
@@ -118,7 +180,7 @@ class HostedSource:
     def _object(self, record: SegmentRecord, part: Part) -> CheckedObject:
         manifest = self.manifest
         number = manifest.part_number(part)
-        reference = manifest.object_path(record.segment, part)
+        reference = self._reference(record.segment, part)
         sha256, size = record.part_sha256[number], record.part_bytes[number]
         kept = self._cache.get(sha256) if self._cache else None
         if kept is not None:
@@ -129,7 +191,8 @@ class HostedSource:
             found = self._mirrors.get(reference, size)
         data = bytes(found.data)
         try:
-            checked = CheckedObject.check(found.url, data, manifest, record, part)
+            name = self._mirrors.name(reference) if self._is_packed else found.url
+            checked = CheckedObject.check(name, data, manifest, record, part)
         except CorruptError as error:
             if self._index.is_replaced(self._mirrors):
                 raise CorruptError(f"{self.name}: {REPLACED}") from error
@@ -197,7 +260,7 @@ class HostedSource:
     def _ask(self, play: HostedPlay, open_spans: dict[Ask, Span]) -> Wait:
         """Sends the requests that are worth it now."""
         while isinstance(ask := play.next(time.monotonic()), Ask):
-            reference = self.manifest.object_path(ask.segment, ask.part)
+            reference = self._reference(ask.segment, ask.part)
             number = self.manifest.part_number(ask.part)
             file_bytes = self._index.records[ask.segment].part_bytes[number]
             span = self._mirrors.span(reference, ask.first_byte, ask.end_byte, file_bytes)
@@ -211,7 +274,7 @@ class HostedSource:
             if pieces and span.is_whole:
                 play.comes_whole(ask, time.monotonic())
             for piece in pieces:
-                play.come(ask, span.url, piece.first_byte, piece.data)
+                play.come(ask, span.name, piece.first_byte, piece.data)
             if span.ended:
                 play.ended(ask)
                 open_spans.pop(ask).close()

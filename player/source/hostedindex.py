@@ -46,7 +46,12 @@ class HostedIndex:
         # Nothing at all is a host that lags behind another one.
         if data[:overlap] != self._last and len(data) >= overlap:
             raise CorruptError(f"{url}: {REPLACED}")
-        new = data[overlap:]
+        return self.add(data[overlap:], url)
+
+    def add(self, new: bytes, url: str) -> bool:
+        """Takes in what follows on the records that are known, found at `url`; gives whether there
+        is a record in it. Raises a CodecError."""
+        known = len(self.records) * self._record_bytes
         try:
             records = read_index(new, self._manifest, self.records)
             for record in records:

@@ -1,4 +1,4 @@
-"""The place of the stream that the user named: a folder, a served stream, or a hosted one."""
+"""The place of the stream that the user named: on this machine, served, or hosted."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from urllib.parse import SplitResult, quote, unquote, urlsplit, urlunsplit
 from codec.errors import InvalidError
 from codec.storage.credentials import without_credentials
 from codec.stream.manifest import MANIFEST_NAME
+from codec.stream.packedlayout import PACKED_SUFFIX
 from player.network.faults import BrokenError, FetchError
 from player.network.fetch import Fetcher
 
-from .hosted import HostedPlace, fetch_manifest
+from .hosted import HostedPlace, fetch_manifest, fetch_packed
 from .hostedindex import HostedIndex
 
 MAX_LIST_BYTES = 16 << 20
@@ -81,8 +82,10 @@ def locate(source: str, fetcher: Fetcher) -> Place:
                 stream = urls[0].rpartition("/")[2]
                 urls += tuple(_named_url(other, stream) for other in others)
                 return ServedPlace(urls)
-            case HostedPlace():
+            case HostedPlace(layout=None):
                 return replace(found, bases=found.bases + tuple(map(_base, others)))
+            case HostedPlace():
+                return replace(found, bases=found.bases + tuple(others))
         return found
     raise AssertionError("a text has one part at least")
 
@@ -106,6 +109,8 @@ def _locate(source: str, fetcher: Fetcher) -> Place:
     served = _named_stream(source, path) if path else _only_stream(source, fetcher)
     if served is not None:
         return ServedPlace((served,))
+    if path.endswith(PACKED_SUFFIX):
+        return fetch_packed(fetcher, source)
     base = _base(source)
     found = fetch_manifest(fetcher, base + MANIFEST_NAME)
     if found is None:

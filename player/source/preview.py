@@ -11,11 +11,12 @@ from urllib.parse import quote
 from codec.errors import CodecError
 from codec.stream import StreamReader
 from codec.stream.manifest import MANIFEST_NAME, Manifest
+from codec.stream.packedlayout import PackedLayout
 from codec.stream.pictures import MAX_PICTURE_BYTES, picture_path, read_picture
 from player.network.faults import BrokenError, FetchError, StoppedError
 from player.network.fetch import Fetcher
 
-from .hosted import fetch_manifest
+from .hosted import fetch_manifest, fetch_range
 from .locate import Place, ServedPlace
 
 log = logging.getLogger(__name__)
@@ -46,6 +47,8 @@ def load_preview(place: Place, fetcher: Fetcher) -> Preview | None:
         if found is None:
             return None
         manifest, base = found
+    elif place.layout is not None:
+        return Preview(place.manifest, _packed_poster(place.layout, place.bases[0], fetcher))
     else:
         manifest, base = place.manifest, place.bases[0]
     return Preview(manifest, _poster(manifest, base, fetcher))
@@ -59,6 +62,19 @@ def _served_manifest(urls: Sequence[str], fetcher: Fetcher) -> tuple[Manifest, s
         except BrokenError as error:
             log.info("%s", error)
     return fetch_manifest(fetcher, f"{urls[-1]}/{MANIFEST_NAME}")
+
+
+def _packed_poster(layout: PackedLayout, url: str, fetcher: Fetcher) -> bytes | None:
+    found = layout.find(picture_path(layout.manifest.poster) or "")
+    if found is None:
+        return None
+    try:
+        return fetch_range(fetcher, url, *found)[0]
+    except StoppedError:
+        raise
+    except FetchError as error:
+        log.info("%s", error)
+        return None
 
 
 def _poster(manifest: Manifest, base: str, fetcher: Fetcher) -> bytes | None:

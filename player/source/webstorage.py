@@ -15,6 +15,7 @@ from codec.errors import CorruptError, InvalidError, UnreadableError
 from codec.storage.credentials import without_credentials
 from codec.storage.storage import Stamp
 from codec.stream.manifest import MANIFEST_NAME, OBJECT_URL, SEGMENTS_NAME
+from codec.stream.packedlayout import PackedLayout
 from player.network.faults import MissingError
 from player.network.fetch import FetchConfig, Fetcher
 from player.network.mirrors import Mirrors
@@ -46,13 +47,18 @@ class WebStorage:
             lambda: Fetcher(config=fetching, logins=logins_of(split_source(source)))
         )
         self._object_url = OBJECT_URL
+        self._layout: PackedLayout | None = None
         self._closed = False
         try:
             place = self._in_thread(lambda: locate(self.name, self._fetcher))
+            retry = self._config.retry
             if isinstance(place, HostedPlace):
                 self._base, self._object_url = place.bases[0], place.manifest.object_url
+                self._layout = place.layout
+                self._mirrors = place.mirrors(self._fetcher, retry)
             elif isinstance(place, ServedPlace):
                 self._base = place.urls[0] + "/"
+                self._mirrors = Mirrors((self._base,), self._fetcher, retry)
             else:
                 raise InvalidError(f"{self.name} is not a URL")
         except BaseException:
@@ -67,6 +73,8 @@ class WebStorage:
         return urlsplit(self._base).path.rstrip("/").rpartition("/")[2]
 
     def place(self, path: str) -> str:
+        if self._layout is not None:
+            return f"{self._base}/{path}"
         folder, _, rest = path.partition("/")
         if folder == SEGMENTS_NAME and self._object_url != OBJECT_URL:
             segment, _, part = rest.partition("/")
@@ -83,18 +91,18 @@ class WebStorage:
         self, path: str, limit_bytes: int, offset: int = 0, *, if_missing: str | None = None
     ) -> bytes:
         url = self.place(path)
-        body = self._in_thread(lambda: self._get(url, offset + limit_bytes))
+        reference = url if self._layout is None else path
+        body = self._in_thread(lambda: self._get(reference, offset + limit_bytes))
         if body is None:
             meaning = "" if if_missing is None else f"; {if_missing}"
             raise CorruptError(f"{url} is missing{meaning}")
         return body[offset:]
 
-    def _get(self, url: str, limit_bytes: int) -> bytes | None:
-        """The body at `url`, asked for again while the connection breaks; None if there is
-        nothing."""
-        mirrors = Mirrors((self._base,), self._fetcher, self._config.retry)
+    def _get(self, reference: str, limit_bytes: int) -> bytes | None:
+        """The file that `reference` names, asked for again while the connection breaks; None if
+        there is nothing."""
         try:
-            return bytes(mirrors.get(url, limit_bytes).data)
+            return bytes(self._mirrors.get(reference, limit_bytes).data)
         except MissingError:
             return None
 
@@ -111,6 +119,9 @@ class WebStorage:
 
     def sizes(self, folder: str) -> Iterator[tuple[str, int]]:
         raise UnreadableError(f"{self.place(folder)}: {_UNLISTED}")
+
+    def files(self, suffix: str) -> dict[str, Stamp]:
+        raise UnreadableError(f"{self.name}: {_UNLISTED}")
 
     def close(self) -> None:
         """Closes all connections and ends the thread; closing twice is the same as once."""

@@ -127,6 +127,20 @@ export const INDEX_CHECKSUM = "<I";
 // codec.stream.integrity
 export const MAX_INDEX_BYTES = 268435456;
 
+// codec.stream.pictures
+export const MAX_PICTURE_BYTES = 1048576;
+
+// codec.stream.zipentry
+export const ZIP_LOCAL = "<IHHHHHIIIHH";
+export const ZIP_LOCAL_MAGIC = 67324752;
+
+// codec.stream.packedlayout
+export const PACKED_SUFFIX = ".swings";
+export const PACKED_EXTRA = "<HHHHIII";
+export const PACKED_EXTRA_ID = 22355;
+export const PACKED_VERSION = 1;
+export const FIRST_PACKED_BYTES = 32768;
+
 // codec.stream.playrecord
 export const PACKETS_KEY = "packets";
 export const MAX_RECORD_BYTES = 67108864;

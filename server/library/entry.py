@@ -98,7 +98,8 @@ class Entry:
             else:
                 self._say(logging.WARNING, "keeps its last readable state", str(error), UNREADABLE)
         except CodecError as error:
-            reason = str(error).removeprefix(f"{self._storage.name}/")
+            name = self._storage.name
+            reason = str(error).removeprefix(f"{name}/").removeprefix(f"{name}: ")
             self._drop(reason, reason)
         except Exception:
             # An unexpected error in one stream must not keep the others from being followed.

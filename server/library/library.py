@@ -10,11 +10,14 @@ import asyncio
 import logging
 import re
 import threading
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from codec.errors import SwingsError
-from codec.storage.openstorage import open_storage
+from codec.storage.storage import RangeStorage, Storage
+from codec.stream.packedlayout import PACKED_SUFFIX
+from codec.stream.packedstorage import PackedStorage, open_place
 
 from .entry import FILES, Entry, Stamps, one_line
 from .growth import LIVE_POLL_S
@@ -27,11 +30,26 @@ STREAM_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
 
 MISNAMED = "the name of a stream's folder has only letters, digits, '.', '_' and '-'; rename it"
 
+SAME_NAME = "there is a folder with the name of this packed stream; rename one of them"
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """A stream that a look at the root has found."""
+
+    path: str
+    """Of its folder or its file in the root; empty if it is the root."""
+    stamps: Stamps
+    is_packed: bool = False
+    refusal: str = ""
+    """Why it is not served, whatever its files hold."""
+
 
 class Library:
-    """The streams below a root that is a stream itself, or a folder of streams.
+    """The streams below a root that is a stream itself, or a folder of streams; each is a folder or
+    a packed stream.
 
-    Which of the two it is, the first stream that is found there decides. Raises a SwingsError at
+    What the root is, the first stream that is found there decides. Raises a SwingsError at
     construction if there is no such root.
     """
 
@@ -43,11 +61,13 @@ class Library:
         self.broken: dict[str, str] = {}
         """Why the other streams cannot be served, by name: one line without the paths of this
         machine."""
-        self._storage = open_storage(root)
+        self._storage = open_place(root)
         self._refresh_s = refresh_s
         self._live_poll_s = live_poll_s
         self._single: bool | None = None
         self._entries: dict[str, Entry] = {}
+        self._paths: dict[str, str] = {}
+        """Where each entry lies in the root."""
         self._scanning = threading.Lock()  # a thread outlives the task that waits for it
         self._looking = asyncio.Lock()
         self._in_trouble = False
@@ -87,29 +107,47 @@ class Library:
         """Brings the entries up to date. Blocks. Raises SwingsError if the root cannot be read."""
         with self._scanning:
             found = self._found()
-            for name in self._entries.keys() - found.keys():
-                self._entries.pop(name).leave()
+            for name, path in list(self._paths.items()):
+                if name not in found or found[name].path != path:
+                    del self._paths[name]
+                    self._entries.pop(name).leave()
             for name in sorted(found):
-                entry = self._entries.get(name)
+                one, entry = found[name], self._entries.get(name)
                 if entry is None:
-                    storage = self._storage if self._single else self._storage.below(name)
                     peek = partial(self._peek, name)
+                    storage = self._storage_of(one)
                     entry = self._entries[name] = Entry(name, storage, peek, self._live_poll_s)
-                if STREAM_NAME.fullmatch(name):
-                    entry.look(found[name])
+                    self._paths[name] = one.path
+                refusal = one.refusal or ("" if STREAM_NAME.fullmatch(name) else MISNAMED)
+                if refusal:
+                    entry.refuse(refusal)
                 else:
-                    entry.refuse(MISNAMED)
+                    entry.look(one.stamps)
 
-    def _found(self) -> dict[str, Stamps]:
-        """The stamps of all that has a manifest."""
+    def _storage_of(self, found: _Found) -> Storage:
+        if not found.path:
+            return self._storage
+        if found.is_packed and isinstance(self._storage, RangeStorage):
+            return PackedStorage(self._storage, found.path)
+        return self._storage.below(found.path)
+
+    def _found(self) -> dict[str, _Found]:
+        """All that has a manifest, and all packed streams, by name."""
         if self._single is not False:
             stamps = tuple(self._storage.stamp(path) for path in FILES)
             if stamps[0] is not None:
                 self._single = True
-                return {self._storage.last_name: stamps}
-        found = self._storage.folders(FILES)  # raises where the root itself is gone
+                return {self._storage.last_name: _Found("", stamps)}
+        folders = self._storage.folders(FILES)  # raises where the root itself is gone
         if self._single:
             return {}
+        found = {name: _Found(name, stamps) for name, stamps in folders.items()}
+        for file, stamp in self._storage.files(PACKED_SUFFIX).items():
+            name, stamps = file.removesuffix(PACKED_SUFFIX), (stamp,) * len(FILES)
+            if name in folders:
+                found[file] = _Found(file, stamps, True, SAME_NAME)
+            else:
+                found[name] = _Found(file, stamps, True)
         if found:
             self._single = False
         return found

@@ -1,4 +1,5 @@
 import { node } from "./nodes.js";
+import { pictureUrl } from "../source/pictures.js";
 import { storyboardLayout, tileOf } from "../format/storyboard.js";
 
 /** The small picture of a frame, from a stream's storyboard; hidden for a stream without one. */
@@ -26,13 +27,16 @@ export class Storyboard {
    * @param {number} frame
    */
   show(player, frame) {
-    const { manifest, live, numFrames, base } = player;
+    const { manifest, live, numFrames, base, pictures } = player;
     this.frame = frame;
     if (!manifest?.storyboard || live) return;
     if (this.layout === null) {
-      this.layout = storyboardLayout(numFrames, manifest.fps);
-      const path = manifest.storyboard.split("/").map(encodeURIComponent).join("/");
-      this.image.src = new URL(path, base).href;
+      const layout = (this.layout = storyboardLayout(numFrames, manifest.fps));
+      pictureUrl(base, manifest.storyboard, pictures)
+        .catch(() => null)
+        .then((url) => {
+          if (url !== null && this.layout === layout) this.image.src = url;
+        });
     }
     this.#show();
   }

@@ -42,8 +42,10 @@ export class StreamSession extends EventTarget {
   /** @type {any} what the stream's manifest says; null until it is open */
   manifest = null;
   numFrames = 0;
-  /** URL of the stream's folder, with a slash at its end. */
+  /** URL of the stream's folder, with a slash at its end, or of its file. */
   base = "";
+  /** @type {import("../source/source.js").SourceStream["pictures"]} */
+  pictures = null;
   /** Whether the stream may still grow. */
   live = false;
   /** @type {PlayState} */
@@ -151,6 +153,7 @@ export class StreamSession extends EventTarget {
         this.manifest = data.manifest;
         this.numFrames = data.numFrames;
         this.base = data.base;
+        this.pictures = data.pictures;
         this.live = data.manifest.live;
         this.#applyPlaying();
         this.onOpened(isFirst);

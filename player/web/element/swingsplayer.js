@@ -1,5 +1,6 @@
 import { PLAYER_VERSION } from "../constants.js";
 import { RendererError } from "../renderer/program.js";
+import { pictureUrl } from "../source/pictures.js";
 import { Bar } from "./bar.js";
 import { BarVisibility } from "./barvisibility.js";
 import { CameraControls } from "./cameracontrols.js";
@@ -27,7 +28,7 @@ import { WebPlayer } from "./webplayer.js";
 const LONG_MS = 10_000;
 
 /**
- * `<swings-player src="URL of a stream's folder">`: plays a stream, with controls.
+ * `<swings-player src="URL of a stream's folder or file">`: plays a stream, with controls.
  *
  * Attributes: `src`, `autoplay`, `loop`, `preload`, `start` (seconds), `view` (as a share link has it),
  * `poster`, `muted`, `link` (the page that share links open), `max-gaussians`, `other-hosts`,
@@ -235,12 +236,21 @@ export class SwingsPlayerElement extends MediaInterface {
   #opened(player) {
     const { manifest } = player;
     if (!this.#overlay.hasPoster && manifest.poster) {
-      const path = manifest.poster.split("/").map(encodeURIComponent).join("/");
-      this.#overlay.setPoster(new URL(path, player.base).href);
+      this.#showPoster(player, manifest.poster);
     }
     this.#parts?.bar.showChoices();
     // Who wants less motion starts it, and each round of it.
     this.#setLoop(this.loop && !prefersStill());
+  }
+
+  /**
+   * @param {WebPlayer} player
+   * @param {string} path
+   */
+  async #showPoster(player, path) {
+    const url = await pictureUrl(player.base, path, player.pictures).catch(() => null);
+    if (url !== null && player === this.player && !this.#overlay.hasPoster)
+      this.#overlay.setPoster(url);
   }
 
   /**

@@ -73,7 +73,7 @@ export class WebPlayer extends StreamSession {
   }
 
   /**
-   * Opens the stream whose folder is at `src`.
+   * Opens the stream whose folder, or file, is at `src`.
    * @param {string} src
    * @param {object} [options]
    * @param {number | null} [options.maxGaussians] a stream of more fails; null for the default, 2^22

@@ -45,8 +45,8 @@ async function open({ base, maxGaussians, otherHosts, bufferBytes, isHeld }) {
   try {
     const most = maxGaussians ?? null;
     const stream = await openSource(base, fetcher, most, otherHosts ?? false, bufferBytes);
-    const { manifest, numFrames } = stream;
-    const opened = { manifest: plain(manifest), numFrames, base: stream.base };
+    const { manifest, numFrames, base: found, pictures } = stream;
+    const opened = { manifest: plain(manifest), numFrames, base: found, pictures };
     scope.postMessage({ kind: "opened", ...opened });
     const port = sorter;
     if (port !== null) {

@@ -1,12 +1,21 @@
+import { PACKED_SUFFIX } from "../constants.js";
+
 /** A path that names a stream of a swings server. */
 const SERVED_PATH = /^(.*)\/(?:v1\/streams|watch)\/([^/]+)\/?$/;
 
+/** Whether `url` is that of a packed stream. @param {string} url */
+export function isPacked(url) {
+  return servedBase(url) === null && new URL(url).pathname.endsWith(PACKED_SUFFIX);
+}
+
 /**
- * The URL of a stream's folder, with a slash at its end.
+ * The URL of a stream's folder, with a slash at its end, or of a packed stream.
  * @param {string} src as the element has it
  * @param {string} page URL that it is relative to
  */
 export function folderUrl(src, page) {
+  const url = new URL(src, page).href;
+  if (isPacked(url)) return url;
   return new URL(src.endsWith("/") ? src : `${src}/`, page).href;
 }
 
@@ -39,11 +48,12 @@ export function playUrl(base, { fromFrame, untilFrame, layers, paused }) {
 export const FIRST_PLAY = { fromFrame: 0, paused: true };
 
 /**
- * The URLs that are fetched first, whatever the stream.
- * @param {string} url of its folder, with a slash at its end
+ * The URLs that are fetched first, whatever the stream; of a packed one none is fetched whole.
+ * @param {string} url see `folderUrl`
  */
 export function firstUrls(url) {
   const served = servedBase(url);
   if (served !== null) return [playUrl(served, FIRST_PLAY)];
+  if (isPacked(url)) return [];
   return [`${url}manifest.json`, `${url}index.bin`];
 }

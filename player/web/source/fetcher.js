@@ -57,9 +57,10 @@ export class Fetcher {
    * @param {(numBytes: number) => void} [onBytes] called with the size of each piece; a try that
    *   broke off takes its bytes back as a negative number
    * @param {RequestInit} [init]
+   * @param {(response: Response) => void} [check] throws if the response is not what was asked for
    * @returns {Promise<Uint8Array>}
    */
-  async get(url, limitBytes, onBytes = () => {}, init = {}) {
+  async get(url, limitBytes, onBytes = () => {}, init = {}, check = () => {}) {
     if (url.startsWith("file:")) {
       throw new SourceError(
         `A page may not read ${url}; play it from a web server (docs/EMBED.md)`,
@@ -74,7 +75,7 @@ export class Fetcher {
         onBytes(numBytes);
       };
       try {
-        const bytes = await this.#once(url, limitBytes, count, init);
+        const bytes = await this.#once(url, limitBytes, count, init, check);
         if (tries > 1) this.onTrouble(null);
         return bytes;
       } catch (error) {
@@ -93,6 +94,38 @@ export class Fetcher {
       }
       await new Promise((resolve) => setTimeout(resolve, 1000 * delayS(tries)));
     }
+  }
+
+  /**
+   * A run of bytes of the file at a URL, shorter only where the file ends, and the size of that file:
+   * null if the host hides it. Rejects as `get` does, and if the host does not send ranges.
+   * @param {string} url
+   * @param {import("../format/packedlayout.js").Place} place
+   * @param {(numBytes: number) => void} [onBytes] see `get`
+   * @param {RequestInit} [init]
+   */
+  async range(url, { first, size }, onBytes, init = {}) {
+    /** @type {number | null} */
+    let fileBytes = null;
+    const check = (/** @type {Response} */ response) => {
+      if (response.status !== 206) {
+        throw new SourceError(
+          `${url}: this host does not send parts of a file, as a .swings file needs; use another host, ` +
+            "or swings-stream unpack",
+        );
+      }
+      // Of another origin the header shows only if the host exposes it.
+      const found = /^bytes (\d+)-\d+\/(\d+)$/.exec(response.headers.get("Content-Range") ?? "");
+      if (found === null) return;
+      fileBytes = Number(found[2]);
+      if (Number(found[1]) !== first)
+        throw new SourceError(`${url}: the host sent another part than requested`);
+    };
+    const headers = { Range: `bytes=${first}-${first + size - 1}` };
+    // In its cache a browser would make all parts of one file wait for each other.
+    const request = /** @type {RequestInit} */ ({ ...init, headers, cache: "no-store" });
+    const bytes = await this.get(url, size, onBytes, request, check);
+    return { bytes, fileBytes: /** @type {number | null} */ (fileBytes) };
   }
 
   /**
@@ -115,11 +148,13 @@ export class Fetcher {
    * @param {number} limitBytes
    * @param {(numBytes: number) => void} onBytes
    * @param {RequestInit} init
+   * @param {(response: Response) => void} check
    */
-  async #once(url, limitBytes, onBytes, init) {
+  async #once(url, limitBytes, onBytes, init, check) {
     const response = await fetchOnce(url, init);
     if (response.status >= 500) throw new PassingTrouble(`HTTP ${response.status}`);
     if (!response.ok) throw new SourceError(`${url}: HTTP ${response.status}`);
+    check(response);
     /** @type {Uint8Array[]} */
     const pieces = [];
     let size = 0;

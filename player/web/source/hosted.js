@@ -105,10 +105,8 @@ export class HostedStream {
    * @param {AbortSignal} [signal]
    */
   async object(record, part, onBytes, signal) {
-    const { manifest } = this;
-    const url = objectUrl(this.base, objectPath(manifest, record.segment, part), this.otherHosts);
-    const size = record.objectBytes[manifest.parts.indexOf(part)];
-    const bytes = await this.fetcher.get(url, size, onBytes, { signal });
+    const size = record.objectBytes[this.manifest.parts.indexOf(part)];
+    const { url, bytes } = await this.objectBytes(record, part, onBytes, signal);
     if (bytes.length !== size)
       throw corrupt(`${url} has ${bytes.length} bytes, but the index says ${size}`);
     const { coder, packets } = readObject(bytes);
@@ -118,6 +116,25 @@ export class HostedStream {
       );
     }
     return packets;
+  }
+
+  /** Where the pictures lie in the one file of a packed stream; null: beside the manifest. */
+  get pictures() {
+    return /** @type {Record<string, import("../format/packedlayout.js").Place> | null} */ (null);
+  }
+
+  /**
+   * The bytes of an object, and what errors call it.
+   * @param {import("../format/streamindex.js").SegmentRecord} record
+   * @param {string} part
+   * @param {(numBytes: number) => void} onBytes
+   * @param {AbortSignal} [signal]
+   */
+  async objectBytes(record, part, onBytes, signal) {
+    const { manifest } = this;
+    const url = objectUrl(this.base, objectPath(manifest, record.segment, part), this.otherHosts);
+    const size = record.objectBytes[manifest.parts.indexOf(part)];
+    return { url, bytes: await this.fetcher.get(url, size, onBytes, { signal }) };
   }
 }
 

@@ -67,6 +67,11 @@ export class ServedStream {
     }
   }
 
+  /** They lie beside the manifest. */
+  get pictures() {
+    return null;
+  }
+
   /** @param {import("./source.js").PlayRequest} request */
   play(request) {
     return new ServedPlay(this, request);

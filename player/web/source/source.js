@@ -1,5 +1,6 @@
-import { servedBase } from "./addresses.js";
+import { isPacked, servedBase } from "./addresses.js";
 import { HostedStream } from "./hosted.js";
+import { PackedStream } from "./packed.js";
 import { ServedStream } from "./served.js";
 
 /**
@@ -30,7 +31,9 @@ import { ServedStream } from "./served.js";
 /**
  * A stream, wherever it comes from.
  * @typedef {object} SourceStream
- * @property {string} base URL of its folder, with a slash at its end
+ * @property {string} base URL of its folder, with a slash at its end, or of its file
+ * @property {Record<string, import("../format/packedlayout.js").Place> | null} pictures where its
+ *   pictures lie in that file; null: beside the manifest
  * @property {import("../format/manifest.js").Manifest} manifest whose `live` is as it is now
  * @property {number} numFrames that there are now
  * @property {import("./segmentcache.js").SegmentCache} cache what is here
@@ -42,9 +45,9 @@ import { ServedStream } from "./served.js";
  */
 
 /**
- * The stream at a URL: of a swings server where the URL is one of its own, else a folder of files on
- * any host. Rejects with a SourceError or a FormatError.
- * @param {string} url with a slash at its end
+ * The stream at a URL: of a swings server where the URL is one of its own, else a folder of files or a
+ * packed stream on any host. Rejects with a SourceError or a FormatError.
+ * @param {string} url see `folderUrl`
  * @param {import("./fetcher.js").Fetcher} fetcher
  * @param {number | null} maxGaussians most of a stream that is opened; null for the default
  * @param {boolean} otherHosts whether a manifest may lead to other hosts than its own
@@ -53,7 +56,7 @@ import { ServedStream } from "./served.js";
  */
 export function openSource(url, fetcher, maxGaussians = null, otherHosts = false, bufferBytes) {
   const served = servedBase(url);
-  return served === null
-    ? HostedStream.open(url, fetcher, maxGaussians, otherHosts, bufferBytes)
-    : ServedStream.open(served, fetcher, maxGaussians, bufferBytes);
+  if (served !== null) return ServedStream.open(served, fetcher, maxGaussians, bufferBytes);
+  const Hosted = isPacked(url) ? PackedStream : HostedStream;
+  return Hosted.open(url, fetcher, maxGaussians, otherHosts, bufferBytes);
 }

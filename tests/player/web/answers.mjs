@@ -403,6 +403,27 @@ const ANSWERS = {
     return { numGs: stream.manifest.numGs, peakMb: Number(found?.[1]) / 1024 };
   },
   /** How many bytes the first object of the hosted stream at a URL was fetched with. */
+  /** The objects of a stream as they come, and its pictures' paths. */
+  async allObjects({ url }) {
+    try {
+      const stream = /** @type {HostedStream} */ (
+        await openSource(url, new Fetcher({ giveUpS: 2 }))
+      );
+      /** @type {Record<string, string>} */
+      const found = {};
+      for (const record of stream.records) {
+        for (const part of stream.manifest.parts) {
+          const { bytes } = await stream.objectBytes(record, part, () => {});
+          found[`segments/${record.segment}/${part}`] = Buffer.from(bytes).toString("hex");
+        }
+      }
+      return { found, pictures: Object.keys(stream.pictures ?? {}) };
+    } catch (error) {
+      if (error instanceof SourceError) return { failed: error.message };
+      throw error;
+    }
+  },
+
   async firstObject({ url, otherHosts }) {
     const stream = /** @type {HostedStream} */ (
       await openSource(url, new Fetcher(), null, otherHosts)

@@ -8,6 +8,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from mimetypes import guess_type
 from pathlib import Path
 
 
@@ -22,6 +23,8 @@ class RangeHost:
         self.cut_bytes: int | None = None
         """Each body breaks off after so many."""
         self.knows_ranges = True
+        self.cors = False
+        """Whether pages of other origins may read it."""
         self.gone = False
         """Whether every request is answered by hanging up."""
         self.refusals: list[tuple[int, dict[str, str]]] = []
@@ -44,10 +47,10 @@ class RangeHost:
             self._send(handler, 404, {}, b"")
             return
         tag = f'"{hashlib.sha256(data).hexdigest()}"'
-        fields = {"ETag": tag}
+        fields = {"ETag": tag, "Content-Type": guess_type(path)[0] or "application/octet-stream"}
         found = re.fullmatch(r"bytes=(\d+)-(\d*)", handler.headers.get("Range", ""))
         if found and self.knows_ranges and handler.headers.get("If-Range", tag) == tag:
-            first, last = int(found[1]), int(found[2] or len(data) - 1)
+            first, last = int(found[1]), min(int(found[2] or len(data) - 1), len(data) - 1)
             if first >= len(data):
                 self._send(handler, 416, fields, b"")
                 return
@@ -62,6 +65,8 @@ class RangeHost:
         handler.send_response(status)
         for name, value in fields.items():
             handler.send_header(name, value)
+        if self.cors:
+            handler.send_header("Access-Control-Allow-Origin", "*")
         handler.send_header("Content-Length", str(len(body)))
         handler.end_headers()
         if self.cut_bytes is not None and len(body) > self.cut_bytes:

@@ -1,0 +1,294 @@
+"""One file for a whole stream: where each of its files lies in it.
+
+Rule: pure. Nothing is looked up: sizes from the file's head and from the index give every place,
+so no two files can overlap, and a reader needs nothing but the first bytes.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from codec.errors import CodecError, CorruptError, UnsupportedError
+
+from .index import INDEX_NAME, SegmentRecord
+from .integrity import MAX_INDEX_BYTES, check_index_end, read_index
+from .manifest import (
+    MANIFEST_NAME,
+    MASKS,
+    MAX_MANIFEST_BYTES,
+    SEGMENTS_NAME,
+    Manifest,
+    Part,
+    object_name,
+    snapshot_part,
+)
+from .pictures import MAX_PICTURE_BYTES, picture_path
+from .zipentry import (
+    LOCAL,
+    LOCAL_MAGIC,
+    MOST_32,
+    ZipEntry,
+    directory,
+    directory_bytes,
+    local_bytes,
+    local_header,
+)
+
+PACKED_SUFFIX = ".swings"
+"""What the name of a packed stream ends with."""
+
+EXTRA_ID = 0x5753
+"""Marks the extra field of the first local header: `SW`."""
+
+LAYOUT_VERSION = 1
+
+# id, bytes that follow, version, reserved; bytes of the index, the poster and the storyboard
+EXTRA = struct.Struct("<HHHHIII")
+assert EXTRA.size == 20
+
+HEAD_BYTES = local_bytes(MANIFEST_NAME, EXTRA.size)
+"""Where the manifest begins."""
+
+FIRST_BYTES = 32 << 10
+"""A reader asks for so many bytes first: in most streams they hold the manifest and the index."""
+
+
+@dataclass(frozen=True, slots=True)
+class PackedHead:
+    """The sizes that no other part of the file tells, bytes."""
+
+    manifest_bytes: int
+    index_bytes: int
+    poster_bytes: int
+    """0 for none."""
+    storyboard_bytes: int
+    """0 for none, and for one that is the poster as well."""
+
+    @property
+    def manifest_at(self) -> int:
+        return HEAD_BYTES
+
+    @property
+    def index_at(self) -> int:
+        return HEAD_BYTES + self.manifest_bytes + local_bytes(INDEX_NAME)
+
+    @property
+    def end(self) -> int:
+        """Where the index ends: a reader needs the bytes before it to find all others."""
+        return self.index_at + self.index_bytes
+
+    @property
+    def extra(self) -> bytes:
+        """The extra field of the manifest's local header."""
+        sizes = self.index_bytes, self.poster_bytes, self.storyboard_bytes
+        return EXTRA.pack(EXTRA_ID, EXTRA.size - 4, LAYOUT_VERSION, 0, *sizes)
+
+    @staticmethod
+    def parse(data: bytes) -> PackedHead:
+        """The head of a file that begins with `data`. Raises CorruptError, or UnsupportedError for
+        a later layout."""
+        if len(data) < HEAD_BYTES:
+            raise CorruptError(f"packed stream: {len(data)} bytes are too few", len(data))
+        magic, *_, size_bytes, stored_bytes, name_bytes, extra_bytes = LOCAL.unpack_from(data)
+        name = data[LOCAL.size : LOCAL.size + len(MANIFEST_NAME)]
+        extra_at = LOCAL.size + len(MANIFEST_NAME)
+        extra = EXTRA.unpack_from(data, extra_at)
+        known = (LOCAL_MAGIC, len(MANIFEST_NAME), EXTRA.size, EXTRA_ID, EXTRA.size - 4)
+        if (magic, name_bytes, extra_bytes, *extra[:2]) != known or name != MANIFEST_NAME.encode():
+            raise CorruptError(
+                "packed stream: does not begin as one; make it with swings-stream pack", 0
+            )
+        _, _, version, reserved, index_bytes, *pictures = extra
+        if version != LAYOUT_VERSION or reserved:
+            raise UnsupportedError(
+                f"packed stream: layout {version}, but this program reads {LAYOUT_VERSION}",
+                extra_at + 4,
+            )
+        if size_bytes != stored_bytes or not 0 < size_bytes <= MAX_MANIFEST_BYTES:
+            raise CorruptError(f"packed stream: a manifest of {size_bytes} bytes", 18)
+        if not 0 < index_bytes <= MAX_INDEX_BYTES:
+            raise CorruptError(f"packed stream: an index of {index_bytes} bytes", extra_at + 8)
+        for number, picture_bytes in enumerate(pictures):
+            if picture_bytes > MAX_PICTURE_BYTES:
+                message = f"packed stream: a picture of {picture_bytes} bytes"
+                raise CorruptError(message, extra_at + 12 + 4 * number)
+        return PackedHead(size_bytes, index_bytes, *pictures)
+
+
+def packed_parts(num_layers: int) -> tuple[Part, ...]:
+    """The parts of a segment as they lie in the file. What a player of n layers fetches lies side
+    by side, with snapshots or without, for every n."""
+    layers = range(num_layers)
+    return (*(snapshot_part(layer) for layer in reversed(layers)), MASKS, *layers)
+
+
+class PackedLayout:
+    """Where the files of one stream lie. `find` gives the places; all numbers are bytes."""
+
+    def __init__(self, head: PackedHead, manifest: Manifest, records: list[SegmentRecord]) -> None:
+        """Raises CorruptError if the head names pictures that the manifest does not."""
+        self.head = head
+        self.manifest = manifest
+        self.records = records
+        self.pictures = _pictures(head, manifest)
+        """Paths and sizes of the pictures, as they follow on the index."""
+        self._parts = packed_parts(manifest.num_layers)
+        self._column = {part: column for column, part in enumerate(self._parts)}
+        objects_at = head.end + sum(local_bytes(name) + size for name, size in self.pictures)
+        order = [manifest.part_number(part) for part in self._parts]
+        sizes = np.array([record.part_bytes for record in records], np.int64)[:, order]
+        names = _name_bytes(self._parts, len(records))
+        steps = LOCAL.size + names + sizes
+        ends = objects_at + np.cumsum(steps).reshape(steps.shape)
+        self._sizes = sizes
+        self._places = ends - sizes
+        self.directory_at = int(ends[-1, -1])
+        fixed = [MANIFEST_NAME, INDEX_NAME, *(name for name, _ in self.pictures)]
+        names_bytes = int(names.sum()) + sum(len(name.encode()) for name in fixed)
+        num_far = int(np.count_nonzero(ends - steps >= MOST_32))
+        count = len(fixed) + sizes.size
+        self.size_bytes = self.directory_at + directory_bytes(
+            count, names_bytes, num_far, self.directory_at
+        )
+
+    @staticmethod
+    def parse(head: PackedHead, manifest_json: bytes, index: bytes) -> PackedLayout:
+        """The layout of a file with this head, manifest and index. Raises a CodecError, whose place
+        is one in the file."""
+        try:
+            manifest = Manifest.from_json(manifest_json)
+        except CodecError as error:
+            raise error.moved(head.manifest_at) from error
+        if manifest.live:
+            raise CorruptError("packed stream: its manifest says that it is live")
+        try:
+            records = read_index(index, manifest)
+            check_index_end(len(index), manifest, len(records))
+        except CodecError as error:
+            raise error.moved(head.index_at) from error
+        return PackedLayout(head, manifest, records)
+
+    def check_size(self, file_bytes: int) -> None:
+        """Raises CorruptError unless a file of `file_bytes` is whole."""
+        if file_bytes != self.size_bytes:
+            raise CorruptError(
+                f"packed stream: {file_bytes} bytes, but by its index it has {self.size_bytes}; "
+                "was the copy cut short?",
+                min(file_bytes, self.size_bytes),
+            )
+
+    def object(self, segment: int, part: Part) -> tuple[int, int]:
+        """Where the object of (segment, part), which there is, begins, and its size."""
+        column = self._column[part]
+        return int(self._places[segment, column]), int(self._sizes[segment, column])
+
+    def find(self, path: str) -> tuple[int, int] | None:
+        """Where the file at `path` begins, and its size; None if there is none."""
+        if path == MANIFEST_NAME:
+            return HEAD_BYTES, self.head.manifest_bytes
+        if path == INDEX_NAME:
+            return self.head.index_at, self.head.index_bytes
+        at = self.head.end
+        for name, size_bytes in self.pictures:
+            at += local_bytes(name)
+            if name == path:
+                return at, size_bytes
+            at += size_bytes
+        folder, _, rest = path.partition("/")
+        number, _, name = rest.partition("/")
+        part: Part = int(name) if _is_number(name) else name
+        is_here = _is_number(number) and int(number) < len(self.records) and part in self._column
+        if folder != SEGMENTS_NAME or not is_here:
+            return None
+        return self.object(int(number), part)
+
+    def files(self) -> Iterator[tuple[str, int, int]]:
+        """All files in order: path, where its bytes begin, and their number."""
+        fixed = [MANIFEST_NAME, INDEX_NAME, *(name for name, _ in self.pictures)]
+        for path in fixed:
+            at, size_bytes = self.find(path) or (0, 0)
+            yield path, at, size_bytes
+        for segment in range(len(self.records)):
+            for part in self._parts:
+                yield object_name(segment, part), *self.object(segment, part)
+
+    def structure(self, crc32_of: Callable[[str], int]) -> Iterator[tuple[int, bytes]]:
+        """All that makes a ZIP file of the files, in order: places and bytes. crc32_of: gives the
+        CRC-32 of the file at a path; it is called for each file, in order."""
+        entries = []
+        for path, at, size_bytes in self.files():
+            extra = self.head.extra if path == MANIFEST_NAME else b""
+            header_at = at - local_bytes(path, len(extra))
+            entries.append(ZipEntry(path, size_bytes, crc32_of(path), header_at))
+            yield header_at, local_header(entries[-1], extra)
+        at = self.directory_at
+        for piece in directory(entries, at):
+            yield at, piece
+            at += len(piece)
+
+
+ReadRange = Callable[[int, int], tuple[bytes, int]]
+"""Gives the bytes of a file from an offset on, so many at most and fewer only at its end, and the
+size of the file."""
+
+
+def read_layout(read: ReadRange, max_index_bytes: int = MAX_INDEX_BYTES) -> PackedLayout:
+    """The layout of the file that `read` reads from, which is whole by its index. Reads twice if
+    manifest and index are longer than FIRST_BYTES, else once. Raises a CodecError, whose place is
+    one in the file, and what `read` raises."""
+    data, file_bytes = read(0, FIRST_BYTES)
+    head = PackedHead.parse(data)
+    if head.index_bytes > max_index_bytes:
+        raise UnsupportedError(
+            f"packed stream: an index of {head.index_bytes} bytes; {max_index_bytes} can be read"
+        )
+    if head.end > file_bytes:
+        raise CorruptError("packed stream: ends before its index does", file_bytes)
+    if head.end > len(data):
+        rest, _ = read(len(data), head.end - len(data))
+        data += rest
+    manifest_json = data[head.manifest_at : head.manifest_at + head.manifest_bytes]
+    layout = PackedLayout.parse(head, manifest_json, data[head.index_at : head.end])
+    layout.check_size(file_bytes)
+    return layout
+
+
+def picture_paths(manifest: Manifest) -> tuple[str | None, str | None]:
+    """Paths of the poster and of the storyboard, where a packed stream may have them: a picture
+    that is both lies there as the poster."""
+    poster, storyboard = picture_path(manifest.poster), picture_path(manifest.storyboard)
+    return poster, None if storyboard == poster else storyboard
+
+
+def _pictures(head: PackedHead, manifest: Manifest) -> list[tuple[str, int]]:
+    found = []
+    sizes, names = (head.poster_bytes, head.storyboard_bytes), ("poster", "storyboard")
+    for path, size_bytes, what in zip(picture_paths(manifest), sizes, names, strict=True):
+        if not size_bytes:
+            continue
+        if path is None:
+            raise CorruptError(f"packed stream: a {what} that the manifest does not name")
+        found.append((path, size_bytes))
+    return found
+
+
+def _name_bytes(parts: tuple[Part, ...], num_segments: int) -> npt.NDArray[np.int64]:
+    """(segments, parts) sizes of the names of all objects."""
+    digits = np.ones(num_segments, np.int64)
+    power = 10
+    while power < num_segments:
+        digits[power:] += 1
+        power *= 10
+    suffixes = np.array([len(object_name(0, part)) - 1 for part in parts], np.int64)
+    found: npt.NDArray[np.int64] = digits[:, None] + suffixes[None, :]
+    return found
+
+
+def _is_number(text: str) -> bool:
+    """Whether `text` is a number as names of files have it."""
+    return text.isascii() and text.isdecimal() and len(text) <= 9 and str(int(text)) == text

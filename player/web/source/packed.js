@@ -1,0 +1,83 @@
+import { FIRST_PACKED_BYTES } from "../constants.js";
+import { corrupt } from "../format/bytes/errors.js";
+import { checkGaussians, readManifest } from "../format/manifest.js";
+import { PackedLayout, readPackedHead } from "../format/packedlayout.js";
+import { readIndex } from "../format/streamindex.js";
+import { SourceError } from "./fetcher.js";
+import { HostedStream } from "./hosted.js";
+
+/** @typedef {import("../format/packedlayout.js").Place} Place */
+
+/** A stream in one file on any static host that sends ranges of it. */
+export class PackedStream extends HostedStream {
+  /**
+   * @param {string} url
+   * @param {import("./fetcher.js").Fetcher} fetcher
+   * @param {PackedLayout} layout
+   * @param {number | null} fileBytes null: the host hides it
+   * @param {number} [bufferBytes] most that is kept of it
+   */
+  constructor(url, fetcher, layout, fileBytes, bufferBytes) {
+    super(url, fetcher, layout.manifest, false, bufferBytes);
+    this.layout = layout;
+    this.fileBytes = fileBytes;
+    this.index.records = layout.records;
+  }
+
+  /**
+   * Reads the beginning of the file, by one request or two. Rejects with a SourceError or a
+   * FormatError.
+   * @override
+   * @param {string} url
+   * @param {import("./fetcher.js").Fetcher} fetcher
+   * @param {number | null} maxGaussians see `checkGaussians`
+   * @param {boolean} [_otherHosts] of no use: all of it is in the file
+   * @param {number} [bufferBytes] most that is kept of it
+   */
+  static async open(url, fetcher, maxGaussians = null, _otherHosts = false, bufferBytes) {
+    const first = await fetcher.range(url, { first: 0, size: FIRST_PACKED_BYTES });
+    const { fileBytes } = first;
+    const head = readPackedHead(first.bytes);
+    const end = head.index.first + head.index.size;
+    let { bytes } = first;
+    if (end > bytes.length) {
+      const missing = { first: bytes.length, size: end - bytes.length };
+      const rest = await fetcher.range(url, missing);
+      if (rest.bytes.length !== missing.size || rest.fileBytes !== fileBytes)
+        throw corrupt(`${url} ends before its index`);
+      bytes = new Uint8Array(end);
+      bytes.set(first.bytes);
+      bytes.set(rest.bytes, missing.first);
+    }
+    const part = (/** @type {Place} */ place) =>
+      bytes.subarray(place.first, place.first + place.size);
+    const manifest = readManifest(part(head.manifest));
+    checkGaussians(manifest, maxGaussians, url);
+    if (manifest.live) throw corrupt(`${url}: a packed stream is never live`);
+    const layout = new PackedLayout(head, manifest, readIndex(part(head.index), manifest));
+    if (fileBytes !== null && fileBytes < layout.endByte)
+      throw corrupt(`${url} has ${fileBytes} bytes, but its objects end at ${layout.endByte}`);
+    if (layout.records.length === 0) throw corrupt(`${url} has no frames`);
+    return new PackedStream(url, fetcher, layout, fileBytes, bufferBytes);
+  }
+
+  /** @override */
+  get pictures() {
+    return this.layout.pictures;
+  }
+
+  /**
+   * @override
+   * @param {import("../format/streamindex.js").SegmentRecord} record
+   * @param {string} part
+   * @param {(numBytes: number) => void} onBytes
+   * @param {AbortSignal} [signal]
+   */
+  async objectBytes(record, part, onBytes, signal) {
+    const place = this.layout.object(record, part);
+    const { bytes, fileBytes } = await this.fetcher.range(this.base, place, onBytes, { signal });
+    if (this.fileBytes !== fileBytes)
+      throw new SourceError(`${this.base} is now another file; reload the page`);
+    return { url: `${this.base}, segment ${record.segment}, ${part},`, bytes };
+  }
+}

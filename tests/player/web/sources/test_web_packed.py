@@ -1,0 +1,118 @@
+"""The browser player reads a packed stream by ranges of the one file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from codec.errors import CodecError
+from codec.stream import StreamReader
+from codec.tools.packing import pack_stream
+from codec.tools.static import export_static
+from tests.support.commands import ROOT
+from tests.support.delivery.rangehost import RangeHost, range_host
+from tests.support.hosted_streams import static_host, write_stream
+from tests.support.tiny_stream import files_of
+from tests.support.web.browsercode import BrowserCode
+from tests.support.web.chromium import Page
+
+PLAYER = "document.querySelector('swings-player')"
+POSTER = f"{PLAYER}.shadowRoot.querySelector('.poster')"
+NUM_FRAMES = 30
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("host")
+    trained = write_stream(root / "trained", NUM_FRAMES)
+    manifest = replace(StreamReader(trained).manifest, poster="poster.png", storyboard="tiles.png")
+    (trained / "manifest.json").write_bytes(manifest.to_json())
+    for name, width_px in (("poster.png", 64), ("tiles.png", 128)):
+        Image.new("RGB", (width_px, 48), (200, 40, 40)).save(trained / name)
+    export_static(trained, root / "folder")
+    export_static(trained, root / "packed.swings")
+    (root / "web").symlink_to(ROOT / "player" / "web")
+    return root
+
+
+def test_a_static_export_to_one_file_is_its_folder(root: Path, tmp_path: Path) -> None:
+    pack_stream(root / "folder", tmp_path / "again.swings")
+    assert (tmp_path / "again.swings").read_bytes() == (root / "packed.swings").read_bytes()
+    assert [path.name for path in root.iterdir() if path.name.startswith(".")] == []
+
+
+def test_every_object_of_it_comes_as_it_is(browser: BrowserCode, root: Path) -> None:
+    with range_host(root) as host:
+        got = browser.ask("allObjects", url=f"{host.url}/packed.swings")
+        files = files_of(root / "folder").items()
+        assert got["found"] == {path: data.hex() for path, data in files if "/" in path}
+        assert got["pictures"] == ["poster.png", "tiles.png"]
+        assert all(asked.startswith("bytes=") for _, asked in host.asked)
+        assert len(host.asked) == 1 + len(got["found"])
+
+
+def complaint(browser: BrowserCode, url: str) -> str:
+    """What is wrong with the stream at `url`; empty if nothing is."""
+    try:
+        return str(browser.ask("allObjects", url=url).get("failed", ""))
+    except CodecError as error:
+        return str(error)
+
+
+def test_hosts_and_files_that_will_not_do_are_said(browser: BrowserCode, root: Path) -> None:
+    whole = (root / "packed.swings").read_bytes()
+    with static_host(root) as plain:
+        failed = browser.ask("allObjects", url=f"{plain}/packed.swings")["failed"]
+        assert "does not send parts of a file" in failed
+    bad = root / "bad.swings"
+    with range_host(root) as host:
+        for data in (
+            b"",
+            b"PK",
+            b"<html>" + bytes(90),
+            whole[:500],
+            whole[: len(whole) // 2],
+            whole[:51] + b"\xff\xff\xff\x0f" + whole[55:],  # the index
+            whole[:55] + b"\xff\xff\xff\x0f" + whole[59:],  # the poster
+            whole[:18] + b"\xff\xff\x0f\0" * 2 + whole[26:],  # the manifest
+            whole[:48] + b"\1" + whole[49:],
+        ):
+            bad.write_bytes(data)
+            said = complaint(browser, f"{host.url}/bad.swings")
+            assert said, data[:70]
+            assert "\n" not in said
+    bad.unlink()
+
+
+def first_picture(page: Page, host: RangeHost, name: str) -> int:
+    """Opens the page; gives the requests for files of the stream until its first picture."""
+    host.asked.clear()
+    page.open(f"{host.url}/web/watch.html?src=../{name}&autoplay=0", 320, 240)
+    page.wait(f"{PLAYER}?.player?.shownFrame >= 0", 60)
+    return sum(1 for path, _ in host.asked if path.startswith(f"/{name}"))
+
+
+def test_a_page_plays_it_and_seeks_in_it_like_in_a_folder(page: Page, root: Path) -> None:
+    with range_host(root) as host:
+        folder = first_picture(page, host, "folder")
+        packed = first_picture(page, host, "packed.swings")
+        assert packed <= folder + 2, (packed, folder)
+        page.wait(f"{POSTER}?.naturalWidth === 64")
+        page.run(f"{PLAYER}.currentTime = {NUM_FRAMES // 2} / 30")
+        page.wait(f"{PLAYER}.player.shownFrame === {NUM_FRAMES // 2}", 60)
+        page.run(f"{PLAYER}.play()")
+        page.wait(f"{PLAYER}.player.shownFrame === {NUM_FRAMES - 1}", 60)
+        assert page.run(f"return {PLAYER}.error") is None
+
+
+def test_a_page_of_another_origin_plays_it(page: Page, root: Path) -> None:
+    """A range needs no permission of its own, and the size of the file stays hidden."""
+    with range_host(root) as host, range_host(root) as other:
+        other.cors = True
+        src = f"{other.url}/packed.swings"
+        page.open(f"{host.url}/web/watch.html?src={src}&autoplay=0", 320, 240)
+        page.wait(f"{PLAYER}?.player?.shownFrame >= 0", 60)
+        assert len(other.asked) > 3

@@ -1,0 +1,109 @@
+"""Packed streams among the streams that are served: found, followed, refused by name."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from pathlib import Path
+from urllib.error import HTTPError
+from urllib.request import Request, urlopen
+
+import pytest
+
+from codec.stream.reader import StreamReader
+from codec.tools.packing import pack_stream, unpack_stream
+from server.library import Library
+from tests.support.hosted_streams import served, write_stream
+from tests.support.stores.s3_server import BUCKET, s3_server
+from tests.support.tiny_stream import files_of
+
+
+@pytest.fixture(scope="module")
+def stream(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_stream(tmp_path_factory.mktemp("made") / "s", 13)
+
+
+def look(library: Library) -> None:
+    asyncio.run(library.look())
+
+
+def fetch(url: str, **fields: str) -> tuple[int, bytes]:
+    try:
+        with urlopen(Request(url, headers=fields), timeout=10) as response:
+            return response.status, response.read()
+    except HTTPError as error:
+        return error.code, error.read()
+
+
+@pytest.mark.parametrize("is_root", [False, True])
+def test_a_packed_stream_is_served_like_its_folder(
+    stream: Path, tmp_path: Path, is_root: bool
+) -> None:
+    """Every file of it, under the same URL with the same bytes and tags, whole and in part."""
+    pack_stream(stream, tmp_path / "talk.swings")
+    with served(tmp_path / "talk.swings" if is_root else tmp_path) as server:
+        base = f"{server.url}/v1/streams/talk"
+        listed = json.loads(fetch(f"{server.url}/v1/streams")[1])["streams"]
+        assert [one["name"] for one in listed] == ["talk"]
+        for path, data in files_of(stream).items():
+            assert fetch(f"{base}/{path}") == (200, data), path
+            assert fetch(f"{base}/{path}", Range="bytes=3-9") == (206, data[3:10]), path
+        assert fetch(f"{base}/segments/9/0")[0] == 404
+        assert fetch(f"{server.url}/watch/talk")[0] == 200
+
+
+def test_a_folder_comes_before_a_file_of_its_name(stream: Path, tmp_path: Path) -> None:
+    packed = tmp_path / "s.swings"
+    pack_stream(stream, packed)
+    unpack_stream(packed, tmp_path / "s")
+    pack_stream(stream, tmp_path / "two words.swings")
+    pack_stream(stream, tmp_path / ".hidden.swings")
+    library = Library(tmp_path, 1.0)
+    assert list(library.streams) == ["s"]
+    assert library.broken.pop("s.swings").startswith("there is a folder with the name")
+    assert library.broken.pop("two words").startswith("the name of a stream's folder")
+    assert library.broken == {}
+
+
+def test_a_file_that_is_replaced_is_another_stream(stream: Path, tmp_path: Path) -> None:
+    packed = tmp_path / "root" / "s.swings"
+    packed.parent.mkdir()
+    packed.write_bytes(b"PK\x03\x04 not yet")
+    library = Library(packed.parent, 1.0)
+    assert library.streams == {}
+    assert library.broken == {"s": "byte 12: packed stream: 12 bytes are too few"}
+    pack_stream(stream, packed)
+    look(library)
+    first = library.streams["s"]
+    expected = StreamReader(stream).read_object(1, 0).data
+    assert first.read_object(1, 0).data == expected
+    # The same bytes again are the same stream: its plays go on.
+    pack_stream(stream, packed)
+    look(library)
+    assert library.streams["s"] is first
+    write_stream(tmp_path / "other", 21)
+    pack_stream(tmp_path / "other", packed)
+    look(library)
+    assert first.gone
+    assert library.streams["s"].num_frames == 21
+    # Unpacked, under the same name.
+    packed.rename(tmp_path / "aside.swings")
+    unpack_stream(tmp_path / "aside.swings", packed.parent / "s")
+    look(library)
+    assert library.streams["s"].num_frames == 21
+    assert library.streams["s"].read_object(2, "masks").data
+    packed.parent.joinpath("s").rename(tmp_path / "gone")
+    look(library)
+    assert (library.streams, library.broken) == ({}, {})
+
+
+def test_packed_streams_of_an_object_store(stream: Path, tmp_path: Path) -> None:
+    pack_stream(stream, tmp_path / "s.swings")
+    with s3_server() as store:
+        store.put("place/s.swings", (tmp_path / "s.swings").read_bytes())
+        for root, name in ((f"s3://{BUCKET}/place", "s"), (f"s3://{BUCKET}/place/s.swings", "s")):
+            library = Library(root, 1.0)
+            assert list(library.streams) == [name], library.broken
+            for part in (0, "masks", "snapshot-1"):
+                read = library.streams[name].read_object(2, part).data
+                assert read == (stream / "segments" / "2" / str(part)).read_bytes()
