@@ -38,7 +38,7 @@ from trainer.capture.dynerf import POINTS_NAME, POSES_NAME
 from trainer.capture.held_out import HELD_OUT_NAME
 from trainer.capture.layout import open_capture
 from trainer.fit.config import FitConfig
-from trainer.fit.trainer import Observer
+from trainer.fit.observer import Observer
 from trainer.run.config import TrainConfig
 from trainer.run.job import train_stream
 from trainer.synth.film import SynthConfig, VideoWriter, synthesise

@@ -166,7 +166,7 @@ import tyro
 from rich.console import Console
 from codec.errors import SwingsError
 from codec.storage import objectstore
-from trainer.fit.trainer import Observer
+from trainer.fit.observer import Observer
 from trainer.run.job import train_stream
 from trainer.run.preset import PRESETS
 objectstore.PATIENT = objectstore.BRIEF

@@ -61,6 +61,9 @@ class FitConfig:
     together_share: float = 0.1
     """Share of a window's iterations in which all Gaussians of a large cell move together, followed
     by the same share for smaller cells. Applies only to leased slots."""
+    scene_flow: bool = False
+    """Before a window trains, move each Gaussian that the cameras saw move, together with its
+    neighbours, to where they see it now. Applies only to leased slots."""
     settle_prefix_share: float = 0.25
     """Share of the iterations of the settling rounds that render only the first layers, so that
     these look right without the others. Applies only to leased slots."""

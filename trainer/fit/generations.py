@@ -47,6 +47,9 @@ class Generations:
         """Where slots come to follow another training."""
         self.values = Parameters.zeros(2 * config.num_gs, config.sh_degree)
         self.values.quats[:, 0] = 1
+        self.motions = np.zeros((config.num_gs, 3), np.float32)
+        """Metres that each leased slot's Gaussian has moved in its last life; 0 if it was kept or
+        is another."""
         if initial is not None:
             self._write(slice(config.num_gs), initial)
 
@@ -60,6 +63,7 @@ class Generations:
             "expires": lifespans.expires,
             "matured_starts": lifespans.matured_starts,
             "matured_expires": lifespans.matured_expires,
+            "motions": self.motions,
         }
         for name, parameters in (
             ("values", self.values),
@@ -107,6 +111,9 @@ class Generations:
         for birth in self.lifespans.due(first_frame):
             lane = self.lifespans.lane_rows(birth % self.lifespans.swin_size)
             active = ~self.lifespans.kept(lane)
+            went = self.values.means[lane] - self.values.means[self.matured_rows(birth)]
+            goes_on = active & ~leases.is_other[lane]
+            self.motions[lane] = np.where(goes_on[:, None], went, 0)
             self.lifespans.mature(birth)
             offsets = np.where(active, self.lifespans.matured_starts[lane] - birth, 0)
             theirs = None if self.takeover is None else self.takeover.held(birth)

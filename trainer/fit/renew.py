@@ -66,6 +66,9 @@ class Comparison:
     pictures: Floats  # (C, H, W, 3) float32, in the stream's colours; 1 is white
     errors: Floats  # (C, H, W) float32, 0..1: mean colour difference to what is rendered
     usable: Flags  # (C, H, W) whether all of a pixel's 3 x 3 neighbourhood counts
+    # What scene flow needs, where a comparer was asked for it.
+    before: Floats | None = None  # (C, H, W, 3) float32, as `pictures`: those of an earlier frame
+    weights: Floats | None = None  # (C, M) float32, pixels: what each Gaussian contributes
 
 
 def _surrounded(counts: Flags) -> Flags:
@@ -77,7 +80,9 @@ def _surrounded(counts: Flags) -> Flags:
 class Comparer:
     """Compares what is rendered with what the cameras saw, on small pictures."""
 
-    def __init__(self, cameras: Sequence[Camera], near_m: float) -> None:
+    def __init__(self, cameras: Sequence[Camera], near_m: float, for_flow: bool = False) -> None:
+        """for_flow: whether comparisons hold what scene flow needs."""
+        self._for_flow = for_flow
         self._views = [View.prepare(small_camera(c), near_m) for c in cameras]
         height = max(v.camera.height_px for v in self._views)
         width = max(v.camera.width_px for v in self._views)
@@ -99,6 +104,10 @@ class Comparer:
         errors = np.zeros(self._shape, np.float32)
         usable = np.zeros(self._shape, np.bool_)
         contributions = np.zeros(len(rows), np.float32)
+        was_seen = weights = None
+        if before is not None and self._for_flow:
+            was_seen = np.zeros_like(saw)
+            weights = np.zeros((len(self._views), len(rows)), np.float32)
         for i, view in enumerate(self._views):
             width, height = size = view.camera.width_px, view.camera.height_px
             shot = pictures.shot(i, frame)
@@ -118,10 +127,14 @@ class Comparer:
             else:
                 earlier = Image.fromarray(pictures.shot(i, before).picture)
                 was = np.asarray(earlier.resize(size, Image.Resampling.BOX), np.float32)
-                contributions += scores.add(
-                    rendered, shows - truth, shows - was / np.float32(255), counts
-                )
-        compared = Comparison(tuple(v.camera for v in self._views), saw, errors, usable)
+                was = was / np.float32(255)
+                added = scores.add(rendered, shows - truth, shows - was, counts)
+                contributions += added
+                if was_seen is not None and weights is not None:
+                    weights[i] = added
+                    was_seen[i, :height, :width] = (was - bias) / np.maximum(gain, np.float32(0.1))
+        cameras = tuple(v.camera for v in self._views)
+        compared = Comparison(cameras, saw, errors, usable, was_seen, weights)
         return compared, contributions, scores.scores
 
 

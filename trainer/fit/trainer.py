@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,9 +15,8 @@ import numpy.typing as npt
 
 from codec.camera import Camera
 from codec.errors import InvalidError
-from codec.slice import Slice
 from codec.slots.slotlayout import SlotLayout
-from codec.slots.update import KEPT, Update
+from codec.slots.update import KEPT
 from codec.splats import Splats
 from trainer.lease.leases import Leases
 from trainer.lease.takeover import Crossfade, PlayerState
@@ -32,8 +30,10 @@ from .colour import CameraColour
 from .config import FitConfig
 from .generations import Generations
 from .mcmc import CameraSpread, bound_scales
+from .observer import Observer, Progress, Window
 from .optimiser import GATE_STEEPNESS, add_noise
-from .renew import Comparer, missing_splats
+from .renew import Comparer, Comparison, missing_splats
+from .sceneflow import scene_flow
 from .schedule import Schedule, WindowPlan
 from .together import cells_of, move_together
 
@@ -60,48 +60,6 @@ BOUND_PERIOD = 10
 """Iterations after which scales are brought back within their bound."""
 PROGRESS_PERIOD = 20
 """Iterations between two reports of progress."""
-
-
-@dataclass(frozen=True, slots=True)
-class Progress:
-    """Where training stands."""
-
-    first_frame: int  # of the window
-    iteration: int  # done in this window
-    iterations: int  # of this window
-    loss: float
-
-
-@dataclass(frozen=True, slots=True)
-class Window:
-    """A window that has been trained, and what matured with it."""
-
-    frames: range
-    """The frames it was trained on."""
-    slices: tuple[Slice, ...] = ()
-    """What no later window changes, in the order of birth: after genesis all slices that show in
-    frame 0, then one at a time."""
-    updates: tuple[Update, ...] = ()
-    """The same where slots are leased; then there are no slices."""
-
-    @property
-    def first_frame(self) -> int:
-        """The frame that is finished: no later window changes it."""
-        return self.frames.start
-
-
-class Observer:
-    """Callbacks of a training. Subclasses override those that they need."""
-
-    def window_begun(self, first_frame: int, done: int) -> None:
-        """The window that begins with `first_frame` is about to be trained. done: its iterations
-        that a restored state has behind it."""
-
-    def progressed(self, progress: Progress) -> None:
-        """Some more iterations of the window are done."""
-
-    def window_ended(self, first_frame: int) -> None:
-        """The window's slices have been taken, and the next window has been asked for."""
 
 
 def scene_extent_m(cameras: Sequence[Camera]) -> float:
@@ -146,7 +104,7 @@ class Trainer:
         self._search_m = near_m if search_from_m is None else search_from_m, far_m
         self._extent_m = scene_extent_m(cameras)
         self._spread = CameraSpread.of(cameras)
-        self._comparer = Comparer(cameras, near_m)
+        self._comparer = Comparer(cameras, near_m, config.scene_flow)
         self._gradients = Parameters.zeros(config.num_gs, config.sh_degree)
         # What changes while training; `state` gives all of it.
         self._leases = None if layout is None else Leases(config.lease, layout)
@@ -443,6 +401,8 @@ class Trainer:
             if generations.takeover is not None:
                 mine &= ~generations.takeover.follows[slots]
             active = leases.choose(slots[mine], scores[mine])
+            if config.scene_flow:
+                self._follow_flow(seen, rows, active)
             traded = leases.trades(slots[mine], contributions[mine])
             generations.trade(*traded)
             least = leases.least(slots[mine], contributions[mine], config.mcmc.renew_share)
@@ -452,3 +412,13 @@ class Trainer:
             least = self._rng.permutation(least).astype(np.int32)
             lifespans.take_up(np.unique(np.concatenate([active, *traded, least[: len(found)]])))
         generations.place(least[: len(found)], found, frame)
+
+    def _follow_flow(self, seen: Comparison, rows: Ints, active: Ints) -> None:
+        """Moves the slots `active` to where the cameras saw them go. rows: those of `seen`."""
+        generations, num_gs = self._generations, self._config.num_gs
+        slots = rows % num_gs
+        motions = scene_flow(
+            seen, generations.values.means[slots], generations.motions[slots], self._rng
+        )
+        moves = np.isin(slots, active)
+        generations.values.means[slots[moves]] += motions[moves]

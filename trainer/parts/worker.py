@@ -22,7 +22,8 @@ from codec.storage.openstorage import open_growing
 from codec.stream.manifest import MAX_MANIFEST_BYTES, Manifest
 from codec.stream.writer import SHAPE, StreamWriter
 from trainer.fit.config import FitConfig
-from trainer.fit.trainer import Observer, Progress, Trainer, Window
+from trainer.fit.observer import Observer, Progress, Window
+from trainer.fit.trainer import Trainer
 from trainer.lease.takeover import Crossfade, PlayerState
 from trainer.pictures.feed import CapturePictures
 from trainer.pictures.framecache import FrameCache

@@ -28,12 +28,12 @@ from codec.slice import Slice
 from codec.slots.update import Update
 from codec.splats import ARRAY_NAMES, Splats
 from trainer.errors import CheckpointError
-from trainer.fit.trainer import Observer, Progress
+from trainer.fit.observer import Observer, Progress
 
 CHECKPOINT_NAME = ".checkpoint.npz"
 """In the stream's folder; readers of a stream ignore names that begin with a dot."""
 
-VERSION = 3
+VERSION = 4
 
 Arrays = dict[str, npt.NDArray[Any]]
 

@@ -18,7 +18,8 @@ from codec.progressline import ProgressLine
 from codec.storage.openstorage import Target
 from codec.stream import StreamReader
 from codec.stream.manifest import Manifest
-from trainer.fit.trainer import Observer, Trainer
+from trainer.fit.observer import Observer
+from trainer.fit.trainer import Trainer
 from trainer.pictures.feed import CapturePictures
 from trainer.pictures.framecache import FrameCache
 

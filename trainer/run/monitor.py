@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 from codec.progressline import ProgressLine
 from trainer.fit.config import FitConfig
-from trainer.fit.trainer import Observer
-from trainer.fit.trainer import Progress as FitProgress
+from trainer.fit.observer import Observer
+from trainer.fit.observer import Progress as FitProgress
 from trainer.score.meter import QualityMeter
 
 from .runlog import RunLog

@@ -27,7 +27,11 @@ PRESETS: Mapping[Preset, Callable[..., TrainConfig]] = {
         TrainConfig,
         preset="fast",
         fit=FitConfig(
-            num_gs=10_000, genesis_iterations=1_500, settle_rounds=8, window_iterations=150
+            num_gs=10_000,
+            genesis_iterations=1_500,
+            settle_rounds=8,
+            window_iterations=150,
+            scene_flow=True,  # so few iterations leave a ghost where a ball was
         ),
     ),
     # What two cores can do for 150 frames of 640x360 in an hour and a half. docs/RESULTS.md.

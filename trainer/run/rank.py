@@ -16,7 +16,8 @@ from codec.errors import InvalidError
 from codec.slice import Slice, active_splats
 from codec.stream import StreamReader
 from codec.stream.layers import Rank
-from trainer.fit.trainer import Trainer, Window
+from trainer.fit.observer import Window
+from trainer.fit.trainer import Trainer
 from trainer.step.contribution import summed_contribution
 from trainer.step.raster import Parameters, View
 

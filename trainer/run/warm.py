@@ -55,18 +55,19 @@ class _Noise:
             self.cameras.append(
                 Camera(f"{i}", side_px, side_px, 60.0, 60.0, middle_px, middle_px, w2c)
             )
-        picture = np.random.default_rng(0).integers(0, 256, (side_px, side_px, 3), dtype=np.uint8)
+        shape = self.num_frames, side_px, side_px, 3
+        pictures = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
         mask = np.ones((side_px, side_px), np.uint8)
         # Like those of a FrameCache: numba compiles anew for arrays that may be written to.
-        picture.setflags(write=False)
+        pictures.setflags(write=False)
         mask.setflags(write=False)
-        self._shot = Shot(picture, mask)
+        self._shots = [Shot(picture, mask) for picture in pictures]
 
     def shot(self, camera: int, frame: int) -> Shot:
-        return self._shot
+        return self._shots[frame]
 
     def mask(self, camera: int, frame: int) -> Mask | None:
-        return self._shot.mask
+        return self._shots[frame].mask
 
 
 def _misses() -> int:
@@ -114,7 +115,7 @@ def compile_kernels(sh_degree: int) -> bool:
 def _train_with_slots(config: FitConfig, pictures: _Noise, initial: Splats) -> None:
     """Runs what only leased slots need, up to what a reader makes of their chunks."""
     lease = LeaseConfig(active_share=0.5, hold=0.6)
-    config = replace(config, prefix_share=0.5, lease=lease)
+    config = replace(config, prefix_share=0.5, scene_flow=True, lease=lease)
     lattices = (Lattice.suiting(initial),) * 2
     layout = SlotLayout(config.swin_size, (3, 1), config.sh_degree, lattices, 4)
     trainer = Trainer(config, pictures, initial, 0.2, layout=layout)

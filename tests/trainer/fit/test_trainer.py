@@ -17,7 +17,8 @@ from trainer.capture.capture import Mask
 from trainer.fit.config import FitConfig
 from trainer.fit.generations import Generations
 from trainer.fit.mcmc import CameraSpread, McmcConfig
-from trainer.fit.trainer import Observer, Progress, Trainer
+from trainer.fit.observer import Observer, Progress
+from trainer.fit.trainer import Trainer
 from trainer.pictures.shot import Shot
 from trainer.seed.gaussians import initial_splats
 from trainer.step.backend import CpuBackend, StepInput

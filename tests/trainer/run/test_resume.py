@@ -29,7 +29,7 @@ from tests.support.slots.updates import patternless_updates, small_layout
 from tests.support.tiny_capture import write_dynerf
 from tests.support.tiny_stream import tiny_slice
 from trainer.errors import CheckpointError
-from trainer.fit.trainer import Observer
+from trainer.fit.observer import Observer
 from trainer.run.checkpoint import CHECKPOINT_NAME, load_checkpoint, save_checkpoint
 from trainer.run.config import TrainConfig
 from trainer.run.job import train_stream

@@ -16,7 +16,7 @@ from codec.progressline import ProgressLine
 from tests.support.commands import run, run_ok
 from tests.support.tiny_capture import write_dynerf
 from trainer.fit.config import FitConfig
-from trainer.fit.trainer import Progress as FitProgress
+from trainer.fit.observer import Progress as FitProgress
 from trainer.run.monitor import Monitor
 from trainer.run.runlog import LOG_NAME, RunLog
 from trainer.score.meter import QualityMeter

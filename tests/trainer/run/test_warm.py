@@ -38,7 +38,7 @@ before = known()
 assert len(before) > 20, before
 fit = FitConfig(
     num_gs=60, swin_size=2, sh_degree=sh_degree, genesis_iterations=101, settle_rounds=1,
-    window_iterations=101,
+    window_iterations=101, scene_flow=True,
 )
 for whole_slices in (False, True):
     job = TrainConfig(capture, stream / str(whole_slices), whole_slices=whole_slices, fit=fit)

@@ -21,7 +21,7 @@ from tests.support.commands import run
 from tests.support.tiny_capture import write_dynerf
 from trainer.fit.config import FitConfig
 from trainer.fit.mcmc import McmcConfig
-from trainer.fit.trainer import Observer
+from trainer.fit.observer import Observer
 from trainer.pictures.feed import CapturePictures
 from trainer.pictures.framecache import FrameCache
 from trainer.run.config import TrainConfig
