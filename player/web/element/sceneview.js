@@ -95,7 +95,7 @@ export class SceneView extends EventTarget {
 
   /** @param {SortedFrame} sorted @param {boolean} isHeld whether it is drawn even if the page is not */
   receive(sorted, isHeld) {
-    this.sorted = sorted;
+    this.sorted = this.sorted === null ? sorted : joined(this.sorted, sorted);
     if (this.headset !== null) return;
     if (isHeld && this.loop.waitedMs > IDLE_MS) this.loop.flush();
     else this.loop.request();
@@ -256,4 +256,17 @@ export class SceneView extends EventTarget {
     this.size.dispose();
     this.painter.dispose();
   }
+}
+
+/**
+ * Two answers of the sorter as one: the later one has only what is new since the earlier one, and both
+ * can come before the browser lets the page draw.
+ * @param {SortedFrame} earlier
+ * @param {SortedFrame} later
+ * @returns {SortedFrame}
+ */
+function joined(earlier, later) {
+  if (later.isWhole) return later;
+  const updates = [...earlier.updates, ...later.updates];
+  return { ...later, isWhole: earlier.isWhole, updates };
 }
