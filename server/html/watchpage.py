@@ -29,9 +29,12 @@ _MORE = """<button popovertarget="embed">Embed</button>
 <pre id="save">swings-play {url} --capture {name}.mp4</pre>
 <button data-copy="save">Copy</button></div>"""
 
+_ALLOW = "fullscreen; xr-spatial-tracking; clipboard-write; web-share; gyroscope; accelerometer"
+"""What a frame needs for full screen, headsets, links, sharing, and turning as the phone is turned."""
+
 _FRAME = (
     '<iframe src="{url}" title="{title}" width="{width_px}" height="{height_px}" '
-    'style="border: 0" allow="fullscreen; xr-spatial-tracking; clipboard-write"></iframe>'
+    f'style="border: 0" allow="{_ALLOW}"></iframe>'
 )
 
 _META = """<meta property="og:{name}" content="{content}">
