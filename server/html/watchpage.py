@@ -30,7 +30,7 @@ _MORE = """<button popovertarget="embed">Embed</button>
 <button data-copy="save">Copy</button></div>"""
 
 _ALLOW = "fullscreen; xr-spatial-tracking; clipboard-write; web-share; gyroscope; accelerometer"
-"""What a frame needs for full screen, headsets, links, sharing, and turning as the phone is turned."""
+"""What a frame needs for full screen, headsets, links, sharing, and turning with the phone."""
 
 _FRAME = (
     '<iframe src="{url}" title="{title}" width="{width_px}" height="{height_px}" '

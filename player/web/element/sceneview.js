@@ -1,6 +1,5 @@
 import { Painter } from "../renderer/painter.js";
 import { EYE_DISTANCE_M, oneEye, sideBySide } from "../stereo/eyes.js";
-import { Headset } from "../stereo/headset.js";
 import { CameraMotion } from "../view/cameramotion.js";
 import { pointAt, poseOf } from "../view/pose.js";
 import { length, subtract } from "../view/vectors.js";
@@ -15,6 +14,7 @@ const IDLE_MS = 100;
 
 /** @typedef {import("../playback/playerworkers.js").PlayerWorkers} PlayerWorkers */
 /** @typedef {import("../playback/sortworker.js").SortedFrame} SortedFrame */
+/** @typedef {import("../stereo/headset.js").Headset} Headset */
 
 /**
  * How long the last frame took.
@@ -143,6 +143,7 @@ export class SceneView extends EventTarget {
    * pressed something just now. Throws a HeadsetError.
    */
   async enterHeadset() {
+    const { Headset } = await import("./extras.js");
     const headset = await Headset.begin(this.painter.context.gl);
     if (this.isDisposed) {
       headset.end();

@@ -1,4 +1,4 @@
-/** What a frame needs for full screen, headsets, links, sharing, and turning as the phone is turned. */
+/** What a frame needs for full screen, headsets, links, sharing, and turning with the phone. */
 const ALLOW =
   "fullscreen; xr-spatial-tracking; clipboard-write; web-share; gyroscope; accelerometer";
 

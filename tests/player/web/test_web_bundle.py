@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import re
 from pathlib import Path
 from urllib.request import urlopen
@@ -11,6 +12,7 @@ import pytest
 from codec.tools.static import export_static
 from scripts import webbundle
 from server.html.watchpage import WatchedStream, frame_html
+from server.html.webplayer import WebPlayer
 from tests.server.hostile.serverprocess import ServerProcess, server_process
 from tests.support.hosted_streams import static_host, write_stream
 from tests.support.web.chromium import Page
@@ -30,6 +32,17 @@ def test_it_is_what_the_sources_give() -> None:
     assert committed.keys() == fresh.keys()
     changed = [name for name in fresh if fresh[name] != committed[name]]
     assert not changed, "the sources have changed; run scripts/webbundle"
+
+
+def test_what_a_page_begins_with_is_small_with_gzip() -> None:
+    """Browsers take nothing better from a host without TLS."""
+    player = WebPlayer()
+    assert len(player.modules) == len(webbundle.MODULES) - len(webbundle.LATER)
+    coded = [player.assets[name].coded["gzip"] for name in player.modules]
+    assert [gzip.decompress(data) for data in coded] == [
+        player.assets[name].data for name in player.modules
+    ]
+    assert sum(map(len, coded)) <= MOST_SCRIPT_BYTES
 
 
 def test_it_plays_from_a_plain_file_server(page: Page, tmp_path: Path) -> None:

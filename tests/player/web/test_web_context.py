@@ -107,7 +107,10 @@ def test_a_context_that_does_not_come_back(opened: Page) -> None:
 TWO_ANSWERS = f"""
 const player = {PLAYER};
 const {{ requestAnimationFrame }} = window;
-const block = (ms) => {{ const endMs = performance.now() + ms; while (performance.now() < endMs); }};
+const block = (ms) => {{
+  const endMs = performance.now() + ms;
+  while (performance.now() < endMs);
+}};
 window.requestAnimationFrame = () => 1; // the browser lets nothing draw
 player.view.loop.stop();
 player.view.isEmpty = true;

@@ -152,7 +152,8 @@ for (let [still, last] = [0, -1]; still < 10; last = window.scrollY) {
 window.scrollTo(0, 0);
 for (let i = 0; i < 3; i++) await picture();
 """
-"""Waits until the page has run on, for the touch that ends this is no gesture, and scrolls to its top."""
+"""Waits until the page stands still, for a touch that stops it is no gesture, then scrolls to its
+top."""
 
 
 def test_a_page_scrolls_over_a_player(opened: Opened) -> None:

@@ -119,7 +119,7 @@ def test_a_loop_is_received_once_and_goes_on_without_its_host(
 def test_a_hundred_paused_seeks_all_show_all_layers(
     page: Page, long_folder: Path, kind: str
 ) -> None:
-    """The buffer holds no more than what shows and the next segment: most seeks are received anew."""
+    """The buffer keeps what shows and the next segment alone: most seeks are received anew."""
     rng = random.Random(kind)
     with hosted(long_folder, kind) as url:
         opened(page, f"{url}&buffer-mb=0.001")
