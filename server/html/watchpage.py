@@ -64,6 +64,8 @@ class WatchedStream:
     """Width of the picture as a share of its height."""
     poster: str = ""
     """Path of the poster behind the stream's URL, quoted; empty where it has none."""
+    poster_px: tuple[int, int] | None = None
+    """Width and height of the poster; None where they are not known."""
 
     @property
     def url(self) -> str:
@@ -167,4 +169,11 @@ def oembed(
         "width": size_px[0],
         "height": size_px[1],
     }
+    if stream.poster_px is not None:
+        width_px, height_px = stream.poster_px
+        # A thumbnail keeps to the limits of the frame, by the standard.
+        if width_px <= (max_width_px or width_px) and height_px <= (max_height_px or height_px):
+            found["thumbnail_url"] = f"{stream.data_url}/{stream.poster}"
+            found["thumbnail_width"] = width_px
+            found["thumbnail_height"] = height_px
     return found
