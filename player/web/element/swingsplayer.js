@@ -350,13 +350,11 @@ export class SwingsPlayerElement extends MediaInterface {
     this.#parts?.panels.use(({ statistics }) => statistics.toggle());
   }
 
-  /** Opens the stream again after a failure, at the time that was reached. */
+  /** Opens the stream again after a failure, at the time, rate and view that were reached. */
   retry() {
-    const { player, currentTime, paused } = this;
+    const { player, paused } = this;
     if (player === null) return;
-    const isLive = player.live;
-    this.load();
-    if (!isLive && currentTime > 0) this.currentTime = currentTime;
+    this.reload();
     if (!paused) this.play();
     this.#canvas.focus();
   }
