@@ -83,7 +83,7 @@ def test_cards_are_found_and_sorted(page: Page, server: ServerProcess) -> None:
 
 
 def test_the_page_of_a_stream(page: Page, server: ServerProcess) -> None:
-    page.open(f"{server.url}/watch/s3?autoplay=0", 390, 844)
+    page.open(f"{server.url}/watch/s3?autoplay=0", 390, 844, touch=True)
     page.wait(f"{PLAYER}?.shownFrame >= 0", 60)
     assert page.axe() == []
     page.click("button[popovertarget=embed]")
