@@ -3,6 +3,7 @@
  * CSS and GLSL in templates lose their comments and spaces, as the code around them does.
  */
 import { readFile } from "node:fs/promises";
+import { basename } from "node:path";
 
 const [esbuild, source, format] = process.argv.slice(2);
 const { build } = await import(esbuild);
@@ -36,6 +37,16 @@ const compact = {
   },
 };
 
+/** What is loaded later is a bundle of its own, beside the one that loads it. */
+const later = {
+  name: "later",
+  setup(/** @type {any} */ { onResolve }) {
+    onResolve({ filter: /\.js$/ }, (/** @type {any} */ { path, kind }) =>
+      kind === "dynamic-import" ? { path: `./${basename(path)}`, external: true } : undefined,
+    );
+  },
+};
+
 const { outputFiles } = await build({
   entryPoints: [source],
   bundle: true,
@@ -47,6 +58,6 @@ const { outputFiles } = await build({
   legalComments: "none",
   logLevel: "warning",
   define: { SWINGS_BUNDLE: "true" },
-  plugins: [compact],
+  plugins: [compact, later],
 });
 process.stdout.write(outputFiles[0].text);

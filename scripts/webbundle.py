@@ -1,4 +1,4 @@
-"""The bundle of player/web: a page and three scripts instead of a hundred modules.
+"""The bundle of player/web: a page and four scripts instead of a hundred modules.
 
 Run by scripts/webbundle. The bundle is committed, so that whoever installs swings needs no Node.js;
 a test compares it with the sources.
@@ -17,8 +17,12 @@ MODULES = {
     "player.js": "element/swingsplayer.js",
     "playworker.js": "playback/playworker.js",
     "sortworker.js": "playback/sortworker.js",
+    "extras.js": "element/extras.js",
 }
 """Each module of the bundle and the source that it begins with."""
+
+LATER = {"extras.js"}
+"""Modules that are loaded when a viewer needs them."""
 
 PAGE_SCRIPT, PAGE_SOURCE = "page.js", "watch.js"
 """The script that pages have inline, so that the first requests leave with the page itself."""
@@ -48,9 +52,10 @@ def _bundled(source: str, form: str) -> str:
 
 
 def _page(source: str, script: str) -> str:
-    """The page of the bundle: its own script inline, and all others asked for at once."""
+    """The page of the bundle: its own script inline, and what it begins with asked for at once."""
     assert source.count(_SCRIPTS) == source.count(_HEAD_END) == 1
-    loads = "".join(f'    <link rel="modulepreload" href="./{name}" />\n' for name in MODULES)
+    first = [name for name in MODULES if name not in LATER]
+    loads = "".join(f'    <link rel="modulepreload" href="./{name}" />\n' for name in first)
     scripts = f'    <script>{script.strip()}</script>\n    <script type="module" src="./player.js"'
     page = source.replace(_SCRIPTS, f"{scripts}></script>\n")
     return page.replace(_HEAD_END, loads + _HEAD_END)

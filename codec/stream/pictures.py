@@ -6,11 +6,13 @@ caller passes a renderer.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from PIL import Image
 
 from codec.camera import Camera
 from codec.errors import CorruptError
@@ -67,6 +69,16 @@ def read_picture(place: Place, path: str | None) -> bytes | None:
     if found is None or stamp is None or stamp.size_bytes > MAX_PICTURE_BYTES:
         return None
     return storage.read(found, MAX_PICTURE_BYTES)
+
+
+def picture_size_px(data: bytes) -> tuple[int, int] | None:
+    """Width and height by the header of a picture; None if it is none of PICTURE_TYPES, or far too
+    large."""
+    try:
+        with Image.open(io.BytesIO(data), formats=("JPEG", "PNG", "WEBP")) as picture:
+            return picture.size
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+        return None
 
 
 def check_pictures(place: Place, manifest: Manifest) -> None:

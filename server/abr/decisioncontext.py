@@ -71,6 +71,8 @@ class DecisionContext:
     """Seconds of media that may be sent ahead."""
     run_s: float
     """Seconds of the link that one answer may fill."""
+    is_paused: bool = False
+    """Whether the client shows a still picture of next_frame."""
     max_layers: int = MAX_LAYERS
     """Layers that may be sent, however many there are: a server under load has no more to give."""
 

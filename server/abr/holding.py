@@ -34,6 +34,14 @@ class Holding:
         chains = self._chains[layer]
         return chains[-1][1] + 1 if chains else None
 
+    def end_birth_from(self, layer: int, frame: int) -> int | None:
+        """The birth after the last one of this layer's last chain that begins at or before `frame`;
+        None where it has none."""
+        for first, last in reversed(self._chains[layer]):
+            if first <= frame:
+                return last + 1
+        return None
+
     def add(self, birth: int, first_layer: int, end_layer: int) -> None:
         """Adds the packets of layers first_layer..end_layer-1 of a slice."""
         for layer in range(first_layer, end_layer):

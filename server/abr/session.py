@@ -296,6 +296,7 @@ class PlaySession:
             end_birth=end_birth,
             max_lead_s=config.max_lead_s,
             run_s=config.run_s,
+            is_paused=self._paused_frame is not None,
             max_layers=self.max_layers,
         )
         full = end_birth < num_frames

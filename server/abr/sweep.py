@@ -12,6 +12,8 @@ against the time for which the link can keep it up.
 Layer 0 counts as much as a stall costs. So the leads of the layers order themselves, layer 0 far
 ahead and each other one behind the one before it, without a floor or a threshold: the link breaks
 down, and the upper layers starve first; it comes back, and what is due next is mended first.
+
+A client that is paused looks at one picture: that gets all its layers before anything else.
 """
 
 from __future__ import annotations
@@ -153,6 +155,10 @@ class Sweep:
         holding = context.holding
         rate_bps = self._config.safety * context.rate_bps
         self._patience_s = self._patience.note(context)
+        if context.is_paused:
+            missing = _missing_of_picture(context, rate_bps)
+            if missing is not None:
+                return missing
         free_s = context.comes_s(0.0, rate_bps)
         best: _Offer | None = None
         end = context.end_birth
@@ -252,3 +258,19 @@ class Sweep:
                 offers.append(_Offer(worth(cost, slack_s), SendSnapshots(later, layer, layer + 1)))
                 break
         return max(offers, key=lambda offer: offer.priority, default=None)
+
+
+def _missing_of_picture(context: DecisionContext, rate_bps: float) -> Send | None:
+    """What the picture of next_frame lacks, the lowest layer first; None if nothing."""
+    media, holding = context.media, context.holding
+    frame = min(context.next_frame, media.num_frames - 1)
+    first = segment_start(media, frame)
+    for layer in range(context.num_layers):
+        birth = holding.end_birth_from(layer, frame)
+        if birth is None or birth < first:
+            return SendSnapshots(first, layer, layer + 1)
+        if birth <= frame:
+            size = media.sizes(birth).layer_bytes[layer]
+            end = min(frame + 1, birth + context.run_length(size, rate_bps))
+            return SendSlices(range(birth, end), layer, layer + 1)
+    return None

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import math
 import re
+from dataclasses import replace
 from urllib.parse import parse_qsl, quote
 
-from codec.stream.pictures import picture_path
+from codec.stream.pictures import picture_path, picture_size_px
 from server.exchange.errors import RequestError
 from server.exchange.response import Response, json_response
 from server.html import gallery, htmlpage, watchpage
@@ -117,21 +119,25 @@ def _watched(stream: ServedStream, origin: str) -> WatchedStream:
     return WatchedStream(stream.name, _title(stream), _about(stream), origin, aspect, poster)
 
 
-def oembed(call: Call) -> Response:
+async def oembed(call: Call) -> Response:
     """What a site needs to show a stream in a frame of its own (https://oembed.com)."""
     if call.state.signer is not None:
         raise RequestError(404, "streams with signed URLs cannot be embedded by oEmbed")
     query = dict(parse_qsl(call.request.query))
     if query.get("format", "json") != "json":
-        raise RequestError(400, "the only format is json")
+        raise RequestError(501, "the only format is json")
     most_px = []
     for key in ("maxwidth", "maxheight"):
         text = query.get(key, "")
         if text and not re.fullmatch("[1-9][0-9]{0,4}", text):
             raise RequestError(400, f"{key}={text[:40]!a} is not a number of pixels")
         most_px.append(int(text) if text else None)
-    stream = _watched(call.stream(), _origin(call))
-    return json_response(watchpage.oembed(stream, *most_px), 200, REVALIDATE)
+    stream = call.stream()
+    watched = _watched(stream, _origin(call))
+    if stream.view.manifest.poster:
+        data = await asyncio.to_thread(stream.read_picture, stream.view.manifest.poster)
+        watched = replace(watched, poster_px=data and picture_size_px(data))
+    return json_response(watchpage.oembed(watched, *most_px), 200, REVALIDATE)
 
 
 def streams(call: Call) -> Response:

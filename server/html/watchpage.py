@@ -29,9 +29,12 @@ _MORE = """<button popovertarget="embed">Embed</button>
 <pre id="save">swings-play {url} --capture {name}.mp4</pre>
 <button data-copy="save">Copy</button></div>"""
 
+_ALLOW = "fullscreen; xr-spatial-tracking; clipboard-write; web-share; gyroscope; accelerometer"
+"""What a frame needs for full screen, headsets, links, sharing, and turning with the phone."""
+
 _FRAME = (
     '<iframe src="{url}" title="{title}" width="{width_px}" height="{height_px}" '
-    'style="border: 0" allow="fullscreen; xr-spatial-tracking; clipboard-write"></iframe>'
+    f'style="border: 0" allow="{_ALLOW}"></iframe>'
 )
 
 _META = """<meta property="og:{name}" content="{content}">
@@ -61,6 +64,8 @@ class WatchedStream:
     """Width of the picture as a share of its height."""
     poster: str = ""
     """Path of the poster behind the stream's URL, quoted; empty where it has none."""
+    poster_px: tuple[int, int] | None = None
+    """Width and height of the poster; None where they are not known."""
 
     @property
     def url(self) -> str:
@@ -164,4 +169,11 @@ def oembed(
         "width": size_px[0],
         "height": size_px[1],
     }
+    if stream.poster_px is not None:
+        width_px, height_px = stream.poster_px
+        # A thumbnail keeps to the limits of the frame, by the standard.
+        if width_px <= (max_width_px or width_px) and height_px <= (max_height_px or height_px):
+            found["thumbnail_url"] = f"{stream.data_url}/{stream.poster}"
+            found["thumbnail_width"] = width_px
+            found["thumbnail_height"] = height_px
     return found

@@ -18,7 +18,8 @@ _TYPES = {".js": "text/javascript", ".html": "text/html"}
 
 _BUNDLE = "bundle"
 _PAGE_SCRIPT = "page.js"
-_MODULES = ("player.js", "playworker.js", "sortworker.js")
+_FIRST = ("player.js", "playworker.js", "sortworker.js")
+_MODULES = (*_FIRST, "extras.js")
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,14 +53,12 @@ class WebPlayer:
         """What a page with the player has inline."""
         # One hash for all of them: they name each other by relative URLs.
         version = hashlib.sha256(b"".join(bundle[name] for name in _MODULES)).hexdigest()[:16]
-        self.modules = tuple(f"{_BUNDLE}-{version}/{name}" for name in _MODULES)
-        """Names of the bundle's modules; the first one is the element."""
+        versioned = {name: f"{_BUNDLE}-{version}/{name}" for name in _MODULES}
+        self.modules = tuple(versioned[name] for name in _FIRST)
+        """Names of the modules that a page begins with; the first one is the element."""
         self.assets: Mapping[str, Asset] = {
             name: _asset(name, data) for name, data in found.items()
-        } | {
-            versioned: _asset(name, bundle[name], immutable=True)
-            for versioned, name in zip(self.modules, _MODULES, strict=True)
-        }
+        } | {versioned[name]: _asset(name, bundle[name], immutable=True) for name in _MODULES}
 
 
 def _installed() -> Path:

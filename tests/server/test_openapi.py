@@ -33,6 +33,8 @@ HELD = [
     response_headers_conformance,
     response_schema_conformance,
 ]
+UNSERVED = {"GET /v1/streams/{stream}/oembed.json"}
+"""Answers 501 to a request for another format, as oEmbed asks for it."""
 EXAMPLES = 100
 """Requests of each kind for each operation."""
 NOTHING_TO_GET_WRONG = {"GET /", "GET /healthz", "GET /readyz", "GET /metrics", "GET /v1/streams"}
@@ -120,7 +122,9 @@ def test_whatever_is_asked_is_answered_as_described(
         suppress_health_check=list(HealthCheck),
     )
     def check(case: schemathesis.Case[Any]) -> None:
-        case.call_and_validate(base_url=f"http://127.0.0.1:{server.port}", checks=HELD, timeout=10)
+        checks = [one for one in HELD if one is not not_a_server_error or label not in UNSERVED]
+        url = f"http://127.0.0.1:{server.port}"
+        case.call_and_validate(base_url=url, checks=checks, timeout=10)
 
     check()
 

@@ -14,6 +14,7 @@ import aiohttp
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 from yarl import URL
 
 from codec.errors import InvalidError
@@ -201,12 +202,41 @@ def test_a_page_describes_itself_to_those_that_link_to_it(root: Path) -> None:
         async with client.get(link, params={"maxheight": "120"}) as response:
             found = await response.json()
         assert (found["width"], found["height"]) == (160, 120)
-        for query, status in (("format=xml", 400), ("maxwidth=-1", 400), ("maxheight=1e9", 400)):
+        for query, status in (("format=xml", 501), ("maxwidth=-1", 400), ("maxheight=1e9", 400)):
             async with client.get(f"{link}?{query}") as response:
                 assert response.status == status
                 assert "error" in await response.json()
 
     on_server(root, check)
+
+
+@pytest.mark.parametrize(("name", "kind"), [("poster.jpg", "JPEG"), ("a & b.png", "PNG")])
+def test_the_thumbnail_for_other_sites_is_the_poster(tmp_path: Path, name: str, kind: str) -> None:
+    """With its size, or not at all."""
+    stream = tmp_path / "walk"
+    with StreamWriter.create(stream, replace(small_manifest(), poster=name)) as writer:
+        for birth in births_of(1):
+            writer.append(random_slice(birth, 8))
+
+    async def check(server: Running, client: aiohttp.ClientSession) -> None:
+        async def thumbnail(**query: str) -> dict[str, object]:
+            async with client.get("/v1/streams/walk/oembed.json", params=query) as response:
+                found = await response.json()
+            return {key: found[key] for key in found if key.startswith("thumbnail")}
+
+        assert await thumbnail() == {}
+        (stream / name).write_bytes(b"no picture")
+        assert await thumbnail() == {}
+        Image.new("RGB", (160, 90)).save(stream / name, kind)
+        found = await thumbnail()
+        assert (found["thumbnail_width"], found["thumbnail_height"]) == (160, 90)
+        async with client.get(URL(str(found["thumbnail_url"]), encoded=True)) as response:
+            assert await response.read() == (stream / name).read_bytes()
+        assert await thumbnail(maxwidth="160", maxheight="90") == found
+        assert await thumbnail(maxwidth="159") == {}
+        assert await thumbnail(maxheight="89") == {}
+
+    on_server(tmp_path, check)
 
 
 def test_where_the_player_is_not_whole_no_server_starts(tmp_path: Path) -> None:

@@ -10,15 +10,17 @@ export class Bar {
    * @param {object} parts
    * @param {import("./scrubber.js").Scrubber} parts.scrubber
    * @param {HTMLElement} parts.badge
-   * @param {import("./menu.js").Menu} parts.menu
+   * @param {(at: number | null) => void} parts.openMenu with the focus on an entry, -1: the last one; null:
+   *   closes it if it is open
    * @param {Choice[]} choices
    * @param {Command[]} commands
    * @param {() => void} togglePlaying
    * @param {() => void} toggleFullScreen
    */
-  constructor({ scrubber, badge, menu }, choices, commands, togglePlaying, toggleFullScreen) {
+  constructor({ scrubber, badge, openMenu }, choices, commands, togglePlaying, toggleFullScreen) {
     this.playButton = button("play", "Play", "K", togglePlaying);
     this.fullButton = button("full", "Full screen", "F", toggleFullScreen);
+    this.menuButton = menuButton(openMenu);
     this.choices = choices;
     this.commands = commands;
     this.selects = choices.map((choice) => {
@@ -49,7 +51,7 @@ export class Bar {
       ...Object.values(others),
       ...this.selects,
       headset,
-      menu.button,
+      this.menuButton,
       this.fullButton,
     );
     this.showPlaying(false);
@@ -96,6 +98,24 @@ function button(name, label, key, action) {
   const title = key === "" ? label : `${label} (${key})`;
   const made = node("button", { class: name, "aria-label": label, title });
   made.addEventListener("click", action);
+  return made;
+}
+
+/** @param {(at: number | null) => void} open */
+function menuButton(open) {
+  const made = node(
+    "button",
+    { class: "more", "aria-label": "More", title: "More", "aria-haspopup": "menu" },
+    icon("menu"),
+  );
+  made.setAttribute("aria-expanded", "false");
+  made.addEventListener("click", () => open(null));
+  made.addEventListener("keydown", (event) => {
+    if (event.key !== "ArrowDown" && event.key !== "ArrowUp") return;
+    event.preventDefault();
+    event.stopPropagation();
+    open(event.key === "ArrowUp" ? -1 : 0);
+  });
   return made;
 }
 

@@ -15,11 +15,10 @@
  * @param {import("./swingsplayer.js").SwingsPlayerElement} element
  * @param {import("./stereocontrols.js").StereoControls} stereo
  * @param {{ share: () => void, copyEmbedCode: () => void }} sharing
- * @param {import("./statistics.js").Statistics} statistics
- * @param {{ toggle: () => void }} keyList
+ * @param {import("./lazypart.js").LazyPart<import("./panels.js").Panels>} panels
  * @returns {Command[]}
  */
-export function commandsOf(element, stereo, sharing, statistics, keyList) {
+export function commandsOf(element, stereo, sharing, panels) {
   return [
     {
       name: "share",
@@ -71,7 +70,7 @@ export function commandsOf(element, stereo, sharing, statistics, keyList) {
       key: "i",
       place: "menu",
       run: () => element.toggleStats(),
-      isOn: () => statistics.isOn,
+      isOn: () => panels.part?.statistics.isOn ?? false,
     },
     {
       name: "keys",
@@ -79,7 +78,7 @@ export function commandsOf(element, stereo, sharing, statistics, keyList) {
       icon: "keys",
       key: "?",
       place: "menu",
-      run: () => keyList.toggle(),
+      run: () => panels.use(({ keyList }) => keyList.toggle()),
     },
     {
       name: "headset",

@@ -29,8 +29,11 @@ export class MediaInterface extends PictureInterface {
   #layers = 0;
   /** @type {number | null} seconds: where to begin, set by a script before the stream was open */
   #startS = null;
-  /** Where the element was when it was taken out of its page. */
-  #left = { src: "", timeS: 0 };
+  /**
+   * How a stream stood that may be opened again; timeS: null for a live one.
+   * @type {{ src: string, timeS: number | null, rate: number, view: string } | null}
+   */
+  #left = null;
   #isOpening = false;
   #played = new FrameRanges();
   /** @type {number | null} the frame shown last, if the next one follows it */
@@ -224,6 +227,19 @@ export class MediaInterface extends PictureInterface {
     else this.#open();
   }
 
+  /** Loads the same stream anew, and goes on at its time, rate and view. */
+  reload() {
+    this.#keepPlace();
+    this.load();
+  }
+
+  #keepPlace() {
+    const { player, currentTime, view } = this;
+    if (!player?.manifest) return;
+    const timeS = player.live ? null : currentTime;
+    this.#left = { src: this.#currentSrc, timeS, rate: this.#rate, view };
+  }
+
   /** A stream is about to be opened, now or at `play()`: the element shows its poster. */
   prepare() {}
 
@@ -238,9 +254,7 @@ export class MediaInterface extends PictureInterface {
   /** The element is taken out of its page: its player goes, its place is kept. */
   leave() {
     const { player } = this;
-    if (player?.manifest && !player.live) {
-      this.#left = { src: this.#currentSrc, timeS: this.currentTime };
-    }
+    this.#keepPlace();
     this.endCapture();
     player?.dispose();
     this.player = null;
@@ -330,9 +344,12 @@ export class MediaInterface extends PictureInterface {
 
   /** @param {WebPlayer} player */
   #begin(player) {
-    if (this.#rate !== 1) player.setRate(this.#rate);
+    const left = this.#left?.src === this.#currentSrc ? this.#left : null;
+    this.#left = null;
+    if (left !== null && left.rate !== this.#rate) this.playbackRate = left.rate;
+    else if (this.#rate !== 1) player.setRate(this.#rate);
     if (this.#layers !== 0) this.#setLayers();
-    const view = this.getAttribute("view");
+    const view = left?.view || this.getAttribute("view");
     if (view) this.view = view;
     this.queueEvent("durationchange");
     this.measure();
@@ -340,10 +357,8 @@ export class MediaInterface extends PictureInterface {
     const isWanted = !this.#paused || this.autoplay;
     if (this.preload === "metadata" && !isWanted) this.#fire(this.#readiness.suspend());
     const start = this.getAttribute("start");
-    const left = this.#left.src === this.#currentSrc ? this.#left.timeS : null;
-    const startS = this.#startS ?? left ?? (start === null ? null : Number(start));
+    const startS = this.#startS ?? left?.timeS ?? (start === null ? null : Number(start));
     this.#startS = null;
-    this.#left = { src: "", timeS: 0 };
     // A live stream begins at its edge by itself, others at 0.
     if (startS !== null && startS >= 0) this.currentTime = startS;
     if (!this.#paused) player.setPlaying(true);

@@ -20,28 +20,17 @@ import { node } from "./nodes.js";
  */
 export class Menu {
   /**
+   * @param {HTMLElement} button
    * @param {Choice[]} choices
    * @param {Command[]} commands
    * @param {() => void} changed it was opened or closed
    */
-  constructor(choices, commands, changed) {
+  constructor(button, choices, commands, changed) {
+    this.button = button;
     this.choices = choices;
     this.commands = commands;
     this.changed = changed;
     this.root = node("div", { class: "menu", role: "menu", "aria-label": "More", hidden: true });
-    this.button = node(
-      "button",
-      { class: "more", "aria-label": "More", title: "More", "aria-haspopup": "menu" },
-      icon("menu"),
-    );
-    this.button.setAttribute("aria-expanded", "false");
-    this.button.addEventListener("click", () => this.toggle());
-    this.button.addEventListener("keydown", (event) => {
-      if (event.key !== "ArrowDown" && event.key !== "ArrowUp") return;
-      event.preventDefault();
-      event.stopPropagation();
-      this.open(event.key === "ArrowUp" ? -1 : 0);
-    });
     this.root.addEventListener("keydown", (event) => this.#pressed(event));
   }
 

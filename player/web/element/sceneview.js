@@ -1,6 +1,5 @@
 import { Painter } from "../renderer/painter.js";
 import { EYE_DISTANCE_M, oneEye, sideBySide } from "../stereo/eyes.js";
-import { Headset } from "../stereo/headset.js";
 import { CameraMotion } from "../view/cameramotion.js";
 import { pointAt, poseOf } from "../view/pose.js";
 import { length, subtract } from "../view/vectors.js";
@@ -15,6 +14,7 @@ const IDLE_MS = 100;
 
 /** @typedef {import("../playback/playerworkers.js").PlayerWorkers} PlayerWorkers */
 /** @typedef {import("../playback/sortworker.js").SortedFrame} SortedFrame */
+/** @typedef {import("../stereo/headset.js").Headset} Headset */
 
 /**
  * How long the last frame took.
@@ -95,7 +95,7 @@ export class SceneView extends EventTarget {
 
   /** @param {SortedFrame} sorted @param {boolean} isHeld whether it is drawn even if the page is not */
   receive(sorted, isHeld) {
-    this.sorted = sorted;
+    this.sorted = this.sorted === null ? sorted : joined(this.sorted, sorted);
     if (this.headset !== null) return;
     if (isHeld && this.loop.waitedMs > IDLE_MS) this.loop.flush();
     else this.loop.request();
@@ -143,6 +143,7 @@ export class SceneView extends EventTarget {
    * pressed something just now. Throws a HeadsetError.
    */
   async enterHeadset() {
+    const { Headset } = await import("./extras.js");
     const headset = await Headset.begin(this.painter.context.gl);
     if (this.isDisposed) {
       headset.end();
@@ -256,4 +257,17 @@ export class SceneView extends EventTarget {
     this.size.dispose();
     this.painter.dispose();
   }
+}
+
+/**
+ * Two answers of the sorter as one: the later one has only what is new since the earlier one, and both
+ * can come before the browser lets the page draw.
+ * @param {SortedFrame} earlier
+ * @param {SortedFrame} later
+ * @returns {SortedFrame}
+ */
+function joined(earlier, later) {
+  if (later.isWhole) return later;
+  const updates = [...earlier.updates, ...later.updates];
+  return { ...later, isWhole: earlier.isWhole, updates };
 }

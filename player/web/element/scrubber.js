@@ -1,5 +1,4 @@
 import { node } from "./nodes.js";
-import { Storyboard } from "./storyboard.js";
 import { frameTimeText, positionText } from "./timetext.js";
 
 const THUMB_PX = 14;
@@ -13,6 +12,10 @@ export class Scrubber {
   #scrubbing = false;
   #request = 0;
   #track = "";
+  /** @type {import("./storyboard.js").Storyboard | null} null until the first stream that has one */
+  #storyboard = null;
+  /** The frame of the preview. */
+  #previewed = 0;
 
   /**
    * @param {import("./webplayer.js").WebPlayer} player
@@ -20,12 +23,10 @@ export class Scrubber {
    */
   constructor(player, signal) {
     this.player = player;
-    this.storyboard = new Storyboard();
     this.hoverTime = node("span", { class: "hover-time" });
     this.preview = node(
       "div",
       { class: "preview", "aria-hidden": "true", hidden: true },
-      this.storyboard.root,
       this.hoverTime,
     );
     const attributes = { class: "scrub", type: "range", min: "0", max: "0", step: "1", value: "0" };
@@ -48,7 +49,7 @@ export class Scrubber {
       const fit = () => (this.input.max = String(Math.max(0, player.numFrames - 1)));
       player.addEventListener(type, fit, { signal });
     }
-    player.addEventListener("opened", () => this.storyboard.clear(), { signal });
+    player.addEventListener("opened", () => this.#storyboard?.clear(), { signal });
   }
 
   get isScrubbing() {
@@ -81,16 +82,33 @@ export class Scrubber {
 
   /** @param {number} frame */
   #showPreview(frame) {
-    const { player, preview, hoverTime, storyboard } = this;
+    const { player, preview, hoverTime } = this;
     const { fps } = player.manifest ?? { fps: 30 };
     hoverTime.textContent = frameTimeText(frame, player.numFrames, fps, player.live);
-    storyboard.show(player, frame);
+    this.#previewed = frame;
+    this.#showPicture();
     preview.hidden = false;
     const widthPx = this.root.clientWidth;
     const halfPx = preview.offsetWidth / 2;
     const share = frame / Math.max(1, player.numFrames - 1);
     const atPx = THUMB_PX / 2 + (widthPx - THUMB_PX) * share;
     preview.style.left = `${Math.max(halfPx, Math.min(widthPx - halfPx, atPx))}px`;
+  }
+
+  async #showPicture() {
+    const { player, preview } = this;
+    if (!player.manifest?.storyboard) return;
+    if (this.#storyboard === null) {
+      let Storyboard;
+      try {
+        ({ Storyboard } = await import("./extras.js"));
+      } catch {
+        return; // the time alone shows, as where its pictures do not come
+      }
+      this.#storyboard ??= new Storyboard();
+      preview.prepend(this.#storyboard.root);
+    }
+    this.#storyboard.show(player, this.#previewed);
   }
 
   /** The frame that shows, unless a person moves the thumb. */

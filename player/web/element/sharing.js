@@ -1,3 +1,7 @@
+/** What a frame needs for full screen, headsets, links, sharing, and turning with the phone. */
+const ALLOW =
+  "fullscreen; xr-spatial-tracking; clipboard-write; web-share; gyroscope; accelerometer";
+
 /** Links to the moment and the view that show, and the code that embeds the player. */
 export class Sharing {
   /**
@@ -14,7 +18,7 @@ export class Sharing {
     const { element } = this;
     const link = element.getAttribute("link");
     if (link !== null) return new URL(link, document.baseURI);
-    const url = new URL(new URL("../watch.html", import.meta.url).href, document.baseURI);
+    const url = new URL(pageUrl(), document.baseURI);
     url.searchParams.set("src", new URL(element.src, document.baseURI).href);
     return url;
   }
@@ -56,7 +60,7 @@ export class Sharing {
     const source = url.href.replaceAll("&", "&amp;").replaceAll('"', "&quot;");
     const code =
       `<iframe src="${source}" width="720" height="405" style="border: 0" ` +
-      `allow="fullscreen; xr-spatial-tracking; clipboard-write; web-share"></iframe>`;
+      `allow="${ALLOW}"></iframe>`;
     await this.#copy(code, "Embed code copied");
   }
 
@@ -72,4 +76,13 @@ export class Sharing {
       this.hint(text, 10_000); // the browser forbids it; the person can copy it by hand
     }
   }
+}
+
+/** The page beside this code. */
+function pageUrl() {
+  // @ts-ignore scripts/webbundle defines it
+  if (typeof SWINGS_BUNDLE === "undefined") return new URL("../watch.html", import.meta.url).href;
+  // A server has the bundle under a name that changes with it as well; a link has to last.
+  const lasting = import.meta.url.replace(/\/bundle-[0-9a-f]{16}\//, "/bundle/");
+  return new URL("./watch.html", lasting).href;
 }

@@ -1,5 +1,3 @@
-import { hasHeadset, HeadsetError } from "../stereo/headset.js";
-
 /** Side by side and VR. */
 export class StereoControls {
   #isStarting = false;
@@ -28,7 +26,12 @@ export class StereoControls {
    * @param {AbortSignal} signal ends the listening
    */
   watch(report, signal) {
-    const look = async () => report(await hasHeadset());
+    const look = async () => {
+      const isThere = await hasHeadset();
+      report(isThere);
+      // A session has to begin in the click that asks for it.
+      if (isThere) await import("./extras.js");
+    };
     navigator.xr?.addEventListener("devicechange", look, { signal });
     look();
   }
@@ -48,10 +51,20 @@ export class StereoControls {
     try {
       await player.enterHeadset();
     } catch (error) {
-      if (!(error instanceof HeadsetError)) throw error;
+      // A bundle has no class in common with the code that is loaded later.
+      if (!(error instanceof Error) || error.name !== "HeadsetError") throw error;
       this.hint(error.message);
     } finally {
       this.#isStarting = false;
     }
+  }
+}
+
+/** Whether there is a headset that this page may use. */
+async function hasHeadset() {
+  try {
+    return (await navigator.xr?.isSessionSupported("immersive-vr")) ?? false;
+  } catch {
+    return false; // a frame whose page does not allow it
   }
 }

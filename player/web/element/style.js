@@ -100,7 +100,7 @@ svg { width: var(--icon); height: var(--icon); fill: currentColor; vertical-alig
   .frame { --accent: Highlight; --played: Highlight; --loaded: GrayText; --rest: Canvas; --panel: Canvas; }
   .bar { background: Canvas; padding-top: 6px; border-top: 1px solid CanvasText; }
   .scrub, .scrub::-webkit-slider-thumb { forced-color-adjust: none; }
-  :is(button, select, .time, .stats, .note, .menu span, .failure *, .keylist *) { color: CanvasText; background-color: Canvas; }
+  :is(button, select, .time, .note, .failure *) { color: CanvasText; background-color: Canvas; }
   .scrub::-webkit-slider-runnable-track { outline: 1px solid CanvasText; }
   .scrub::-moz-range-track { outline: 1px solid CanvasText; }
   .scrub::-webkit-slider-thumb { background: ButtonText; border: 1px solid Canvas; }

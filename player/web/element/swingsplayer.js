@@ -10,17 +10,15 @@ import { Failure } from "./failure.js";
 import { FullScreen } from "./fullscreen.js";
 import { hasGyroscope } from "./gyroscope.js";
 import { Hints } from "./hints.js";
-import { KeyList } from "./keylist.js";
 import { keysOf, listenToKeys } from "./keys.js";
+import { LazyPart } from "./lazypart.js";
 import { LiveBadge } from "./livebadge.js";
 import { MediaInterface } from "./mediainterface.js";
-import { Menu } from "./menu.js";
 import { prefersStill } from "./motion.js";
 import { node } from "./nodes.js";
 import { Overlay } from "./overlay.js";
 import { Scrubber } from "./scrubber.js";
 import { Sharing } from "./sharing.js";
-import { Statistics } from "./statistics.js";
 import { StereoControls } from "./stereocontrols.js";
 import { STYLE } from "./style.js";
 import { WebPlayer } from "./webplayer.js";
@@ -97,7 +95,7 @@ export class SwingsPlayerElement extends MediaInterface {
   disconnectedCallback() {
     this.#stopListening();
     this.#parts?.fullScreen.leave();
-    this.#parts?.statistics.close();
+    this.#parts?.panels.part?.statistics.close();
     this.#parts?.scrubber.close();
     this.#parts = null;
     this.#controls.replaceChildren();
@@ -154,11 +152,19 @@ export class SwingsPlayerElement extends MediaInterface {
       this.#show(player);
     };
     const stereo = new StereoControls(player, (message) => hints.say(message, LONG_MS));
-    const statistics = new Statistics(player);
-    const keyList = new KeyList();
+    const panels = new LazyPart(
+      async () => {
+        const { Panels } = await import("./extras.js");
+        const wake = () => visibility.wake();
+        const made = new Panels(player, bar.menuButton, choices, commands, actions, wake);
+        if (!signal.aborted) made.addTo(this.#controls);
+        return made;
+      },
+      () => hints.say("This could not be loaded; check the network and try again", LONG_MS),
+    );
     const scrubber = new Scrubber(player, signal);
     const live = new LiveBadge(player, onStopped, signal);
-    const commands = commandsOf(this, stereo, this.#sharing, statistics, keyList);
+    const commands = commandsOf(this, stereo, this.#sharing, panels);
     for (const command of commands) {
       const { run } = command;
       command.run = () => {
@@ -167,9 +173,10 @@ export class SwingsPlayerElement extends MediaInterface {
       };
     }
     const choices = choicesOf(this);
-    const menu = new Menu(choices, commands, () => visibility.wake());
+    const openMenu = (/** @type {number | null} */ at) =>
+      panels.use(({ menu }) => (at === null ? menu.toggle() : menu.open(at)));
     const bar = new Bar(
-      { scrubber, badge: live.root, menu },
+      { scrubber, badge: live.root, openMenu },
       choices,
       commands,
       () => this.togglePlaying(),
@@ -177,14 +184,13 @@ export class SwingsPlayerElement extends MediaInterface {
     );
     live.root.addEventListener("click", () => this.goLive());
     const plays = () => !this.paused && !live.hasStopped;
-    const isInUse = () => menu.isOpen || keyList.root.open || scrubber.isScrubbing;
+    const isInUse = () => panels.part?.isInUse || scrubber.isScrubbing;
     const visibility = new BarVisibility(this.#frame, this.#canvas, plays, isInUse);
     const fullScreen = new FullScreen(this, () => this.#fullScreenChanged(), signal);
     const actions = keysOf(this, player, commands);
-    keyList.fill(actions);
     stereo.watch((isThere) => (bar.headset.hidden = !isThere), signal);
-    this.#controls.replaceChildren(statistics.root, bar.root, menu.root, keyList.root);
-    return { scrubber, statistics, bar, menu, visibility, fullScreen, actions, live };
+    this.#controls.replaceChildren(bar.root);
+    return { scrubber, bar, panels, visibility, fullScreen, actions, live };
   }
 
   /**
@@ -194,7 +200,7 @@ export class SwingsPlayerElement extends MediaInterface {
   #listen(player, signal) {
     const parts = this.build(player, signal);
     this.#parts = parts;
-    const { bar, menu, visibility } = parts;
+    const { bar, panels, visibility } = parts;
     const hints = this.#hints;
     const of = (/** @type {string} */ type, /** @type {(event: Event) => void} */ action) =>
       player.addEventListener(type, action, { signal });
@@ -217,7 +223,8 @@ export class SwingsPlayerElement extends MediaInterface {
     for (const type of ["ratechange", "layerschange"]) on(type, () => bar.showChoices());
     on("pointerdown", (event) => {
       this.#frame.classList.remove("tabbed");
-      if (!menu.isOpen) return;
+      const menu = panels.part?.menu;
+      if (!menu?.isOpen) return;
       const path = event.composedPath();
       if (!path.includes(menu.root) && !path.includes(menu.button)) menu.close(false);
     });
@@ -350,16 +357,14 @@ export class SwingsPlayerElement extends MediaInterface {
   }
 
   toggleStats() {
-    this.#parts?.statistics.toggle();
+    this.#parts?.panels.use(({ statistics }) => statistics.toggle());
   }
 
-  /** Opens the stream again after a failure, at the time that was reached. */
+  /** Opens the stream again after a failure, at the time, rate and view that were reached. */
   retry() {
-    const { player, currentTime, paused } = this;
+    const { player, paused } = this;
     if (player === null) return;
-    const isLive = player.live;
-    this.load();
-    if (!isLive && currentTime > 0) this.currentTime = currentTime;
+    this.reload();
     if (!paused) this.play();
     this.#canvas.focus();
   }

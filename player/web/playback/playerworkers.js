@@ -18,6 +18,8 @@ import { startWorker } from "./startworker.js";
 export class PlayerWorkers {
   /** @type {"none" | "waiting" | "due"} whether the sorter has a request, and answers at once */
   #request = "none";
+  /** Number of the last request; an earlier one may be answered while it is on its way. */
+  #lastRequest = 0;
   /** Ends early requests. */
   #opening = new AbortController();
   /** @type {number[]} (4, 4) world to camera of the last request */
@@ -33,7 +35,7 @@ export class PlayerWorkers {
     const { port1, port2 } = new MessageChannel();
     this.sorter = startWorker(new URL("./sortworker.js", import.meta.url));
     this.sorter.onmessage = ({ data }) => {
-      this.#request = "none";
+      if (data.request === this.#lastRequest) this.#request = "none";
       onSorted(data);
     };
     this.sorter.postMessage({ port: port2 }, [port2]);
@@ -73,7 +75,8 @@ export class PlayerWorkers {
   requestOrder(w2c, nearM) {
     const isMoved = w2c.some((entry, i) => entry !== this.#requestedW2c[i]);
     if (this.#request === "due" || (this.#request === "waiting" && !isMoved)) return;
-    this.sorter.postMessage({ view: { w2c, nearM }, isMoved });
+    this.#lastRequest += 1;
+    this.sorter.postMessage({ view: { w2c, nearM, request: this.#lastRequest }, isMoved });
     this.#request = isMoved ? "due" : "waiting";
     this.#requestedW2c = w2c;
   }

@@ -12,6 +12,7 @@ import { scope } from "./workerscope.js";
 /**
  * A picture's order, with what is new since the last one.
  * @typedef {object} SortedFrame
+ * @property {number} request number of the request that this answers
  * @property {number} frame
  * @property {number} seeks that the player had made
  * @property {boolean} isWhole whether `updates` have all that shows, whatever the renderer holds
@@ -27,7 +28,7 @@ let newest = null;
 /** @type {PendingUpdates | null} */
 let pending = null;
 let isWhole = false;
-/** @type {{ w2c: number[], nearM: number } | null} set while the thread that draws waits */
+/** @type {{ w2c: number[], nearM: number, request: number } | null} set while the thread that draws waits */
 let wanted = null;
 /** Whether a frame or a camera has come since the last order. */
 let isStale = false;
@@ -55,8 +56,9 @@ function sort() {
   const sortMs = performance.now() - beganMs;
   const updates = pending.take();
   const { frame, seeks } = newest;
+  const { request } = wanted;
   /** @type {SortedFrame} */
-  const sorted = { frame, seeks, isWhole, updates, order: slots, sortMs };
+  const sorted = { request, frame, seeks, isWhole, updates, order: slots, sortMs };
   const arrays = [slots, ...updates.flatMap(({ lattice, floats }) => [lattice, floats])];
   wanted = null;
   isWhole = false;

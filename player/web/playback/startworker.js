@@ -19,17 +19,17 @@ export function startWorker(url) {
   return worker;
 }
 
-/** @type {{ createScriptURL: (url: string) => any } | undefined} */
-let policy;
+/** Where the page keeps the policy: a second copy of this code may not make another of its name. */
+const POLICY = Symbol.for("swings-worker");
 
 /**
  * A page's content security policy may require Trusted Types, and names the policies it allows.
  * @param {string} url
  */
 function moduleWorker(url) {
-  const { trustedTypes } = /** @type {any} */ (globalThis);
-  policy ??= trustedTypes?.createPolicy("swings-worker", {
+  const page = /** @type {any} */ (globalThis);
+  page[POLICY] ??= page.trustedTypes?.createPolicy("swings-worker", {
     createScriptURL: (/** @type {string} */ own) => own,
   });
-  return new Worker(policy?.createScriptURL(url) ?? url, { type: "module" });
+  return new Worker(page[POLICY]?.createScriptURL(url) ?? url, { type: "module" });
 }

@@ -16,15 +16,6 @@ export class HeadsetError extends Error {
   }
 }
 
-/** Whether there is a headset that this page may use. */
-export async function hasHeadset() {
-  try {
-    return (await navigator.xr?.isSessionSupported(MODE)) ?? false;
-  } catch {
-    return false; // a frame whose page does not allow it
-  }
-}
-
 /**
  * A session on a headset.
  *

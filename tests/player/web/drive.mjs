@@ -98,6 +98,10 @@ const ACTIONS = {
     for (const [n, places] of steps.entries()) await send(n ? "touchMove" : "touchStart", places);
     await send("touchEnd", []);
     await session.detach();
+    // The browser passes moves on with its next picture.
+    await page.evaluate(
+      "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))",
+    );
   },
   /**
    * What axe-core has against a part of the page, or all of it, shadow trees and all: a line for each

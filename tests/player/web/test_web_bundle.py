@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import gzip
 import re
 from pathlib import Path
+from urllib.request import urlopen
 
 import pytest
 
 from codec.tools.static import export_static
 from scripts import webbundle
+from server.html.watchpage import WatchedStream, frame_html
+from server.html.webplayer import WebPlayer
 from tests.server.hostile.serverprocess import ServerProcess, server_process
 from tests.support.hosted_streams import static_host, write_stream
 from tests.support.web.chromium import Page
 
-PLAYER = "document.querySelector('swings-player')?.player"
+ELEMENT = "document.querySelector('swings-player')"
+PLAYER = f"{ELEMENT}?.player"
 MOST_REQUESTS = 8
 MOST_SCRIPT_BYTES = 61_000
 
@@ -29,6 +34,17 @@ def test_it_is_what_the_sources_give() -> None:
     assert not changed, "the sources have changed; run scripts/webbundle"
 
 
+def test_what_a_page_begins_with_is_small_with_gzip() -> None:
+    """Browsers take nothing better from a host without TLS."""
+    player = WebPlayer()
+    assert len(player.modules) == len(webbundle.MODULES) - len(webbundle.LATER)
+    coded = [player.assets[name].coded["gzip"] for name in player.modules]
+    assert [gzip.decompress(data) for data in coded] == [
+        player.assets[name].data for name in player.modules
+    ]
+    assert sum(map(len, coded)) <= MOST_SCRIPT_BYTES
+
+
 def test_it_plays_from_a_plain_file_server(page: Page, tmp_path: Path) -> None:
     write_stream(tmp_path / "stream", 20)
     export_static(tmp_path / "stream", tmp_path / "static")
@@ -37,6 +53,51 @@ def test_it_plays_from_a_plain_file_server(page: Page, tmp_path: Path) -> None:
         page.open(f"{url}/player/watch.html?src=../static&t=0.5&autoplay=0", 320, 240)
         page.wait(f"{PLAYER}?.shownFrame === 15", 60)
         assert not page.complaints
+
+
+COPIED = f"""
+const clipboard = {{ writeText: (text) => (window.copied = text) }};
+Object.defineProperty(navigator, "clipboard", {{ value: clipboard, configurable: true }});
+{ELEMENT}.removeAttribute("link");
+await {ELEMENT}.copyLink();
+return window.copied;
+"""
+"""The link of a player whose page has no address of its own for it."""
+
+
+def check_link(page: Page, watch_url: str) -> None:
+    link = page.run(COPIED)
+    assert link.startswith(f"{watch_url}?src=")
+    with urlopen(link) as response:
+        assert response.status == 200
+
+
+def test_links_and_embed_code_lead_to_the_page_beside_it(page: Page, tmp_path: Path) -> None:
+    """The frame is allowed what the server's page and docs/EMBED.md allow it."""
+    write_stream(tmp_path / "stream", 20)
+    export_static(tmp_path / "stream", tmp_path / "static")
+    (tmp_path / "player").symlink_to(webbundle.WEB / "bundle")
+    (tmp_path / "mine.html").write_text(
+        '<!doctype html><link rel="icon" href="data:," />'
+        '<script type="module" src="player/player.js"></script>'
+        '<swings-player src="static"></swings-player>'
+    )
+    with static_host(tmp_path) as url:
+        page.open(f"{url}/mine.html", 640, 480)
+        page.wait(f"{PLAYER}?.shownFrame >= 0")
+        check_link(page, f"{url}/player/watch.html")
+        page.run(f"{ELEMENT}.shadowRoot.querySelector('.more').click()")
+        entry = f"{ELEMENT}.shadowRoot.querySelector('[data-name=embed]')"
+        page.wait(entry)
+        page.run(f"{entry}.click()")
+        page.wait("copied.startsWith('<iframe')")
+        code = page.run("return copied")
+        assert f'src="{url}/player/watch.html?src=' in code
+        assert not page.complaints
+    served = frame_html(WatchedStream("walk", "", "", "http://127.0.0.1", 1.5))
+    documented = (webbundle.ROOT / "docs" / "EMBED.md").read_text(encoding="utf-8")
+    texts = code, served, documented
+    assert len({re.findall('allow="([^"]*)"', text)[0] for text in texts}) == 1
 
 
 def requests_of(server: ServerProcess) -> dict[str, list[tuple[int, int]]]:
@@ -63,6 +124,7 @@ def test_a_page_of_the_server_starts_with_few_requests(page: Page, tmp_path: Pat
         page.wait(f"{PLAYER}?.shownFrame >= 0", 60)
         both = requests_of(server)
         assert not page.complaints
+        check_link(page, f"http://127.0.0.1:{server.port}/web/bundle/watch.html")
         page.close()
     assert sum(map(len, cold.values())) <= MOST_REQUESTS
     scripts = {path: found for path, found in cold.items() if path.endswith(".js")}

@@ -67,6 +67,7 @@ def opened(page: Page, folder: Path, tmp_path: Path) -> Iterator[Page]:
 def test_a_lost_context_keeps_its_picture_and_plays_on(opened: Page) -> None:
     page = opened
     before = canvas_of(page)
+    page.run("window.limitMs = 1e6")  # it comes back, however slow the machine
     page.run(LOSE)
     page.run(f"{PLAYER}.orbit.dragTurn(50, 0); {PLAYER}.moved()")
     page.wait(f"{NOTE}.includes('waiting for it')")
@@ -101,6 +102,38 @@ def test_a_context_that_does_not_come_back(opened: Page) -> None:
     page.wait(f"{PLAYER}.renderer?.numDrawn > 0", 30)
     assert page.run(f"return {PLAYER}.shownFrame") == 30
     np.testing.assert_array_equal(canvas_of(page), before)
+
+
+TWO_ANSWERS = f"""
+const player = {PLAYER};
+const {{ requestAnimationFrame }} = window;
+const block = (ms) => {{
+  const endMs = performance.now() + ms;
+  while (performance.now() < endMs);
+}};
+window.requestAnimationFrame = () => 1; // the browser lets nothing draw
+player.view.loop.stop();
+player.view.isEmpty = true;
+player.resend();
+block(value); // the sorter answers
+player.orbit.dragTurn(5, 0);
+player.view.loop.flush(); // asks for another order
+block(value); // the sorter answers again
+await new Promise((resolve) => setTimeout(resolve, 50)); // both answers arrive
+window.requestAnimationFrame = requestAnimationFrame;
+player.view.loop.stop();
+player.view.redraw();
+"""
+"""Has the sorter answer twice before the page draws, in `value` ms each, with all Gaussians in the
+first answer."""
+
+
+def test_two_answers_of_the_sorter_before_a_picture(opened: Page) -> None:
+    page = opened
+    for block_ms in (20, 50, 100, 200, 400):
+        page.wait(f"{PLAYER}.isSettled")
+        page.run(TWO_ANSWERS, block_ms)
+        page.wait(f"!{PLAYER}.view.isEmpty && {PLAYER}.isSettled")
 
 
 TWENTY = f"""

@@ -57,7 +57,7 @@ def growth_bytes(page: Page, frames: tuple[int, int], lead_frames: int) -> int:
     found: list[list[int]] = []
     for frame in frames:
         page.run(PLAY_UNTIL, frame)
-        page.wait(f"{PLAYER}.state.endFrame - {PLAYER}.state.frame >= {lead_frames}", 60)
+        page.wait(f"{PLAYER}.state.endFrame - {PLAYER}.state.frame >= {lead_frames}", 300)
         found.append(page.heaps_bytes())
     assert len(found[0]) == 3
     before, after = found
@@ -65,6 +65,7 @@ def growth_bytes(page: Page, frames: tuple[int, int], lead_frames: int) -> int:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)
 def test_five_thousand_frames(page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One after another, as fast as they come: what is kept of each frame, picture or object would
     show. It takes 24 bytes a frame for a leak; what V8 and the styles that Blink remembers of the

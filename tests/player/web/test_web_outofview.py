@@ -86,7 +86,8 @@ def test_a_frame_below_the_fold(page: Page, url: str, tmp_path: Path) -> None:
         assert not page.complaints
 
 
-def test_out_of_view_for_a_while(page: Page, url: str) -> None:
+@pytest.mark.parametrize("rest_s", [2, pytest.param(60, marks=pytest.mark.slow)])
+def test_out_of_view_for_a_while(page: Page, url: str, rest_s: int) -> None:
     """Memory stays as it was in view, within 10 %; picture in picture keeps a player going."""
     page.open(f"{url}/element.html", 400, 300)
     page.wait(f"{PLAYER} !== undefined")
@@ -105,7 +106,7 @@ def test_out_of_view_for_a_while(page: Page, url: str) -> None:
     page.run("release()")
     page.wait(f"!{STATE}.playing")
 
-    time.sleep(2)
+    time.sleep(rest_s)
     frame = page.run(f"return {STATE}.frame")
     assert sum(page.heaps_bytes()) < 1.1 * in_view_bytes
     assert page.run(f"return {STATE}.frame") == frame

@@ -64,7 +64,7 @@ def test_it_plays_pauses_seeks_and_ends(watched: Page, tmp_path: Path) -> None:
 def test_keys_work_before_anything_is_clicked(watched: Page) -> None:
     root = "document.querySelector('swings-player').shadowRoot"
     watched.press("i")
-    watched.wait(f"!{root}.querySelector('.stats').hidden")
+    watched.wait(f"{root}.querySelector('.stats')?.hidden === false")
     watched.press("Space")
     watched.wait(f"{STATE}.playing")
     watched.press("Space")

@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
-from tests.support.hosted_streams import ServerProcess, served, wait_for_stream, write_stream
+from server.html.gallery import MANY
+from tests.support.hosted_streams import (
+    ServerProcess,
+    served,
+    static_host,
+    wait_for_stream,
+    write_stream,
+)
 from tests.support.web.chromium import Page
+from tests.support.web.galleries import open_page, write_gallery
+from tests.support.web.playerstates import SCREENS, Screen
 
 PLAYER = "document.querySelector('swings-player')?.player"
 NUM_STREAMS = 12
@@ -24,6 +34,20 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
     with served(root) as running:
         wait_for_stream(running, f"s{NUM_STREAMS - 1}")
         yield running
+
+
+@pytest.mark.parametrize("count", [1, 200])
+@pytest.mark.parametrize("screen", SCREENS, ids=lambda screen: screen.name)
+def test_a_gallery_of_any_size_fits(page: Page, tmp_path: Path, count: int, screen: Screen) -> None:
+    write_gallery(tmp_path, count)
+    with static_host(tmp_path) as url:
+        open_page(page, f"{url}/{count}.html", screen)
+        assert page.axe() == []
+        assert page.run("return document.documentElement.scrollWidth <= innerWidth")
+        assert len(shown(page)) == count
+        find = "return document.querySelector('input[type=search]')?.checkVisibility() ?? false"
+        assert page.run(find) is (count >= MANY)
+        assert not [line for line in page.complaints if "favicon" not in line]
 
 
 def shown(page: Page) -> list[str]:
@@ -59,7 +83,7 @@ def test_cards_are_found_and_sorted(page: Page, server: ServerProcess) -> None:
 
 
 def test_the_page_of_a_stream(page: Page, server: ServerProcess) -> None:
-    page.open(f"{server.url}/watch/s3?autoplay=0", 390, 844)
+    page.open(f"{server.url}/watch/s3?autoplay=0", 390, 844, touch=True)
     page.wait(f"{PLAYER}?.shownFrame >= 0", 60)
     assert page.axe() == []
     page.click("button[popovertarget=embed]")

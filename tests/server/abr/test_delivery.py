@@ -19,7 +19,7 @@ from server.abr.playout import PlayoutClock
 from server.abr.session import PlaySession, SessionConfig
 from server.abr.sweep import Sweep
 from server.study.simulate.simulator import Shown, play_out, send_bytes, simulate
-from tests.support.delivery.media import MadeMedia, basketball_media
+from tests.support.delivery.media import MadeMedia, basketball_media, sizes_of
 
 LATENCY_S = 0.02
 CONFIG = SessionConfig()
@@ -179,9 +179,15 @@ def test_the_simulator_is_the_same_every_time() -> None:
 
 
 @pytest.mark.parametrize("steps_before", [0, 20])
-def test_a_still_picture_gets_all_layers(steps_before: int) -> None:
-    media, frame, now_s = basketball_media(120), 60, 0.0
-    session = PlaySession(media, Sweep(), CONFIG, now_s, frame)
+@pytest.mark.parametrize("frame", [60, 73, 88, 89])
+@pytest.mark.parametrize("until_frame", [None, 105])
+def test_a_still_picture_gets_all_layers(
+    frame: int, steps_before: int, until_frame: int | None
+) -> None:
+    """Wherever it is in its segment, also where the next segment's snapshot costs less than its own
+    with the changes since."""
+    media, now_s = MadeMedia((sizes_of((3e3, 3e3, 1.5e3), (28, 1, 0.5)),)), 0.0
+    session = PlaySession(media, Sweep(), CONFIG, now_s, frame, until_frame)
     for n in range(2000):
         if n == steps_before:
             frame = session.next_frame

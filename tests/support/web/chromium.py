@@ -62,7 +62,7 @@ class Page:
         """What `code` returns, the body of an async function of `value`."""
         return self._do("run", code=code, value=value)
 
-    def wait(self, code: str, timeout_s: float = 20) -> None:
+    def wait(self, code: str, timeout_s: float = 60) -> None:
         """Until the expression `code` is true."""
         self._do("wait", code=code, timeoutS=timeout_s)
 

@@ -104,7 +104,12 @@ class Reached:
         self.page.wait(f"{frame}?.dataset.condition === '{condition}'", 60)
 
     def click(self, part: str) -> None:
+        self.page.wait(f"{ELEMENT}.shadowRoot.querySelector('{part}')", 60)
         self.page.run(f"{ELEMENT}.shadowRoot.querySelector('{part}').click()")
+
+    def shows(self, part: str) -> None:
+        """Waits for a part that is loaded when it is first used."""
+        self.page.wait(f"{ELEMENT}.shadowRoot.querySelector('{part}')?.checkVisibility()", 60)
 
 
 def _start(at: Reached) -> None:
@@ -177,6 +182,7 @@ def _context_lost(at: Reached) -> None:
 def _menu(at: Reached) -> None:
     _paused(at)
     at.click(".more")
+    at.shows(".menu")
 
 
 def _speed(at: Reached) -> None:
@@ -187,18 +193,20 @@ def _speed(at: Reached) -> None:
 def _keys(at: Reached) -> None:
     _paused(at)
     at.page.press("?")
+    at.shows("dialog")
 
 
 def _statistics(at: Reached) -> None:
     _paused(at)
     at.page.press("i")
+    at.shows(".stats")
 
 
 def _preview(at: Reached) -> None:
     _paused(at)
     scrub = f"{ELEMENT}.shadowRoot.querySelector('.scrub')"
     at.page.run(f"{scrub}.value = 90; {scrub}.dispatchEvent(new Event('input'))")
-    at.page.wait(f"!{ELEMENT}.shadowRoot.querySelector('.tile').hidden")
+    at.shows(".tile")
 
 
 def _forced_colours(at: Reached) -> None:
@@ -208,6 +216,7 @@ def _forced_colours(at: Reached) -> None:
 def _forced_menu(at: Reached) -> None:
     _forced_colours(at)
     at.click(".more")
+    at.shows(".menu")
 
 
 def _still(at: Reached) -> None:
