@@ -14,7 +14,7 @@ from codec.errors import InvalidError, SwingsError
 from codec.storage.openstorage import Target, open_growing
 from codec.stream.manifest import MANIFEST_NAME
 from codec.stream.writer import SHAPE
-from trainer.fit.trainer import Observer
+from trainer.fit.observer import Observer
 
 SERVE_LOG_NAME = "serve.log"
 """The server's log, in the work folder."""
