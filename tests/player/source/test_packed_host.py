@@ -97,13 +97,17 @@ def requests_to_first_picture(host: RangeHost, path: str, adaptive: bool) -> int
 
 
 @pytest.mark.parametrize("adaptive", [False, True])
-def test_the_first_picture_takes_one_request_less_than_from_a_folder(
-    host: RangeHost, adaptive: bool
-) -> None:
-    folder = requests_to_first_picture(host, "s", adaptive)
-    packed = requests_to_first_picture(host, "s.swings", adaptive)
-    # One range has both the manifest and the index.
-    assert packed <= folder - 1
+def test_opening_takes_one_request_instead_of_two(host: RangeHost, adaptive: bool) -> None:
+    """How many follow in an adaptive play before its first picture depends on time."""
+    for path, expected in (("s", 2), ("s.swings", 1)):
+        host.asked.clear()
+        with opened(f"{host.url}/{path}", adaptive=adaptive):
+            assert len(host.asked) == expected
+
+
+def test_the_first_picture_takes_one_request_less_than_from_a_folder(host: RangeHost) -> None:
+    folder = requests_to_first_picture(host, "s", False)
+    assert requests_to_first_picture(host, "s.swings", False) == folder - 1
 
 
 def test_with_a_long_index_it_takes_as_many_as_from_a_folder(
