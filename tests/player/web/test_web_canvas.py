@@ -10,12 +10,19 @@ import pytest
 from codec.stream.reader import StreamReader
 from codec.tools.static import export_static
 from tests.support.hosted_streams import static_host, write_stream
-from tests.support.web.canvas import ELEMENT, PIXELS, PLAYER, canvas_of, expected_of, psnr_db
+from tests.support.web.canvas import (
+    ELEMENT,
+    LEAST_PSNR_DB,
+    PIXELS,
+    PLAYER,
+    canvas_of,
+    expected_of,
+    psnr_db,
+)
 from tests.support.web.chromium import Page
 
 ROOT = Path(__file__).parents[3]
 WIDTH_PX, HEIGHT_PX = 320, 240
-LEAST_PARITY_DB = 55.0
 
 COUNT = """
 window.numRequests = 0;
@@ -61,7 +68,7 @@ def test_it_follows_the_pixel_ratio(opened: Page, folder: Path) -> None:
         picture = canvas_of(opened)
         assert picture.shape == (height_px, width_px, 3)
         expected = expected_of(reader, whole.fitted(width_px, height_px))
-        assert psnr_db(picture, expected) >= LEAST_PARITY_DB
+        assert psnr_db(picture, expected) >= LEAST_PSNR_DB
 
 
 def test_it_rests_when_nothing_changes(opened: Page) -> None:

@@ -3,52 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-from codec.tools.static import export_static
-from tests.support.hosted_streams import static_host, write_stream
+from tests.support.hosted_streams import write_stream
 from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.updates import small_layout
+from tests.support.web.canvas import PLAYER
 from tests.support.web.chromium import Page
-
-ROOT = Path(__file__).parents[3]
-PLAYER = "document.querySelector('swings-player').player"
-PLAY_UNTIL = """
-const { player } = document.querySelector("swings-player");
-let [played, last] = [window.played ?? 0, player.state.frame];
-await new Promise((resolve) => {
-  const look = () => {
-    const { frame } = player.state;
-    played += frame - last + (frame < last ? player.numFrames : 0);
-    last = frame;
-    if (played < value) return;
-    player.removeEventListener("state", look);
-    resolve();
-  };
-  player.addEventListener("state", look);
-  player.setPlaying(true);
-});
-window.played = played;
-player.setPlaying(false);
-"""
-"""Plays on until `value` frames have been played in all."""
-
-
-@contextmanager
-def opened(page: Page, folder: Path, rate: int, buffer_mb: float) -> Iterator[Page]:
-    """The page, paused at the first frame of the stream in `folder`."""
-    export_static(folder / "stream", folder / "static")
-    (folder / "web").symlink_to(ROOT / "player" / "web")
-    with static_host(folder) as url:
-        page.open(f"{url}/web/watch.html?src=../static&autoplay=0&buffer-mb={buffer_mb}", 160, 120)
-        page.wait(f"{PLAYER}?.shownFrame >= 0", 60)
-        page.run(f"{PLAYER}.setRate({rate})")
-        yield page
-        assert not page.complaints
+from tests.support.web.heaps import PLAY_UNTIL, opened
 
 
 def growth_bytes(page: Page, frames: tuple[int, int], lead_frames: int) -> int:

@@ -19,11 +19,11 @@ from tests.support.reference_render import cameras_all_round, drawn_psnr_db
 from tests.support.slots.slot_streams import write_busy_stream
 from tests.support.slots.updates import small_layout
 from tests.support.web.browsercamera import for_browser
+from tests.support.web.canvas import LEAST_PSNR_DB, psnr_db
 from tests.support.web.chromium import Page
 
 ROOT = Path(__file__).parents[3]
 FRAME = 7
-LEAST_PSNR_DB = 45.0
 
 
 def made_stream(path: Path, kind: str) -> Path:
@@ -44,8 +44,7 @@ def test_a_picture(page: Page, tmp_path: Path, kind: str) -> None:
     splats = reader.active_splats(FRAME, reader.manifest.num_layers)
     expected = render_splats(splats, camera, reader.manifest.near_m).clip(0, 1)
     assert expected.mean() > 0.05
-    psnr_db = -10 * np.log10(np.mean((picture - expected) ** 2))
-    assert psnr_db >= LEAST_PSNR_DB
+    assert psnr_db(picture, expected) >= LEAST_PSNR_DB
 
 
 def test_what_is_behind_a_camera_that_has_just_turned(page: Page, tmp_path: Path) -> None:

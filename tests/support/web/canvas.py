@@ -22,7 +22,7 @@ ELEMENT = "document.querySelector('swings-player')"
 PLAYER = f"{ELEMENT}.player"
 STATE = f"{PLAYER}.state"
 
-LEAST_PSNR_DB = 45.0
+LEAST_PSNR_DB = 55.0
 """Of what is drawn to what the CPU renderer draws."""
 
 
