@@ -89,7 +89,7 @@ class Colour(Edit):
         if before is not None and self.rounds:
             held = before.numbers()[:, 3 + COLOURS : -1]
             made = np.where(np.abs(colours - held) <= HOLD, held, made)
-        fits: Flags = ((made >= -128) & (made <= 127)).all(axis=1)
+        fits: Flags = np.all((made >= -128) & (made <= 127), axis=1)
         attributes = states.attributes.copy()
         attributes[:, COLOURS:-1] = np.clip(made, -128, 127).astype(np.int16).astype(np.uint8)
         return States(states.positions, attributes), fits

@@ -134,7 +134,7 @@ class Transform(Edit):
         attributes[:, COLOURS:-1] = np.rint(colours).reshape(len(states), 3 * count)
         fits: Flags = (np.abs(made[:, :3]) < POSITION_LIMIT).all(axis=1)
         signed = attributes[:, :-1]
-        fits &= ((signed >= -128) & (signed <= 127)).all(axis=1)
+        fits = fits & ((signed >= -128) & (signed <= 127)).all(axis=1)
         made[~fits] = 0
         return (
             States(made[:, :3].astype(np.int32), made[:, 3:].astype(np.int16).astype(np.uint8)),
@@ -166,5 +166,6 @@ def _harmonics_matrix(turn: Doubles, sh_degree: int) -> Doubles:
     """(K, K) what a turn makes of the coefficients of a colour channel."""
     count = sh_count(sh_degree)
     unit = np.repeat(np.eye(count, dtype=np.float64)[:, :, None], 3, axis=2)
-    turned: Doubles = turned_harmonics(unit, turn)[:, :, 0].T  # type: ignore[arg-type]
+    # Exact in double precision, which the function keeps.
+    turned: Doubles = np.asarray(turned_harmonics(unit, turn)[:, :, 0].T, np.float64)  # type: ignore[arg-type]
     return turned

