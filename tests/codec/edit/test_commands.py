@@ -74,6 +74,7 @@ def test_what_goes_wrong_is_one_line_and_leaves_nothing(stream: Path, tmp_path: 
     done = run("swings-stream", "edit", "trim", stream, stream, "--frames", ":3")
     assert done.returncode == 1
     assert segment_files(stream) == before
-    for arguments in (["polish"], ["floaters", stream, out, "--cameras", 0], ["trim", stream, out]):
-        assert run("swings-stream", "edit", *arguments).returncode == 2
+    no_cameras = ["floaters", stream, out, "--cameras", 0]
+    for misused in (["polish"], no_cameras, ["trim", stream, out]):
+        assert run("swings-stream", "edit", *misused).returncode == 2
     assert list(tmp_path.iterdir()) == []
