@@ -72,6 +72,17 @@ MADE = {
     "swings-stream import my-frames my-video --fps 30": "my-video/index.bin",
     "swings-stream export my-stream frame.sog --frame 1": "frame.sog",
     "swings-stream export my-stream site/stream --static": "site/stream/manifest.json",
+    "swings-stream edit crop my-stream my-crop --box -1 0 -1 1 2 1": "my-crop/index.bin",
+    "swings-stream edit crop my-stream my-ball --sphere 0 1 0 1.5": "my-ball/index.bin",
+    "swings-stream edit crop my-stream my-walk --keyframes region.json": "my-walk/index.bin",
+    "swings-stream edit transform my-stream my-turned --turn 90 0 0 --scale 3": (
+        "my-turned/index.bin"
+    ),
+    "swings-stream edit colour my-stream my-graded --exposure 0.5 --white 0.9 0.8 0.7 "
+    "--gain 1 1 0.95": "my-graded/index.bin",
+    "swings-stream edit floaters my-stream my-clean": "my-clean/index.bin",
+    "swings-stream edit trim my-stream my-part --frames 10:30": "my-part/index.bin",
+    "swings-stream edit join my-intro my-film --then my-stream": "my-film/index.bin",
     "swings-play my-stream": "played.mp4",
     "swings-play my-stream --capture out.mp4": "out.mp4",
     "swings-play my-stream --camera orbit --capture orbit.mp4": "orbit.mp4",
@@ -105,13 +116,17 @@ NOT_RUN = {"git clone <this repository> swings"}
 
 @pytest.fixture(scope="module")
 def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """With my-capture, my-stream, model.ply, my-frames and DIR, a folder of traces."""
+    """With my-capture, my-stream, my-intro, model.ply, my-frames, region.json as the guide has it,
+    and DIR, a folder of traces."""
     root = tmp_path_factory.mktemp("readme")
     write_dynerf(root / "my-capture", 5, 60)
     manifest = replace(seen_by(tiny_manifest(), root / "my-capture"), poster=POSTER_NAME)
     write_tiny(root / "my-stream", 40, manifest)
     run_words(root, "swings-stream export my-stream model.ply --frame 0")
     run_words(root, "swings-stream export my-stream my-frames/frame.ply --frames 0:3")
+    run_words(root, "swings-stream edit trim my-stream my-intro --frames :5")
+    (region,) = (words for words in WORDS if words.startswith('[{"frame"'))
+    (root / "region.json").write_text(region)
     (root / "DIR").mkdir()
     (root / "DIR" / "link.json").write_text(
         '[{"duration_ms": 60000, "bandwidth_kbps": 4000, "latency_ms": 20}]'
@@ -239,6 +254,8 @@ def all_options() -> frozenset[str]:
     """Those that any help tells."""
     told = ""
     subcommands = [["swings-stream", name] for name in ("info", "verify", "import", "export")]
+    kinds = ("crop", "transform", "colour", "floaters", "trim", "join")
+    subcommands += [["swings-stream", "edit", kind] for kind in kinds]
     for name, *words in [*([name] for name in ENTRY), *subcommands]:
         told += run_ok(name, *words, "--help")
     return frozenset(re.findall(r"--[a-z][a-z0-9.-]*", told))

@@ -12,10 +12,10 @@ from codec.storage.openstorage import Place
 from codec.stream.pictures import Draw
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
 
-from .colour import Colour, ColourOptions
 from .crop import Crop, CropOptions
 from .floaters import FloaterOptions, Floaters
 from .join import join_streams
+from .recolour import Colour, ColourOptions
 from .rewrite import Edited, Progress, open_source, rewrite
 from .transform import Transform, TransformOptions
 from .trim import trim

@@ -108,8 +108,8 @@ class Floaters(Edit):
         across = (camera.fx_px * x / safe + camera.cx_px) / camera.width_px
         down = (camera.fy_px * y / safe + camera.cy_px) / camera.height_px
         low, high = -self._options.margin, 1 + self._options.margin
-        seen: Flags = ahead & (across >= low) & (across <= high) & (down >= low) & (down <= high)
-        return seen
+        inside: Flags = ahead & (across >= low) & (across <= high) & (down >= low) & (down <= high)
+        return inside
 
     def keeps(self, turn: Turn) -> Flags:
         kept: Flags = self._seen[self._lives.of(turn)]

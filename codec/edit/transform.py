@@ -132,7 +132,7 @@ class Transform(Edit):
         count = len(self._harmonics)
         colours = given[:, COLOURS:-1].reshape(-1, 3, count) @ self._harmonics.T
         attributes[:, COLOURS:-1] = np.rint(colours).reshape(len(states), 3 * count)
-        fits: Flags = (np.abs(made[:, :3]) < POSITION_LIMIT).all(axis=1)
+        fits: Flags = np.abs(made[:, :3]).max(axis=1, initial=0) < POSITION_LIMIT
         signed = attributes[:, :-1]
         fits = fits & ((signed >= -128) & (signed <= 127)).all(axis=1)
         made[~fits] = 0
@@ -165,7 +165,5 @@ def _scaled(lattice: Lattice, scale: float) -> Lattice:
 def _harmonics_matrix(turn: Doubles, sh_degree: int) -> Doubles:
     """(K, K) what a turn makes of the coefficients of a colour channel."""
     count = sh_count(sh_degree)
-    unit = np.repeat(np.eye(count, dtype=np.float64)[:, :, None], 3, axis=2)
-    # Exact in double precision, which the function keeps.
-    turned: Doubles = np.asarray(turned_harmonics(unit, turn)[:, :, 0].T, np.float64)  # type: ignore[arg-type]
-    return turned
+    unit = np.repeat(np.eye(count, dtype=np.float32)[:, :, None], 3, axis=2)
+    return np.asarray(turned_harmonics(unit, turn)[:, :, 0].T, np.float64)

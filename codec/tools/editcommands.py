@@ -8,10 +8,10 @@ from typing import Annotated
 
 import tyro
 
-from codec.edit.colour import ColourOptions
 from codec.edit.crop import CropOptions
 from codec.edit.editing import edit_stream, join, trim_stream
 from codec.edit.floaters import FloaterOptions
+from codec.edit.recolour import ColourOptions
 from codec.edit.rewrite import Edited
 from codec.edit.transform import TransformOptions
 from codec.framerange import FRAMES, FrameRange

@@ -48,8 +48,8 @@ def test_one_edit_after_another(stream: Path, tmp_path: Path) -> None:
     assert told == [f"{tmp_path / 'both'}: {count} frames in 4 segments are intact"]
     made = StreamReader(tmp_path / "both").manifest
     assert (made.poster, made.storyboard) == ("poster.jpg", "storyboard.webp")
-    assert (tmp_path / "both" / "poster.jpg").stat().st_size > 500
-    assert (tmp_path / "both" / "storyboard.webp").stat().st_size > 500
+    assert (tmp_path / "both" / "poster.jpg").is_file()
+    assert (tmp_path / "both" / "storyboard.webp").is_file()
     before = StreamReader(stream).manifest
     apart = made.camera().position - 2 * before.camera().position
     np.testing.assert_allclose(apart, (1, 0, 0.5), atol=2 * before.lattice[0].position_m)
@@ -74,6 +74,7 @@ def test_what_goes_wrong_is_one_line_and_leaves_nothing(stream: Path, tmp_path: 
     done = run("swings-stream", "edit", "trim", stream, stream, "--frames", ":3")
     assert done.returncode == 1
     assert segment_files(stream) == before
-    for arguments in (["polish"], ["floaters", stream, out, "--cameras", 0], ["trim", stream, out]):
-        assert run("swings-stream", "edit", *arguments).returncode == 2
+    no_cameras = ["floaters", stream, out, "--cameras", 0]
+    for misused in (["polish"], no_cameras, ["trim", stream, out]):
+        assert run("swings-stream", "edit", *misused).returncode == 2
     assert list(tmp_path.iterdir()) == []

@@ -24,11 +24,10 @@ from .edit import HOLD, Edit
 DISPLAY_GAMMA = 2.2
 """Exponent from an encoded colour to light."""
 
-MAX_SHIFT_ERROR = 0.2
-"""Steps by which all colours may be off to the same side."""
-
 SPREAD = 1.05
-"""Factor of the steps where they would be farther off."""
+"""Factor of the steps of the colours, beside the gain. With exactly the gain, one gain for all
+channels would add the same fraction of a step to every colour, and all would be off to the same
+side."""
 
 Rgb = tuple[float, float, float]
 
@@ -62,12 +61,12 @@ class Colour(Edit):
     """Multiplies each colour channel by its gain."""
 
     keeps_pictures = False
+    rounds = True
 
     def __init__(self, options: ColourOptions, source: Manifest) -> None:
         """Raises InvalidError for gains that leave the bounds of a lattice."""
         self.gains = options.gains()
         self._source = source.lattice
-        self.rounds = bool(np.ptp(self.gains) > 0)
         try:
             self._lattices = tuple(map(self._scaled, source.lattice))
         except InvalidError as error:
@@ -86,10 +85,10 @@ class Colour(Edit):
         colours = to_luma(self._gained(rgb)).transpose(0, 2, 1) / self._lattices[layer].colour
         colours = colours.reshape(given.shape)
         made = np.rint(colours)
-        if before is not None and self.rounds:
+        if before is not None:
             held = before.numbers()[:, 3 + COLOURS : -1]
             made = np.where(np.abs(colours - held) <= HOLD, held, made)
-        fits: Flags = np.all((made >= -128) & (made <= 127), axis=1)
+        fits: Flags = (made.min(axis=1) >= -128) & (made.max(axis=1) <= 127)
         attributes = states.attributes.copy()
         attributes[:, COLOURS:-1] = np.clip(made, -128, 127).astype(np.int16).astype(np.uint8)
         return States(states.positions, attributes), fits
@@ -106,14 +105,9 @@ class Colour(Edit):
 
     def _scaled(self, lattice: Lattice) -> Lattice:
         """`lattice` with steps of the colours that grow with them, so that they take no more bytes
-        than before.
-
-        With one gain for all channels every integer then moves by the same number of steps, and no
-        other rounding is needed, if that is about a whole number. If it is not, all colours would
-        be off to the same side: steps that are a little longer spread the error.
-        """
-        step = lattice.colour * float(self.gains.max())
-        shift = (float(self.gains[0]) - 1) * 0.5 / SH_C0 / step
-        if not self.rounds and abs(shift - round(shift)) > MAX_SHIFT_ERROR:
-            step *= SPREAD
-        return replace(lattice, colour=step)
+        than before; where colours get darker, steps shrink less than they, for an error shows as
+        much as before."""
+        gain = float(self.gains.max())
+        if (self.gains == 1).all():
+            return lattice
+        return replace(lattice, colour=lattice.colour * max(gain, gain**0.5) * SPREAD)
