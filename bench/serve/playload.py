@@ -23,6 +23,7 @@ import msgpack
 import numpy as np
 
 from bench.serve.processes import cpu_s, machine_cpu_s, rss_bytes
+from codec.stream.playrecord import PACKETS_KEY
 
 READ_BYTES = 1 << 20
 LENGTH = struct.Struct("<I")
@@ -179,7 +180,7 @@ class Load:
                 self.who.append(client.number)
                 self.birth.append(value["birth"] if value["kind"] == "slice" else value["frame"])
                 self.first.append(value.get("first", 0))
-                self.layers.append(len(value["frames"]))
+                self.layers.append(len(value[PACKETS_KEY]))
                 self.at_s.append(now_s)
             at = end
         del pending[:at]
