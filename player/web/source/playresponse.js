@@ -47,6 +47,7 @@ export class PlayResponse {
     this.parser = new RecordParser();
     /** @type {import("../constants.js").PlayRecord[]} parsed, but not handed out */
     this.records = [];
+    this.uncountedBytes = 0;
   }
 
   /**
@@ -79,10 +80,10 @@ export class PlayResponse {
 
   /**
    * The next record; null at the end of the body. Rejects with a GoneError, or with a FormatError.
-   * @param {(numBytes: number) => void} [onBytes] called with the size of each piece, decoded
+   * @param {(numBytes: number) => void} [onBytes] called with the decoded bytes that no call has had yet
    * @returns {Promise<import("../constants.js").PlayRecord | null>}
    */
-  async next(onBytes = () => {}) {
+  async next(onBytes) {
     while (this.records.length === 0) {
       let piece;
       try {
@@ -91,8 +92,12 @@ export class PlayResponse {
         throw new GoneError(GONE);
       }
       if (piece.done) return null;
-      onBytes(piece.value.length);
+      this.uncountedBytes += piece.value.length;
       this.records = this.parser.feed(piece.value);
+    }
+    if (onBytes) {
+      onBytes(this.uncountedBytes);
+      this.uncountedBytes = 0;
     }
     return this.records.shift() ?? null;
   }
