@@ -72,6 +72,8 @@ MADE = {
     "swings-stream import my-frames my-video --fps 30": "my-video/index.bin",
     "swings-stream export my-stream frame.sog --frame 1": "frame.sog",
     "swings-stream export my-stream site/stream --static": "site/stream/manifest.json",
+    "swings-stream pack my-stream my-stream.swings": "my-stream.swings",
+    "swings-stream export my-stream site/stream.swings --static": "site/stream.swings",
     "swings-stream edit crop my-stream my-crop --box -1 0 -1 1 2 1": "my-crop/index.bin",
     "swings-stream edit crop my-stream my-ball --sphere 0 1 0 1.5": "my-ball/index.bin",
     "swings-stream edit crop my-stream my-walk --keyframes region.json": "my-walk/index.bin",
@@ -95,6 +97,9 @@ MADE = {
 ELSEWHERE = {
     "swings-serve s3://BUCKET/STREAMS": "server/library/test_storelibrary.py",
     "swings-stream verify s3://BUCKET/STREAMS/NAME": "codec/storage/test_objectstore.py",
+    "swings-stream unpack my-stream.swings my-folder": "codec/tools/test_packing.py",
+    "swings-serve FOLDER": "server/library/test_packedlibrary.py",
+    "swings-play https://streams.example.com/my-stream.swings": "player/source/test_packed_host.py",
     "python -m fuzz": "codec/test_fuzz.py",
     "python -m fuzz FOUND fuzz/corpus": "codec/test_fuzz.py",
     "python -m fuzz http FOUND": "server/clients/test_fuzz.py",
