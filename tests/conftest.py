@@ -61,9 +61,9 @@ def pytest_collection_finish(session: pytest.Session) -> None:
 
 
 def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
-    """Runs a test that measures time again if it failed while the machine had no time to spare,
-    and only then."""
-    if item.get_closest_marker(REALTIME) is None:
+    """Runs a test that measures time, or waits for a browser's pictures, again if it failed while
+    the machine had no time to spare, and only then."""
+    if item.get_closest_marker(REALTIME) is None and _group(item) != "web":
         return None
     hooks = item.ihook
     hooks.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
