@@ -22,6 +22,7 @@ from codec.slots.slotencoder import SlotEncoder
 from codec.slots.slotlayout import SlotLayout
 from codec.splats import Splats
 from codec.stream.layers import given_rank
+from codec.stream.object import encode_packet
 from codec.stream.wholeslice import whole_update
 from player.render.cpu import render_splats
 from trainer.capture.capture import Mask
@@ -127,6 +128,8 @@ def _train_with_slots(config: FitConfig, pictures: _Noise, initial: Splats) -> N
                 for layer, snapshot in enumerate(encoder.snapshots()):
                     decoder.load(snapshot.data, layer, 0)
             elif encoded is not None:
+                for change in encoded.changes:
+                    encode_packet(change)
                 changes = [change.data for change in encoded.changes]
                 decoder.apply(update.birth, encoded.mask.data, changes)
     decoder.whole(update.birth)
