@@ -110,7 +110,7 @@ def test_what_cannot_be_compared_gets_one_line_and_leaves_nothing(
         write_side_by_side(config_of(folder), "nobody", tmp_path / "out")
     arguments = (folder / "stream", folder / "capture", "--compare", "x")
     for words, message in (
-        ((tmp_path / "out.gif",), "name an .mp4 file, or a folder"),
+        ((tmp_path / "out.gif",), "name an .mp4 or .mov file, or a folder"),
         ((tmp_path / "out", "--json"), "--compare draws and does not score"),
         ((tmp_path / "out", "--sheet", "s.png"), "--compare draws and does not score"),
     ):
