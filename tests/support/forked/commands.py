@@ -32,6 +32,7 @@ class CommandServer:
             env={**environment, "PYTHONPATH": str(ROOT)},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
+            bufsize=0,  # a line that Python had read ahead would be waited for
         )
         atexit.register(self.close)
 
@@ -70,7 +71,6 @@ class CommandServer:
         assert self._process.stdout is not None
         if not select.select([self._process.stdout], [], [], timeout_s)[0]:
             return None
-        # Unbuffered below: one line at a time is on its way.
         return int(self._process.stdout.readline())
 
     def close(self) -> None:
