@@ -86,6 +86,9 @@ CONSTANTS: dict[ModuleType, str] = {
 }
 """By module the constants that the browser needs; NAME=OTHER: the module calls it OTHER."""
 
+MOST_COLUMNS = 100
+"""Of a line of JavaScript."""
+
 RECORDS = {
     "start": playrecord.StartRecord,
     "slice": playrecord.SliceRecord,
@@ -129,7 +132,11 @@ def constants() -> str:
         lines += ["", f"// {module.__name__}"]
         for name in names.split():
             ours, _, theirs = name.partition("=")
-            lines.append(f"export const {ours} = {value(getattr(module, theirs or ours))};")
+            text = value(getattr(module, theirs or ours))
+            line = f"export const {ours} = {text};"
+            if len(line) > MOST_COLUMNS and text.startswith("["):  # as prettier breaks it
+                line = f"export const {ours} = [\n  {text[1:-1]},\n];"
+            lines.append(line)
     lines += ["", "/**", f" * {playrecord.__name__}"]
     for kind, record in RECORDS.items():
         fields = "".join(
