@@ -45,7 +45,7 @@ FPS = 30
 
 @dataclass(frozen=True, slots=True)
 class DegreesBenchConfig:
-    """What is drawn, and how often."""
+    """Scene, picture size and number of rounds."""
 
     gaussians: int = 200_000
     """Gaussians of a frame, a multiple of 5."""

@@ -10,8 +10,13 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+import numpy.typing as npt
 
 from codec.kernel import kernel
+
+from .effort import Effort
+
+Ints = npt.NDArray[np.int64]
 
 MAX_JOINED_PLANES = 8
 """Planes tried in one block; bounds the work for chunks with many SH planes."""
@@ -23,22 +28,32 @@ value up to the largest in the block."""
 TABLE: Table = 12.0, 0.25
 
 TABLES: tuple[Table, ...] = TABLE, (16.0, 0.15), (8.0, 0.25), (12.0, 0.1)
-"""Estimates to try where bytes matter more than time: each is the best one for some chunks."""
+"""The estimates of Effort.MOST: each is the best one for some chunks."""
 
 
-def join_planes(content: memoryview, edges: Sequence[int], table: Table = TABLE) -> list[int]:
-    """Those of `edges` where blocks should end to cost least, by their entropy and their tables."""
+def divisions(
+    content: memoryview, edges: Sequence[int], effort: Effort = Effort.USUAL
+) -> list[tuple[int, ...]]:
+    """The offsets, from 0 to the end, between blocks of `content`: those of its plane `edges` at
+    which blocks should end to cost least, by their entropy and their tables. Effort.MOST gives
+    several such divisions to try."""
+    edges = sorted(set(edges))
     planes = [
         np.bincount(np.frombuffer(content[a:b], np.uint8), minlength=256)
         for a, b in pairwise(edges)
     ]
     totals = np.concatenate([np.zeros((1, 256), np.int64), np.cumsum(planes, axis=0)])
+    tables = TABLES if effort is Effort.MOST else (TABLE,)
+    return list(dict.fromkeys(_cheapest_division(totals, edges, table) for table in tables))
+
+
+def _cheapest_division(totals: Ints, edges: Sequence[int], table: Table) -> tuple[int, ...]:
     origin = np.zeros(len(edges), np.int64)
     _cheapest(totals, MAX_JOINED_PLANES, *table, origin)
     chosen = [len(edges) - 1]
     while chosen[-1]:
         chosen.append(int(origin[chosen[-1]]))
-    return [edges[i] for i in reversed(chosen)]
+    return tuple(edges[i] for i in reversed(chosen))
 
 
 @kernel(nogil=True)

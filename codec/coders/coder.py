@@ -9,7 +9,7 @@ from enum import IntEnum
 from codec.errors import CorruptError
 
 from . import gzip, zstd
-from .blocks import TABLE, Table
+from .effort import Effort
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,17 +47,15 @@ def compress(
     content: bytes,
     edges: Sequence[int] = (),
     coder: Coder = Coder.ZSTD,
-    tables: Sequence[Table] = (TABLE,),
-    is_quick: bool = False,
+    effort: Effort = Effort.USUAL,
 ) -> bytes:
-    """`content` as one packet; is_quick: zstd takes less time, and makes a little more of it.
+    """`content` as one packet.
 
     `edges` are the offsets, from 0 to the end, between its byte planes; without any it is float32.
-    tables: see `join_planes`; the smallest result counts.
     """
     if coder is Coder.GZIP:
-        return gzip.compress(content, edges, tables)
-    return zstd.compress(content, edges, tables, is_quick)
+        return gzip.compress(content, edges, effort)
+    return zstd.compress(content, edges, effort)
 
 
 def decompress(packet: bytes | memoryview, limit_bytes: int) -> bytes:

@@ -14,7 +14,8 @@ from itertools import pairwise
 
 from codec.errors import CorruptError
 
-from .blocks import TABLE, Table, join_planes
+from .blocks import divisions
+from .effort import Effort
 
 MAGIC = b"\x1f\x8b\x08\x00"
 """gzip, deflate, and no flag: neither name nor comment nor anything else in the head."""
@@ -50,18 +51,14 @@ def _deflate(content: memoryview, cuts: Sequence[int], strategy: int) -> bytes:
     return b"".join(parts)
 
 
-def compress(
-    content: bytes, edges: Sequence[int] = (), tables: Sequence[Table] = (TABLE,)
-) -> bytes:
+def compress(content: bytes, edges: Sequence[int] = (), effort: Effort = Effort.USUAL) -> bytes:
     """`content` as one gzip member.
 
     `edges` are the offsets, from 0 to the end, between its byte planes; without any it is float32.
-    tables: see `join_planes`; the smallest result counts.
+    Effort.QUICK takes as long as Effort.USUAL.
     """
-    view, planes = memoryview(content), sorted(set(edges))
-    ways: dict[tuple[int, ...], None] = {(0, len(content)): None}
-    if planes and content:
-        ways = dict.fromkeys(tuple(join_planes(view, planes, table)) for table in tables)
+    view = memoryview(content)
+    ways = divisions(view, edges, effort) if edges and content else [(0, len(content))]
     deflated = min(
         (_deflate(view, cuts, strategy) for cuts in ways for strategy in STRATEGIES), key=len
     )

@@ -9,7 +9,8 @@ import zstandard
 
 from codec.errors import CorruptError
 
-from .blocks import TABLE, Table, join_planes
+from .blocks import divisions
+from .effort import Effort
 
 MAGIC = b"\x28\xb5\x2f\xfd"
 
@@ -30,22 +31,16 @@ MAX_EXPANSION = 1 << 15
 """zstd cannot inflate more: a block of 128 KiB takes 4 bytes at least."""
 
 
-def compress(
-    content: bytes,
-    edges: Sequence[int] = (),
-    tables: Sequence[Table] = (TABLE,),
-    is_quick: bool = False,
-) -> bytes:
-    """`content` as one zstd frame; is_quick: in less time, and a little larger.
+def compress(content: bytes, edges: Sequence[int] = (), effort: Effort = Effort.USUAL) -> bytes:
+    """`content` as one zstd frame.
 
     `edges` are the offsets, from 0 to the end, between its byte planes; without any it is float32.
-    tables: see `join_planes`; the smallest result counts.
     """
     if not edges or not content:
         return zstandard.ZstdCompressor(level=FLOATS_LEVEL, write_checksum=True).compress(content)
-    level = QUICK_LEVEL if is_quick else PLANES_LEVEL
-    view, planes = memoryview(content), sorted(set(edges))
-    ways = dict.fromkeys(tuple(join_planes(view, planes, table)) for table in tables)
+    level = QUICK_LEVEL if effort is Effort.QUICK else PLANES_LEVEL
+    view = memoryview(content)
+    ways = divisions(view, edges, effort)
     return min((_compress_blocks(view, cuts, level) for cuts in ways), key=len)
 
 

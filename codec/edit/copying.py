@@ -55,7 +55,7 @@ def renumbered(found: CheckedObject, birth: int, offset: int, coder: Coder) -> b
 
 
 def kind_of(part: Part) -> Kind:
-    """What the chunks of `part` are."""
+    """The kind of the chunks of `part`."""
     if part == MASKS:
         return Kind.MASK
     return Kind.SNAPSHOT if is_snapshot(part) else Kind.CHANGE

@@ -40,7 +40,7 @@ class _Part:
         slots, said = turn.slots, turn.statuses
         wanted = holds(slots.conditions) & edit.keeps(turn)
         had = holds(held.conditions)
-        # What the edited stream holds of a Gaussian that is not new is that Gaussian, if anything.
+        # Unless a Gaussian is new, its slot in the edited stream holds it already, or nothing.
         goes_on = wanted & had & (said != NEW)
         moves = np.flatnonzero(goes_on & (said == PREDICTED) & (held.conditions == ON_LATTICE))
         fresh = np.flatnonzero(wanted & ~(goes_on & (said == KEPT)))
@@ -83,7 +83,7 @@ class _Part:
 
 
 def _floats(turn: Turn, rows: Rows) -> Splats:
-    """What the slots `rows` hold in the source, as players decode it."""
+    """The Gaussians in the slots `rows` of the source, as players decode them."""
     slots = turn.slots
     splats = dequantise(slots.states.take(rows), turn.lattice)
     place_of = np.full(len(slots), -1, np.int64)

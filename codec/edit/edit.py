@@ -1,4 +1,4 @@
-"""What an edit does to the Gaussians of a stream, slot by slot; `rewrite` applies it.
+"""The interface of an edit: its effect on the Gaussians of each slot. `rewrite` applies it.
 
 Rule: an edit says what a slot holds afterwards. Whether that is kept, predicted or new follows from
 what the edited stream held there before, so an edit cannot make a stream that does not hold

@@ -22,7 +22,7 @@ from .trim import trim
 from .walk import Walk
 
 Options = CropOptions | TransformOptions | ColourOptions | FloaterOptions
-"""What `edit_stream` does to every frame."""
+"""Options of an edit that `edit_stream` applies to every frame."""
 
 
 def _nothing(done: int, total: int) -> None:

@@ -21,7 +21,7 @@ from .segmentfiles import SegmentFiles
 from .walk import SourceSlice, Walk
 
 SAME = ("fps", "swin_size", "slots", "lattice", "segment_frames", "sh_degree", "antialias")
-"""What joined streams have in common, by its name in the manifest."""
+"""Fields of the manifest in which joined streams must agree."""
 
 
 def join_streams(

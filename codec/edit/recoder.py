@@ -5,11 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from codec.coders.blocks import TABLES
-from codec.coders.coder import EncodedChunk, coder_of, compress
+from codec.coders.coder import EncodedChunk, coder_of
+from codec.coders.effort import Effort
 from codec.slots.slotdecoder import SlotDecoder
 from codec.slots.slotencoder import SlotEncoder
 from codec.stream.manifest import MASKS, Part, snapshot_part
+from codec.stream.object import encode_packet
 
 from .derive import derive
 from .edit import Edit
@@ -92,6 +93,4 @@ class Recoder:
     def _packet(self, chunk: EncodedChunk) -> bytes:
         """`chunk` as a packet, the smallest of several: it shall not take more than the one that it
         replaces."""
-        if not chunk.data:
-            return b""
-        return compress(chunk.data, chunk.edges, self._files.coder, TABLES)
+        return encode_packet(chunk, self._files.coder, Effort.MOST)

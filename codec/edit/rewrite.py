@@ -29,7 +29,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class Edited:
-    """What an edit wrote."""
+    """The result of an edit, in figures."""
 
     num_frames: int
     num_copied: int
@@ -42,7 +42,7 @@ class Edited:
     source_bytes: int
     """The same of the sources."""
     notes: tuple[str, ...] = ()
-    """What else a person should know, line by line."""
+    """More lines for the user."""
 
 
 def open_source(stream: Place, max_gaussians: int | None = DEFAULT_MAX_GAUSSIANS) -> StreamReader:

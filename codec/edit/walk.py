@@ -72,7 +72,7 @@ class Walk:
             yield found if birth >= len(self._decoder.lanes) else self._whole(birth)
 
     def decoder(self, frame: int) -> SlotDecoder:
-        """What a reader holds at `frame`; not to be altered, and valid until the walk goes on."""
+        """The state of a reader at `frame`; not to be altered, and valid until the walk goes on."""
         if self._decoder.frame != frame:
             self._seek(frame)
         return self._decoder

@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from codec.coders.effort import Effort
 from codec.errors import InvalidError
 from codec.framerange import FrameRange
 from codec.progressline import Counter
@@ -204,7 +205,7 @@ def _rehearse() -> None:
         encoded = encoder.append(filler.update(birth, frame))
         assert encoded is not None
         for chunk in (encoded.mask, *encoded.changes):
-            encode_packet(chunk, is_quick=True)
+            encode_packet(chunk, effort=Effort.QUICK)
 
 
 class _Waiting:
@@ -277,7 +278,7 @@ class _Follower:
             capture_frame=first.number,
             poster=poster,
         )
-        writer = StreamWriter.create(stream, manifest, is_quick=True)
+        writer = StreamWriter.create(stream, manifest, effort=Effort.QUICK)
         return _Follower(writer, options, follow, SlotFiller(plan, RANKS[options.rank]), troubles)
 
     @staticmethod
@@ -285,7 +286,7 @@ class _Follower:
         stream: Path, options: ImportOptions, follow: FollowOptions, troubles: Troubles
     ) -> _Follower:
         """The follower that goes on with `stream`."""
-        writer = StreamWriter.resume(stream, is_quick=True)
+        writer = StreamWriter.resume(stream, effort=Effort.QUICK)
         manifest = writer.manifest
         slots = manifest.slots
         lower, upper = (np.array(corner) for corner in manifest.bounds)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from codec.coders.coder import EncodedChunk
+from codec.coders.effort import Effort
 from codec.errors import InvalidError
 from codec.slice import Slice, window_births
 from codec.slots.slotdecoder import SlotDecoder
@@ -66,8 +67,8 @@ class Draft:
     whole: Whole
     """Makes an update of a slice that is sent whole."""
     scores_db: Scores = ()
-    is_quick: bool = False
-    """Whether packets are compressed in less time, for a few per cent more bytes."""
+    effort: Effort = Effort.USUAL
+    """Spent on making packets small."""
 
     @staticmethod
     def first(
@@ -75,13 +76,13 @@ class Draft:
         whole: Whole,
         quality: Quality | None,
         read: SlotDecoder | None = None,
-        is_quick: bool = False,
+        effort: Effort = Effort.USUAL,
     ) -> Draft:
         """The draft of the first segment, or of the one after what `read` has read."""
         encoder = SlotEncoder(manifest.slot_layout) if read is None else SlotEncoder.resumed(read)
         packets: dict[Part, Packets] = dict.fromkeys(manifest.parts, ())
         decoder = read if quality else None
-        return Draft(manifest, quality, encoder, decoder, packets, whole, is_quick=is_quick)
+        return Draft(manifest, quality, encoder, decoder, packets, whole, effort=effort)
 
     @staticmethod
     def opened(
@@ -113,7 +114,7 @@ class Draft:
             snapshots = enumerate(encoder.snapshots())
             parts += [(snapshot_part(layer), chunk) for layer, chunk in snapshots]
         for part, chunk in parts:
-            packets[part] = (*packets[part], (birth, encode_packet(chunk, is_quick=self.is_quick)))
+            packets[part] = (*packets[part], (birth, encode_packet(chunk, effort=self.effort)))
         after = replace(self, encoder=encoder, packets=packets)
         return after if self.quality is None else after._scored(birth)
 

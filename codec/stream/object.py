@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from codec.coders.coder import Coder, EncodedChunk, coder_of, compress, decompress
+from codec.coders.effort import Effort
 from codec.errors import CodecError, CorruptError, InvalidError, UnsupportedError
 
 from .manifest import VERSION
@@ -49,10 +50,11 @@ class ChunkEntry:
     size: int  # bytes
 
 
-def encode_packet(chunk: EncodedChunk, coder: Coder = Coder.ZSTD, is_quick: bool = False) -> bytes:
-    """`chunk` as one packet with content size and checksum; a chunk of no bytes as no bytes.
-    is_quick: see `compress`."""
-    return compress(chunk.data, chunk.edges, coder, is_quick=is_quick) if chunk.data else b""
+def encode_packet(
+    chunk: EncodedChunk, coder: Coder = Coder.ZSTD, effort: Effort = Effort.USUAL
+) -> bytes:
+    """`chunk` as one packet with content size and checksum; a chunk of no bytes as no bytes."""
+    return compress(chunk.data, chunk.edges, coder, effort) if chunk.data else b""
 
 
 def packet_content(packet: bytes | memoryview, limit_bytes: int) -> bytes:

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from functools import partial
 from types import TracebackType
 
+from codec.coders.effort import Effort
 from codec.errors import InvalidError
 from codec.slice import Slice
 from codec.slots.slotdecoder import SlotDecoder
@@ -48,7 +49,7 @@ class StreamWriter:
         quality: Quality | None,
         read: SlotDecoder | None = None,
         exact: bool = False,
-        is_quick: bool = False,
+        effort: Effort = Effort.USUAL,
     ) -> None:
         """Use `create` or `resume`. read: what a reader has at the end of `records`."""
         if rank not in RANKS:  # callers without a type checker pass any string
@@ -60,7 +61,7 @@ class StreamWriter:
         self._whole = partial(
             whole_update, layout=manifest.slot_layout, rank=RANKS[rank], exact=exact
         )
-        self._draft = Draft.first(manifest, self._whole, quality, read, is_quick)
+        self._draft = Draft.first(manifest, self._whole, quality, read, effort)
         self._closed = False
         self.next_birth = (
             records[-1].first_frame + records[-1].num_frames if records else manifest.first_birth
@@ -82,19 +83,19 @@ class StreamWriter:
         quality: Quality | None = None,
         exact: bool = False,
         in_use: bool = False,
-        is_quick: bool = False,
+        effort: Effort = Effort.USUAL,
     ) -> StreamWriter:
         """A writer of a new stream at `target`, which is absent, empty, or a place where a
         writer was killed before it was a stream.
 
         `rank` orders the Gaussians of each Slice into layers; `exact` keeps every float32 of it.
         `quality` scores every frame; the index holds its mean over each segment, or NaN without it.
-        in_use: the caller has checked the place, and keeps files of its own there. is_quick: see
-        `codec.coders.coder.compress`.
+        in_use: the caller has checked the place, and keeps files of its own there. effort: spent
+        on making packets small.
         """
         place = open_growing(target, SHAPE)
         live = manifest.with_live(True)
-        writer = cls(target, place, live, [], rank, quality, None, exact, is_quick)
+        writer = cls(target, place, live, [], rank, quality, None, exact, effort)
         place.begin(writer.manifest.to_json(), others_began=in_use)
         return writer
 
@@ -105,7 +106,7 @@ class StreamWriter:
         rank: Rank = Rank.OPACITY,
         quality: Quality | None = None,
         exact: bool = False,
-        is_quick: bool = False,
+        effort: Effort = Effort.USUAL,
     ) -> StreamWriter:
         """A writer that goes on after `target`'s last finished segment; `next_birth` says where."""
         reader = StreamReader(target, max_gaussians=None)
@@ -118,7 +119,7 @@ class StreamWriter:
         read = None
         if records:
             read = reader.decoder_at(reader.num_frames - 1, manifest.num_layers)
-        return cls(target, place, manifest, records, rank, quality, read, exact, is_quick)
+        return cls(target, place, manifest, records, rank, quality, read, exact, effort)
 
     @classmethod
     def piece(

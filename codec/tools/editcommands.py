@@ -24,89 +24,64 @@ Target = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
 
 
 @dataclass(frozen=True, slots=True)
-class Crop:
-    """Keep only the Gaussians whose centres lie in a region, frame by frame."""
+class _Job:
+    """The options that all edits share."""
 
     stream: Source
     """Folder of the stream, or its URL in an object store, such as s3://BUCKET/PATH."""
     out: Target
     """Folder of the new stream."""
-    options: Annotated[CropOptions, tyro.conf.arg(name="")] = field(default_factory=CropOptions)
-    max_gaussians: int = DEFAULT_MAX_GAUSSIANS
+    max_gaussians: int = field(default=DEFAULT_MAX_GAUSSIANS, kw_only=True)
     """Largest number of Gaussians a frame; a stream with more is refused."""
 
 
 @dataclass(frozen=True, slots=True)
-class Transform:
+class Crop(_Job):
+    """Keep only the Gaussians whose centres lie in a region, frame by frame."""
+
+    options: Annotated[CropOptions, tyro.conf.arg(name="")] = field(default_factory=CropOptions)
+
+
+@dataclass(frozen=True, slots=True)
+class Transform(_Job):
     """Scale, turn and move the scene; cameras, bounds and near plane go along."""
 
-    stream: Source
-    """Folder of the stream, or its URL in an object store, such as s3://BUCKET/PATH."""
-    out: Target
-    """Folder of the new stream."""
     options: Annotated[TransformOptions, tyro.conf.arg(name="")] = field(
         default_factory=TransformOptions
     )
-    max_gaussians: int = DEFAULT_MAX_GAUSSIANS
-    """Largest number of Gaussians a frame; a stream with more is refused."""
 
 
 @dataclass(frozen=True, slots=True)
-class Colour:
+class Colour(_Job):
     """Change exposure, white balance, or the gain of each channel."""
 
-    stream: Source
-    """Folder of the stream, or its URL in an object store, such as s3://BUCKET/PATH."""
-    out: Target
-    """Folder of the new stream."""
     options: Annotated[ColourOptions, tyro.conf.arg(name="")] = field(default_factory=ColourOptions)
-    max_gaussians: int = DEFAULT_MAX_GAUSSIANS
-    """Largest number of Gaussians a frame; a stream with more is refused."""
 
 
 @dataclass(frozen=True, slots=True)
-class Floaters:
+class Floaters(_Job):
     """Remove the Gaussians that too few cameras see at any time of their life."""
 
-    stream: Source
-    """Folder of the stream, or its URL in an object store, such as s3://BUCKET/PATH."""
-    out: Target
-    """Folder of the new stream."""
     options: Annotated[FloaterOptions, tyro.conf.arg(name="")] = field(
         default_factory=FloaterOptions
     )
-    max_gaussians: int = DEFAULT_MAX_GAUSSIANS
-    """Largest number of Gaussians a frame; a stream with more is refused."""
 
 
 @dataclass(frozen=True, slots=True)
-class Trim:
+class Trim(_Job):
     """Keep a range of frames. Segments whose frames keep their numbers are copied byte for byte."""
 
-    stream: Source
-    """Folder of the stream, or its URL in an object store, such as s3://BUCKET/PATH."""
-    out: Target
-    """Folder of the new stream."""
     frames: Annotated[FrameRange, FRAMES]
     """Range of frames A:B, A included, B not; A: runs to the last frame, :B begins at frame 0."""
-    max_gaussians: int = DEFAULT_MAX_GAUSSIANS
-    """Largest number of Gaussians a frame; a stream with more is refused."""
 
 
 @dataclass(frozen=True, slots=True)
-class Join:
-    """Put streams of the same layout one after another."""
+class Join(_Job):
+    """Put streams of the same layout one after another, with the cameras and title of STREAM."""
 
-    stream: Source
-    """Folder of the first stream, or its URL in an object store, such as s3://BUCKET/PATH. The new
-    stream has its cameras and title."""
-    out: Target
-    """Folder of the new stream."""
     then: Annotated[tuple[str, ...], tyro.conf.arg(metavar="STREAM [STREAM ...]")]
     """The streams that follow, in order. They must agree with the first in frame rate, slots,
     lattice, segments and SH degree, as parts and edits of one stream do."""
-    max_gaussians: int = DEFAULT_MAX_GAUSSIANS
-    """Largest number of Gaussians a frame; a stream with more is refused."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,7 +30,7 @@ class Extent:
     first_byte: int
     num_bytes: int
     file_bytes: int
-    """Of the larger file."""
+    """Size of the larger file."""
 
     def header(self, first_byte: int, end_byte: int) -> str:
         """The Range for a part of it, whose bytes count from its own first one."""
@@ -79,7 +79,7 @@ class Mirrors:
         return joined(base, reference, self._fetcher.config.other_hosts)
 
     def name(self, reference: str) -> str:
-        """What errors call the file that `reference` names. Raises FetchError."""
+        """The name of the file `reference` in errors. Raises FetchError."""
         url = self.url(reference)
         return url if self._find is None else f"{url}/{reference}"
 
@@ -236,7 +236,7 @@ class Span:
         self.url = mirrors.url(self._reference)
         """Where it is asked for now."""
         self.name = mirrors.name(self._reference)
-        """What errors call it."""
+        """Its name in errors."""
         if self._extent is not None:
             fields["Range"] = self._extent.header(self._at_byte, self._end_byte)
         elif (self._at_byte, self._end_byte) != (0, self._file_bytes):
