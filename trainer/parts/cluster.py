@@ -11,7 +11,7 @@ import secrets
 import signal
 import socket
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from typing import Any
 
@@ -40,9 +40,10 @@ def open_cluster(address: str, least_cpus: float, console: Console) -> Iterator[
         raise InvalidError(
             "--ray needs the package ray: pip install '.[ray]' in the folder of swings"
         ) from error
-    options: Mapping[str, Any] = {"address": address}
+    # Without an address Ray would join a cluster that RAY_ADDRESS or a killed driver's files name.
+    options: dict[str, Any] = {"address": address}
     if address == LOCAL:
-        options = {"num_cpus": max(os.cpu_count() or 1, math.ceil(least_cpus))}
+        options["num_cpus"] = max(os.cpu_count() or 1, math.ceil(least_cpus))
     _check_listens(address)
     try:
         with _keeping_signals():

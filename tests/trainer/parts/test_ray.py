@@ -159,7 +159,7 @@ def test_what_a_worker_cannot_train_is_one_line(capture: Path, tmp_path: Path) -
     assert "Traceback" not in done.stderr
 
 
-def test_others_cannot_use_a_cluster_of_this_machine_alone() -> None:
+def test_a_cluster_of_this_machine_alone_is_a_new_one_that_others_cannot_use() -> None:
     code = """
 import os, subprocess, sys
 from rich.console import Console
@@ -174,7 +174,8 @@ with open_cluster("local", 1, Console()) as ray:
         print(done.returncode, b"token" in done.stderr, file=sys.stderr)
 """
     argv = [sys.executable, "-c", code]
-    done = subprocess.run(argv, env=environment(), capture_output=True, text=True, timeout=100)
+    elsewhere = {**environment(), "RAY_ADDRESS": "127.0.0.1:1"}  # where no cluster is
+    done = subprocess.run(argv, env=elsewhere, capture_output=True, text=True, timeout=100)
     assert done.stderr.splitlines() == ["0 False", "1 True", "1 True"]
 
 
