@@ -80,6 +80,27 @@ def ending_by_signals() -> Iterator[None]:
             signal.signal(number, signal.SIG_DFL)
 
 
+@contextmanager
+def interruptible() -> Iterator[threading.Event]:
+    """Gives an event that the first Ctrl-C in the block sets, so that what runs can end well;
+    a second one raises KeyboardInterrupt. Outside the main thread nothing sets it."""
+    asked = threading.Event()
+
+    def stop(number: int, frame: object) -> None:
+        if asked.is_set():
+            raise KeyboardInterrupt
+        asked.set()
+
+    if threading.current_thread() is not threading.main_thread():
+        yield asked
+        return
+    before = signal.signal(signal.SIGINT, stop)
+    try:
+        yield asked
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def printable(text: str) -> str:
     """`text` for a terminal: what would steer it, or is not to be seen, stands there as an escape.
 

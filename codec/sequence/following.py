@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import logging
 import math
-import signal
 import statistics
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -96,27 +94,6 @@ class Followed:
     """What was wrong with the files, counted; empty if nothing was."""
     median_delay_s: float | None
     """Median time from the last write of a file until its segment stood; None without any."""
-
-
-@contextmanager
-def stopped_by_interrupt() -> Iterator[threading.Event]:
-    """Gives an event that the first Ctrl-C sets in the block; a second one raises. In another
-    thread than the main one nothing sets it."""
-    stop = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield stop
-        return
-
-    def interrupt(number: int, frame: object) -> None:
-        if stop.is_set():
-            raise KeyboardInterrupt
-        stop.set()
-
-    before = signal.signal(signal.SIGINT, interrupt)
-    try:
-        yield stop
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def _nothing(done: int, total: int | None, what: str | None = None) -> None:

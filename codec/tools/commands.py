@@ -9,12 +9,13 @@ from typing import Annotated
 import numpy as np
 import tyro
 
+from codec.console import interruptible
 from codec.errors import InvalidError
 from codec.foreign.spz import SpzVersion
 from codec.interop.exporting import export_stream
 from codec.interop.formats import SplatFormat
 from codec.progressline import counted
-from codec.sequence.following import FollowOptions, follow_folder, stopped_by_interrupt
+from codec.sequence.following import FollowOptions, follow_folder
 from codec.sequence.importing import Imported, ImportOptions, import_stream
 from codec.stream.pictures import Draw
 from codec.stream.reader import DEFAULT_MAX_GAUSSIANS
@@ -164,7 +165,7 @@ def import_files(config: Import, draw: Draw | None = None) -> str:
 
 
 def _follow_files(config: Import, draw: Draw | None) -> str:
-    with stopped_by_interrupt() as stop, counted(f"following {config.input.name}") as progress:
+    with interruptible() as stop, counted(f"following {config.input.name}") as progress:
         made = follow_folder(
             config.input,
             config.stream,

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import logging
-import signal
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
@@ -14,6 +12,7 @@ from typing import Any
 
 from rich.console import Console
 
+from codec.console import interruptible
 from codec.progressline import ProgressLine
 from codec.storage.openstorage import Target
 from codec.stream import StreamReader
@@ -79,26 +78,6 @@ def telling_where_it_stopped(progress: _Progress, console: Console) -> Iterator[
                 line = f"stopped {when}; --resume continues from there"
                 console.print(line, highlight=False, soft_wrap=True)
         raise
-
-
-@contextmanager
-def interruptible() -> Iterator[threading.Event]:
-    """Ctrl-C sets the event, so that the running window can end; a second one ends at once."""
-    asked = threading.Event()
-
-    def stop(number: int, frame: object) -> None:
-        if asked.is_set():
-            raise KeyboardInterrupt
-        asked.set()
-
-    if threading.current_thread() is not threading.main_thread():
-        yield asked
-        return
-    before = signal.signal(signal.SIGINT, stop)
-    try:
-        yield asked
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def train_stream(
