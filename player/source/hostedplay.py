@@ -97,6 +97,7 @@ class HostedPlay:
     ) -> None:
         """records: of the index, which may grow. rate_bps: what the link is known to carry."""
         self._records, self._store, self._frames = records, store, frames
+        self._config, self._began_s = config, now_s
         self.media = RecordedMedia(manifest, records, self._is_stored)
         self.session = PlaySession(
             self.media,
@@ -143,12 +144,23 @@ class HostedPlay:
             if len(self._open_asks) >= MOST_ASKS or any(map(self._lacks, self._wanted)):
                 return WaitForAck()
             if not self._chosen:
+                if self._would_delay_the_start(now_s):
+                    return WaitForAck()
                 decision = session.decide(now_s)
                 if not isinstance(decision, SendSlices | SendSnapshots):
                     return decision
                 self._forget()
                 self._chosen = self._by_segment(decision)
             self._want(self._chosen.pop(0), now_s)
+
+    def _would_delay_the_start(self, now_s: float) -> bool:
+        """Whether another request would take too much of the link from those that the first picture
+        waits for. The first estimates of a rate are too wild to tell; the mean is not."""
+        session = self.session
+        if session.clock.started_s is not None or session.least_latency_s is None:
+            return False
+        held_s = session.least_latency_s + self._config.queue_s
+        return session.queued_bytes * (now_s - self._began_s) > session.acked_bytes * held_s
 
     def _want(self, send: Send, now_s: float) -> None:
         """Asks for what was chosen of one segment."""

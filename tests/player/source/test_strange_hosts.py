@@ -111,7 +111,7 @@ BEGUN = answer(start(), *ALL[:2])
             "the slice born at 5 arrived, but the play ends before frame 5",
         ),
         (BEGUN, lambda n: b"\x02\0\0\0\x80\xc0", 0.0, "play: "),
-        (b"", lambda n: b"junk", 0.0, "the connection broke"),
+        (b"", lambda n: b"junk" * 1000, 0.0, "the connection broke"),
     ],
     ids=["old", "drip", "continue", "head", "frozen", "more", "kinds", "junk"],
 )

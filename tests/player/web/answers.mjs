@@ -320,7 +320,9 @@ const ANSWERS = {
     const move = async () => {
       for (const one of coming) one.movesLeft -= 1;
       while (coming[0]?.movesLeft === 0) coming.shift()?.answer();
-      await new Promise((resolve) => setTimeout(resolve, 5));
+      // Until it requests the next one or has shown all, however long decoding takes.
+      do await new Promise((resolve) => setTimeout(resolve, 0));
+      while (scrubber.isRunning && coming.length === 0);
     };
     for (const frame of frames) {
       scrubber.scrub(frame);
